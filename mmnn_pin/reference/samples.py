@@ -198,6 +198,19 @@ class Columns(Mapping[str, Array]):
         given = None if missing else np.stack([self[n] for n in names], axis=1)
         return table_of(self["t"], np.stack([self[n] for n in ("x", "y", "phi")], axis=1), given, nb)
 
+    def require_within(self, name: str, lower: float, upper: float) -> None:
+        """Refuse a joint's positions beyond its limits.
+
+        Raises:
+            TrajectoryError: With the first line that is.
+        """
+        values, more = self[name], 1e-6 * max(1.0, min(abs(lower), abs(upper)))
+        beyond = np.flatnonzero((values < lower - more) | (values > upper + more))
+        if beyond.size:
+            what = f"{name} = {values[beyond[0]]:g} is beyond the joint's limits {lower:g} to {upper:g}"
+            fix = "stay within them, or correct the joint's <limit> in the URDF"
+            raise TrajectoryError(what, fix=fix, file=self.file, line=self._lines[beyond[0]][0])
+
     @contextmanager
     def blamed(self) -> Iterator[None]:
         """Errors of trajectories within are about this file."""

@@ -188,10 +188,15 @@ class Trajectory:
 
         Raises:
             TrajectoryError: The file cannot be read, holds no motion of this robot, or one that it cannot follow; with
-                the file, and the line of what is no number.
+                the file, and the line of what is no number or beyond a joint's limits.
+            UnknownName: A column `position.NAME` or `velocity.NAME` of a joint that the arm does not have.
         """
         found, nb = Columns.read(file), robot.dimensions.base
         names = {name: f"position.{name}" for name in robot.joint_names}
+        for head in found:
+            kind, _, joint = head.partition(".")
+            if kind in ("position", "velocity") and joint and joint not in names:
+                raise UnknownName("joint", joint, names, file=file, key=head)
         columns = {name: at if at in found else name for name, at in names.items()}
         joints = {name: found[at] for name, at in columns.items() if at in found}
         moves = bool(nb) and {"x", "y", "phi"} <= set(found)
@@ -199,6 +204,9 @@ class Trajectory:
             fix = f"name columns {', '.join(['x, y, phi'] * bool(nb) + [*names.values()])}"
             raise TrajectoryError(f"no motion of {robot.name}", fix=fix, file=file, line=1)
         rates = {name: found.get(f"velocity.{name}") for name in joints}
+        for name, i in zip(robot.joint_names, robot.arm_index, strict=True):
+            if name in joints:
+                found.require_within(columns[name], robot.lower[i], robot.upper[i])
         with found.blamed():
             arm = {name: JointTable(found["t"], at, rates[name]) for name, at in joints.items()}
             return cls.of(robot, found.table(nb) if moves else None, arm)

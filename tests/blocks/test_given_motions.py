@@ -115,7 +115,7 @@ def test_a_file_of_the_base_alone_leaves_the_arm_to_the_tables(tmp_path: Path) -
 
 
 BAD = {
-    "no x": ("t,y,phi,position.arm_9\n0,0,0,1\n", "no motion of platform_arm", 1),
+    "no x": ("t,y,phi,arm_9\n0,0,0,1\n", "no motion of platform_arm", 1),
     "no time": ("x,y,phi\n0,0,0\n", "no column t", 1),
     "a word": ("t,x,y,phi\n0,0,0,0\n1,one,0,0\n", "x = 'one' is not a number", 3),
     "a short line": ("t,x,y,phi\n0,0,0,0\n1,1,0\n", "phi = '' is not a number", 3),
@@ -173,3 +173,19 @@ def test_samples_of_a_joint_are_scipys_spline_and_end_when_they_end() -> None:
     np.testing.assert_allclose(table.sample(T[:-1] + 0.01).qdot, CubicSpline(T, q)(T[:-1] + 0.01, 1), atol=1e-12)
     with pytest.raises(TrajectoryError, match=r"time\.duration = 4"):
         table.sample([4.1])
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ("t,position.elbow\n0,0\n1,0\n", "position.elbow: error: unknown joint 'elbow': there is: arm_1_joint"),
+        ("t,velocity.arm_1\n0,0\n1,0\n", "velocity.arm_1: error: unknown joint 'arm_1': did you mean 'arm_1_joint'?"),
+        ("t,position.arm_1_joint\n0,0\n1,9\n", "motion.csv:3: error: position.arm_1_joint = 9 is beyond the joint's"),
+    ],
+)
+def test_columns_that_no_joint_can_follow_are_refused(tmp_path: Path, rows: str, told: str) -> None:
+    file = tmp_path / "motion.csv"
+    file.write_text(rows)
+    with pytest.raises(InputError) as error:
+        Trajectory.from_csv(load("platform_arm"), file)
+    assert told in str(error.value)

@@ -9,6 +9,7 @@ import glob
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin
@@ -53,6 +54,8 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
     table = complete(path)
     for text in texts:
         override(table, text)
+    if any(text.startswith("reference.file") for text in texts) and "title" not in {text[:5] for text in texts}:
+        table["title"] = f"The motion of {Path(str(table['reference']['file'])).name}"
     with_starts(table, read_toml(path), path, texts)
     try:
         require_overrides(table.get("overrides", {}))
@@ -61,10 +64,20 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
         require_names(experiment)
         return experiment
     except msgspec.ValidationError as error:
-        raise config_error(error, path, table) from error
+        wrong = config_error(error, path, table)
+        raise blamed(wrong, texts) from error
     except InputError as error:
         error.file = error.file or path
         raise
+
+
+def blamed(error: ConfigError, overrides: Iterable[str]) -> ConfigError:
+    """An error of an experiment's file; a key that does not exist and stands in an override is no error of the file."""
+    named = re.search(r"unknown key '(\w+)'", error.what)
+    key = ".".join(filter(None, (error.key, named[1] if named else "")))
+    if named and any(text.partition("=")[0].strip() == key or text.startswith(f"{key}.") for text in overrides):
+        error.file, error.key = None, f"--set {key}"
+    return error
 
 
 def recorded_experiment(recording: Recording) -> Experiment | None:
@@ -337,7 +350,9 @@ def config_error(error: msgspec.ValidationError, path: Path | None, table: Any =
         message, known = f"unknown value '{wrong[1]}'", words_of(kind)
         known += ("or a number",) if float in get_args(kind) else ()
     if known:
-        return ConfigError(message, fix=f"there is: {', '.join(known)}", file=path, key=key)
+        near = get_close_matches(unknown[1], known, n=1) if unknown else ()
+        guess = f"did you mean '{near[0]}'? " if near else ""
+        return ConfigError(message, fix=f"{guess}there is: {', '.join(known)}", file=path, key=key)
     what, fix = wrong_type(message, value_at(table, key))
     return ConfigError(what, fix=fix, file=path, key=key)
 

@@ -22,6 +22,8 @@ from .experiment import Experiment
 from .hand import hand_errors, hand_motion
 from .result import Result
 
+BEYOND = 0.02  # of a joint's range, past its limits, that is told
+
 
 @checked
 def run_experiment(
@@ -55,7 +57,7 @@ def run_experiment(
     require_runnable(experiment, robot)
     require_free([file for file in files.values() if file], force)
     runs: dict[str, Recording] = {}
-    notes = [*window_notes(experiment), *reference_notes(experiment, robot)]
+    notes = [*window_notes(experiment), *reference_notes(experiment, robot), *weak_notes(robot)]
     duration, learners = experiment.time.duration, effective(wanted)
     for controller in in_order(wanted):
         learner = runs.get(learners.get(controller, ""))
@@ -79,7 +81,38 @@ def run_experiment(
     if tables is not None:
         hand = {c: hand_errors(recording, robot) for c, recording in kept.items()}
         notes += hand_notes(experiment, robot)
-    return Result(experiment, name, kept, numbers, (*notes, *margin_notes(experiment, kept)), hand)
+    notes += [*margin_notes(experiment, kept), *limit_notes(robot, kept)]
+    return Result(experiment, name, kept, numbers, tuple(notes), hand)
+
+
+def weak_notes(robot: Robot) -> list[str]:
+    """Joints that cannot hold themselves where the robot rests."""
+    held = np.abs(robot.gravity(robot.neutral())[robot.dimensions.base :])
+    efforts = dict(zip(robot.actuator_names, robot.effort_limits, strict=True))
+    return [
+        f"{name} cannot hold itself up: gravity takes {needed:.3g}, its motor gives {efforts[name]:.3g} by the URDF"
+        for name, needed in zip(robot.joint_names, held, strict=True)
+        if needed > efforts.get(name, np.inf)
+    ]
+
+
+def limit_notes(robot: Robot, runs: Mapping[str, Recording]) -> list[str]:
+    """The joint that is farthest beyond its limits in any run; the plant has no end stops."""
+    lower, upper = robot.lower[robot.arm_index], robot.upper[robot.arm_index]
+    far = {
+        (name, i): float(np.nanmax(beyond[:, i] / max(upper[i] - lower[i], 1e-9)))
+        for name, run in runs.items()
+        if len(run)
+        for beyond in [np.maximum(as_columns(run["q"]) - upper, lower - as_columns(run["q"]))]
+        for i in range(len(lower))
+        if np.isfinite(upper[i] - lower[i]) and upper[i] > lower[i]
+    }
+    name, i = max(far, key=far.__getitem__, default=("", 0))
+    if not name or far[name, i] < BEYOND:
+        return []
+    most = far[name, i] * (upper[i] - lower[i])
+    where = f"its limits {lower[i]:.3g} to {upper[i]:.3g}"
+    return [f"{robot.joint_names[i]} goes {most:.3g} beyond {where} under {name}; the plant has no end stops"]
 
 
 def margin_notes(experiment: Experiment, runs: Mapping[str, Recording]) -> list[str]:
@@ -167,6 +200,10 @@ def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
     path, times = reference.base, np.arange(experiment.time.samples) * experiment.time.control_period
     if reference.slowness > 1.0:
         notes.append(f"the reference takes {reference.slowness:.3g} times as long: the motors' limits ask for it")
+    end, now = reference.duration, experiment.time.duration
+    if experiment.reference.file and now + experiment.time.control_period < end < np.inf:
+        file = Path(experiment.reference.file).name
+        notes.append(f"{file} goes on to {end:.4g} s, the runs end at {now:g} s: --set time.duration={end:.4g}")
     return notes + (warnings(path.sample(times / reference.slowness)) if path is not None else [])
 
 

@@ -3,19 +3,33 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import builders
 import numpy as np
 import pytest
 
-from mmnn_pin import InputError, Recording, load_experiment, run_experiment
+from mmnn_pin import (
+    PD,
+    Hold,
+    InputError,
+    Line,
+    Loop,
+    Recording,
+    Sine,
+    Timing,
+    Trajectory,
+    load,
+    load_experiment,
+    run_experiment,
+)
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
 from mmnn_pin.lab.experiments.config import bundled, keys_of, kind_at, override, parse_value
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS, DEFAULT, EFFECTIVE
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.result import Result
-from mmnn_pin.lab.experiments.runner import in_order
+from mmnn_pin.lab.experiments.runner import in_order, limit_notes, weak_notes
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recording import as_columns
 from mmnn_pin.signals import Layout
@@ -320,3 +334,27 @@ def test_windows_that_were_not_reached_and_empty_runs_have_no_number() -> None:
 
 def test_scalar_signals_are_columns_too() -> None:
     assert as_columns(np.arange(3.0)).shape == (3, 1) and as_columns(np.ones((3, 2))).shape == (3, 2)
+
+
+def test_an_unknown_key_of_an_override_is_the_overrides() -> None:
+    with pytest.raises(ConfigError) as error:
+        load_experiment("track", ["feedbak.arm=3"])
+    assert str(error.value).startswith("--set feedbak: error: unknown key 'feedbak': did you mean 'feedback'? there is")
+
+
+def test_notes_tell_what_the_plant_does_not(tmp_path: Path) -> None:
+    """A file that goes on, a joint that cannot hold itself, one that goes beyond its limits."""
+    file = tmp_path / "motion.csv"
+    file.write_text("t,x,y,phi,position.arm_1_joint\n0,0,0,0,0\n1,0.1,0,0,0.1\n2,0.2,0,0,0.2\n9,0.9,0,0,0.2\n")
+    texts = [f"reference.file='{file}'", "controllers=['pd']", "time.duration=0.5", "windows=[[0.0, 0.5]]"]
+    notes = run_experiment(load_experiment("track", texts), "track").notes
+    assert "motion.csv goes on to 9 s, the runs end at 0.5 s: --set time.duration=9" in notes
+    robot = load("platform_arm")
+    assert weak_notes(robot) == []
+    heavy = replace(robot, effort_limits=np.full(len(robot.effort_limits), -1.0))
+    assert [note.split()[0] for note in weak_notes(heavy)] == list(robot.joint_names)
+    run = Loop(robot, Trajectory(Line(0.0), (Sine(0.5, 2.0), Hold(0.4))), PD(), timing=Timing(duration=0.5)).run()
+    assert limit_notes(robot, {"pd": run}) == []
+    tight = replace(robot, upper=np.where(np.arange(len(robot.upper)) == robot.arm_index[1], 0.3, robot.upper))
+    (note,) = limit_notes(tight, {"pd": run})
+    assert note.startswith("arm_2_joint goes 0.") and note.endswith("under pd; the plant has no end stops")
