@@ -136,6 +136,8 @@ def identify(
 
 def why_nothing(found: Identification) -> str:
     """Why a fit is not written."""
+    if found.plausible and not found.helps_in_urdf:
+        return "what a URDF can hold of the fit predicts no better than the URDF; what helps are constants and rotors"
     if found.plausible:
         return "the fit is no better than what it is compared with"
     return "no masses that can be explain these efforts: currents need --torque-constant, check units and signs"

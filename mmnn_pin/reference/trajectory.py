@@ -199,7 +199,11 @@ class Trajectory:
                 raise UnknownName("joint", joint, names, file=file, key=head)
         columns = {name: at if at in found else name for name, at in names.items()}
         joints = {name: found[at] for name, at in columns.items() if at in found}
-        moves = bool(nb) and {"x", "y", "phi"} <= set(found)
+        missing = [name for name in ("x", "y", "phi") if name not in found]
+        moves = bool(nb) and not missing
+        if nb and 0 < len(missing) < 3:
+            fix = "give x, y, phi, or none of them and the base rests"
+            raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=file, line=1)
         if not joints and not moves:
             fix = f"name columns {', '.join(['x, y, phi'] * bool(nb) + [*names.values()])}"
             raise TrajectoryError(f"no motion of {robot.name}", fix=fix, file=file, line=1)

@@ -115,7 +115,8 @@ def test_a_file_of_the_base_alone_leaves_the_arm_to_the_tables(tmp_path: Path) -
 
 
 BAD = {
-    "no x": ("t,y,phi,arm_9\n0,0,0,1\n", "no motion of platform_arm", 1),
+    "no x": ("t,y,phi,arm_9\n0,0,0,1\n", "no column x", 1),
+    "no motion": ("t,arm_9\n0,1\n", "no motion of platform_arm", 1),
     "no time": ("x,y,phi\n0,0,0\n", "no column t", 1),
     "a word": ("t,x,y,phi\n0,0,0,0\n1,one,0,0\n", "x = 'one' is not a number", 3),
     "a short line": ("t,x,y,phi\n0,0,0,0\n1,1,0\n", "phi = '' is not a number", 3),

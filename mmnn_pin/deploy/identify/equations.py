@@ -37,6 +37,7 @@ BAND, SPAN = (
 )  # cutoff over the frequency below which 99 % of a velocity's power lie: of the median, of the fastest joint
 LEAST, MOST = 4.0, 20.0  # cutoff [Hz]
 SLOW = 0.03  # share of a joint's fast speed below which it counts as still
+PLACES, SAME = 20, 1e-6  # postures at which gravity is looked at; its change that counts as none
 MOVING = 0.9  # share of a filtered row's time in which its joints have to move
 
 
@@ -88,6 +89,17 @@ class Unknowns:
         return places[[self.labels[i].rpartition(".")[0] not in self.regressor.joints for i in places]]
 
     @cached_property
+    def weighed(self) -> Bools:
+        """Rows that feel the same weight wherever the robot stands, (r,), as a lift does.
+
+        They have no constant of their own: it would say what the weight says, which a URDF can hold.
+        """
+        rng = np.random.default_rng(0)
+        felt = np.array([self.robot.gravity(self.robot.random(rng)) for _ in range(PLACES)])[:, list(self.rows)]
+        size = np.abs(felt).max(axis=0)
+        return np.asarray((size > 0) & (np.ptp(felt, axis=0) < SAME * size))
+
+    @cached_property
     def joint_rows(self) -> Array:
         """(joints, p) rows of T of the regressor's joints."""
         return np.array(self.regressor.massless.joints)
@@ -111,7 +123,7 @@ class Unknowns:
         first, rows = self.regressor.size, list(self.rows)
         Y[:, :, :first] = self.regressor.along(q, nu, nudot)[:, rows]
         for i in range(len(rows)):
-            Y[:, i, first + i] = 1.0
+            Y[:, i, first + i] = not self.weighed[i]
         dry = self.rubbing(nu) if rubbing is None else rubbing
         lever = np.tile(self.joint_rows.T[rows], (1, dry.shape[1] // len(self.joint_rows)))
         columns = self.columns("coulomb", "stribeck")

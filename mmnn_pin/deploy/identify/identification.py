@@ -161,9 +161,14 @@ class Identification:
 
     @property
     def better(self) -> bool:
-        """Whether the fit predicts better than the URDF and than friction alone, and is plausible."""
-        ours = self.error("identified")
-        return bool(ours < self.error("urdf") and ours < self.error("friction") and self.plausible)
+        """Whether the fit predicts better than the URDF and than friction alone, in a URDF too, and is plausible."""
+        ours, before = self.error("identified"), self.error("urdf")
+        return bool(ours < before and ours < self.error("friction") and self.plausible and self.helps_in_urdf)
+
+    @property
+    def helps_in_urdf(self) -> bool:
+        """Whether what a URDF can hold of it, without rotors, constants and Stribeck friction, predicts better, too."""
+        return self.error("urdf_file") < self.error("urdf")
 
 
 def relative(of: Equations, predicted: Array) -> Array:

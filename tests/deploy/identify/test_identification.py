@@ -15,8 +15,9 @@ import pytest
 from lxml import etree
 from motions import efforts, rubbing, simulated, sines
 
-from mmnn_pin import identify, load
+from mmnn_pin import PD, Loop, Sine, Timing, Trajectory, identify, load
 from mmnn_pin.cli import main
+from mmnn_pin.cli.identify import why_nothing
 from mmnn_pin.deploy.identify import programme
 from mmnn_pin.deploy.identify.constants import constants_of
 from mmnn_pin.deploy.identify.corrected import new_links, pseudo_inertia_of, said_of, transport, write
@@ -426,3 +427,35 @@ def test_bad_input_is_one_line_and_exit_code_2(
         assert code == (1 if name == "solver" else 2), name
         assert said.out == "" and said.err.count("\n") == 1 and "error:" in said.err, (name, said.err)
         assert not (tmp_path / "out").exists()
+
+
+LIFT = """<robot name="lift"><link name="base"/>
+<link name="carriage"><inertial><origin xyz="0.1 0 0"/><mass value="4"/>
+<inertia ixx="0.05" ixy="0" ixz="0" iyy="0.05" iyz="0" izz="0.05"/></inertial></link>
+<link name="turn"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>
+<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.03"/></inertial></link>
+<joint name="lift" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="0 0 1"/>
+<limit lower="0" upper="1" effort="500" velocity="2"/><dynamics damping="0.8"/></joint>
+<joint name="waist" type="revolute"><parent link="carriage"/><child link="turn"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="50" velocity="5"/><dynamics damping="0.3"/></joint></robot>"""
+
+
+def test_a_lift_has_its_weight_in_its_mass_and_not_in_a_constant(tmp_path: Path) -> None:
+    """A constant effort and the weight of a lift are one force; a URDF can hold the weight alone."""
+    (tmp_path / "lift.urdf").write_text(LIFT)
+    robot = load(tmp_path / "lift.urdf")
+    path = Trajectory.of(robot, arm={"lift": Sine(0.1, 1.9, offset=0.4), "waist": Sine(0.8, 1.3)})
+    run = Loop(robot.with_masses({"lift": 1.4}), path, PD(), timing=Timing(duration=6.0)).run()
+    found = identify(robot, run)
+    theta = dict(zip(found.unknowns.labels, found.theta, strict=True))
+    assert found.unknowns.weighed.tolist() == [True, False]
+    assert theta["lift.offset"] == 0.0 and abs(theta["lift.m"] + theta["waist.m"] - (1.4 * 4.0 + 2.0)) < 0.05
+    assert found.error("urdf_file") < 0.01 < found.error("urdf") and found.better
+
+
+def test_a_fit_that_a_urdf_cannot_hold_is_not_better(found: Identification) -> None:
+    assert found.better and found.helps_in_urdf
+    other = replace(found)
+    other.__dict__["in_urdf"] = 3.0 * found.unknowns.prior
+    assert not other.helps_in_urdf and not other.better
+    assert "constants and rotors" in why_nothing(other)
