@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mmnn_pin import PD, Feedback, LearningLaw, Line, Loop, Sine, Timing, Trajectory, compare, load
+from mmnn_pin import PD, Feedback, LearningLaw, Line, Loop, Sine, Trajectory, compare, load, load_experiment
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.experiments.compare import assembled
 from mmnn_pin.lab.experiments.config import recorded_experiment
@@ -53,8 +53,8 @@ def test_names_and_objects_stand_beside_each_other(robot, path):
     runs = compare(robot, path, ["pd", PD(Feedback(300.0, 5.0), name="stiff"), Bias(), Sleeper()], duration=SHORT)
     assert list(runs) == ["pd", "stiff", "Bias", "custom"] and runs.completed
     assert runs["stiff"].meta["controller"] == "stiff"
-    timing = Timing(duration=SHORT, integrator="implicit_friction")
-    alone = Loop(robot, path, PD(), timing=timing).run()
+    track = load_experiment("track", [f"time.duration={SHORT}"])
+    alone = replace(track.loop(robot, PD()), trajectory=path, controller=PD()).run()
     np.testing.assert_array_equal(runs["pd"]["torque"], alone["torque"])
     assert recorded_experiment(runs["pd"]) is None
     assert not runs["custom"]["torque"].any() and runs["Bias"]["psi_hat"].any()
@@ -114,7 +114,7 @@ def test_a_run_takes_as_long_as_its_trajectory(robot):
     made = assembled(robot, ends, ["pd"])
     assert 0 <= made.time.duration - ends.duration < made.time.control_period
     assert made.windows == ((0.0, 1.0), (1.0, made.time.duration))
-    assert assembled(robot, dataclasses.replace(ends, slowness=2.0), ["pd"]).time.duration > 2 * ends.duration - 1e-9
+    assert assembled(robot, replace(ends, slowness=2.0), ["pd"]).time.duration > 2 * ends.duration - 1e-9
 
 
 @pytest.mark.parametrize(
