@@ -341,8 +341,10 @@ class Experiment(LearnerTables, frozen=True):
         """Kz and ZB of a controller: its own, or the common ones."""
         return getattr(self.robust_of, "two_layer" if name.startswith("two_layer") else name, None) or self.robust
 
-    def loop(self, robot: Robot, controller: CompiledController | TorqueController) -> Loop:
-        """The closed loop of this experiment around one controller."""
+    def loop(self, robot: Robot, controller: CompiledController | TorqueController | str) -> Loop:
+        """The closed loop of this experiment around one controller, or the one of a name; errors as in `controller`."""
+        if isinstance(controller, str):
+            controller = self.controller(controller, robot=robot)
         return Loop(
             robot=robot,
             trajectory=self.trajectory_of(robot),
