@@ -32,8 +32,8 @@ ENDLESS = 10.0  # duration of a run along a trajectory without an end [s]
 FIRST = 1.0  # the errors of the start are told apart from the later ones [s]
 DEFAULT = ("pd", "pd_gravity", "pid", "two_layer")
 TAKEN = ("robot", "reference", "controllers", "cases", "contest", "held_out")  # keys that the objects stand for
-LIKE = "track"  # the experiment whose gains, learners, motors and periods hold unless others are said
-OTHERWISE = ("title", "windows", "seed")  # keys of it that do not
+LIKE = "track"  # the experiment whose kinematic gains and learners hold unless others are said
+OTHERWISE = ("title", "windows", "seed", "time", "actuator", "torque_limits")  # keys of it that do not
 LABEL = re.compile(r"[A-Za-z_][\w. -]*")
 Controllers = Iterable[str | Controller] | Mapping[str, str | Controller]
 
@@ -93,7 +93,8 @@ def compare(
 ) -> Result:
     """Run controllers from equal starts along one trajectory, each with gains that suit the robot.
 
-    All else is as `mmnn run track` has it: learners, kinematic gains, motors that give what the URDF says, periods.
+    Learners and kinematic gains are as `mmnn run track` has them; motors have no limits unless `actuator.torque_limit`
+    says so.
 
     Args:
         robot: The robot.
@@ -139,13 +140,14 @@ def assembled(
     require_kind(trajectory, Trajectory, "trajectory", "Trajectory.of(robot, base=..., arm=...)")
     names, own = by_name(controllers)
     table = {key: value for key, value in complete(find(LIKE)).items() if key not in (*TAKEN, *OTHERWISE)}
-    table |= {"robot": robot.name, "reference": {}, "controllers": names, "time": like_times(table)}
+    table |= {"robot": robot.name, "reference": {}, "controllers": names}
     for key, value in (settings or {}).items():
         if key.partition(".")[0] in TAKEN:
             what = f"'{key}' beside the objects that stand for it"
             raise ConfigError(what, fix="change the robot, the trajectory or the list of controllers", key="settings")
         put(table, key, value)
-    times = table["time"]
+    times = table.setdefault("time", {})
+    times.setdefault("integrator", "implicit_friction")  # light links in stiff joints, such as wrists, need it
     if duration is not None or "duration" not in times:
         times["duration"] = whole(duration or ending(trajectory), times.get("control_period", Timing().control_period))
     table.setdefault("windows", windows_of(times["duration"]))
@@ -157,11 +159,6 @@ def assembled(
     fields = {name: getattr(said, name) for name in Experiment.__struct_fields__}
     fields["controllers"] = tuple(name if name in own else name_of(name) for name in names)
     return Assembled(**fields, given=robot, path=trajectory, own=own)
-
-
-def like_times(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The periods of the experiment whose settings hold, without its duration."""
-    return {key: value for key, value in table["time"].items() if key != "duration"}
 
 
 def by_name(controllers: Controllers) -> tuple[list[str], dict[str, Controller]]:

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmnn_pin import PD, Feedback, LearningLaw, Line, Loop, Sine, Trajectory, compare, load, load_experiment
+from mmnn_pin import PD, Feedback, LearningLaw, Line, Loop, Sine, Timing, Trajectory, compare, load, load_experiment
+from mmnn_pin.actuator import Actuator
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.experiments.compare import assembled
 from mmnn_pin.lab.experiments.config import recorded_experiment
@@ -54,7 +55,9 @@ def test_names_and_objects_stand_beside_each_other(robot, path):
     assert list(runs) == ["pd", "stiff", "Bias", "custom"] and runs.completed
     assert runs["stiff"].meta["controller"] == "stiff"
     track = load_experiment("track", [f"time.duration={SHORT}"])
-    alone = replace(track.loop(robot, PD()), trajectory=path, controller=PD()).run()
+    timing = Timing(duration=SHORT, integrator="implicit_friction")
+    loop = replace(track.loop(robot, PD()), trajectory=path, controller=PD(), timing=timing, actuator=Actuator())
+    alone = loop.run()
     np.testing.assert_array_equal(runs["pd"]["torque"], alone["torque"])
     assert recorded_experiment(runs["pd"]) is None
     assert not runs["custom"]["torque"].any() and runs["Bias"]["psi_hat"].any()
