@@ -64,20 +64,10 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
         require_names(experiment)
         return experiment
     except msgspec.ValidationError as error:
-        wrong = config_error(error, path, table)
-        raise blamed(wrong, texts) from error
+        raise config_error(error, path, table) from error
     except InputError as error:
         error.file = error.file or path
         raise
-
-
-def blamed(error: ConfigError, overrides: Iterable[str]) -> ConfigError:
-    """An error of an experiment's file; a key that does not exist and stands in an override is no error of the file."""
-    named = re.search(r"unknown key '(\w+)'", error.what)
-    key = ".".join(filter(None, (error.key, named[1] if named else "")))
-    if named and any(text.partition("=")[0].strip() == key or text.startswith(f"{key}.") for text in overrides):
-        error.file, error.key = None, f"--set {key}"
-    return error
 
 
 def recorded_experiment(recording: Recording) -> Experiment | None:

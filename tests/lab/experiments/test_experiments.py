@@ -336,10 +336,10 @@ def test_scalar_signals_are_columns_too() -> None:
     assert as_columns(np.arange(3.0)).shape == (3, 1) and as_columns(np.ones((3, 2))).shape == (3, 2)
 
 
-def test_an_unknown_key_of_an_override_is_the_overrides() -> None:
+def test_an_unknown_key_is_told_with_the_nearest_one() -> None:
     with pytest.raises(ConfigError) as error:
         load_experiment("track", ["feedbak.arm=3"])
-    assert str(error.value).startswith("--set feedbak: error: unknown key 'feedbak': did you mean 'feedback'? there is")
+    assert "unknown key 'feedbak': did you mean 'feedback'? there is" in str(error.value)
 
 
 def test_notes_tell_what_the_plant_does_not(tmp_path: Path) -> None:
