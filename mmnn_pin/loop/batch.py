@@ -18,10 +18,11 @@ from ..recording.metrics import Reducer, Windows
 from ..recording.recorder import Recorder, known
 from ..recording.recording import Outcome, Recording
 from ..signals import Array
+from ..torque.controller import CompiledController
 from .controller import with_findings
 from .loop import Loop
 from .setup import Sink
-from .side_by_side import LANES, WORTH, Lanes
+from .side_by_side import LANES, WORTH, Lanes, forms_of
 
 
 @dataclass(frozen=True)
@@ -82,10 +83,11 @@ def simulate_many(
         if stop.is_set():
             return 0
         started = [begun(f"loops[{i}]", loops[i], starts[i], windows, keep) for i in places]
-        if len(started) == LANES:
-            ended = simulate_together(started, worth, stop.is_set)
-        else:
+        engines = [run.engine for run in started]
+        if (forms := forms_of(engines)) is None:
             ended = [run.alone(stop.is_set) for run in started]
+        else:
+            ended = simulate_together(started, Lanes(engines, forms, worth), stop.is_set)
         for i, result in zip(places, ended, strict=True):
             results[i] = result
         return len(places)
@@ -96,7 +98,7 @@ def simulate_many(
             done = some([0])
             if results[0].outcome.status == "interrupted":
                 return results
-            pending = {pool.submit(some, places) for places in side_by_side(loops, range(1, len(loops)))}
+            pending = {pool.submit(some, places) for places in groups_of(loops, range(1, len(loops)), workers)}
             while True:
                 if progress is not None:
                     progress(done, len(loops))
@@ -110,15 +112,21 @@ def simulate_many(
             stop.set()
 
 
-def side_by_side(loops: Sequence[Loop], places: Iterable[int]) -> list[list[int]]:
-    """The places of runs that may go side by side, as many as there are lanes, and of all others one by one."""
+def groups_of(loops: Sequence[Loop], places: Iterable[int], workers: int) -> list[list[int]]:
+    """The places of runs that may go side by side, as many as there are lanes, and of all others one by one.
+
+    Every worker has as many groups as the others, so that none waits for one that makes four runs alone.
+    """
     alike: dict[Any, list[int]] = {}
     for i in places:
         loop = loops[i]
-        alike.setdefault((loop.timing, loop.layout, loop.engine, type(loop.controller)), []).append(i)
-    together = [some[i : i + LANES] for some in alike.values() for i in range(0, len(some), LANES)]
-    groups = [part for some in together for part in ([some] if len(some) == LANES else [[i] for i in some])]
-    return sorted(groups)
+        if loop.engine != "ordinary" and isinstance(loop.controller, CompiledController) and not loop.layout.hardware:
+            kind = (loop.timing, loop.layout, loop.weights_interval, type(loop.controller))
+            alike.setdefault(kind, []).append(i)
+    groups = [some[i : i + LANES] for some in alike.values() for i in range(0, len(some) - LANES + 1, LANES)]
+    groups = sorted(groups)[: len(groups) - len(groups) % workers]
+    grouped = {i for group in groups for i in group}
+    return sorted([*groups, *([i] for i in places if i not in grouped)])
 
 
 def require_sound(loops: Sequence[Loop], states: Sequence[Any], keep: bool | Collection[str], workers: int) -> None:
@@ -156,15 +164,15 @@ def begun(key: str, *arguments: Any) -> Started:
         raise
 
 
-def simulate_together(runs: Sequence[Started], worth: bool, cancelled: Callable[[], bool]) -> list[Run]:
-    """Runs that have as many samples each, block after block side by side; with the bits that they have alone.
+def simulate_together(runs: Sequence[Started], lanes: Lanes, cancelled: Callable[[], bool]) -> list[Run]:
+    """Runs of a group, block after block side by side; with the bits that they have alone.
 
     Args:
         runs: As many as there are lanes.
-        worth: Whether compiling for them is worth while, where that was not done before.
+        lanes: Their engines.
         cancelled: Asked after every block; true ends them as interrupted.
     """
-    lanes, results = Lanes([run.engine for run in runs], worth), dict[int, Run]()
+    results: dict[int, Run] = {}
     courses = [run.loop.course(run.engine, run.sink, cancelled=cancelled) for run in runs]
     answers: list[Any] = [None] * len(runs)
     while len(results) < len(runs):

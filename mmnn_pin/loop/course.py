@@ -8,46 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from dataclasses import replace
-from typing import Any, Protocol, cast
+from typing import cast
 
 import numpy as np
 
 from ..model.robot import Robot
 from ..recording.recording import Outcome
 from ..safety import HAS_TRIPPED, TRIPPED, remarks, trip_of
-from ..settings import Timing
 from ..signals import SIGNALS, Array, Layout
-from .before_run import samples_between
 from .compiled import CompiledLoop
 from .ordinary import OrdinaryLoop
-from .setup import Sink
+from .setup import Setup, Sink
 
 Engine = CompiledLoop | OrdinaryLoop
 Course = Generator[tuple[int, int], int, Outcome]  # gives the samples to be stepped, takes what `advance` answers
-
-
-class Settled(Protocol):
-    """What a course knows of a loop."""
-
-    @property
-    def robot(self) -> Robot:
-        """The true robot."""
-
-    @property
-    def layout(self) -> Layout:
-        """Where the signals stand in a row."""
-
-    @property
-    def timing(self) -> Timing:
-        """Periods."""
-
-    @property
-    def controller(self) -> Any:
-        """The controller."""
-
-    @property
-    def weights_interval(self) -> float:
-        """Between weights that are kept [s]."""
 
 
 def drive(engine: Engine, course: Course) -> Outcome:
@@ -66,29 +40,26 @@ def drive(engine: Engine, course: Course) -> Outcome:
 
 
 def to_the_end(
-    loop: Settled,
+    loop: Setup,
+    every: int,
     engine: Engine,
     sink: Sink,
     first: int,
     progress: Callable[[float], None] | None,
     cancelled: Callable[[], bool],
 ) -> Course:
-    """A run to its end; arguments as in `Loop.stream`."""
-    outcome = yield from stretches(loop, engine, sink, first, progress, cancelled)
-    return with_remarks(outcome, engine, loop.robot)
+    """A run to its end, to divergence, to a trip or to an interruption.
 
-
-def stretches(
-    loop: Settled,
-    engine: Engine,
-    sink: Sink,
-    first: int,
-    progress: Callable[[float], None] | None,
-    cancelled: Callable[[], bool],
-) -> Course:
-    """A run to its end, to divergence, to a trip or to an interruption; arguments as in `Loop.stream`."""
+    Args:
+        loop: What runs.
+        every: Samples between weights that are kept.
+        engine: As in `Loop.stream`, like all that follow.
+        sink: Likewise.
+        first: Likewise.
+        progress: Likewise.
+        cancelled: Likewise.
+    """
     state, k, h, samples = engine.state, first, loop.timing.control_period, loop.timing.samples
-    every = samples_between(loop.weights_interval, h)
     try:
         while k < samples:
             if k % every == 0 and (weights := loop.controller.weights(state)):

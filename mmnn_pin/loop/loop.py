@@ -35,7 +35,7 @@ from ..torque.controller import CompiledController, Context, ControllerState, To
 from .before_run import Bounds, Start, lags, require_first, require_nominal, require_seed, samples_between
 from .compiled import CompiledLoop
 from .controller import state_from, with_findings
-from .course import Course, Engine, drive, to_the_end
+from .course import Course, Engine, drive, to_the_end, with_remarks
 from .latency import Latency
 from .lead import delays
 from .new_hardware import new_hardware
@@ -367,7 +367,9 @@ class Loop:
         """What `stream` does but for the stepping; arguments as there."""
         if self.trajectory.watched is not None:
             sink = Watching(sink, self.trajectory.watched.writer(self.robot, self.layout))
-        return to_the_end(self, engine, sink, first, progress, cancelled)
+        every = samples_between(self.weights_interval, self.timing.control_period)
+        outcome = yield from to_the_end(self, every, engine, sink, first, progress, cancelled)
+        return with_remarks(outcome, engine, self.robot)
 
 
 def require_compilable(loop: Loop) -> None:

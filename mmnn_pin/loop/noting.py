@@ -33,7 +33,7 @@ MOST = 60_000  # operations: more take longer to compile than they ever gain
 CALLED = {name: getattr(elementary, name) for name in elementary.__all__ if name not in ("cos_sin", "sigmoids")}
 
 
-class TooMuch(Exception):
+class NotNoted(Exception):
     """A sample cannot be noted, or is too long."""
 
 
@@ -49,7 +49,7 @@ class Notes:
         """The number of an operation, noted if it is new."""
         if what not in self.numbers:
             if len(self.ops) >= MOST:
-                raise TooMuch
+                raise NotNoted
             self.numbers[what] = len(self.ops)
             self.ops.append(what)
         return self.numbers[what]
@@ -110,7 +110,7 @@ class Noted:
             return self - other
         if -other < self < 0.0:
             return self + other
-        raise TooMuch
+        raise NotNoted
 
     def __neg__(self) -> Noted:
         return self.make(-self.value, "fneg", self)
@@ -141,7 +141,7 @@ class Noted:
         return int(self.value)
 
     def __float__(self) -> float:
-        raise TooMuch
+        raise NotNoted
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -267,7 +267,7 @@ def sample(told: dict[str, Any]) -> dict[str, Any]:
             (2, m) of the sample before and of this one, `time` [s].
 
     Raises:
-        TooMuch: It cannot be noted.
+        NotNoted: It cannot be noted.
     """
     from .compiled import control, measure, move, observe
 
@@ -289,7 +289,7 @@ def sample(told: dict[str, Any]) -> dict[str, Any]:
         for i in range(run.numbers.steps):
             move(run.numbers, i, true.body, true, view(run.row, run.at, INDEX["torque"]))
     if bad >= 0:
-        raise TooMuch
+        raise NotNoted
     written = {i: x for i, x in enumerate(memory) if not (isinstance(x, Noted) and notes.ops[x.number] == ("state", i))}
     return {
         "ops": notes.ops,

@@ -134,14 +134,14 @@ class Lanes:
 
     Args:
         engines: As many as there are lanes, at the same sample.
+        forms: Theirs, all alike.
         worth: Whether compiling is worth while where there is no code yet.
     """
 
-    def __init__(self, engines: Sequence[Any], worth: bool) -> None:
-        self.engines, self.worth = engines, worth
-        self.forms = forms_of(engines)
+    def __init__(self, engines: Sequence[Any], forms: Sequence[Form], worth: bool) -> None:
+        self.engines, self.forms, self.worth = engines, forms, worth
         self.program: Program | None = None
-        self.waits = self.forms is not None  # for its program
+        self.waits = True  # for its program
         self.alive = aligned((LANES,), np.int64)
         self.alive[:] = -1
 
@@ -169,10 +169,10 @@ class Lanes:
 
     def begin(self, sample: int) -> None:
         """Take up the program, if there is one for these engines; what makes it is begun with the second piece."""
-        assert self.forms is not None
         self.program = Program.of(self.engines[0], self.forms[0], sample, self.worth)
+        self.waits = self.worth and self.program is None
         if self.program is not None:
-            self.waits, width = False, sum(root.size for root in self.forms[0].roots)
+            width = sum(root.size for root in self.forms[0].roots)
             self.memory, self.before = aligned((width, LANES)), aligned((width, LANES))
             self.slots = aligned((self.program.slots, LANES))
             self.setpoints = aligned((PIECE + 1, self.engines[0].run.setpoints.shape[1], LANES))
@@ -209,7 +209,7 @@ class Lanes:
 
     def read(self) -> None:
         """Take the numbers out of the engines; without a program from here on where a run goes another way for good."""
-        assert self.forms is not None and self.program is not None
+        assert self.program is not None
         for lane, form in enumerate(self.forms):
             self.memory[:, lane] = np.concatenate(form.roots)
         others = self.program.prepare(self.memory.ctypes.data, self.slots.ctypes.data)
@@ -349,12 +349,12 @@ def ask_for(file: Path, engine: CompiledLoop, form: Form, sample: int) -> subpro
 
 def main() -> None:
     """Note a sample that standard input tells of and compile it into the file named; an empty one if that cannot be."""
-    from .noting import TooMuch, sample
+    from .noting import NotNoted, sample
 
     file = Path(sys.argv[1])
     try:
         told = sample(json.load(sys.stdin))
-    except (TooMuch, TypeError, ValueError, ArithmeticError, AttributeError):
+    except (NotNoted, TypeError, ValueError, ArithmeticError, AttributeError):
         content = b""
     else:
         slots, text = vector_code(told, LANES)

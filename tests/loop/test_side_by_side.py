@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import config
 
-from mmnn_pin import PD, Circle, Feedback, Hold, Line, Loop, Neural, Sine, Timing, Trajectory, load
+from mmnn_pin import PD, Circle, Feedback, Hold, Line, Loop, Neural, Sine, Timing, TorqueController, Trajectory, load
 from mmnn_pin.loop import batch, side_by_side
 from mmnn_pin.loop.batch import Run, simulate_many
 from mmnn_pin.loop.before_run import Start
@@ -70,7 +70,7 @@ def alike(one: Run, other: Run) -> bool:
 def alone(loops: list[Loop], monkeypatch: pytest.MonkeyPatch) -> list[Run]:
     """The runs one after the other."""
     with monkeypatch.context() as patch:
-        patch.setattr(batch, "side_by_side", lambda loops, places: [[i] for i in places])
+        patch.setattr(batch, "groups_of", lambda loops, places, workers: [[i] for i in places])
         return simulate_many(loops, keep=True, workers=1)
 
 
@@ -116,7 +116,9 @@ def test_a_run_that_diverges_ends_alone(monkeypatch: pytest.MonkeyPatch) -> None
 def test_the_state_stands_in_the_engines_after_every_block() -> None:
     program_of(LOOP)
     engines = [LOOP.engine_at() for _ in range(LANES)]
-    other, lanes = LOOP.engine_at(), Lanes(engines, False)
+    forms = forms_of(engines)
+    assert forms is not None
+    other, lanes = LOOP.engine_at(), Lanes(engines, forms, False)
     for first, last in ((0, 40), (40, 47), (47, 97)):
         assert lanes.advance(first, last) == [-1] * LANES
         other.advance(first, last)
@@ -142,10 +144,38 @@ def test_only_loops_of_one_form_go_side_by_side() -> None:
 
 def test_runs_of_unlike_loops_are_not_put_together() -> None:
     loops = [replace(LOOP, controller=PD(GAINS) if i % 3 == 0 else LOOP.controller) for i in range(12)]
-    groups = batch.side_by_side(loops, range(12))
+    groups = batch.groups_of(loops, range(12), 1)
     assert sorted(i for group in groups for i in group) == list(range(12))
     assert sorted(map(len, groups)) == [4, 4, 4]
+    assert sorted(map(len, batch.groups_of(loops, range(12), 2))) == [1] * 4 + [4, 4]
+    assert sorted(map(len, batch.groups_of(loops, range(12), 4))) == [1] * 12
     assert all(len({type(loops[i].controller) for i in group}) == 1 for group in groups)
+
+
+class Mine(TorqueController):
+    """No torque, in plain Python."""
+
+    name = "mine"
+
+    def step(self, time, reference, measurement, command, state):
+        """Nothing."""
+        return np.zeros(command.nu_ref.size)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"controller": Mine()}, {"engine": "ordinary"}, {"sensor": Sensor(velocity_noise=1e-3)}]
+)
+def test_runs_that_cannot_go_side_by_side_go_alone(changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    loops = [replace(LOOP, timing=Timing(duration=0.05), seed=i, **changes) for i in range(6)]
+    assert all(map(alike, simulate_many(loops, keep=True, workers=1), alone(loops, monkeypatch)))
+    monkeypatch.setattr(batch, "groups_of", lambda loops, places, workers: [list(range(1, 5)), [5]])
+    assert all(map(alike, simulate_many(loops, keep=True, workers=1), alone(loops, monkeypatch)))
+
+
+def test_runs_that_keep_their_weights_at_other_times_are_not_put_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    program_of(LOOP)
+    loops = [replace(LOOP, seed=i, weights_interval=0.1 if i % 2 else 0.03) for i in range(6)]
+    assert all(map(alike, simulate_many(loops, keep=True, workers=1), alone(loops, monkeypatch)))
 
 
 def test_a_small_batch_begins_no_compilation(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
