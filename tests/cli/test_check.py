@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -38,6 +39,15 @@ def test_a_fixed_arm(capsys):
     code, out, _ = run(capsys, "two_axis_arm", "--samples", "2", "--json")
     tested = json.loads(out)["nonholonomic"]
     assert code == 0 and (tested["distribution"], tested["closure"]) == (0, 0) and "fixed" in tested["verdict"]
+
+
+def test_swapped_limits_of_a_locked_joint_are_no_internal_error(tmp_path, capsys):
+    text = (Path(__file__).parents[2] / "urdf/platform_arm.urdf").read_text(encoding="utf-8")
+    start = text.index('<joint name="arm_2_joint"')
+    swapped = text[start:].replace('lower="-3.14159" upper="3.14159"', 'lower="1.0" upper="-1.0"', 1)
+    (tmp_path / "swapped.urdf").write_text(text[:start] + swapped, encoding="utf-8")
+    assert main(["check", str(tmp_path / "swapped.urdf"), "--lock", "arm_2_joint", "--samples", "20"]) == 0
+    assert "internal error" not in capsys.readouterr().err
 
 
 def test_table_says_seed_and_verdict(capsys):

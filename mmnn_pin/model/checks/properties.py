@@ -224,7 +224,8 @@ def random_state(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array, 
     lower = np.where(free, np.maximum(lower, robot.lower), robot.lower)
     upper = np.where(free, np.minimum(upper, robot.upper), robot.upper)
     still = np.isin(robot.position_names, list(robot.arm.locked))
-    position = robot.follow(np.where(still, rest, rng.uniform(lower, upper)))
+    lower, upper = np.where(still, rest, lower), np.where(still, rest, upper)  # a locked joint's may be swapped
+    position = robot.follow(rng.uniform(lower, upper))
     return position, rng.standard_normal(robot.dimensions.full), rng.standard_normal(robot.dimensions.dof)
 
 

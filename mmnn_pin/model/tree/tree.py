@@ -314,7 +314,7 @@ def _random_position(model: pin.Model, T: Array, rest: Array, rng: np.random.Gen
     """Position within the limits, or within one turn (or 3 m); what stands still stays at rest."""
     position = rng.uniform(-np.pi, np.pi, model.nv)
     for joint in list(model.joints)[1:]:
-        low, high = sorted((model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]))
+        low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
         if joint.nq == 1 and -1e3 < low < high < 1e3:
             position[joint.idx_v] = rng.uniform(low, high)
         if joint.nv == 1 and not T[joint.idx_v].any():
