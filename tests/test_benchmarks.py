@@ -147,3 +147,38 @@ def test_instructions_of_a_call_are_counted(monkeypatch):
     few, twice, many = (instructions.counted(lambda n=n: sum(range(n))) for n in (50, 50, 550))
     assert few > 0 and abs(twice - few) < 0.2 * few
     assert 5 * 500 < many - few < 1000 * 500  # an addition of two integers takes Python dozens
+
+
+def test_an_installation_is_measured_by_what_each_dependency_alone_brings(monkeypatch, tmp_path):
+    def package(name, size, *requires, extras=()):
+        files = [f"fake_{name}.py", f"fake_{name}-1.dist-info/METADATA"]
+        (tmp_path / f"fake_{name}-1.dist-info").mkdir()
+        (tmp_path / files[0]).write_bytes(b"#" * size)
+        lines = ["Metadata-Version: 2.1", f"Name: fake_{name}", "Version: 1"]
+        lines += [f"Provides-Extra: {extra}" for extra in extras] + [f"Requires-Dist: {one}" for one in requires]
+        (tmp_path / files[1]).write_text("\n".join(lines) + "\n")
+        (tmp_path / f"fake_{name}-1.dist-info" / "RECORD").write_text("".join(f"{file},,\n" for file in files))
+
+    M = 1_000_000
+    plot, both = 'fake_plot; extra == "plot"', 'fake_robot[plot]; extra == "all"'
+    package("robot", M, "fake_solver>=1", "fake_reader[full]", plot, both, extras=("plot", "all"))
+    package("solver", 2 * M, "fake_shared", "fake_matrices")
+    package("matrices", 3 * M)
+    package(
+        "reader", 4 * M, "fake_shared", 'fake_fast; extra == "full"', 'fake_never; extra == "other"', extras=("full",)
+    )
+    package("shared", 5 * M, 'fake_absent; python_version < "3"')
+    package("fast", 6 * M)
+    package("plot", 7 * M, "fake_solver", "fake_missing")
+    monkeypatch.syspath_prepend(str(FOLDER))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import install
+
+    result = install.measured("fake_robot")
+    assert result["total_mb"] == pytest.approx(20, abs=0.1)
+    assert result["dependencies"] == {
+        "fake-reader": {"own_mb": 4.0, "only_it_brings_mb": 10.0},  # with `fast`, without what `solver` needs, too
+        "fake-solver": {"own_mb": 2.0, "only_it_brings_mb": 5.0},
+    }
+    assert result["extras_mb"] == {"plot": 7.0, "all": 7.0} and result["not_installed"] == ["fake-missing"]
+    assert "fake-missing" in install.table(result)
