@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import click
 
 from ..errors import ConfigError
 from ..files import require_free
-from .options import FORCE, examples, numbers, robots, shared, understanding
+from .options import FORCE, examples, numbers, robots, run_command, shared, understanding
 from .output import DONE, FAILED, answer, named, warn, wrote
 
 if TYPE_CHECKING:
@@ -127,11 +128,31 @@ def identify(
     report = corrected.report_of(found)
     files = corrected.write(found, out, force) if found.better or even_if_worse else {}
     report |= {"file": str(files["urdf"]) if files else None, "files": named(files)}
-    text = lambda: "\n".join((text_of(report, sys.stdout.isatty()), wrote(files.values()))).rstrip()  # noqa: E731
+
+    def text() -> str:
+        after = [wrote(files.values()), *what_it_changes(found, robot, files["urdf"], overrides)] if files else []
+        return "\n".join((text_of(report, sys.stdout.isatty()), *after))
+
     answer(as_json, lambda: report, text)
     if not files:
         warn(f"nothing written: {why_nothing(found)}; --even-if-worse writes it")
     return DONE if files else FAILED
+
+
+def what_it_changes(found: Identification, robot: str, urdf: Path, overrides: dict[str, Any]) -> Iterator[str]:
+    """The lines that say how to see what a correction is worth; none where the old file does not move as the new one.
+
+    Args:
+        found: What was identified.
+        robot: The robot before, as the user named it.
+        urdf: The corrected file.
+        overrides: What was stated about the robot.
+    """
+    if found.wheels is not None or {"xacro", "without"} & set(overrides):  # other radii; options for one of the two
+        return
+    yield "what that changes: the robot as it was identified, driven with the old model (nominal) and with the new one:"
+    model: dict[str, object] = {"nominal__robot": robot, "nominal__masses": 1.0, "nominal__friction": True}
+    yield f"  {run_command(str(urdf), overrides, 'nominal', 'computed_torque', **model)}"
 
 
 def why_nothing(found: Identification) -> str:
@@ -235,5 +256,13 @@ def excite(
     found = excitation.excite(load(robot, **overrides), limits)
     found.save(out, force)
     report = found.to_dict() | {"file": str(out)}
-    answer(as_json, lambda: report, lambda: f"{excitation_text(report)}\n{wrote([out])}")
+
+    def text() -> str:
+        """What was found, and how to drive it: as it is, as it keeps its own share of the limits."""
+        whole: dict[str, object] = {"reference__file": str(out), "reference__share": 0.0}
+        whole["time__duration"] = float(found.time[-1])
+        drive = run_command(robot, overrides, "pid", **whole)
+        return f"{excitation_text(report)}\n{wrote([out])}\ndrive it, in simulation first:\n  {drive}"
+
+    answer(as_json, lambda: report, text)
     return DONE

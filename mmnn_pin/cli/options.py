@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+import json
+import shlex
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -187,6 +189,7 @@ OVERRIDES = (
     "base", "wheels", "radius", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro", "without",
     "controllers_file", "mu", "strict",
 )  # fmt: skip
+OPTION_OF = {"package_dirs": "package_dir", "controllers_file": "controllers"}  # where the option has another name
 ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option(
         "--base", metavar="KIND", help="What the base is: differential_drive, skid_steer, holonomic or fixed."
@@ -222,6 +225,29 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
 def examples(*lines: str) -> str:
     """Examples for the end of a help text, one per line."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
+
+
+def run_command(robot: str, overrides: Mapping[str, Any], *controllers: str, **settings: object) -> str:
+    """The `mmnn run track` that drives a robot, to be typed as it stands.
+
+    Args:
+        robot: Name or file.
+        overrides: What was stated about it, as a command gets it.
+        controllers: Those that are to drive it.
+        settings: Keys of the experiment, `__` for a dot.
+    """
+    words = ["mmnn", "run", "track", "--robot", robot]
+    for name, value in overrides.items():
+        option = "--" + OPTION_OF.get(name, name).replace("_", "-")
+        if name == "wheels":
+            words += [option, ",".join(value)]
+        elif value is True:
+            words += [option]
+        else:
+            words += [word for one in (value if isinstance(value, tuple) else (value,)) for word in (option, str(one))]
+    words += [word for name in controllers for word in ("--controller", name)]
+    changes = (f"{key.replace('__', '.')}={json.dumps(value, ensure_ascii=False)}" for key, value in settings.items())
+    return shlex.join([*words, *(word for change in changes for word in ("--set", change))])
 
 
 def numbers(given: Sequence[str], option: str) -> dict[str, float]:

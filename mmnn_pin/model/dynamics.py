@@ -37,14 +37,7 @@ class Dynamics:
         self.M, self.L, self.half = np.zeros((p, p)), np.zeros((p, p)), np.zeros((model.nv, p))
         self.h, self.F = np.zeros(p), np.zeros(p)
         self.w, self.f = np.zeros(model.nv), np.zeros(model.nv)
-        self.feels_gravity = self._feels_gravity()
-
-    def _feels_gravity(self) -> bool:
-        """Whether gravity does work on the reduced robot (a planar one does not feel it)."""
-        rng = np.random.default_rng(0)
-        weight = 9.81 * sum(body.mass for body in self.model.inertias)
-        trials = (self.gravity(rng.uniform(-3, 3, self.model.nv)) for _ in range(5))
-        return any(np.abs(g).max(initial=0.0) > 1e-12 * weight for g in trials)
+        self.feels_gravity = feels_gravity(robot, self.data)
 
     # -- for people -------------------------------------------------------------------------------------------
 
@@ -60,8 +53,7 @@ class Dynamics:
 
     def gravity(self, position: Array) -> Array:
         """Reduced gravity, (p,) [N, N m]: the torque that holds the robot still."""
-        q = self.robot.configuration(position)
-        return self.robot.T.T @ pin.computeGeneralizedGravity(self.model, self.data, q)
+        return gravity(self.robot, self.data, position)
 
     def friction(self, nu: Array) -> Array:
         """Friction of joints and base, (p,) [N, N m], opposing the motion (see `reduction.friction`)."""
@@ -135,3 +127,16 @@ class Dynamics:
     def potential(self) -> float:
         """Potential energy at the place last refreshed [J]."""
         return float(pin.computePotentialEnergy(self.model, self.data, self.q)) if self.feels_gravity else 0.0
+
+
+def gravity(robot: Structure, data: pin.Data, position: Array) -> Array:
+    """Reduced gravity by Pinocchio, (p,) [N, N m]; data of the robot's model are used."""
+    return robot.T.T @ pin.computeGeneralizedGravity(robot.model, data, robot.configuration(position))
+
+
+def feels_gravity(robot: Structure, data: pin.Data | None = None) -> bool:
+    """Whether gravity does work on the reduced robot (a planar one does not feel it)."""
+    rng, data = np.random.default_rng(0), robot.model.createData() if data is None else data
+    weight = 9.81 * sum(body.mass for body in robot.model.inertias)
+    trials = (gravity(robot, data, rng.uniform(-3, 3, robot.model.nv)) for _ in range(5))
+    return any(np.abs(g).max(initial=0.0) > 1e-12 * weight for g in trials)

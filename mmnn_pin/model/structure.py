@@ -201,9 +201,11 @@ class Structure:
             ConfigError: A number that is negative or not finite, or not one number per joint.
         """
         rotors = one_or_each(inertia, self.dimensions.arm, "joint", "armature", least=0)
-        model = self.model.copy()
-        armature = np.array(model.armature)
+        armature = np.array(self.model.armature)
         armature[self.arm_index] = rotors
+        if np.array_equal(armature, self.model.armature):
+            return self
+        model = self.model.copy()
         model.armature = armature
         return replace(self, model=model)
 
@@ -244,8 +246,8 @@ class Structure:
         ratio[at] = one_or_each(breakaway, n, "joint", "friction.breakaway", least=1)
         if not (np.isfinite(stribeck) and stribeck > 0):
             raise ConfigError(f"{stribeck}", fix="use a finite number > 0", key="friction.stribeck")
-        rough = replace(self, damping=read_only(damping), coulomb=read_only(level), breakaway=read_only(ratio))
-        return replace(rough, stribeck=float(stribeck))
+        more: dict[str, Any] = {"coulomb": read_only(level), "breakaway": read_only(ratio), "stribeck": float(stribeck)}
+        return replace(self, damping=read_only(damping), **more)
 
     def without_friction(self) -> Self:
         """The same robot with no friction at all: of its joints, of its gears, of its base."""

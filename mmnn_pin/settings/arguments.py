@@ -127,44 +127,61 @@ def hints(owner: Any) -> dict[str, Any]:
 
 def fits(value: Any, kind: Any) -> bool:
     """Whether a value is of an annotated type; any sequence stands for a list, any number for a float."""
-    if type(value) is kind:
-        return True
+    return type(value) is kind or test_of(kind)(value)
+
+
+@lru_cache(None)  # a robot's thirty fields are looked at for each of its variants
+def test_of(kind: Any) -> Callable[[Any], bool]:
+    """Whether a value is of an annotated type, as a function of the value."""
     origin, parts = get_origin(kind), get_args(kind)
     if kind in (Any, object) or isinstance(kind, TypeVar):
-        return True
+        return lambda value: True
     if origin in (Union, UnionType):
         numeric = [part for part in parts if is_numbers(part)]  # `ArrayLike` beside them has texts
         parts = tuple(part for part in parts if part is NoneType or get_origin(part)) if numeric else parts
-        return any(fits(value, part) for part in (*numeric, *parts))
+        return lambda value: any(fits(value, part) for part in (*numeric, *parts))
     if origin is Literal:
-        return any(type(value) is type(part) and value == part for part in parts)
+        return lambda value: any(type(value) is type(part) and value == part for part in parts)
     if is_numbers(kind):
-        return is_numeric(value)
+        return is_numeric
     if origin is not None:
-        return fits_items(value, origin, parts)
+        return test_of_items(origin, parts)
     if kind in NUMBERS:
-        too_large = kind is float and isinstance(value, int) and abs(value) > LARGEST_FLOAT
-        return isinstance(value, NUMBERS[kind]) and (kind is bool or not isinstance(value, bool)) and not too_large
+        return lambda value: is_number(value, kind)
     if getattr(kind, "_is_protocol", False):
-        return all(hasattr(value, name) for name in typing._get_protocol_attrs(kind))  # type: ignore[attr-defined]
-    return not isinstance(kind, type) or isinstance(value, kind)
+        names = typing._get_protocol_attrs(kind)  # type: ignore[attr-defined]
+        return lambda value: all(hasattr(value, name) for name in names)
+    return lambda value: not isinstance(kind, type) or isinstance(value, kind)
 
 
-def fits_items(value: Any, origin: Any, parts: tuple[Any, ...]) -> bool:
-    """Whether a value is a list, a table, a function with items of annotated types."""
+def test_of_items(origin: Any, parts: tuple[Any, ...]) -> Callable[[Any], bool]:
+    """Whether a value is a list, a table, a function with items of annotated types, as a function of the value."""
     if origin is collections.abc.Callable:
-        return callable(value)
+        return callable
     if issubclass(origin, Mapping):
         key, item = parts
-        return isinstance(value, Mapping) and all(fits(k, key) and fits(v, item) for k, v in value.items())
+        return lambda value: (
+            isinstance(value, Mapping) and all(fits(k, key) and fits(v, item) for k, v in value.items())
+        )
     if not issubclass(origin, Iterable):
-        return isinstance(value, origin)
+        return lambda value: isinstance(value, origin)
+    return lambda value: is_list(value, origin, parts)
+
+
+def is_list(value: Any, origin: Any, parts: tuple[Any, ...]) -> bool:
+    """Whether a value is a list with items of annotated types."""
     if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable) or not getattr(value, "ndim", 1):
         return False
     if not isinstance(value, Sequence | np.ndarray):
         return not issubclass(origin, Sequence)  # what may be gone once it has been looked at
     kinds = parts[:1] * len(value) if origin is not tuple or parts[-1] is ... else parts
     return len(kinds) == len(value) and all(map(fits, value, kinds))
+
+
+def is_number(value: Any, kind: Any) -> bool:
+    """Whether a value is a number of a kind, or true or false."""
+    too_large = kind is float and isinstance(value, int) and abs(value) > LARGEST_FLOAT
+    return isinstance(value, NUMBERS[kind]) and (kind is bool or not isinstance(value, bool)) and not too_large
 
 
 def is_numbers(kind: Any) -> bool:
@@ -174,6 +191,8 @@ def is_numbers(kind: Any) -> bool:
 
 def is_numeric(value: Any) -> bool:
     """Whether numpy makes numbers of a value."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind in "biuf"
     try:
         return np.asarray(value).dtype.kind in "biuf"
     except Exception:  # whatever its own methods raise

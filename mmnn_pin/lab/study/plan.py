@@ -10,6 +10,7 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -33,6 +34,7 @@ COSMETIC = (
     *("cases", "tolerance", "contest"),
 )
 ROBOT = ("robot", "overrides")  # decide which robot is loaded
+KINDS = {field.name: field.type for field in msgspec.structs.fields(Experiment)}
 TRUTH = ("masses", "friction")  # of the true robot only, where the model is nominal
 
 
@@ -114,6 +116,11 @@ class Plan:
             InputError: The values make no experiment; with the factors' values.
         """
         table, settings = self.table_at(parameters, seed)
+        tops = {path.partition(".")[0] for path in settings}
+        with suppress(msgspec.ValidationError, InputError):  # the whole table tells where it is wrong
+            return msgspec.structs.replace(
+                self.base, **{key: msgspec.convert(table[key], KINDS[key]) for key in tops}
+            ), settings
         try:
             return msgspec.convert(table, Experiment), settings
         except (msgspec.ValidationError, InputError) as error:

@@ -13,7 +13,7 @@ import numpy as np
 from ...by_address import by_address
 from ...compiled import linked
 from ...signals import Array, IntArray
-from ..dynamics import Dynamics
+from ..dynamics import feels_gravity
 from ..reduction import friction, quadratic, spread
 from ..regressor import inertial_parameters, moving_joints
 from ..robot import Robot
@@ -87,7 +87,7 @@ def new_body(robot: Robot) -> Body:
         viscous=np.array(robot.viscous),
         arm=np.array(robot.arm_index),
         base=robot.dimensions.base,
-        feels_gravity=Dynamics(robot).feels_gravity,
+        feels_gravity=feels_gravity(robot),
         offset=offset,
         columns=columns,
     )

@@ -2,13 +2,15 @@
 
 `flatten` makes a `Tree` once per robot; `terms`, `psi` and `potential_energy` of `mmnn_pin.model.tree.dynamics` work
 on it without Pinocchio and without Python. Joints that stand still (zero rows of T) are lumped into the link that
-carries them, and so are wheels that are alike all around their axis: of these only a constant mass stays.
+carries them, and so are wheels that are alike all around their axis: of these only a constant mass stays. How joints
+hang together is worked out once for all robots that differ in masses alone.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -33,6 +35,44 @@ ONE_DOF = {f"JointModel{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "
 }
 
 
+CHECKED: dict[tuple[_Joints, bytes, bool], None] = {}  # robots that were compared at all of them
+MOST_CHECKED = 64  # of which are remembered
+CHECKS = 5  # random states at which a robot is compared with Pinocchio; one where its masses alone are new
+
+
+class _Joints(NamedTuple):
+    """How the joints of a model hang together, as something that can be looked up; masses are not in it.
+
+    Attributes:
+        kinds: Kind of each joint of one degree of freedom, and its axis; None for the planar root.
+        parents: Number of the joint that carries each.
+        velocities: Place of each in the velocities.
+        placements: Bytes of their placements, (joints, 4, 4).
+        T: Bytes of T, (nv, p).
+        rest: Bytes of the positions at rest, (nv,).
+    """
+
+    kinds: tuple[tuple[int, tuple[float, float, float]] | None, ...]
+    parents: tuple[int, ...]
+    velocities: tuple[int, ...]
+    placements: bytes
+    T: bytes
+    rest: bytes
+
+
+class _Carried(NamedTuple):
+    """What carries the links of a model.
+
+    Attributes:
+        bodies: Of every body that moves, the base first: number of the one that carries it, -1 for none; kind and
+            velocity of its joint; its placement there.
+        links: For every joint's link, the world's first: number of the body that it is part of, its placement there.
+    """
+
+    bodies: list[tuple[int, int, int, Array]]
+    links: list[tuple[int, Array]]
+
+
 @dataclass
 class _Body:
     """A link with all that stands still on it.
@@ -52,7 +92,7 @@ def flatten(
     T: ArrayLike,
     position_rest: ArrayLike | None = None,
     control_frame: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    samples: int = 5,
+    samples: int | None = None,
     seed: int = 0,
     absorb: bool = True,
 ) -> Tree:
@@ -63,7 +103,8 @@ def flatten(
         T: (nv, p) constant map from the independent velocities nu to all joint velocities.
         position_rest: (nv,) where the joints with a zero row in T stand, default 0 [rad or m].
         control_frame: Control frame in the root link, `(x, y, psi)` [m, m, rad].
-        samples: Number of random states of the check.
+        samples: Number of random states of the check; None for `CHECKS`, or 1 where a robot was checked whose joints
+            hang together alike.
         seed: Their seed.
         absorb: Lump wheels that are alike all around their axis; off keeps a body for every joint that moves.
 
@@ -74,13 +115,18 @@ def flatten(
     T = _array("T", T, (model.nv, np.shape(T)[-1] if np.ndim(T) else 0))
     rest = _array("position_rest", np.zeros(model.nv) if position_rest is None else position_rest, (model.nv,))
     frame = _array("control_frame", control_frame, (3,))
-    _refuse(model)
-    bodies, _ = _lump(model, T, rest)
+    joints = _joints(model, T, rest)
+    bodies = _lump(model, joints)
     rotors = product(T.T, model.armature[:, None] * T)
     if absorb:
         rotors = rotors + _absorb_wheels(bodies, T, _mobile(model))
     tree = _tables(model, bodies, T, rotors, frame)
-    verify(tree, model, T, rest, samples, seed)
+    known = (joints, frame.tobytes(), absorb)
+    verify(tree, model, T, rest, (1 if known in CHECKED else CHECKS) if samples is None else samples, seed)
+    if samples is None:
+        CHECKED[known] = None
+        while len(CHECKED) > MOST_CHECKED:
+            CHECKED.pop(next(iter(CHECKED)), None)
     return tree
 
 
@@ -98,29 +144,40 @@ def _mobile(model: pin.Model) -> bool:
     return model.njoints > 1 and model.joints[1].shortname() == PLANAR
 
 
-def _refuse(model: pin.Model) -> None:
-    """Refuse joints and values that a tree has no place for."""
+def _joints(model: pin.Model, T: Array, rest: Array) -> _Joints:
+    """How the joints of a model hang together.
+
+    Raises:
+        RobotError: A joint or a value that a tree has no place for.
+    """
+    kinds, placements = list[tuple[int, tuple[float, float, float]] | None](), []
+    parents, places, mobile = tuple(model.parents)[1:], tuple(model.idx_vs)[1:], _mobile(model)
     for j in range(1, model.njoints):
-        name, kind = model.names[j], model.joints[j].shortname()
+        joint = model.joints[j]
+        kind = joint.shortname()
         root = j == 1 and kind == PLANAR
         if not (root or kind in ONE_DOF):
             raise RobotError(
-                f"joint '{name}' of type {kind} cannot be compiled",
+                f"joint '{model.names[j]}' of type {kind} cannot be compiled",
                 why="only revolute and prismatic joints and a planar root joint can",
                 fix="replace it by joints of these types",
             )
-        if not root and _mobile(model) and model.parents[j] == 0:
+        if not root and mobile and parents[j - 1] == 0:
             raise RobotError(
-                f"joint '{name}' stands in the world beside the planar root joint",
+                f"joint '{model.names[j]}' stands in the world beside the planar root joint",
                 why="all bodies of a mobile robot ride on its base",
                 fix="hang it on the base",
             )
-        numbers = np.hstack((model.inertias[j].toDynamicParameters(), model.jointPlacements[j].homogeneous.ravel()))
+        placements.append(model.jointPlacements[j].homogeneous)
+        kinds.append(None if root else _axis(joint) if "Unaligned" in kind else _axis_of(kind, joint))
         armature = model.armature[model.idx_vs[j] : model.idx_vs[j] + model.nvs[j]]
-        if not np.isfinite(np.hstack((numbers, armature))).all():
+        numbers = (model.inertias[j].toDynamicParameters(), placements[-1], armature)
+        if not all(np.isfinite(some).all() for some in numbers):
             raise RobotError(
-                f"mass, inertia, armature or placement at joint '{name}' is not finite", fix="give finite numbers"
+                f"mass, inertia, armature or placement at joint '{model.names[j]}' is not finite",
+                fix="give finite numbers",
             )
+    return _Joints(tuple(kinds), parents, places, np.array(placements).tobytes(), T.tobytes(), rest.tobytes())
 
 
 def carriers(model: pin.Model, T: Array, rest: Array) -> list[tuple[int, Array]]:
@@ -128,30 +185,37 @@ def carriers(model: pin.Model, T: Array, rest: Array) -> list[tuple[int, Array]]
 
     Arguments as of `flatten(..., absorb=False)`, whose order of bodies this is.
     """
-    bodies, where = _lump(model, T, rest)
-    index = {id(body): i for i, body in enumerate(bodies)}
-    return [(index[id(body)], at) for body, at in where[1:]]
+    return [(i, at.copy()) for i, at in _carried(_joints(model, T, rest)).links[1:]]
 
 
-def _lump(model: pin.Model, T: Array, rest: Array) -> tuple[list[_Body], list[tuple[_Body, Array]]]:
-    """The bodies that move, the base first, each with what stands still on it; and what carries each joint's link."""
-    bodies = [_Body()]
-    where = [(bodies[0], np.eye(4))]  # body that carries each joint's link, and the link's placement in it
-    for j in range(1, model.njoints):
-        body, at = where[model.parents[j]]
-        joint, k = model.joints[j], model.idx_vs[j]
-        if joint.nv == 1:
-            at = product(at, model.jointPlacements[j].homogeneous)
-            kind, axis = _axis(joint)
+@lru_cache(maxsize=64)
+def _carried(joints: _Joints) -> _Carried:
+    """What carries the links of a model whose joints hang together so."""
+    rest = np.frombuffer(joints.rest)
+    placements, T = np.frombuffer(joints.placements).reshape(-1, 4, 4), np.frombuffer(joints.T).reshape(rest.size, -1)
+    found = _Carried([(-1, 0, -1, np.eye(4))], [(0, np.eye(4))])
+    for j, (kind_and_axis, parent, k) in enumerate(zip(joints.kinds, joints.parents, joints.velocities, strict=True)):
+        body, at = found.links[parent]
+        if kind_and_axis is not None:
+            (kind, axis), at = kind_and_axis, product(at, placements[j])
             if T[k].any():
-                turned = _turned(tuple(axis))
-                body, at = _Body(body, kind, k, product(at, turned)), turned.T
-                bodies.append(body)
+                turned = _turned(axis)
+                found.bodies.append((body, kind, k, product(at, turned)))
+                body, at = len(found.bodies) - 1, turned.T
             else:
-                at = product(at, _displaced(kind, axis, rest[k]))
-        body.moments += product(at, _moments(model.inertias[j]), at.T)
-        where.append((body, at))
-    return bodies, where
+                at = product(at, _displaced(kind, np.array(axis), rest[k]))
+        found.links.append((body, at))
+    return found
+
+
+def _lump(model: pin.Model, joints: _Joints) -> list[_Body]:
+    """The bodies that move, the base first, each with what stands still on it."""
+    carried, bodies = _carried(joints), list[_Body]()
+    for parent, kind, velocity, placement in carried.bodies:
+        bodies.append(_Body(bodies[parent] if parent >= 0 else None, kind, velocity, placement))
+    for j, (body, at) in enumerate(carried.links[1:], start=1):
+        bodies[body].moments += product(at, _moments(model.inertias[j]), at.T)
+    return bodies
 
 
 def _absorb_wheels(bodies: list[_Body], T: Array, mobile: bool) -> Array:
@@ -200,12 +264,22 @@ def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, fram
 # -- joints and inertias -----------------------------------------------------------------------------------------------
 
 
-def _axis(joint: pin.JointModel) -> tuple[int, Array]:
-    """Kind of a joint of one degree of freedom and its axis, shape (3,)."""
+def _axis(joint: pin.JointModel) -> tuple[int, tuple[float, float, float]]:
+    """Kind of a joint of one degree of freedom and its axis."""
     data = joint.createData()
     joint.calc(data, np.eye(joint.nq)[0])
-    linear, angular = np.ravel(data.S)[:3], np.ravel(data.S)[3:]
-    return (REVOLUTE, angular) if angular.any() else (PRISMATIC, linear)
+    linear, angular = np.ravel(data.S)[:3].tolist(), np.ravel(data.S)[3:].tolist()
+    return (REVOLUTE, tuple(angular)) if any(angular) else (PRISMATIC, tuple(linear))
+
+
+AXES: dict[str, tuple[int, tuple[float, float, float]]] = {}  # of the kinds of joints that say it
+
+
+def _axis_of(kind: str, joint: pin.JointModel) -> tuple[int, tuple[float, float, float]]:
+    """As `_axis`, of a joint whose kind says its axis; worked out once."""
+    if kind not in AXES:
+        AXES[kind] = _axis(joint)
+    return AXES[kind]
 
 
 def _homogeneous(rotation: Array, translation: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot, speed_limits
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import Table
 from mmnn_pin.torque.model_based import PD
 
@@ -145,6 +147,21 @@ def test_the_command_writes_and_tells(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(command) == 2
     assert main([*command, "--force", "--share", "1.5"]) == 2
     assert "give a share up to 1" in capsys.readouterr().err
+
+
+def test_the_printed_command_drives_the_motion_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not slowed into the share of the limits that `track` keeps, and to its end."""
+    monkeypatch.chdir(tmp_path)
+    words = ["--seconds", "0.2", "--duration", "8", "--lock", "arm_2_joint=0.1", "--share", "1.0"]
+    assert main(["excite", "two_axis_arm", "--out", "a motion.csv", *words]) == 0
+    *_, command = capsys.readouterr().out.splitlines()
+    assert main([*shlex.split(command)[1:], "--out", "driven"]) == 0
+    run, table = Recording.open(Path("driven/pid.h5")), np.genfromtxt("a motion.csv", delimiter=",", names=True)
+    assert run.time[-1] == pytest.approx(table["t"][-1], abs=0.01) and run["q_ref"].ndim == 1
+    asked = np.interp(table["t"], run.time, run["q_ref"])
+    np.testing.assert_allclose(asked, table["positionarm_1_joint"], atol=2e-3)
 
 
 def test_links_that_never_come_apart_are_refused(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from lxml import etree
 from motions import efforts, rubbing, simulated, sines
 
-from mmnn_pin import PD, Loop, Sine, Timing, Trajectory, identify, load
+from mmnn_pin import PD, Loop, Sine, Timing, Trajectory, identify, load, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.cli.identify import why_nothing
 from mmnn_pin.deploy.identify import programme
@@ -366,6 +367,23 @@ def test_the_command_writes_and_reports(truth: Robot, tmp_path: Path, capsys: py
     assert "two_axis_arm identified" in html and html.count("<svg") == 1 and "arm_2_joint.viscous" in html
     assert main(command) == 2
     assert "the file exists" in capsys.readouterr().err
+
+
+def test_the_printed_command_shows_what_the_correction_changes(
+    truth: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The old model errs on the identified robot as it errs on the true one; the new one does not."""
+    monkeypatch.chdir(tmp_path)
+    csv_of(simulated(truth, 30.0, 0.02), Path("log.csv"))
+    assert main(["identify", "log.csv", "--robot", "two_axis_arm", "--base", "fixed"]) == 0
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("  mmnn run "))
+    assert main([*shlex.split(line)[1:], "--json"]) == 0
+    runs = json.loads(capsys.readouterr().out)["runs"]
+    key = "e.arm_1_joint.rms_2_10"
+    old, new = (runs[name]["metrics"][key] for name in ("nominal", "computed_torque"))
+    loop = load_experiment("track", ["robot='two_axis_arm'", "nominal.masses=1.0", "nominal.friction=true"])
+    errs = loop.loop(truth, loop.controller("nominal", robot=load("two_axis_arm"))).run().errors(start=2.0)
+    assert old == pytest.approx(errs["arm_1_joint"].rms, rel=0.1) and new < 0.2 * old
 
 
 def test_a_fit_that_is_worse_writes_nothing(urdf: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
