@@ -35,7 +35,7 @@ def render(summary: dict[str, Any]) -> str:
 
 
 def cell(values: list[Any] | None, infinite: str = "never") -> str:
-    """Median, with half of the spread in percent from 1 % on."""
+    """Median, with half of the spread in percent from 20 % on."""
     if values is None:
         return "-"
     low, mid, high = values
@@ -44,7 +44,7 @@ def cell(values: list[Any] | None, infinite: str = "never") -> str:
     if high == "inf":
         return f"{number(mid)}, to {infinite}"
     spread = 50 * (high - low) / mid if mid > 0 else 0.0
-    return number(mid) + (f" ±{spread:.0f} %" if spread >= 1 else "")
+    return number(mid) + (f" ±{spread:.0f} %" if spread >= 20 else "")
 
 
 def middle(values: list[Any] | None) -> str:
