@@ -32,6 +32,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -161,7 +162,8 @@ def study(place: str) -> Callable[[Hash, float], None]:
             file.write_text(STUDY.format(duration=duration))
             plan = plan_of(load_study(file, ()))
             with pools[place]() as pool:
-                done = {row.id: result for row, result in execute(pool, plan, map(plan.row, range(len(plan))))}
+                groups = execute(pool, plan, range(len(plan)))
+                done = {row.id: result for row, result in chain.from_iterable(groups)}
         for _, result in sorted(done.items()):
             assert result.status == "completed", (result.status, result.message)
             digest.update(json.dumps(result.metrics, sort_keys=True).encode())

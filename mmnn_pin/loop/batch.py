@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +22,7 @@ from ..torque.controller import CompiledController
 from .controller import with_findings
 from .loop import Loop
 from .setup import Sink
-from .side_by_side import LANES, WORTH, Lanes, forms_of
+from .side_by_side import LANES, WARM, WORTH, Lanes, forms_of
 
 
 @dataclass(frozen=True)
@@ -83,12 +83,7 @@ def simulate_many(
         if stop.is_set():
             return 0
         started = [begun(f"loops[{i}]", loops[i], starts[i], windows, keep) for i in places]
-        engines = [run.engine for run in started]
-        if (forms := forms_of(engines)) is None:
-            ended = [run.alone(stop.is_set) for run in started]
-        else:
-            ended = simulate_together(started, Lanes(engines, forms, worth), stop.is_set)
-        for i, result in zip(places, ended, strict=True):
+        for i, result in zip(places, simulate_group(started, worth, stop.is_set), strict=True):
             results[i] = result
         return len(places)
 
@@ -112,7 +107,7 @@ def simulate_many(
             stop.set()
 
 
-def groups_of(loops: Sequence[Loop], places: Iterable[int], workers: int) -> list[list[int]]:
+def groups_of(loops: Sequence[Loop] | Mapping[int, Loop], places: Iterable[int], workers: int) -> list[list[int]]:
     """The places of runs that may go side by side, as many as there are lanes, and of all others one by one.
 
     Every worker has as many groups as the others, so that none waits for one that makes four runs alone.
@@ -120,7 +115,8 @@ def groups_of(loops: Sequence[Loop], places: Iterable[int], workers: int) -> lis
     alike: dict[Any, list[int]] = {}
     for i in places:
         loop = loops[i]
-        if loop.engine != "ordinary" and isinstance(loop.controller, CompiledController) and not loop.layout.hardware:
+        compilable = loop.engine != "ordinary" and isinstance(loop.controller, CompiledController)
+        if compilable and not loop.layout.hardware and loop.timing.samples > WARM:
             kind = (loop.timing, loop.layout, loop.weights_interval, type(loop.controller))
             alike.setdefault(kind, []).append(i)
     groups = [some[i : i + LANES] for some in alike.values() for i in range(0, len(some) - LANES + 1, LANES)]
@@ -162,6 +158,20 @@ def begun(key: str, *arguments: Any) -> Started:
     except InputError as error:
         error.key = ".".join(filter(None, (key, error.key)))
         raise
+
+
+def simulate_group(runs: Sequence[Started], worth: bool, cancelled: Callable[[], bool]) -> list[Run]:
+    """Runs of a group, side by side where they can go so.
+
+    Args:
+        runs: As `groups_of` puts them together.
+        worth: Whether it is worth while to compile for them.
+        cancelled: Asked now and then; true ends them as interrupted.
+    """
+    engines = [run.engine for run in runs]
+    if (forms := forms_of(engines)) is None:
+        return [run.alone(cancelled) for run in runs]
+    return simulate_together(runs, Lanes(engines, forms, worth), cancelled)
 
 
 def simulate_together(runs: Sequence[Started], lanes: Lanes, cancelled: Callable[[], bool]) -> list[Run]:

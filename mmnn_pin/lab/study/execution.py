@@ -18,6 +18,7 @@ from ... import __version__
 from ...errors import InputError, MmnnError, StudyError
 from ...loop.batch import needed_bytes
 from ...loop.compiled import CompiledLoop
+from ...loop.side_by_side import WORTH
 from ...recording.metrics import Reducer, metrics
 from ...recording.recorder import versions
 from ..experiments.controllers import EFFECTIVE
@@ -29,6 +30,7 @@ from .store import NAME, Store, Stored, reading
 from .worker import JobResult, Row, loop_of, robots_of, run
 
 AGAIN = ("failed", "interrupted")  # statuses of rows that the next session runs again
+AT_A_TIME, MOST_AT_A_TIME = 0.5, 64  # how long the runs of a call are to take [s], and how many they are at most
 LOST = "the same command goes on with what is missing"
 COSMETIC = ("title", "metrics", "success", "tune")  # settings that change no row
 
@@ -186,40 +188,49 @@ def fill(
     Raises:
         MmnnError: As in `execute`.
     """
-    for row, done in execute(pool, plan, map(plan.row, missing)):
-        if done.status != "interrupted":
-            store.add(row.fingerprint, row.point, row.controller, row.seed, row.parameters, done)
+    worth = len(missing) * plan.base.time.samples >= WORTH * pool.processes
+    for group in execute(pool, plan, missing, worth=worth):
+        ended = [(row, done) for row, done in group if done.status != "interrupted"]
+        store.add_all(
+            (row.fingerprint, row.point, row.controller, row.seed, row.parameters, done) for row, done in ended
+        )
+        for _, done in ended:
             progress(done)
 
 
 def execute(
-    pool: Pool, plan: Plan, rows: Iterable[Row], handed: dict[str, Any] | None = None
-) -> Iterator[tuple[Row, JobResult]]:
-    """Make runs, each given back when it has finished, in any order.
+    pool: Pool, plan: Plan, numbers: Sequence[int], handed: dict[str, Any] | None = None, worth: bool = False
+) -> Iterator[list[tuple[Row, JobResult]]]:
+    """Make runs, some in a call, given back when the call has ended, in any order.
+
+    A call has as many as take `AT_A_TIME`: a kill loses little, and short ones cost little to hand out and to store.
 
     Args:
         pool: Makes them.
-        plan: Knows the files of their robots.
-        rows: The runs.
+        plan: All runs.
+        numbers: Of those to make.
         handed: Robots' files that the pool has already, by digest; it is added to.
+        worth: See `worker.run`.
 
     Raises:
         MmnnError: The pool is lost; what was given back is done.
         StudyError: A worker cannot make runs of this study.
     """
-    finished: queue.SimpleQueue[Future[JobResult]] = queue.SimpleQueue()
-    pending: dict[Future[JobResult], Row] = {}
-    left, alone = iter(rows), pool.first_alone
+    finished: queue.SimpleQueue[Future[list[JobResult]]] = queue.SimpleQueue()
+    pending: dict[Future[list[JobResult]], list[Row]] = {}
+    again: list[list[Row]] = []
+    size, alone, left = 1, pool.first_alone, len(numbers)
+    waiting = groups(plan, map(plan.row, numbers), lambda: size)
     files: dict[str, Any] = {} if handed is None else handed
     try:
         while True:
             room = (1 if alone else pool.window()) - len(pending)
-            for row in itertools.islice(left, max(room, 0)):
-                bundle = plan.bundle(row.experiment)
+            for group in itertools.islice(itertools.chain(taken(again), waiting), max(room, 0)):
+                bundle = plan.bundle(group[0].experiment)
                 if bundle.digest not in files:  # the pool gets the files of a robot once
                     files[bundle.digest] = pool.share(bundle)
-                future = pool.executor.submit(run, row, files[bundle.digest], pool.stop)
-                pending[future] = row
+                future = pool.executor.submit(run, group, files[bundle.digest], pool.stop, worth)
+                pending[future] = group
                 future.add_done_callback(finished.put)
             if not pending:
                 return
@@ -228,16 +239,44 @@ def execute(
             except queue.Empty:
                 pool.check()
                 continue
-            row = pending.pop(future)
-            yield row, result_of(future, row, pool)
-            alone = False
+            group = pending.pop(future)
+            if (done := results_of(future, group, pool)) is None:
+                again += [[row] for row in group]
+                continue
+            yield list(zip(group, done, strict=True))
+            left -= len(group)
+            size, alone = min(together(done), max(left // pool.window(), 1)), False
     finally:
         for future in pending:
             future.cancel()
 
 
-def result_of(future: Future[JobResult], row: Row, pool: Pool) -> JobResult:
-    """Result of a run; a run that kills its workers again and again has failed.
+def groups(plan: Plan, rows: Iterable[Row], size: Callable[[], int]) -> Iterator[list[Row]]:
+    """Runs of one robot's files, so many at a time."""
+    group: list[Row] = []
+    for row in rows:
+        if group and (len(group) >= size() or plan.bundle(row.experiment) is not plan.bundle(group[0].experiment)):
+            yield group
+            group = []
+        group.append(row)
+    if group:
+        yield group
+
+
+def taken(groups: list[list[Row]]) -> Iterator[list[Row]]:
+    """The groups, taken out of their list."""
+    while groups:
+        yield groups.pop()
+
+
+def together(done: Sequence[JobResult]) -> int:
+    """How many runs a call is to have, after those of one."""
+    each = sum(result.seconds for result in done) / len(done)
+    return int(min(max(AT_A_TIME / max(each, 1e-6), 1), MOST_AT_A_TIME))
+
+
+def results_of(future: Future[list[JobResult]], rows: Sequence[Row], pool: Pool) -> list[JobResult] | None:
+    """Results of runs; None for some that kill their workers again and again, of which one alone has failed.
 
     Raises:
         MmnnError, StudyError: As in `execute`.
@@ -256,7 +295,8 @@ def result_of(future: Future[JobResult], row: Row, pool: Pool) -> JobResult:
         raise StudyError(f"a worker has no {root_of(error)}", fix=fix) from error
     except Exception as error:
         if type(error).__name__ == "KilledWorker":
-            return JobResult(row.id, "failed", message="the workers that ran it died, one after the other")
+            message = "the workers that ran it died, one after the other"
+            return [JobResult(row.id, "failed", message=message) for row in rows] if len(rows) == 1 else None
         raise MmnnError(f"a worker failed: {type(error).__name__}: {error}; {LOST}") from error
 
 

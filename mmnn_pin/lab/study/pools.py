@@ -30,7 +30,7 @@ from . import worker
 from .worker import Bundle, JobResult, code_digest, optional, run
 
 RETRIES = 2  # of a run whose worker raised; a run whose worker died is made again by the scheduler itself
-LEAST = 64  # runs handed out at a time, at least
+LEAST = 64  # calls handed out at a time, at least
 ASKED_EVERY = 5.0  # how often the number of workers is asked for [s]
 TIMEOUT = 10.0  # to connect [s]
 SAME = ("python", "distributed")  # versions that must agree: what travels between them is pickled
@@ -38,12 +38,13 @@ SAME = ("python", "distributed")  # versions that must agree: what travels betwe
 
 @dataclass(frozen=True)
 class Pool:
-    """Takes runs.
+    """Takes runs, some at a time.
 
     Attributes:
         executor: Runs them.
         place: What it is, for people.
-        window: How many runs it is given at a time; asked again and again.
+        window: How many calls it is given at a time; asked again and again.
+        processes: How many there are, each with compiled code of its own.
         share: Hands a robot's files to it; gives what stands for them in a call, None where they are there already.
         check: Asked about once a second.
         stop: Tells runs in this process to end; None where they know by themselves.
@@ -54,6 +55,7 @@ class Pool:
     executor: Executor
     place: str
     window: Callable[[], int]
+    processes: int = 1
     share: Callable[[Bundle], Any] = lambda bundle: None
     check: Callable[[], None] = lambda: None
     stop: Callable[[], bool] | None = None
@@ -91,7 +93,7 @@ def processes(workers: int | None = None) -> Iterator[Pool]:
     stop = context.Event()
     with ProcessPoolExecutor(count, context, begin, (stop,)) as executor:
         try:
-            yield Pool(executor, f"{count} process{'es' * (count > 1)}", lambda: 2 * count)
+            yield Pool(executor, f"{count} process{'es' * (count > 1)}", lambda: 2 * count, count)
         finally:
             stop.set()
             executor.shutdown(wait=True, cancel_futures=True)
@@ -142,7 +144,7 @@ def cluster(address: str) -> Iterator[Pool]:
             try:
                 place, count = f"the cluster at {address}", len(state.workers())
                 crew = f"{count} worker{'s' * (count > 1)}" if count else "no workers yet: waiting for some"
-                yield Pool(Packed(executor), place, state.window, state.share, state.check, crew=crew)
+                yield Pool(Packed(executor), place, state.window, count, state.share, state.check, crew=crew)
             finally:
                 executor.shutdown(wait=False)
         finally:
@@ -174,7 +176,7 @@ class State:
             raise self.gone() from error
 
     def window(self) -> int:
-        """Eight runs for each thread that there is now."""
+        """Eight calls for each thread that there is now."""
         if time.monotonic() - self.asked > ASKED_EVERY:
             self.threads, self.asked = sum(self.workers().values()), time.monotonic()
         return max(LEAST, 8 * self.threads)
@@ -209,18 +211,19 @@ class Packed(Executor):
         self.call = carriers()["call"]
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Make a run: `fn` is `worker.run`, the arguments are its row and the packed files of its robot."""
+        """Make runs: `fn` is `worker.run`; the arguments are its own, the files of the robot packed."""
         assert fn is run and not kwargs
-        return self.inner.submit(self.call, pickle.dumps(args[0]), args[1])
+        rows, bundle, _, worth = args
+        return self.inner.submit(self.call, pickle.dumps(rows), bundle, worth)
 
 
 def carriers() -> dict[str, Callable[..., Any]]:
-    """Functions that travel by value: `call` makes a run, `keep` holds bytes, `code` hashes a worker's sources."""
+    """Functions that travel by value: `call` makes runs, `keep` holds bytes, `code` hashes a worker's sources."""
 
-    def call(row: bytes, bundle: bytes) -> JobResult:
+    def call(rows: bytes, bundle: bytes, worth: bool) -> list[JobResult]:
         from .pools import run_packed
 
-        return run_packed(row, bundle)
+        return run_packed(rows, bundle, worth)
 
     def keep(packed: bytes) -> bytes:
         return packed
@@ -233,10 +236,10 @@ def carriers() -> dict[str, Callable[..., Any]]:
     return {"call": call, "keep": keep, "code": code}
 
 
-def run_packed(row: bytes, bundle: bytes) -> JobResult:
-    """Make a run on a worker; see `worker.run`."""
+def run_packed(rows: bytes, bundle: bytes, worth: bool) -> list[JobResult]:
+    """Make runs on a worker; see `worker.run`."""
     on_one_thread()
-    return run(pickle.loads(row), unpacked(bundle))
+    return run(pickle.loads(rows), unpacked(bundle), None, worth)
 
 
 @cache

@@ -11,7 +11,8 @@ import json
 import math
 import os
 import sqlite3
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
@@ -189,22 +190,35 @@ class Store:
             msgspec.convert(values, StoredTypes)
         except msgspec.ValidationError as error:
             raise self.broken(where, str(error)) from None
-        metrics = {name: math.nan if value is None else float(value) for name, value in values["metrics"].items()}
+        metrics = {
+            sys.intern(name): math.nan if value is None else float(value) for name, value in values["metrics"].items()
+        }
         return Stored(**values | {"metrics": metrics})
 
     def add(self, fingerprint: str, point: int, controller: str, seed: int, parameters: Any, done: JobResult) -> None:
-        """Store a finished run; it is on disk, as far as a killed process matters, when this returns.
+        """Store a finished run; see `add_all`."""
+        self.add_all([(fingerprint, point, controller, seed, parameters, done)])
+
+    def add_all(self, runs: Iterable[tuple[str, int, str, int, Any, JobResult]]) -> None:
+        """Store finished runs; they are on disk, as far as a killed process matters, when this returns.
+
+        Args:
+            runs: Of each fingerprint, point, controller, seed, parameters and result.
 
         Raises:
-            StudyError: It cannot be written, for example on a full disk.
+            StudyError: They cannot be written, for example on a full disk.
         """
         require_there(self.path)
-        values = vars(done) | {"metrics": encoded(done.metrics), "parameters": json.dumps(parameters)}
-        values |= {"fingerprint": fingerprint, "point": point, "controller": controller, "seed": seed}
-        values["finished"] = datetime.now(UTC).isoformat(timespec="seconds")
-        marks = ", ".join(f":{name}" for name in values)
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        rows = [
+            vars(done)
+            | {"metrics": encoded(done.metrics), "parameters": json.dumps(parameters), "fingerprint": fingerprint}
+            | {"point": point, "controller": controller, "seed": seed, "finished": now}
+            for fingerprint, point, controller, seed, parameters, done in runs
+        ]
+        marks = COLUMNS.replace(", ", ", :")
         with sqlite_errors(self.path, "write"), self._db:
-            self._db.execute(f"INSERT OR REPLACE INTO rows ({', '.join(values)}) VALUES ({marks})", values)
+            self._db.executemany(f"INSERT OR REPLACE INTO rows ({COLUMNS}) VALUES (:{marks})", rows)
 
     def renumber(self, numbers: Mapping[str, int]) -> None:
         """Give rows the numbers that they have in another plan, and drop those that are not in it.

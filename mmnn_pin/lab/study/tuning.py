@@ -15,6 +15,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -119,7 +120,7 @@ class Scorer:
             share = len(complaints) / len(judged(plan))
             return Score(np.zeros(0), self.tune.quantile, share, complaints[0])
         metric = np.full(len(plan), math.inf)
-        for row, done in execute(self.pool, plan, map(plan.row, range(len(plan))), self.handed):
+        for row, done in chain.from_iterable(execute(self.pool, plan, range(len(plan)), self.handed)):
             if done.status == "failed":
                 raise MmnnError(f"a run failed: {done.message}")
             metric[row.id] = worth(done.status, done.metrics, self.tune.objective)

@@ -1,8 +1,8 @@
-"""One run of a study, made wherever it is sent: in a thread, in a process, on another machine.
+"""Runs of a study, made wherever they are sent: in a thread, in a process, on another machine.
 
-A `Row` goes out and a `JobResult` comes back. The robot's files travel beside it as a `Bundle`: the URDF, its meshes,
-and what is declared about it. On the other side the meshes lie beside the URDF under names of their own, so that no
-folder of the first machine needs to exist there.
+Some `Row`s go out and as many `JobResult`s come back. The robot's files travel beside them as a `Bundle`: the URDF, its
+meshes, and what is declared about it. On the other side the meshes lie beside the URDF under names of their own, so
+that no folder of the first machine needs to exist there.
 """
 
 from __future__ import annotations
@@ -17,12 +17,13 @@ import socket
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 from lxml import etree
@@ -30,7 +31,7 @@ from lxml import etree
 import mmnn_pin
 
 from ...errors import InputError, StudyError
-from ...loop.batch import simulate
+from ...loop.batch import Run, Started, groups_of, simulate, simulate_group
 from ...loop.loop import Loop
 from ...model.base.overrides import Overrides, folders_of, with_file
 from ...model.loading import load_with
@@ -43,6 +44,7 @@ from ...signals import Array
 from ..experiments.controllers import EFFECTIVE
 from ..experiments.experiment import Experiment
 
+T = TypeVar("T")
 STOP = threading.Event()  # set in a process whose runs are to end
 
 
@@ -98,31 +100,77 @@ class JobResult:
     host: str = ""
 
 
-def run(row: Row, bundle: Bundle | None = None, stop: Callable[[], bool] | None = None) -> JobResult:
-    """Make a run; whatever is wrong with it is part of the result.
+def run(
+    rows: Sequence[Row],
+    bundle: Bundle | None = None,
+    stop: Callable[[], bool] | None = None,
+    worth: bool = False,
+) -> list[JobResult]:
+    """Make runs, side by side where they can go so; whatever is wrong with one is part of its result.
 
     Args:
-        row: The run.
-        bundle: Files of its robot; None where they are on this machine.
-        stop: Asked now and then; true ends the run as interrupted.
+        rows: The runs.
+        bundle: Files of their robot; None where they are on this machine.
+        stop: Asked now and then; true ends the runs as interrupted.
+        worth: Whether there are so many of them that compiling for runs side by side is worth while.
 
     Raises:
-        StudyError: This worker has other sources, or lacks a package that the run needs.
+        StudyError: This worker has other sources, or lacks a package that a run needs.
     """
-    require_worker(row)
-    start = time.perf_counter()
-    host = socket.gethostname()
     stop = stop or STOP.is_set
+    loops, results, took = dict[int, Loop](), dict[int, JobResult](), list[float]()
+    for i, row in enumerate(rows):
+        require_worker(row)
+        begun = time.perf_counter()
+        made = tried(row, stop, partial(loop_of, row, bundle, stop))
+        took.append(time.perf_counter() - begun)
+        if isinstance(made, Loop):
+            loops[i] = made
+        else:
+            results[i] = made
+    for places in groups_of(loops, loops, 1):
+        done = run_group([rows[i] for i in places], [loops[i] for i in places], stop, worth)
+        results |= zip(places, done, strict=True)
+    return [replace(results[i], seconds=results[i].seconds + took[i]) for i in range(len(rows))]
+
+
+def run_group(rows: Sequence[Row], loops: Sequence[Loop], stop: Callable[[], bool], worth: bool) -> list[JobResult]:
+    """Make runs that may go side by side; where that fails, one after the other, so that each has its own result."""
+    if len(rows) > 1:
+        with suppress(Exception):
+            begun = time.perf_counter()
+            pairs = zip(rows, loops, strict=True)
+            started = [Started(loop, None, row.experiment.windows, False) for row, loop in pairs]
+            ended = simulate_group(started, worth, stop)
+            took = (time.perf_counter() - begun) / len(rows)
+            return [result_of(row, one, took) for row, one in zip(rows, ended, strict=True)]
+    return [run_alone(row, loop, stop) for row, loop in zip(rows, loops, strict=True)]
+
+
+def run_alone(row: Row, loop: Loop, stop: Callable[[], bool]) -> JobResult:
+    """Make a run."""
+    begun = time.perf_counter()
+    ended = tried(row, stop, partial(simulate, loop, None, row.experiment.windows, False, stop))
+    return ended if isinstance(ended, JobResult) else result_of(row, ended, time.perf_counter() - begun)
+
+
+def tried(row: Row, stop: Callable[[], bool], make: Callable[[], T]) -> T | JobResult:
+    """What a part of a run gives; the run's result where it fails, or is not begun any more."""
+    host = socket.gethostname()
     try:
-        result = simulate(loop_of(row, bundle, stop), None, row.experiment.windows, False, stop)
+        return JobResult(row.id, "interrupted", host=host) if stop() else make()
     except Exception as error:
         if stop():
             return JobResult(row.id, "interrupted", host=host)
         refused = isinstance(error, InputError)
         message = str(error) if refused else f"{type(error).__name__}: {error}"
         return JobResult(row.id, "refused" if refused else "failed", message=" ".join(message.split()), host=host)
-    took, end = time.perf_counter() - start, result.outcome
-    return JobResult(row.id, end.status, end.time, end.signal, end.message, result.metrics, took, host)
+
+
+def result_of(row: Row, ended: Run, took: float) -> JobResult:
+    """What is sent back of a run that took so long [s]."""
+    end, host = ended.outcome, socket.gethostname()
+    return JobResult(row.id, end.status, end.time, end.signal, end.message, ended.metrics, took, host)
 
 
 def loop_of(row: Row, bundle: Bundle | None = None, stop: Callable[[], bool] = STOP.is_set) -> Loop:

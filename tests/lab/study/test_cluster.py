@@ -265,7 +265,7 @@ def test_a_scheduler_that_goes_away_is_told_and_loses_nothing(tmp_path: Path) ->
         plan = planned(tmp_path)
         with dask.cluster(made.address) as pool, pytest.raises(MmnnError, match="the same command goes on with what"):
             threading.Timer(1.0, made.processes[0].kill).start()
-            list(execute(pool, plan, [plan.row(0)]))
+            list(execute(pool, plan, [0]))
     finally:
         made.stop()
 
@@ -305,13 +305,13 @@ def test_a_worker_without_the_package_or_with_other_code_is_told() -> None:
 def test_a_worker_that_joins_later_judges_itself(tmp_path: Path, monkeypatch) -> None:
     task = planned(tmp_path).row(0)
     with pytest.raises(StudyError, match="runs other code of mmnn_pin than this machine"):
-        worker.run(replace(task, code="other"))
+        worker.run([replace(task, code="other")])
     monkeypatch.setattr(worker.importlib.util, "find_spec", lambda module: None)
     contact = replace(task, experiment=msgspec.structs.replace(task.experiment, plant="contact"))
     with pytest.raises(
         StudyError, match=r"has no mujoco: the contact plant needs it: pip install 'mmnn_pin\[contact\]'"
     ):
-        worker.run(contact)
+        worker.run([contact])
 
 
 def test_what_travels_needs_nothing_of_this_package_to_be_unpacked() -> None:
@@ -320,7 +320,7 @@ def test_what_travels_needs_nothing_of_this_package_to_be_unpacked() -> None:
     program = (
         "import sys, pickle; sys.modules['mmnn_pin'] = None\n"
         f"call = pickle.loads(bytes.fromhex('{packed['call']}'))\n"
-        "try:\n    call(b'', b'')\nexcept ModuleNotFoundError as error:\n    print('told', error.name)"
+        "try:\n    call(b'', b'', False)\nexcept ModuleNotFoundError as error:\n    print('told', error.name)"
     )
     made = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd="/")
     assert made.stdout.startswith("told mmnn_pin"), made.stderr

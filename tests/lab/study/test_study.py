@@ -219,7 +219,7 @@ def test_a_killed_study_has_lost_nothing_and_goes_on(tmp_path: Path) -> None:
     assert [row.id for row in after] == list(range(len(plan)))
     assert all(after[i] == row for i, row in before.items()), "rows that were done are not run again"
     sample = plan.row(next(iter(set(range(len(plan))) - set(before))))
-    assert told(worker.run(sample).metrics) == told(after[sample.id].metrics)
+    assert told(worker.run([sample])[0].metrics) == told(after[sample.id].metrics)
 
 
 @compiled_only
@@ -364,6 +364,6 @@ def test_a_study_that_is_read_while_it_runs_does_not_disturb_it(done, tmp_path: 
     with threads(1) as pool, writing(tmp_path / NAME) as store:
         missing = missing_rows(store, plan, probe(plan), False)
         fill(store, plan, missing[:6], pool, lambda finished: seen.append(count(tmp_path)))
-    assert seen == list(range(1, 7))
+    assert all(kept > done for done, kept in enumerate(seen)) and seen == sorted(seen) and seen[-1] == 6
     with reading(tmp_path / NAME) as store:
         assert numbers(store.rows()) == numbers(rows)[:6]
