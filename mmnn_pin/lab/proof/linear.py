@@ -54,6 +54,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
 from ...errors import RecordingError
@@ -71,6 +72,7 @@ from .weights_part import WITHOUT, Progress, WeightsPart, part_of, step_again
 
 LEARNED = ("W", "U", "D", "prior", "counts")  # what an update of a covariance changes
 PENALTY = 1e-6
+STILL = 1e-12  # a feature whose RMS is a smaller share of the largest one's is rounding: it does not move
 CUT = 1e-9  # singular values below this share of the largest count as zero
 MOST = 2000  # rows that a fit sees, evenly spread
 
@@ -85,6 +87,7 @@ class LinearFit:
         eps: (p,) largest `|Psi - Psi_0 - Phi W|` on the visited set [N, N m].
         unexplained: (p,) fraction of variance that they leave.
         true: Whether they are the robot's parameters, not a fit.
+        still: Weights whose features stay 0 in the run: it does not determine them, and here they are 0.
         distance: How far the run's weights are from them at its start and end, (2,): RMS of `Phi (W - W_run)` over the
             standard deviation of Psi; NaN where the weights are kept otherwise.
     """
@@ -95,12 +98,14 @@ class LinearFit:
     unexplained: Array
     distance: Array
     true: bool = False
+    still: int = 0
 
     def to_dict(self) -> dict[str, Any]:
         """Norm, distances and errors for JSON."""
         ends = {"start": finite(self.distance[0]), "end": finite(self.distance[1])}
         eps, left = ([finite(value) for value in values] for values in (self.eps, self.unexplained))
-        return {"linear": {"norm": finite(self.norm), "distance": ends, "eps": eps, "fvu": left}}
+        numbers = {"norm": finite(self.norm), "undetermined": self.still, "distance": ends, "eps": eps, "fvu": left}
+        return {"linear": numbers}
 
 
 def linear_fit(subject: Subject, learner: Learner) -> LinearFit | None:
@@ -114,13 +119,13 @@ def linear_fit(subject: Subject, learner: Learner) -> LinearFit | None:
     ends = [of_shape(learner.controller.weights(state), Phi.shape[2], m) for state in (learner.start, learner.end)]
     nominal = 0.0 if ends[1] is None else psi_hat - (Phi @ ends[1]).reshape(psi.shape)
     target, scale = psi - nominal, np.sqrt(variances(psi))
-    true = true_weights(subject, learner)
+    true, flat = true_weights(subject, learner), (Phi / scale[:, None]).reshape(-1, Phi.shape[2])
     if true is not None:
         W = true[:, None]
     elif Phi.shape[1] == 1:
         W = penalised(Phi[:, 0], target, PENALTY * variances(psi) / Phi.shape[2], units(learner, Phi[:, 0], scale))
     else:
-        W = least_squares((Phi / scale[:, None]).reshape(-1, Phi.shape[2]), (target / scale).reshape(-1, 1))
+        W = least_squares(flat, (target / scale).reshape(-1, 1))
     left = target - (Phi @ W).reshape(psi.shape)
     return LinearFit(
         W=W,
@@ -128,6 +133,7 @@ def linear_fit(subject: Subject, learner: Learner) -> LinearFit | None:
         eps=np.abs(left).max(axis=0),
         unexplained=(left**2).mean(axis=0) / variances(psi),
         true=true is not None,
+        still=0 if true is not None else int((~moving(flat)).sum()) * W.shape[1],
         distance=np.array([np.nan if W_run is None else away(Phi @ (W - W_run), scale) for W_run in ends]),
     )
 
@@ -160,11 +166,18 @@ def away(difference: Array, scale: Array) -> float:
     return float(np.sqrt(((difference.reshape(-1, scale.size) / scale) ** 2).mean()))
 
 
-def least_squares(table: Array, target: Array) -> Array:
-    """The shortest weights (k, m) of least squares, in units in which all features are of one size."""
+def moving(table: Array) -> NDArray[np.bool_]:
+    """Which features (k,) of a table (n, k) are more than rounding."""
     size = np.sqrt((table**2).mean(axis=0))
-    size[size == 0] = 1.0
-    return np.asarray(np.linalg.lstsq(table / size, target, rcond=CUT)[0] / size[:, None])
+    return np.asarray(size > STILL * size.max(initial=0.0))
+
+
+def least_squares(table: Array, target: Array) -> Array:
+    """The shortest weights (k, m) of least squares, in units in which all features are of one size; 0 of still ones."""
+    moves, size = moving(table), np.sqrt((table**2).mean(axis=0))
+    found = np.zeros((table.shape[1], target.shape[1]))
+    found[moves] = np.linalg.lstsq(table[:, moves] / size[moves], target, rcond=CUT)[0] / size[moves, None]
+    return found
 
 
 def of_shape(weights: dict[str, Array], k: int, m: int) -> Array | None:

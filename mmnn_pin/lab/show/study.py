@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -35,27 +36,32 @@ def render(results: Results, colour: bool = False, width: int = WIDTH) -> str:
 
 def levels_text(results: Results, factor: str, width: int = WIDTH) -> str:
     """What the controllers did at every value of a factor, and which to take, as text."""
-    heads = [Column("success", "%"), *(Column(p, shown_unit(results, p)[1]) for p in results.patterns)]
+    every = {controller: levels(results, controller, factor) for controller in results.controllers}
+    known = any(math.isfinite(level.margin) for found in every.values() for level in found)
+    heads = [Column("success", "%"), *[Column("delay margin", "ms")] * known]
+    heads += [Column(p, shown_unit(results, p)[1]) for p in results.patterns]
     tables: list[str | Line | Table] = []
-    for controller in results.controllers:
-        found = levels(results, controller, factor)
+    for controller, found in every.items():
         best = best_of(found)
         rows = (
             row_of(
                 Cell(level.words, "best" if level is best else "", "*" if level is best else ""),
-                *level_cells(results, level),
+                *level_cells(results, level, known),
             )
             for level in found
         )
         tables += [Line(controller, "bold"), Table(controller, (Column(factor, text=True), *heads), tuple(rows))]
     notes = [advice(results, controller, factor) for controller in results.controllers]
-    about = Line("Medians with 95 % intervals. A dash: too few runs completed, or too few runs to bound it.", "italic")
-    return terminal_text([*tables, about, *notes], width=width)
+    about = "Medians with 95 % intervals. A dash: too few runs completed, or too few runs to bound it."
+    about += " Delay margin: the least of the runs; !: below the one asked for (latency.margin)." if known else ""
+    return terminal_text([*tables, Line(about, "italic"), *notes], width=width)
 
 
-def level_cells(results: Results, level: Level) -> Iterator[str]:
-    """How many runs completed, and the median of every metric."""
+def level_cells(results: Results, level: Level, margins: bool) -> Iterator[str | Cell]:
+    """How many runs completed, their least delay margin, and the median of every metric."""
     yield number(100 * level.success.value)
+    if margins:
+        yield Cell(number(1e3 * level.margin), "bad" if level.short else "", "!" if level.short else "")
     for pattern, median in level.medians.items():
         yield interval_text(median, shown_unit(results, pattern)[0])
 

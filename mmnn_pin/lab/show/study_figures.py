@@ -12,13 +12,14 @@ from ..study.choice import gains_of, levels
 from ..study.factors import is_number
 from ..study.results import Results
 from ..study.verdict import Share, bins_of, levels_of, rate, share_of
-from .figure import add_legend, axes_grid, figure, log_ticks, new_figure, plain, styles_of_controllers
+from .figure import Look, add_legend, axes_grid, figure, log_ticks, new_figure, plain, styles_of_controllers
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SHOWN = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "rad/s": (1e3, "mrad/s")}
+SHOWN = {"rad": "mrad", "m": "mm", "m/s": "mm/s", "rad/s": "mrad/s"}  # in thousandths
+SHORT: Look = {"marker": "o", "markersize": 8, "fillstyle": "none", "linestyle": "none", "zorder": 5}
 MAP_BINS = 6
 DECADE = 8.0  # spread from which an axis is logarithmic
 TICKS = 8  # values of a factor that all stand on its axis, at most
@@ -27,8 +28,10 @@ MOST_METRICS = 3  # metrics in the figures of distributions and of what decides
 
 def shown_unit(results: Results, pattern: str) -> tuple[float, str]:
     """Factor and unit in which a metric is shown: thousandths of metres and radians."""
-    unit = results.unit(pattern)
-    return SHOWN.get(unit, (1.0, unit))
+    units = results.unit(pattern).split(" or ")
+    if all(unit in SHOWN for unit in units):
+        return 1e3, " or ".join(SHOWN[unit] for unit in units)
+    return 1.0, " or ".join(units)
 
 
 def titled(name: str, unit: str) -> str:
@@ -36,10 +39,10 @@ def titled(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def legend(picture: Figure, results: Results, title: str) -> None:
-    """The title and the controllers' looks."""
+def legend(picture: Figure, results: Results, title: str, more: Sequence[tuple[str, Look]] = ()) -> None:
+    """The title and the controllers' looks, and others."""
     styles = styles_of_controllers(results.controllers)
-    add_legend(picture, plain(title), [(plain(name), style.line) for name, style in styles.items()])
+    add_legend(picture, plain(title), [*((plain(name), style.line) for name, style in styles.items()), *more])
 
 
 @figure(
@@ -135,21 +138,24 @@ def shares(results: Results, result: str) -> dict[str, dict[str, Share]]:
     "study-errors",
     of="study",
     needs=lambda results: "" if results.patterns and numeric_of(results) else "the study varies no number",
-    caption="Median with its 95 % interval, which is open upwards where too many runs did not complete. A cross at the"
-    " top: fewer than half of them did.",
+    caption="Median with its 95 % interval, which is open upwards where too many runs did not complete; fewer than six"
+    " runs at a value have none. A cross at the top: fewer than half of the runs completed.",
 )
 def errors_against_factors(results: Results) -> Figure:
     """Median of every metric against every number that is varied, with 95 % intervals."""
     chosen, names = results.patterns[:MOST_METRICS], numeric_of(results)
     picture = new_figure(3.6 * len(names), 2.6 * len(chosen) + 0.7)
     grid: Any = picture.subplots(len(chosen), len(names), squeeze=False, sharex="col")
+    short = False
     for row, pattern in zip(grid, chosen, strict=True):
         for axes, name in zip(row, names, strict=True):
-            draw_errors(axes, results, name, pattern)
+            short |= draw_errors(axes, results, name, pattern)
         row[0].set_ylabel(plain(titled(pattern, shown_unit(results, pattern)[1])))
     for axes, name in zip(grid[-1], names, strict=True):
         axes.set_xlabel(plain(titled(name, results.factors[name].unit)))
-    legend(picture, results, "Errors against each factor")
+    legend(
+        picture, results, "Errors against each factor", [("delay margin too small", {"color": "0.3", **SHORT})] * short
+    )
     return picture
 
 
@@ -166,19 +172,25 @@ def orderly(results: Results, name: str) -> set[float]:
     return set(values) if all(is_number(value) for value in values) else set()
 
 
-def draw_errors(axes: Axes, results: Results, name: str, pattern: str) -> None:
-    """The median of a metric of all controllers against one factor, with intervals."""
+def draw_errors(axes: Axes, results: Results, name: str, pattern: str) -> bool:
+    """The median of a metric of all controllers against one factor, with intervals.
+
+    Returns:
+        Whether a value has less delay margin than is asked for; it is marked.
+    """
     scale, _ = shown_unit(results, pattern)
     values = orderly(results, name)
-    tops, unbounded = [], []
+    tops, unbounded, short = [], [], []
     for controller, style in styles_of_controllers(results.controllers).items():
-        found = [(level.value, level.medians[pattern]) for level in levels(results, controller, name)]
+        every = levels(results, controller, name)
+        found = [(level.value, level.medians[pattern]) for level in every]
+        short += [(x, scale * m.value, style.color) for (x, m), level in zip(found, every, strict=True) if level.short]
         seen = [(x, scale * m.value, scale * m.low, scale * m.high) for x, m in found if np.isfinite(m.value)]
         if seen:
             x, y, low, high = (np.array(column, float) for column in zip(*seen, strict=True))
             bars = np.array([np.where(np.isfinite(low), y - low, 0.0), np.where(np.isfinite(high), high - y, 0.0)])
             axes.errorbar(x, y, yerr=bars, elinewidth=0.8, capsize=1.5, marker="o", markersize=3, **style.line)
-            unbounded += [(x[i], y[i], style.color) for i in np.flatnonzero(~np.isfinite(high))]
+            unbounded += [(x[i], y[i], style.color) for i in np.flatnonzero(~np.isfinite(high) & np.isfinite(low))]
         tops += [(x, style.color) for x, m in found if not np.isfinite(m.value)]
     if min(values) > 0 and max(values) / min(values) >= DECADE:
         log_axis(axes)
@@ -188,8 +200,12 @@ def draw_errors(axes: Axes, results: Results, name: str, pattern: str) -> None:
     axes.set_ylim(0, axes.get_ylim()[1])
     for x, y, color in unbounded:
         axes.vlines(x, y, axes.get_ylim()[1], color=color, linewidth=0.8)
+    for place, error, color in short:
+        if np.isfinite(error):
+            axes.plot(place, error, color=color, **SHORT)
     for x, color in tops:
         axes.plot(x, 0.97, "X", transform=axes.get_xaxis_transform(), color=color, mec="white", ms=7, zorder=5)
+    return bool(short)
 
 
 @figure(

@@ -19,6 +19,8 @@ from .verdict import Interval, bins_of, quantile, rate
 # First parts of the keys that somebody can choose.
 GAINS = {"feedback", "kinematic", "robust", "robust_of", *(one.key.partition(".")[0] for one in CONTROLLERS.values())}
 
+MARGIN, ASKED = "delay_margin", "delay_margin_asked"  # numbers of a run [s], where they are known
+
 
 @dataclass(frozen=True)
 class Level:
@@ -31,6 +33,8 @@ class Level:
         runs: Number of runs.
         success: Rate of successes.
         medians: Metric to its median over the runs; inf where fewer than half of the runs completed.
+        margin: Least delay margin of the runs [s]; NaN where it is not known.
+        asked: Delay margin that they should have [s]; NaN likewise.
     """
 
     value: Any
@@ -39,6 +43,13 @@ class Level:
     runs: int
     success: Interval
     medians: dict[str, Interval]
+    margin: float = math.nan
+    asked: float = math.nan
+
+    @property
+    def short(self) -> bool:
+        """Whether the loop bears less delay than it should: it may look good where motors have limits, and chatter."""
+        return self.margin < self.asked
 
     @property
     def words(self) -> str:
@@ -61,6 +72,8 @@ def levels(results: Results, controller: str, factor: str) -> list[Level]:
     numeric = about.numeric or all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
     groups, success = bins_of(values, numeric), results.succeeded(controller)
     metrics = {pattern: results.metric(controller, pattern) for pattern in results.patterns}
+    rows = results.of[controller]
+    margins, asked = (np.array([row.metrics.get(key, math.nan) for row in rows]) for key in (MARGIN, ASKED))
     found = []
     for group in range(int(groups.max(initial=-1)) + 1):
         inside = groups == group
@@ -74,6 +87,8 @@ def levels(results: Results, controller: str, factor: str) -> list[Level]:
                 runs=len(own),
                 success=rate(int(success[inside].sum()), len(own)),
                 medians={pattern: quantile(each[inside], 0.5) for pattern, each in metrics.items()},
+                margin=float(margins[inside].min()),
+                asked=float(asked[inside].max()),
             )
         )
     return found
@@ -82,8 +97,9 @@ def levels(results: Results, controller: str, factor: str) -> list[Level]:
 def best_of(found: Sequence[Level]) -> Level | None:
     """The level with most successes; of equals the one whose medians are smallest, each over the least of its metric.
 
-    None where no run succeeded.
+    Levels with a delay margin below the one asked for count only where all are. None where no run succeeded.
     """
+    found = [level for level in found if not level.short and level.success.value] or found
     most = max((level.success.value for level in found), default=0.0)
     if most == 0.0:
         return None
@@ -109,4 +125,6 @@ def advice(results: Results, controller: str, factor: str) -> str:
     if len(found) > 1 and best.low is not None and best in (found[0], found[-1]):
         side = "smaller" if best is found[0] else "larger"
         text += f"; it is the {'least' if best is found[0] else 'largest'} that was tried, so try {side} ones"
+    if best.short:
+        text += f"; its delay margin, {1e3 * best.margin:.3g} ms, is below the {1e3 * best.asked:.3g} ms asked for"
     return f"{text}."

@@ -113,9 +113,9 @@ class Results:
         return pairs[:, 0], pairs[:, 1]
 
     def unit(self, pattern: str) -> str:
-        """Unit of a metric; empty for a pure number, or where a pattern mixes them."""
+        """Unit of a metric, such as `rad`; `rad or m` of a pattern that mixes them; empty for a pure number."""
         units = {unit for name, unit in self.units.items() if fnmatchcase(name, pattern)}
-        return units.pop() if len(units) == 1 else ""
+        return " or ".join(sorted(units, key=lambda unit: (not unit.startswith("rad"), unit))) if all(units) else ""
 
 
 def worth(status: str, metrics: Mapping[str, float], pattern: str) -> float:

@@ -26,7 +26,7 @@ from ...settings import plain
 from ...settings.arguments import checked_but, fits
 from ..experiments.compare import Assembled, Controllers, assembled
 from ..experiments.controllers import EFFECTIVE
-from .choice import Level, best_of, levels
+from .choice import ASKED, MARGIN, Level, best_of, levels
 from .factors import Factor
 from .results import Results, require_patterns, units_of, value_of
 from .settings import StudySettings
@@ -61,7 +61,11 @@ class Sweep:
 
     @property
     def best(self) -> dict[str, Any]:
-        """The best value of every controller: most runs that complete, then the smallest errors; None where none do."""
+        """The best value of every controller; None where no run completes.
+
+        Values with less delay margin than `latency.margin` asks for come last, then count most runs that complete, then
+        the smallest errors.
+        """
         found = {name: best_of(levels(self.results, name, self.key)) for name in self.results.controllers}
         return {name: None if level is None else level.value for name, level in found.items()}
 
@@ -136,7 +140,7 @@ def sweep(
     names = list(done[0].metrics)
     patterns = tuple(metrics) if metrics is not None else rms(names, windows[-1])
     require_patterns(patterns, names, "metrics")
-    rows = [row_of(n, key, *job[:3], run) for n, (job, run) in enumerate(zip(jobs, done, strict=True))]
+    rows = [row_of(n, key, job, run) for n, (job, run) in enumerate(zip(jobs, done, strict=True))]
     factors = {key: Factor(grid=tuple(plain(value) for value in values))}
     about = StudySettings(experiment="", title=f"{key} of {robot.name}", seeds=1, metrics=patterns, factors=factors)
     facts = {"controllers": list(made.controllers), "versions": versions(), "settings": plain(about), "file": ""}
@@ -186,11 +190,13 @@ def loops_of(made: Assembled, i: int, runs: int, masses: tuple[float, float]) ->
     return found
 
 
-def row_of(number: int, key: str, value: Any, draw: int, controller: str, run: Run) -> Stored:
-    """A run as the row of a study."""
-    end = run.outcome
+def row_of(number: int, key: str, job: tuple[Any, int, str, Loop], run: Run) -> Stored:
+    """A run as the row of a study, with its delay margin and the one that is asked for."""
+    (value, draw, controller, loop), end = job, run.outcome
+    margins = {MARGIN: loop.delay_margin(), ASKED: loop.latency.margin + loop.latency.total}
     return Stored(
-        id=number, status=end.status, time=end.time, signal=end.signal, message=end.message, metrics=run.metrics,
+        id=number, status=end.status, time=end.time, signal=end.signal, message=end.message,
+        metrics=run.metrics | margins,
         fingerprint="", point=draw, controller=controller, seed=draw, parameters={key: plain(value)}, finished="",
     )  # fmt: skip
 

@@ -22,6 +22,7 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.config import recorded_experiment
 from mmnn_pin.lab.proof import proof as cache
+from mmnn_pin.lab.proof.linear import LinearFit, least_squares, moving
 from mmnn_pin.lab.proof.lyapunov import TERMS
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.psi import worst
@@ -36,7 +37,8 @@ from mmnn_pin.lab.show.proof.figures import (
     shares_figure,
     terms_figure,
 )
-from mmnn_pin.lab.show.proof.text import judgement, render
+from mmnn_pin.lab.show.proof.text import ideal_rows, render
+from mmnn_pin.lab.show.proof.verdict import Judged, judgement
 from mmnn_pin.lab.show.report import report
 from mmnn_pin.safety import Safety
 
@@ -117,7 +119,35 @@ def test_the_text_tells_them(runs: dict[str, Recording], capsys: pytest.CaptureF
     ],
 )
 def test_the_verdict_follows_from_three_numbers(numbers: tuple[float, float, float], words: str) -> None:
-    assert words in judgement(*numbers)
+    assert words in judgement(*map(Judged, numbers))
+
+
+def test_the_verdict_names_the_joints() -> None:
+    """Which component the number is of, and which are lost; all of them are not named."""
+    names = ["v", "w", "arm_1_joint", "arm_2_joint", "arm_3_joint", "arm_4_joint"]
+    good, some, all_lost = (np.array(values) for values in ([0.1] * 5 + [0.2], [0.1, 2, 3, 2, 2, 2], [2.0] * 5 + [3]))
+    text = judgement(*(Judged.of(names, values) for values in (good, some, all_lost)))
+    assert "explains 80 % of Psi; frozen, it predicts w, arm_1, arm_2 and 2 others worse than a constant" in text
+    assert text.endswith("(FVU online 0.200 of arm_4, frozen 3.00 of arm_1, held out 3.00 of arm_4).")
+    assert Judged.of(names, all_lost).prediction() == "predicts worse than a constant"
+    one = np.array([0.1, 0.1, 0.1, 1.5, 0.1, 0.1])
+    assert Judged.of(names, one).prediction() == "predicts arm_2 worse than a constant"
+
+
+def test_weights_of_features_that_do_not_move_are_not_determined() -> None:
+    """A feature of rounding alone would get a weight of 1e28, and the others none of their own."""
+    rng = np.random.default_rng(0)
+    moved, rounding = rng.normal(size=(200, 3)), 1e-29 * rng.normal(size=(200, 1))
+    W, target = np.array([[1.0], [2.0], [-3.0]]), 0.1 * rng.normal(size=(200, 1))
+    table = np.hstack((moved, rounding, np.zeros((200, 1))))
+    found = least_squares(table, moved @ W + target)
+    expected = np.linalg.solve(moved.T @ moved, moved.T @ (moved @ W + target))
+    np.testing.assert_allclose(found, [*expected, [0.0], [0.0]], rtol=1e-9)
+    assert moving(table).tolist() == [True, True, True, False, False]
+    fit = LinearFit(found, 3e28, np.zeros(1), np.zeros(1), np.zeros(2), still=2)
+    rows = {row.cells[0].text: row.cells[1].text for row in ideal_rows(fit)}
+    assert rows["|W*| of the best fixed weights, fitted offline"] == "not determined: features hardly move"
+    assert rows["weights that this run does not determine: their features stay 0"] == "2"
 
 
 def test_a_violated_equality_ends_with_exit_code_1(

@@ -11,13 +11,14 @@ import pytest
 
 from mmnn_pin import Hold, Line, Sine, Trajectory, load, sweep
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
-from mmnn_pin.lab.show.study import render
-from mmnn_pin.lab.show.study_figures import errors_against_factors
+from mmnn_pin.lab.show.study import levels_text, render
+from mmnn_pin.lab.show.study_figures import errors_against_factors, shown_unit
 from mmnn_pin.lab.study.choice import advice, best_of, gains_of, levels
 from mmnn_pin.lab.study.factors import Factor
 from mmnn_pin.lab.study.results import Results
 from mmnn_pin.lab.study.settings import StudySettings
 from mmnn_pin.lab.study.store import Stored
+from mmnn_pin.lab.study.sweep import assembled, loops_of
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +113,57 @@ def test_an_interval_without_an_upper_end_reaches_the_top(robot):
     axes = errors_against_factors(found.results).axes[0]
     tops = [segment[:, 1].max() for lines in axes.collections for segment in lines.get_segments()]
     assert tops.count(axes.get_ylim()[1]) == 1
+
+
+def test_the_delay_margin_stands_beside_the_error_and_counts_before_it(robot):
+    """Within the motors' limits an unstable gain completes, and one that bears hardly any delay errs least."""
+    path = Trajectory.of(robot, base=Line(speed=0.3), arm={"arm_1_joint": Sine(0.5, 4.0)})
+    limits = {"actuator.torque_limit": "urdf"}
+    found = sweep(robot, path, "feedback.arm", [8.0, 24.0, 80.0], ["pd"], runs=2, duration=0.6, settings=limits)
+    good, fast, bad = found.errors("pd").values()
+    assert good.margin == pytest.approx(found.results.rows[0].metrics["delay_margin"], rel=0.3) and not good.short
+    assert bad.success.value == 1.0 and bad.margin == 0.0 and bad.short
+    pattern = found.results.patterns[-1]
+    assert 0 < fast.margin < 0.003 == fast.asked and fast.medians[pattern].value < good.medians[pattern].value
+    assert found.best == {"pd": 8.0}
+    text = str(found)
+    assert "delay" in text and "0 !" in text and f"{1e3 * good.margin:.3g}" in text
+    picture = found.plot().figure
+    rings = [line for axes in picture.axes for line in axes.get_lines() if line.get_fillstyle() == "none"]
+    assert {float(np.ravel(ring.get_xdata())[0]) for ring in rings} == {24.0, 80.0}
+    assert "delay margin too small" in [text.get_text() for text in picture.legends[0].get_texts()]
+
+
+def test_the_margin_is_that_of_the_loop(robot):
+    """The least of the draws, as each loop tells its own; a latency that is stated counts on top of what is asked."""
+    path = Trajectory.of(robot, base=Line(speed=0.3))
+    settings = {"latency.command": 0.002, "latency.margin": 0.004, "feedback.base": 300.0}
+    found = sweep(robot, path, "feedback.arm", [4.0], ["pd"], runs=3, duration=0.05, settings=settings)
+    level = found.errors("pd")[4.0]
+    made = assembled(robot, path, ["pd"], duration=0.05, settings={**settings, "feedback.arm": 4.0})
+    loops = [loop for i in range(3) for _, loop in loops_of(made, i, 3, (0.8, 1.25))]
+    assert level.margin == min(loop.delay_margin() for loop in loops) and level.asked == pytest.approx(0.006)
+
+
+def test_a_study_without_margins_has_no_column_for_them():
+    results = rows_of({1.0: [0.5] * 6, 2.0: [0.4] * 6})
+    assert "delay margin" not in levels_text(results, "feedback.arm")
+    assert not any(level.short for level in levels(results, "pd", "feedback.arm"))
+
+
+def test_one_run_for_a_value_has_a_point_and_no_bar():
+    axes = errors_against_factors(rows_of({1.0: [0.5], 2.0: [0.2]})).axes[0]
+    ends = [segment[:, 1] for lines in axes.collections for segment in lines.get_segments()]
+    assert all(np.ptp(end) == 0.0 for end in ends) and axes.get_ylim()[1] < 600.0
+
+
+def test_errors_of_turning_and_sliding_joints_have_both_units():
+    results = rows_of({1.0: [0.5] * 6, 2.0: [0.4] * 6})
+    mixed = replace(results, units={"e.arm.rms": "rad", "e.lift.rms": "m"})
+    assert mixed.unit("e.*.rms") == "rad or m" and shown_unit(mixed, "e.*.rms") == (1e3, "mrad or mm")
+    assert "mrad or mm" in levels_text(mixed, "feedback.arm")
+    assert errors_against_factors(mixed).axes[0].get_ylabel() == "e.*.rms [mrad or mm]"
+    assert replace(results, units={"e.arm.rms": "rad", "e.share.rms": ""}).unit("e.*.rms") == ""
 
 
 @pytest.mark.parametrize(

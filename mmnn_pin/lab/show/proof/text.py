@@ -15,11 +15,12 @@ from ...proof.learner import NAMES
 from ...proof.linear import LinearFit
 from ...proof.lyapunov import TERMS, Growth, Lyapunov
 from ...proof.proof import IdealWeights, Proof
-from ...proof.psi import Psi, how_to_know, worst
+from ...proof.psi import Psi, how_to_know
 from ...proof.rate import Rate
 from ...proof.truth import Truth
 from ...proof.tube import Tube
 from ..table import WIDTH, Cell, Column, Line, Row, Table, grouped, number, row_of, terminal_text
+from .verdict import verdicts
 
 FROZEN = {"same": "frozen,\nown run", "held_out": "frozen,\nheld out", "payload": "frozen,\npayload"}
 SHARES = {"feedback": "feed-\nback", "network": "network,\nPsi_hat", "robust": "robust\nterm"}
@@ -27,7 +28,7 @@ MOST_WINDOWS = 8  # columns that a terminal has room for
 PARTS = {"pose": "V1 of the pose", "motion": "s' M s / 2", "weights": "weights' part"}
 PRINTED = "The thesis's bounds, as printed: not proved"
 RIGHT = 1e-6  # share of Psi up to which it counts as known
-CONSTANT = "predicts worse than a constant"
+ENDLESS = 1e12  # weights of this size say only that hardly anything multiplies them
 
 
 def render(proof: Proof, colour: bool = False, width: int = WIDTH) -> str:
@@ -69,46 +70,6 @@ def parts(proof: Proof) -> Iterator[str | Line | Table]:
     for remark in proof.remarks():
         if remark != how:
             yield Line(f"note: {remark}", "italic")
-
-
-def verdicts(psi: Psi, how: str = "") -> Iterator[str]:
-    """Per network one sentence: does it know Psi, or only follow it? First how to hear that of a user's law."""
-    if how:
-        yield f"{how[0].upper()}{how[1:]}."
-    for half, where in psi.halves.items():
-        online = worst(psi.online[where])
-        if not psi.frozen:
-            why = "its weights are not at hand" if how else "it learns nothing, so no weights are held fixed"
-            yield f"{half}: FVU online {number(online)}; {why}."
-            continue
-        same, other = (
-            worst(psi.frozen[name].fvu[where]) if name in psi.frozen else math.nan for name in ("same", "held_out")
-        )
-        yield f"{half}: {judgement(online, same, other)}"
-
-
-def judgement(online: float, same: float, other: float) -> str:
-    """What FVU online, frozen on the run's own trajectory and frozen on a held-out one say together, in words."""
-    numbers = f"FVU online {number(online)}, frozen {number(same)}"
-    numbers += f", held out {number(other)}" if math.isfinite(other) else ""
-    if not math.isfinite(online) or not math.isfinite(same):
-        return f"Psi does not vary, there is nothing to judge ({numbers})."
-    if same >= 1:
-        frozen = CONSTANT
-    elif not math.isfinite(other):
-        frozen = f"{prediction(same)} on its own trajectory"
-    elif other >= 1:
-        frozen = f"{prediction(same)} on its own trajectory and {CONSTANT} on a new one"
-    else:
-        frozen = f"{prediction(other)} on a trajectory that it never saw"
-    return f"adapting, it {prediction(online)}; frozen, it {frozen} ({numbers})."
-
-
-def prediction(fvu: float) -> str:
-    """How well something with this FVU predicts; never rounded to all of it."""
-    if fvu >= 1:
-        return CONSTANT
-    return f"explains {'more than 99.9' if 0 < fvu < 0.001 else f'{100 * (1 - fvu):.3g}'} % of Psi"
 
 
 def psi_tables(psi: Psi) -> Iterator[str | Table]:
@@ -168,7 +129,9 @@ def ideal_rows(ideal: IdealWeights) -> Iterator[Row]:
         yield row_of("largest |Psi - Y theta| of the true ones [N, N m]", number(ideal.eps.max()))
     elif isinstance(ideal, LinearFit):
         best = "the true parameters" if ideal.true else "the best fixed weights, fitted offline"
-        yield row_of(f"|W*| of {best}", number(ideal.norm))
+        yield row_of(f"|W*| of {best}", size(ideal.norm))
+        if ideal.still:
+            yield row_of("weights that this run does not determine: their features stay 0", str(ideal.still))
         away = "its Psi_hat against the run's, over Psi's deviation, start to end"
         yield row_of(away, start_to_end(*ideal.distance))
         yield row_of("eps_N: what W* leaves at most [N, N m]", number(ideal.eps.max()))
@@ -176,13 +139,18 @@ def ideal_rows(ideal: IdealWeights) -> Iterator[Row]:
     else:
         columns = {
             "|Z| learned": [number(w.learned_norm) for w in ideal.values()],
-            "|Z*| of the ideal weights, fitted offline": [number(w.norm) for w in ideal.values()],
+            "|Z*| of the ideal weights, fitted offline": [size(w.norm) for w in ideal.values()],
             "ZB that the robust term counts with": [number(w.assumed) for w in ideal.values()],
             "|Z* - Z| from start to end": [start_to_end(w.start_distance, w.distance) for w in ideal.values()],
             "eps_N: what the ideal weights leave at most": [number(w.eps_N) for w in ideal.values()],
             "FVU of the ideal weights (worst component)": [number(w.unexplained.max()) for w in ideal.values()],
         }
         yield from (row_of(label, *cells) for label, cells in columns.items())
+
+
+def size(norm: float) -> str:
+    """The size of some weights, or that they have none that means anything."""
+    return "not determined: features hardly move" if norm > ENDLESS else number(norm)
 
 
 def start_to_end(start: float, end: float) -> str:

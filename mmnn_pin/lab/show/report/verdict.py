@@ -19,7 +19,8 @@ from ...proof.psi import worst
 from ..comparison import limited, notes
 from ..curves import column_units, controller_of, milli
 from ..figure import run_label
-from ..proof.text import small, verdicts
+from ..proof.text import small
+from ..proof.verdict import verdicts
 from ..table import Cell, Column, Row, Table, number, row_of
 
 ABOUT_PROOF = (
