@@ -10,6 +10,7 @@ matplotlib is imported when the first figure is made, and never its state machin
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -35,6 +36,7 @@ Subject = Literal["runs", "proof", "contest", "study"]
 Dash = tuple[float, tuple[float, ...] | None]
 Look = Mapping[str, Any]  # keywords of matplotlib's `plot`
 
+LETTERS = 17  # of a line beside an axis
 FORMATS = ("png", "svg", "pdf")
 RC: Any = {
     "font.size": 9,
@@ -167,6 +169,16 @@ def styles_of(recordings: Mapping[str, Recording]) -> dict[str, Style]:
     return styles
 
 
+def in_the_dark(color: str) -> str:
+    """A colour as it is seen on a dark ground: dark greys are turned round, other dark colours have white in them."""
+    parts = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
+    if max(parts) == min(parts) < 128:
+        parts = [255 - part for part in parts]
+    while 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2] < 0.36 * 255:
+        parts = [part + (255 - part) // 10 for part in parts]
+    return f"#{bytes(parts).hex()}"
+
+
 def styled(make: Callable[P, Figure]) -> Callable[P, Figure]:
     """Make a figure in our look, whatever the user's matplotlib settings are."""
 
@@ -262,6 +274,17 @@ def style_looks(recordings: Mapping[str, Recording], styles: Mapping[str, Style]
 def plain(text: str) -> str:
     """Text that matplotlib does not read as mathematics."""
     return text.replace("$", r"\$")
+
+
+def folded(label: str, letters: int = LETTERS) -> str:
+    """The label of an axis in lines short enough for it, broken at blanks and underscores, for matplotlib."""
+    lines = [""]
+    for part in re.findall(r"[^_ ]*[_ ]|[^_ ]+$", label):
+        for piece in (part[i : i + letters] for i in range(0, len(part), letters)):
+            if len(lines[-1]) + len(piece.rstrip()) > letters:
+                lines.append("")
+            lines[-1] += piece
+    return plain("\n".join(line.rstrip() for line in lines))
 
 
 def scale_rows(recordings: Iterable[Recording]) -> list[tuple[Recording, slice]]:

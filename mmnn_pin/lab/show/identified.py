@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import RecordingError
-from .figure import RC, svg
+from .figure import RC, folded, svg
 from .files import HtmlPage, fill_template
 from .table import Cell, Column, Kind, Line, Table, number, row_of, terminal_text
 
@@ -198,7 +198,7 @@ def curves_figure(curves: dict[str, Any]) -> Figure:
                 ):
                     left.plot(curves["time"], predicted, color=colour, lw=1.1, label=label)
                     right.plot(curves["time"], measured - predicted, color=colour, lw=1.1)
-            left.set(ylabel=name.replace("$", r"\$"))
+            left.set(ylabel=folded(name))
         panels[0, 0].set_title("Measured and predicted efforts [N m or N]")
         panels[0, 1].set_title("Measured minus predicted")
         panels[-1, 0].set_xlabel("time [s]")

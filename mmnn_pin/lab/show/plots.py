@@ -24,6 +24,7 @@ from .figure import (
     Look,
     add_legend,
     figure,
+    folded,
     legend_label,
     limits,
     mark_end,
@@ -114,7 +115,7 @@ def psi_figure(recordings: Recordings) -> Figure:
         shown = {name: panels[label, name] for name in runs if (label, name) in panels}
         truth = {name: panel.truth for name, panel in shown.items() if panel.truth}
         learned = {name: panel.curves[name] for name, panel in shown.items()}
-        row[0].set_ylabel(plain(next(iter(shown.values())).axis))
+        row[0].set_ylabel(folded(next(iter(shown.values())).axis, 13))
         row[0].set_ylim(limits([*calm_values(truth, runs), *calm_values(learned, runs)]))
         for axes, name in zip(row, runs, strict=True):
             if name in shown:
@@ -254,7 +255,9 @@ def columns_of(groups: Mapping[str, str], panels: Iterable[Panel]) -> list[tuple
         members = [panel for panel in every if panel.group == group]
         count = -(-len(members) // PANELS_PER_COLUMN)
         parts = np.array_split(np.arange(len(members)), count) if count else []
-        columns += [(" " if i else heading, [members[k] for k in part]) for i, part in enumerate(parts)]
+        columns += [
+            (f"{heading}, continued" if i else heading, [members[k] for k in part]) for i, part in enumerate(parts)
+        ]
     return columns
 
 
@@ -303,7 +306,7 @@ def draw_column(picture: Figure, axes: Sequence[Axes], panels: Sequence[Panel], 
     styles = styles_of(recordings)
     for each, panel in zip(axes, panels, strict=True):
         each.axhline(0.0, color="0.75", linewidth=0.8, zorder=1)
-        each.set_ylabel(plain(panel.axis))
+        each.set_ylabel(folded(panel.axis))
         each.set_ylim(limits(calm_values(panel.curves, recordings)))
         look: Look = {"drawstyle": "steps-post" if panel.step else "default"}
         for name, curve in panel.curves.items():

@@ -197,7 +197,7 @@ def draw_errors(axes: Axes, results: Results, name: str, pattern: str) -> bool:
     if len(values) <= TICKS:
         axes.set_xticks(sorted(values), [f"{value:g}" for value in sorted(values)])
         axes.set_xticks([], minor=True)
-    axes.set_ylim(0, axes.get_ylim()[1])
+    axes.set_ylim(0, 1.04 * axes.get_ylim()[1])  # a mark at the top has room
     for x, y, color in unbounded:
         axes.vlines(x, y, axes.get_ylim()[1], color=color, linewidth=0.8)
     for place, error, color in short:

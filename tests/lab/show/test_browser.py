@@ -14,6 +14,7 @@ from replays import recorded
 from robots import mobile_arm
 
 from mmnn_pin import load
+from mmnn_pin.lab.show.figure import STYLES, in_the_dark
 from mmnn_pin.lab.show.replay import page
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.robots import extra
@@ -175,6 +176,31 @@ def test_two_runs_have_their_colours_and_can_be_hidden(chromium: Any, tmp_path: 
         assert seen.page.evaluate(ghosts) == [True, True]
         seen.shot(tmp_path / "replay_side_by_side.png")
         assert seen.problems == []
+
+
+def test_the_wanted_path_is_dashed_in_the_colour_of_the_ghost(thesis: Opened) -> None:
+    """As the legend has it; the driven path is one piece, so that the two are told apart under any colours."""
+    count = "replay.runs[0].layers.{}[0].geometry.index.count"
+    wanted, driven = (thesis.page.evaluate(count.format(layer)) for layer in ("wanted", "paths"))
+    corners = "replay.runs[0].layers.{}[0].geometry.attributes.position.count"
+    all_wanted, all_driven = (thesis.page.evaluate(corners.format(layer)) for layer in ("wanted", "paths"))
+    assert 0.4 < wanted / (6 * all_wanted) < 0.6 and driven == 6 * (all_driven - 4)
+    ghost = "replay.runs[0].ghost.bodies.flatMap((b) => b.children).at(-1).material.color.getHexString()"
+    path = "replay.runs[0].layers.wanted[0].material.color.getHexString()"
+    assert thesis.page.evaluate(ghost) == thesis.page.evaluate(path)
+    edge = "getComputedStyle(document.querySelector('.line.wanted')).borderTopColor"
+    assert thesis.page.evaluate(edge) == "rgb(91, 91, 214)"
+
+
+def test_of_many_runs_the_first_that_is_no_oracle_is_shown(chromium: Any, tmp_path: Path) -> None:
+    robot = load("platform_arm")
+    names = ("computed_torque", "pd", "pd_gravity", "pid")
+    file = page({name: recorded(robot, name, duration=0.2) for name in names}).save(tmp_path / "many.html")
+    with opened(chromium, file, color_scheme="dark") as seen:
+        assert seen.page.evaluate("replay.runs.map((run) => run.group.visible)") == [False, True, False, False]
+        assert seen.page.evaluate("replay.runs.map((run) => run.color)") == [
+            in_the_dark(STYLES[n].color) for n in names
+        ]
 
 
 def test_what_happens_is_coloured_while_it_lasts(chromium: Any, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from places import ROOT
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments import controllers
 from mmnn_pin.lab.show import plots
-from mmnn_pin.lab.show.figure import FIGURES, OTHERS, STYLES, save, styles_of
+from mmnn_pin.lab.show.figure import FIGURES, OTHERS, STYLES, in_the_dark, save, styles_of
 from mmnn_pin.lab.show.gallery import PICTURES
 from mmnn_pin.lab.show.plots import errors_figure, path_figure, psi_figure, torque_figure
 from mmnn_pin.recording.recorder import Recorder
@@ -262,3 +262,44 @@ def test_the_figure_of_contributing_draws_the_slip_of_every_wheel(monkeypatch):
         np.testing.assert_array_equal(line.get_ydata(), run["slip"][:, i])
     with pytest.raises(RecordingError, match="nothing to plot for slip"):
         FIGURES["runs"]["slip"].make({"pd": recording()})
+
+
+@pytest.mark.parametrize("what", OVERLAID[:4])
+def test_long_names_of_joints_do_not_meet(what):
+    """Fourteen joints: no label is longer than its own axes, and every column says what it is."""
+    joints = (*(f"left_gripper_finger_{i}_of_wrist_roll_joint" for i in range(13)), "CamelCaseWithoutAnyPlaceToFold")
+    layout, names = Layout(base=2, arm=14, full=19, motors=16), ("v", "w", *joints)
+    facts = {"velocity_names": names, "actuator_names": ("left_drive_wheel_joint", "right_drive_wheel_joint", *joints)}
+    figure = PICTURES[what]({"two_layer": recording(layout=layout, **facts)})
+    figure.canvas.draw()
+    for axes in figure.axes:
+        label, own = axes.yaxis.label, axes.get_window_extent()
+        if label.get_text():
+            box = label.get_window_extent()
+            assert own.y0 - 4 <= box.y0 and box.y1 <= own.y1 + 4, label.get_text()
+    tops = {axes.get_subplotspec().colspan.start: axes for axes in reversed(figure.axes)}
+    assert all(axes.get_title().strip() for axes in tops.values())
+
+
+def test_the_reference_of_a_replay_has_a_colour_of_its_own():
+    """No run's colour is near that of the wanted path and the ghost, on a light page or a dark one (CIELAB)."""
+    script = (ROOT / "mmnn_pin/lab/show/replay/web/run.js").read_text()
+    light, dark = re.search(r'REFERENCE = \{ light: "(#\w+)", dark: "(#\w+)" \}', script).groups()
+    for name in ("two_layer", "pd", "pd_gravity", "pid", "pd_effective", "computed_torque"):
+        assert distance(STYLES[name].color, light) > 30, name
+        assert distance(in_the_dark(STYLES[name].color), dark) > 30, name
+
+
+def distance(one: str, other: str) -> float:
+    """Distance of two colours in CIELAB."""
+    a, b = (lab(np.array(to_rgb(color))) for color in (one, other))
+    return float(np.linalg.norm(a - b))
+
+
+def lab(rgb: np.ndarray) -> np.ndarray:
+    """CIELAB of sRGB, white D65."""
+    flat = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    to_xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+    share = to_xyz @ flat / [0.9505, 1.0, 1.089]
+    x, y, z = np.where(share > 0.008856, np.cbrt(share), 7.787 * share + 16 / 116)
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])

@@ -22,8 +22,8 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
-from mmnn_pin.lab.show.figure import STYLES
-from mmnn_pin.lab.show.report import MOST, Report, command_of, in_the_dark, kept_rows, report, result_of
+from mmnn_pin.lab.show.figure import STYLES, in_the_dark
+from mmnn_pin.lab.show.report import MOST, Report, command_of, kept_rows, report, result_of
 from mmnn_pin.lab.show.report.verdict import verdict
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.robot import Robot

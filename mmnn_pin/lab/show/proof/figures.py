@@ -27,6 +27,7 @@ from ..figure import (
     Look,
     add_legend,
     figure,
+    folded,
     legend_label,
     limits,
     new_figure,
@@ -44,6 +45,7 @@ Recordings = Mapping[str, Recording]
 
 SLICES = 20  # windows of the curve over time
 FROZEN = {"same": "the run's own", "held_out": "held out", "payload": "with a payload"}
+LOW = 12  # letters beside the axes of a low row
 MARKERS = {"same": "o", "held_out": "^", "payload": "s"}
 PARTS = {"feedback": "feedback", "network": r"network, $\hat\Psi$", "robust": "robust term"}
 SHADES = {"feedback": "#999999", "network": "#0072B2", "robust": "#D55E00"}
@@ -68,7 +70,7 @@ def fvu_figure(recordings: Recordings) -> Figure:
     for i, ((axes, right), label) in enumerate(zip(grid, labels, strict=True)):
         for which in (axes, right):
             which.axhline(1.0, color="0.35", linewidth=0.9, linestyle=(0, (4, 3)), zorder=1)
-        axes.set(yscale="log", ylabel=plain(label.removesuffix("_joint")))
+        axes.set(yscale="log", ylabel=folded(label.removesuffix("_joint"), LOW))
         for place, (name, proof) in enumerate(proofs.items()):
             edges, values = sliced(proof)
             if edges.size:
@@ -117,7 +119,7 @@ def frozen_figure(recordings: Recordings) -> Figure:
             for name, each in frozen.items():
                 axes.plot(each.time, each.psi_hat[:, i], **styles[name].line)
             if kind == kinds[0]:
-                axes.set_ylabel(plain(f"{labels[i].removesuffix('_joint')} [{units[i]}]"))
+                axes.set_ylabel(folded(f"{labels[i].removesuffix('_joint')} [{units[i]}]", LOW))
     looks = [(rf"$\hat\Psi$ of {plain(name)}, frozen", styles[name].line) for name in proofs]
     add_legend(picture, r"$\Psi$ and what the final weights know of it", [(r"true $\Psi$", TRUTH), *looks])
     return picture

@@ -25,7 +25,8 @@ from ....model.robot import Robot
 from ....model.urdf.reading import parse
 from ....recording.recording import Recording, recorded_robot
 from ....signals import Array
-from ..figure import run_label, scale_rows, styles_of
+from ...experiments.controllers import ORACLES
+from ..figure import in_the_dark, run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, compressed, fill_template, web_file
 from ..serving import HOST, first_free
 from .motion import Tree, drawable, events_of, frames_of, packed
@@ -74,7 +75,8 @@ class Scene:
         index, tree = self._robot(robot)
         bodies = {body.joint.name: i for i, body in enumerate(tree.bodies) if body.joint}
         events = [event.for_page(bodies) for event in events_of(recording)]
-        about = {"name": name, "label": run_label(name, recording), "robot": index, "color": color, "events": events}
+        about = {"name": name, "label": run_label(name, recording), "robot": index, "events": events}
+        about |= {"color": color, "dark": in_the_dark(color), "oracle": recording.meta.get("controller") in ORACLES}
         self._runs.append(about | packed(recording, robot, rows, self.blob))
         self.frames += len(rows)
         self.samples += len(recording)
@@ -93,7 +95,8 @@ class Scene:
         """Add a robot that stands at a position (nv,), and its ghost: one frame, which others replace."""
         index, _ = self._robot(robot)
         still = {name: self.blob.add(position[None], "f4") for name in ("position", "reference")}
-        about = {"name": robot.name, "label": robot.name, "robot": index, "color": "#000000", "events": []}
+        about = {"name": robot.name, "label": robot.name, "robot": index, "events": []}
+        about |= {"color": "#000000", "dark": in_the_dark("#000000"), "oracle": False}
         time = self.blob.add(np.zeros(1), "f4")
         self._runs.append(about | {"frames": 1, "width": position.size, "time": time} | still)
         self.frames += 1

@@ -1,8 +1,9 @@
 """What a robot looks like: the shapes of its links, each geometry once; meshes as triangles, small.
 
-A mesh that cannot be shown becomes a box of `STAND_IN` metres in a colour of its own, with a warning; so does every
-body of a robot whose file has no shapes at all. A mesh takes 16 bits per coordinate, with equal vertices merged and one
-colour per part: the grid of 65,536 steps spans the part's own box, so a part 1 m long is off by 8 micrometres at most.
+For a mesh that cannot be shown the collision shapes of its link stand in, or a box of `STAND_IN` metres in a colour of
+its own, with a warning; a box marks every body of a robot whose file has no shapes at all. A mesh takes 16 bits per
+coordinate, with equal vertices merged and one colour per part: the grid of 65,536 steps spans the part's own box, so a
+part 1 m long is off by 8 micrometres at most.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from lxml import etree
@@ -31,11 +32,18 @@ Color = tuple[float, float, float, float]  # red, green, blue, opacity, each in 
 Placed = tuple[int, Color | None]  # a geometry's index, and the colour that its file gives
 
 STAND_IN = 0.1  # edge of the box in the place of a mesh [m]
-STANDS_IN = f"a box of {STAND_IN:g} m stands in"
+STANDS_IN = {True: "collision shapes stand in", False: f"a box of {STAND_IN:g} m stands in"}  # whether there are some
 MISSING: Color = (0.93, 0.36, 0.62, 1.0)
 PLAIN: Color = (0.72, 0.74, 0.77, 1.0)
 WHY = {"remote": "is remote and never fetched", "outside": "lies outside its package"}
 STEPS = 65535
+
+
+class Lost(NamedTuple):
+    """A mesh that cannot be shown: its name, and what is wrong with it; nothing where it is not there."""
+
+    name: str
+    why: str
 
 
 class Shapes:
@@ -52,7 +60,7 @@ class Shapes:
     def __init__(self, blob: Blob, package_dirs: Sequence[str | Path] = ()) -> None:
         self.geometries: list[dict[str, Any]] = []
         self._warned: list[str] = []
-        self._missing: dict[str, None] = {}
+        self._missing: dict[str, bool] = {}  # whether collision shapes stand in
         self._blob, self._folders = blob, tuple(package_dirs)
         self._files: dict[Path, list[Placed]] = {}
 
@@ -60,11 +68,12 @@ class Shapes:
     def warnings(self) -> tuple[str, ...]:
         """A line for everything that is not shown as the URDF says."""
         lines = dict.fromkeys(self._warned)
-        if self._missing:
-            first, *others = self._missing
-            more = f" and {len(others)} more are" if others else " is"
-            fix = "give the folder of their packages (--package-dir), or put them there"
-            lines[f"mesh '{first}'{more} missing: {STANDS_IN}: {fix}"] = None
+        fix = "give the folder of their packages (--package-dir), or put them there"
+        for kind, stands_in in STANDS_IN.items():
+            names = [name for name, shaped in self._missing.items() if shaped == kind]
+            if names:
+                more = f" and {len(names) - 1} more are" if names[1:] else " is"
+                lines[f"mesh '{names[0]}'{more} missing: {stands_in}: {fix}"] = None
         return tuple(lines)
 
     def visuals(self, robot: Robot, tree: Tree) -> list[dict[str, Any]]:
@@ -78,10 +87,15 @@ class Shapes:
         found = []
         for link, element in links.items():
             body, place = tree.places[link]
+            lost = []
             for holder in element.iterchildren(tag) if tag else ():
                 color = color_of(holder, colors)
-                for at, (geometry, own) in self._solids(robot, holder):
-                    found.append((body, place @ at, geometry, color or own or PLAIN))
+                for at, solid in self._solids(robot, holder):
+                    if isinstance(solid, Lost):
+                        lost.append((at, solid))
+                    else:
+                        found.append((body, place @ at, solid[0], color or solid[1] or PLAIN))
+            found += [(body, place @ at, *placed) for at, placed in self._instead(robot, element, lost)]
         box = self._box(STAND_IN) if not found else 0
         found = found or [(body, np.eye(4), box, MISSING) for body in range(len(tree.bodies))]
         return [
@@ -89,7 +103,22 @@ class Shapes:
             for body, place, geometry, color in found
         ]
 
-    def _solids(self, robot: Robot, holder: etree._Element) -> Iterator[tuple[Array, Placed]]:
+    def _instead(
+        self, robot: Robot, link: etree._Element, lost: Sequence[tuple[Array, Lost]]
+    ) -> Iterator[tuple[Array, tuple[int, Color]]]:
+        """What stands in for meshes of a link that cannot be shown: its collision shapes, else boxes; warns of it."""
+        if not lost:
+            return
+        every = (one for holder in link.iterchildren("collision") for one in self._solids(robot, holder))
+        shapes = [(at, (solid[0], PLAIN)) for at, solid in every if not isinstance(solid, Lost)]
+        for _, (name, why) in lost:
+            if why:
+                self._warned.append(f"mesh '{name}' {why}: {STANDS_IN[bool(shapes)]}")
+            else:
+                self._missing[name] = bool(shapes)
+        yield from shapes or [(at, (self._box(STAND_IN), MISSING)) for at, _ in lost]
+
+    def _solids(self, robot: Robot, holder: etree._Element) -> Iterator[tuple[Array, Placed | Lost]]:
         """Placement on the link, geometry and own colour of what is in a `<visual>` or `<collision>`."""
         at = placement(holder.find("origin"))
         for solid in holder.iterfind("geometry/*"):
@@ -101,7 +130,7 @@ class Shapes:
                 sizes = [number(solid, "radius", 0.0), number(solid, "length", 0.0)]
                 yield at, (self._index({"kind": solid.tag, "size": sizes}), None)
 
-    def _mesh(self, robot: Robot, at: Array, solid: etree._Element) -> Iterator[tuple[Array, Placed]]:
+    def _mesh(self, robot: Robot, at: Array, solid: etree._Element) -> Iterator[tuple[Array, Placed | Lost]]:
         name = solid.get("filename", "")
         found = locate(name, robot.path, (*self._folders, *folders_of(robot.path, robot.overrides)))
         try:
@@ -110,11 +139,8 @@ class Shapes:
             if found.file not in self._files:
                 self._files[found.file] = [(self._index(self._packed(p)), p.color) for p in read_mesh(found.file)]
         except BrokenMesh as error:
-            if found.problem == "missing" or name.startswith(UNSEEN):
-                self._missing[name.removeprefix(UNSEEN)] = None
-            else:
-                self._warned.append(f"mesh '{name}' {error}: {STANDS_IN}")
-            yield at, (self._box(STAND_IN), MISSING)
+            gone = found.problem == "missing" or name.startswith(UNSEEN)
+            yield at, Lost(name.removeprefix(UNSEEN) if gone else name, "" if gone else str(error))
             return
         scaled = at @ np.diag([*vector(solid, "scale", (1.0, 1.0, 1.0)), 1.0])
         yield from ((scaled, placed) for placed in self._files[found.file])

@@ -42,7 +42,7 @@ from ..curves import (
     learners,
     require_comparable,
 )
-from ..figure import run_label, scale_rows, styles_of
+from ..figure import in_the_dark, run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, fill_template, web_file
 from ..proof.figures import sliced
 from ..replay.page import title_of
@@ -152,16 +152,6 @@ def runs_of(result: Result) -> list[dict[str, str]]:
         }
         runs.append({"name": run_label(name, recording), "about": about, **look})
     return runs
-
-
-def in_the_dark(color: str) -> str:
-    """A colour as it is seen on a dark ground: dark greys are turned round, other dark colours have white in them."""
-    parts = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
-    if max(parts) == min(parts) < 128:
-        parts = [255 - part for part in parts]
-    while 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2] < 0.36 * 255:
-        parts = [part + (255 - part) // 10 for part in parts]
-    return f"#{bytes(parts).hex()}"
 
 
 # -- the result of recordings ------------------------------------------------------------------------------------------

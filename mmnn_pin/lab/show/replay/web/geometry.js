@@ -64,13 +64,23 @@ function facesOfVertices(vertices, triangles) {
   return { start, faces };
 }
 
-/** A band along points (k, 3): `half` its half width and half height. `ends[i]` indices draw the first i points. */
-function makeBand(THREE, points, half, material) {
-  const kept = [], ends = [];
+/**
+ * A band along points (k, 3): `half` its half width and half height; in pieces as long as a `dash` where that is given.
+ * `ends[i]` indices draw the first i points.
+ */
+function makeBand(THREE, points, half, material, dash = Infinity) {
+  const kept = [], drawn = [], ends = [];
+  let length = 0, indices = 0;
   for (let i = 0; i < points.length; i += 3) {
     const here = new THREE.Vector3(points[i], points[i + 1], points[i + 2]);
-    if (!kept.length || here.distanceTo(kept[kept.length - 1]) > half[0] / 4) kept.push(here);
-    ends.push(24 * (kept.length - 1));
+    const gone = kept.length ? here.distanceTo(kept[kept.length - 1]) : 0;
+    if (!kept.length || gone > half[0] / 4) {
+      drawn.push(kept.length > 0 && Math.floor(length / dash) % 2 === 0);
+      if (drawn[kept.length]) indices += 24;
+      length += gone;
+      kept.push(here);
+    }
+    ends.push(indices);
   }
   const corners = [], index = [];
   const along = new THREE.Vector3(), side = new THREE.Vector3(0, 1, 0), up = new THREE.Vector3(0, 0, 1);
@@ -81,7 +91,7 @@ function makeBand(THREE, points, half, material) {
     for (const [a, b] of [[1, 1], [-1, 1], [-1, -1], [1, -1]]) {
       corners.push(...here.clone().addScaledVector(side, a * half[0]).addScaledVector(up, b * half[1]).toArray());
     }
-    for (let k = 0; i > 0 && k < 4; k++) {
+    for (let k = 0; drawn[i] && k < 4; k++) {
       const [a, b] = [4 * (i - 1) + k, 4 * (i - 1) + ((k + 1) % 4)];
       index.push(a, b, a + 4, b, b + 4, a + 4);
     }

@@ -57,12 +57,12 @@ function sameReference(a, b) {
 }
 
 function addLegend(runs, switches) {
-  const legend = document.getElementById("legend");
+  const legend = document.getElementById("legend"), first = runs.find((run) => !run.run.oracle) ?? runs[0];
   for (const run of runs) {
     const item = element("li"), line = element("span", "line");
     line.style.background = run.color;
     if (runs.length > 1) {
-      run.group.visible = runs.length <= FEW || run === runs[0];
+      run.group.visible = runs.length <= FEW || run === first;
       const label = addSwitch(item, "", run.group.visible, (on) => { run.group.visible = on; switches.update(); });
       label.append(line, run.run.label);
     } else item.append(line, run.run.label);
@@ -70,12 +70,14 @@ function addLegend(runs, switches) {
   }
   if (runs.some((run) => run.ghost)) {
     const item = element("li");
-    item.append(element("span", "line wanted"), "reference");
+    const line = element("span", "line wanted");
+    line.style.borderColor = referenceColor();
+    item.append(line, "reference");
     legend.append(item);
   }
 }
 
-const FEW = 3; // runs that are put side by side from the start; of more the first alone is shown
+const FEW = 3; // runs that are put side by side from the start; of more the first alone is shown that is no oracle
 
 const LAYERS = { reference: ["reference"], paths: ["paths", "wanted"], "tip trace": ["traces"], "hand frame": ["frames"] };
 

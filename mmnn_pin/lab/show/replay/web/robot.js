@@ -94,13 +94,13 @@ function edgesOf(THREE, geometry) {
 }
 
 /** The ghost: its outer surface, translucent, behind whatever is in the same place; its edges are seen there, too. */
-function ghostStyle(THREE, rgb) {
+function ghostStyle(THREE, color) {
   const offset = { polygonOffset: true, polygonOffsetFactor: 4, polygonOffsetUnits: 4 };
   const depth = new THREE.MeshBasicMaterial({ colorWrite: false, transparent: true, ...offset });
   const tint = new THREE.MeshStandardMaterial({
-    color: linear(THREE, rgb), roughness: 1, transparent: true, opacity: 0.4, depthWrite: false, ...offset,
+    color: flat(THREE, color), roughness: 1, transparent: true, opacity: 0.4, depthWrite: false, ...offset,
   });
-  const line = new THREE.LineBasicMaterial({ color: linear(THREE, rgb), transparent: true, opacity: 0.8 });
+  const line = new THREE.LineBasicMaterial({ color: flat(THREE, color), transparent: true, opacity: 0.8 });
   return (geometry) => {
     const parts = [depth, tint].map((material) => new THREE.Mesh(geometry, material));
     parts.push(new THREE.LineSegments(edgesOf(THREE, geometry), line));

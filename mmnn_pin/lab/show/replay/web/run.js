@@ -1,14 +1,19 @@
 const EVENT_COLORS = { stop: 0xe03024, slip: 0x9b3fd0, limit: 0xf0a020 } /* the worst first */;
-const GHOST = [0.25, 0.55, 0.85];
-const WANTED = 0x9aa4b2;
+const REFERENCE = { light: "#5b5bd6", dark: "#a3a3ff" }; // of the ghost and of its paths, which are dashed; no run has it
+const DASH = 0.07;
 const LONGEST_TRACE = 4000; // points
+
+/** The colour of what was asked for. */
+function referenceColor() {
+  return REFERENCE[isDark() ? "dark" : "light"];
+}
 
 /** One recorded run: its robot, its ghost, its paths, and where they are at a time. */
 class RunView {
   constructor(THREE, run, robot, geometries, { several, order }) {
     Object.assign(this, { THREE, run, robot, order });
     this.group = new THREE.Group();
-    this.color = isDark() && run.color === "#000000" ? "#F0F0F0" : run.color;
+    this.color = isDark() ? run.dark : run.color;
     const rgb = this.rgb = [1, 3, 5].map((i) => parseInt(this.color.slice(i, i + 2), 16) / 255);
     this.view = new RobotView(THREE, robot, geometries, solidStyle(THREE, several ? rgb : null, order));
     this.group.add(this.view.group);
@@ -21,7 +26,7 @@ class RunView {
     this.growing = [];
     this.step = Math.ceil(run.frames / LONGEST_TRACE);
     if (run.reference) {
-      this.ghost = new RobotView(THREE, robot, geometries, ghostStyle(THREE, GHOST));
+      this.ghost = new RobotView(THREE, robot, geometries, ghostStyle(THREE, referenceColor()));
       this.wished = new Float32Array(run.width);
       this.add("reference", this.ghost.group);
     }
@@ -34,20 +39,21 @@ class RunView {
     const { THREE, run, robot } = this, color = linear(THREE, this.rgb), wide = (factor) => factor * thickness;
     const [driven, traced] = [0, 0.12].map((paler) =>
       new THREE.MeshBasicMaterial({ color: color.clone().lerp(new THREE.Color(1, 1, 1), paler) }));
-    const grey = new THREE.MeshBasicMaterial({ color: flat(THREE, WANTED) });
+    const wish = new THREE.MeshBasicMaterial({ color: flat(THREE, referenceColor()) });
+    const want = (points, half) => this.addBand("wanted", points, half.map(wide), wish, wide(DASH));
     const grow = (layer, points, half, material) => this.growing.push(this.addBand(layer, points, half.map(wide), material));
     const above = wide(0.006 + 0.001 * this.order);
     if (robot.mobile) grow("paths", this.ground(run.position, above), [0.011, 0.0008], driven);
     const tips = this.hands.length ? [] : robot.tips; // a hand's own frame is traced in the place of the arm's tip
     for (const tip of tips) grow("traces", this.trace(run.position, tip), [0.005, 0.005], traced);
-    for (const { pose, wanted, axes, wish } of this.hands) {
+    for (const { pose, wanted, axes, wish: small } of this.hands) {
       grow("traces", this.drawn(pose), [0.005, 0.005], traced);
-      this.addBand("wanted", this.drawn(wanted), [0.003, 0.003].map(wide), grey);
-      for (const each of [axes, wish]) each.scale.setScalar(wide(0.12));
+      want(this.drawn(wanted), [0.003, 0.003]);
+      for (const each of [axes, small]) each.scale.setScalar(wide(0.12));
     }
     if (!run.reference) return;
-    if (robot.mobile) this.addBand("wanted", this.ground(run.reference, wide(0.004)), [0.02, 0.0004].map(wide), grey);
-    for (const tip of tips) this.addBand("wanted", this.trace(run.reference, tip), [0.003, 0.003].map(wide), grey);
+    if (robot.mobile) want(this.ground(run.reference, wide(0.004)), [0.02, 0.0004]);
+    for (const tip of tips) want(this.trace(run.reference, tip), [0.003, 0.003]);
   }
 
   add(layer, object) {
@@ -55,8 +61,8 @@ class RunView {
     this.group.add(object);
   }
 
-  addBand(layer, points, half, material) {
-    const band = makeBand(this.THREE, points, half, material);
+  addBand(layer, points, half, material, dash) {
+    const band = makeBand(this.THREE, points, half, material, dash);
     this.add(layer, band);
     return band;
   }
