@@ -111,7 +111,7 @@ class RunFile:
         self.path, self.rows, self.is_open = path, 0, True
         self._before = path.with_name(f".{path.name}.before") if force else None
         self._chunk_rows, self._row_bytes = _chunk_rows(expected), 8 * (layout.width + 1)
-        self._places = {name: layout.where(name) for name in columns}
+        self._row = _row_of({name: layout.where(name) for name in columns}, layout.width)
         self._flushed, self._weights = 0, dict[str, h5py.h5d.DatasetID]()
         with _in_memory(_empty(tuple(columns.items()), self._chunk_rows)) as file:
             _write_facts(file, meta, texts)
@@ -123,15 +123,15 @@ class RunFile:
         return h5py.File(self.path, "r+", locking=False)  # it is locked already
 
     @cached_property
-    def _tables(self) -> list[tuple[h5py.h5d.DatasetID, slice]]:
-        """Tables of the signals, with their places in a row."""
-        signals = self._file["signals"].id
-        return [(h5py.h5d.open(signals, name.encode()), where) for name, where in self._places.items()]
+    def _tables(self) -> dict[str, h5py.h5d.DatasetID]:
+        """Tables of the signals."""
+        signals = h5py.h5g.open(self._file.id, b"signals")
+        return {name: h5py.h5d.open(signals, name.encode()) for name in self._row.names or ()}
 
     @cached_property
     def _step_times(self) -> h5py.h5d.DatasetID:
         """Table of the step times."""
-        return h5py.h5d.open(self._file["timing"].id, b"step_time")
+        return h5py.h5d.open(self._file.id, b"timing/step_time")
 
     def write(self, rows: Array, step_times: Array) -> None:
         """Add rows (k, width) and the wall-clock times (k,) they took [s].
@@ -140,11 +140,12 @@ class RunFile:
             RecordingError: The disk is full or gone; the file is closed and holds the rows of the last flush.
         """
         chunks = -(-(self.rows + len(rows)) // self._chunk_rows) - -(-self.rows // self._chunk_rows)
+        signals = np.ascontiguousarray(rows).view(self._row)[:, 0]  # numpy copies a signal's numbers of a row at once
         with self._closing_on_failure():
             self._reserve(chunks * self._chunk_rows * self._row_bytes)
-            for table, where in self._tables:
-                _extend(table, rows[:, where], self.rows)
-            _extend(self._step_times, step_times[:, None], self.rows)
+            for name, table in self._tables.items():
+                _extend(table, signals[name].copy().view(float).reshape(len(rows), -1), self.rows, self._chunk_rows)
+            _extend(self._step_times, step_times, self.rows, self._chunk_rows)
         self.rows += len(rows)
 
     def flush(self) -> None:
@@ -167,10 +168,10 @@ class RunFile:
             self._reserve(sum(max(array.nbytes, 8192) for array in snapshots.values()))
             group = self._file.require_group("weights").id
             for name, array in snapshots.items():
+                rows = max(1, 8192 // max(array[0].nbytes, 1))
                 if name not in self._weights:
-                    rows = max(1, 8192 // max(array[0].nbytes, 1))
                     self._weights[name] = _table(group, name, array.shape[1:], rows, array.dtype)
-                _extend(self._weights[name], array, self._weights[name].shape[0])
+                _extend(self._weights[name], array, self._weights[name].shape[0], rows)
 
     def finish(self, outcome: Mapping[str, Any], final: Mapping[str, NDArray[Any]]) -> None:
         """Write how the run ended, mark the file complete and close it.
@@ -286,8 +287,8 @@ def stands_still(heap: bytes) -> bool:
 def _create(path: Path, before: Path | None, image: bytes) -> int:
     """Make the file, whole or not at all; its open and locked descriptor.
 
-    A complete recording that is replaced stays under the name `before` until its successor is complete; None replaces
-    nothing.
+    What is replaced stays under the name `before` until its successor is complete, but does not take the place of a
+    complete recording there, which a killed run left; None replaces nothing.
     """
     try:
         with ExitStack() as undo:
@@ -297,7 +298,7 @@ def _create(path: Path, before: Path | None, image: bytes) -> int:
             undo.callback(part.unlink, missing_ok=True)
             lock = _write_locked(part, image)
             undo.callback(os.close, lock)
-            if before is not None and _is_complete(path):
+            if before is not None and path.exists() and (not before.exists() or _is_complete(path)):
                 with suppress(OSError):  # a file system without links
                     before.unlink(missing_ok=True)
                     os.link(path, before)
@@ -422,12 +423,19 @@ def _table(
     return h5py.h5d.create(group, name.encode(), h5py.h5t.py_create(np.dtype(dtype), logical=True), space, dcpl=chunks)
 
 
-def _extend(table: h5py.h5d.DatasetID, rows: NDArray[Any], start: int) -> None:
+def _row_of(places: Mapping[str, slice], width: int) -> np.dtype[np.void]:
+    """A row of so many numbers as one record, each signal's part of it in one piece."""
+    formats = [f"V{8 * (place.stop - place.start)}" for place in places.values()]
+    offsets = [8 * place.start for place in places.values()]
+    return np.dtype({"names": [*places], "formats": formats, "offsets": offsets, "itemsize": 8 * width})
+
+
+def _extend(table: h5py.h5d.DatasetID, rows: NDArray[Any], start: int, chunk_rows: int) -> None:
     """Append rows to a table; one whole chunk goes past HDF5's cache of chunks."""
     shape = (start + len(rows), *table.shape[1:])
     rows = np.ascontiguousarray(rows.reshape(len(rows), *shape[1:]))
     table.set_extent(shape)
-    if not start and rows.shape == table.get_create_plist().get_chunk():
+    if not start and len(rows) == chunk_rows:
         table.write_direct_chunk((0,) * rows.ndim, rows)
         return
     target = h5py.h5s.create_simple(shape)

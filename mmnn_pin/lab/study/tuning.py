@@ -15,7 +15,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import chain
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -115,12 +114,12 @@ class Scorer:
             MmnnError: The pool is lost, or a run failed for a fault.
         """
         plan = self.plan(gains)
-        complaints = list(violations(plan))
-        if complaints:
+        if complaints := list(violations(plan)):
             share = len(complaints) / len(judged(plan))
             return Score(np.zeros(0), self.tune.quantile, share, complaints[0])
         metric = np.full(len(plan), math.inf)
-        for row, done in chain.from_iterable(execute(self.pool, plan, range(len(plan)), self.handed)):
+        groups = execute(self.pool, plan, range(len(plan)), self.handed)
+        for row, done in (pair for group in groups for pair in group):
             if done.status == "failed":
                 raise MmnnError(f"a run failed: {done.message}")
             metric[row.id] = worth(done.status, done.metrics, self.tune.objective)
