@@ -17,6 +17,7 @@ import click
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName
 from ..files import reason, way_out
+from .docs import docs
 from .embed import embed
 from .identify import excite, identify
 from .options import examples
@@ -58,6 +59,7 @@ class Commands(click.Group):
         "mmnn replay runs/track                          watch the runs in the browser",
         "mmnn report runs/track --html track.html        one page: verdict, numbers, plots",
         "mmnn list                                       all experiments, robots and controllers",
+        "mmnn docs                                       the pages of the documentation, here",
     ),
 )
 @click.version_option(__version__, prog_name="mmnn")
@@ -74,7 +76,7 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-JUDGING = (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, list_)
+JUDGING = (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, list_, docs)
 DEPLOYING = (ros2, embed, identify, excite)
 for command in (*JUDGING, *DEPLOYING):
     mmnn.add_command(command)

@@ -180,7 +180,7 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
         "--cluster",
         metavar="ADDRESS",
         help="Run on the Dask cluster of this scheduler, which can run any program here: name only one that you trust,"
-        " best by TLS (tls://...); see docs/how-to/cluster.md.",
+        " best by TLS (tls://...); see mmnn docs how-to/cluster.",
     ),
     CHANGES,
     click.option("--out", type=click.Path(path_type=Path), help="Folder for the database.  [default: runs/STUDY]"),

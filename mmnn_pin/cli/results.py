@@ -209,11 +209,11 @@ def prove(
 ) -> int:
     """Tell from one recording whether it learned Psi, whether its Lyapunov function falls, and what is guaranteed.
 
-    Psi: the fraction of its variance that the estimate leaves unexplained (FVU), online and with final weights held, on
-    the run's own trajectory, on another one and with a payload. Lyapunov function: V, its derivative term by term, when
-    and why it grows. Equality: whether the energy of the errors changes as the model says (docs/explanation/proof.md).
-    Certificate: a region that the loop provably never leaves, the bound it ends up in, how fast it may learn
-    (docs/explanation/theory.md). Exit code 1 when a run violates one of them.
+    Psi: the fraction of its variance that the estimate leaves unexplained (FVU), online and with final weights held,
+    on the run's own trajectory, on another one and with a payload. Lyapunov function: V, its derivative term by term,
+    when and why it grows. Equality: whether the energy of the errors changes as the model says (mmnn docs
+    explanation/proof). Certificate: a region that the loop provably never leaves, the bound it ends up in, how fast
+    it may learn (mmnn docs explanation/theory). Exit code 1 when a run violates one of them.
     """
     from ..lab.proof.balance import BUDGET
     from ..lab.proof.certified_run import prove as judge

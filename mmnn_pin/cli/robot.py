@@ -30,7 +30,7 @@ def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_jso
     """Check that ROBOT's model has the properties that the controllers' proofs assume.
 
     Checked are the mass matrix, properties 1 to 5 of the thesis, A S = 0, passivity, the bounds of M and C, and whether
-    the base is nonholonomic (docs/reference/checks.md).
+    the base is nonholonomic (mmnn docs reference/checks).
 
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. Every property is a number
     without a unit; its worst value over random states is compared with a tolerance. Exit code 1 when one fails.

@@ -107,7 +107,7 @@ def run(
     A contest (a file with a table [contest], such as the bundled one) runs all controllers on several tasks, each with
     several seeds, and then on trajectories that none of them was trained on, with what was learned held fixed and
     learning on. It prints a table per task and whether the targets are met, draws figures, and goes on where it was
-    stopped; docs/explanation/contest.md explains its numbers. With --controller the controllers that the others are
+    stopped; `mmnn docs explanation/contest` explains its numbers. With --controller the controllers that the others are
     measured by still run.
     """
     from ..lab.experiments.cases import chosen_cases

@@ -53,7 +53,7 @@ def study(
     """Make every run of STUDY.toml that is not in its database yet, then print what came out.
 
     A run that diverges is a row like any other. Rows are stored as they finish: after Ctrl-C, a kill or a crash the
-    same command goes on with what is missing. The file is explained in docs/how-to/studies.md.
+    same command goes on with what is missing. `mmnn docs how-to/studies` explains the file.
     """
     from ..lab.experiments.runner import window_notes
     from ..lab.show.study import render, to_dict

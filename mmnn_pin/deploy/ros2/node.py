@@ -123,7 +123,7 @@ class Bridge:
             if clock.monotonic() > deadline:
                 n = self.settings.network
                 why = f"domain {n.domain}, interface {n.interface}, peers {', '.join(n.peers)}, {patience:g} s"
-                raise InputError(lacking, why=why, fix="see docs/how-to/ros2.md, 'When nothing comes'")
+                raise InputError(lacking, why=why, fix="see `mmnn docs how-to/ros2`, 'When nothing comes'")
             clock.sleep(0.005)
 
     def missing(self) -> str:

@@ -11,7 +11,7 @@ from ...model.inspection import interfaces_of
 from ...model.robot import Robot
 from .settings import TRAJECTORY, TWIST_STAMPED, Network, Node
 
-EXAMPLE = """# {name} as a node of a ROS 2 graph: mmnn ros2 THIS_FILE. See `mmnn ros2 --help` and docs/how-to/ros2.md.
+EXAMPLE = """# {name} as a node of a ROS 2 graph: mmnn ros2 THIS_FILE. See `mmnn ros2 --help`, `mmnn docs how-to/ros2`.
 # Topics without a leading / get network.namespace.
 
 robot = "{robot}"             # name or URDF file

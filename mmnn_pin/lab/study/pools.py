@@ -288,7 +288,7 @@ def require_scheduler(address: str) -> None:
         why = f"{type(error).__name__}: {' '.join(str(error).split())}"
         fix = "give the address of a scheduler of the same version as here"
         if "TLS" in why or "encryption" in why:
-            fix = "use tls:// and name your certificates, see 'Whom you trust' in docs/how-to/cluster.md"
+            fix = "use tls:// and name your certificates, see 'Whom you trust' in `mmnn docs how-to/cluster`"
         raise StudyError(f"no Dask scheduler at {address}", why=why, fix=fix, key="--cluster") from None
     require_same_versions({"client": get_versions(), "scheduler": theirs, "workers": {}}, address)
 

@@ -269,7 +269,7 @@ def tuned_part(study: StudyFile) -> tuple[Tune, dict[str, Any]]:
     """
     tune = study.settings.tune
     if tune is None:
-        fix = "add [tune] and [tune.gains], see docs/how-to/studies.md"
+        fix = "add [tune] and [tune.gains], see `mmnn docs how-to/studies`"
         raise study.placed(ConfigError("nothing to tune", fix=fix, key="tune"))
     table, _ = changed_base(study)
     with placing(study.path):

@@ -221,7 +221,7 @@ def small(value: float) -> str:
 def certificate_parts(run: CertifiedRun) -> Iterator[str | Line | Table]:
     """Title, sentences and tables, in order."""
     yield ""
-    yield Line("Certificate (docs/explanation/theory.md)", "bold")
+    yield Line("Certificate (mmnn docs explanation/theory)", "bold")
     if run.certificate is None:
         yield f"Does not apply: {run.missing['certificate'].removeprefix('no certificate: ')}."
     else:
