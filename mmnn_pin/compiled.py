@@ -13,17 +13,11 @@ All run without the interpreter lock, and are kept in a file cache. numba's cach
 itself, so an edited callee would run stale; here the cache folder is keyed by a hash of all sources of the package.
 `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python. Large tuples go by address, too: `by_address`.
 
-What a block remembers is one flat array: from Python one array costs 0.15 us per call, a tuple of twelve 1.6 us.
-Compiled code sees it as a named tuple of views that `views` generates from the tuple's declaration:
+Code that depends on the type of an argument is chosen with `by_type`, parts of flat arrays are cut by `parts`.
 
-    class State(NamedTuple):
-        W: Matrix
-        samples: Vector
-
-    state_of = views(State)                             # in compiled code: o = state_of(values, layout)
-    layout = layout_of(State, {"samples": (1,), "W": (3, 4)})       # where the parts stand, whatever their order
-
-Code that depends on the type of an argument is chosen with `by_type`.
+numba optimises every function by itself, then with all that it calls at the lowest level, then at the highest; it links
+the runtime for memory into each, and looks for closures and for expressions of whole arrays. Functions here allocate
+nothing, are loops over numbers, and are optimised once (`Pipeline`): as fast, and a first run waits less.
 
 Our matrices are small: threads of a linear algebra library that wait for each other cost more than they compute. The
 command line limits them in the environment before numpy starts; in Python `@one_thread` does while a function runs.
@@ -32,49 +26,100 @@ command line limits them in the environment before numpy starts; in Python `@one
 from __future__ import annotations
 
 import hashlib
-import math
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property, partial, wraps
 from importlib import import_module
-from itertools import accumulate
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, ParamSpec, TypeVar, cast, get_type_hints
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
 from llvmlite.binding import add_symbol
-from numba.core.imputils import lower_builtin
-from numba.core.options import DefaultOptions
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import AnalysisPass, PassManager, register_pass
 from numba.core.registry import CPUDispatcher
-from numba.core.types import Array, Integer
-from numba.core.typing import signature
-from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.core.runtime.nrt import rtsys
+from numba.core.typed_passes import NativeLowering, NopythonRewrites
+from numba.core.untyped_passes import InlineClosureLikes, LiteralUnroll, RewriteDynamicRaises, WithLifting
 from numba.extending import overload
-from numba.np.arrayobj import make_array, populate_array
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-# Compiled functions allocate nothing; without numba's reference counts they run up to 1.5 times faster and compile in
-# less time. One that does allocate fails to compile, loudly.
-LEAN: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
+from .parts import spelled
 
+UNUSED = (InlineClosureLikes, LiteralUnroll, NopythonRewrites, RewriteDynamicRaises, WithLifting)  # of numba's passes
 MARKS = (b"@internal", b"@compiled", b"@linked", b"@inlined", b"@spliced")
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
-# Parts of a flat array, by their number of dimensions.
-Vector = Annotated[NDArray[np.float64], 1]
-Matrix = Annotated[NDArray[np.float64], 2]
-Cube = Annotated[NDArray[np.float64], 3]
-FIELDS: dict[type[Any], tuple[tuple[str, Any], ...]] = {}  # of the tuples of views: reading their hints is slow
-
 P = ParamSpec("P")
 R = TypeVar("R")
+
+
+class Library(JITCodeLibrary):
+    """Code of a function and of those that it takes in, optimised once and without the runtime for memory."""
+
+    def add_linking_library(self, library: Any) -> None:
+        """Take in what is called."""
+        if library is not rtsys.library:
+            super().add_linking_library(library)
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self) -> None:
+        manager, builder = self._codegen._module_pass_manager()
+        manager.run(self._final_module, builder)
+
+
+class Face(Library):
+    """Stands for a function that is called by its address: there is no code in it."""
+
+    def finalize(self) -> None:
+        """Nothing is compiled."""
+        self._shared_module, self._finalized = self._final_module, True
+
+
+@register_pass(mutates_CFG=False, analysis_only=True)
+class NewLibrary(AnalysisPass):
+    """The library into which a function is lowered."""
+
+    _name = "new_library"
+
+    def __init__(self) -> None:
+        AnalysisPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        """Give it to the lowering pass."""
+        state.library = Library(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return False
+
+
+class Pipeline(CompilerBase):
+    """numba's passes for compiled code, without those that are not used."""
+
+    def define_pipelines(self) -> list[PassManager]:
+        """All passes in their order."""
+        passes = PassManager("lean")
+        for one, what in DefaultPassBuilder.define_nopython_pipeline(self.state).passes:
+            if one is NativeLowering:
+                passes.add_pass(NewLibrary, "new library")
+            if one not in UNUSED:
+                passes.add_pass(one, what)
+        passes.finalize()
+        return [passes]
+
+
+# Compiled functions allocate nothing; without numba's reference counts they run up to 1.5 times faster and compile in
+# less time. One that does allocate fails to compile, loudly.
+LEAN: dict[str, Any] = {"_nrt": False, "no_cfunc_wrapper": True, "pipeline_class": Pipeline}
 
 
 def cache_root() -> Path:
@@ -93,7 +138,7 @@ def cache_folder() -> Path | None:
     package = Path(__file__).parent
     for source in sorted(package.rglob("*.py")):
         text = source.read_bytes()
-        if any(mark in text for mark in MARKS) or source.name == "signals.py":  # numbers that compiled code freezes
+        if any(mark in text for mark in MARKS) or source.name in ("signals.py", "parts.py"):
             digest.update(str(source.relative_to(package)).encode() + b"\0" + text)
     folder = cache_root() / digest.hexdigest()[:16]
     try:
@@ -200,10 +245,8 @@ def publish(dispatcher: Any, compilation: Any) -> None:
     name = f"{load.module}.{load.name}.{hashlib.sha256(given.encode()).hexdigest()[:16]}"
     add_symbol(name, library.get_pointer_to_function(fndesc.llvm_func_name))
     fndesc.mangled_name = name
-    face = target.codegen().create_library(name)
+    face = Face(target.codegen(), name)
     face._reload_init.add(load)
-    face.finalize()
-    face._shared_module = face._final_module
     target.remove_user_function(compilation.entry_point)
     target.insert_user_function(compilation.entry_point, fndesc, [face])
 
@@ -224,117 +267,6 @@ def entry(A: NDArray[np.float64], j: int, x: NDArray[np.float64]) -> float:
     return total
 
 
-def vector(values: NDArray[Any], start: int, size: int) -> NDArray[Any]:
-    """A part of a flat array; compiled code neither checks nor wraps its place."""
-    return values[start : start + size]
-
-
-def matrix(values: NDArray[Any], start: int, rows: int, columns: int) -> NDArray[Any]:
-    """A part of a flat array, row by row."""
-    return values[start : start + rows * columns].reshape((rows, columns))
-
-
-def cube(values: NDArray[Any], start: int, layers: int, rows: int, columns: int) -> NDArray[Any]:
-    """A part of a flat array, layer by layer."""
-    return values[start : start + layers * rows * columns].reshape((layers, rows, columns))
-
-
-PARTS = {1: vector, 2: matrix, 3: cube}  # by their number of dimensions
-
-
-class Part(AbstractTemplate):
-    """The type of a part of a flat array."""
-
-    def generic(self, args: Any, kws: Any) -> Any:
-        """A whole array of its own, of as many dimensions as sizes are given."""
-        values, ndim = args[0], len(args) - 2
-        if isinstance(values, Array) and values.ndim == 1 and values.layout == "C":
-            return signature(Array(values.dtype, ndim, "C"), values, *[numba.types.intp] * (ndim + 1))
-        return None
-
-
-def cut(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
-    """The code of a part: where it begins, and its sizes."""
-    values, made = make_array(given.args[0])(context, builder, arguments[0]), make_array(given.return_type)
-    part, sizes, strides = made(context, builder), arguments[2:], [values.itemsize]
-    for size in reversed(sizes[1:]):
-        strides.insert(0, builder.mul(strides[0], size))
-    populate_array(
-        part,
-        data=builder.gep(values.data, [arguments[1]]),
-        shape=sizes,
-        strides=strides,
-        itemsize=values.itemsize,
-        meminfo=values.meminfo,
-        parent=values.parent,
-    )
-    return part._getvalue()
-
-
-for ndim, function in PARTS.items():
-    infer_global(function)(type(function.__name__, (Part,), {"key": function}))
-    lower_builtin(function, Array, *[Integer] * (ndim + 1))(cut)
-
-
-@spliced
-def view(row: NDArray[np.float64], at: NDArray[np.int64], signal: int) -> NDArray[np.float64]:
-    """The part of a row that holds a signal, by the offsets of all signals and its place in `signals.INDEX`."""
-    return vector(row, at[signal], at[signal + 1] - at[signal])
-
-
-def views(kind: type[T]) -> Callable[[NDArray[np.float64], NDArray[np.int64]], T]:
-    """A function that makes a named tuple of views into a flat array, for compiled code: `(values, layout) -> kind`.
-
-    It is spliced into its callers, so it costs a few additions. Fields of the tuple are a `Vector`, a `Matrix`, a
-    `Cube` or another such tuple; `layout` is that of `layout_of`.
-    """
-    known: dict[str, Any] = {function.__name__: function for function in PARTS.values()}
-    text, _ = constructor(kind, known, 0)
-    view = spelled(f"def view(values, layout): return {text}", **known)
-    made = numba.njit(nogil=True, error_model="numpy", inline="always", **LEAN)(view)
-    return cast(Callable[[NDArray[np.float64], NDArray[np.int64]], T], made)
-
-
-def constructor(kind: type[Any], known: dict[str, Any], place: int) -> tuple[str, int]:
-    """The call that makes a tuple of views, whose layout begins at a place; and where it ends."""
-    known[kind.__name__], parts = kind, []
-    for _, part in fields_of(kind):
-        if not isinstance(part, int):
-            text, place = constructor(part, known, place)
-        else:
-            where = ", ".join(f"layout[{place + i}]" for i in range(part + 1))
-            text = f"{PARTS[part].__name__}(values, {where})"
-            place += 1 + part
-        parts.append(text)
-    return f"{kind.__name__}({', '.join(parts)})", place
-
-
-def fields_of(kind: type[Any]) -> tuple[tuple[str, Any], ...]:
-    """Names of a tuple's fields with their number of dimensions, or with the tuple that they are."""
-    if kind not in FIELDS:
-        hints = get_type_hints(kind, include_extras=True).items()
-        FIELDS[kind] = tuple((name, getattr(hint, "__metadata__", (hint,))[0]) for name, hint in hints)
-    return FIELDS[kind]
-
-
-def layout_of(kind: type[Any], shapes: Mapping[str, tuple[int, ...]]) -> NDArray[np.int64]:
-    """Start and shape of every field of a tuple of views; a field that the array does not have is empty.
-
-    Args:
-        kind: The tuple; fields of tuples within it have names of their own.
-        shapes: Name and shape of all parts of the flat array, in the order in which they stand there.
-    """
-    ends = accumulate((math.prod(shape) for shape in shapes.values()), initial=0)
-    starts = dict(zip(shapes, ends, strict=False))
-    found: list[int] = []
-    for name, part in fields_of(kind):
-        if not isinstance(part, int):
-            found += layout_of(part, shapes).tolist()
-        else:
-            found += [starts[name], *shapes[name]] if name in shapes else [0] * (1 + part)
-    return np.array(found, np.int64)
-
-
 def by_type(stub: F, argument: str, choose: Callable[[type], Callable[..., Any]]) -> F:
     """Let compiled code call, in place of a function, the one that belongs to the type of an argument.
 
@@ -352,19 +284,11 @@ def by_type(stub: F, argument: str, choose: Callable[[type], Callable[..., Any]]
     def chosen(*types: Any) -> Any:
         return spelled(f"def call({given}): return function({given})", function=choose(types[place].instance_class))
 
-    options: Any = {"nogil": True, "error_model": "numpy"} | LEAN
+    options: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
     # numba asks a function with the arguments of the stub
     resolve = spelled(f"def resolve({given}): return chosen({given})", chosen=chosen)
     overload(stub, jit_options=options, inline="always")(resolve)
     return stub
-
-
-def spelled(text: str, **known: Any) -> Any:
-    """The function that a text defines; its globals keep the text as `__source__`, for those who read it."""
-    known["__source__"] = text
-    name = text.removeprefix("def ").partition("(")[0]
-    exec(compile(text, f"<{name}>", "exec"), known)
-    return known[name]
 
 
 @cache

@@ -11,9 +11,10 @@ import math
 
 import numpy as np
 
-from .compiled import compiled, internal, view
+from .compiled import compiled, internal
 from .elementary import cos_sin
 from .model.base import BY_SIZE, velocity_command
+from .parts import view
 from .settings import Settings, one_or_each, require_gains
 from .signals import INDEX, Array, Dimensions, IntArray
 

@@ -21,23 +21,11 @@ from numba._dispatcher import compute_fingerprint
 
 from mmnn_pin import load_experiment
 from mmnn_pin.by_address import by_address
-from mmnn_pin.compiled import (
-    Cube,
-    Matrix,
-    Vector,
-    by_type,
-    compiled,
-    cube,
-    internal,
-    layout_of,
-    linked,
-    matrix,
-    vector,
-    views,
-)
+from mmnn_pin.compiled import by_type, compiled, internal, linked
 from mmnn_pin.loop.hardware import MotorSide
 from mmnn_pin.loop.latency import Transport
 from mmnn_pin.loop.servo import VelocityServo
+from mmnn_pin.parts import Cube, Matrix, Vector, cube, layout_of, matrix, vector, views
 from mmnn_pin.sensing import FrozenEncoders
 from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import CompiledController

@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ParamSpec
@@ -89,17 +90,32 @@ def compile_if_cold(hardware: bool = False) -> None:
     """
     from ..compiled import cache_folder, is_warm
 
+    tell = tell_what_compiles()
     if not is_warm():
-        click.echo("first run of this version: compiling takes about half a minute, later runs start at once", err=True)
+        click.echo("first run of this version: compiling takes about 15 s, later runs start at once", err=True)
         from ..loop.precompile import precompile
 
-        precompile()
+        precompile(tell)
     folder = cache_folder()
     if hardware and folder is not None and not (announced := folder / "hardware was announced").exists():
         parts = "sensors, motors, a supervisor or disturbances"
-        click.echo(f"first run with {parts}: their part of the loop is compiled, about 20 s more", err=True)
+        click.echo(f"first run with {parts}: their part of the loop is compiled, about 10 s more", err=True)
         with suppress(OSError):  # a full disk: it is announced again
             announced.touch()
+
+
+@cache
+def tell_what_compiles() -> Callable[[str], None]:
+    """From now on, a line on standard error every 10 s while something is compiled; what tells it."""
+    from ..loop.precompile import when_compiling
+
+    lines = Lines()
+
+    def tell(name: str) -> None:
+        lines.show(lambda: f"compiling {name}")
+
+    when_compiling(tell)
+    return tell
 
 
 class Lines:

@@ -15,13 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import compiled, copy_to, internal, view
+from ..compiled import compiled, copy_to, internal
 from ..disturbance import block
 from ..model.reduction import as_measured, quadratic
 from ..model.robot import Robot
 from ..model.tree.body import Body, Work, body_of, energy_of, evaluate, new_work
 from ..model.tree.dynamics import potential_energy
 from ..model.tree.twin import Twin, psi_of
+from ..parts import view
 from ..plant.integrators import METHODS, RK4, Joints, Terms, derivative, euler, rk4_stage
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact

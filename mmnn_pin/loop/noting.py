@@ -25,8 +25,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from .. import elementary
-from ..compiled import view
 from ..elementary import bits
+from ..parts import view
 from ..signals import INDEX
 
 MOST = 60_000  # operations: more take longer to compile than they ever gain

@@ -7,11 +7,16 @@ else that stands behind a hardware model is left out: it is compiled by the firs
 
 from __future__ import annotations
 
+import gc
 import os
-import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
+from numba.core.event import Listener, register
 
 from ..compiled import cache_folder, is_warm
 from ..elementary import arrays
@@ -32,20 +37,70 @@ from .lead import catch_up, reference_then
 from .sample import after_torque, before_torque
 
 
-def precompile() -> None:
+def precompile(tell: Callable[[str], None] = lambda name: None) -> None:
     """Compile the blocks on two cores, unless that was done, or cannot be kept.
 
     What it leaves out, also where the second process fails, is compiled when it is first called.
+
+    Args:
+        tell: Called every second with what is compiled while the second process goes on alone.
     """
     if is_warm() or cache_folder() is None or (os.cpu_count() or 1) < 2:
         return
-    quiet = subprocess.DEVNULL
-    other = subprocess.Popen([sys.executable, "-m", __name__], stdin=quiet, stdout=quiet, stderr=quiet)
+    context: Any = get_context("fork" if sys.platform == "linux" else "spawn")  # a fork has imported everything
+    other = context.Process(target=quietly, args=(call_plant_blocks,), daemon=True)
+    other.start()
     try:
-        call_control_blocks()
-        other.wait()
+        with no_collection():
+            call_control_blocks()
+        while other.is_alive():
+            other.join(1.0)
+            tell("the dynamics")
     finally:
         other.kill()
+
+
+def quietly(work: Callable[[], None]) -> None:
+    """Work in a process that prints nothing, nor says that Ctrl-C ended it."""
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for stream in range(3):
+        os.dup2(nowhere, stream)
+    with no_collection():
+        work()
+
+
+class Told(Listener):
+    """Hears from numba what is compiled, and tells its name.
+
+    Args:
+        tell: Called with the name of a function before it is compiled.
+    """
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self.tell = tell
+
+    def on_start(self, event: Any) -> None:
+        """A function is going to be compiled."""
+        self.tell(event.data["dispatcher"].py_func.__name__)
+
+    def on_end(self, event: Any) -> None:
+        """It is compiled."""
+
+
+def when_compiling(tell: Callable[[str], None]) -> None:
+    """From now on, tell the name of every function that this process compiles."""
+    register("numba:compile", Told(tell))
+
+
+@contextmanager
+def no_collection() -> Iterator[None]:
+    """Without Python's search for rings of objects, which takes a sixth of the time that numba's Python takes."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.freeze()  # what numba keeps is not searched again
 
 
 def call_control_blocks() -> None:
@@ -87,7 +142,3 @@ def call_plant_blocks() -> None:
     after_torque(row, layout.offsets, y, body.arm, np.eye(p), np.eye(p), 0.0, 0.0, np.ones(p))
     sums, windows = np.zeros(1), np.zeros((1, 2))
     accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
-
-
-if __name__ == "__main__":
-    call_plant_blocks()

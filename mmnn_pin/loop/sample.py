@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from .. import kinematic
-from ..compiled import compiled, copy_to, entry, linked, vector, view
+from ..compiled import compiled, copy_to, entry, linked
 from ..elementary.matrices import pseudo_inverse
 from ..model.robot import Robot
+from ..parts import vector, view
 from ..plant.contact.feet import Contact
 from ..settings import Timing
 from ..signals import INDEX, Array, IntArray, Layout

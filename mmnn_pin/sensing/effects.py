@@ -16,10 +16,11 @@ import math
 from typing import Any, NamedTuple
 
 from ..by_address import by_address
-from ..compiled import copy_to, internal, linked, view
+from ..compiled import copy_to, internal, linked
 from ..elementary import cos_sin
 from ..elementary.matrices import product
 from ..model.base.holonomic import moves_sideways
+from ..parts import view
 from ..signals import EARLY, INDEX, Array, IntArray
 
 POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]

@@ -44,10 +44,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import Matrix, Vector, compiled, internal, layout_of, linked, views
+from ..compiled import compiled, internal, linked
 from ..elementary.matrices import cholesky, inverse, product, solve, svd
 from ..errors import ConfigError
 from ..model.regressor import Massless, measured, regress
+from ..parts import Matrix, Vector, layout_of, views
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
 from .controller import Context, ControllerState, Law

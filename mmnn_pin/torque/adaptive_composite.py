@@ -19,9 +19,10 @@ import msgspec
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import Matrix, Vector, compiled, internal, layout_of, linked, views
+from ..compiled import compiled, internal, linked
 from ..elementary import exp
 from ..model.regressor import measured, regress
+from ..parts import Matrix, Vector, layout_of, views
 from ..settings import Settings, plain, require_numbers
 from ..signals import Array, IntArray
 from .adaptive import Adaptation, Adaptive, Estimate, adapt, look

@@ -26,8 +26,9 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import Vector, copy_to, layout_of, linked, views
+from ..compiled import copy_to, linked
 from ..model.regressor import Massless, Regressor, measured, regress
+from ..parts import Vector, layout_of, views
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law

@@ -27,11 +27,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import Vector, internal, layout_of, linked, views
+from ..compiled import internal, linked
 from ..elementary import exp
 from ..elementary.matrices import cholesky, product, solve, svd, triangle
 from ..elementary.normals import standard_normal
 from ..model.regressor import Massless, measured, regress
+from ..parts import Vector, layout_of, views
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
 from .adaptive import AdaptiveSettings

@@ -19,8 +19,8 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..compiled import fields_of
 from ..errors import ConfigError
+from ..parts import fields_of
 from ..settings import Numbers, Settings, one_or_each, plain, require_gain
 from ..settings.arguments import require_types
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint, VelocityCommand
@@ -87,7 +87,7 @@ class ControllerState:
         self[name][...] = value
 
     def view(self, kind: type[T]) -> T:
-        """The parts that a named tuple of views names, as compiled code sees them (`compiled.views`)."""
+        """The parts that a named tuple of views names, as compiled code sees them (`parts.views`)."""
         return kind(*(self[name] if isinstance(part, int) else self.view(part) for name, part in fields_of(kind)))
 
     def snapshot(self) -> ControllerState:

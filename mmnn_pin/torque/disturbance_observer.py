@@ -18,8 +18,9 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import Vector, layout_of, linked, views
+from ..compiled import linked
 from ..elementary import exp
+from ..parts import Vector, layout_of, views
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
 from .controller import CompiledController, Context, ControllerState, Feedback, Law

@@ -31,9 +31,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..compiled import Matrix, Vector, compiled, copy_to, internal
+from ..compiled import compiled, copy_to, internal
 from ..elementary import exp
 from ..errors import ConfigError
+from ..parts import Matrix, Vector
 from ..signals import INDEX, Array, IntArray
 
 if TYPE_CHECKING:

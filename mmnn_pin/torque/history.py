@@ -26,8 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compiled import Cube, Matrix, Vector, compiled, internal
+from ..compiled import compiled, internal
 from ..elementary import log
+from ..parts import Cube, Matrix, Vector
 from ..signals import Array
 
 

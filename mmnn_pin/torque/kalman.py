@@ -13,11 +13,11 @@ from typing import Any, ClassVar, Self
 import msgspec
 import numpy as np
 
-from ..compiled import layout_of
 from ..elementary.matrices import product
 from ..elementary.normals import standard_normal
 from ..errors import ConfigError
 from ..model.regressor import Regressor
+from ..parts import layout_of
 from ..settings import Settings, plain, require_at_most, require_numbers
 from ..settings.arguments import require_types
 from ..signals import Array, Layout

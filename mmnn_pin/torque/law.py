@@ -24,8 +24,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import Matrix, Vector, by_type, compiled, copy_to, entry, internal, layout_of, linked, view, views
+from ..compiled import by_type, compiled, copy_to, entry, internal, linked
 from ..elementary.matrices import pseudo_inverse
+from ..parts import Matrix, Vector, layout_of, view, views
 from ..signals import INDEX, Array, IntArray
 from .one_layer import ONE_LAYER, one_layer_output, one_layer_update
 from .two_layer import TWO_LAYER, hidden_input, project, two_layer_output, two_layer_update

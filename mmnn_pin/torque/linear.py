@@ -27,8 +27,9 @@ import math
 from typing import NamedTuple
 
 from ..by_address import by_address
-from ..compiled import Matrix, Vector, copy_to, internal, linked, views
+from ..compiled import copy_to, internal, linked
 from ..model.regressor import Massless, measured, regress
+from ..parts import Matrix, Vector, views
 from ..signals import INDEX, Array, IntArray
 from .factored import add, dot, measure, quadratic, times, variance
 from .filtered import Filter, Filtered, low_pass, period, remember

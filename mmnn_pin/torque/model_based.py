@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from ..compiled import layout_of
 from ..errors import ConfigError
+from ..parts import layout_of
 from ..signals import Array, Dimensions
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law
 from .law import SCHEDULED_GAIN, Schedule, constant_gain, packed

@@ -15,8 +15,8 @@ from typing import Any, Literal, Self
 import msgspec
 import numpy as np
 
-from ..compiled import layout_of
 from ..errors import ConfigError, UnknownName
+from ..parts import layout_of
 from ..settings import Settings, require_gains
 from ..signals import Array, Dimensions, Layout
 from . import law

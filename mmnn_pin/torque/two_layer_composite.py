@@ -30,9 +30,10 @@ import numpy as np
 from scipy.special import expit
 
 from ..by_address import by_address
-from ..compiled import Matrix, Vector, compiled, copy_to, internal, layout_of, linked, views
+from ..compiled import compiled, copy_to, internal, linked
 from ..elementary import exp
 from ..errors import ConfigError
+from ..parts import Matrix, Vector, layout_of, views
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Told, all_facts, read_facts

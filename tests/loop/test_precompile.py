@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
+from multiprocessing import get_context
+from types import SimpleNamespace
 
+import numba
 import pytest
 from numba import config
+from numba.core import event
+from numba.core.event import unregister
 
 from mmnn_pin.loop import precompile as module
 from mmnn_pin.loop.precompile import precompile
@@ -46,45 +52,87 @@ def test_a_run_compiles_only_the_loop_itself_after_it():
 
 
 class Process:
-    """Stands in for the second process."""
+    """Stands in for the second process, which lives for two looks at it."""
 
-    def __init__(self, fails: bool = False) -> None:
-        self.fails, self.calls = fails, []
+    def __init__(self, started: list, fails: bool = False) -> None:
+        self.started, self.fails, self.looks = started, fails, 2
 
-    def wait(self) -> int:
-        self.calls.append("wait")
+    def start(self) -> None:
+        self.started.append("start")
+
+    def is_alive(self) -> bool:
+        self.looks -= 1
+        return self.looks >= 0
+
+    def join(self, seconds: float) -> None:
+        self.started.append("join")
         if self.fails:
             raise KeyboardInterrupt
-        return 1
 
     def kill(self) -> None:
-        self.calls.append("kill")
+        self.started.append("kill")
 
 
 @pytest.fixture
 def started(monkeypatch, tmp_path):
-    """Commands that were started, on a machine with two cores and an empty cache."""
-    commands = []
+    """What was done, on a machine with two cores and an empty cache."""
+    done = []
+
+    def process(target, args, daemon):
+        done.append((target, args[0], daemon))
+        return Process(done, fails=module.FAILS)
+
+    monkeypatch.setattr(module, "FAILS", False, raising=False)
     monkeypatch.setattr(module, "is_warm", lambda: False)
     monkeypatch.setattr(module, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(module.os, "cpu_count", lambda: 2)
-    monkeypatch.setattr(module, "call_control_blocks", lambda: commands.append("control"))
-    monkeypatch.setattr(module, "PROCESS", Process(), raising=False)
-    monkeypatch.setattr(module.subprocess, "Popen", lambda command, **_: commands.append(command) or module.PROCESS)
-    return commands
+    monkeypatch.setattr(module, "call_control_blocks", lambda: done.append("control"))
+    monkeypatch.setattr(module, "get_context", lambda _: SimpleNamespace(Process=process))
+    return done
 
 
 def test_two_processes_share_the_work_and_the_second_one_is_ended(started):
-    precompile()
-    assert started == [[sys.executable, "-m", "mmnn_pin.loop.precompile"], "control"]
-    assert module.PROCESS.calls == ["wait", "kill"]
+    precompile(started.append)
+    plant = (module.quietly, module.call_plant_blocks, True)
+    assert started == [plant, "start", "control", "join", "the dynamics", "join", "the dynamics", "kill"]
 
 
 def test_ctrl_c_ends_the_second_process(started, monkeypatch):
-    monkeypatch.setattr(module, "PROCESS", Process(fails=True))
+    monkeypatch.setattr(module, "FAILS", True)
     with pytest.raises(KeyboardInterrupt):
         precompile()
-    assert module.PROCESS.calls == ["wait", "kill"]
+    assert started[-2:] == ["join", "kill"]
+
+
+def test_the_second_process_prints_nothing_and_works(tmp_path, capfd):
+    def work():
+        print("seen", flush=True)
+        (tmp_path / "done").write_text("done")
+
+    other = get_context("fork").Process(target=module.quietly, args=(work,))
+    other.start()
+    other.join(60.0)
+    assert other.exitcode == 0 and (tmp_path / "done").exists() and capfd.readouterr() == ("", "")
+
+
+def test_rings_of_objects_are_looked_for_again_afterwards():
+    with pytest.raises(KeyboardInterrupt), module.no_collection():
+        assert not gc.isenabled()
+        raise KeyboardInterrupt
+    assert gc.isenabled()
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_what_is_compiled_is_told_by_name():
+    told = []
+    before = list(event._registered["numba:compile"])
+    module.when_compiling(told.append)
+    (mine,) = [one for one in event._registered["numba:compile"] if one not in before]
+    try:
+        numba.njit(lambda x: x + 1.0)(1.0)
+    finally:
+        unregister("numba:compile", mine)
+    assert told == ["<lambda>"]
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ class Source:
 
 
 def source_of(function: Any) -> Source:
-    """Text and scope of a function; of one that has no text (made by `compiled.spelled`) its only expression."""
+    """Text and scope of a function; of one that has no text (made by `parts.spelled`) its only expression."""
     code = function.__code__
     scope = dict(function.__globals__)
     if function.__closure__:

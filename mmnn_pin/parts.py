@@ -1,0 +1,280 @@
+"""Parts of flat arrays in compiled code: elements, vectors, matrices, and named tuples of them, in few instructions.
+
+What a block remembers is one flat array: from Python one array costs 0.15 us per call, a tuple of twelve 1.6 us.
+Compiled code sees it as a named tuple of views that `views` generates from the tuple's declaration:
+
+    class State(NamedTuple):
+        W: Matrix
+        samples: Vector
+
+    state_of = views(State)                             # in compiled code: o = state_of(values, layout)
+    layout = layout_of(State, {"samples": (1,), "W": (3, 4)})       # where the parts stand, whatever their order
+
+numba knows none of it: it would type and lower the arithmetic of every place, and for every element copy the whole
+array to the stack to reach one number. Typing and lowering were more than half of what a first run takes, so all of
+these are single instructions for numba here. Functions that allocate (not `LEAN`) keep numba's own elements.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import accumulate
+from typing import Annotated, Any, TypeVar, cast, get_type_hints
+
+import numpy as np
+from llvmlite import ir
+from numba.core import types
+from numba.core.imputils import lower_builtin
+from numba.core.types import Array, Integer
+from numba.core.typing import signature
+from numba.core.typing.templates import AbstractTemplate, infer_global
+from numba.np.arrayobj import getitem_array_tuple, getitem_arraynd_intp, setitem_array
+from numpy.typing import NDArray
+
+T = TypeVar("T")
+
+# Parts of a flat array, by their number of dimensions.
+Vector = Annotated[NDArray[np.float64], 1]
+Matrix = Annotated[NDArray[np.float64], 2]
+Cube = Annotated[NDArray[np.float64], 3]
+FIELDS: dict[type[Any], tuple[tuple[str, Any], ...]] = {}  # of the tuples of views: reading their hints is slow
+
+MEMINFO, PARENT, ITEMS, ITEMSIZE, DATA, SHAPE, STRIDES = range(7)  # what numba's arrays consist of
+WORD = ir.IntType(64)
+
+
+def vector(values: NDArray[Any], start: int, size: int) -> NDArray[Any]:
+    """A part of a flat array; compiled code neither checks nor wraps its place."""
+    return values[start : start + size]
+
+
+def matrix(values: NDArray[Any], start: int, rows: int, columns: int) -> NDArray[Any]:
+    """A part of a flat array, row by row."""
+    return values[start : start + rows * columns].reshape((rows, columns))
+
+
+def cube(values: NDArray[Any], start: int, layers: int, rows: int, columns: int) -> NDArray[Any]:
+    """A part of a flat array, layer by layer."""
+    return values[start : start + layers * rows * columns].reshape((layers, rows, columns))
+
+
+PARTS = {1: vector, 2: matrix, 3: cube}  # by their number of dimensions
+
+
+def view(row: NDArray[np.float64], at: NDArray[np.int64], signal: int) -> NDArray[np.float64]:
+    """The part of a row that holds a signal, by the offsets of all signals and its place in `signals.INDEX`."""
+    return vector(row, at[signal], at[signal + 1] - at[signal])
+
+
+def views(kind: type[T]) -> Callable[[NDArray[np.float64], NDArray[np.int64]], T]:
+    """A function that makes a named tuple of views into a flat array: `(values, layout) -> kind`.
+
+    In compiled code it costs a few additions. Fields of the tuple are a `Vector`, a `Matrix`, a `Cube` or another such
+    tuple; `layout` is that of `layout_of`.
+    """
+    text, _ = constructor(kind, known := dict[str, Any]({made.__name__: made for made in PARTS.values()}), 0)
+    parts = spelled(f"def parts(values, layout): return {text}", **known)
+
+    def code(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
+        places = (load(builder, arguments[1], WORD(place)) for place in range(10**6))
+        return make(given.return_type, context, builder, (given.args[0], arguments[0]), places)
+
+    def typed(values: Any, layout: Any) -> Any:
+        flat = all(isinstance(one, Array) and one.ndim == 1 and one.layout == "C" for one in (values, layout))
+        return tuple_type(kind, values.dtype) if flat else None
+
+    instruction(parts, typed, code, Array, Array)
+    return cast(Callable[[NDArray[np.float64], NDArray[np.int64]], T], parts)
+
+
+def constructor(kind: type[Any], known: dict[str, Any], place: int) -> tuple[str, int]:
+    """The call that makes a tuple of views, whose layout begins at a place; and where it ends."""
+    known[kind.__name__], parts = kind, []
+    for _, part in fields_of(kind):
+        if not isinstance(part, int):
+            text, place = constructor(part, known, place)
+        else:
+            where = ", ".join(f"layout[{place + i}]" for i in range(part + 1))
+            text = f"{PARTS[part].__name__}(values, {where})"
+            place += 1 + part
+        parts.append(text)
+    return f"{kind.__name__}({', '.join(parts)})", place
+
+
+def spelled(text: str, **known: Any) -> Any:
+    """The function that a text defines; its globals keep the text as `__source__`, for those who read it."""
+    known["__source__"] = text
+    name = text.removeprefix("def ").partition("(")[0]
+    exec(compile(text, f"<{name}>", "exec"), known)
+    return known[name]
+
+
+def tuple_type(kind: type[Any], dtype: Any) -> Any:
+    """Numba's type of a tuple of views."""
+    parts = [
+        Array(dtype, part, "C") if isinstance(part, int) else tuple_type(part, dtype) for _, part in fields_of(kind)
+    ]
+    return types.BaseTuple.from_types(parts, kind)
+
+
+def fields_of(kind: type[Any]) -> tuple[tuple[str, Any], ...]:
+    """Names of a tuple's fields with their number of dimensions, or with the tuple that they are."""
+    if kind not in FIELDS:
+        hints = get_type_hints(kind, include_extras=True).items()
+        FIELDS[kind] = tuple((name, getattr(hint, "__metadata__", (hint,))[0]) for name, hint in hints)
+    return FIELDS[kind]
+
+
+def layout_of(kind: type[Any], shapes: Mapping[str, tuple[int, ...]]) -> NDArray[np.int64]:
+    """Start and shape of every field of a tuple of views; a field that the array does not have is empty.
+
+    Args:
+        kind: The tuple; fields of tuples within it have names of their own.
+        shapes: Name and shape of all parts of the flat array, in the order in which they stand there.
+    """
+    ends = accumulate((math.prod(shape) for shape in shapes.values()), initial=0)
+    starts = dict(zip(shapes, ends, strict=False))
+    found: list[int] = []
+    for name, part in fields_of(kind):
+        if not isinstance(part, int):
+            found += layout_of(part, shapes).tolist()
+        else:
+            found += [starts[name], *shapes[name]] if name in shapes else [0] * (1 + part)
+    return np.array(found, np.int64)
+
+
+def instruction(function: Any, typed: Callable[..., Any], code: Callable[..., Any], *kinds: Any) -> None:
+    """Let compiled code make a call of a function by a piece of its own code.
+
+    Args:
+        function: What plain Python does.
+        typed: Types of the arguments -> type of the result, None where the function does not take them.
+        code: Writes the code, as one of numba's lowering functions.
+        kinds: Classes of the arguments' types.
+    """
+
+    def generic(template: Any, args: Any, kws: Any) -> Any:
+        made = typed(*args)
+        given = [one if isinstance(one, Array) else types.intp for one in args]
+        return None if made is None else signature(made, *given)
+
+    template = type(function.__name__, (AbstractTemplate,), {"key": function, "generic": generic})
+    infer_global(function, types.Function(template))
+    lower_builtin(function, *kinds)(code)
+
+
+def part_type(values: Any, *places: Any) -> Any:
+    """The type of a part of a flat array: a whole array, of as many dimensions as sizes are given."""
+    flat = isinstance(values, Array) and values.ndim == 1 and values.layout == "C"
+    return Array(values.dtype, len(places) - 1, "C") if flat else None
+
+
+def part_code(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
+    """The code of a part by its start and sizes."""
+    return make(given.return_type, context, builder, (given.args[0], arguments[0]), iter(arguments[1:]))
+
+
+def view_type(row: Any, at: Any, signal: Any) -> Any:
+    """The type of a signal in a row."""
+    flat = all(isinstance(one, Array) and one.ndim == 1 and one.layout == "C" for one in (row, at))
+    return Array(row.dtype, 1, "C") if flat else None
+
+
+def view_code(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
+    """The code of a signal in a row."""
+    row, at, signal = arguments
+    start, end = load(builder, at, signal), load(builder, at, builder.add(signal, WORD(1)))
+    places = iter((start, builder.sub(end, start)))
+    return make(given.return_type, context, builder, (given.args[0], row), places)
+
+
+def make(kind: Any, context: Any, builder: Any, source: tuple[Any, Any], places: Iterator[Any]) -> Any:
+    """A part of a flat array, or a tuple of them, at the places that come next: start and sizes of each."""
+    if hasattr(kind, "types"):
+        return context.make_tuple(builder, kind, [make(one, context, builder, source, places) for one in kind.types])
+    values, start = source[1], next(places)
+    sizes = [next(places) for _ in range(kind.ndim)]
+    strides = [WORD(context.get_abi_sizeof(context.get_data_type(kind.dtype)))]
+    for size in reversed(sizes[1:]):
+        strides.insert(0, builder.mul(strides[0], size))
+    items = sizes[0]
+    for size in sizes[1:]:
+        items = builder.mul(items, size)
+    data = builder.gep(builder.extract_value(values, DATA), [start])
+    parts = {ITEMS: items, ITEMSIZE: strides[-1], DATA: data}
+    array = ir.Constant(context.get_value_type(kind), ir.Undefined)
+    for place in (MEMINFO, PARENT):
+        array = builder.insert_value(array, builder.extract_value(values, place), place)
+    for place, value in parts.items():
+        array = builder.insert_value(array, value, place)
+    for place, words in ((SHAPE, sizes), (STRIDES, strides)):
+        for i, word in enumerate(words):
+            array = builder.insert_value(array, word, (place, i))
+    return array
+
+
+def load(builder: Any, array: Any, place: Any) -> Any:
+    """The number at a place of a vector."""
+    return builder.load(builder.gep(builder.extract_value(array, DATA), [place]))
+
+
+for ndim, part in PARTS.items():
+    instruction(cast(Any, part), part_type, part_code, Array, *[Integer] * (ndim + 1))
+instruction(view, view_type, view_code, Array, Array, Integer)
+
+
+def is_plain(context: Any, kind: Any, places: Sequence[Any]) -> bool:
+    """Whether an element of whole numbers or floats in a whole array is meant, in a function that allocates nothing."""
+    dtype = kind.dtype in (types.float64, types.int64)
+    whole = len(places) == kind.ndim and all(isinstance(one, Integer) for one in places)
+    return dtype and whole and kind.layout == "C" and kind.aligned and not context.enable_nrt
+
+
+def element(context: Any, builder: Any, array: Any, places: Sequence[tuple[Any, Any]]) -> Any:
+    """The address of an element, by types and values of its indices; negative ones count from the end."""
+    place = None
+    for axis, (kind, given) in enumerate(places):
+        literal = isinstance(kind, types.IntegerLiteral)
+        index = WORD(kind.literal_value) if literal else context.cast(builder, given, kind, types.intp)
+        size = builder.extract_value(array, (SHAPE, axis))
+        if kind.signed and not (isinstance(index, ir.Constant) and index.constant >= 0):
+            behind = builder.icmp_signed("<", index, WORD(0))
+            index = builder.select(behind, builder.add(index, size), index)
+        place = index if place is None else builder.add(builder.mul(place, size), index)
+    return builder.gep(builder.extract_value(array, DATA), [place])
+
+
+def kinds(place: Any) -> tuple[Any, ...]:
+    """Types of indices."""
+    return tuple(getattr(place, "types", (place,)))
+
+
+def indices(kind: Any, value: Any, builder: Any) -> list[tuple[Any, Any]]:
+    """Types and values of indices."""
+    if not hasattr(kind, "types"):
+        return [(kind, value)]
+    return [(one, builder.extract_value(value, i)) for i, one in enumerate(kind.types)]
+
+
+@lower_builtin(operator.getitem, Array, Integer)
+@lower_builtin(operator.getitem, Array, types.BaseTuple)
+def get(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
+    """The code that reads an element."""
+    kind, place = given.args
+    if not is_plain(context, kind, kinds(place)):
+        own = getitem_array_tuple if isinstance(place, types.BaseTuple) else getitem_arraynd_intp
+        return own(context, builder, given, arguments)
+    return builder.load(element(context, builder, arguments[0], indices(place, arguments[1], builder)))
+
+
+@lower_builtin(operator.setitem, Array, types.Any, types.Any)
+def put(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
+    """The code that writes an element."""
+    kind, place, value = given.args
+    if not is_plain(context, kind, kinds(place)) or not isinstance(value, types.Number):
+        return setitem_array(context, builder, given, arguments)
+    number = context.cast(builder, arguments[2], value, kind.dtype)
+    builder.store(number, element(context, builder, arguments[0], indices(place, arguments[1], builder)))
+    return context.get_dummy_value()
