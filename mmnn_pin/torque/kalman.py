@@ -18,13 +18,23 @@ from ..elementary.normals import standard_normal
 from ..errors import ConfigError
 from ..model.regressor import Regressor
 from ..parts import layout_of
-from ..settings import Settings, plain, require_at_most, require_numbers
+from ..settings import plain
 from ..settings.arguments import require_types
 from ..signals import Array, Layout
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Machine, Told
+from .correction import Correction, new_correction
 from .factored import NEGLIGIBLE, factors, left
 from .filtered import new_filter, parts
 from .friction_features import columns, friction, shipped
+from .kalman_settings import (
+    SETTINGS,
+    KalmanBilinearSettings,
+    KalmanFeaturesSettings,
+    KalmanFrictionSettings,
+    KalmanRegressorSettings,
+    KalmanSettings,
+    RandomFeatures,
+)
 from .law import constant_gain
 from .linear import Linear, Parts
 from .prior import identified, within_prior
@@ -32,159 +42,6 @@ from .random_features import BILINEAR, GENERIC, Random, at_rest, fill, new_rando
 
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
 SAMPLES = 300  # of random motion
-MOST = 2000  # random features: the covariance holds their square
-
-
-class KalmanSettings(Settings, frozen=True):
-    """How a linear learner learns; all numbers are measured by the feedback, so one set suits robots of any size.
-
-    Args:
-        noise: Standard deviation of what filtered torque says, divided by K [m/s, rad/s]: the velocity error that the
-            feedback would need to hide it. Noise of the sensors and what the features cannot say.
-        prior: Standard deviation of Psi before anything is learned, on random motion at 1 m/s and 1 rad/s, over K.
-        drift: Part of the prior variance that comes back in a second [1/s], so that changes are learned. 0 never
-            forgets; where nothing excites, the variance returns to the prior at most.
-        tracking: How fast the weights answer the tracking error where nothing is known yet [1/s].
-        bound: Largest weights, as root mean square in standard deviations of the prior.
-        pole: Low-pass on features and filtered torque [1/s].
-        state_pole: Low-pass on states and torque ahead of the features [1/s]; 0 for none.
-        interval: Time from one update to the next [s], at least a control period.
-        alarm: Where the square of its errors is suddenly so many times what it was in the last seconds, the robot has
-            changed: what it carries is learned anew. 0 for never.
-
-    Raises:
-        ConfigError: A number that is negative, not finite, huge or 0 where it must not be.
-    """
-
-    noise: float = 0.03
-    prior: float = 1.0
-    drift: float = 1e-4
-    tracking: float = 1.0
-    bound: float = 3.0
-    pole: float = 5.0
-    state_pole: float = 60.0
-    interval: float = 0.01
-    alarm: float = 0.0
-
-    section: ClassVar[str] = ""
-    excited: ClassVar[float] = 0.5  # share of the prior variance of Psi above which it says that it was not excited
-    needs_regressor: ClassVar[bool] = False
-    needs_nominal: ClassVar[bool] = False
-    positive: ClassVar[tuple[str, ...]] = ("noise", "prior", "bound", "interval")
-
-    def __post_init__(self) -> None:
-        require_numbers(self, self.section, self.positive)
-
-
-class KalmanRegressorSettings(KalmanSettings, frozen=True):
-    """`kalman_regressor`: Phi is the regressor of a robot whose masses are not known; arguments as in `KalmanSettings`.
-
-    What it can say is true, so a wide prior costs nothing, and friction of small joints needs one.
-
-    Args:
-        start: A file `NAME.identified.json` of `mmnn identify`: it begins with the parameters found there, and knows
-            them as well as their covariance says; empty for nothing known.
-    """
-
-    noise: float = 0.1
-    prior: float = 10.0
-    start: str = ""
-
-    section: ClassVar[str] = "kalman.regressor"
-    excited: ClassVar[float] = 0.1  # the velocities share what is learned: a little excitation tells them much
-    needs_regressor: ClassVar[bool] = True
-
-
-class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
-    """`kalman_friction`: the regressor, friction features learned offline, and a constant per velocity that changes.
-
-    Args:
-        friction: Standard deviation of what the features say before anything is learned, over K [m/s, rad/s].
-        constant: Standard deviation of the constants, likewise.
-        change: Part of a constant's prior variance that comes back in a second [1/s].
-    """
-
-    noise: float = 0.2
-    pole: float = 7.0
-    friction: float = 0.2
-    constant: float = 0.03
-    change: float = 0.1
-    alarm: float = 3.0
-
-    section: ClassVar[str] = "kalman.friction"
-    positive: ClassVar[tuple[str, ...]] = (*KalmanRegressorSettings.positive, "friction", "constant", "change")
-
-
-class RandomFeatures(KalmanSettings, frozen=True):
-    """Random features, see `torque.random_features`.
-
-    Args:
-        hidden: Random functions, at least; 2000 at most.
-        weights: Standard deviation of their weights on every input.
-        linear: Ratio of the prior variances of features without and with a random function.
-        gravity: Standard deviation of what is there at rest, a share of what the arm's motors can give (the median of
-            the joints); at least what `prior` gives it. Gravity over K is g / (b l) for a link of length l that K gives
-            the bandwidth b: some tens of a small arm's prior, and little of a geared arm's.
-        eps: Speed over which dry friction turns [rad/s or m/s].
-    """
-
-    drift: float = 3e-5
-    hidden: int = 25
-    weights: float = 0.3
-    linear: float = 10.0
-    gravity: float = 0.2
-    eps: float = 0.03
-
-    positive: ClassVar[tuple[str, ...]] = (*KalmanSettings.positive, "hidden", "linear", "eps")
-    most: ClassVar[dict[str, int]] = {"hidden": MOST}
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_at_most(self, self.section, self.most)
-
-
-class KalmanBilinearSettings(RandomFeatures, frozen=True):
-    """`kalman_bilinear`: random functions of the arm's joints times what is linear or bilinear.
-
-    Args:
-        largest: Most features with a random function, 2000 at most; a robot with many joints has fewer than `hidden`
-            times its terms.
-    """
-
-    largest: int = 400
-
-    section: ClassVar[str] = "kalman.bilinear"
-    positive: ClassVar[tuple[str, ...]] = (*RandomFeatures.positive, "largest")
-    most: ClassVar[dict[str, int]] = {"hidden": MOST, "largest": MOST}
-
-
-class KalmanFeaturesSettings(RandomFeatures, frozen=True):
-    """`kalman_features`: random functions of everything.
-
-    Args:
-        speed: What velocities are divided by ahead of them [m/s, rad/s].
-        acceleration: What accelerations are divided by [m/s^2, rad/s^2].
-    """
-
-    hidden: int = 300
-    weights: float = 0.5
-    speed: float = 3.0
-    acceleration: float = 20.0
-
-    section: ClassVar[str] = "kalman.features"
-    positive: ClassVar[tuple[str, ...]] = (*RandomFeatures.positive, "speed", "acceleration")
-
-
-class KalmanResidualSettings(KalmanBilinearSettings, frozen=True):
-    """`kalman_residual`: a nominal model (`[nominal]` in an experiment), and bilinear features for what it leaves."""
-
-    section: ClassVar[str] = "kalman.residual"
-    needs_regressor: ClassVar[bool] = True
-    needs_nominal: ClassVar[bool] = True
-
-
-KINDS = (KalmanRegressorSettings, KalmanFrictionSettings, KalmanBilinearSettings, KalmanFeaturesSettings)
-SETTINGS = {f"kalman_{kind.section.partition('.')[2]}": kind for kind in (*KINDS, KalmanResidualSettings)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,6 +157,7 @@ class Kalman(CompiledController):
             known=None if self.regressor is None else self.regressor.workspace(),
             random=self.random(),
             friction=friction() if self.beside else None,
+            correction=self.correction(context),
             filter=new_filter(context, own.pole, own.state_pole),
             gain=K,
             learning=self.learning,
@@ -321,13 +179,22 @@ class Kalman(CompiledController):
         )
         return Law(constant_gain(K), linear)
 
+    def correction(self, context: Context) -> Correction | None:
+        """What follows the tracking error, with room of its own to work in; None for the others."""
+        own = self.settings
+        if not isinstance(own, KalmanFrictionSettings) or own.correction == 0.0:
+            return None
+        K = self.feedback.vector(context.layout)
+        return new_correction(context, K, self.typical(), own.correction, own.leakage, own.desired)
+
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """Weights and covariance, what the filter remembers, what was drawn."""
         (rows, k, m), random, p = self.shape, self.random(), len(self.machine.velocities)
         drawn = (0, 0) if random is None else (random.units, random.inputs)
         moved = (2, rows * (self.beside - 1)) if self.beside else (0, 0)
         own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (5,), "expected": (rows,), "level": (p,)}
-        return {**own, **parts(context, rows, k), "a": drawn, "b": drawn[:1], "moved": moved}
+        corrected = {"w": (k,), "when": (1,)} if self.beside else {"w": (0,), "when": (0,)}
+        return {**own, **parts(context, rows, k), "a": drawn, "b": drawn[:1], "moved": moved, **corrected}
 
     def init(self, context: Context) -> ControllerState:
         """No weights yet, the prior, and the random functions, drawn from the run's seed."""
@@ -364,14 +231,14 @@ class Kalman(CompiledController):
         covariance = np.pad(covariance, (0, state["D"].size - theta.size))
         state["U"], state["D"] = factors(within_prior(covariance, state["prior"]))
 
-    def typical(self, state: ControllerState, seed: int = 0) -> Array:
+    def typical(self, state: ControllerState | None = None, seed: int = 0) -> Array:
         """Features of random motion at 1 m/s, 1 rad/s, 1 m/s^2, 1 rad/s^2, (samples, rows, k)."""
         rng, random, p = np.random.default_rng(seed), self.random(), len(self.machine.velocities)
         (lower, upper), n = self.machine.ranges, self.machine.lower.size
         Phi, learned = np.zeros((SAMPLES, *self.shape[:2])), friction()
         for one in Phi:
             q, (nu, nu_ref, nudot_ref) = rng.uniform(lower, upper), standard_normal(rng, (3, p))
-            if random is not None:
+            if random is not None and state is not None:
                 fill(random, state["a"], state["b"], q, nu[: p - n], nu[p - n :], nu_ref, nudot_ref, one[0])
             elif self.regressor is not None:
                 known = self.regressor.massless

@@ -31,6 +31,7 @@ from ..compiled import copy_to, internal, linked
 from ..model.regressor import Massless, measured, regress
 from ..parts import Matrix, Vector, views
 from ..signals import INDEX, Array, IntArray
+from .correction import Corrected, Correction, correct, desired, follow_error
 from .factored import add, dot, measure, quadratic, times, variance
 from .filtered import Filter, Filtered, low_pass, period, remember
 from .friction_features import Friction, beside, follow
@@ -56,6 +57,7 @@ class Linear(NamedTuple):
         known: The robot without its masses, or None.
         random: Random features, or None: then Phi begins with the regressor of `known`.
         friction: Friction features that follow it, and then a constant per velocity; None for none of both.
+        correction: What follows the tracking error beside them (`torque.correction`), or None.
         filter: Of torque and features.
         gain: (p,) K.
         learning: Off keeps the weights.
@@ -80,6 +82,7 @@ class Linear(NamedTuple):
     known: Massless | None
     random: Random | None
     friction: Friction | None
+    correction: Correction | None
     filter: Filter
     gain: Array
     learning: bool
@@ -114,6 +117,7 @@ class Parts(NamedTuple):
         filtered: What the filter remembers.
         a, b: (units, inputs), (units,) what the random features drew.
         moved: (2, p d) friction features of the last sample, and behind the filter of states and torque.
+        corrected: What the correction remembers.
     """
 
     W: Matrix
@@ -127,6 +131,7 @@ class Parts(NamedTuple):
     a: Matrix
     b: Vector
     moved: Matrix
+    corrected: Corrected
 
 
 parts_of = views(Parts)
@@ -135,7 +140,7 @@ parts_of = views(Parts)
 @linked
 def estimate(row: Array, at: IntArray, a: Linear, state: Array) -> None:
     """Psi_hat and gain of one sample, then the update of the weights."""
-    learn(row, at, a, a.known, a.random, a.friction, parts_of(state, a.layout))
+    learn(row, at, a, a.known, a.random, a.friction, a.correction, parts_of(state, a.layout))
 
 
 @linked
@@ -147,7 +152,7 @@ def settle(row: Array, at: IntArray, a: Linear, state: Array) -> None:
 @internal
 def learn(
     row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None, friction: Friction | None,
-    o: Parts,
+    correction: Correction | None, o: Parts,
 ) -> None:  # fmt: skip
     """Psi_hat and gain of one sample, then the update of the weights.
 
@@ -158,6 +163,7 @@ def learn(
         known: `a.known`, as an argument: what a run does not have is not compiled for it.
         random: `a.random`, likewise.
         friction: `a.friction`, likewise.
+        correction: `a.correction`, likewise; it has features of `known`.
         o: What it remembers.
     """
     p = a.gain.size
@@ -167,9 +173,15 @@ def learn(
              nudot_ref)  # fmt: skip
     if friction is not None:
         beside(row, at, friction, a.Phi)
+    if correction is not None and known is not None:
+        desired(row, at, correction, known, a.gain, a.Phi)
     say(row, at, a, o)
+    if correction is not None:
+        correct(row, at, correction, o.corrected)
     if not a.learning:
         return
+    if correction is not None:
+        follow_error(row, at, correction, a.gain, o.corrected)
     f, now = a.filter, int(o.counts[0]) % a.every == 0
     o.counts[0] += 1.0
     if now:

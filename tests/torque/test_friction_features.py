@@ -101,7 +101,7 @@ def relearned(alarm: float, jump: float = 5.0, interval: float = 0.01) -> tuple[
     """Updates after which a parameter that has jumped stays known, and the updates at which a change was seen."""
     k, rng = 3, np.random.default_rng(0)
     own = {"W": (1, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (5,), "expected": (1,), "level": (1,)}
-    state = ControllerState.of(**own, **parts(CONTEXT, 1, k), a=(0, 0), b=(0,), moved=(0, 0))
+    state = ControllerState.of(**own, **parts(CONTEXT, 1, k), a=(0, 0), b=(0,), moved=(0, 0), w=(0,), when=(0,))
     state["D"], state["prior"] = 100.0, 100.0
     o, f = state.view(Parts), new_filter(CONTEXT, 5.0)
     sizes = {"noise": 0.01, "interval": interval, "drift": 1e-9, "change": 0.0, "alarm": alarm, "gain": np.ones(1)}
@@ -136,7 +136,7 @@ def test_noise_is_no_change_of_a_robot(interval: float) -> None:
 
 def test_variance_that_comes_back_stops_at_the_prior() -> None:
     k = 2
-    o = Parts(np.zeros((1, k)), np.zeros((k, k)), np.array([1.0, 4.0]), np.full(k, 4.0), np.zeros(5), *[None] * 6)  # type: ignore[arg-type]
+    o = Parts(np.zeros((1, k)), np.zeros((k, k)), np.array([1.0, 4.0]), np.full(k, 4.0), np.zeros(5), *[None] * 7)  # type: ignore[arg-type]
     a = Linear(**dict.fromkeys(Linear._fields) | {"work": np.zeros((4, k))})  # type: ignore[arg-type]
     for _ in range(5):
         drift(a, o, 0, 0.5)

@@ -35,13 +35,12 @@ from mmnn_pin.signals import INDEX, Layout, Measurement, Setpoint
 from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Context
 from mmnn_pin.torque.factored import measure
-from mmnn_pin.torque.kalman import (
-    Kalman,
+from mmnn_pin.torque.kalman import Kalman, factors
+from mmnn_pin.torque.kalman_settings import (
     KalmanBilinearSettings,
     KalmanFeaturesSettings,
     KalmanRegressorSettings,
     KalmanResidualSettings,
-    factors,
 )
 from mmnn_pin.torque.law import limit, motor_limits
 from mmnn_pin.torque.linear import Parts, estimate, project, track

@@ -1,0 +1,168 @@
+"""A correction beside a linear learner: features of the reference, weights that follow the tracking error. Compiled.
+
+    Psi_w = F(t) w,    w' = Gamma F(t)' s - leakage w,    F = Phi_d / sqrt(max(1, tr(K^-1 Phi_d Gamma Phi_d') / (p c)))
+
+Filtered torque says what the robot is, some tenths of a second late, and nothing of what its equations do not hold:
+half a period without lead, a load that was just picked up, motors at their limits. That shows in s at once. Phi_d are
+the features of the desired motion, q_ref in place of q and the reference's velocity in place of nu and nu_ref: the
+desired compensation of Sadegh and Horowitz 1990 (Int. J. Robotics Research 9(3)). They are a function of time alone, so
+they carry no noise and are no feedback; and for any robot, known or not, the map from s to Psi_w is passive:
+
+    (w' Gamma^-1 w / 2)' = s' Psi_w - leakage w' Gamma^-1 w.
+
+So V with this term added has in its derivative what it has without a correction, and `- leakage w' Gamma^-1 w`. As
+`tr(K^-1 F Gamma F') <= p c`, the correction never is more than a feedback of p c / leakage times K, all p velocities
+together; faster than leakage it is less. A sample's answer to s is cut at a share of the feedback.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ..compiled import Vector, copy_to, internal
+from ..elementary import exp
+from ..model.regressor import Massless, measured, regress
+from ..signals import INDEX, Array, IntArray
+from .factored import NEGLIGIBLE, dot
+
+if TYPE_CHECKING:
+    from .controller import Context
+
+TIME, POSE_REF = INDEX["time"], INDEX["pose_ref"]
+VELOCITY_REF, ACCELERATION_REF = INDEX["velocity_ref"], INDEX["acceleration_ref"]
+Q_REF, QDOT_REF, QDDOT_REF = INDEX["q_ref"], INDEX["qdot_ref"], INDEX["qddot_ref"]
+Z, R, PSI_HAT = INDEX["z"], INDEX["r"], INDEX["psi_hat"]
+SHARE = 0.2  # largest answer of a sample to s, as a share of the feedback
+FRESH = 0.1  # how long after its last sample a correction counts, beside periods and known delays [s]
+
+
+class Correction(NamedTuple):
+    """The numbers of a correction, and room to work in.
+
+    Attributes:
+        h: Control period [s].
+        keep: exp(-leakage h).
+        top: p c, largest trace of what it answers s with, over K [1/s].
+        rate: (k,) Gamma.
+        blend: Part of the learner's own features that is taken at the reference.
+        lasts: How long after its last sample it counts [s].
+        nu: (p,) room to work in.
+        nudot: (p,) room to work in.
+        F: (p, k) room to work in.
+        g: (k,) room to work in.
+    """
+
+    h: float
+    keep: float
+    top: float
+    rate: Array
+    blend: float
+    lasts: float
+    nu: Array
+    nudot: Array
+    F: Array
+    g: Array
+
+
+class Corrected(NamedTuple):
+    """What a correction remembers: w (k,), and the time of its last sample (1,) [s]."""
+
+    w: Vector
+    when: Vector
+
+
+def new_correction(context: Context, K: Array, typical: Array, c: float, leakage: float, blend: float) -> Correction:
+    """The numbers of a correction.
+
+    Every column has the same part in the answer to s on typical motion, which is c of every velocity on average.
+
+    Args:
+        context: Control period, and how long a torque is known to be under way.
+        K: (p,) feedback gains.
+        typical: (samples, p, k) features of random motion of unit size.
+        c: How fast it answers s, over K [1/s].
+        leakage: How fast it is forgotten [1/s].
+        blend: Part of the learner's own features that is taken at the reference.
+    """
+    (_, p, k), h = typical.shape, float(context.control_period)
+    square = ((typical**2).mean(axis=0) / K[:, None]).sum(axis=0)
+    matters = square > NEGLIGIBLE * square.max()
+    slow = 0.0 if context.lag is None else float(context.lag.max(initial=0.0))
+    return Correction(
+        h=h,
+        keep=exp(-leakage * h),
+        top=float(c * p),
+        rate=c * p * matters / matters.sum() / np.where(matters, square, 1.0),
+        blend=float(blend),
+        lasts=FRESH + 2.0 * (h + context.way + slow),
+        nu=np.zeros(p),
+        nudot=np.zeros(p),
+        F=np.zeros((p, k)),
+        g=np.zeros(k),
+    )
+
+
+@internal
+def desired(row: Array, at: IntArray, c: Correction, known: Massless, gain: Array, Phi: Array) -> None:
+    """F of a sample into c.F, and the learner's features (p, k) moved by `blend` towards those of the reference.
+
+    Args:
+        row: (width,) row of signals.
+        at: Offsets of the signals.
+        c: The correction.
+        known: How the robot moves; its columns come first in Phi, what follows is of the reference already.
+        gain: (p,) K.
+        Phi: (p, k) features of the measured motion, changed.
+    """
+    p, nb, k0, total = gain.size, at[VELOCITY_REF + 1] - at[VELOCITY_REF], known.Y.shape[1], 0.0
+    for i in range(p):
+        c.nu[i] = row[at[VELOCITY_REF] + i] if i < nb else row[at[QDOT_REF] + i - nb]
+        c.nudot[i] = row[at[ACCELERATION_REF] + i] if i < nb else row[at[QDDOT_REF] + i - nb]
+    measured(known, row[at[POSE_REF] : at[POSE_REF + 1]], c.nu[:nb], row[at[Q_REF] : at[Q_REF + 1]], c.nu[nb:])
+    regress(known, c.nu, c.nudot)
+    for i in range(p):
+        copy_to(known.Y[i], c.F[i, :k0])
+        copy_to(Phi[i, k0:], c.F[i, k0:])
+        for j in range(c.rate.size):
+            total += c.rate[j] * c.F[i, j] * c.F[i, j] / gain[i]
+            Phi[i, j] += c.blend * (c.F[i, j] - Phi[i, j])
+    shrink = math.sqrt(c.top / total) if total > c.top else 1.0
+    for i in range(p):
+        for j in range(c.rate.size):
+            c.F[i, j] *= shrink
+
+
+@internal
+def correct(row: Array, at: IntArray, c: Correction, o: Corrected) -> None:
+    """Psi_w onto psi_hat, as long as w is fresh: one that nobody moves any more is of another motion."""
+    age = row[at[TIME]] - o.when[0]
+    if 0.0 <= age <= c.lasts:
+        for i in range(c.nu.size):
+            row[at[PSI_HAT] + i] += dot(c.F[i], o.w, o.w.size)
+
+
+@internal
+def follow_error(row: Array, at: IntArray, c: Correction, gain: Array, o: Corrected) -> None:
+    """One sample of `w' = Gamma F' s - leakage w`, from 0 after a gap; what is no number teaches nothing."""
+    k, nb, time = o.w.size, at[Z + 1] - at[Z], row[at[TIME]]
+    g, answer, feedback = c.g, 0.0, 0.0
+    fresh = 0.0 <= time - o.when[0] <= c.lasts
+    for j in range(k):
+        g[j] = 0.0
+        o.w[j] = c.keep * o.w[j] if fresh else 0.0
+    o.when[0] = time
+    for i in range(gain.size):
+        s = row[at[Z] + i] if i < nb else row[at[R] + i - nb]
+        feedback += gain[i] * s * s
+        for j in range(k):
+            g[j] += c.F[i, j] * s
+    for j in range(k):
+        answer += c.h * c.rate[j] * g[j] * g[j]
+    if not (math.isfinite(answer) and math.isfinite(feedback)):
+        return
+    step = c.h * (SHARE * feedback / answer if answer > SHARE * feedback else 1.0)
+    for j in range(k):
+        o.w[j] += step * c.rate[j] * g[j]

@@ -1,0 +1,216 @@
+"""The correction beside a linear learner: its features, its weights in closed form, that it is passive and bounded."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from learning import SHORT, assert_engines_agree, assert_it_resumes, made
+
+from mmnn_pin import Feedback, Loop, load, load_experiment
+from mmnn_pin.errors import ConfigError
+from mmnn_pin.lab.experiments.controllers import machine_of
+from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.signals import Array, Layout
+from mmnn_pin.torque.controller import Context
+from mmnn_pin.torque.correction import SHARE, Corrected, Correction, correct, desired, follow_error, new_correction
+from mmnn_pin.torque.kalman import Kalman
+from mmnn_pin.torque.kalman_settings import KalmanFrictionSettings
+
+ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
+REGRESSOR, TRUE, LAYOUT, K = Regressor.of(ROBOT), parameters(ROBOT), Layout.of(ROBOT.dimensions), Feedback(500.0, 30.0)
+GAINS, AT, H, ROOM = K.vector(LAYOUT), LAYOUT.offsets, 0.002, 5
+seeds = st.integers(0, 2**32 - 1)
+
+
+@cache
+def typical() -> Array:
+    """Features of random motion of the learner of the thesis's robot."""
+    return Kalman(KalmanFrictionSettings(), machine_of(ROBOT), K, REGRESSOR).typical()
+
+
+def new(correction: float = 20.0, leakage: float = 20.0, part: float = 0.5) -> tuple[Correction, Corrected]:
+    """A correction of the thesis's robot, and what it remembers."""
+    c = new_correction(Context(LAYOUT, H, 1), GAINS, typical(), correction, leakage, part)
+    return c, Corrected(np.zeros(len(c.rate)), np.zeros(1))
+
+
+def test_its_numbers_are_those_of_the_settings() -> None:
+    """On the motion that it is measured by, it answers s with `correction` times K, on average over the velocities."""
+    own = KalmanFrictionSettings(correction=3.0, leakage=2.0, desired=0.25)
+    c = Kalman(own, machine_of(ROBOT), K, REGRESSOR).correction(Context(LAYOUT, H, 1))
+    assert c is not None and c.blend == 0.25 and c.top == 12.0 and c.keep == pytest.approx(np.exp(-2.0 * H))
+    answers = np.einsum("nij,j,nij->ni", typical(), c.rate, typical()).mean(axis=0) / GAINS
+    assert answers.mean() == pytest.approx(3.0, rel=1e-9)
+
+
+def motion(rng: np.random.Generator, time: float = 0.0, size: float = 1.0) -> Array:
+    """A row of signals with a random reference, measurement and error."""
+    row = LAYOUT.new_row()
+    row[:] = size * rng.normal(size=row.size)
+    row[LAYOUT.where("time")] = time
+    return row
+
+
+def of(row: Array, *names: str) -> Array:
+    """Signals of a row, side by side."""
+    return np.concatenate([row[LAYOUT.where(name)] for name in names])
+
+
+def looked(row: Array, c: Correction) -> Array:
+    """The learner's features of a row, moved towards those of the reference; c.F is that of the row."""
+    Phi = np.zeros((len(GAINS), len(c.rate)))
+    position = REGRESSOR.massless.offset + REGRESSOR.massless.arm @ of(row, "q")
+    measured = REGRESSOR.matrix(position, of(row, "velocity", "qdot"), of(row, "nu_ref"), of(row, "nudot_ref"))
+    Phi[:, : REGRESSOR.size] = measured
+    Phi[:, REGRESSOR.size :] = np.repeat(np.eye(len(GAINS)), ROOM, axis=1)
+    desired(row, AT, c, REGRESSOR.workspace(), GAINS, Phi)
+    return Phi
+
+
+@given(seed=seeds)
+def test_with_the_true_parameters_they_say_what_pinocchio_needs_for_the_reference(seed: int) -> None:
+    """F up to its factor; with `desired = 1` the learner's own features are those, with 0 they stay."""
+    row = motion(np.random.default_rng(seed))
+    nu, nudot = of(row, "velocity_ref", "qdot_ref"), of(row, "acceleration_ref", "qddot_ref")
+    dynamics = Dynamics(ROBOT)
+    position = REGRESSOR.massless.offset + REGRESSOR.massless.arm @ of(row, "q_ref")
+    psi = dynamics.psi(position, nu, nu, nudot)
+    for part in (0.0, 1.0):
+        c, _ = new(part=part)
+        Phi = looked(row, c)
+        if part:
+            assert Phi[:, : TRUE.size] @ TRUE == pytest.approx(psi, rel=1e-9, abs=1e-9)
+            shrink = c.F[0, TRUE.size] / 1.0  # a column that is 1 ahead of it
+            assert pytest.approx(shrink * Phi, rel=1e-12, abs=1e-12) == c.F
+            assert np.einsum("ij,j,ij,i", c.F, c.rate, c.F, 1 / GAINS) <= c.top * (1 + 1e-9)
+        else:
+            still = REGRESSOR.matrix(
+                REGRESSOR.massless.offset + REGRESSOR.massless.arm @ of(row, "q"),
+                *(of(row, "velocity", "qdot"), of(row, "nu_ref"), of(row, "nudot_ref")),
+            )
+            assert (Phi[:, : TRUE.size] == still).all()
+
+
+def test_the_answer_to_an_error_that_stays_is_an_integral_that_forgets() -> None:
+    """`w = Gamma F' s (1 - exp(-leakage t)) / leakage` for F and s that stand still, to first order in the period."""
+    c, o = new(correction=3.0, leakage=4.0)
+    rng = np.random.default_rng(3)
+    row = motion(rng, size=0.3)
+    for n in range(400):
+        row[LAYOUT.where("time")] = n * H
+        looked(row, c)
+        follow_error(row, AT, c, GAINS, o)
+    expected = c.rate * (c.F.T @ of(row, "z", "r")) * (1.0 - np.exp(-4.0 * 400 * H)) / 4.0
+    assert o.w == pytest.approx(expected, rel=2 * 4.0 * H)
+    before = of(row, "psi_hat")
+    correct(row, AT, c, o)
+    assert of(row, "psi_hat") - before == pytest.approx(c.F @ o.w, rel=1e-9)
+
+
+@given(
+    seed=seeds, size=st.sampled_from([1e-3, 1.0, 1e3]), correction=st.floats(0.1, 300.0), leakage=st.floats(0.1, 50.0)
+)
+def test_it_is_passive_and_bounded_by_its_gain_whatever_comes(
+    seed: int, size: float, correction: float, leakage: float
+) -> None:
+    """Its energy grows by the work of s on Psi_w, up to the share of the feedback that a sample may answer with."""
+    c, o = new(correction=correction, leakage=leakage)
+    rng, live, largest = np.random.default_rng(seed), c.rate > 0.0, 0.0
+    for n in range(12):
+        row = motion(rng, n * H, size)
+        looked(row, c)
+        s, psi, before = of(row, "z", "r"), c.F @ o.w, (o.w[live] ** 2 / c.rate[live]).sum() / 2.0
+        assert (
+            np.sqrt((psi**2 / GAINS).sum()) <= len(GAINS) * correction / leakage * largest * (1.0 + leakage * H) + 1e-12
+        )
+        largest = max(largest, float(np.sqrt((GAINS * s**2).sum())))
+        follow_error(row, AT, c, GAINS, o)
+        after = (o.w[live] ** 2 / c.rate[live]).sum() / 2.0
+        fed = 0.5 * H * SHARE * (GAINS * s**2).sum()
+        assert after <= before + max(0.0, H * s @ psi) + fed + 1e-9 * (before + fed)
+    assert (o.w[~live] == 0.0).all()
+
+
+@pytest.mark.parametrize(("later", "counts"), [(0.0, True), (0.05, True), (-1.0, False), (3.0, False)])
+def test_one_that_nobody_moves_any_more_does_not_count(later: float, counts: bool) -> None:
+    c, o = new()
+    rng = np.random.default_rng(1)
+    row = motion(rng, 7.0)
+    looked(row, c)
+    follow_error(row, AT, c, GAINS, o)
+    row[LAYOUT.where("time")] = 7.0 + later
+    before = of(row, "psi_hat")
+    correct(row, AT, c, o)
+    assert (of(row, "psi_hat") != before).any() == counts
+    if not counts:
+        row[LAYOUT.where("z")], row[LAYOUT.where("r")] = 0.0, 0.0
+        follow_error(row, AT, c, GAINS, o)
+        assert (o.w == 0.0).all()
+
+
+def test_a_sample_that_is_no_number_teaches_nothing() -> None:
+    c, o = new()
+    for value in (np.nan, np.inf, 1e300):
+        row = motion(np.random.default_rng(2))
+        looked(row, c)
+        row[LAYOUT.where("z")] = value
+        follow_error(row, AT, c, GAINS, o)
+        assert (o.w == 0.0).all()
+
+
+@pytest.mark.parametrize(("own", "key"), [({"desired": 1.1}, "desired"), ({"leakage": 0.0}, "leakage")])
+def test_settings_that_cannot_be_are_refused(own: dict[str, Any], key: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        KalmanFrictionSettings(**own)
+    assert refused.value.key == f"kalman.friction.{key}"
+
+
+def test_without_one_nothing_is_left_of_it() -> None:
+    learner = Kalman(KalmanFrictionSettings(correction=0.0), machine_of(ROBOT), K, REGRESSOR)
+    assert learner.correction(Context(LAYOUT, H, 1)) is None
+
+
+def loop(*said: str) -> Loop:
+    """The closed loop of `kalman_friction` along an eight, with a torque that is sent as it is at the sample."""
+    experiment = load_experiment("eight", ("time.duration=9.0", "windows=[[0.0,2.0],[5.0,9.0]]", "lead=false", *said))
+    robot = experiment.load_robot()
+    return experiment.loop(robot, experiment.controller("kalman_friction", robot=robot))
+
+
+@pytest.mark.compiled
+def test_it_takes_out_what_filtered_torque_does_not_say() -> None:
+    """Half a period of delay: the learner's equations hold exactly, and the robot is late all the same."""
+    error = {}
+    for said in ("kalman.friction.correction=20", "kalman.friction.correction=0"):
+        run = loop(said).run()
+        error[said] = np.sqrt((run["true_pose_error"][run["time"].ravel() > 5.0, :2] ** 2).mean())
+    with_one, without = error.values()
+    assert with_one < 0.7 * without
+
+
+@pytest.mark.compiled
+def test_engines_agree_and_a_resumed_run_goes_on() -> None:
+    assert_engines_agree(made("kalman_friction"))
+    assert_it_resumes(made("kalman_friction"), SHORT / 2)
+
+
+@pytest.mark.compiled
+def test_weights_held_fixed_are_those_of_the_filter_alone() -> None:
+    """What follows the error of one motion is no knowledge of another."""
+    learned = made("kalman_friction")
+    controller = learned.controller
+    state = controller.init(learned.context())
+    state.values[:] = learned.run().final["controller_state"]
+    state["when"] = 1e3
+    still = replace(learned, controller=replace(controller, learning=False))
+    run, moved = still.run(state=state.snapshot()), state.snapshot()
+    moved["w"] = 0.0
+    np.testing.assert_array_equal(run["torque"], still.run(state=moved)["torque"])
