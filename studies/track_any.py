@@ -103,16 +103,21 @@ def no_worse(row: Row) -> Array:
 
 
 def summary(rows: list[Row], controllers: tuple[str, ...] = NAMES) -> list[str]:
-    """A line per robot: the largest error of its joints under every controller, torques, slowness, margin."""
-    titles = ["robot", "slower", "margin [ms]", *controllers, "torque given, asked", "adaptive no worse"]
-    lines = [table_line(titles), table_line(["---"] * len(titles))]
+    """The table of `cells` in Markdown."""
+    titles, *others = cells(rows, controllers)
+    return [table_line(line) for line in (titles, ["---"] * len(titles), *others)]
+
+
+def cells(rows: list[Row], controllers: tuple[str, ...] = NAMES) -> list[list[str]]:
+    """Titles, then per robot: the largest error of its joints under every controller, torques, slowness, margin."""
+    lines = [["robot", "slower", "margin [ms]", *controllers, "torque given, asked", "adaptive no worse"]]
     for row in rows:
         worst = [cell(row.errors[name].max(initial=0.0)) for name in controllers]
         bases = [cell(row.base[name]) for name in controllers]
-        cells = [f"{arm}; {base}" if base != "lost" else arm for arm, base in zip(worst, bases, strict=True)]
+        errors = [f"{arm}; {base}" if base != "lost" else arm for arm, base in zip(worst, bases, strict=True)]
         torque = f"{max(row.given.values()):.2f}, {max(row.asked.values()):.2f}"
         count = f"{no_worse(row).sum()} of {len(row.joints)}"
-        lines.append(table_line([row.name, f"{row.slowness:.2g}", f"{1e3 * row.margin:.1f}", *cells, torque, count]))
+        lines.append([row.name, f"{row.slowness:.2g}", f"{1e3 * row.margin:.1f}", *errors, torque, count])
     return lines
 
 

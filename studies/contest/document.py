@@ -18,6 +18,10 @@ HERE = Path(__file__).parent
 SUMMARY = HERE / "summary.json"
 Cell = list[float | str | None] | None
 UNITS = {"frozen_base": "mm", "frozen_arm": "mrad"}  # their headings in a terminal say "the same"
+FAR = (  # in the page's table of distances from the best; the CSV file has all
+    *("pd_gravity", "pid", "two_layer", "adaptive", "adaptive_composite", "concurrent"),
+    *("kalman_regressor", "kalman_friction", ORACLE),
+)
 DRAWN = ("eight", "rig", "tiago", "friction", "encoders", "drop")  # in the figures of the page
 
 
@@ -26,12 +30,12 @@ def render(summary: dict[str, Any]) -> str:
     templates = environment(HERE)
     templates.filters |= {"cell": cell, "number": number, "percent": lambda value: f"{100 * value:.3g} %"}
     templates.filters |= {"middle": middle}
-    templates.globals |= {"middle_axis": axis_at, "unexcited": unexcited}
+    templates.globals |= {"middle_axis": axis_at, "unexcited": unexcited, "far_shown": FAR}
     return filled(templates, "contest.md.j2", summary)
 
 
 def cell(values: list[Any] | None, infinite: str = "never") -> str:
-    """Median, with half of the spread in percent from 1 % on."""
+    """Median, with half of the spread in percent from 20 % on."""
     if values is None:
         return "-"
     low, mid, high = values
@@ -40,7 +44,7 @@ def cell(values: list[Any] | None, infinite: str = "never") -> str:
     if high == "inf":
         return f"{number(mid)}, to {infinite}"
     spread = 50 * (high - low) / mid if mid > 0 else 0.0
-    return number(mid) + (f" ±{spread:.0f} %" if spread >= 1 else "")
+    return number(mid) + (f" ±{spread:.0f} %" if spread >= 20 else "")
 
 
 def middle(values: list[Any] | None) -> str:
@@ -64,6 +68,7 @@ def rows(summary: dict[str, Any]) -> list[dict[str, Any]]:
     """Every task and controller: the median of each quantity, its smallest and its largest."""
     return [
         {"task": task, "controller": name, "runs lost": about["lost"][name]}
+        | {"over the best": short(summary.get("far", {}).get(name, {}).get(task, ""))}
         | {
             f"{quantity.key}{f' [{unit}]' if unit else ''}{suffix}": told(row[quantity.key], place)
             for quantity in (*TRAINING, *KNOWLEDGE)
@@ -76,8 +81,12 @@ def rows(summary: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def told(values: Cell, place: int) -> str:
-    """One number of a cell, four digits; empty where there is none."""
-    value = values[place] if values else ""
+    """One number of a cell as `short`; empty where there is none."""
+    return short(values[place] if values else "")
+
+
+def short(value: Any) -> str:
+    """A number with four digits; what is none as it is."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

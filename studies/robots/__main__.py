@@ -238,7 +238,12 @@ def tracked(rows: list[track_any.Row]) -> str:
 @click.command()
 @click.argument("folder", type=click.Path(exists=True, path_type=Path))
 @click.option("--only", default="", help="Robots whose names have this text.")
-@click.option("--csv", "as_csv", is_flag=True, help="The rows of docs/reference/public-robots.csv.")
+@click.option(
+    "--csv",
+    "as_csv",
+    is_flag=True,
+    help="The rows of docs/reference/public-robots.csv; with --track of public-robots-track.csv.",
+)
 @click.option("--inspect", is_flag=True, help="Time `mmnn inspect` on every robot that is accepted.")
 @click.option("--track", is_flag=True, help="Drive the experiment `track` with every robot that is accepted.")
 def main(folder: Path, only: str, as_csv: bool, inspect: bool, track: bool) -> None:
@@ -264,8 +269,11 @@ def main(folder: Path, only: str, as_csv: bool, inspect: bool, track: bool) -> N
     if times:
         slowest = sorted(times.items(), key=lambda item: -item[1])[:10]
         click.echo(f"slowest of {len(times)}: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in slowest))
-    if track:
-        click.echo(tracked([row for row in rows if row is not None]))
+    done = [row for row in rows if row is not None]
+    if track and as_csv:
+        csv.writer(sys.stdout, lineterminator="\n").writerows(track_any.cells(done, CONTROLLERS))
+    elif track:
+        click.echo(tracked(done))
     click.echo(", ".join(f"{count} {verdict}" for verdict, count in sorted(counts.items())))
 
 
