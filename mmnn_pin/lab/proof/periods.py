@@ -58,12 +58,16 @@ class Periods:
             pose[2] = np.remainder(pose[2] + np.pi, 2 * np.pi) - np.pi
         return np.concatenate((pose, position[self.robot.arm_index] - row[where("q_ref")], nu - self.reference(row)))
 
-    def torque(self, row: Array, y: Array) -> Array:
-        """`k s + Psi` at a state, (p,) [N, N m]."""
-        row, where = row.copy(), self.layout.where
-        position, nu = self.placed(row, y)
+    def seen(self, row: Array, y: Array) -> tuple[Array, Array, Array]:
+        """The row of a state as exact sensors and the kinematic law make it; its position and nu."""
+        row, (position, nu) = row.copy(), self.placed(row, y)
         exact(row, self.layout.offsets, position, nu, self.robot.arm_index)
         command(row, self.layout.offsets, *self.gains)
+        return row, position, nu
+
+    def torque(self, row: Array, y: Array) -> Array:
+        """`k s + Psi` at a state, (p,) [N, N m]."""
+        where, (row, position, nu) = self.layout.where, self.seen(row, y)
         nu_ref, psi = row[where("nu_ref")], np.zeros(len(nu))
         self.dynamics.refresh(position, nu)
         self.dynamics.refresh_psi(nu_ref, row[where("nudot_ref")], psi)

@@ -19,16 +19,18 @@ Bounds of remainders are *sampled*: the largest at random corners of the box in 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from ...errors import RecordingError
+from ...errors import InputError, RecordingError
 from ...settings import finite
 from ...signals import Array, IntArray
 from .certified_loop import push_bound
+from .known import Errors, Observed, Proved
 from .periods import Linear, Periods
 from .subject import Subject
 
@@ -55,9 +57,12 @@ class Tube:
         torque: (motors,) largest torque over the motor's limit; 0 for motors without one.
         eps: (p,) largest error of Psi that was counted with [N, N m].
         share: (p,) the same over the largest Psi of the run.
-        bears: Factor on the errors of Psi up to which there is a tube; 0 for none, inf beyond what was looked at.
+        bears: Factor on the run's errors of Psi up to which there is a tube; 0 for none, inf beyond what was looked at,
+            NaN for errors that are proved.
         integrator: (m + p,) what the plant does in a period otherwise than exact motion without dry friction's changes.
         late: Periods by which commands are late.
+        proof: The same with the errors of Psi that are proved of the learner in place of the run's; None for nothing.
+        unproved: Why there is none.
     """
 
     start: float
@@ -71,6 +76,8 @@ class Tube:
     bears: float
     integrator: Array
     late: int
+    proof: Tube | None = None
+    unproved: str = ""
 
     @property
     def exists(self) -> bool:
@@ -80,7 +87,8 @@ class Tube:
     @property
     def covers(self) -> bool:
         """Whether the run stays in it; nothing is said where there is none."""
-        return not self.exists or bool((self.reached <= self.size).all())
+        proved = self.proof is None or self.proof.covers
+        return proved and (not self.exists or bool((self.reached <= self.size).all()))
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: from when on, the largest of every error and that at the end, and what was counted with."""
@@ -94,6 +102,7 @@ class Tube:
             "psi_error_share": [finite(v) for v in self.share],
             "bears": finite(self.bears),
             "commands_late": self.late,
+            "proved": self.unproved if self.proof is None else self.proof.to_dict(),
         }
 
 
@@ -148,8 +157,14 @@ def tube_of(subject: Subject, disturbance: Array | None = None, progress: Told |
         search = None if why else Search(Periods(subject), force if disturbance is None else force + disturbance)
     if search is None:
         raise RecordingError("no tube", why=why, file=subject.recording.path)
+    told = progress or (lambda share: None)
     with subject.recording.using("its loop"), np.errstate(all="ignore"):
-        return search.tube(progress or (lambda share: None))
+        found = search.tube(told)
+        try:
+            proof = search.proved().tube(told)
+        except InputError as error:
+            return replace(found, unproved=error.why or error.what)
+    return replace(found, proof=proof)
 
 
 class Search:
@@ -158,6 +173,9 @@ class Search:
     Args:
         periods: The loop.
         force: (p,) largest external force [N, N m].
+
+    Attributes:
+        errors: What is counted with of Psi: those of the run, or those of `proved`.
     """
 
     def __init__(self, periods: Periods, force: Array) -> None:
@@ -165,6 +183,8 @@ class Search:
         self.periods, self.force, self.limits = periods, force, subject.motor_limits
         self.late = round(subject.latency.command / subject.timing.control_period)
         self.noise = periods.gain * subject.velocity_noise
+        missed = np.abs(subject.signal("psi") - subject.signal("psi_hat"))
+        self.errors: Errors = Observed(missed, self.starts)
 
     @cached_property
     def linear(self) -> Linear:
@@ -181,16 +201,11 @@ class Search:
         """(K,) first period after every block."""
         return self.linear.at[1:]
 
-    @cached_property
-    def missed(self) -> Array:
-        """(N, p) error of Psi in the run [N, N m]."""
-        return np.abs(self.periods.subject.signal("psi") - self.periods.subject.signal("psi_hat"))
-
-    @cached_property
-    def eps(self) -> Array:
-        """(K, p) largest error of Psi from the beginning of every block to the end of the run [N, N m]."""
-        later = np.maximum.accumulate(self.missed[::-1], axis=0)[::-1]
-        return np.asarray(later[self.starts])
+    def proved(self) -> Search:
+        """The same with what is proved of the learner; errors as of `Proved`."""
+        found = copy(self)
+        found.errors = Proved(self.periods, self.starts, self.ends, self.force)
+        return found
 
     def response(self, first: int) -> Array:
         """(K, m + l) the state at the end of every block from the run's at block `first`, nothing else; 0 before."""
@@ -260,9 +275,9 @@ class Search:
     def remainder(self, first: int, size: Array) -> Array:
         """(K, m + l) the largest remainder from a block on, at corners of the boxes of a tube (K, m + l)."""
         lin, rows, rng = self.linear, self.periods.subject.rows, np.random.default_rng(0)
-        m, found = self.periods.size, np.zeros_like(size)
+        m, found, boxes = self.periods.size, np.zeros_like(size), self.boxes(first, size)
         for b in range(first, len(self.ends)):
-            box = np.maximum(size[b, :m], np.abs(self.reached[first]) if b == first else size[b - 1, :m])
+            box = boxes[b]
             for j in rng.integers(self.starts[b], self.ends[b], CORNERS):
                 y, sampled = (box * rng.choice((-1.0, 1.0), m) for _ in range(2))
                 sampled = sampled if self.late else y
@@ -278,20 +293,31 @@ class Search:
                 found[b, :m] = np.maximum(found[b, :m], np.abs(off))
         return MORE * np.asarray(np.maximum.accumulate(found[::-1], axis=0)[::-1])
 
+    def boxes(self, first: int, size: Array) -> Array:
+        """(K, m) what a tube (K, m + l) is at most within every block from `first` on, 0 before."""
+        start = np.concatenate((np.abs(self.reached[first])[None], size[first:-1, : self.periods.size]))
+        return np.concatenate((np.zeros((first, start.shape[1])), np.maximum(start, size[first:, : start.shape[1]])))
+
     def size(self, first: int, factor: float = 1.0) -> Array:
         """(K, m + l) the tube from a block on for `factor` times the errors of Psi, 0 before; inf if there is none."""
+        return self.found(first, factor)[0]
+
+    def found(self, first: int, factor: float = 1.0) -> tuple[Array, Array]:
+        """The same, and the errors of Psi (K, p) that were counted with."""
         response, since = np.abs(self.response(first)), (np.arange(len(self.ends)) >= first)[:, None]
-        errors = since * (factor * self.eps + self.force + self.noise)
-        remainder = np.zeros_like(response)
+        remainder, eps = np.zeros_like(response), self.errors.eps(first, self.boxes(first, response))
         for _ in range(ROUNDS):
+            errors = since * (factor * eps + self.force + self.noise)
             size = response + since * self.sums(errors, since * self.integrator + remainder)
             if not (size[:, : self.periods.poses + self.periods.layout.arm] < LOST).all():
                 break
-            found = self.remainder(first, size)
-            if (found <= remainder).all():
-                return size
-            remainder = AHEAD * np.maximum(remainder, found)
-        return np.full_like(response, np.inf)
+            rest, wider = self.remainder(first, size), self.errors.eps(first, self.boxes(first, size))
+            if (rest <= remainder).all() and (wider <= eps).all():
+                return size, eps
+            if (rest > remainder).any():
+                remainder = AHEAD * np.maximum(remainder, rest)
+            eps = np.where(wider > eps, AHEAD * wider, eps)
+        return np.full_like(response, np.inf), eps
 
     def first(self, progress: Told) -> int:
         """The first block from which there is a tube, by bisection; their number where the last quarter has none."""
@@ -310,11 +336,11 @@ class Search:
         """Whether there is a tube."""
         return bool(np.isfinite(self.size(first, factor)).all())
 
-    def torques(self, first: int, size: Array) -> Array:
-        """(motors,) largest torque in a tube over the limits of the motors, 0 where there are none."""
+    def torques(self, first: int, size: Array, eps: Array) -> Array:
+        """(motors,) largest torque in a tube, for errors of Psi (K, p), over the motors' limits; 0 without limits."""
         lin, m, robot = self.linear, self.periods.size, self.periods.robot
         E_inv, since = np.linalg.inv(robot.E), slice(first, None)
-        tau = np.einsum("kpm,km->kp", np.abs(lin.T[1:]), size[:, :m]) + self.eps + self.noise
+        tau = np.einsum("kpm,km->kp", np.abs(lin.T[1:]), size[:, :m]) + eps + self.noise
         asked = np.abs(lin.torque[1:] @ E_inv.T) + tau @ np.abs(E_inv).T
         return np.asarray((asked[since] / self.limits).max(axis=0))
 
@@ -331,7 +357,8 @@ class Search:
         periods, first = self.periods, self.first(progress)
         at, there, told = periods.poses, first < len(self.ends), slice(0, periods.poses + periods.layout.arm)
         begin = first if there else len(self.ends) // 2
-        size, since = self.size(begin), slice(begin, None)
+        (size, errors), since = self.found(begin), slice(begin, None)
+        eps = errors.max(axis=0)
         time = periods.subject.rows[self.linear.at][:, periods.layout.where("time")][:, 0]
         largest = np.abs(periods.subject.signal("psi")).max(axis=0)
         return Tube(
@@ -340,10 +367,10 @@ class Search:
             names=(*("along", "across", "heading")[:at], *periods.robot.velocity_names[periods.layout.base :]),
             size=size[since, told],
             reached=np.abs(self.reached[1:][since, told]),
-            torque=self.torques(begin, size) if there else np.zeros(0),
-            eps=self.eps[begin],
-            share=self.eps[begin] / np.maximum(largest, 1e-300),
-            bears=self.bears(begin),
+            torque=self.torques(begin, size, errors) if there else np.zeros(0),
+            eps=eps,
+            share=eps / np.maximum(largest, 1e-300),
+            bears=self.bears(begin) if isinstance(self.errors, Observed) else np.nan,
             integrator=self.integrator[begin],
             late=self.late,
         )

@@ -235,6 +235,9 @@ def certificate_parts(run: CertifiedRun) -> Iterator[str | Line | Table]:
         yield tube_sentence(run.tube)
         if run.tube.exists:
             yield tube_table(run.tube)
+        yield proved_sentence(run.tube)
+        if run.tube.proof is not None and run.tube.proof.exists:
+            yield tube_table(run.tube.proof)
     elif "tube" in run.missing:
         yield f"{run.missing['tube'][0].upper()}{run.missing['tube'][1:]}."
     elif run.certificate is None or not run.certificate.holds:
@@ -370,6 +373,22 @@ def tube_sentence(tube: Tube) -> str:
     return (
         f"Tube along this reference: NONE: with the run's errors of Psi ({psi}{late}) nothing is bounded; "
         f"{number(tube.bears)} times these would have one in the run's second half."
+    )
+
+
+def proved_sentence(tube: Tube) -> str:
+    """From when on the learner's error of Psi is proved, not taken from the run, or why it is not."""
+    proof = tube.proof
+    if proof is None:
+        return f"That the errors of Psi stay the run's is not proved: {tube.unproved}."
+    psi = f"{100 * proof.share.max():.3g} % of the largest Psi"
+    if math.isinf(proof.start):
+        return f"That the errors of Psi stay the run's is not proved: those that are, {psi}, leave nothing bounded."
+    if not proof.exists:
+        return f"With errors of Psi that are proved a motor may be asked for {proof.torque.max():.3g} times its limit."
+    return (
+        f"Proved with them from {proof.start:.3g} s on: whatever the motion, the learner's error of Psi is at most "
+        f"{psi}, and these bounds hold."
     )
 
 

@@ -1,0 +1,189 @@
+"""What is proved of a learner's error of Psi (docs/explanation/theory.md, section 9): attacks on every step of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from proofs import SLOW, attacked
+
+from mmnn_pin import Recording, load_experiment
+from mmnn_pin.errors import RecordingError
+from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.proof.known import Proved, allowed, reach, roots, unproved
+from mmnn_pin.lab.proof.learner import Stepper
+from mmnn_pin.lab.proof.periods import Periods
+from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.lab.proof.truth import distances, metric, numbers_of, true_parameters
+from mmnn_pin.lab.proof.tube import Search
+from mmnn_pin.lab.show.proof.text import proved_sentence
+
+compiled = pytest.mark.skipif(SLOW, reason="thousands of periods, uncompiled")
+SECONDS, PUSH = 4.0, 0.01  # [s], [N]
+
+
+def run(controller: str, *settings: str, seconds: float = SECONDS) -> Recording:
+    """A run of `track`, from rest, with its own gains."""
+    length = (f"time.duration={seconds}", f"windows=[[0.0, {seconds}]]", "plots=[]")
+    experiment = load_experiment("track", [*length, f"controllers=['{controller}']", *settings])
+    return run_experiment(experiment, "track").recordings[controller]
+
+
+@pytest.fixture(scope="module")
+def search() -> Search:
+    return Search(Periods(Subject.of(run("kalman_regressor"))), np.zeros(4))
+
+
+@pytest.fixture(scope="module")
+def proved(search: Search) -> Proved:
+    found = search.proved().errors
+    assert isinstance(found, Proved)
+    return found
+
+
+def test_an_equation_adds_no_more_than_its_error() -> None:
+    """`N+^2 = N^2 + e^2 / R - (u + e)^2 / alpha`, against the update written out."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        root, W, ideal, phi = rng.standard_normal((5, 5)), *rng.standard_normal((3, 5))
+        P, R, e = root @ root.T + 0.1 * np.eye(5), rng.uniform(0.1, 2.0), rng.standard_normal()
+        alpha = R + phi @ P @ phi
+        after = W + P @ phi * (phi @ ideal + e - phi @ W) / alpha
+        P_after = np.linalg.inv(np.linalg.inv(P) + np.outer(phi, phi) / R)
+        N, u = (ideal - W) @ np.linalg.solve(P, ideal - W), phi @ (ideal - W)
+        N_after = (ideal - after) @ np.linalg.solve(P_after, ideal - after)
+        np.testing.assert_allclose(N_after, N + e * e / R - (u + e) ** 2 / alpha, rtol=1e-8)
+
+
+@compiled
+def test_no_rows_however_wrong_take_the_weights_further_or_the_covariance_above(proved: Proved) -> None:
+    """The learner itself, stepped over rows that are no motion: N and P stay below what their recursions say."""
+    learner, rng = proved.learner, np.random.default_rng(1)
+    first, where = 60, learner.context.layout.where
+    rows, at = proved.periods.subject.rows, int(proved.starts[first])
+    stepper = Stepper(learner, learner.start.snapshot())
+    for row in rows[:at]:
+        stepper.step(row)
+    a, k, N = stepper.torque.learner, proved.ideal.size, proved.distance[first]
+    P_most, most = proved.P[first].copy(), 0.0
+    for row in rows[at : at + 400]:
+        wrong = row.copy()
+        for name in ("q", "qdot", "velocity", "z", "r", "torque", "nu_ref", "nudot_ref"):
+            wrong[where(name)] += 0.3 * rng.standard_normal(wrong[where(name)].size)
+        counted, before = int(stepper.state["counts"][1]), stepper.state["W"][0].copy()
+        _, P = learner.controller.knowledge(stepper.state)
+        stepper.step(wrong)
+        state, (_, P_now) = stepper.state, learner.controller.knowledge(stepper.state)
+        if int(state["counts"][1]) == counted:
+            assert (state["W"][0] == before).all() and (P_now == P).all()
+            continue
+        place = counted % k
+        P_most[place, place] += a.drift * k * proved.prior[place]
+        e = (state["Y_f"] - state["Phi_f"] @ proved.ideal) / a.gain
+        regressor = learner.controller.regressor
+        position = np.concatenate((wrong[where("pose")], wrong[where("q")]))
+        full = proved.periods.robot.neutral_position()
+        full[:3], full[proved.periods.robot.arm_index] = position[:3], position[3:]
+        nu = np.concatenate((wrong[where("velocity")], wrong[where("qdot")]))
+        Phi = regressor.matrix(proved.periods.robot.follow(full), nu, wrong[where("nu_ref")], wrong[where("nudot_ref")])
+        s = np.abs(np.concatenate((wrong[where("z")], wrong[where("r")])))
+        N = np.hypot(N + a.answer[0] * a.interval * (s @ roots(Phi, P)), np.sqrt((e**2).sum() / a.noise))
+        assert proved.length(proved.ideal - state["W"][0], P_now) <= N * (1 + 1e-6)
+        most = max(most, proved.length(proved.ideal - state["W"][0], P_now))
+        assert np.linalg.eigvalsh((P_most - P_now) / np.sqrt(np.outer(proved.prior, proved.prior) + 1e-300))[0] > -1e-9
+    assert most > proved.distance[first]  # the rows did mislead it
+
+
+def test_the_features_are_those_of_the_learner(proved: Proved) -> None:
+    """At a state of the run, Phi W is the recorded Psi_hat."""
+    subject, where = proved.periods.subject, proved.periods.layout.where
+    for b in (5, 50, 90):
+        row = subject.rows[proved.starts[b]]
+        y = proved.periods.state(row, row[where("position")], row[where("nu")])
+        stepper = Stepper(proved.learner, proved.learner.start.snapshot())
+        for one in subject.rows[: proved.starts[b]]:
+            stepper.step(one)
+        Phi, s = proved.features(row, y)
+        np.testing.assert_allclose(Phi @ stepper.state["W"][0], row[where("psi_hat")], atol=1e-6)
+        np.testing.assert_allclose(s, subject.s[proved.starts[b]], atol=1e-9)
+
+
+@compiled
+def test_pushes_from_an_instant_on_take_the_learner_no_further_than_is_proved(search: Search) -> None:
+    """A run that is the same until then. Its errors of Psi, and its motion, within what is proved for such a push."""
+    subject, first = search.periods.subject, 4 * len(search.starts) // 5
+    n, h = search.starts[first], search.periods.subject.timing.control_period
+    on = {"v": PUSH, "arm_1_joint": -PUSH / 20}
+    events = ", ".join(
+        f"{{type='push', on='{name}', shape='step', force={f}, start={n * h:.6g}}}" for name, f in on.items()
+    )
+    pushed = Subject.of(run("kalman_regressor", f"disturbances=[{events}]"))
+    assert (pushed.rows[:n] == subject.rows[:n]).all() and (pushed.rows[n + 5] != subject.rows[n + 5]).any()
+    force = Search(search.periods, np.array([PUSH, 0.0, PUSH / 20, 0.0])).proved()
+    size, eps = force.found(first)
+    assert np.isfinite(size).all()
+    missed = np.abs(pushed.signal("psi") - pushed.signal("psi_hat"))
+    for b in range(first, len(search.ends)):
+        assert (missed[search.starts[b] : search.ends[b]].max(axis=0) <= eps[b]).all()
+        row, where = pushed.rows[search.ends[b]], search.periods.layout.where
+        state = search.periods.state(row, row[where("position")], row[where("nu")])
+        assert (np.abs(state) <= size[b, : len(state)]).all()
+
+
+@compiled
+def test_what_is_proved_falls_as_it_learns_and_gives_a_tube(search: Search) -> None:
+    errors, K = search.proved().errors, len(search.ends)
+    nothing = np.zeros((K, search.periods.size))
+    bounds = [errors.eps(first, nothing)[-1] for first in (25, 50, 90)]
+    assert (bounds[0] > bounds[1]).all() and (bounds[1] > bounds[2]).all()
+    assert (bounds[2] >= search.errors.eps(K - 1, nothing)[-1]).all()
+    tube = replace(search.tube(print), proof=search.proved().tube(print))
+    assert tube.proof is not None and tube.proof.exists and tube.covers and tube.proof.start >= tube.start
+    seen = search.errors.eps(int(np.searchsorted(search.starts, round(tube.proof.start / 1e-3))), nothing)
+    assert (tube.proof.eps > seen.max(axis=0)).all() and (tube.proof.size[-1] > tube.size[-1]).all()
+    assert "Proved with them from" in proved_sentence(tube)
+
+
+@compiled
+def test_the_worst_signs_of_what_is_proved_stay_in_its_tube_and_come_near(search: Search) -> None:
+    first, last, m = 4 * len(search.starts) // 5, len(search.ends) - 1, search.periods.poses + 2
+    size, eps = search.proved().found(first)
+    for wanted in (1, m - 1):
+        reached = np.abs(attacked(search, first, last, wanted, eps))
+        assert (reached <= size[first:, : reached.shape[1]]).all()
+        assert reached[-1, wanted] > 0.1 * size[-1, wanted]
+
+
+@compiled
+def test_what_the_energy_of_an_adaptive_law_allows_is_no_bound_of_use() -> None:
+    """Each error found belongs to parameters as near as the true ones, by the log-det divergence written out."""
+    subject = Subject.of(run("adaptive", seconds=1.0))
+    periods, learner = Periods(subject), subject.learner
+    assert learner is not None
+    times = allowed(periods) / np.abs(subject.signal("psi")).max(axis=0)
+    assert times.min() > 3.0 and "use kalman_regressor" in unproved(periods)
+    bodies, end = numbers_of(learner)[0].bodies, learner.end["theta"]
+    energy = float(distances(bodies, true_parameters(subject, learner).theta, end[None])[0])
+    ray = metric(bodies, end) @ np.ones(end.size)
+    c = reach(bodies, end, ray, energy)
+    near = min(abs(float(distances(bodies, end + sign * c * ray, end[None])[0]) / energy - 1) for sign in (1, -1))
+    assert near < 1e-3 or reach(bodies, end, ray, 10 * energy) < 1.01 * c  # on its edge, or on that of bodies at all
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("controller", "settings", "why"),
+    [
+        ("pd", (), "learns nothing"),
+        ("concurrent", (), "gives equations up"),
+        ("kalman_bilinear", (), "no parameters"),
+        ("kalman_regressor", ("kalman.regressor.alarm=3.0",), "use alarm = 0"),
+        ("kalman_regressor", ("sensor.velocity_noise=1e-4",), "exact velocities"),
+    ],
+)
+def test_a_learner_of_which_nothing_is_proved_is_told_why(controller: str, settings: tuple[str, ...], why: str) -> None:
+    periods = Periods(Subject.of(run(controller, *settings, seconds=0.1)))
+    assert why in unproved(periods)
+    with pytest.raises(RecordingError, match="no bound of the learner's error"):
+        Search(periods, np.zeros(periods.layout.dof)).proved()
