@@ -22,9 +22,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..compiled import Vector, copy_to, internal
+from ..compiled import copy_to, internal
 from ..elementary import exp
 from ..model.regressor import Massless, measured, regress
+from ..parts import Vector
 from ..signals import INDEX, Array, IntArray
 from .factored import NEGLIGIBLE, dot
 
