@@ -52,7 +52,7 @@ def study(
 ) -> int:
     """Make every run of STUDY.toml that is not in its database yet, then print what came out.
 
-    A run that diverges is a row like any other. Rows are stored as they finish: after Ctrl-C, a kill or a crash the
+    A run that diverges is a row like any other. Rows are stored while it goes on: after Ctrl-C, a kill or a crash the
     same command goes on with what is missing. `mmnn docs how-to/studies` explains the file.
     """
     from ..lab.experiments.runner import window_notes

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin.errors import RobotError
+from mmnn_pin.model.tree import tree as tree_module
 from mmnn_pin.model.tree.dynamics import potential_energy, psi, psi_again, terms
 from mmnn_pin.model.tree.motion import BASE, NUMBER, new_scratch
 from mmnn_pin.model.tree.tree import flatten, residual, verify
@@ -230,6 +231,22 @@ def test_a_wrong_tree_is_refused_by_the_name_of_the_joint(name):
     numbers[BASE.w + model.getJointId(name) - 1, NUMBER.second : NUMBER.second + 6] *= 1 + 1e-7
     with pytest.raises(RobotError, match=f"differ from Pinocchio's at joint '{name}'"):
         verify(tree._replace(numbers=numbers), model, T, np.zeros(model.nv))
+
+
+def test_a_robot_of_which_only_masses_are_new_is_compared_too(monkeypatch):
+    model, T = wheeled(body(3, (0.01, 0.02, 0), (0.02, 0.03, 0.02)))
+    flatten(model, T)
+    asked = []
+    monkeypatch.setattr(tree_module, "residual", lambda *given: asked.append(given[4]) or residual(*given))
+    model.inertias[4] = model.inertias[4] + model.inertias[4]
+    flatten(model, T)
+    model.jointPlacements[4] = model.jointPlacements[4] * pin.SE3.Random()  # hangs together otherwise
+    flatten(model, T)
+    assert asked == [1, tree_module.CHECKS]
+    usual = tree_module._moments
+    monkeypatch.setattr(tree_module, "_moments", lambda inertia: usual(inertia) * (1 + 1e-6))
+    with pytest.raises(RobotError, match="differ from Pinocchio's"):
+        flatten(model, T)
 
 
 def test_not_a_number_in_a_tree_is_refused():
