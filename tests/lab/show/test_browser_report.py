@@ -59,6 +59,17 @@ def test_it_is_whole_at_any_width_by_day_and_by_night(chromium: Any, page: Path,
         assert seen.problems == [] and seen.requests == []
 
 
+def test_a_robot_of_many_joints_fits_on_five_screens_of_a_desktop(chromium: Any, tmp_path: Path) -> None:
+    """Its long table scrolls in a place of its own."""
+    runs = {name: recorded(load("tiago_dual"), name, control_period=0.002) for name in ("pd", "pid")}
+    file = report(runs, with_replay=False).save(tmp_path / "dual.html")
+    with opened(chromium, file, READY, viewport={"width": 1280, "height": 800}) as seen:
+        assert seen.page.evaluate("document.documentElement.scrollHeight / innerHeight") <= 5.0
+        box = "(([t]) => [t.clientHeight / innerHeight, t.scrollHeight / t.clientHeight])"
+        high, longer = seen.page.evaluate(f"{box}(document.querySelectorAll('#tables .scroll'))")
+        assert high <= 0.86 and longer > 1.2
+
+
 def test_what_is_not_judged_is_shaded_and_more_plots_are_a_press_away(chromium: Any, tmp_path: Path) -> None:
     runs = {"pd": recorded(load("tiago_no_hand"), "pd", control_period=0.002)}
     file = report(runs, with_replay=False).save(tmp_path / "tiago.html")
