@@ -92,14 +92,14 @@ def compile_if_cold(hardware: bool = False) -> None:
 
     tell = tell_what_compiles()
     if not is_warm():
-        click.echo("first run of this version: compiling takes about 15 s, later runs start at once", err=True)
+        click.echo("first run of this version: compiling takes about half a minute, later runs start at once", err=True)
         from ..loop.precompile import precompile
 
         precompile(tell)
     folder = cache_folder()
     if hardware and folder is not None and not (announced := folder / "hardware was announced").exists():
         parts = "sensors, motors, a supervisor or disturbances"
-        click.echo(f"first run with {parts}: their part of the loop is compiled, about 10 s more", err=True)
+        click.echo(f"first run with {parts}: their part of the loop is compiled, about 20 s more", err=True)
         with suppress(OSError):  # a full disk: it is announced again
             announced.touch()
 
