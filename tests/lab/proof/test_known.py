@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -95,6 +96,7 @@ def test_no_rows_however_wrong_take_the_weights_further_or_the_covariance_above(
     assert most > proved.distance[first]  # the rows did mislead it
 
 
+@compiled
 def test_the_features_are_those_of_the_learner(proved: Proved) -> None:
     """At a state of the run, Phi W is the recorded Psi_hat."""
     subject, where = proved.periods.subject, proved.periods.layout.where
@@ -107,6 +109,28 @@ def test_the_features_are_those_of_the_learner(proved: Proved) -> None:
         Phi, s = proved.features(row, y)
         np.testing.assert_allclose(Phi @ stepper.state["W"][0], row[where("psi_hat")], atol=1e-6)
         np.testing.assert_allclose(s, subject.s[proved.starts[b]], atol=1e-9)
+
+
+@compiled
+def test_distance_and_spread_are_their_sums(proved: Proved) -> None:
+    """N with nothing but equations, and with nothing but s; P with as much drift as the updates since bring."""
+    first, K, a = 50, len(proved.starts), proved.a
+    still, boxes = np.zeros((K, proved.periods.size)), np.full((K, proved.periods.size), 1e-3)
+    spread, n = proved.spread(first, still), proved.updates[first:]
+    squares = (n * (proved.equations[first:] ** 2).sum(axis=1)).sum() / a.noise
+    wanted = np.sqrt(proved.distance[first] ** 2 + squares)
+    np.testing.assert_allclose(proved.distances(first, still, spread)[-1], wanted, rtol=1e-12)
+    quiet = copy(proved)
+    quiet.equations = np.zeros_like(proved.equations)
+    s = 1.5 * proved.answers[first:].sum(axis=2) * 1e-3
+    wanted = proved.distance[first] + a.answer[0] * a.interval * (n * (s * spread[first:]).sum(axis=1)).sum()
+    np.testing.assert_allclose(quiet.distances(first, boxes, spread)[-1], wanted, rtol=1e-12)
+    at = np.bincount((proved.done[first] + np.arange(n.sum())) % proved.ideal.size, minlength=proved.ideal.size)
+    P = proved.P[first] + np.diag(at * a.drift * proved.ideal.size * proved.prior)
+    most = np.sqrt(np.einsum("nij,jk,nik->ni", proved.Phi[-1], P, proved.Phi[-1])).max(axis=0)
+    np.testing.assert_allclose(spread[-1], most, rtol=1e-9)
+    assert (proved.eps(first, still)[-1] >= proved.distances(first, still, spread)[-1] * most).all()
+    assert len(proved.periods.subject.rows) // a.every - 10 <= proved.updates.sum()  # the filter settles at first
 
 
 @compiled
