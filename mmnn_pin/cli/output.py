@@ -109,12 +109,26 @@ def tell_what_compiles() -> Callable[[str], None]:
     """From now on, a line on standard error every 10 s while something is compiled; what tells it."""
     from ..loop.precompile import when_compiling
 
-    lines = Lines()
+    tell = compiling_lines()
+    when_compiling(tell)
+    return tell
+
+
+def compiling_lines(now: Callable[[], float] = time.monotonic) -> Callable[[str], None]:
+    """What prints a name at most every 10 s; where it was not called for 10 s, the time counts from its next call.
+
+    Args:
+        now: The clock [s].
+    """
+    lines, last = Lines(now), now()
 
     def tell(name: str) -> None:
+        nonlocal lines, last
+        if (here := now()) - last > EVERY:  # something else was done meanwhile
+            lines = Lines(now)
+        last = here
         lines.show(lambda: f"compiling {name}")
 
-    when_compiling(tell)
     return tell
 
 

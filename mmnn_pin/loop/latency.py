@@ -22,7 +22,7 @@ class Latency(Settings, frozen=True):
         sensing: Age of a measurement when it is used [s]; a whole number of measurements in a simulation.
         command: Time from there to the motors [s], rounded to steps of the plant.
         jitter: Largest further delay of a command, every one by its own chance; none overtakes another [s].
-        margin: Delay beyond these that a loop should bear; less is reported [s].
+        margin: Delay beyond these that a loop should bear; less is reported. Lower feedback gains bear more [s].
         predict: Whether a measurement is brought up to now, by what the reference has moved since it was taken
             (`loop.lead.catch_up`); it needs one at every control sample.
 

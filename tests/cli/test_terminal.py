@@ -59,6 +59,21 @@ def test_a_log_gets_a_line_every_ten_seconds(capsys) -> None:
     assert told.err.splitlines() == ["pd: 20 %, after 10 s", "pd: 50 %, after 25 s"] and told.out == ""
 
 
+def test_a_log_gets_no_line_where_a_function_is_compiled_long_after_the_last(capsys) -> None:
+    clock = Clock()
+    tell = output.compiling_lines(clock)
+    for clock.time, name in ((4.0, "euler"), (9.0, "step"), (600.0, "call"), (606.0, "terms"), (611.0, "psi")):
+        tell(name)
+    assert capsys.readouterr().err.splitlines() == ["compiling psi, after 11 s"]
+
+
+class Clock:
+    time = 0.0
+
+    def __call__(self) -> float:
+        return self.time
+
+
 def test_progress_in_a_log_goes_to_standard_error(monkeypatch, capsys) -> None:
     monkeypatch.setattr(output, "EVERY", 0.0)
     with output.progress_bar() as show, output.counter("runs", 8, 2) as count:

@@ -124,8 +124,7 @@ def margin_notes(experiment: Experiment, runs: Mapping[str, Recording]) -> list[
         return []
     worst = min(short, key=short.__getitem__)
     these = worst if len(short) == 1 else f"{len(short)} controllers, least {worst}"
-    what = f"delay margin below {1e3 * least:.3g} ms: {these} {1e3 * short[worst]:.3g} ms"
-    return [f"{what}; lower the feedback (mmnn docs latency.margin)"]
+    return [f"delay margin below {1e3 * least:.3g} ms: {these} {1e3 * short[worst]:.3g} ms (mmnn docs latency.margin)"]
 
 
 def in_order(wanted: Sequence[str]) -> list[str]:
