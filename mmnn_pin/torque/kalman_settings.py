@@ -78,8 +78,8 @@ class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
         constant: Standard deviation of the constants, likewise.
         change: Part of a constant's prior variance that comes back in a second [1/s].
         correction: c of `torque.correction`, how fast it answers the tracking error, over K [1/s]; 0 for none.
-        leakage: How fast the correction is forgotten [1/s]; it adds at most
-            `correction / leakage` times K, on average over the velocities.
+        leakage: How fast the correction is forgotten [1/s]; it adds at most `correction / leakage` times K, on average
+            over the velocities.
         desired: Part of the features that is taken at the reference's motion, the rest at the measured one; 0 to 1.
     """
 
@@ -95,7 +95,10 @@ class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
 
     section: ClassVar[str] = "kalman.friction"
     positive: ClassVar[tuple[str, ...]] = (
-        *(*KalmanRegressorSettings.positive, "friction", "constant", "change"),
+        *KalmanRegressorSettings.positive,
+        "friction",
+        "constant",
+        "change",
         "leakage",
     )
 

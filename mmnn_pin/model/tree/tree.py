@@ -35,11 +35,6 @@ ONE_DOF = {f"JointModel{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "
 }
 
 
-CHECKED: dict[tuple[_Joints, bytes, bool], None] = {}  # robots that were compared at all of them
-MOST_CHECKED = 64  # of which are remembered
-CHECKS = 5  # random states at which a robot is compared with Pinocchio; one where its masses alone are new
-
-
 class _Joints(NamedTuple):
     """How the joints of a model hang together, as something that can be looked up; masses are not in it.
 
@@ -92,7 +87,7 @@ def flatten(
     T: ArrayLike,
     position_rest: ArrayLike | None = None,
     control_frame: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    samples: int | None = None,
+    samples: int = 5,
     seed: int = 0,
     absorb: bool = True,
 ) -> Tree:
@@ -103,8 +98,7 @@ def flatten(
         T: (nv, p) constant map from the independent velocities nu to all joint velocities.
         position_rest: (nv,) where the joints with a zero row in T stand, default 0 [rad or m].
         control_frame: Control frame in the root link, `(x, y, psi)` [m, m, rad].
-        samples: Number of random states of the check; None for `CHECKS`, or 1 where a robot was checked whose joints
-            hang together alike.
+        samples: Number of random states of the check.
         seed: Their seed.
         absorb: Lump wheels that are alike all around their axis; off keeps a body for every joint that moves.
 
@@ -121,12 +115,7 @@ def flatten(
     if absorb:
         rotors = rotors + _absorb_wheels(bodies, T, _mobile(model))
     tree = _tables(model, bodies, T, rotors, frame)
-    known = (joints, frame.tobytes(), absorb)
-    verify(tree, model, T, rest, (1 if known in CHECKED else CHECKS) if samples is None else samples, seed)
-    if samples is None:
-        CHECKED[known] = None
-        while len(CHECKED) > MOST_CHECKED:
-            CHECKED.pop(next(iter(CHECKED)), None)
+    verify(tree, model, T, rest, samples, seed)
     return tree
 
 
