@@ -185,6 +185,7 @@ def simulate_together(runs: Sequence[Started], lanes: Lanes, cancelled: Callable
     results: dict[int, Run] = {}
     courses = [run.loop.course(run.engine, run.sink, cancelled=cancelled) for run in runs]
     answers: list[Any] = [None] * len(runs)
+    every = runs[0].loop.samples_between_weights
     while len(results) < len(runs):
         asked = set()
         for i, course in enumerate(courses):
@@ -192,10 +193,13 @@ def simulate_together(runs: Sequence[Started], lanes: Lanes, cancelled: Callable
                 try:
                     asked.add(next(course) if answers[i] is None else course.send(answers[i]))
                 except StopIteration as end:
+                    lanes.put_back()
                     results[i] = runs[i].ended(end.value)
         if asked:
             (samples,) = asked
             answers = list(lanes.advance(*samples))
+            if samples[1] % every == 0 or samples[1] == runs[0].loop.timing.samples:
+                lanes.put_back()  # their weights are asked for
     return [results[i] for i in range(len(runs))]
 
 

@@ -324,6 +324,11 @@ class Loop:
         return facts_of(self, self.seed) | {"plant": self.plant} | floor | hands
 
     @property
+    def samples_between_weights(self) -> int:
+        """Control samples between two records of the weights."""
+        return samples_between(self.weights_interval, self.timing.control_period)
+
+    @property
     def believed(self) -> Robot:
         """The robot that the controller believes in, where it uses a model."""
         return believed_by(self)
@@ -367,8 +372,7 @@ class Loop:
         """What `stream` does but for the stepping; arguments as there."""
         if self.trajectory.watched is not None:
             sink = Watching(sink, self.trajectory.watched.writer(self.robot, self.layout))
-        every = samples_between(self.weights_interval, self.timing.control_period)
-        outcome = yield from to_the_end(self, every, engine, sink, first, progress, cancelled)
+        outcome = yield from to_the_end(self, self.samples_between_weights, engine, sink, first, progress, cancelled)
         return with_remarks(outcome, engine, self.robot)
 
 

@@ -146,7 +146,10 @@ class Lanes:
         self.alive[:] = -1
 
     def advance(self, first: int, last: int) -> list[int]:
-        """Samples first ... last - 1 of all runs that have not ended; for each what `CompiledLoop.advance` gives."""
+        """Samples first ... last - 1 of all runs that have not ended; for each what `CompiledLoop.advance` gives.
+
+        Their engines' states are those of `last` after `put_back`.
+        """
         answers, k = [-1] * LANES, first
         while k < last and self.alive.any():
             if self.waits:
@@ -157,8 +160,6 @@ class Lanes:
             if not done:
                 self.one_by_one(k, count, k - first, answers)
             k += count
-        if self.program is not None:
-            self.write()
         for lane in self.living():
             self.engines[lane].counter[0] = last - first
         return answers
@@ -215,6 +216,11 @@ class Lanes:
         others = self.program.prepare(self.memory.ctypes.data, self.slots.ctypes.data)
         if self.program.is_left_often or any(others >> lane & 1 for lane in self.living()):
             self.program = None
+
+    def put_back(self) -> None:
+        """Bring the engines where the lanes are."""
+        if self.program is not None:
+            self.write()
 
     def write(self) -> None:
         """Put them back into the engines of the runs that have not ended."""

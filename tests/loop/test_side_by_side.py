@@ -64,6 +64,7 @@ def alike(one: Run, other: Run) -> bool:
     assert one.recording is not None and other.recording is not None
     pairs = [(one.final[name], other.final[name]) for name in one.final]
     pairs += [(one.recording[name], other.recording[name]) for name in ("position", "nu", "torque", "psi", "energy")]
+    pairs += [(array, other.recording.weights[name]) for name, array in one.recording.weights.items()]
     return same and all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
 
@@ -81,6 +82,7 @@ def test_runs_side_by_side_have_the_bits_that_they_have_alone(name: str, monkeyp
     factors = (1.0, 0.8, 1.0, 1.3, 0.9)
     loops = [replace(loop, robot=loop.robot.with_masses(f), seed=i) for i, f in enumerate(factors)]
     loops[3] = replace(loops[3], trajectory=TURN)
+    loops = [replace(one, weights_interval=0.3) for one in loops]
     together = simulate_many(loops, keep=True, workers=1)
     assert program.pieces > 2 and program.left == 0  # the first run is alone, four are together
     assert all(map(alike, together, alone(loops, monkeypatch)))
@@ -113,7 +115,7 @@ def test_a_run_that_diverges_ends_alone(monkeypatch: pytest.MonkeyPatch) -> None
     assert all(map(alike, together, alone(loops, monkeypatch)))
 
 
-def test_the_state_stands_in_the_engines_after_every_block() -> None:
+def test_the_state_can_be_put_back_into_the_engines_after_every_block() -> None:
     program_of(LOOP)
     engines = [LOOP.engine_at() for _ in range(LANES)]
     forms = forms_of(engines)
@@ -121,11 +123,21 @@ def test_the_state_stands_in_the_engines_after_every_block() -> None:
     other, lanes = LOOP.engine_at(), Lanes(engines, forms, False)
     for first, last in ((0, 40), (40, 47), (47, 97)):
         assert lanes.advance(first, last) == [-1] * LANES
+        lanes.put_back()
         other.advance(first, last)
         for engine in engines:
             assert np.array_equal(engine.state.values, other.state.values)
             assert np.array_equal(engine.rows[: last - first], other.rows[: last - first])
             assert engine.counter[0] == last - first
+
+
+def test_runs_that_are_stopped_end_where_their_rows_end() -> None:
+    program_of(LOOP)
+    started = [batch.begun("", replace(LOOP, seed=i), None, ((0.0, 1.0),), True) for i in range(LANES)]
+    for seed, run in enumerate(batch.simulate_group(started, True, lambda: True)):
+        assert run.outcome.status == "interrupted" and run.recording is not None
+        shorter = replace(LOOP, seed=seed, timing=Timing(duration=run.outcome.time))
+        assert np.array_equal(run.final["position"], shorter.run().final["position"])
 
 
 def test_only_loops_of_one_form_go_side_by_side() -> None:
