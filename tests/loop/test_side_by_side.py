@@ -133,7 +133,7 @@ def test_the_state_can_be_put_back_into_the_engines_after_every_block() -> None:
 
 def test_runs_that_are_stopped_end_where_their_rows_end() -> None:
     program_of(LOOP)
-    started = [batch.begun("", replace(LOOP, seed=i), None, ((0.0, 1.0),), True) for i in range(LANES)]
+    started = [batch.begun("", replace(LOOP, seed=i, weights_interval=0.7), None, (), True) for i in range(LANES)]
     for seed, run in enumerate(batch.simulate_group(started, True, lambda: True)):
         assert run.outcome.status == "interrupted" and run.recording is not None
         shorter = replace(LOOP, seed=seed, timing=Timing(duration=run.outcome.time))
