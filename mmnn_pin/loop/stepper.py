@@ -82,7 +82,7 @@ class Stepper:
         kinematic: Gains of the kinematic layer.
         safety: Limits of the supervisor.
         period: Control period [s].
-        limits: What references made here keep to.
+        limits: Limits of references that are made here.
         setpoint_timeout: Age of a setpoint that has to be renewed at which the base brakes and the arm holds [s].
         nominal: The robot that a controller with a model, but none of its own, believes in; None for `robot`.
         seed: Of what a controller draws.
@@ -341,7 +341,7 @@ class Stepper:
 
     @property
     def is_moving(self) -> bool:
-        """Whether a motion or a joint goal that was handed in is not over yet."""
+        """Whether a motion or a joint goal is still under way."""
         return self.follower.is_moving
 
     def finish(

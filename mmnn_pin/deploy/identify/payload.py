@@ -92,7 +92,7 @@ def payload(
     believed: tuple[Array, Array] | None = None,
     without: Log | Sequence[Log] = (),
 ) -> Load:
-    """What a robot carries.
+    """Mass and centre of the load that a robot carries.
 
     Args:
         robot: Without the load.

@@ -41,7 +41,7 @@ AXES = ("x", "y", "z")
 
 
 class Task(Settings, frozen=True):
-    """What one frame should keep to.
+    """The task of one frame: where it should be, and how strictly.
 
     Args:
         frame: A link or joint that the arm moves; empty for the tip of the arm (the first, of several arms).
