@@ -348,8 +348,8 @@ def controllers_page() -> Iterator[str]:
 
     yield "# Controllers\n"
     yield (
-        "Names for `--controller` and for `controllers = [...]` in an experiment. The table is that of its settings; it"
-        " is told what its kind of law needs to know of the robot, and nothing else.\n"
+        "Names for `--controller` and for `controllers = [...]` in an experiment. A controller gets what its kind of"
+        " law needs to know of the robot, and nothing else; the last column names the table of its settings.\n"
     )
     words = {"motion": "how it moves", "machine": "its motors", "nominal": "a model with wrong masses"}
     words |= {"parameters": "parameters to start from", "described": "the URDF's model"}
@@ -357,7 +357,7 @@ def controllers_page() -> Iterator[str]:
     for entry in ENTRIES:
         told = "the true model" if entry.oracle else ", ".join(words[each] for each in entry.told) or "nothing"
         rows.append((f"`{entry.name}`", entry.about, told, f"`[{entry.key}]`" if entry.settings else ""))
-    yield table(("controller", "what it is", "knows of the robot", "its table"), rows)
+    yield table(("controller", "what it is", "knows of the robot", "settings"), rows)
 
 
 FILES = {
@@ -370,7 +370,7 @@ FILES = {
     ),
     "robot-keys": file_page(
         "Keys of NAME.mmnn.toml",
-        "What is said about a robot, in a file beside its URDF or in the `[overrides]` of an experiment.",
+        "What you say about a robot, in a file beside its URDF or in the `[overrides]` of an experiment.",
         "model.base.overrides:Overrides",
     ),
     "ros2-keys": file_page("Keys of a ROS 2 node", "The file of `mmnn ros2`.", "deploy.ros2.settings:Node"),

@@ -53,7 +53,7 @@ class Actuator(Settings, frozen=True):
             takes the velocity limits of the URDF; None for none.
         torque_gain: Real torque over commanded torque: a torque constant that the drive does not know.
         lag: Time constant of the current loop [s]; 0 for none.
-        voltage: Voltage of the supply [V]; None for a supply without end, and then no PWM and no sag.
+        voltage: Voltage of the supply [V]; None for an unlimited supply, without PWM and sag.
         torque_constant: kt at the joint, torque per current and back-EMF per speed alike [N m/A]; with a voltage.
         resistance: Of the winding [Ohm]; with a voltage.
         battery_resistance: Of the supply [Ohm], less than that of all windings in parallel.
@@ -63,8 +63,8 @@ class Actuator(Settings, frozen=True):
         stiffness: Of the flank [N m/rad or N/m].
         damping: Of the flank [N m s/rad or N s/m].
         rotor_friction: Coulomb friction on the motor's side [N m or N].
-        brake: Torque per speed of a motor whose windings are shorted, which a supervisor does when it has to stop
-            without measurements [N m s/rad or N s/m].
+        brake: Torque per speed of a motor with shorted windings; a supervisor shorts them when it has to stop without
+            measurements [N m s/rad or N s/m].
 
     Raises:
         ConfigError: A number is out of its range or missing, with the key path.

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the files.")
 @click.option("--force", is_flag=True, help="Write into a folder that exists.")
 @click.option("--single", is_flag=True, help="Numbers of 32 bits: not the bits of Python; the self-test says how far.")
-@click.option("--no-diagnostics", is_flag=True, help="Leave out what only tells how well the motion excites.")
+@click.option("--no-diagnostics", is_flag=True, help="Leave out what only reports how well the motion excites.")
 @click.option("--steps", type=click.IntRange(1, 100_000), default=1000, show_default=True, help="Of the self-test.")
 @click.option("--cc", metavar="COMMAND", default="cc", show_default=True, help="Compiler for the self-test.")
 @click.option("--no-check", is_flag=True, help="Write the files without compiling them.")

@@ -71,7 +71,7 @@ HEADERS = (
 @click.option("--payload", is_flag=True, help="Find what the hand of ROBOT carries, and write nothing.")
 @click.option(
     "--without-load", multiple=True, metavar="LOG", type=click.Path(path_type=Path),
-    help="The motion of --payload with an empty hand: it tells the robot's own errors from the load.",
+    help="The motion of --payload with an empty hand: it separates the load from the robot's own errors.",
 )  # fmt: skip
 @click.option("--joint", default="", help="Joint whose link carries the payload.  [default: the last of the arm]")
 @click.option("--even-if-worse", is_flag=True, help="Write the files even if the fit is no better than the URDF.")
@@ -101,8 +101,8 @@ def identify(
 
     LOG is a CSV file (`time`, `position.JOINT`, `velocity.JOINT`, `effort.JOINT`, `base.v`, `base.w`, or headers with a
     joint's name and such a word), a bag (rosbag2 with sqlite3 or MCAP) with sensor_msgs/JointState, or a recording of
-    this package. Tables with the same times are one motion. What the motion does not tell keeps the URDF's value and
-    is named.
+    this package. Tables with the same times are one motion. Parameters that the motion does not determine keep the
+    URDF's values and are named.
 
     It writes NAME.urdf, NAME.identified.toml (rotors, constants), NAME.identified.json (all numbers, covariances) and
     NAME.mmnn.toml. Where the fit predicts the held-out motion no better than the URDF or friction alone it writes
@@ -244,8 +244,8 @@ def excite(
     """Find the motion of ROBOT from which inertias and friction are identified best, and write it as CSV.
 
     It keeps the robot's limits, and starts and ends at rest. The table has t, for a base x, y, phi, v, w, and
-    position.JOINT, velocity.JOINT, acceleration.JOINT at 100 rows per second. Printed is what it would determine:
-    predicted standard deviations of the base parameters, for noise of 2 % of each motor's limit.
+    position.JOINT, velocity.JOINT, acceleration.JOINT at 100 rows per second. The command prints how well it
+    determines the base parameters: predicted standard deviations, for noise of 2 % of each motor's limit.
     """
     from ..deploy.identify import excitation
     from ..lab.show.identified import excitation_text

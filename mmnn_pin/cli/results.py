@@ -207,7 +207,7 @@ def prove(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Tell from one recording whether it learned Psi, whether its Lyapunov function falls, and what is guaranteed.
+    """Judge one recording: whether it learned Psi, whether its Lyapunov function falls, and what is guaranteed.
 
     Psi: the fraction of its variance that the estimate leaves unexplained (FVU), online and with final weights held,
     on the run's own trajectory, on another one and with a payload. Lyapunov function: V, its derivative term by term,

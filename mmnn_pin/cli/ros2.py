@@ -69,7 +69,7 @@ def ros2(
     FollowJointTrajectory that MoveIt sends), and publishes commands to the robot's ros2_control controllers, and
     diagnostics. A supervisor stands between controller and robot: it trips when measurements stay away for too long, or
     when an error or a speed passes its limit; then the base brakes, the arm holds, and the node ends. Ctrl-C does the
-    same. Messages are checked: source, size, order, age, NaN, joint names. What is wrong is one line.
+    same. Messages are checked: source, size, order, age, NaN, joint names. Every problem is one line.
 
     It is recorded as a run: mmnn plot, report and replay show it. Exit codes: 0 done, 1 tripped, 2 bad input or no
     robot there, 130 stopped by Ctrl-C. It needs: pip install 'mmnn_pin[ros2]'.

@@ -105,10 +105,10 @@ def run(
     fails).
 
     A contest (a file with a table [contest], such as the bundled one) runs all controllers on several tasks, each with
-    several seeds, and then on trajectories that none of them was trained on, with what was learned held fixed and
-    learning on. It prints a table per task and whether the targets are met, draws figures, and goes on where it was
-    stopped; `mmnn docs explanation/contest` explains its numbers. With --controller the controllers that the others are
-    measured by still run.
+    several seeds, and then on trajectories that none of them was trained on, once with the weights held fixed and once
+    with learning on. It prints a table per task and whether the targets are met, draws figures, and goes on where it
+    was stopped; `mmnn docs explanation/contest` explains its numbers. The controllers that others are compared with run
+    even if --controller leaves them out.
     """
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment

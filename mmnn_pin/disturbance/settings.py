@@ -52,8 +52,8 @@ class Push(Window, frozen=True, kw_only=True, tag="push"):
 
     Args:
         on: `v`, `w` (`vx`, `vy`, `w`), or the name of an arm joint.
-        shape: "step" is there from start to end; "impulse" is given within the step of the plant at start, whatever
-            the end; "sine" starts with phase 0; "noise" is white, held over each control period.
+        shape: "step" is there from start to end; "impulse" is given within the step of the plant at start, whatever the
+            end; "sine" starts with phase 0; "noise" is white, held over each control period.
         force: Height of the step, amplitude, or standard deviation [N, N m]; of an impulse its integral [N s, N m s].
         frequency: Of a sine [Hz].
 

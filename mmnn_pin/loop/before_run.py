@@ -60,7 +60,7 @@ class Start(Settings, frozen=True):
 
 
 class Bounds(Settings, frozen=True):
-    """Where a state counts as lost; leaving them ends the run as diverged.
+    """Largest velocities; a run that passes one ends as diverged.
 
     Args:
         speed: Largest speed of the base [m/s].

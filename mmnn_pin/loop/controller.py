@@ -1,4 +1,4 @@
-"""A controller around and in a run: what it is told, its state before and after, and its step wired to a row."""
+"""A controller around and in a run: its context, its state before and after, and its step wired to a row."""
 
 from __future__ import annotations
 

@@ -21,10 +21,10 @@ class Latency(Settings, frozen=True):
     Args:
         sensing: Age of a measurement when it is used [s]; a whole number of measurements in a simulation.
         command: Time from there to the motors [s], rounded to steps of the plant.
-        jitter: Largest further delay of a command, every one by its own chance; none overtakes another [s].
+        jitter: Largest further delay of a command, drawn anew for each; none overtakes another [s].
         margin: Delay beyond these that a loop should bear; less is reported. Lower feedback gains bear more [s].
-        predict: Whether a measurement is brought up to now, by what the reference has moved since it was taken
-            (`loop.lead.catch_up`); it needs one at every control sample.
+        predict: Whether a measurement is moved on as the reference has moved since it was taken (`loop.lead.catch_up`);
+            this needs a measurement at every control sample.
 
     Raises:
         ConfigError: A number that is negative or not finite.

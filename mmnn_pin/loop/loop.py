@@ -57,12 +57,12 @@ class Loop:
     Args:
         robot: The true robot, simulated by the plant.
         trajectory: What it should do.
-        controller: A controller of this package or a `TorqueController` of your own; gains that it is not given suit
+        controller: A controller of this package or a `TorqueController` of your own; gains that you do not give suit
             the robot (`loop.suited`), with the delay margin that the latency asks for.
         kinematic: Gains of the kinematic layer.
         timing: Periods, and the integrator; by default one that bears the robot's friction (`suited.timing_for`).
         start: Where the run starts.
-        nominal: The robot that a controller believes in which uses a model and brings none; None for the true one.
+        nominal: The robot that a controller with a model, but none of its own, believes in; None for the true one.
         bounds: Where a state counts as lost.
         seed: The run's one seed.
         weights_interval: Time between two records of the weights [s].
@@ -74,8 +74,8 @@ class Loop:
         actuator: What the motors make of their commands; perfect by default.
         safety: A supervisor between controller and motors; None for none.
         disturbances: What happens to the robot during the run.
-        within_limits: Whether Psi_hat takes of every motor's limit only what the feedback leaves (see
-            `torque.law`); None for what the controller says: learners beyond the thesis do.
+        within_limits: Whether Psi_hat gets only what the feedback leaves of every motor's limit (see `torque.law`);
+            None for the controller's own choice: all learners but the thesis's networks do.
         latency: How long measurements and commands are under way; gains that do not bear it are refused.
         interfaces: What motors take, by joint: "velocity" or "position", "effort" where one is not named; see `servo`.
         servo: The servos behind velocity and position interfaces.
@@ -282,7 +282,7 @@ class Loop:
         return final | ({"controller_state": engine.state.values} if isinstance(engine.state, ControllerState) else {})
 
     def context(self) -> Context:
-        """What the controller is told before the run."""
+        """The controller's `Context`, before the run."""
         return new_context(self, self.seed, self.within_limits, self.timing.samples)
 
     def streams(self) -> Streams:

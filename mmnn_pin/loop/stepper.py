@@ -77,18 +77,18 @@ class Stepper:
 
     Args:
         robot: The robot.
-        controller: A controller of this package or a `TorqueController` of your own. Gains that it is not given suit
+        controller: A controller of this package or a `TorqueController` of your own. Gains that you do not give suit
             the robot (`loop.suited`); those given as bandwidths are multiplied with the robot's effective inertias.
         kinematic: Gains of the kinematic layer.
         safety: Limits of the supervisor.
         period: Control period [s].
-        limits: What references made here keep to.
+        limits: Limits of references that are made here.
         setpoint_timeout: Age of a setpoint that has to be renewed at which the base brakes and the arm holds [s].
-        nominal: The robot that a controller believes in which uses a model and brings none; None for `robot`.
+        nominal: The robot that a controller with a model, but none of its own, believes in; None for `robot`.
         seed: Of what a controller draws.
         within_limits: As in `Loop`.
         latency: Known delay from the measurement to the motors [s], which the gains have to bear.
-        predict: Whether a measurement is brought up to now by what the reference has moved since it was `measured`,
+        predict: Whether a measurement is moved on as the reference has moved since it was `measured`,
             over the latency at most, see `loop.lead.catch_up`.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
         lead: Whether Psi_hat leads by half the period, the latency and the lag, see `loop.lead`.
@@ -341,7 +341,7 @@ class Stepper:
 
     @property
     def is_moving(self) -> bool:
-        """Whether a motion or a joint goal that was handed in is not over yet."""
+        """Whether a motion or a joint goal is still under way."""
         return self.follower.is_moving
 
     def finish(
@@ -351,7 +351,7 @@ class Stepper:
 
         Args:
             status: How it ended otherwise.
-            message: What else to tell of it.
+            message: More about it.
             extra: More arrays for the recording's `final`.
 
         Raises:

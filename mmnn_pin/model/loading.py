@@ -84,11 +84,11 @@ def load(
         track: Lateral distance of the drive wheels [m]; of a skid-steer base the effective one.
         roller: Angle of the rollers of a holonomic base [rad], see `Overrides`.
         lock: Joints that stand still: `joint` where it rests, or `joint=position` [rad or m].
-        free: Joints that are not locked though heads and fingers are by default; `all` for all.
+        free: Joints of heads and fingers to free, which are locked by default; `all` for all.
         arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
         package_dirs: Folders that hold the packages of `package://` meshes and of xacro files.
         xacro: Arguments of a xacro file, `NAME:=VALUE`.
-        without: Macros of a xacro file whose calls are left out, for want of a package.
+        without: Macros of a xacro file to leave out, because a package is missing.
         strict: Whether impossible inertias and implausible sizes are errors.
         controllers_file: YAML file of the robot's controllers, see `Overrides`.
         mu: Friction coefficient between the floor and the wheels of a skid-steer base, 1 by default.

@@ -140,7 +140,7 @@ class Regressor:
 
     @property
     def carrying(self) -> IntArray:
-        """Columns of the bodies at the arm's ends, or of the base without an arm: what it picks up changes them."""
+        """Columns of the bodies at the arm's ends, or of the base without an arm, which a load changes."""
         links, m = self.massless.tree.links, self.massless
         moved = {joint for joint, row in zip(self.joints, m.joints, strict=True) if np.any(row[m.base :] != 0.0)}
         parents = set(links[m.first :, LINK.parent].tolist())

@@ -50,7 +50,7 @@ class Robot(Structure):
 
     @property
     def q_names(self) -> tuple[str, ...]:
-        """What the numbers of `q` are: the pose, then the arm's joints."""
+        """Names of the numbers of `q`, the pose before the arm's joints."""
         return ("x", "y", "phi")[: self.dimensions.pose] + self.joint_names
 
     def neutral(self) -> Array:

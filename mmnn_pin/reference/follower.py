@@ -27,7 +27,7 @@ class Follower:
 
     Args:
         robot: The robot.
-        limits: What references made here keep to.
+        limits: Limits of references that are made here.
         timeout: Age of a wish that has to be renewed (full samples, velocities) at which base and arm hold [s].
 
     Attributes:

@@ -40,7 +40,7 @@ PEAK_RATE, PEAK_ACCELERATION = 1.875, 5.7735  # of it, from value 1 [1/T, 1/T^2]
 
 
 class Limits(Settings, frozen=True):
-    """What a reference made while the robot runs keeps to.
+    """Limits of a reference that is made while the robot runs.
 
     Args:
         speed: Largest speed of the base [m/s].

@@ -51,8 +51,8 @@ STANDING = 5.0  # time of an arm's motion where no base says one [s]
 class Trajectory:
     """What the whole robot should do over time: a source of setpoints that knows them ahead.
 
-    Made of a path and profiles; or by `of`, `from_waypoints`, `from_arrays` or `from_csv`, which know the robot: what
-    they are not told stands still, the arm where it rests and the base at the origin.
+    Made of a path and profiles; or by `of`, `from_waypoints`, `from_arrays` or `from_csv`, which know the robot: parts
+    that you do not give stand still, the arm where it rests and the base at the origin.
 
     Args:
         base: Path of the base; None for a fixed arm.

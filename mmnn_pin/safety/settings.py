@@ -66,8 +66,8 @@ class Safety(Settings, frozen=True):
         timeout: Age of the measurement or of the command at which it trips [s]; that of ros2_controllers by default.
         ramp: Time in which torque goes to zero: all of it without measurements, the last command without commands [s].
         stop_time: How long a tripped run goes on, to show the stop [s].
-        settle: Time in which feedback has to bring the robot to rest, where shorted windings are the alternative: after
-            it the stop does without feedback [s].
+        settle: Time that feedback has to bring the robot to rest, where motors can short their windings instead; after
+            it the stop goes on without feedback [s].
         rest: Measured speed that counts as rest then [m/s, rad/s].
         hold_rate: Rate of the integral that holds the arm against gravity, slower where the feedback is too weak for it
             [1/s].

@@ -40,17 +40,17 @@ class Sensor(Settings, frozen=True):
         wheel_resolution: Step of the wheels' encoders [rad].
         offset: Zero error of the arm's encoders, one number or one per joint [rad or m].
         velocity: "true"; "difference" of readings, as in the thesis's experiment; "filtered" derivative
-            `s wc / (s + wc)` (backward Euler); a tracking "observer" with both poles at wc; or an observer on a
-            "model", with three poles at wc, which is told what acceleration torque and Psi_hat amount to
-            (`loop.hardware.Expected`), and sends angles, too. All but "true" take the base's velocity from its wheels.
+            `s wc / (s + wc)` (backward Euler); a tracking "observer" with both poles at wc; or "model", an observer
+            with three poles at wc that expects the acceleration of torque and Psi_hat (`loop.hardware.Expected`) and
+            estimates angles, too. All but "true" take the base's velocity from its wheels.
         bandwidth: wc of the filter and of the observers [rad/s].
         pose: "true", or "odometry": integrated from the wheels' encoders, so that it drifts when they slip.
         noise: Standard deviation of the arm's encoders [rad or m].
         wheel_noise: Of the wheels' encoders [rad].
         velocity_noise: Of the velocities as they are sent, one number or one per velocity [m/s, rad/s].
         pose_noise: Of the pose as it is sent (x, y, phi) [m, m, rad].
-        delay: Measurements by which the line is late.
-        jitter: Largest further delay; every message is late by a whole number of them, equally likely.
+        delay: Delay of the line, in measurements.
+        jitter: Largest further delay, in measurements; every whole number up to it is equally likely.
         loss: Probability that a message is lost; the controller keeps what it had.
 
     Raises:
@@ -106,9 +106,9 @@ class Sensor(Settings, frozen=True):
             robot: The robot.
             period: Time between two measurements [s].
             count: How many measurements there will be.
-            rng: For noise, jitter and losses; those of fewer measurements are the first of those of more.
-            faults: (count, 2) how many measurements later still every message is, negative for a lost one, and what is
-                added to all its numbers; None for none.
+            rng: For noise, jitter and losses; a shorter run draws the first numbers of a longer one.
+            faults: (count, 2) further delay of every message in measurements, negative for a lost one, and an offset on
+                all its numbers; None for none.
             state: Of the sensors, from `init`; None for a new one.
 
         Raises:

@@ -79,8 +79,8 @@ class AdaptiveSettings(Settings, frozen=True):
 
     The rates are in units of energy: a body's estimate moves by its own size where `rate` times the work that its error
     does in a sample is one. They hold for gains of 500 N s/m (forward velocity of the base) and of 30 N m s (joints of
-    the arm) and are multiplied by what `prior.tempo` says for others: light arms, and light joints, have little energy.
-    Friction is measured by `c_j = 1 / (t_j K^-1 t_j')`, the feedback gain that joint j with the row t_j of T feels.
+    the arm) and `prior.tempo` scales them for others: light arms, and light joints, have little energy. Friction is
+    measured by `c_j = 1 / (t_j K^-1 t_j')`, the feedback gain that joint j with the row t_j of T feels.
 
     Args:
         rate: gamma of the pseudo-inertias [1/J].
@@ -93,19 +93,20 @@ class AdaptiveSettings(Settings, frozen=True):
         modification: "sigma" leaks always, "e" in proportion to |s|.
         bounds: The largest ratio of an estimate to its start, either way.
         heaviest: The largest ratio of an estimate to a body of `mass` and `size`, where it starts from these. Too light
-            an estimate is too little of a feedforward; one too heavy is a feedback, by the feedback inside nudot_ref,
-            and noise of velocities drives it there. A prior that was made lighter may grow as much more.
+            an estimate gives too little feedforward; too heavy a one acts as feedback, through the feedback inside
+            nudot_ref, and noise of velocities drives it up. A prior that was made lighter may grow as much more.
         friction_bound: Largest friction that is believed: viscous in c_j, dry in c_j times 1 rad/s or m/s.
         initial: "prior" for balls of `mass` and `size` at every joint without friction; "nominal" for a robot's (in an
             experiment the one of `[nominal]`).
         start: A file `NAME.identified.json` of `mmnn identify` in place of both: it begins with the parameters found
-            there, and what their covariance says is sure moves less; without leakage.
+            there, and moves those less that are sure by their covariance; without leakage.
         mass: Masses of the prior, (base, every other body) [kg].
         size: Radii of gyration of the prior about each axis, likewise [m].
-        slowest: The prior is made lighter where a velocity feels more inertia of it than this times its gain [s]; see
-            `torque.prior`.
-        slowest_learned: No body is believed to be so heavy that a velocity feels more inertia of it than this times its
-            gain [s], where it starts from the prior: held for a control period, that feedback would not be stable.
+        slowest: The prior is made lighter where the inertia that a velocity feels of it is more than this times its
+            gain [s]; see `torque.prior`.
+        slowest_learned: Bound on the weight of a body that starts from the prior: the inertia that a velocity feels of
+            it is at most this times its gain [s]. Held for a control period, the feedback of a heavier one would not be
+            stable.
 
     Raises:
         ConfigError: A number that is negative, not finite or 0 where it must not be.

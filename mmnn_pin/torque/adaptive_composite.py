@@ -42,7 +42,7 @@ class AdaptiveCompositeSettings(Settings, frozen=True):
         weight: c, its factor; dimensionless. Large is safe: a step never overshoots.
         tracking: a, the factor on the gradient of the tracking error, which is 1 without a prediction error.
         pole: Of the low-pass of regressor and torque [1/s].
-        forgetting_time: T, how long what was seen counts [s].
+        forgetting_time: T, how long samples count [s].
         every: Time between two steps [s].
 
     Raises:

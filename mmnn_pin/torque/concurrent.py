@@ -64,8 +64,8 @@ class ConcurrentSettings(Settings, frozen=True):
         tracking: How fast it follows the tracking error where nothing is known yet [1/J].
         noise: Standard deviation of an equation, divided by K: the velocity error that would hide it [m/s, rad/s].
         growth: Least gain of log det of the information for which an entry is replaced.
-        lifetime: Of an entry [s]; 0 for ever. With one, what is not excited again is forgotten, and a robot that has
-            changed is learned anew.
+        lifetime: Of an entry [s]; 0 for ever. With a lifetime the learner forgets what is not excited again, and learns
+            a robot that has changed.
         pole: Of the low-pass of regressor and torque [1/s].
         every: Time between two candidates [s].
         spread: Standard deviation of the prior, in sizes of the typical robot; of friction in `FRICTION` c_j.

@@ -40,7 +40,7 @@ class Context:
         samples: Number of control samples of the run.
         rng: The controller's own random generator, split from the run's seed.
         regressor: How the robot moves (`model.regressor.Regressor`), for a `LearningLaw` that asks for it; else None.
-        limits: What Psi_hat is kept within; None where it is not kept within anything.
+        limits: Limits that Psi_hat is kept within; None for none.
         lag: (p,) known time constants of the motors, seen from the velocities [s]; None for none.
         way: Known time from the command of a torque to the measurement that shows it, less what is predicted [s].
     """

@@ -14,18 +14,18 @@ class KalmanSettings(Settings, frozen=True):
     """How a linear learner learns; all numbers are measured by the feedback, so one set suits robots of any size.
 
     Args:
-        noise: Standard deviation of what filtered torque says, divided by K [m/s, rad/s]: the velocity error that the
-            feedback would need to hide it. Noise of the sensors and what the features cannot say.
+        noise: Standard deviation of the errors of filtered torque, divided by K [m/s, rad/s]: noise of the sensors, and
+            what the features lack.
         prior: Standard deviation of Psi before anything is learned, on random motion at 1 m/s and 1 rad/s, over K.
-        drift: Part of the prior variance that comes back in a second [1/s], so that changes are learned. 0 never
-            forgets; where nothing excites, the variance returns to the prior at most.
+        drift: Part of the prior variance that comes back in a second [1/s], so that changes are learned, up to the
+            prior's. 0 never forgets.
         tracking: How fast the weights answer the tracking error where nothing is known yet [1/s].
         bound: Largest weights, as root mean square in standard deviations of the prior.
         pole: Low-pass on features and filtered torque [1/s].
         state_pole: Low-pass on states and torque ahead of the features [1/s]; 0 for none.
         interval: Time from one update to the next [s], at least a control period.
-        alarm: Where the square of its errors is suddenly so many times what it was in the last seconds, the robot has
-            changed: what it carries is learned anew. 0 for never.
+        alarm: The robot counts as changed where the square of the errors is this many times that of the last seconds;
+            its load is then learned anew. 0 for never.
 
     Raises:
         ConfigError: A number that is negative, not finite, huge or 0 where it must not be.
@@ -57,8 +57,8 @@ class KalmanRegressorSettings(KalmanSettings, frozen=True):
     What it can say is true, so a wide prior costs nothing, and friction of small joints needs one.
 
     Args:
-        start: A file `NAME.identified.json` of `mmnn identify`: it begins with the parameters found there, and knows
-            them as well as their covariance says; empty for nothing known.
+        start: A file `NAME.identified.json` of `mmnn identify`: it begins with the parameters found there, as sure as
+            their covariance says; empty for nothing known.
     """
 
     noise: float = 0.1
@@ -117,9 +117,9 @@ class RandomFeatures(KalmanSettings, frozen=True):
         hidden: Random functions, at least; 2000 at most.
         weights: Standard deviation of their weights on every input.
         linear: Ratio of the prior variances of features without and with a random function.
-        gravity: Standard deviation of what is there at rest, a share of what the arm's motors can give (the median of
-            the joints); at least what `prior` gives it. Gravity over K is g / (b l) for a link of length l that K gives
-            the bandwidth b: some tens of a small arm's prior, and little of a geared arm's.
+        gravity: Standard deviation of Psi at rest, as a share of the arm's motor limits (the median of the joints); at
+            least that of `prior`. Gravity over K is g / (b l) for a link of length l that K gives the bandwidth b: some
+            tens of a small arm's prior, and little of a geared arm's.
         eps: Speed over which dry friction turns [rad/s or m/s].
     """
 

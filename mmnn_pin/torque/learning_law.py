@@ -54,8 +54,8 @@ class LearningLaw(TorqueController):
         name: Name in tables and recordings; that of the class unless it says.
         learned: Names of the parts of the state that are weights: they are recorded at intervals, their norm at every
             sample, and a supervisor bounds them. Empty for all parts.
-        within_limits: Whether Psi_hat takes of the motors' limits only what the feedback leaves, unless the loop says.
-        knows_motion: Whether it is told how the robot moves, never what it weighs: `sample.regressor`.
+        within_limits: Whether Psi_hat gets only what the feedback leaves of the motors' limits, unless the loop says.
+        knows_motion: Whether it gets `sample.regressor`: how the robot moves, not what it weighs.
 
     Args:
         feedback: K; an experiment gives its own.
@@ -108,7 +108,7 @@ class LearningLaw(TorqueController):
         """Change the state in place; called after `estimate` of the same sample."""
 
     def features(self, sample: Sample, state: ControllerState) -> Array | None:
-        """What the weights are multiplied with, if Psi_hat is linear in them: `mmnn prove` then tells their excitation.
+        """What the weights are multiplied with, if Psi_hat is linear in them; `mmnn prove` reports their excitation.
 
         (p, k) where all components share the k weights, (k,) where each has its own; None for none of these.
         """
@@ -222,7 +222,7 @@ class Sample:
 
     @property
     def regressor(self) -> Array:
-        """Y at this sample, (p, k): `Psi = Y theta`; for a law with `knows_motion`. A view.
+        """The Y of `Psi = Y theta` at this sample, (p, k), a view; for a law with `knows_motion`.
 
         Raises:
             ConfigError: The law does not ask for it.

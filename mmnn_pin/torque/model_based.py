@@ -80,7 +80,7 @@ class ComputedTorque(ConstantGain):
         return cls(given.feedback, given.told.nominal if given.name == "nominal" else None, given.name)
 
     def facts(self) -> dict[str, Any]:
-        """What is told of its model."""
+        """What it gets of its model."""
         return {} if self.model is None else {"model": self.model.facts()}
 
     @property

@@ -60,8 +60,7 @@ class Inputs(Settings, frozen=True):
         scale: Factor on every input (180/pi puts joint angles in degrees).
         error_scale: Factor on the error s that teaches, undone at the output: with 180/pi for both the whole network
             works in degrees, and so do its leakage and the norm of its weights.
-        bias: One more input that never changes, which (3.24) lacks: without it the hidden units see no constant; 0 for
-            none.
+        bias: A constant input, which (3.24) lacks; 0 for none.
         constant_yaw_rate: Appendix B's slip `wd = (5)`: this number in place of the second component of alpha.
 
     Raises:
@@ -312,7 +311,7 @@ class Neural(CompiledController):
 
     @classmethod
     def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
-        """The controller of a recording; None where an older version wrote it that told no settings."""
+        """The controller of a recording; None where an older version wrote it without settings."""
         if not facts:
             return None
         kind: Any = OneLayer if name == "one_layer" else TwoLayer

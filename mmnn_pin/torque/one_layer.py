@@ -24,7 +24,7 @@ ONE_LAYER = 3  # kind of law
 
 
 class OneLayer(Settings, frozen=True):
-    """One-layer network with fixed Gaussian units: reference [9] of the thesis, reconstructed (see above).
+    """One-layer network with fixed Gaussian units: reference [9] of the thesis, reconstructed.
 
     Args:
         hidden: Gaussian units per network.

@@ -92,7 +92,7 @@ class TwoLayerResidual(CompiledController):
         return self.networks.weights(state)
 
     def facts(self) -> dict[str, Any]:
-        """The network's settings and what is told of the model."""
+        """The network's settings and those of the model."""
         if self.model is None:
             return self.networks.facts()
         model = {k: v for k, v in self.model.facts().items() if k not in ("urdf", "urdf_sha256")}

@@ -80,8 +80,8 @@ def embed(
         loop: Robot, controller, gains and supervisor; what it simulates beside is left out.
         folder: For the files.
         force: Write into a folder that exists.
-        single: Numbers of 32 bits; the self-test then tells how far the torques are off.
-        diagnostics: Keep what only tells how well the motion excites (the Gram matrix of `adaptive`).
+        single: Numbers of 32 bits; the self-test then says how far the torques are off.
+        diagnostics: Keep what only reports how well the motion excites (the Gram matrix of `adaptive`).
         steps: Samples of the self-test.
         compiler: With its flags, for the self-test; None writes the files alone.
         memory: Largest size of what the controller remembers [kB].

@@ -198,13 +198,13 @@ def identify(
     """Inertias and friction of a robot from recorded motion.
 
     Args:
-        robot: As its URDF has it: where to start, and what holds for all that the motion does not tell.
+        robot: As its URDF has it: where the fit starts, and what stays where the motion does not determine it.
         logs: Recorded motions: logs, recordings, or files (CSV, bags, recordings).
         held_out: Motions to judge on; without any the last third of every log is held out.
         cutoff: Of the low-pass on positions and efforts [Hz]; by default ten times the motion's own frequencies.
         stribeck: Velocity of Stribeck friction [rad/s or m/s]; by default there is none.
-        torque_constants: Torque per unit of a recorded effort, by motor; 1 for those not named. None finds one
-            from what motors with known ones feel of the same bodies.
+        torque_constants: Torque per unit of a recorded effort, by motor; 1 for those not named. None finds it from
+            motors with known constants that feel the same bodies.
         weight: Of the URDF in the consistent fit; by default chosen on blocks left out.
 
     Raises:
@@ -213,7 +213,7 @@ def identify(
         ConfigError: A number that cannot be.
         SolverError: The programme has no solution.
 
-    A constant that is found stands in `notes` with its standard deviation, which those of the fit do not contain.
+    `notes` has a constant that is found, with its standard deviation, which those of the fit do not contain.
 
     >>> robot = load("two_axis_arm")
     >>> path = Trajectory.of(robot, arm={"arm_1_joint": Sine(0.8, 1.7), "arm_2_joint": Sine(0.9, 1.1)})

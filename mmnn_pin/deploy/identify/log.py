@@ -37,7 +37,7 @@ class Log:
         base: (N,) of `base.x` and so on, see `BASE` [m, rad, m/s, rad/s].
         reference: (N,) of `reference.x` and so on [m, rad].
         effort_delay: How much later than its time an effort acts [s].
-        notes: What there is to say about it.
+        notes: Remarks on it.
     """
 
     name: str

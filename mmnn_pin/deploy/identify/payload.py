@@ -4,7 +4,7 @@ The load is what the torques have beyond the robot's own, `Y_b p`, with Y_b the 
 the robot is not known exactly: an error of its last link looks like a load. So the robot's parameters are fitted with
 the load's, `y = Y (theta_0 + B x) + Y_b p`, with x of standard deviation s: one for all bodies, relative to each. How
 large s is the motion tells: it is known by how well `y` is explained beforehand (the evidence, MacKay 1992, Neural
-Computation 4(3)), and what is told of the load is the mean over all s, so that its interval has the doubt of s as well.
+Computation 4(3)), and the answer is the mean over all s, so that its interval has the doubt of s as well.
 Friction and constants are free. A motion without the load tells the robot's errors from the load's.
 
 p has mass and first moments, and the second moments of a point mass at the centre that these give, linear about the
@@ -92,7 +92,7 @@ def payload(
     believed: tuple[Array, Array] | None = None,
     without: Log | Sequence[Log] = (),
 ) -> Load:
-    """What a robot carries.
+    """Mass and centre of the load that a robot carries.
 
     Args:
         robot: Without the load.
@@ -101,7 +101,7 @@ def payload(
         cutoff: Of the low-pass [Hz]; by the motion by default.
         believed: Parameters (k,) of the robot's regressor without the load, in place of the URDF's, and their
             covariance (k, k).
-        without: Motions without the load, best the same ones, which tell the robot's errors from it.
+        without: Motions without the load, best the same ones: they separate the load from the robot's own errors.
 
     Raises:
         UnknownName: No such joint.

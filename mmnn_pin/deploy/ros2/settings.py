@@ -22,9 +22,9 @@ class Network(Settings, frozen=True):
     Args:
         domain: `ROS_DOMAIN_ID`.
         interface: Name or address of the one network interface that is used.
-        peers: Addresses that are looked for, and the only ones that are listened to. No multicast is used.
+        peers: Addresses to look for, and the only ones to listen to. No multicast is used.
         namespace: Of relative topic names.
-        largest: Size of a message from which on it is refused [bytes].
+        largest: Larger messages are refused [bytes].
         participants: How many processes with DDS a peer may have.
         config: More settings of Cyclone DDS, XML inside `<Domain>`, such as `<Security>`.
 
@@ -80,7 +80,7 @@ class Topic(Settings, frozen=True):
         reliability: "reliable", or "best_effort", which hears both kinds of writers.
         depth: How many messages are kept.
         age: Oldest stamp that is taken [s].
-        publishers: How many may send on it at a time; what more of them send is dropped.
+        publishers: How many may send on it at a time; messages of further ones are dropped.
 
     Raises:
         ConfigError: A name that ROS 2 does not know, a number that is not positive.
@@ -116,7 +116,8 @@ class Base(Topic, frozen=True):
     """`nav_msgs/Odometry`.
 
     Args:
-        pose: "odometry": of the message; "tf": of `/tf`, velocities from the wheels' rates, and nothing of this topic.
+        pose: "odometry": pose and velocity of the message; "tf": the pose of `/tf` and velocities from the wheels'
+            rates, nothing of this topic.
         at: Control frame in the frame whose pose comes, `(x, y, phi)`; None looks that link up in the URDF [m, rad].
         jump: Largest step of the pose between two messages beside what the velocity explains [m].
         turn: Likewise of the heading [rad].
@@ -267,7 +268,7 @@ class Output(Settings, frozen=True):
 
 
 class Switches(Settings, frozen=True):
-    """Services `std_srvs/Trigger`. With them the node stays after a trip, and waits for what it is told.
+    """Services `std_srvs/Trigger`. With them the node stays after a trip and waits for a call.
 
     Args:
         stop: An emergency stop.
@@ -314,12 +315,12 @@ class Node(Settings, frozen=True):
         set: Its keys that are changed, tables in tables.
         rate: Control samples per second.
         latency: Known delay from the measurement to the motors, which the gains have to bear [s].
-        predict: Whether measurements are brought up to now by what the reference has moved since their stamps.
+        predict: Whether measurements are moved on as the reference has moved since their stamps.
         setpoint_timeout: Age of a velocity at which the base brakes [s].
         follow: "topics", or "experiment": its own motion, from where the robot stands.
         network: Where it speaks.
         clock: Clocks.
-        limits: What references made on the way keep to.
+        limits: Limits of references that are made on the way.
         joint_states: The joints.
         odometry: The base; left out for a fixed arm.
         tf: Frames.

@@ -13,21 +13,20 @@ KNOWS = ("kinematics", "form", "nothing", "nominal")
 
 
 class Targets(Settings, frozen=True):
-    """What is asked of the learners, judged by medians over the seeds. No target is met by a limit that holds anyway.
+    """Targets of the learners, judged by medians over the seeds.
 
     Args:
         task: Task of an ordinary training motion; most targets are judged there.
         rich: Task of a rich one, for learners that know nothing.
         poor: Task of a poor one.
-        frozen_fvu: What a learner knows before it starts to the largest frozen FVU, of the worst component, of the best
-            that knows it.
+        frozen_fvu: By what a learner knows before it starts: the largest frozen FVU, of the worst component, that the
+            best such learner may have.
         better: Least ratio of the thesis's error to that of the best learner, on every axis.
         near: Largest ratio of the error of the best learner that knows the kinematics to the oracle's.
-        oracle: Largest held-out errors of the oracle, of the base and of the arm: what a model gives that is right
-            [m, rad].
+        oracle: Largest held-out errors of the oracle, whose model is right, of base and arm [m, rad].
         bounded: Largest ratio of any learner's error to PD's after a poor motion, on every axis, held out with learning
             on and off.
-        kick: Largest ratio of any learner's torque of the start to the oracle's.
+        kick: Largest ratio of any learner's torque at the start to the oracle's.
         first: Largest ratio of one learner's error to the least in any task, of all that do not know the truth.
     """
 
@@ -58,9 +57,9 @@ class Contest(Settings, frozen=True):
 
     Args:
         seeds: How many, counted from the experiment's own.
-        beside: Controllers that run whatever else is chosen, because the others are measured by them: the feedback
-            alone, the thesis's law, the oracle. A case that names its own controllers runs those.
-        knows: What a learner knows before it starts ("kinematics", "form", "nothing", "nominal") to their names.
+        beside: Controllers that always run, because the others are compared with them: the feedback alone, the thesis's
+            law, the oracle. A case that names its own controllers runs those.
+        knows: Names of the learners by what they know before they start ("kinematics", "form", "nothing", "nominal").
         window: Length of the windows of the learning curves [s].
         learned: Error over that of PD, in every later window, that counts as learned.
         start: Length of the start in which a kick is looked for [s].

@@ -1,4 +1,4 @@
-"""The controllers of an experiment: their names and settings, and each of them made with what it is told of the robot.
+"""The controllers of an experiment: their names and settings, and each of them made with what it may know of the robot.
 
 `mmnn_pin.torque` has the list; nothing here knows a single one of its learners.
 """
@@ -71,7 +71,7 @@ def tables_of_learners() -> dict[str, Any]:
 def struct_of(name: str, kinds: dict[str, Any]) -> Any:
     """Settings with one table of each kind, an attribute of this module: a pickled one is looked for there."""
     content: dict[str, Any] = {key: msgspec.field(default_factory=kind) for key, kind in kinds.items()}
-    content |= {"__annotations__": dict(kinds), "__module__": __name__}
+    content |= {"__annotations__": dict(kinds), "__module__": __name__, "__doc__": f"The {name} learners, by table."}
     options = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
     globals()[name] = new_class(name, (Settings,), options, lambda namespace: namespace.update(content))
     return globals()[name]
@@ -137,8 +137,8 @@ class Learning(Settings, frozen=True):
         projection: Bound on |W|_F in units (what the feedback answers to 0.1 m/s or rad/s) and on |V|_F of every
             network: larger ones are scaled back onto it. Without it 100 for `two_layer_residual` and none for the
             thesis's networks; `two_layer_composite` has a bound of its own.
-        within_limits: Whether robust term and Psi_hat take of every motor's limit only what the feedback leaves, of all
-            controllers; without it of the learners beyond the thesis, not of its networks.
+        within_limits: Whether robust term and Psi_hat get only what the feedback leaves of every motor's limit, for all
+            controllers. Without it they do for all learners but the thesis's networks.
 
     Raises:
         ConfigError: A projection that is not above 0 or not finite.

@@ -86,8 +86,8 @@ class Case(Settings, frozen=True):
     Args:
         title: A few words for the table.
         set: Keys that it changes, tables in tables.
-        experiment: A bundled experiment or a file from which it starts, in place of the one that it is a case of; what
-            that one says itself holds in this case, too.
+        experiment: A bundled experiment or a file to start from, in place of the experiment with the cases; what the
+            latter says itself holds in this case, too.
         own: Keys of `set` that the case itself says; filled in where it starts from another experiment.
     """
 
@@ -135,11 +135,11 @@ class Experiment(LearnerTables, frozen=True):
         masses: Factor on the true robot's inertias, one for all or one per joint with a body (`Robot.with_masses`).
         controllers: Controllers to run, names of `CONTROLLERS` or of `laws`; `FILE.py:Class` for a class of a user.
         seed: The one seed.
-        windows: Intervals for the RMS errors [s]; one that a run does not reach has none, which a note says.
+        windows: Intervals for the RMS errors [s]; an interval that a run does not reach has no errors, and a note says
+            so.
         weights_interval: Time between two records of the weights [s].
-        plots: Pictures that a run writes, of those that `mmnn plot --help` names; `mmnn run` refuses others. With
-            figures of the thesis it is compared with the intervals of their axes, with `figure-5.5` also with the
-            largest errors that chapter 5 prints.
+        plots: Pictures that a run writes; `mmnn plot --help` names them. A figure of the thesis compares the run with
+            the intervals of its axes, `figure-5.5` also with the largest errors that chapter 5 prints.
         torque_limits: Show every motor's peak torque beside its effort limit in the table, not only what exceeds it.
         time: Periods and integrator.
         start: Start relative to the reference.
@@ -149,7 +149,7 @@ class Experiment(LearnerTables, frozen=True):
         feedback: k1, k2; what is not given suits the robot (`loop.suited`).
         robust: Kz, ZB, scaled as the feedback is.
         robust_of: Kz, ZB of single learners.
-        nominal: The model that is wrong on purpose, for those that have one.
+        nominal: The nominal model, wrong on purpose, of the controllers that have one.
         laws: Controllers of a user by name: `law`, where the class is, and its settings.
         inputs: What the networks see.
         learning: Conventions and switches.
@@ -159,7 +159,8 @@ class Experiment(LearnerTables, frozen=True):
         actuator: What the motors make of their commands.
         safety: A supervisor between controller and motors; without the table there is none.
         latency: How long measurements and commands are under way.
-        interfaces: What motors take, by joint: effort where one is not named, velocity or position.
+        interfaces: What the motor of a joint takes: "velocity" or "position", and "effort" where the joint is not
+            named.
         servo: The servos behind velocity and position interfaces.
         lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag.
         disturbances: What happens to the robot during a run.
@@ -167,8 +168,9 @@ class Experiment(LearnerTables, frozen=True):
         contact: The floor of the contact plant.
         cases: Changes of this experiment, name to case; with them it runs once in each, with a verdict on every run.
         tolerance: What a case asks of its runs.
-        contest: With it the cases are the tasks of a contest: runs are not judged one by one but compared.
-        held_out: Held-out trajectories by name; without any one follows from the reference (see `proof.held_out`).
+        contest: With it the cases are the tasks of a contest, whose runs are compared and not judged one by one.
+        held_out: Held-out trajectories by name; where none is named, one is derived from the reference (see
+            `proof.held_out`).
 
     Raises:
         UnknownName: A controller or a plant that does not exist.

@@ -228,10 +228,11 @@ class ReferenceTables(Settings, frozen=True):
         base: The base's path.
         heading: Profile of a holonomic base's heading [rad]; None turns it along the path.
         arm: One profile per arm joint, or one table for all of them (type "swing", see `Swing`).
-        share: Share of every motor's effort and speed limits that whoever follows exactly may need: swings move to
-            another posture, and the whole reference is slower, where it would be more (`loop.suited`). 0 for any.
-        hand: Where the hand goes, in the place of all of these: base and arm follow from it.
-        file: A CSV file as of `Trajectory.from_csv`; what it holds takes the place of base and arm.
+        share: Largest share of every motor's effort and speed limits that following the reference exactly may need.
+            Where it would need more, swings move to another posture and the whole reference slows down (`loop.suited`).
+            0 for no limit.
+        hand: Where the hand goes; base and arm follow from that, in place of the keys above.
+        file: A CSV file as for `Trajectory.from_csv`; its columns replace base and arm.
 
     Raises:
         ConfigError: A hand beside a path of the base, profiles of the arm or a file.
@@ -300,7 +301,7 @@ class ReferenceTables(Settings, frozen=True):
 
 
 class HeldOut(ReferenceTables, frozen=True):
-    """A reference that no learner is trained on, by which `mmnn prove` judges what it knows.
+    """A reference that no learner is trained on; `mmnn prove` judges a learner's knowledge on it.
 
     Args:
         duration: Its length [s].

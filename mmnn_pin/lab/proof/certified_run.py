@@ -125,7 +125,7 @@ def prove(
     tube: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Proved:
-    """Judge one recorded run: did it learn Psi, does its Lyapunov function fall, what is certified of its loop.
+    """Judge one recorded run: did it learn Psi, does its Lyapunov function fall, what is certified of its loop?
 
     Args:
         recording: The run.

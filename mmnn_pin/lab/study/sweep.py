@@ -104,7 +104,7 @@ def sweep(
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Sweep:
-    """Run controllers at every value of a setting, several times each, and tell which value is best.
+    """Run controllers at every value of a setting, several times each, and say which value is best.
 
     Args:
         robot: The robot.

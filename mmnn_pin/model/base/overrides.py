@@ -46,11 +46,11 @@ class Overrides(Settings, frozen=True):
         roller: Angle of the rollers from the rolling direction [rad]: 0 for omni wheels; for mecanum wheels that of
             the front right one on the floor, pi/4 by default, negative for wheels mounted the other way round.
         lock: Joints that stand still, `joint` where it rests or `joint=position` [rad or m].
-        free: Joints that are not locked though they would be by default; `all` for all.
+        free: Joints to free that are locked by default; `all` for all.
         arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
         package_dirs: Folders that hold the packages of `package://` meshes and of xacro files.
         xacro: Arguments of a xacro file, `NAME:=VALUE`.
-        without: Macros of a xacro file whose calls are left out, for want of a package.
+        without: Macros of a xacro file to leave out, because a package is missing.
         strict: Whether impossible inertias and implausible sizes are errors.
         controllers_file: YAML file of the robot's controllers: evidence of its kind, and opinions on radius and track.
         mu: Friction coefficient between the floor and the wheels of a skid-steer base.

@@ -23,7 +23,7 @@ REACT = 3.0  # how fast the way that is left may be used up [1/s]
 
 
 class Capsule(Settings, frozen=True):
-    """All that is nearer than a radius to a segment on a link; a sphere where its ends are one.
+    """All points nearer than a radius to a segment on a link; a sphere where both ends are the same point.
 
     Args:
         link: A link or another frame.

@@ -117,7 +117,7 @@ class HandMotion:
     Attributes:
         samples: Of base and arm.
         frames: The frames with tasks.
-        tasks: What they keep to.
+        tasks: Their tasks.
         targets: (N, tasks, 24) where they should be, see `tasks.TARGET`.
         reached: (N, tasks, 12) where the reference has them: rotation row by row, origin.
         begins: When the path begins, after driving and reaching [s].

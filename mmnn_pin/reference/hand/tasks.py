@@ -41,7 +41,7 @@ AXES = ("x", "y", "z")
 
 
 class Task(Settings, frozen=True):
-    """What one frame should keep to.
+    """The task of one frame: where it should be, and how strictly.
 
     Args:
         frame: A link or joint that the arm moves; empty for the tip of the arm (the first, of several arms).
@@ -91,9 +91,9 @@ class WholeBodySettings(Settings, frozen=True):
         posture: How fast joints drift to the posture where tasks leave them free [1/s].
         manipulability: How fast the arm leaves singular postures [rad/s per unit of the log of sqrt(det J J')].
         heading: How fast the base turns towards the hand's goal [1/s].
-        slack: Cost of a wish's slack over that of a frame's.
+        slack: Cost of a wish's slack, relative to that of a frame.
         wheel_speed: Largest speeds of the wheels [rad/s]; "urdf" for those of the URDF.
-        clearance: Distance that bodies keep from each other, where `Capsule`s say what they are [m].
+        clearance: Distance between the bodies that `Capsule`s describe [m].
 
     Raises:
         ConfigError: A number that is negative or not finite.

@@ -64,7 +64,7 @@ class WholeBody:
 
     Args:
         robot: The robot.
-        tasks: Its frames and what they keep to; without a frame the tips of its arms, one after the other.
+        tasks: The tasks of its frames; those without a frame take the tips of its arms, one after the other.
         settings: How base and arm share the work.
         limits: Of base and joints.
         period: Control period [s].
