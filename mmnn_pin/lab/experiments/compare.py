@@ -102,7 +102,7 @@ def compare(
         controllers: Names of `mmnn list`, controllers, `FILE.py:Class`, or these by names of your own.
         duration: Of the runs [s]; by default the trajectory's, or 10 s where it has no end.
         settings: More of the experiment: its keys to values, as `--set` takes them, such as `{"feedback.arm": 40.0,
-            "sensor.encoder_noise": 1e-4, "seed": 3}`.
+            "sensor.noise": 1e-4, "seed": 3}`.
         out: Folder for the recordings; None keeps them in memory.
         force: Replace recordings that are there.
         progress: Called with a controller and the share of its run that is done.
@@ -213,7 +213,7 @@ def require_kind(value: Any, kind: type, key: str, fix: str) -> None:
         ConfigError: It is one.
     """
     if not isinstance(value, kind):
-        shown = f"'{value}'" if isinstance(value, str) else f"a {type(value).__name__}"
+        shown = f"'{value}'" if isinstance(value, str) else "None" if value is None else f"a {type(value).__name__}"
         raise ConfigError(f"{shown} is no {kind.__name__}", fix=f"give one: {fix}", key=key)
 
 
