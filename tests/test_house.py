@@ -13,7 +13,7 @@ PACKAGE = ROOT / "mmnn_pin"
 
 # From the ground up. A module may import its own floor and those below; type-only and late imports count, too.
 FLOORS = (
-    ("ground", ("errors", "files", "shown", "signals", "settings", "parts", "compiled", "by_address", "elementary")),
+    ("ground", ("errors", "files", "signals", "settings", "parts", "compiled", "by_address", "elementary")),
     ("model", ("model",)),
     ("blocks", ("reference", "kinematic", "torque", "safety", "actuator", "disturbance", "plant", "sensing")),
     ("recording", ("recording",)),

@@ -35,7 +35,6 @@ from .tracking import Errors, prismatic_joints
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
 T = TypeVar("T")
 UNSEEN = "elsewhere://"  # before the name of a mesh that is not looked for
 # Names in the group `final` of recordings before version 0.2, and what they are called now.
@@ -244,8 +243,7 @@ class Recording:
                 columns[label] = as_columns(self[true if true in self else name])[:, i], unit
         if not ((self.time >= start) & (self.time < stop)).any():
             end = f"it ends at {self.outcome.time:g} s" if len(self) else "it has no rows"
-            until = f"to {stop:g} s" if stop < np.inf else "on"
-            raise RecordingError(f"no samples from {start:g} s {until}", why=end, file=self.path)
+            raise RecordingError(f"no samples from {start:g} s on", why=end, file=self.path)
         return Errors.of(self.time, columns, start, stop)
 
     def columns(self) -> dict[str, Array]:
@@ -272,10 +270,8 @@ class Recording:
         except ModuleNotFoundError:
             fix = "pip install pandas; or take recording.columns(), a dictionary of arrays"
             raise RecordingError("no DataFrame", why="pandas is not installed", fix=fix) from None
-        columns = self.columns()
-        index = pandas.Index(columns.pop("time"), name="time")
-        made: DataFrame = pandas.DataFrame(columns, index=index)
-        return made
+        index = pandas.Index((columns := self.columns()).pop("time"), name="time")
+        return pandas.DataFrame(columns, index=index)
 
     def save(self, path: str | Path, *, force: bool = False) -> Path:
         """Write the recording to an HDF5 file, which `Recording.open` and `mmnn` read.

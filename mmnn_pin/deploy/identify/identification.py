@@ -23,7 +23,7 @@ from ...errors import ConfigError, RecordingError, UnknownName
 from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...settings.arguments import checked
-from ...shown import AsText
+from ...settings.shown import AsText
 from ...signals import Array
 from .constants import constants_of
 from .equations import (

@@ -19,7 +19,7 @@ from typing import Any
 from ...errors import UnknownName
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
-from ...shown import Page, Picture, Table
+from ...settings.shown import Page, Picture, Table
 from .controllers import LEARNERS, effective
 from .experiment import Experiment
 from .hand import HandErrors

@@ -27,7 +27,7 @@ from ...model.base import BY_SIZE
 from ...recording.recording import Recording
 from ...settings import finite
 from ...settings.arguments import checked
-from ...shown import AsText
+from ...settings.shown import AsText
 from ...signals import Array
 from ...torque.neural import Robust
 from .balance import BUDGET

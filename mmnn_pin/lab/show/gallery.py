@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from ...errors import InputError, UnknownName
 from ...recording.recording import Recording
-from ...shown import AsText
+from ...settings.shown import AsText
 from ..experiments.result import Result
 from ..study.results import Results
 from . import comparison, contest, plots, study, thesis_figures

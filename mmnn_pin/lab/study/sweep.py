@@ -24,7 +24,7 @@ from ...recording.recorder import versions
 from ...reference import Trajectory
 from ...settings import plain
 from ...settings.arguments import checked_but, fits, shortly
-from ...shown import Picture, Table
+from ...settings.shown import Picture, Table
 from ..experiments.compare import Assembled, Controllers, assembled
 from ..experiments.controllers import EFFECTIVE
 from .choice import ASKED, MARGIN, Level, best_of, levels

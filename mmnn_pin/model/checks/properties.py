@@ -16,7 +16,7 @@ import numpy as np
 
 from ...errors import ConfigError, RobotError
 from ...settings.arguments import checked
-from ...shown import AsText
+from ...settings.shown import AsText
 from ...signals import Array
 from ..base.differential import DifferentialDrive
 from ..robot import Robot
