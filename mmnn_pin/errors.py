@@ -76,7 +76,7 @@ class StudyError(InputError):
 SHOWN = 60  # names in a message: a robot may have hundreds of links
 
 
-class UnknownName(InputError):
+class UnknownName(InputError, KeyError):  # a KeyError, so that `get` of a mapping takes it
     """A name that nothing answers to.
 
     Args:

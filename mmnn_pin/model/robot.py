@@ -201,7 +201,11 @@ class Robot(Structure):
         except (TypeError, ValueError):
             raise ConfigError("not a list of numbers", fix=f"give {', '.join(names)}", key=what) from None
         if array.shape != (len(names),):
-            found = f"{array.size} numbers" if array.ndim == 1 else f"an array of shape {array.shape}"
+            found = (
+                f"{array.size} number{'s' * (array.size != 1)}"
+                if array.ndim == 1
+                else f"an array of shape {array.shape}"
+            )
             raise ConfigError(f"{found} where {self.name} has {len(names)}", fix=f"give {', '.join(names)}", key=what)
         if not np.isfinite(array).all():
             raise ConfigError(f"{array.tolist()} is not finite", fix=f"give {', '.join(names)}", key=what)

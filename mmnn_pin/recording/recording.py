@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
@@ -33,6 +33,8 @@ from .reading import AGAIN, contents, read_arrays
 from .run_file import Arrays, Columns, Places, RunFile
 from .tracking import Errors, prismatic_joints
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
 T = TypeVar("T")
 UNSEEN = "elsewhere://"  # before the name of a mesh that is not looked for
 # Names in the group `final` of recordings before version 0.2, and what they are called now.
@@ -241,7 +243,7 @@ class Recording:
                 columns[label] = as_columns(self[true if true in self else name])[:, i], unit
         if not ((self.time >= start) & (self.time < stop)).any():
             end = f"it ends at {self.outcome.time:g} s" if len(self) else "it has no rows"
-            raise RecordingError(f"no samples from {start:g} s to {stop:g} s", why=end, file=self.path)
+            raise RecordingError(f"no samples from {start:g} s on", why=end, file=self.path)
         return Errors.of(self.time, columns, start, stop)
 
     def columns(self) -> dict[str, Array]:
@@ -257,7 +259,7 @@ class Recording:
         own = (signal, f"{signal}[")
         return [n if n == own[0] or n.startswith(own[1]) else f"{signal}.{n}" for n in self.labels(signal)]
 
-    def to_dataframe(self) -> Any:
+    def to_dataframe(self) -> DataFrame:
         """All signals as a pandas DataFrame over time [s]; its columns are those of `columns`.
 
         Raises:
@@ -268,8 +270,7 @@ class Recording:
         except ModuleNotFoundError:
             fix = "pip install pandas; or take recording.columns(), a dictionary of arrays"
             raise RecordingError("no DataFrame", why="pandas is not installed", fix=fix) from None
-        columns = self.columns()
-        index = pandas.Index(columns.pop("time"), name="time")
+        index = pandas.Index((columns := self.columns()).pop("time"), name="time")
         return pandas.DataFrame(columns, index=index)
 
     def save(self, path: str | Path, *, force: bool = False) -> Path:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import UnknownName
 from ..model.urdf.xml import parse_xml
 from ..signals import Array
 
@@ -63,6 +64,8 @@ class Errors(Mapping[str, Error]):
         return cls(found, start, min(stop, float(time[-1])) if len(time) else stop)
 
     def __getitem__(self, name: str) -> Error:
+        if name not in self._errors:
+            raise UnknownName("error", str(name), self._errors)
         return self._errors[name]
 
     def __iter__(self) -> Iterator[str]:

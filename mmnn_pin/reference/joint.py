@@ -267,8 +267,17 @@ def require_clock(time: Array) -> None:
     Raises:
         TrajectoryError: With what they must be.
     """
-    if len(time) < 4 or time[0] != 0 or (np.diff(time) <= 0).any():
-        raise TrajectoryError("time does not increase from 0 over four or more samples", fix="sort it, start at 0")
+    if len(time) < 4:
+        what = f"{len(time)} samples" if len(time) != 1 else "1 sample"
+        raise TrajectoryError(what, why="a spline takes four or more", fix="add some between them")
+    if (early := np.flatnonzero(np.diff(time) <= 0)).size:
+        k = int(early[0]) + 1
+        what = f"time does not increase at sample {k}: {time[k - 1]:g} s, then {time[k]:g} s"
+        raise TrajectoryError(what, fix="sort the samples, leave out those that stand there twice")
+    if time[0] != 0:
+        raise TrajectoryError(
+            f"time starts at {time[0]:g} s", fix="subtract that from all times, so that it starts at 0"
+        )
 
 
 def within(t: Array, end: float) -> Array:

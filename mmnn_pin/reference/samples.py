@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -135,6 +135,34 @@ def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, nb: i
     return Table(t, poses, velocities(t, poses, nb))
 
 
+def require_within(
+    name: str,
+    values: Array,
+    lower: float,
+    upper: float,
+    where: Callable[[int], tuple[Path | None, int | None]] = lambda k: (None, None),
+) -> None:
+    """Refuse positions (N,) of a joint beyond its limits [rad or m].
+
+    Args:
+        name: Of the joint or of its column.
+        values: The positions.
+        lower: Its lower limit.
+        upper: Its upper limit.
+        where: File and line of a position.
+
+    Raises:
+        TrajectoryError: With the first that is.
+    """
+    more = 1e-6 * max(1.0, min(abs(lower), abs(upper)))
+    beyond = np.flatnonzero((values < lower - more) | (values > upper + more))
+    if beyond.size:
+        (file, line), value = where(int(beyond[0])), values[beyond[0]]
+        what = f"{name} = {value:g} is beyond the joint's limits {lower:g} to {upper:g}"
+        fix = "stay within them, or correct the joint's <limit> in the URDF"
+        raise TrajectoryError(what, fix=fix, file=file, line=line)
+
+
 class Columns(Mapping[str, Array]):
     """The columns of a CSV file by the names in its first line, (N,) each, read when they are asked for.
 
@@ -204,12 +232,7 @@ class Columns(Mapping[str, Array]):
         Raises:
             TrajectoryError: With the first line that is.
         """
-        values, more = self[name], 1e-6 * max(1.0, min(abs(lower), abs(upper)))
-        beyond = np.flatnonzero((values < lower - more) | (values > upper + more))
-        if beyond.size:
-            what = f"{name} = {values[beyond[0]]:g} is beyond the joint's limits {lower:g} to {upper:g}"
-            fix = "stay within them, or correct the joint's <limit> in the URDF"
-            raise TrajectoryError(what, fix=fix, file=self.file, line=self._lines[beyond[0]][0])
+        require_within(name, self[name], lower, upper, lambda k: (self.file, self._lines[k][0]))
 
     @contextmanager
     def blamed(self) -> Iterator[None]:

@@ -23,7 +23,7 @@ from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
 from .holonomic import Holonomic
 from .joint import Hold, JointProfile, JointTable, Points
 from .path import BasePath, Line, Waypoints, require_positive, times
-from .samples import Columns, check_followable, table_of
+from .samples import Columns, check_followable, require_within, table_of
 
 
 class SetpointSource(Protocol):
@@ -70,7 +70,7 @@ class Trajectory:
     """
 
     base: BasePath | None
-    arm: tuple[JointProfile, ...] = ()
+    arm: Sequence[JointProfile] = ()
     slowness: float = 1.0
     watched: Watched | None = None
 
@@ -131,10 +131,12 @@ class Trajectory:
             times: (m,) when the arm is at its positions [s], in place of a duration; by default evenly spread.
 
         Raises:
-            TrajectoryError: Points that no path goes through, or that the robot cannot have; with what it takes.
+            TrajectoryError: Points that no path goes through, or that the robot cannot have, such as positions beyond a
+                joint's limits; with what it takes.
         """
         path = Waypoints(tuple(tuple(map(float, p)) for p in base), speed, radius) if base is not None else None  # type: ignore[misc]
-        joints = {} if arm is None else joints_of(robot, arm)
+        require_positive(**{} if duration is None else {"duration": duration})
+        joints = {} if arm is None else positions_of(robot, arm)
         if joints:
             count = len(next(iter(joints.values())))
             end = duration or (path.duration if path is not None else STANDING)
@@ -167,13 +169,15 @@ class Trajectory:
             qdot: Rates of the joints, as q [rad/s or m/s]; None for those of the positions.
 
         Raises:
-            TrajectoryError: Arrays of the wrong shape, or poses that the base cannot follow.
+            TrajectoryError: Arrays of the wrong shape, poses that the base cannot follow, or positions beyond a joint's
+                limits.
             UnknownName: A joint that the arm does not have.
         """
         if pose is not None and not robot.dimensions.base:
             raise TrajectoryError(f"poses for {robot.name}", why="its base does not move", fix="leave pose out")
         path = None if pose is None else table_of(time, pose, velocity, robot.dimensions.base)
-        joints, rates = ({} if part is None else joints_of(robot, part) for part in (q, qdot))
+        joints = {} if q is None else positions_of(robot, q)
+        rates = {} if qdot is None else joints_of(robot, qdot)
         clock = np.asarray(time, float)
         return cls.of(robot, path, {name: JointTable(clock, at, rates.get(name)) for name, at in joints.items()})
 
@@ -285,6 +289,20 @@ class Trajectory:
 def still(part: BasePath | JointProfile | None) -> bool:
     """Whether a path or a profile does not move at all."""
     return part is None or isinstance(part, Hold) or (isinstance(part, Line) and part.speed == 0)
+
+
+def positions_of(robot: Robot, given: ArrayLike | Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Positions over time by arm joint, (N,) each; as `joints_of`.
+
+    Raises:
+        TrajectoryError: As of `joints_of`, or a position beyond a joint's limits.
+        UnknownName: As of `joints_of`.
+    """
+    found = joints_of(robot, given)
+    for name, i in zip(robot.joint_names, robot.arm_index, strict=True):
+        if name in found:
+            require_within(name, found[name], robot.lower[i], robot.upper[i])
+    return found
 
 
 def joints_of(robot: Robot, given: ArrayLike | Mapping[str, ArrayLike]) -> dict[str, Array]:

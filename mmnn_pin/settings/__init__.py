@@ -36,6 +36,8 @@ class Typed(msgspec.StructMeta):
         require_fit(cls, given)
         try:
             return super().__call__(*args, **kwargs)
+        except InputError:
+            raise
         except (TypeError, ValueError, AttributeError, LookupError, OverflowError) as error:
             required = [field.name for field in msgspec.structs.fields(cls) if field.required]  # type: ignore[arg-type]
             if len(args) > len(cls.__struct_fields__) or not set(required) <= set(given) <= set(cls.__struct_fields__):

@@ -203,6 +203,8 @@ def wanted(kind: Any) -> str:
     """What to give, in words."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
+        if any(map(is_numbers, parts)):  # what else `ArrayLike` stands for, such as texts, is not meant
+            parts = tuple(part for part in parts if is_numbers(part) or isinstance(get_origin(part), type))
         return " or ".join(dict.fromkeys(wanted(part) for part in parts if part is not NoneType))
     if origin is Literal:
         return " or ".join(map(repr, parts))

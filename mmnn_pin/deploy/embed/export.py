@@ -29,7 +29,7 @@ MEMORY = 512  # kB: the largest block of RAM of the usual Cortex-M7
 LONGEST = 600.0  # time for the self-test [s]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Embedded:
     """An exported controller.
 
@@ -54,6 +54,10 @@ class Embedded:
     initial_bytes: int
     compiler: str
     selftest_steps: int
+
+    def __repr__(self) -> str:
+        code = "" if self.code_bytes is None else f", {self.code_bytes} bytes of code and constants"
+        return f"<Embedded: {self.controller} for {self.robot}{code}, {self.ram_bytes} of memory, in {self.folder}>"
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""

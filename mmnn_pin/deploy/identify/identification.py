@@ -23,6 +23,7 @@ from ...errors import ConfigError, RecordingError, UnknownName
 from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...settings.arguments import checked
+from ...settings.shown import AsText
 from ...signals import Array
 from .constants import constants_of
 from .equations import (
@@ -52,7 +53,7 @@ MODELS = ("identified", "urdf", "friction", "least_squares", "urdf_file")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification:
+class Identification(AsText):
     """What came out; `print` shows it joint by joint.
 
     Attributes:

@@ -213,7 +213,7 @@ def require_kind(value: Any, kind: type, key: str, fix: str) -> None:
         ConfigError: It is one.
     """
     if not isinstance(value, kind):
-        shown = f"'{value}'" if isinstance(value, str) else f"a {type(value).__name__}"
+        shown = f"'{value}'" if isinstance(value, str) else "None" if value is None else f"a {type(value).__name__}"
         raise ConfigError(f"{shown} is no {kind.__name__}", fix=f"give one: {fix}", key=key)
 
 

@@ -10,14 +10,16 @@ the one and not the other:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 from ...errors import UnknownName
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
+from ...settings.shown import Page, Picture, Table
 from .controllers import LEARNERS, effective
 from .experiment import Experiment
 from .hand import HandErrors
@@ -68,36 +70,50 @@ class Result(Mapping[str, Recording]):
         return str(self.table())
 
     def _repr_html_(self) -> str:
-        return str(self.table()._repr_html_() + self.plot()._repr_html_())
+        return self.table()._repr_html_() + self.plot()._repr_html_()
 
-    def table(self) -> Any:
+    def table(self) -> Table:
         """The runs beside each other: errors, torques, what was learned; it prints as text."""
-        return gallery().tables(self)
+        made: Table = gallery().tables(self)
+        return made
 
-    def plot(self, what: str = "errors") -> Any:
+    def plot(self, what: str = "errors") -> Picture:
         """A figure of the runs, of those that `mmnn plot --help` names; `.save("errors.svg")` writes it.
 
         Raises:
             UnknownName: There is no such figure.
             RecordingError: The runs have nothing for it.
         """
-        return gallery().picture(what, self)
+        made: Picture = gallery().picture(what, self)
+        return made
 
-    def replay(self, **options: Any) -> Any:
-        """A page that plays the runs in one scene; `.save("replay.html")` writes it. Options as of `show.replay.page`.
+    def replay(self, *, title: str = "", fps: float = 60.0, package_dirs: Sequence[str | Path] = ()) -> Page:
+        """A page that plays the runs in one scene; `.save("replay.html")` writes it.
+
+        Args:
+            title: Heading of the page; by default the robot and the experiment.
+            fps: Frames per second that are kept; the page interpolates between them.
+            package_dirs: Folders to look for meshes in before those that the recordings know.
 
         Raises:
             InputError: There is nothing to show.
         """
-        return gallery().page(self.recordings, **options)
+        made: Page = gallery().page(self.recordings, title=title, fps=fps, package_dirs=package_dirs)
+        return made
 
-    def report(self, **options: Any) -> Any:
-        """A page that says how good the runs were; `.save("report.html")` writes it. Options as of `show.report`.
+    def report(self, *, with_replay: bool = True, package_dirs: Sequence[str | Path] = ()) -> Page:
+        """A page that says how good the runs were; `.save("report.html")` writes it.
+
+        Args:
+            with_replay: Whether the replay is in it.
+            package_dirs: Folders to look for the replay's meshes in.
 
         Raises:
             RecordingError: There is nothing to report.
         """
-        return import_module("mmnn_pin.lab.show.report").report(self.recordings, **options)
+        show = import_module("mmnn_pin.lab.show.report")
+        made: Page = show.report(self.recordings, with_replay=with_replay, package_dirs=package_dirs)
+        return made
 
     @property
     def completed(self) -> bool:

@@ -30,7 +30,7 @@ def run_experiment(
     experiment: Experiment,
     name: str,
     *,
-    out: Path | None = None,
+    out: str | Path | None = None,
     force: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Result:
@@ -51,7 +51,7 @@ def run_experiment(
     <Result: pd completed>
     """
     wanted = experiment.controllers
-    files = {controller: out / f"{controller}.h5" if out else None for controller in wanted}
+    files = {controller: Path(out) / f"{controller}.h5" if out else None for controller in wanted}
     robot = experiment.load_robot()
     config = msgspec.structs.replace(experiment, overrides=robot.overrides).to_json()
     require_runnable(experiment, robot)

@@ -27,6 +27,7 @@ from ...model.base import BY_SIZE
 from ...recording.recording import Recording
 from ...settings import finite
 from ...settings.arguments import checked
+from ...settings.shown import AsText
 from ...signals import Array
 from ...torque.neural import Robust
 from .balance import BUDGET
@@ -84,7 +85,7 @@ class CertifiedRun:
 
 
 @dataclass(frozen=True, repr=False)
-class Proved:
+class Proved(AsText):
     """One run judged: what it proves, and what is certified of its loop; `print` shows both.
 
     Attributes:

@@ -6,16 +6,17 @@ Importing this module fills the register: every module with figures is imported 
 from __future__ import annotations
 
 import base64
-import html
 import io
 import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...errors import InputError, UnknownName
 from ...recording.recording import Recording
+from ...settings.shown import AsText
 from ..experiments.result import Result
 from ..study.results import Results
 from . import comparison, contest, plots, study, thesis_figures
@@ -62,7 +63,7 @@ def require_plots(names: Iterable[str]) -> None:
 
 
 @dataclass(frozen=True, repr=False)
-class Shown:
+class Shown(AsText):
     """Tables that print as text, and that a notebook shows.
 
     Attributes:
@@ -73,9 +74,6 @@ class Shown:
 
     def __repr__(self) -> str:
         return self.text
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{html.escape(self.text)}</pre>"
 
 
 @dataclass(frozen=True, repr=False)
@@ -146,7 +144,7 @@ def notebook_html(recording: Recording) -> str:
     """A recording in a notebook: its summary, its plots, its replay; what it has nothing for is left out."""
     name = str(recording.meta.get("controller", "run"))
     pictures = "".join(image_of(name, recording, what) for what in NOTEBOOK)
-    return f"<pre>{html.escape(recording.summary())}</pre>{pictures}{replay_in(name, recording)}"
+    return f"<pre>{escape(recording.summary())}</pre>{pictures}{replay_in(name, recording)}"
 
 
 def image_of(name: str, recording: Recording, what: str) -> str:
@@ -172,7 +170,7 @@ def replay_in(name: str, recording: Recording) -> str:
     try:
         made = page({name: recording})
     except InputError as error:
-        return f"<p>no replay: {html.escape(error.what)}</p>"
+        return f"<p>no replay: {escape(error.what)}</p>"
     if made.size > MOST:
         return f"<p>the replay has {made.size / 1e6:.0f} MB: <code>mmnn replay</code> shows it</p>"
     return made.iframe()

@@ -23,7 +23,8 @@ from ...model.robot import Robot
 from ...recording.recorder import versions
 from ...reference import Trajectory
 from ...settings import plain
-from ...settings.arguments import checked_but, fits
+from ...settings.arguments import checked_but, fits, shortly
+from ...settings.shown import Picture, Table
 from ..experiments.compare import Assembled, Controllers, assembled
 from ..experiments.controllers import EFFECTIVE
 from .choice import ASKED, MARGIN, Level, best_of, levels
@@ -69,13 +70,15 @@ class Sweep:
         found = {name: best_of(levels(self.results, name, self.key)) for name in self.results.controllers}
         return {name: None if level is None else level.value for name, level in found.items()}
 
-    def table(self) -> Any:
+    def table(self) -> Table:
         """A line for every value, and which to take; it prints as text."""
-        return import_module("mmnn_pin.lab.show.gallery").sweep_table(self.results, self.key)
+        made: Table = import_module("mmnn_pin.lab.show.gallery").sweep_table(self.results, self.key)
+        return made
 
-    def plot(self) -> Any:
+    def plot(self) -> Picture:
         """Error against the value with intervals; `.save("sweep.svg")` writes it."""
-        return import_module("mmnn_pin.lab.show.gallery").sweep_picture(self.results)
+        made: Picture = import_module("mmnn_pin.lab.show.gallery").sweep_picture(self.results)
+        return made
 
     def __repr__(self) -> str:
         ends = ", ".join(f"{name} best at {value}" for name, value in self.best.items())
@@ -85,7 +88,7 @@ class Sweep:
         return str(self.table())
 
     def _repr_html_(self) -> str:
-        return str(self.table()._repr_html_() + self.plot()._repr_html_())
+        return self.table()._repr_html_() + self.plot()._repr_html_()
 
 
 @checked_but("robot", "trajectory", "values")
@@ -155,7 +158,11 @@ def require_sweep(values: Sequence[Any], runs: int, masses: tuple[float, float])
     Raises:
         ConfigError: With the argument.
     """
-    if not fits(values, Sequence[Any]) or not len(values):
+    if not fits(values, Sequence[Any]):
+        raise ConfigError(
+            f"{shortly(values)} is no list", fix=f"give a list of values: [{shortly(values)}]", key="values"
+        )
+    if not len(values):
         raise ConfigError("no values, so no runs", fix="give a list of values", key="values")
     if runs < 1:
         raise ConfigError(f"{runs} runs", fix="give at least one; 6 or more give intervals", key="runs")

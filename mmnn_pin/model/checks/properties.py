@@ -14,8 +14,9 @@ from importlib import import_module
 
 import numpy as np
 
-from ...errors import RobotError
+from ...errors import ConfigError, RobotError
 from ...settings.arguments import checked
+from ...settings.shown import AsText
 from ...signals import Array
 from ..base.differential import DifferentialDrive
 from ..robot import Robot
@@ -103,7 +104,7 @@ class Bounds:
 
 
 @dataclass(frozen=True, repr=False)
-class Report:
+class Report(AsText):
     """What the checks found; `print` shows every property.
 
     Attributes:
@@ -160,12 +161,17 @@ def check(
         world: The world-frame form to judge; None for ours (differential drives only).
         progress: Called now and then with the fraction done.
 
+    Raises:
+        ConfigError: Fewer than one state.
+
     >>> report = check(load("platform_arm"), samples=3)
     >>> report.passed
     True
     >>> report.properties["symmetric"].worst < 1e-9
     True
     """
+    if samples < 1:
+        raise ConfigError(f"{samples} states", fix="give at least 1", key="samples")
     terms, kinematics, skipped = terms or Terms(robot), None, {}
     if world is None and isinstance(robot.base, DifferentialDrive):
         world = WorldFrame(robot)

@@ -170,7 +170,7 @@ def test_errors_of_turning_and_sliding_joints_have_both_units():
     ("change", "words"),
     [
         ({"values": []}, "no values"),
-        ({"values": "12"}, "no values"),
+        ({"values": "12"}, "is no list"),
         ({"runs": 0}, "0 runs"),
         ({"masses": (1.2, 0.8)}, "least and the largest"),
         ({"key": "feedback.am"}, "unknown key 'am'"),
