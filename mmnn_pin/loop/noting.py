@@ -28,6 +28,7 @@ from .. import elementary
 from ..elementary import bits
 from ..parts import view
 from ..signals import INDEX
+from ..torque import law
 
 MOST = 60_000  # operations: more take longer to compile than they ever gain
 CALLED = {name: getattr(elementary, name) for name in elementary.__all__ if name not in ("cos_sin", "sigmoids")}
@@ -146,6 +147,33 @@ class Noted:
     __hash__ = None  # type: ignore[assignment]
 
 
+class Index(Noted):
+    """A whole number by which a row of a table may be found."""
+
+    def __index__(self) -> int:
+        return int(self)
+
+
+class Table(np.ndarray[Any, Any]):
+    """Memory of noted numbers; a row that a noted number finds is noted as such."""
+
+    def __getitem__(self, where: Any) -> Any:
+        if not isinstance(where, Index) or self.ndim != 2:
+            return super().__getitem__(where)
+        found, notes = super().__getitem__(int(where.value)).copy(), Noted.notes
+        first = notes.ops[super().__getitem__((0, 0)).number]
+        if first[0] != "state":
+            raise NotNoted
+        for j, x in enumerate(found):
+            found[j] = Noted(x.value, notes.op("row", where.number, first[1] + j, *self.shape))
+        return found
+
+
+def whole(x: Any) -> Any:
+    """`int`, of a noted number one that can find a row; it is a whole number, as counts are."""
+    return Index(x.value, x.number) if isinstance(x, Noted) else int(x)
+
+
 class Bits:
     """The bits of a noted number, of which a power of two is made."""
 
@@ -216,8 +244,13 @@ def from_bits(x: Any, plain_number: Callable[[int], float] = bits.from_bits) -> 
 
 
 @contextmanager
-def noting(notes: Notes) -> Iterator[None]:
-    """Within it elementary functions note their calls."""
+def noting(notes: Notes, rows: bool = False) -> Iterator[None]:
+    """Within it elementary functions note their calls.
+
+    Args:
+        notes: Where they go.
+        rows: Whether a row of a table of gains that a count finds is noted as that, or as the row that it is now.
+    """
     Noted.notes = notes
     instead: dict[Any, Any] = {function: called(function, name) for name, function in CALLED.items()}
     cos, sin = instead[elementary.cos], instead[elementary.sin]
@@ -235,9 +268,12 @@ def noting(notes: Notes) -> Iterator[None]:
     kept = [(module, name, getattr(module, name)) for module, name, _ in before]
     for module, name, thing in before:
         setattr(module, name, thing)
+    if rows:
+        vars(law)["int"] = whole
     try:
         yield
     finally:
+        vars(law).pop("int", None)
         for module, name, thing in kept:
             setattr(module, name, thing)
 
@@ -259,12 +295,13 @@ def rebuilt(form: Any, memory: Any, numbers: int) -> Any:
     return rest[0]
 
 
-def sample(told: dict[str, Any]) -> dict[str, Any]:
+def sample(told: dict[str, Any], rows: bool = False) -> dict[str, Any]:
     """The notes of one control sample.
 
     Args:
         told: `form` of the engine's `parts`, `values` of its memory, single ones from place `numbers` on, `setpoints`
             (2, m) of the sample before and of this one, `time` [s].
+        rows: As in `noting`.
 
     Raises:
         NotNoted: It cannot be noted.
@@ -273,7 +310,7 @@ def sample(told: dict[str, Any]) -> dict[str, Any]:
 
     notes = Notes()
     values, names = told["values"], told["parts"]
-    memory = np.empty(len(values), object)
+    memory = np.empty(len(values), object).view(Table if rows else np.ndarray)
     memory[:] = [Noted(x, notes.op("state", i)) for i, x in enumerate(values)]
     setpoints = np.empty(np.shape(told["setpoints"]), object)
     for (i, j), x in np.ndenumerate(np.array(told["setpoints"])):
@@ -281,7 +318,7 @@ def sample(told: dict[str, Any]) -> dict[str, Any]:
     time: Any = Noted(told["time"], notes.op("time"))
     part = dict(zip(names, (rebuilt(form, memory, told["numbers"]) for form in told["form"]), strict=True))
     run, true = part["run"]._replace(setpoints=setpoints), part["true"]
-    with noting(notes), np.errstate(all="ignore"):
+    with noting(notes, rows), np.errstate(all="ignore"):
         measure(0, time, run, true, None)
         learner, limits, ahead, later = (part[name] for name in ("learner", "limits", "ahead", "later"))
         control(1, time, run, part["nominal"], None, learner, limits, ahead, later, None)

@@ -331,7 +331,17 @@ def sources() -> str:
 
 def ask_for(file: Path, engine: CompiledLoop, form: Form, sample: int) -> subprocess.Popen[bytes]:
     """Begin to make the program of an engine's next sample, in a process of its own; see `main`."""
-    told = {
+    with TemporaryFile() as read:
+        read.write(json.dumps(told_of(engine, form, sample)).encode())
+        read.seek(0)
+        quiet, plain = subprocess.DEVNULL, os.environ | {"NUMBA_DISABLE_JIT": "1"}
+        command = [sys.executable, "-m", __name__, str(file)]
+        return subprocess.Popen(command, stdin=read, stdout=quiet, stderr=quiet, env=plain)
+
+
+def told_of(engine: CompiledLoop, form: Form, sample: int) -> dict[str, Any]:
+    """What `noting.sample` has to know of an engine before a sample."""
+    return {
         "parts": PARTS,
         "form": form.form,
         "values": np.concatenate(form.roots).tolist(),
@@ -339,12 +349,6 @@ def ask_for(file: Path, engine: CompiledLoop, form: Form, sample: int) -> subpro
         "setpoints": engine.run.setpoints[sample - 1 : sample + 1].tolist(),
         "time": sample * engine.run.numbers.h,
     }
-    with TemporaryFile() as read:
-        read.write(json.dumps(told).encode())
-        read.seek(0)
-        quiet, plain = subprocess.DEVNULL, os.environ | {"NUMBA_DISABLE_JIT": "1"}
-        command = [sys.executable, "-m", __name__, str(file)]
-        return subprocess.Popen(command, stdin=read, stdout=quiet, stderr=quiet, env=plain)
 
 
 def main() -> None:
@@ -389,12 +393,12 @@ def host_cpu() -> tuple[str, str]:
     return name or llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten() if features is None else features
 
 
-def machine() -> Any:
+def machine(optimisation: int = 2) -> Any:
     """What makes code for it."""
     name, features = host_cpu()
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    return llvm.Target.from_default_triple().create_target_machine(cpu=name, features=features, opt=2, jit=True)
+    return llvm.Target.from_default_triple().create_target_machine(cpu=name, features=features, opt=optimisation, jit=True)
 
 
 def loaded(code: bytes, calls: Sequence[str]) -> Any:
