@@ -242,11 +242,11 @@ def run_plainly() -> None:
         made.__class__ = Plain
 
 
-def run_compiled() -> None:
-    """The end of `run_plainly`."""
-    while KINDS:
-        made, kind = KINDS.popitem()
-        made.__class__ = kind
+def run_compiled(*functions: Any) -> None:
+    """The end of `run_plainly`, for some functions or for all."""
+    for made in functions or tuple(KINDS):
+        if made in KINDS:
+            made.__class__ = KINDS.pop(made)
 
 
 @dataclass(frozen=True)

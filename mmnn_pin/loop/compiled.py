@@ -154,6 +154,8 @@ class CompiledLoop:
             rows=self.rows,
             row=self.row,
         )
+        blocks = (self.true, self.nominal, self.hardware, self.learner, self.limits, self.ahead, self.later, self.split)
+        self.blocks = (self.run, *blocks)
 
     def advance(self, first: int, last: int, at: int = 0) -> int:
         """Run control samples first ... last - 1; -1, the column of `row` that went bad, or `TRIPPED`.
@@ -164,9 +166,8 @@ class CompiledLoop:
 
     def step(self, first: int, last: int, at: int) -> int:
         """The same."""
-        blocks = (self.true, self.nominal, self.hardware, self.learner, self.limits, self.ahead, self.later, self.split)
-        run = self.run if at == 0 else self.run._replace(rows=self.rows[at:])
-        bad = advance(first, last, run, *blocks)
+        run, *blocks = self.blocks
+        bad = advance(first, last, run if at == 0 else run._replace(rows=self.rows[at:]), *blocks)
         self.counter[0] += at
         return bad
 

@@ -1,13 +1,16 @@
 """The first run on a machine: its result comes before the loop is compiled.
 
-numba takes some twenty seconds for the loop's blocks. A run whose sample can be noted (`noting`) does not wait for
-them: all blocks run as plain Python (`compiled.run_plainly`), which is slow, but after a few samples one is noted, and
-LLVM makes code of its operations in half a second (`scalar_code`). A sample that goes another way is made by plain
-Python, and noted, too, up to `WAYS` times. So the bits are those of the compiled loop.
+numba takes some twenty seconds for the loop's blocks. A first run does not wait for them: all blocks run as plain
+Python (`compiled.run_plainly`), which is slow, but the few functions that take nearly all of its time (`NOTED`) are
+noted after some calls, operation by operation (`noting`), and LLVM makes code of that in a tenth of a second to one
+(`scalar_code`). A call that goes another way is made by plain Python, and noted, too, up to `WAYS. times. So the bits
+are those of the compiled loop.
 
-Meanwhile a process of its own compiles the loop for later runs, and goes on when this one is over. It is waited for
-where an engine cannot be noted (a hardware model, a learner that counts its samples), leaves its ways often, or runs
-for long.
+A function whose calls leave their ways often, such as a learner that sweeps until something is small, is compiled by
+itself.
+
+Meanwhile a process of its own compiles the loop for later runs, and goes on when this one is over. A run that is long
+waits for it.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from itertools import chain
 from tempfile import TemporaryFile
 from time import sleep
 from typing import Any
@@ -28,148 +32,177 @@ import llvmlite.binding as llvm
 import numpy as np
 
 from ..compiled import cache_folder, run_compiled, run_plainly
-from .compiled import CompiledLoop, advance
-from .noting import NotNoted, rebuilt, sample
-from .precompile import call_control_blocks, call_plant_blocks, no_collection, precompile
+from ..torque import law
+from . import compiled
+from .compiled import CompiledLoop, Run
+from .noting import MOST, NotNoted, call, rebuilt
+from .precompile import call_control_blocks, call_plant_blocks, no_collection
 from .scalar_code import scalar_code
-from .side_by_side import LANES, SYMBOL, Form, callback, forms_of, machine, told_of
+from .side_by_side import NOTHING, SYMBOL, Reader, Unlike, callback, machine
 
-FIRST = 8  # samples before the one that is noted: the first of a run are not like the others
-WAYS = 6  # of a form
-PLAIN = 400  # samples that went none of them, after which compiled code is waited for
-LONG = 200_000  # samples of all runs, after which compiled code is waited for
+NOTED = ((compiled, ("observe", "move", "model_psi", "estimate")), (law, ("networks",)))
+FIRST = 8  # calls before the one that is noted: the first of a run are not like the others
+WAYS = 8  # of a function on the same arrays
+PLAIN = 20  # calls that went none of them, after which the function is compiled
+MANY = 6_000  # operations of a learner; those that have more leave their ways often, and are compiled
+LONG = 100_000  # samples of all runs, after which compiled code is waited for
 LOCK = "compiling"  # file in the cache folder that the process holds which compiles
 
 
 class Way:
-    """One way that samples of a form go, as code.
+    """One way that calls of a function go, as code.
 
     Args:
-        engine: Before the sample that is noted.
-        form: Its form.
-        number: The sample's.
-
-    Raises:
-        NotNoted: It cannot be noted.
+        told: What `noting.call` gives.
+        roots: The arrays that it works on.
     """
 
-    def __init__(self, engine: CompiledLoop, form: Form, number: int) -> None:
-        told = sample(told_of(engine, form, number), rows=True)
-        target = machine(0)
+    def __init__(self, told: dict[str, Any], roots: list[np.ndarray[Any, Any]]) -> None:
         for name in {op[1] for op in told["ops"] if op[0] == "call"}:
             llvm.add_symbol(SYMBOL + name, callback(name).address)
-        text = scalar_code(told, [root.size for root in form.roots])
-        self.code = llvm.create_mcjit_compiler(llvm.parse_assembly(text), target)
+        text = scalar_code(told, [root.size for root in roots])
+        self.code = llvm.create_mcjit_compiler(llvm.parse_assembly(text), machine(0))
         self.code.finalize_object()
-        pointer, integer = ctypes.c_void_p, ctypes.c_int64
-        kind = ctypes.CFUNCTYPE(integer, pointer, pointer, pointer, integer, integer, ctypes.c_double)
-        self.advance = kind(self.code.get_function_address("advance"))
+        self.run = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(self.code.get_function_address("call"))
+        self.answer = told["answer"]
+
+
+class Calls:
+    """Calls of a function with the same arrays and tuples; numbers among its arguments may change.
+
+    Args:
+        function: It.
+        arguments: Of the first call; kept, as later ones are known by them.
+    """
+
+    def __init__(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+        self.function, self.arguments = function, arguments
+        self.ways: list[Way] = []
+        self.count = self.plain = 0
+        self.can_be_noted = True
+        reader, form, self.numbers = Reader(), [], list[tuple[int, int]]()
+        try:
+            for i, each in enumerate(arguments):
+                if isinstance(each, int | float):
+                    self.numbers.append((i, len(reader.numbers)))
+                form.append(reader.told(float(each) if isinstance(each, int) else bare(each)))
+        except Unlike:
+            self.can_be_noted = False
+        self.form, self.given, self.answer = form, np.array(reader.numbers, float), np.zeros(1)
+        self.roots, self.first = [*reader.roots, self.given, self.answer], reader.size
+        self.places = np.array([root.ctypes.data for root in self.roots], np.int64)
+        self.address = self.places.ctypes.data
+
+    def __call__(self, arguments: tuple[Any, ...]) -> Any:
+        """What the function gives."""
+        self.count += 1
+        if not self.can_be_noted or self.count <= FIRST:
+            return self.function(*arguments)
+        for i, place in self.numbers:
+            self.given[place] = arguments[i]
+        for i, way in enumerate(self.ways):
+            if way.run(self.address):
+                if i:
+                    self.ways.insert(0, self.ways.pop(i))
+                return float(self.answer[0]) if way.answer is None else way.answer[0]
+        self.plain += 1
+        if self.plain == PLAIN or (len(self.ways) < WAYS and not self.note()):
+            self.can_be_noted = False
+            run_compiled(self.function, *chain(*(law.KERNELS.get(type(one), ()) for one in arguments)))
+        return self.function(*arguments)
+
+    def note(self) -> bool:
+        """Add the way that the call at hand goes; False where it cannot be noted, or is too long."""
+        most = MANY if self.function is law.estimate else MOST
+        try:
+            with no_collection():
+                told = call(self.function, self.form, np.concatenate(self.roots), self.first, most)
+                self.ways.append(Way(told, self.roots))
+        except (NotNoted, TypeError, ValueError, ArithmeticError, AttributeError):
+            return False
+        return True
+
+
+def bare(argument: Any) -> Any:
+    """An argument, a run's without what is none of the functions' business."""
+    if not isinstance(argument, Run):
+        return argument
+    return argument._replace(setpoints=NOTHING, rows=NOTHING, counter=np.zeros(0, np.int64))
+
+
+def known_by(argument: Any) -> Any:
+    """What an argument that stays is known by: tuples are the same ones, arrays may be new views of the same memory."""
+    if type(argument) is np.ndarray:
+        return argument.__array_interface__["data"][0], argument.shape
+    return None if isinstance(argument, int | float) else id(argument)
+
+
+class Function:
+    """A function that is noted, in place of it.
+
+    Args:
+        function: It.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function = function
+        self.calls: dict[tuple[Any, ...], Calls] = {}
+
+    def __call__(self, *arguments: Any) -> Any:
+        """What it gives."""
+        key = tuple([known_by(one) for one in arguments])
+        found = self.calls.get(key)
+        if found is None:
+            found = self.calls[key] = Calls(self.function, arguments)
+        return found(arguments)
 
 
 class Early:
     """Steps engines before they are compiled.
 
     Args:
-        tell: Called every second with what is waited for.
+        tell: Called now and then with what is waited for.
     """
 
     def __init__(self, tell: Callable[[str], None]) -> None:
-        self.tell = tell
-        self.ways: dict[str, list[Way]] = {}  # by the key of their form
-        self.asked = False  # for compiled code
-        self.plain = self.samples = 0
-        self.engine: CompiledLoop | None = None
+        self.tell, self.samples = tell, 0
+        self.before = [(module, name, getattr(module, name)) for module, names in NOTED for name in names]
+        self.functions = [Function(function) for *_, function in self.before]
+        for (module, name, _), function in zip(self.before, self.functions, strict=True):
+            setattr(module, name, function)
+        CompiledLoop.instead = self
+        run_plainly()
 
     def advance(self, engine: CompiledLoop, first: int, last: int, at: int) -> int:
         """What `CompiledLoop.advance` does."""
+        if self.samples == 0:
+            compile_beside(engine)
         self.samples += last - first
-        suits = engine is self.engine or self.take_up(engine)
-        if not suits or self.plain > PLAIN or self.samples > LONG:
+        if self.samples > LONG:
             self.end()
-            return engine.advance(first, last, at)
-        k = first
-        while k < last:
-            engine.counter[0] = at + k - first
-            if done := self.along_a_way(k, last - k, at + k - first):
-                k += done
-                continue
-            if (bad := engine.step(k, k + 1, at + k - first)) != -1:
-                return bad
-            self.plain += k >= FIRST
-            k += 1
-        engine.counter[0] = at + last - first
-        return -1
-
-    def take_up(self, engine: CompiledLoop) -> bool:
-        """Begin with an engine; False where it cannot be noted."""
-        forms = forms_of([engine] * LANES)
-        if forms is None or engine.learner is not None:
-            return False
-        self.engine, self.form = engine, forms[0]
-        self.known = self.ways.setdefault(self.form.key, [])
-        self.roots = np.array([root.ctypes.data for root in self.form.roots], np.int64)
-        if not self.asked:
-            self.asked = True
-            compile_beside(self.form)
-        return True
-
-    def along_a_way(self, k: int, count: int, at: int) -> int:
-        """Make samples from k on, at most as many as asked for, by code; how many were made, 0 where none goes so."""
-        engine = self.engine
-        assert engine is not None
-        if k < FIRST or self.plain > PLAIN:
-            return 0
-        for i, way in enumerate(self.known):
-            if done := self.made(way, k, count, at):
-                self.known.insert(0, self.known.pop(i))
-                return done
-        if len(self.known) >= WAYS:
-            return 0
-        try:
-            with no_collection():
-                self.known.insert(0, Way(engine, self.form, k))
-        except (NotNoted, TypeError, ValueError, ArithmeticError, AttributeError):
-            self.plain = PLAIN + 1  # compiled code is waited for, from the next samples on
-            return 0
-        return self.made(self.known[0], k, count, at)
-
-    def made(self, way: Way, k: int, count: int, at: int) -> int:
-        """How many samples from k on a way has made."""
-        engine = self.engine
-        assert engine is not None
-        setpoints, rows = engine.run.setpoints[k - 1 :], engine.rows[at:]
-        return int(
-            way.advance(
-                self.roots.ctypes.data, setpoints.ctypes.data, rows.ctypes.data, k, count, engine.run.numbers.h
-            )
-        )
+            wait(self.tell)
+        return engine.step(first, last, at)
 
     def end(self) -> None:
-        """Go on with compiled code; wait for it where it is being made."""
-        if CompiledLoop.instead is None:
-            return
+        """Go on with compiled code."""
         CompiledLoop.instead = None
+        for module, name, function in self.before:
+            setattr(module, name, function)
         run_compiled()
-        wait(self.tell)
-        if not self.asked:
-            precompile(self.tell)
 
 
 @contextmanager
 def early(tell: Callable[[str], None]) -> Iterator[None]:
-    """Within it loops are stepped before they are compiled, where that is possible.
+    """Within it loops are stepped before they are compiled.
 
     Args:
-        tell: Called every second with what is waited for.
+        tell: Called now and then with what is waited for.
     """
     begun = Early(tell)
-    CompiledLoop.instead = begun
-    run_plainly()
     try:
         yield
     finally:
-        CompiledLoop.instead = None
-        run_compiled()
+        begun.end()
 
 
 def is_compiling() -> bool:
@@ -194,16 +227,20 @@ def wait(tell: Callable[[str], None]) -> None:
         sleep(0.2)
 
 
-def compile_beside(form: Form) -> None:
-    """Let a process of its own compile the blocks and the loop of a form, unless one does.
+def compile_beside(engine: CompiledLoop) -> None:
+    """Let a process of its own compile the blocks and the loop of an engine, unless one does.
 
     It holds the lock of `LOCK`, which it inherits, until it ends, and nothing else that is ours.
     """
-    folder = cache_folder()
+    folder, reader = cache_folder(), Reader()
     if folder is None:
         return
-    told = {"form": form.form, "values": np.concatenate(form.roots).tolist()}
-    told["numbers"] = sum(root.size for root in form.roots[:-1])
+    try:
+        form = [reader.told(bare(part)) for part in engine.blocks]
+    except Unlike:
+        form = None
+    memory = np.concatenate([np.zeros(0), *reader.roots, np.array(reader.numbers)])
+    told = {"form": form, "values": memory.tolist(), "numbers": reader.size}
     with TemporaryFile() as read, (folder / LOCK).open("w") as lock, suppress(OSError):
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         read.write(json.dumps(told).encode())
@@ -214,17 +251,16 @@ def compile_beside(form: Form) -> None:
 
 
 def main() -> None:
-    """Compile the blocks and the loop of a form that standard input tells of."""
+    """Compile the blocks and the loop of an engine that standard input tells of."""
     told: dict[str, Any] = json.load(sys.stdin)
     os.nice(5)
     with no_collection():
         call_control_blocks()
         call_plant_blocks()
-        memory = np.array(told["values"])
-        parts = (rebuilt(one, memory, told["numbers"]) for one in told["form"])
-        run, true, nominal, learner, limits, ahead, later = parts
-        run = run._replace(setpoints=np.zeros((1, 1)), rows=np.zeros((1, 1)))
-        advance(0, 0, run, true, nominal, None, learner, limits, ahead, later, None)
+        if told["form"] is not None:
+            memory = np.array(told["values"])
+            run, *others = (rebuilt(one, memory, told["numbers"]) for one in told["form"])
+            compiled.advance(0, 0, run._replace(setpoints=np.zeros((1, 1)), rows=np.zeros((1, 1))), *others)
 
 
 if __name__ == "__main__":

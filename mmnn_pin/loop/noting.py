@@ -28,7 +28,6 @@ from .. import elementary
 from ..elementary import bits
 from ..parts import view
 from ..signals import INDEX
-from ..torque import law
 
 MOST = 60_000  # operations: more take longer to compile than they ever gain
 CALLED = {name: getattr(elementary, name) for name in elementary.__all__ if name not in ("cos_sin", "sigmoids")}
@@ -39,9 +38,14 @@ class NotNoted(Exception):
 
 
 class Notes:
-    """Operations, each noted once, and guards."""
+    """Operations, each noted once, and guards.
 
-    def __init__(self) -> None:
+    Args:
+        most: How many operations there may be.
+    """
+
+    def __init__(self, most: int = MOST) -> None:
+        self.most = most
         self.ops: list[tuple[Any, ...]] = []
         self.numbers: dict[tuple[Any, ...], int] = {}
         self.guards: dict[tuple[str, int, int, bool], None] = {}
@@ -49,7 +53,7 @@ class Notes:
     def op(self, *what: Any) -> int:
         """The number of an operation, noted if it is new."""
         if what not in self.numbers:
-            if len(self.ops) >= MOST:
+            if len(self.ops) >= self.most:
                 raise NotNoted
             self.numbers[what] = len(self.ops)
             self.ops.append(what)
@@ -147,33 +151,6 @@ class Noted:
     __hash__ = None  # type: ignore[assignment]
 
 
-class Index(Noted):
-    """A whole number by which a row of a table may be found."""
-
-    def __index__(self) -> int:
-        return int(self)
-
-
-class Table(np.ndarray[Any, Any]):
-    """Memory of noted numbers; a row that a noted number finds is noted as such."""
-
-    def __getitem__(self, where: Any) -> Any:
-        if not isinstance(where, Index) or self.ndim != 2:
-            return super().__getitem__(where)
-        found, notes = super().__getitem__(int(where.value)).copy(), Noted.notes
-        first = notes.ops[super().__getitem__((0, 0)).number]
-        if first[0] != "state":
-            raise NotNoted
-        for j, x in enumerate(found):
-            found[j] = Noted(x.value, notes.op("row", where.number, first[1] + j, *self.shape))
-        return found
-
-
-def whole(x: Any) -> Any:
-    """`int`, of a noted number one that can find a row; it is a whole number, as counts are."""
-    return Index(x.value, x.number) if isinstance(x, Noted) else int(x)
-
-
 class Bits:
     """The bits of a noted number, of which a power of two is made."""
 
@@ -244,13 +221,8 @@ def from_bits(x: Any, plain_number: Callable[[int], float] = bits.from_bits) -> 
 
 
 @contextmanager
-def noting(notes: Notes, rows: bool = False) -> Iterator[None]:
-    """Within it elementary functions note their calls.
-
-    Args:
-        notes: Where they go.
-        rows: Whether a row of a table of gains that a count finds is noted as that, or as the row that it is now.
-    """
+def noting(notes: Notes) -> Iterator[None]:
+    """Within it elementary functions note their calls."""
     Noted.notes = notes
     instead: dict[Any, Any] = {function: called(function, name) for name, function in CALLED.items()}
     cos, sin = instead[elementary.cos], instead[elementary.sin]
@@ -268,12 +240,9 @@ def noting(notes: Notes, rows: bool = False) -> Iterator[None]:
     kept = [(module, name, getattr(module, name)) for module, name, _ in before]
     for module, name, thing in before:
         setattr(module, name, thing)
-    if rows:
-        vars(law)["int"] = whole
     try:
         yield
     finally:
-        vars(law).pop("int", None)
         for module, name, thing in kept:
             setattr(module, name, thing)
 
@@ -282,12 +251,16 @@ def rebuilt(form: Any, memory: Any, numbers: int) -> Any:
     """What a form tells of, its numbers those of the memory, an array of noted ones; single ones behind `numbers`."""
     kind, *rest = form
     if kind == "array":
-        first, shape = rest
-        return memory[first : first + math.prod(shape)].reshape(shape)
+        first, shape, writeable = rest
+        made = memory[first : first + math.prod(shape)].reshape(shape)
+        made.flags.writeable = writeable
+        return made
     if kind == "number":
         return memory[numbers + rest[0]]
     if kind == "places":
-        return np.array(rest[2], rest[0]).reshape(rest[1])
+        made = np.array(rest[2], rest[0]).reshape(rest[1])
+        made.flags.writeable = rest[3]
+        return made
     if kind == "tuple":
         module, name, parts = rest
         things = [rebuilt(part, memory, numbers) for part in parts]
@@ -295,13 +268,56 @@ def rebuilt(form: Any, memory: Any, numbers: int) -> Any:
     return rest[0]
 
 
-def sample(told: dict[str, Any], rows: bool = False) -> dict[str, Any]:
+def noted(values: Any, notes: Notes) -> Any:
+    """Memory whose numbers are noted."""
+    memory = np.empty(len(values), object)
+    memory[:] = [Noted(x, notes.op("state", i)) for i, x in enumerate(values)]
+    return memory
+
+
+def written(memory: Any, notes: Notes) -> dict[int, int]:
+    """The operations of the numbers in memory that were changed, by their places."""
+    changed = (
+        (i, x) for i, x in enumerate(memory) if not (isinstance(x, Noted) and notes.ops[x.number] == ("state", i))
+    )
+    return {i: notes.of(x) for i, x in changed}
+
+
+def call(function: Any, form: Any, values: Any, numbers: int, most: int = MOST) -> dict[str, Any]:
+    """The notes of a call.
+
+    Args:
+        function: What is called.
+        form: Of its arguments.
+        values: Of its memory, single numbers from place `numbers` on; the last one is for what it returns.
+        numbers: That place.
+        most: How many operations there may be.
+
+    Returns:
+        What `sample` does but for the rows; `answer` holds what it returned, None for a number, which is written.
+
+    Raises:
+        NotNoted: It cannot be noted.
+    """
+    notes = Notes(most)
+    memory = noted(values, notes)
+    arguments = [rebuilt(one, memory, numbers) for one in form]
+    with noting(notes), np.errstate(all="ignore"):
+        answer = function(*arguments)
+    if isinstance(answer, Noted):
+        memory[len(memory) - 1] = answer
+    elif answer is not None and not isinstance(answer, int):
+        raise NotNoted
+    given = None if isinstance(answer, Noted) else (answer,)
+    return {"ops": notes.ops, "guards": list(notes.guards), "written": written(memory, notes), "answer": given}
+
+
+def sample(told: dict[str, Any]) -> dict[str, Any]:
     """The notes of one control sample.
 
     Args:
         told: `form` of the engine's `parts`, `values` of its memory, single ones from place `numbers` on, `setpoints`
             (2, m) of the sample before and of this one, `time` [s].
-        rows: As in `noting`.
 
     Raises:
         NotNoted: It cannot be noted.
@@ -309,16 +325,14 @@ def sample(told: dict[str, Any], rows: bool = False) -> dict[str, Any]:
     from .compiled import control, measure, move, observe
 
     notes = Notes()
-    values, names = told["values"], told["parts"]
-    memory = np.empty(len(values), object).view(Table if rows else np.ndarray)
-    memory[:] = [Noted(x, notes.op("state", i)) for i, x in enumerate(values)]
+    memory, names = noted(told["values"], notes), told["parts"]
     setpoints = np.empty(np.shape(told["setpoints"]), object)
     for (i, j), x in np.ndenumerate(np.array(told["setpoints"])):
         setpoints[i, j] = Noted(float(x), notes.op("setpoint", i, j))
     time: Any = Noted(told["time"], notes.op("time"))
     part = dict(zip(names, (rebuilt(form, memory, told["numbers"]) for form in told["form"]), strict=True))
     run, true = part["run"]._replace(setpoints=setpoints), part["true"]
-    with noting(notes, rows), np.errstate(all="ignore"):
+    with noting(notes), np.errstate(all="ignore"):
         measure(0, time, run, true, None)
         learner, limits, ahead, later = (part[name] for name in ("learner", "limits", "ahead", "later"))
         control(1, time, run, part["nominal"], None, learner, limits, ahead, later, None)
@@ -327,11 +341,10 @@ def sample(told: dict[str, Any], rows: bool = False) -> dict[str, Any]:
             move(run.numbers, i, true.body, true, view(run.row, run.at, INDEX["torque"]))
     if bad >= 0:
         raise NotNoted
-    written = {i: x for i, x in enumerate(memory) if not (isinstance(x, Noted) and notes.ops[x.number] == ("state", i))}
     return {
         "ops": notes.ops,
         "guards": list(notes.guards),
-        "written": {i: notes.of(x) for i, x in written.items()},
+        "written": written(memory, notes),
         "row": (run.row.ctypes.data - memory.ctypes.data) // memory.itemsize,
         "width": run.row.size,
         "setpoints": setpoints.shape[1],

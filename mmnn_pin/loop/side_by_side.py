@@ -115,7 +115,7 @@ class Reader:
     def array(self, thing: np.ndarray[Any, Any]) -> list[Any]:
         """The form of an array, a view of the memory."""
         if thing.dtype.kind in "iub":
-            return ["places", thing.dtype.str, thing.shape, thing.ravel().tolist()]
+            return ["places", thing.dtype.str, thing.shape, thing.ravel().tolist(), thing.flags.writeable]
         whole = thing
         while isinstance(whole.base, np.ndarray):
             whole = whole.base
@@ -126,7 +126,7 @@ class Reader:
             self.roots.append(whole.reshape(-1))
             self.size += whole.size
         within = 0 if thing is whole else (thing.ctypes.data - whole.ctypes.data) // 8
-        return ["array", self.places[id(whole)] + within, thing.shape]
+        return ["array", self.places[id(whole)] + within, thing.shape, thing.flags.writeable]
 
 
 class Lanes:
@@ -331,17 +331,7 @@ def sources() -> str:
 
 def ask_for(file: Path, engine: CompiledLoop, form: Form, sample: int) -> subprocess.Popen[bytes]:
     """Begin to make the program of an engine's next sample, in a process of its own; see `main`."""
-    with TemporaryFile() as read:
-        read.write(json.dumps(told_of(engine, form, sample)).encode())
-        read.seek(0)
-        quiet, plain = subprocess.DEVNULL, os.environ | {"NUMBA_DISABLE_JIT": "1"}
-        command = [sys.executable, "-m", __name__, str(file)]
-        return subprocess.Popen(command, stdin=read, stdout=quiet, stderr=quiet, env=plain)
-
-
-def told_of(engine: CompiledLoop, form: Form, sample: int) -> dict[str, Any]:
-    """What `noting.sample` has to know of an engine before a sample."""
-    return {
+    told = {
         "parts": PARTS,
         "form": form.form,
         "values": np.concatenate(form.roots).tolist(),
@@ -349,6 +339,12 @@ def told_of(engine: CompiledLoop, form: Form, sample: int) -> dict[str, Any]:
         "setpoints": engine.run.setpoints[sample - 1 : sample + 1].tolist(),
         "time": sample * engine.run.numbers.h,
     }
+    with TemporaryFile() as read:
+        read.write(json.dumps(told).encode())
+        read.seek(0)
+        quiet, plain = subprocess.DEVNULL, os.environ | {"NUMBA_DISABLE_JIT": "1"}
+        command = [sys.executable, "-m", __name__, str(file)]
+        return subprocess.Popen(command, stdin=read, stdout=quiet, stderr=quiet, env=plain)
 
 
 def main() -> None:
@@ -394,11 +390,12 @@ def host_cpu() -> tuple[str, str]:
 
 
 def machine(optimisation: int = 2) -> Any:
-    """What makes code for it."""
+    """What makes code for it; at 0 it is made fast, and no fast code."""
     name, features = host_cpu()
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    return llvm.Target.from_default_triple().create_target_machine(cpu=name, features=features, opt=optimisation, jit=True)
+    target = llvm.Target.from_default_triple()
+    return target.create_target_machine(cpu=name, features=features, opt=optimisation, jit=True)
 
 
 def loaded(code: bytes, calls: Sequence[str]) -> Any:

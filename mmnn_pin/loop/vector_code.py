@@ -305,7 +305,7 @@ def operands(op: Sequence[Any]) -> list[int]:
     code, *rest = op
     if code in LEAVES:
         return []
-    return rest[1:] if code == "call" else rest[:1] if code in ("add", "shl", "row") else rest
+    return rest[1:] if code == "call" else rest[:1] if code in ("add", "shl") else rest
 
 
 def constant(text: str, lanes: int) -> str:
