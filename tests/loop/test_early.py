@@ -183,7 +183,7 @@ def test_code_does_what_python_does_or_nothing(values: list[list[float]], x: flo
         a[:], b[:] = row[:2], row[2:]
         expected = a.copy(), b.copy()
         answer = law_of(*expected, x + row[0])
-        assert repr(calls((a, b, x + row[0]))) == repr(answer)
+        assert float(calls((a, b, x + row[0]))) == float(answer)
         np.testing.assert_array_equal((a, b), expected)
     assert calls.ways
 
