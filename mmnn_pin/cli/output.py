@@ -121,7 +121,7 @@ def before_it_is_compiled(hardware: bool = False) -> Iterator[None]:
         compile_if_cold(hardware)
         yield
         return
-    click.echo("first run of this version: a process of its own compiles for later runs, half a minute", err=True)
+    click.echo("first run of this version: compiling, for later runs, goes on beside it for half a minute", err=True)
     with early(tell_what_compiles()):
         yield
 

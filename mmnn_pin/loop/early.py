@@ -3,8 +3,8 @@
 numba takes some twenty seconds for the loop's blocks. A first run does not wait for them: all blocks run as plain
 Python (`compiled.run_plainly`), which is slow, but the few functions that take nearly all of its time (`NOTED`) are
 noted after some calls, operation by operation (`noting`), and LLVM makes code of that in a tenth of a second to one
-(`scalar_code`). A call that goes another way is made by plain Python, and noted, too, up to `WAYS. times. So the bits
-are those of the compiled loop.
+(`scalar_code`). A call that goes another way is made by plain Python, and noted, too, up to `WAYS` times. So the
+bits are those of the compiled loop.
 
 A function whose calls leave their ways often, such as a learner that sweeps until something is small, is compiled by
 itself.

@@ -278,8 +278,10 @@ def has_rows(file: Path) -> bool:
 @pytest.mark.usefixtures("undrawn")
 def test_first_run_says_that_it_compiles(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     import mmnn_pin.compiled
+    from mmnn_pin.loop import early
 
     monkeypatch.setattr(mmnn_pin.compiled, "is_warm", lambda: False)
+    monkeypatch.setattr(early, "compile_beside", lambda engine: None)
     _, out, err = call("run", "chapter4", "--controller", "pd", *SHORT, "--json")
     assert "compiling" in err and json.loads(out)
 
