@@ -46,6 +46,7 @@ WAYS = 8  # of a function on the same arrays
 PLAIN = 20  # calls that went none of them, after which the function is compiled
 MANY = 6_000  # operations of a learner; those that have more leave their ways often, and are compiled
 LONG = 100_000  # samples of all runs, after which compiled code is waited for
+LONG_ONES: dict[str, Any] = {"setpoints": NOTHING, "rows": NOTHING, "counter": np.zeros(0, np.int64)}  # arrays of a run
 LOCK = "compiling"  # file in the cache folder that the process holds which compiles
 
 
@@ -54,13 +55,13 @@ class Way:
 
     Args:
         told: What `noting.call` gives.
-        roots: The arrays that it works on.
+        sizes: How many numbers each of the arrays has that it works on.
     """
 
-    def __init__(self, told: dict[str, Any], roots: list[np.ndarray[Any, Any]]) -> None:
+    def __init__(self, told: dict[str, Any], sizes: list[int]) -> None:
         for name in {op[1] for op in told["ops"] if op[0] == "call"}:
             llvm.add_symbol(SYMBOL + name, callback(name).address)
-        text = scalar_code(told, [root.size for root in roots])
+        text = scalar_code(told, sizes)
         self.code = llvm.create_mcjit_compiler(llvm.parse_assembly(text), machine(0))
         self.code.finalize_object()
         self.run = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_void_p)(self.code.get_function_address("call"))
@@ -69,6 +70,8 @@ class Way:
 
 class Calls:
     """Calls of a function with the same arrays and tuples; numbers among its arguments may change.
+
+    Their ways are those of calls on other arrays, too, where all that is no number is the same (`form`).
 
     Args:
         function: It.
@@ -90,6 +93,7 @@ class Calls:
             self.can_be_noted = False
         self.form, self.given, self.answer = form, np.array(reader.numbers, float), np.zeros(1)
         self.roots, self.first = [*reader.roots, self.given, self.answer], reader.size
+        self.sizes = [root.size for root in self.roots]
         self.places = np.array([root.ctypes.data for root in self.roots], np.int64)
         self.address = self.places.ctypes.data
 
@@ -117,17 +121,17 @@ class Calls:
         try:
             with no_collection():
                 told = call(self.function, self.form, np.concatenate(self.roots), self.first, most)
-                self.ways.append(Way(told, self.roots))
+                self.ways.append(Way(told, self.sizes))
         except (NotNoted, TypeError, ValueError, ArithmeticError, AttributeError):
             return False
         return True
 
 
 def bare(argument: Any) -> Any:
-    """An argument, a run's without what is none of the functions' business."""
-    if not isinstance(argument, Run):
-        return argument
-    return argument._replace(setpoints=NOTHING, rows=NOTHING, counter=np.zeros(0, np.int64))
+    """An argument, a run's without what no function in `NOTED` takes from it: more runs are alike so."""
+    return (
+        argument._replace(numbers=None, law=None, state=NOTHING, **LONG_ONES) if isinstance(argument, Run) else argument
+    )
 
 
 def known_by(argument: Any) -> Any:
@@ -153,7 +157,10 @@ class Function:
         key = tuple([known_by(one) for one in arguments])
         found = self.calls.get(key)
         if found is None:
-            found = self.calls[key] = Calls(self.function, arguments)
+            found = Calls(self.function, arguments)
+            alike = (one for one in self.calls.values() if one.form == found.form and one.sizes == found.sizes)
+            found.ways = next((one.ways for one in alike), found.ways)
+            self.calls[key] = found
         return found(arguments)
 
 
@@ -235,8 +242,9 @@ def compile_beside(engine: CompiledLoop) -> None:
     folder, reader = cache_folder(), Reader()
     if folder is None:
         return
+    run, *others = engine.blocks
     try:
-        form = [reader.told(bare(part)) for part in engine.blocks]
+        form = [reader.told(part) for part in (run._replace(**LONG_ONES), *others)]
     except Unlike:
         form = None
     memory = np.concatenate([np.zeros(0), *reader.roots, np.array(reader.numbers)])

@@ -98,6 +98,16 @@ def test_recordings_have_the_bits_of_the_compiled_loop(name: str, alone: list[Ca
     assert len(by_code) >= 2 * len(controllers) and min(by_code) >= 20
 
 
+def test_runs_of_one_robot_share_their_code(alone: list[Calls]) -> None:
+    with early(nothing):
+        run_experiment(short("pd", "computed_torque", "pd_effective"), "shared")  # and two_layer for its gain
+    by_name: dict[str, list[Calls]] = {}
+    for calls in alone:
+        by_name.setdefault(calls.function.__name__, []).append(calls)
+    assert len(by_name["observe"]) == 4 and len({id(calls.ways) for calls in by_name["observe"]}) == 1
+    assert all(calls.count == 30 for calls in by_name["observe"]) and len(by_name["observe"][0].ways) == 1
+
+
 def test_a_function_that_goes_many_ways_is_compiled(monkeypatch: pytest.MonkeyPatch, alone: list[Calls]) -> None:
     monkeypatch.setattr(module, "WAYS", 0)
     monkeypatch.setattr(module, "PLAIN", 3)
