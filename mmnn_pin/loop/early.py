@@ -47,6 +47,7 @@ PLAIN = 20  # calls that went none of them, after which the function is compiled
 MANY = 6_000  # operations of a learner; those that have more leave their ways often, and are compiled
 LONG = 100_000  # samples of all runs, after which compiled code is waited for
 LONG_ONES: dict[str, Any] = {"setpoints": NOTHING, "rows": NOTHING, "counter": np.zeros(0, np.int64)}  # arrays of a run
+LEFT_OUT: dict[str, Any] = {"numbers": None, "law": None, "state": NOTHING} | LONG_ONES
 LOCK = "compiling"  # file in the cache folder that the process holds which compiles
 
 
@@ -129,9 +130,7 @@ class Calls:
 
 def bare(argument: Any) -> Any:
     """An argument, a run's without what no function in `NOTED` takes from it: more runs are alike so."""
-    return (
-        argument._replace(numbers=None, law=None, state=NOTHING, **LONG_ONES) if isinstance(argument, Run) else argument
-    )
+    return argument._replace(**LEFT_OUT) if isinstance(argument, Run) else argument
 
 
 def known_by(argument: Any) -> Any:
