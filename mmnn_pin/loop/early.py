@@ -229,7 +229,7 @@ def wait(tell: Callable[[str], None]) -> None:
         tell: Called now and then with what is waited for.
     """
     while is_compiling():
-        tell("the loop, in a process that an earlier run began")
+        tell("the loop, in a process that a first run began")
         sleep(0.2)
 
 
