@@ -9,6 +9,8 @@ a loop around a learner and a hardware model took half a minute. Here a function
     @inlined    numba's own way, and always inlined; handing over arrays takes longer than a little arithmetic
     @spliced    its source is copied into its callers
 
+`run_plainly` has all of them run as plain Python until `run_compiled`, which is how a first run begins (`loop.early`).
+
 All run without the interpreter lock, and are kept in a file cache. numba's cache looks only at the file of the function
 itself, so an edited callee would run stale; here the cache folder is keyed by a hash of all sources of the package.
 `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python. Large tuples go by address, too: `by_address`.
@@ -55,6 +57,8 @@ from .parts import spelled
 
 UNUSED = (InlineClosureLikes, LiteralUnroll, NopythonRewrites, RewriteDynamicRaises, WithLifting)  # of numba's passes
 MARKS = (b"@internal", b"@compiled", b"@linked", b"@inlined", b"@spliced")
+MADE: list[Any] = []  # all compiled functions
+KINDS: dict[Any, type] = {}  # what those are that run as plain Python
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
@@ -167,6 +171,7 @@ def compiled(function: F, **options: Any) -> F:
         config.CACHE_DIR = before
     if hasattr(made, "add_overload"):
         made.add_overload = partial(remember, made)
+        MADE.append(made)
     return cast(F, made)
 
 
@@ -220,6 +225,28 @@ class Internal(CPUDispatcher):
         given = ", ".join(self.py_func.__code__.co_varnames[: self.py_func.__code__.co_argcount])
         call = spelled(f"def call({given}): return function({given})", function=self)
         return numba.njit(nogil=True, error_model="numpy", **LEAN)(call)
+
+
+class Plain(CPUDispatcher):
+    """What numba makes of a function, while Python runs the function itself."""
+
+    def __call__(self, *args: Any) -> Any:
+        """Call it from Python."""
+        return self.py_func(*args)
+
+
+def run_plainly() -> None:
+    """From now on Python calls all functions that are made so far as plain Python: nothing is compiled for it."""
+    KINDS.update({made: made.__class__ for made in MADE if not isinstance(made, Plain)})
+    for made in KINDS:
+        made.__class__ = Plain
+
+
+def run_compiled(*functions: Any) -> None:
+    """The end of `run_plainly`, for some functions or for all."""
+    for made in functions or tuple(KINDS):
+        if made in KINDS:
+            made.__class__ = KINDS.pop(made)
 
 
 @dataclass(frozen=True)

@@ -89,8 +89,10 @@ def compile_if_cold(hardware: bool = False) -> None:
         hardware: Whether the run has sensors, motors, a supervisor or disturbances; then more is compiled.
     """
     from ..compiled import cache_folder, is_warm
+    from ..loop.early import wait
 
     tell = tell_what_compiles()
+    wait(tell)
     if not is_warm():
         click.echo("first run of this version: compiling takes about half a minute, later runs start at once", err=True)
         from ..loop.precompile import precompile
@@ -102,6 +104,26 @@ def compile_if_cold(hardware: bool = False) -> None:
         click.echo(f"first run with {parts}: their part of the loop is compiled, about 20 s more", err=True)
         with suppress(OSError):  # a full disk: it is announced again
             announced.touch()
+
+
+@contextmanager
+def before_it_is_compiled(hardware: bool = False) -> Iterator[None]:
+    """Within it a first run gives its result before all is compiled, where it can be (`loop.early`), and says so.
+
+    Args:
+        hardware: As of `compile_if_cold`.
+    """
+    from ..compiled import cache_folder, is_warm
+    from ..loop.early import early, is_compiling
+
+    plain = os.environ.get("NUMBA_DISABLE_JIT", "0") == "1"
+    if plain or cache_folder() is None or (is_warm() and not is_compiling()):
+        compile_if_cold(hardware)
+        yield
+        return
+    click.echo("first run of this version: compiling, for later runs, goes on beside it for half a minute", err=True)
+    with early(tell_what_compiles()):
+        yield
 
 
 @cache

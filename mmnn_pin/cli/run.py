@@ -17,6 +17,7 @@ from .output import (
     FAILED,
     STOPPED,
     answer,
+    before_it_is_compiled,
     compile_if_cold,
     interruptible,
     look,
@@ -124,7 +125,11 @@ def run(
     require_plots(asked.plots)
     for plot in asked.plots:
         require_free(folder / f"{plot}.png", force, "plot")
-    compile_if_cold(bool(asked.cases) or has_hardware(asked))
+    hardware = bool(asked.cases) or has_hardware(asked)
+    if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
+        with before_it_is_compiled(hardware):
+            return run_one(asked, name, folder, force, as_json)
+    compile_if_cold(hardware)
     command = run_contest if asked.contest is not None else run_cases if asked.cases else run_one
     return command(asked, name, folder, force, as_json)
 

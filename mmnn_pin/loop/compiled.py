@@ -10,7 +10,7 @@ for runs that have one.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -108,6 +108,7 @@ class CompiledLoop:
     """
 
     name = "compiled"
+    instead: ClassVar[Any] = None  # what steps all loops in place of compiled code, see `early`
 
     def __init__(
         self, plan: Plan, position: Array, nu: Array, state: ControllerState, hardware: Hardware | None
@@ -153,15 +154,20 @@ class CompiledLoop:
             rows=self.rows,
             row=self.row,
         )
+        blocks = (self.true, self.nominal, self.hardware, self.learner, self.limits, self.ahead, self.later, self.split)
+        self.blocks = (self.run, *blocks)
 
     def advance(self, first: int, last: int, at: int = 0) -> int:
         """Run control samples first ... last - 1; -1, the column of `row` that went bad, or `TRIPPED`.
 
         Their rows stand from place `at` on.
         """
-        blocks = (self.true, self.nominal, self.hardware, self.learner, self.limits, self.ahead, self.later, self.split)
-        run = self.run if at == 0 else self.run._replace(rows=self.rows[at:])
-        bad = advance(first, last, run, *blocks)
+        return self.step(first, last, at) if self.instead is None else self.instead.advance(self, first, last, at)
+
+    def step(self, first: int, last: int, at: int) -> int:
+        """The same."""
+        run, *blocks = self.blocks
+        bad = advance(first, last, run if at == 0 else run._replace(rows=self.rows[at:]), *blocks)
         self.counter[0] += at
         return bad
 

@@ -38,9 +38,14 @@ class NotNoted(Exception):
 
 
 class Notes:
-    """Operations, each noted once, and guards."""
+    """Operations, each noted once, and guards.
 
-    def __init__(self) -> None:
+    Args:
+        most: How many operations there may be.
+    """
+
+    def __init__(self, most: int = MOST) -> None:
+        self.most = most
         self.ops: list[tuple[Any, ...]] = []
         self.numbers: dict[tuple[Any, ...], int] = {}
         self.guards: dict[tuple[str, int, int, bool], None] = {}
@@ -48,7 +53,7 @@ class Notes:
     def op(self, *what: Any) -> int:
         """The number of an operation, noted if it is new."""
         if what not in self.numbers:
-            if len(self.ops) >= MOST:
+            if len(self.ops) >= self.most:
                 raise NotNoted
             self.numbers[what] = len(self.ops)
             self.ops.append(what)
@@ -246,17 +251,65 @@ def rebuilt(form: Any, memory: Any, numbers: int) -> Any:
     """What a form tells of, its numbers those of the memory, an array of noted ones; single ones behind `numbers`."""
     kind, *rest = form
     if kind == "array":
-        first, shape = rest
-        return memory[first : first + math.prod(shape)].reshape(shape)
+        first, shape, writeable = rest
+        made = memory[first : first + math.prod(shape)].reshape(shape)
+        made.flags.writeable = writeable
+        return made
     if kind == "number":
         return memory[numbers + rest[0]]
     if kind == "places":
-        return np.array(rest[2], rest[0]).reshape(rest[1])
+        made = np.array(rest[2], rest[0]).reshape(rest[1])
+        made.flags.writeable = rest[3]
+        return made
     if kind == "tuple":
         module, name, parts = rest
         things = [rebuilt(part, memory, numbers) for part in parts]
         return getattr(import_module(module), name)(*things) if name else tuple(things)
     return rest[0]
+
+
+def noted(values: Any, notes: Notes) -> Any:
+    """Memory whose numbers are noted."""
+    memory = np.empty(len(values), object)
+    memory[:] = [Noted(x, notes.op("state", i)) for i, x in enumerate(values)]
+    return memory
+
+
+def written(memory: Any, notes: Notes) -> dict[int, int]:
+    """The operations of the numbers in memory that were changed, by their places."""
+    changed = (
+        (i, x) for i, x in enumerate(memory) if not (isinstance(x, Noted) and notes.ops[x.number] == ("state", i))
+    )
+    return {i: notes.of(x) for i, x in changed}
+
+
+def call(function: Any, form: Any, values: Any, numbers: int, most: int = MOST) -> dict[str, Any]:
+    """The notes of a call.
+
+    Args:
+        function: What is called.
+        form: Of its arguments.
+        values: Of its memory, single numbers from place `numbers` on; the last one is for what it returns.
+        numbers: That place.
+        most: How many operations there may be.
+
+    Returns:
+        What `sample` does but for the rows; `answer` holds what it returned, None for a number, which is written.
+
+    Raises:
+        NotNoted: It cannot be noted.
+    """
+    notes = Notes(most)
+    memory = noted(values, notes)
+    arguments = [rebuilt(one, memory, numbers) for one in form]
+    with noting(notes), np.errstate(all="ignore"):
+        answer = function(*arguments)
+    if isinstance(answer, Noted):
+        memory[len(memory) - 1] = answer
+    elif answer is not None and not isinstance(answer, int):
+        raise NotNoted
+    given = None if isinstance(answer, Noted) else (answer,)
+    return {"ops": notes.ops, "guards": list(notes.guards), "written": written(memory, notes), "answer": given}
 
 
 def sample(told: dict[str, Any]) -> dict[str, Any]:
@@ -272,9 +325,7 @@ def sample(told: dict[str, Any]) -> dict[str, Any]:
     from .compiled import control, measure, move, observe
 
     notes = Notes()
-    values, names = told["values"], told["parts"]
-    memory = np.empty(len(values), object)
-    memory[:] = [Noted(x, notes.op("state", i)) for i, x in enumerate(values)]
+    memory, names = noted(told["values"], notes), told["parts"]
     setpoints = np.empty(np.shape(told["setpoints"]), object)
     for (i, j), x in np.ndenumerate(np.array(told["setpoints"])):
         setpoints[i, j] = Noted(float(x), notes.op("setpoint", i, j))
@@ -290,11 +341,10 @@ def sample(told: dict[str, Any]) -> dict[str, Any]:
             move(run.numbers, i, true.body, true, view(run.row, run.at, INDEX["torque"]))
     if bad >= 0:
         raise NotNoted
-    written = {i: x for i, x in enumerate(memory) if not (isinstance(x, Noted) and notes.ops[x.number] == ("state", i))}
     return {
         "ops": notes.ops,
         "guards": list(notes.guards),
-        "written": {i: notes.of(x) for i, x in written.items()},
+        "written": written(memory, notes),
         "row": (run.row.ctypes.data - memory.ctypes.data) // memory.itemsize,
         "width": run.row.size,
         "setpoints": setpoints.shape[1],

@@ -115,7 +115,7 @@ class Reader:
     def array(self, thing: np.ndarray[Any, Any]) -> list[Any]:
         """The form of an array, a view of the memory."""
         if thing.dtype.kind in "iub":
-            return ["places", thing.dtype.str, thing.shape, thing.ravel().tolist()]
+            return ["places", thing.dtype.str, thing.shape, thing.ravel().tolist(), thing.flags.writeable]
         whole = thing
         while isinstance(whole.base, np.ndarray):
             whole = whole.base
@@ -126,7 +126,7 @@ class Reader:
             self.roots.append(whole.reshape(-1))
             self.size += whole.size
         within = 0 if thing is whole else (thing.ctypes.data - whole.ctypes.data) // 8
-        return ["array", self.places[id(whole)] + within, thing.shape]
+        return ["array", self.places[id(whole)] + within, thing.shape, thing.flags.writeable]
 
 
 class Lanes:
@@ -395,12 +395,13 @@ def host_cpu() -> tuple[str, str]:
     return name or llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten() if features is None else features
 
 
-def machine() -> Any:
-    """What makes code for it."""
+def machine(optimisation: int = 2) -> Any:
+    """What makes code for it; at 0 it is made fast, and no fast code."""
     name, features = host_cpu()
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    return llvm.Target.from_default_triple().create_target_machine(cpu=name, features=features, opt=2, jit=True)
+    target = llvm.Target.from_default_triple()
+    return target.create_target_machine(cpu=name, features=features, opt=optimisation, jit=True)
 
 
 def loaded(code: bytes, calls: Sequence[str]) -> Any:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
+from collections.abc import Sequence
 from typing import Any
 
 SYMBOL = "mmnn_pin.elementary."
@@ -58,10 +59,7 @@ class VectorCode:
 
     def operands(self, op: int) -> list[int]:
         """The operations that an operation needs."""
-        code, *rest = self.ops[op]
-        if code in LEAVES:
-            return []
-        return rest[1:] if code == "call" else rest[:1] if code in ("add", "shl") else rest
+        return operands(self.ops[op])
 
     def find_fixed(self) -> list[bool]:
         """Which operations follow from what no sample changes."""
@@ -302,8 +300,20 @@ class VectorCode:
 OPPOSITE = {"olt": "uge", "ole": "ugt", "ogt": "ule", "oge": "ult", "oeq": "une", "une": "oeq"}
 
 
+def operands(op: Sequence[Any]) -> list[int]:
+    """The operations that an operation needs."""
+    code, *rest = op
+    if code in LEAVES:
+        return []
+    return rest[1:] if code == "call" else rest[:1] if code in ("add", "shl") else rest
+
+
 def constant(text: str, lanes: int) -> str:
     """A vector of one number."""
+    return f"<{', '.join([f'double {word(text)}'] * lanes)}>"
+
+
+def word(text: str) -> str:
+    """A number, as `noting` writes it, for LLVM."""
     number = float.fromhex(text) if text.lstrip("-").startswith("0x") else float(text)
-    word = struct.unpack("<Q", struct.pack("<d", number))[0]
-    return f"<{', '.join([f'double 0x{word:016X}'] * lanes)}>"
+    return f"0x{struct.unpack('<Q', struct.pack('<d', number))[0]:016X}"
