@@ -90,8 +90,10 @@ def take_up() -> None:
 @cache
 def compile_once() -> None:
     from mmnn_pin.cli.output import compile_if_cold
+    from mmnn_pin.loop.precompile import when_compiling
 
     compile_if_cold(hardware=True)
+    when_compiling(lambda name: None)  # what else takes long on a busy machine is not told between the lines of a test
 
 
 @pytest.fixture(autouse=True)

@@ -258,14 +258,29 @@ def seeds_of(seeds: int | tuple[int, ...], first: int, factors: dict[str, Factor
 def changed_base(study: StudyFile) -> tuple[dict[str, Any], Experiment]:
     """The study's experiment with the changes in `set`, as a table with all defaults and as an experiment."""
     table = deep(msgspec.to_builtins(study.base)) | {"cases": {}}
-    expand_masses(table, [*(path for path, _ in flat(study.settings.set)), *paths_of(study.settings.factors)], study)
+    set_paths = sorted(flat(study.settings.set), key=lambda item: item[0].startswith("masses."))  # of the robot set
+    changed_paths = [*(path for path, _ in set_paths), *paths_of(study.settings.factors)]
+    single = isinstance(table["masses"], float) and any(path.startswith("masses.") for path in changed_paths)
     known = {key: value for key, value in table.items() if key not in COSMETIC}
-    for path, value in flat(study.settings.set):
+    for path, value in set_paths:
+        if single and path.startswith("masses."):
+            expand_masses(table, study)
         with placing(study.path):
-            require_path(known, path, f"set.{path}")
+            require_path(known | {"masses": table["masses"]}, path, f"set.{path}")
             changed(table, path, value)
+    if single:
+        expand_masses(table, study)
+    return table, experiment_of(table, study)
+
+
+def experiment_of(table: dict[str, Any], study: StudyFile) -> Experiment:
+    """A study's experiment from its table.
+
+    Raises:
+        ConfigError: A value that cannot be, with its place in `set`.
+    """
     try:
-        return table, msgspec.convert(table, Experiment)
+        return msgspec.convert(table, Experiment)
     except (msgspec.ValidationError, InputError) as error:
         what, why, fix, key = parts_of(error, table)
         raise study.placed(ConfigError(what, why=why, fix=fix, key=f"set.{key}")) from None
@@ -277,12 +292,17 @@ def parts_of(error: InputError | msgspec.ValidationError, table: dict[str, Any])
     return ours.what, ours.why, ours.fix, ours.key or ""
 
 
-def expand_masses(table: dict[str, Any], paths: list[str], study: StudyFile) -> None:
-    """One factor for all bodies as one per body, where single bodies are to be changed."""
-    if isinstance(table["masses"], dict) or not any(path.startswith("masses.") for path in paths):
+def expand_masses(table: dict[str, Any], study: StudyFile) -> None:
+    """One factor for all bodies as one per body of the robot that a table names; nothing where that is done.
+
+    Raises:
+        InputError: The robot cannot be loaded.
+    """
+    if isinstance(table["masses"], dict):
         return
+    made = experiment_of(table, study)
     try:
-        robot = load_once(study.base.robot, study.base.overrides)
+        robot = load_once(made.robot, made.overrides)
     except InputError as error:
         error.file = error.file or study.path
         raise

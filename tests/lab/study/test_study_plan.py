@@ -188,6 +188,27 @@ def test_near_keys_are_named(path: str, expected: str) -> None:
     assert expected in near(path, list(leaves(msgspec.to_builtins(load_experiment("chapter4")))))
 
 
+def test_single_masses_are_those_of_the_robot_that_a_study_sets(tmp_path: Path) -> None:
+    text = """
+experiment = "track"
+controllers = ["pd"]
+[set]
+"masses.arm_5_joint" = 1.2
+robot = "tiago_no_hand"
+[sampling]
+points = 2
+[factors]
+"masses.arm_4_joint" = { uniform = [0.8, 2.5] }
+[success]
+at_most = { "z.v.peak" = 0.02 }
+"""
+    row = planned(tmp_path, text).row(1)
+    masses = row.experiment.masses
+    assert row.experiment.robot == "tiago_no_hand" and "arm_1_joint" in masses and "root" in masses
+    assert masses["arm_4_joint"] == row.parameters["masses.arm_4_joint"] != 1.0
+    assert masses["arm_5_joint"] == 1.2 and masses["arm_3_joint"] == 1.0
+
+
 # -- runs -------------------------------------------------------------------------------------------------------------
 
 
