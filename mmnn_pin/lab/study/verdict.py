@@ -352,18 +352,18 @@ def sentences(results: Results, found: Verdict) -> list[str]:
     """The answer in words."""
     if found.controller is None:
         return [f"None of {', '.join(results.controllers)} succeeds in any run."]
-    own = found.success[found.controller]
-    total = len(results.of[found.controller])
-    lines = [f"Take {found.controller}: it succeeds in {percent(own)} of {total} runs."]
+    own, total = percent(found.success[found.controller]), len(results.of[found.controller])
+    if found.alike:
+        why = f"its successes and those of {' and '.join(found.alike)} are not told apart by so many runs"
+        lines = [
+            f"Take {found.controller}: {why}, and it has the smallest median of {found.deciding} among them.",
+            f"It succeeds in {own} of {total} runs.",
+        ]
+    else:
+        lines = [f"Take {found.controller}: it succeeds in {own} of {total} runs."]
     rest = sorted((n for n in found.success if n != found.controller), key=lambda n: -found.success[n].value)
     if rest:
         lines.append("The others: " + "; ".join(f"{name} {percent(found.success[name])}" for name in rest) + ".")
-    if found.alike:
-        names = " and ".join(found.alike)
-        lines.append(
-            f"So many runs do not tell whether it succeeds more often than {names}; "
-            f"it has the smallest median of {found.deciding}."
-        )
     return [*lines, describe_region(results, found)]
 
 
@@ -375,7 +375,8 @@ def describe_region(results: Results, found: Verdict) -> str:
     where = found.region
     checked = f"{percent(where.success)} of the runs that were kept apart to check it"
     if not where.cuts:
-        return f"That holds within everything that was varied: {checked} succeed."
+        least = "" if where.success.value >= found.wanted else f", fewer than the {wanted} that were asked"
+        return f"Within everything that was varied {checked} succeed{least}."
     units = {n: f.unit or "times the experiment's" * f.relative for n, f in results.factors.items()}
     cuts = ", ".join(cut.describe(units[cut.factor]) for cut in where.cuts)
     return f"Within {cuts} ({100 * where.share:.0f} % of all draws) it succeeds in {checked} ({wanted} were asked)."

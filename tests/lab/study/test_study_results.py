@@ -190,9 +190,18 @@ def test_equal_successes_are_decided_by_the_smaller_error_and_it_is_said() -> No
     results = made({"pd": same, "two_layer": same}, error, {"x": rng.random(300)})
     found = verdict(results)
     assert found.controller == "two_layer" and found.alike == ("pd",) and found.deciding == "e.*.peak"
-    told = " ".join(sentences(results, found))
-    assert "do not tell whether it succeeds more often than pd; it has the smallest median of e.*.peak" in told
-    assert "That holds within everything that was varied" in told
+    told = sentences(results, found)
+    why = "its successes and those of pd are not told apart by so many runs"
+    assert told[0] == f"Take two_layer: {why}, and it has the smallest median of e.*.peak among them."
+    assert told[-1].startswith("Within everything that was varied ") and told[-1].endswith("check it succeed.")
+
+
+def test_a_region_that_the_runs_kept_apart_do_not_confirm_is_said_to_be_none() -> None:
+    results = made({"pd": np.ones(40, bool)}, {"pd": np.ones(40)}, {"x": np.linspace(0, 1, 40)})
+    found = verdict(results)
+    assert found.region is not None and not found.region.cuts
+    poor = replace(found, region=replace(found.region, success=rate(1, 20)))
+    assert sentences(results, poor)[-1].endswith("succeed, fewer than the 95 % that were asked.")
 
 
 def test_where_nothing_succeeds_nothing_is_recommended() -> None:
