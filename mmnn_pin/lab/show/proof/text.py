@@ -367,9 +367,9 @@ def tube_sentence(tube: Tube) -> str:
     if tube.bears == 0.0:
         worst = tube.integrator[-len(tube.share) :].max()
         return (
-            "Tube along this reference: NONE, and a better estimate of Psi gives none: within a period the simulated robot "
-            f"moved otherwise than exactly, by up to {number(worst)} of a velocity. Its integrator does that, and dry "
-            "friction that changes its sign."
+            "Tube along this reference: NONE, and a better estimate of Psi gives none: within a period the "
+            f"simulated robot moved otherwise than exactly, by up to {number(worst)} of a velocity. Its integrator "
+            "does that, and dry friction that changes its sign."
         )
     return (
         f"Tube along this reference: NONE: with the run's errors of Psi ({psi}{late}) nothing is bounded; "
@@ -389,8 +389,8 @@ def proved_sentence(tube: Tube) -> str:
         return f"With errors of Psi that are proved a motor may be asked for {proof.torque.max():.3g} times its limit."
     return (
         f"Proved from {proof.start:.3g} s on, for every motion in the tube: the learner's error of Psi is at most "
-        f"{psi}, and these bounds hold. Assumed: the robot of the run, whose parameters say all of Psi but 1.5 times what "
-        "they left there, and exact velocities. Sampled: the equations' errors and the features in the tube."
+        f"{psi}, and these bounds hold. Assumed: the robot of the run, whose parameters say all of Psi but 1.5 times "
+        "what they left there, and exact velocities. Sampled: the equations' errors and the features in the tube."
     )
 
 
