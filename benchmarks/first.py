@@ -37,7 +37,8 @@ def first_run(package: Path, arguments: list[str]) -> tuple[float, float]:
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         command = [sys.executable, "-c", CALL, "run", *arguments, "--out", f"{folder}/runs"]
         began = time.perf_counter()
-        process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        quiet = subprocess.DEVNULL  # in an empty folder: Python imports from where it stands first
+        process = subprocess.Popen(command, cwd=folder, env=environment, stdout=quiet, stderr=quiet)
         _, status, used = os.wait4(process.pid, 0)
         clock = time.perf_counter() - began
         if status:
