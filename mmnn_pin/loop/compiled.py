@@ -165,7 +165,7 @@ class CompiledLoop:
         return self.step(first, last, at) if self.instead is None else self.instead.advance(self, first, last, at)
 
     def step(self, first: int, last: int, at: int) -> int:
-        """The same."""
+        """The same by this module's functions, compiled or not."""
         run, *blocks = self.blocks
         bad = advance(first, last, run if at == 0 else run._replace(rows=self.rows[at:]), *blocks)
         self.counter[0] += at

@@ -214,12 +214,14 @@ def early(tell: Callable[[str], None]) -> Iterator[None]:
 def is_compiling() -> bool:
     """Whether a process compiles for later runs."""
     folder = cache_folder()
-    if folder is None or not (folder / LOCK).exists():
+    if folder is None:
         return False
-    with (folder / LOCK).open("r+") as file, suppress(OSError):
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return False
-    return True
+    with suppress(OSError), (folder / LOCK).open("r+") as file:  # there is none, or it is another user's
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 def wait(tell: Callable[[str], None]) -> None:
@@ -248,7 +250,7 @@ def compile_beside(engine: CompiledLoop) -> None:
         form = None
     memory = np.concatenate([np.zeros(0), *reader.roots, np.array(reader.numbers)])
     told = {"form": form, "values": memory.tolist(), "numbers": reader.size}
-    with TemporaryFile() as read, (folder / LOCK).open("w") as lock, suppress(OSError):
+    with suppress(OSError), TemporaryFile() as read, (folder / LOCK).open("w") as lock:  # a full disk: nothing is
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         read.write(json.dumps(told).encode())
         read.seek(0)

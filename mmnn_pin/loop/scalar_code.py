@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any
 
-from .vector_code import OPPOSITE, SYMBOL, operands, word
+from .vector_code import OPPOSITE, SYMBOL, called, operands, word
 
 BLOCK = 200  # operations in a piece of code that LLVM looks at as a whole
 
@@ -58,7 +58,8 @@ class ScalarCode:
             for place, name in self.found.items()
         ]
         lines = (
-            *declarations(self.ops),
+            *(f"declare double @llvm.{name}.f64(double)" for name in ("fabs", "sqrt")),
+            *called(self.ops),
             "define i64 @call(ptr %roots) {",
             *roots,
             *addresses,
@@ -111,12 +112,3 @@ class ScalarCode:
         code = OPPOSITE[comparison] if outcome else comparison
         self.lines.append(f"{name} = fcmp {code} double {self.names[a]}, {self.names[b]}")
         return name
-
-
-def declarations(ops: Sequence[Sequence[Any]]) -> list[str]:
-    """The functions that are called."""
-    called = sorted({(op[1], len(op) - 2) for op in ops if op[0] == "call"})
-    return [
-        *(f"declare double @llvm.{name}.f64(double)" for name in ("fabs", "sqrt")),
-        *(f'declare double @"{SYMBOL}{name}"({", ".join(["double"] * count)})' for name, count in called),
-    ]

@@ -195,7 +195,7 @@ class Lanes:
         if self.program.advance(*places, first, count, self.engines[0].run.numbers.h) == count:
             return True
         np.copyto(self.memory, self.before)
-        self.write()
+        self.put_back()
         self.program.left += 1
         return False
 
@@ -218,13 +218,8 @@ class Lanes:
             self.program = None
 
     def put_back(self) -> None:
-        """Bring the engines where the lanes are."""
-        if self.program is not None:
-            self.write()
-
-    def write(self) -> None:
-        """Put them back into the engines of the runs that have not ended."""
-        for lane in self.living():
+        """Put them back into the engines of the runs that have not ended; without a program they are there."""
+        for lane in self.living() if self.program is not None else ():
             for root, first in self.changed[lane]:
                 root[:] = self.memory[first : first + root.size, lane]
 

@@ -290,11 +290,7 @@ class VectorCode:
         """The functions that are called."""
         vector = self.vector
         given = [f"declare {vector} @llvm.{name}.v{self.lanes}f64({vector})" for name in ("fabs", "sqrt")]
-        called = {(op[1], len(op) - 2) for op in self.ops if op[0] == "call"}
-        return given + [
-            f'declare double @"{SYMBOL}{name}"({", ".join(["double"] * count)}) nounwind memory(none)'
-            for name, count in sorted(called)
-        ]
+        return given + called(self.ops)
 
 
 OPPOSITE = {"olt": "uge", "ole": "ugt", "ogt": "ule", "oge": "ult", "oeq": "une", "une": "oeq"}
@@ -306,6 +302,15 @@ def operands(op: Sequence[Any]) -> list[int]:
     if code in LEAVES:
         return []
     return rest[1:] if code == "call" else rest[:1] if code in ("add", "shl") else rest
+
+
+def called(ops: Sequence[Sequence[Any]]) -> list[str]:
+    """The elementary functions that operations call, declared."""
+    names = {(op[1], len(op) - 2) for op in ops if op[0] == "call"}
+    return [
+        f'declare double @"{SYMBOL}{name}"({", ".join(["double"] * count)}) nounwind memory(none)'
+        for name, count in sorted(names)
+    ]
 
 
 def constant(text: str, lanes: int) -> str:

@@ -243,7 +243,8 @@ class Recording:
                 columns[label] = as_columns(self[true if true in self else name])[:, i], unit
         if not ((self.time >= start) & (self.time < stop)).any():
             end = f"it ends at {self.outcome.time:g} s" if len(self) else "it has no rows"
-            raise RecordingError(f"no samples from {start:g} s on", why=end, file=self.path)
+            until = "on" if np.isinf(stop) else f"to {stop:g} s"
+            raise RecordingError(f"no samples from {start:g} s {until}", why=end, file=self.path)
         return Errors.of(self.time, columns, start, stop)
 
     def columns(self) -> dict[str, Array]:
@@ -270,8 +271,7 @@ class Recording:
         except ModuleNotFoundError:
             fix = "pip install pandas; or take recording.columns(), a dictionary of arrays"
             raise RecordingError("no DataFrame", why="pandas is not installed", fix=fix) from None
-        index = pandas.Index((columns := self.columns()).pop("time"), name="time")
-        return pandas.DataFrame(columns, index=index)
+        return pandas.DataFrame(self.columns()).set_index("time")
 
     def save(self, path: str | Path, *, force: bool = False) -> Path:
         """Write the recording to an HDF5 file, which `Recording.open` and `mmnn` read.

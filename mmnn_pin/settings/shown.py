@@ -67,14 +67,6 @@ class Page(Protocol):
         """What could not be shown, one line each."""
 
     def save(self, path: str | Path, force: bool = True) -> Path:
-        """Write it, whole or not at all.
-
-        Args:
-            path: The file.
-            force: Whether it may replace another one.
-
-        Raises:
-            RecordingError: A place that cannot be written, or a file that is there.
-        """
+        """Write it, whole or not at all; without `force` not in the place of another file."""
 
     def _repr_html_(self) -> str: ...

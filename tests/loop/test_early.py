@@ -214,6 +214,20 @@ def test_one_process_compiles_at_a_time_and_is_waited_for(tmp_path: Path, monkey
     assert len(told) == 1 and not is_compiling()
 
 
+def test_where_no_lock_can_be_had_nothing_is_compiled_beside_and_the_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a full disk, or in a cache where another user compiled."""
+    (tmp_path / module.LOCK).mkdir()
+    asked = short("pd")
+    engine = asked.loop(asked.load_robot(), "pd").engine_at()
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "cache_folder", lambda: tmp_path)
+        patch.setattr(subprocess, "Popen", None)  # none may be begun
+        module.compile_beside(engine)
+        assert not is_compiling()
+
+
 def test_the_process_compiles_what_the_run_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is told of an engine with a learner and a hardware model, and calls the loop with the same types."""
     asked = short("adaptive", experiment="track", changes=("time.duration=0.05",))

@@ -39,8 +39,10 @@ def test_a_sliding_joint_has_metres():
 
 
 def test_errors_of_no_time_are_refused(run):
-    with pytest.raises(RecordingError, match="no samples from 99 s"):
+    with pytest.raises(RecordingError, match="no samples from 99 s on"):
         run.errors(99.0)
+    with pytest.raises(RecordingError, match=r"no samples from 1 s to 0\.5 s"):
+        run.errors(1.0, 0.5)
 
 
 def test_errors_print_as_a_table_and_escape_names(run):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -35,6 +35,7 @@ COSMETIC = (
 )
 ROBOT = ("robot", "overrides")  # decide which robot is loaded
 KINDS = {field.name: field.type for field in msgspec.structs.fields(Experiment)}
+BODIES = "masses."  # begins the paths of single bodies
 TRUTH = ("masses", "friction")  # of the true robot only, where the model is nominal
 
 
@@ -258,19 +259,26 @@ def seeds_of(seeds: int | tuple[int, ...], first: int, factors: dict[str, Factor
 def changed_base(study: StudyFile) -> tuple[dict[str, Any], Experiment]:
     """The study's experiment with the changes in `set`, as a table with all defaults and as an experiment."""
     table = deep(msgspec.to_builtins(study.base)) | {"cases": {}}
-    set_paths = sorted(flat(study.settings.set), key=lambda item: item[0].startswith("masses."))  # of the robot set
-    changed_paths = [*(path for path, _ in set_paths), *paths_of(study.settings.factors)]
-    single = isinstance(table["masses"], float) and any(path.startswith("masses.") for path in changed_paths)
-    known = {key: value for key, value in table.items() if key not in COSMETIC}
-    for path, value in set_paths:
-        if single and path.startswith("masses."):
-            expand_masses(table, study)
-        with placing(study.path):
-            require_path(known | {"masses": table["masses"]}, path, f"set.{path}")
-            changed(table, path, value)
-    if single:
+    given = list(flat(study.settings.set))
+    of_bodies = [(path, value) for path, value in given if path.startswith(BODIES)]  # of the robot that the rest says
+    set_values(table, [one for one in given if one not in of_bodies], study)
+    if of_bodies or any(path.startswith(BODIES) for path in paths_of(study.settings.factors)):
         expand_masses(table, study)
+    set_values(table, of_bodies, study)
     return table, experiment_of(table, study)
+
+
+def set_values(table: dict[str, Any], given: Iterable[tuple[str, Any]], study: StudyFile) -> None:
+    """Write values into an experiment's table.
+
+    Raises:
+        UnknownName: A path that names nothing.
+    """
+    known = {key: value for key, value in table.items() if key not in COSMETIC}
+    for path, value in given:
+        with placing(study.path):
+            require_path(known, path, f"set.{path}")
+            changed(table, path, value)
 
 
 def experiment_of(table: dict[str, Any], study: StudyFile) -> Experiment:
