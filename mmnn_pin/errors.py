@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 
 class MmnnError(Exception):
@@ -47,10 +48,20 @@ class InputError(MmnnError):
         self.file, self.line, self.key = file, line, key
         super().__init__(what)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return restored, (type(self), self.args, self.__dict__)  # an error comes back from a process as it was
+
     def __str__(self) -> str:
         where = [str(part) for part in (self.file, self.line, self.key) if part is not None]
         text = ": ".join(part for part in (self.what, self.why, self.fix) if part)
         return f"{':'.join(where)}: error: {text}" if where else f"error: {text}"
+
+
+def restored(kind: type[InputError], args: tuple[Any, ...], content: dict[str, Any]) -> InputError:
+    """An error from its parts."""
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(content)
+    return error
 
 
 class RobotError(InputError):
@@ -67,6 +78,10 @@ class TrajectoryError(InputError):
 
 class RecordingError(InputError):
     """A recording that cannot be written or read."""
+
+
+class BatchError(InputError):
+    """A batch whose processes cannot go on."""
 
 
 class StudyError(InputError):

@@ -1,19 +1,30 @@
-"""Many runs on all cores: threads that share nothing but the compiled code, which runs without the interpreter lock."""
+"""Many runs on all cores, with the bits that each has alone.
+
+Threads share the compiled code, which runs without the interpreter's lock; what is Python between the samples (a run's
+settings, its blocks' memory, its metrics) waits for it. Large batches on Linux therefore go to processes that are
+forked from this one once it has the compiled code: they inherit loops and code, and give back what is left of a run.
+Signals that are kept would have to be copied, so batches that keep some stay here.
+"""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
+import sys
+import threading
+import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from pathlib import Path
-from threading import Event
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from ..compiled import one_thread
-from ..errors import ConfigError, InputError
+from ..errors import BatchError, ConfigError, InputError
 from ..recording.metrics import Reducer, Windows
 from ..recording.recorder import Recorder, known
 from ..recording.recording import Outcome, Recording
@@ -42,6 +53,11 @@ class Run:
     recording: Recording | None = None
 
 
+NOT_STARTED = Run(Outcome("interrupted", 0.0, message="not started"), {}, {})
+FORKED = 500_000  # samples of a batch, from which on it goes to processes
+FORK: Any = multiprocessing.get_context("fork") if sys.platform == "linux" else None
+
+
 @one_thread
 def simulate_many(
     loops: Sequence[Loop],
@@ -64,47 +80,118 @@ def simulate_many(
         windows: Intervals for the RMS errors [s].
         keep: Keep the signals of all runs in memory: True for all of them, or the names of some, as
             `keep=("z", "e")`; `time` comes with them, and the weights at the start and the end.
-        workers: Threads; by default one per core.
+        workers: Threads or processes; by default one per core.
         progress: Called with the number of runs done and of all runs.
 
     Raises:
         ConfigError: No runs, not one state per run or one of another controller, less than one worker, or more memory
             needed than there is; before anything runs.
+        BatchError: A process that made some of the runs was killed.
         UnknownName: A signal to keep that does not exist.
     """
     workers = (os.cpu_count() or 1) if workers is None else workers
     keep = (keep,) if isinstance(keep, str) else keep
     starts = [None] * len(loops) if states is None else states
     require_sound(loops, starts, keep, workers)
-    worth = sum(loop.timing.samples for loop in loops) >= WORTH
-    stop, results = Event(), [Run(Outcome("interrupted", 0.0, message="not started"), {}, {})] * len(loops)
+    groups = [[0], *groups_of(loops, range(1, len(loops)), workers)]
+    forked = keep is False and forks(loops, min(workers, len(groups) - 2))
+    work = Work(loops, starts, windows, keep, forked)
+    results = [NOT_STARTED] * len(loops)
+    here = groups[: 2 if forked else 1]  # they compile, or load what is compiled, before others compete for it
+    done = 0
 
-    def some(places: Sequence[int]) -> int:
-        if stop.is_set():
-            return 0
-        started = [begun(f"loops[{i}]", loops[i], starts[i], windows, keep) for i in places]
-        for i, result in zip(places, simulate_group(started, worth, stop.is_set), strict=True):
-            results[i] = result
+    def take(places: Sequence[int], runs: Sequence[Run]) -> int:
+        for i, run in zip(places, runs, strict=True):
+            results[i] = run
         return len(places)
 
-    # The first run compiles, or loads the compiled code, before threads compete for it.
-    with ThreadPoolExecutor(workers) as pool:
-        try:
-            done = some([0])
+    def told(done: int) -> int:
+        if progress is not None:
+            progress(done, len(loops))
+        return done
+
+    asked: dict[Future[list[Run]], list[int]] = {}
+    try:
+        for group in here:
+            done = told(done + take(group, work.some(group)))
             if results[0].outcome.status == "interrupted":
                 return results
-            pending = {pool.submit(some, places) for places in groups_of(loops, range(1, len(loops)), workers)}
-            while True:
-                if progress is not None:
-                    progress(done, len(loops))
-                if not pending:
-                    return results
-                finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-                done += sum(future.result() for future in finished)
-        except KeyboardInterrupt:
-            return results
-        finally:
-            stop.set()
+        with work.pool(workers) as pool:
+            try:
+                asked = {work.ask(pool, group): group for group in groups[len(here) :]}
+                pending = set(asked)
+                while pending:
+                    finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+                    done = told(done + sum(take(asked[future], future.result()) for future in finished))
+            finally:
+                work.stopped.set()
+    except KeyboardInterrupt:
+        for future, group in asked.items():
+            if future.done() and not future.cancelled() and future.exception() is None:
+                take(group, future.result())
+    except BrokenProcessPool as error:
+        why = "the system ends processes when memory runs out"
+        raise BatchError("a process of the batch was killed", why=why, fix="use fewer workers, or keep less") from error
+    return results
+
+
+class Work:
+    """What a batch's threads or processes do; arguments as in `simulate_many`.
+
+    Args:
+        forked: Whether processes do it; where they are forked from this one, they inherit the loops.
+    """
+
+    inherited: ClassVar[Work]  # by a forked process
+
+    def __init__(
+        self, loops: Sequence[Loop], states: Sequence[Any], windows: Windows, keep: bool | Collection[str], forked: bool
+    ) -> None:
+        self.loops, self.states, self.windows, self.keep, self.forked = loops, states, windows, keep, forked
+        self.worth = sum(loop.timing.samples for loop in loops) >= WORTH
+        self.stopped = FORK.Event() if forked else threading.Event()
+
+    def some(self, places: Sequence[int]) -> list[Run]:
+        """Make the runs of a group; those that are stopped before they begin, as such."""
+        if self.stopped.is_set():
+            return [NOT_STARTED] * len(places)
+        started = [begun(f"loops[{i}]", self.loops[i], self.states[i], self.windows, self.keep) for i in places]
+        return simulate_group(started, self.worth, self.stopped.is_set)
+
+    def pool(self, workers: int) -> Executor:
+        """Threads, or processes that are forked when they get the first work."""
+        if not self.forked:
+            return ThreadPoolExecutor(workers)
+        return ProcessPoolExecutor(workers, mp_context=FORK, initializer=inherit, initargs=(self,))
+
+    def ask(self, pool: Executor, places: Sequence[int]) -> Future[list[Run]]:
+        """Have the runs of a group made."""
+        if not self.forked:
+            return pool.submit(self.some, places)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of threads that BLAS has, which rest
+            return pool.submit(inherited_work, places)
+
+
+def inherit(work: Work) -> None:
+    """Begin a forked process: Ctrl-C is for its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Work.inherited = work
+
+
+def inherited_work(places: Sequence[int]) -> list[Run]:
+    """Runs of a group, in a forked process."""
+    return Work.inherited.some(places)
+
+
+def forks(loops: Sequence[Loop], workers: int) -> bool:
+    """Whether a batch goes to processes: where forking is safe and takes less time than it gains.
+
+    Laws in plain Python stay in this process: their authors may look at them afterwards.
+    """
+    safe = sys.platform == "linux" and threading.active_count() == 1 and not multiprocessing.current_process().daemon
+    compiled = all(loop.engine != "ordinary" and isinstance(loop.controller, CompiledController) for loop in loops)
+    return safe and compiled and workers > 1 and sum(loop.timing.samples for loop in loops) >= FORKED
 
 
 def groups_of(loops: Sequence[Loop] | Mapping[int, Loop], places: Iterable[int], workers: int) -> list[list[int]]:

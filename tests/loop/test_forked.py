@@ -1,0 +1,170 @@
+"""Batches on processes: the runs of threads, bit for bit; Ctrl-C, errors and killed processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import config
+from robots import fixed_arm
+
+from mmnn_pin import PD, Circle, Feedback, Hold, Line, Loop, Neural, Sine, Timing, Trajectory, load
+from mmnn_pin.errors import BatchError, ConfigError, TrajectoryError, UnknownName
+from mmnn_pin.loop import batch
+from mmnn_pin.loop.batch import simulate_many
+from mmnn_pin.loop.before_run import Bounds
+from mmnn_pin.torque.two_layer import TwoLayer
+
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux", reason="batches fork on Linux only"),
+    pytest.mark.skipif(config.DISABLE_JIT, reason="laws in plain Python stay in one process"),
+]
+
+ROBOT = load("platform_arm")
+GAINS = Feedback(base=500.0, arm=10.0)
+LINE = Trajectory(Line(0.3), (Sine(0.5, 2.0), Hold(0.4)))
+TURN = Trajectory(Circle(1.0, 0.4), (Hold(0.2), Sine(0.3, 1.0)))
+BASIC = Loop(ROBOT, LINE, Neural(TwoLayer(), GAINS), timing=Timing(duration=0.3), weights_interval=0.01)
+LOOPS = [
+    *(replace(BASIC, seed=seed) for seed in range(10)),
+    replace(BASIC, robot=ROBOT.with_masses(1.3), trajectory=TURN),
+    replace(BASIC, controller=PD(GAINS)),
+    replace(BASIC, controller=PD(Feedback(base=500.0, arm=500.0)), bounds=Bounds(joint_speed=3.0)),  # diverges
+    Loop(fixed_arm(3, 1), Trajectory(None, (Hold(0.1),) * 3), PD(Feedback(arm=5.0)), timing=Timing(duration=0.2)),
+]
+
+
+@pytest.fixture
+def forked(monkeypatch):
+    """Batches of any size fork, also beside the test runner's threads."""
+    monkeypatch.setattr(batch, "forks", lambda loops, workers: workers > 1)
+
+
+def test_processes_give_the_bits_of_threads(forked, monkeypatch):
+    others = simulate_many(LOOPS, workers=2)
+    monkeypatch.setattr(batch, "forks", lambda loops, workers: False)
+    for one, other in zip(simulate_many(LOOPS, workers=2), others, strict=True):
+        assert one.outcome == other.outcome and one.recording is None and other.recording is None
+        assert one.metrics.keys() == other.metrics.keys() and one.final.keys() == other.final.keys()
+        assert np.array_equal(list(one.metrics.values()), list(other.metrics.values()), equal_nan=True)
+        assert all(np.array_equal(one.final[name], other.final[name]) for name in one.final)
+    assert not multiprocessing.active_children()
+
+
+def test_processes_make_the_runs(forked, monkeypatch):
+    made = batch.simulate_group
+
+    def told(runs, worth, cancelled):
+        return [replace(run, metrics=run.metrics | {"pid": float(os.getpid())}) for run in made(runs, worth, cancelled)]
+
+    monkeypatch.setattr(batch, "simulate_group", told)
+    pids = [run.metrics["pid"] for run in simulate_many([BASIC] * 40, workers=2)]
+    kept = simulate_many([BASIC] * 40, workers=2, keep=("z",))
+    assert {run.metrics["pid"] for run in kept} == {os.getpid()}
+    assert set(pids[:5]) == {os.getpid()} and os.getpid() not in pids[5:] and 1 <= len(set(pids[5:])) <= 2
+
+
+@pytest.mark.parametrize(
+    ("bad", "error", "text"),
+    [
+        (replace(BASIC, controller=PD(Feedback(base=500.0, arm=(1.0, 2.0, 3.0)))), ConfigError, "3 numbers for 2"),
+        (replace(BASIC, trajectory=Trajectory(Line(0.3), (Hold(0.0),))), TrajectoryError, "1 arm profiles"),
+    ],
+)
+def test_an_error_of_a_process_is_raised_as_it_was(forked, bad, error, text):
+    with pytest.raises(error, match=rf"loops\[9\].*{text}"):
+        simulate_many([*[BASIC] * 9, bad], workers=2)
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ConfigError("what", why="why", fix="fix", file="a.toml", line=3, key="time.duration"),
+        UnknownName("robot", "tigao", ["tiago", "panda"], file="b.toml"),
+        BatchError("no memory"),
+    ],
+)
+def test_an_error_comes_back_from_a_process_as_it_was(error):
+    back = pickle.loads(pickle.dumps(error))
+    assert type(back) is type(error) and str(back) == str(error) and vars(back) == vars(error)
+    assert back.args == error.args
+
+
+@pytest.mark.parametrize("limit", [1, 5, 12])
+def test_ctrl_c_gives_back_what_is_done(forked, limit):
+    def progress(done, total):
+        if done >= limit:
+            raise KeyboardInterrupt
+
+    longer = replace(BASIC, timing=Timing(duration=6.0))
+    runs = simulate_many([*[BASIC] * 17, *[longer] * 40], workers=2, progress=progress)
+    done = sum(run.outcome.status == "completed" for run in runs)
+    assert limit <= done < 40 and runs[-1].outcome.message == "not started" and not multiprocessing.active_children()
+    assert all(run.outcome.status in ("completed", "interrupted") for run in runs)
+
+
+SCRIPT = """
+import sys
+from dataclasses import replace
+from mmnn_pin import Line, Loop, Hold, Neural, Timing, Trajectory, load
+from mmnn_pin.loop.batch import simulate_many
+loop = Loop(load("platform_arm"), Trajectory(Line(0.3), (Hold(0.2), Hold(0.4))), Neural(), timing=Timing(duration=5.0))
+def told(done, total):
+    print(done, flush=True)
+runs = simulate_many([replace(loop, seed=seed) for seed in range(4000)], workers=2, progress=told)
+print("ended", sum(run.outcome.status == "completed" for run in runs), len(runs), flush=True)
+"""
+
+
+def children(pid: int) -> list[int]:
+    """The processes that a process has started."""
+    return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def begun(lines: int) -> subprocess.Popen[str]:
+    """A batch in a process group of its own, once its processes have made some runs."""
+    command = [sys.executable, "-c", SCRIPT]
+    running = subprocess.Popen(command, text=True, stdout=-1, stderr=-1, start_new_session=True)
+    assert running.stdout is not None
+    for _ in range(lines):
+        running.stdout.readline()
+    return running
+
+
+def test_ctrl_c_of_a_terminal_ends_all_processes_and_keeps_what_is_done():
+    running = begun(6)
+    os.killpg(running.pid, signal.SIGINT)
+    out, err = running.communicate(timeout=120)
+    word, done, total = out.split("\n")[-2].split()
+    assert word == "ended" and 5 <= int(done) < 4000 and total == "4000" and not err and running.returncode == 0
+    with pytest.raises(ProcessLookupError):
+        os.killpg(running.pid, 0)
+
+
+def test_a_killed_process_is_told():
+    running = begun(6)
+    mine = [pid for pid in children(running.pid) if b"-c" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    assert mine
+    os.kill(mine[0], signal.SIGKILL)
+    _, err = running.communicate(timeout=120)
+    assert running.returncode == 1 and "a process of the batch was killed" in err and "use fewer workers" in err
+
+
+def test_only_large_batches_of_compiled_laws_fork_and_only_where_it_is_safe(monkeypatch):
+    monkeypatch.setattr(threading, "active_count", lambda: 1)
+    large = [replace(BASIC, timing=Timing(duration=5.0))] * 200
+    assert batch.forks(large, 2)
+    assert not batch.forks(large, 1) and not batch.forks(large[:10], 2)
+    assert not batch.forks([*large, replace(large[0], engine="ordinary")], 2)
+    monkeypatch.setattr(threading, "active_count", lambda: 2)
+    assert not batch.forks(large, 2)
