@@ -105,6 +105,7 @@ def context_of(
     layout: Layout | None = None,
     lag: Array | None = None,
     way: float = 0.0,
+    predicted: float = 0.0,
 ) -> Context:
     """What a controller is told before a run of a robot; how it moves only where a learning law asks for it.
 
@@ -117,13 +118,14 @@ def context_of(
         within_limits: Whether Psi_hat is kept within the motors' limits; None for what the controller says.
         layout: Where the signals stand in a row; None where nothing but the robot is recorded.
         lag: (p,) known time constants of the motors, seen from the velocities; None for none [s].
-        way: Known time from the command of a torque to the measurement that shows it [s].
+        way: See `Context.way` [s].
+        predicted: See `Context.predicted` [s].
     """
     told = isinstance(controller, LearningLaw) and controller.knows_motion
     kept = controller.within_limits if within_limits is None else within_limits
     limits = motor_limits(robot.E, robot.effort_limits) if kept else None
     motion = regressor_of(robot) if told else None
-    return Context(layout or Layout.of(robot.dimensions), period, samples, rng, motion, limits, lag, way)
+    return Context(layout or Layout.of(robot.dimensions), period, samples, rng, motion, limits, lag, way, predicted)
 
 
 def regressor_of(robot: Robot) -> Regressor:

@@ -118,7 +118,8 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
     """What the controller of a setup is told before a run; arguments as of `context_of`."""
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
     period = setup.timing.control_period
-    kept, late = (within_limits, setup.layout), (setup.lags, setup.behind)
+    kept = (within_limits, setup.layout)
+    late = (setup.lags, setup.behind, setup.latency.caught_up(setup.timing))
     return context_of(setup.controller, setup.robot, period, samples, rng, *kept, *late)
 
 

@@ -13,6 +13,7 @@ from mmnn_pin.lab.show.contest import KNOWLEDGE, TRAINING
 from mmnn_pin.lab.show.table import number
 
 from ..document import Document, environment, filled
+from .delay import DELAYS, LOST, errors_by_delay
 
 HERE = Path(__file__).parent
 SUMMARY = HERE / "summary.json"
@@ -98,6 +99,7 @@ def summed(standing: Standing) -> dict[str, Any]:
         "targets": [target.to_dict() for target in standing.targets()],
         "axes": best_axes(standing),
         "margins": margins(standing),
+        "late": late_commands(standing),
         "far": far(standing),
         "drawn": [task for task in DRAWN if task in standing.tasks],
         "seeds": standing.contest.seeds,
@@ -110,11 +112,13 @@ def summed(standing: Standing) -> dict[str, Any]:
 
 
 def best_axes(standing: Standing) -> dict[str, Any]:
-    """The best learner against the thesis's law on the ordinary task: who, and the ratio of errors on every axis."""
+    """The best learner, and the oracle, against the thesis's law on the ordinary task: the ratio of errors per axis."""
     task = standing.contest.targets.task
     best = next((one.by for one in standing.targets() if one.about.startswith(THESIS) and "learning" in one.about), "")
     thesis, other = (held_out(standing.of(task, name), "learning") for name in (THESIS, best))
-    return {"by": best, "ratios": {axis: thesis[axis] / other[axis] for axis in thesis if other.get(axis)}}
+    oracle = held_out(standing.of(task, ORACLE), "learning")
+    ratios = [{axis: thesis[axis] / row[axis] for axis in thesis if row.get(axis)} for row in (other, oracle)]
+    return {"by": best, "ratios": ratios[0], "oracle": ratios[1]}
 
 
 def far(standing: Standing) -> dict[str, dict[str, float | str]]:
@@ -135,6 +139,13 @@ def margins(standing: Standing) -> dict[str, float]:
         loop = task.training(task.controller("computed_torque"), task.seeds[0])
         found[task.name] = loop.delay_margin() - loop.latency.total
     return found
+
+
+def late_commands(standing: Standing) -> dict[str, Any]:
+    """What the controllers of the ordinary task bear of delay that nobody told them; see `delay`."""
+    wanted = standing.contest.targets.task
+    task = next(one for one in tasks_of(standing.experiment, ("pd",)) if one.name == wanted)
+    return {"delays": DELAYS, "lost": LOST, "errors": errors_by_delay(task, standing.controllers)}
 
 
 def about(standing: Standing, task: str) -> dict[str, Any]:

@@ -210,7 +210,7 @@ SPACES, TUNED = HERE / "spaces.toml", HERE / "tuned.json"
 TUNINGS = ("eight", "payload")  # each also the case of the contest that takes what was found
 
 
-TRIES = {"eight": 40, "payload": 30, "outside": 20}  # sets of settings per learner
+TRIES = {"eight": 28, "payload": 20, "outside": 20}  # sets of settings per learner
 
 
 def tuning_file(tuning: str) -> Path:

@@ -521,12 +521,15 @@ class Truth:
 # --- The largest answer -----------------------------------------------------------------------------------------------
 
 
-@given(st.floats(1e-4, 0.02), st.floats(0.0, 0.05), st.lists(st.floats(0.0, 0.05), min_size=4, max_size=4))
+LATE = st.floats(0.0, 0.05)
+
+
+@given(st.floats(1e-4, 0.02), LATE, LATE, st.lists(LATE, min_size=4, max_size=4))
 @settings(max_examples=40, deadline=None)
-def test_answers_that_do_not_show_yet_stay_below_the_feedback(period, way, lags):
-    context = Context(Layout.of(ROBOT.dimensions), period, 1, lag=np.array(lags), way=way)
+def test_answers_that_do_not_show_yet_stay_below_the_feedback(period, way, predicted, lags):
+    context = Context(Layout.of(ROBOT.dimensions), period, 1, lag=np.array(lags), way=way, predicted=predicted)
     share = share_of(AdaptiveSettings(share="delays"), context)
-    under_way = 1 + (way + max(lags)) / period  # samples until an answer shows
+    under_way = 1 + (way + predicted + max(lags)) / period  # samples until an answer shows
     assert share * under_way == pytest.approx(1.0) and 0 < share <= 1
     assert share_of(AdaptiveSettings(share=0.3), context) == 0.3
 
@@ -537,5 +540,9 @@ def test_a_share_is_a_number_or_that_of_the_delays():
     robot = experiment.load_robot()
     loop = experiment.loop(robot, experiment.controller("adaptive", robot=robot))
     assert share_of(loop.controller.settings, loop.context()) == pytest.approx(1 / 5)  # 1 ms of 1 + 1 + 3
+    # What is predicted of a measurement is the reference's motion, not what a torque did meanwhile.
+    late = ["time.duration=0.01", "latency.sensing=0.006", "latency.predict=true"]
+    loop = load_experiment("track", late).loop(robot, experiment.controller("adaptive", robot=robot))
+    assert loop.behind == 0.0 and share_of(loop.controller.settings, loop.context()) == pytest.approx(1 / 7)
     with pytest.raises(ConfigError, match=r"adaptive\.share"):
         load_experiment("track", ["adaptive.share=fast"])
