@@ -42,6 +42,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 import numba
 import numpy as np
 from llvmlite.binding import add_symbol
+from numba.core.caching import IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import AnalysisPass, PassManager, register_pass
@@ -152,6 +153,22 @@ def cache_folder() -> Path | None:
     return folder if os.access(folder, os.W_OK) else None
 
 
+class OwnNames(IndexDataCacheFile):
+    """numba's cache files of a function, the code for each signature under a name of its own.
+
+    numba numbers them. Of two processes that compile at the same time each may give one number to another signature,
+    and then a run calls code that was made for other arguments, and crashes. Where one overwrites what the other has
+    entered in the index, that is compiled once more.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep code; first itself, then its name."""
+        entries = self._load_index()
+        name = entries.get(key) or self._data_name(int(hashlib.sha256(self._dump(key)).hexdigest()[:15], 16))
+        self._save_data(name, data)
+        self._save_index(entries | {key: name})
+
+
 def is_warm() -> bool:
     """Whether compiled code for these sources is already on disk (else the first run takes some seconds)."""
     folder = cache_folder()
@@ -172,6 +189,8 @@ def compiled(function: F, **options: Any) -> F:
     if hasattr(made, "add_overload"):
         made.add_overload = partial(remember, made)
         MADE.append(made)
+        if folder is not None:
+            made._cache._cache_file.__class__ = OwnNames
     return cast(F, made)
 
 

@@ -21,7 +21,7 @@ from numba._dispatcher import compute_fingerprint
 
 from mmnn_pin import load_experiment
 from mmnn_pin.by_address import by_address
-from mmnn_pin.compiled import by_type, compiled, internal, linked
+from mmnn_pin.compiled import MADE, OwnNames, by_type, compiled, internal, linked
 from mmnn_pin.loop.hardware import MotorSide
 from mmnn_pin.loop.latency import Transport
 from mmnn_pin.loop.servo import VelocityServo
@@ -307,7 +307,7 @@ def test_what_a_linked_function_raises_reaches_the_caller():
 
 
 MODULE = """
-from mmnn_pin.compiled import by_type, compiled, internal, linked
+from mmnn_pin.compiled import MADE, OwnNames, by_type, compiled, internal, linked
 from mmnn_pin.loop.hardware import MotorSide
 from mmnn_pin.loop.latency import Transport
 from mmnn_pin.loop.servo import VelocityServo
@@ -361,3 +361,26 @@ def test_code_from_the_cache_finds_what_it_is_linked_with(tmp_path: Path, monkey
     # compiled on top of what came from the cache, it asks for what that needs when it comes from there itself
     top = "import part; print(part.highest(1.0), sum(part.highest.stats.cache_misses.values()))"
     assert [run(top), run(top)] == ["44.0 1", "44.0 0"]
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is kept")
+@pytest.mark.parametrize("moment", ["_save_index", "_save_data"])
+def test_processes_that_compile_at_the_same_time_do_not_take_each_others_code(tmp_path, monkeypatch, moment):
+    """Numba's own class fails this: both read an empty index, and take the file of number 1."""
+    one, other = (OwnNames(str(tmp_path), "function", "stamp") for _ in range(2))
+    goes_on = getattr(one, moment)
+
+    def other_first(*arguments: Any) -> None:
+        other.save("floats", "code for floats")
+        goes_on(*arguments)
+
+    monkeypatch.setattr(other, "_load_index", dict)
+    monkeypatch.setattr(one, moment, other_first)
+    one.save("integers", "code for integers")
+    found = [OwnNames(str(tmp_path), "function", "stamp").load(key) for key in ("integers", "floats")]
+    assert found[0] in (None, "code for integers") and found[1] in (None, "code for floats") and any(found)
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is kept")
+def test_all_compiled_functions_keep_their_code_under_own_names():
+    assert all(isinstance(made._cache._cache_file, OwnNames) for made in MADE)

@@ -55,6 +55,8 @@ class Run:
 
 NOT_STARTED = Run(Outcome("interrupted", 0.0, message="not started"), {}, {})
 FORKED = 500_000  # samples of a batch, from which on it goes to processes
+MORE = ("interfaces", "within_limits")
+DECISIVE = ("engine", "timing", "plant", "contact", "sensor", "actuator", "latency", "disturbances", "safety", *MORE)
 FORK: Any = multiprocessing.get_context("fork") if sys.platform == "linux" else None
 
 
@@ -187,11 +189,20 @@ def inherited_work(places: Sequence[int]) -> list[Run]:
 def forks(loops: Sequence[Loop], workers: int) -> bool:
     """Whether a batch goes to processes: where forking is safe and takes less time than it gains.
 
-    Laws in plain Python stay in this process: their authors may look at them afterwards.
+    The first run compiles for all, so these are alike in all that code depends on. Laws in plain Python stay in this
+    process: their authors may look at them afterwards.
     """
     safe = sys.platform == "linux" and threading.active_count() == 1 and not multiprocessing.current_process().daemon
-    compiled = all(loop.engine != "ordinary" and isinstance(loop.controller, CompiledController) for loop in loops)
-    return safe and compiled and workers > 1 and sum(loop.timing.samples for loop in loops) >= FORKED
+    large = workers > 1 and sum(loop.timing.samples for loop in loops) >= FORKED
+    first = loops[0].controller
+    return safe and large and isinstance(first, CompiledController) and all(are_alike(loops[0], loop) for loop in loops)
+
+
+def are_alike(one: Loop, other: Loop) -> bool:
+    """Whether the code that steps one loop is that of the other; robots, gains, references and seeds may differ."""
+    first, second = one.controller, other.controller
+    same = one.layout == other.layout and all(getattr(one, name) == getattr(other, name) for name in DECISIVE)
+    return same and one.engine != "ordinary" and type(first) is type(second) and first.name == second.name
 
 
 def groups_of(loops: Sequence[Loop] | Mapping[int, Loop], places: Iterable[int], workers: int) -> list[list[int]]:

@@ -117,10 +117,18 @@ class Setup(Protocol):
 def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: int) -> Context:
     """What the controller of a setup is told before a run; arguments as of `context_of`."""
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
-    period = setup.timing.control_period
-    kept = (within_limits, setup.layout)
-    late = (setup.lags, setup.behind, setup.latency.caught_up(setup.timing))
-    return context_of(setup.controller, setup.robot, period, samples, rng, *kept, *late)
+    return context_of(
+        setup.controller,
+        setup.robot,
+        setup.timing.control_period,
+        samples,
+        rng,
+        within_limits,
+        setup.layout,
+        lag=setup.lags,
+        way=setup.behind,
+        predicted=setup.latency.caught_up(setup.timing),
+    )
 
 
 def lead_signals(setup: Setup) -> int:

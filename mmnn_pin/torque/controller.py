@@ -43,7 +43,7 @@ class Context:
         limits: Limits that Psi_hat is kept within; None for none.
         lag: (p,) known time constants of the motors, seen from the velocities [s]; None for none.
         way: Known time from the command of a torque to the measurement that shows it, less what is predicted [s].
-        predicted: By how much a measurement is moved on as the reference has moved; it shows no torque of that time [s].
+        predicted: By how much a measurement is moved on as the reference has moved; it shows no torque of then [s].
     """
 
     layout: Layout

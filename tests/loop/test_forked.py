@@ -22,6 +22,7 @@ from mmnn_pin.errors import BatchError, ConfigError, TrajectoryError, UnknownNam
 from mmnn_pin.loop import batch
 from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop.before_run import Bounds
+from mmnn_pin.loop.latency import Latency
 from mmnn_pin.torque.two_layer import TwoLayer
 
 pytestmark = [
@@ -49,9 +50,10 @@ def forked(monkeypatch):
     monkeypatch.setattr(batch, "forks", lambda loops, workers: workers > 1)
 
 
-def test_processes_give_the_bits_of_threads(forked, monkeypatch):
-    others = simulate_many(LOOPS, workers=2)
+def test_processes_give_the_bits_of_threads(monkeypatch):
     monkeypatch.setattr(batch, "forks", lambda loops, workers: False)
+    others = simulate_many(LOOPS, workers=2)
+    monkeypatch.setattr(batch, "forks", lambda loops, workers: workers > 1)
     for one, other in zip(simulate_many(LOOPS, workers=2), others, strict=True):
         assert one.outcome == other.outcome and one.recording is None and other.recording is None
         assert one.metrics.keys() == other.metrics.keys() and one.final.keys() == other.final.keys()
@@ -165,6 +167,10 @@ def test_only_large_batches_of_compiled_laws_fork_and_only_where_it_is_safe(monk
     large = [replace(BASIC, timing=Timing(duration=5.0))] * 200
     assert batch.forks(large, 2)
     assert not batch.forks(large, 1) and not batch.forks(large[:10], 2)
-    assert not batch.forks([*large, replace(large[0], engine="ordinary")], 2)
+    other = (replace(large[0], engine="ordinary"), replace(large[0], controller=PD(GAINS)))
+    other += (replace(large[0], latency=Latency(command=0.001)), replace(large[0], timing=Timing(duration=4.0)))
+    assert not any(batch.forks([*large, one], 2) for one in other)
+    fitting = (replace(large[0], robot=ROBOT.with_masses(1.2), seed=3), replace(large[0], trajectory=TURN))
+    assert all(batch.forks([*large, one], 2) for one in fitting)
     monkeypatch.setattr(threading, "active_count", lambda: 2)
     assert not batch.forks(large, 2)
