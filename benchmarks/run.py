@@ -26,6 +26,7 @@ from worker import Worker
 
 Sample = dict[str, Any]
 Ask = Callable[[], Sample]
+RUNS = 200  # of a batch
 SECTIONS = ("steps", "growth", "rollouts", "peers", "startup", "parts")
 CONTRACT = ("loop", "compiled", "plain_python", "tiago_compiled")
 SINKS = {
@@ -116,7 +117,7 @@ def batch_routes(options: argparse.Namespace, ours: Worker) -> dict[str, Ask]:
     """Many runs on one thread and on all."""
     if "rollouts" not in options.only:
         return {}
-    runs, cores = (2 if options.quick else 50), os.cpu_count() or 1
+    runs, cores = (2 if options.quick else RUNS), os.cpu_count() or 1
     return {
         f"{kind} {name}": asking(ours, f"batch {kind} {runs} {threads}")
         for kind in ("same", "masses")
@@ -137,7 +138,7 @@ def floor_routes(options: argparse.Namespace, stack: ExitStack) -> dict[str, Ask
     folder, cores = options.floor.resolve(), os.cpu_count() or 1
     python = str(folder / "env" / "bin" / "python")
     worker = stack.enter_context(Worker("floor.py", str(folder), str(options.seconds), python=python))
-    runs, asks = (2 if options.quick else 50), dict[str, Ask]()
+    runs, asks = (2 if options.quick else RUNS), dict[str, Ask]()
     if "steps" in options.only:
         asks |= {f"floor {kind}": asking(worker, kind) for kind in ("cpp", "numba")}
     if "rollouts" in options.only:
