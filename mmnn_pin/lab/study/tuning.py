@@ -28,20 +28,20 @@ from ...errors import ConfigError, MmnnError, StudyError
 from ...files import locked
 from ...loop.loop import Loop
 from ...sensing import Sensor
-from ...signals import Array
+from ...signals import Array, IntArray
 from ...torque.neural import Neural
 from ..experiments.config import value_at
 from ..proof.rate import rate_of
 from ..proof.subject import Subject
 from .execution import execute
-from .factors import Factor
+from .factors import Factor, draws_of
+from .intervals import Interval, quantile
 from .keys import require_path, times
 from .plan import Plan, changed_base, plan_of
 from .pools import Pool
 from .results import worth
 from .settings import StudyFile, Tune, placing
 from .store import AGAIN, require_kept, require_there, storage_error
-from .verdict import Interval, quantile
 from .worker import loop_of, optional
 
 NAME = "tune.sqlite"
@@ -60,17 +60,19 @@ class Score:
         quantile: Which counts.
         refused: Share of runs on which the gains break a constraint; nothing was run then.
         complaint: One of these complaints.
+        draws: (n,) number of the draw of every run; None where each has its own.
     """
 
     metric: Array
     quantile: float
     refused: float = 0.0
     complaint: str = ""
+    draws: IntArray | None = None
 
     @property
     def interval(self) -> Interval:
         """The quantile with its confidence interval."""
-        return quantile(self.metric, self.quantile)
+        return quantile(self.metric, self.quantile, self.draws)
 
     @property
     def lost(self) -> float:
@@ -117,14 +119,15 @@ class Scorer:
         if complaints := list(violations(plan)):
             share = len(complaints) / len(judged(plan))
             return Score(np.zeros(0), self.tune.quantile, share, complaints[0])
-        metric = np.full(len(plan), math.inf)
+        metric, runs = np.full(len(plan), math.inf), [(dict[str, Any](), 0)] * len(plan)
         groups = execute(self.pool, plan, range(len(plan)), self.handed)
         for row, done in (pair for group in groups for pair in group):
             if done.status == "failed":
                 raise MmnnError(f"a run failed: {done.message}")
             metric[row.id] = worth(done.status, done.metrics, self.tune.objective)
+            runs[row.id] = row.parameters, row.seed
         self.pool = replace(self.pool, first_alone=False)
-        return Score(metric, self.tune.quantile)
+        return Score(metric, self.tune.quantile, draws=draws_of(self.study.settings.factors, runs))
 
     def plan(self, gains: Mapping[str, Any]) -> Plan:
         """The runs of one set of gains."""
@@ -248,8 +251,8 @@ class Tuned:
             for name, score in zip(("own", "best"), self.fresh, strict=True)
         }
         about = {"controller": self.tune.controller, "objective": self.tune.objective, "quantile": self.tune.quantile}
-        counts = {"trials": self.trials, "refused": self.refused, "passed_over": self.passed_over, "own": self.own}
-        return about | counts | {"best": self.value, "gains": self.best, "fresh": fresh}
+        counts = {"trials": self.trials, "refused": self.refused, "passed_over": self.passed_over}
+        return about | counts | {"own": self.own, "best": self.value, "gains": self.best, "fresh": fresh}
 
 
 def value_words(value: float | None) -> str:
