@@ -8,6 +8,7 @@ gains break it.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import shlex
@@ -117,11 +118,9 @@ class Scorer:
         """
         plan = self.plan(gains)
         if complaints := list(violations(plan)):
-            share = len(complaints) / len(judged(plan))
-            return Score(np.zeros(0), self.tune.quantile, share, complaints[0])
+            return Score(np.zeros(0), self.tune.quantile, len(complaints) / len(judged(plan)), complaints[0])
         metric, runs = np.full(len(plan), math.inf), [(dict[str, Any](), 0)] * len(plan)
-        groups = execute(self.pool, plan, range(len(plan)), self.handed)
-        for row, done in (pair for group in groups for pair in group):
+        for row, done in itertools.chain.from_iterable(execute(self.pool, plan, range(len(plan)), self.handed)):
             if done.status == "failed":
                 raise MmnnError(f"a run failed: {done.message}")
             metric[row.id] = worth(done.status, done.metrics, self.tune.objective)
@@ -235,10 +234,10 @@ class Tuned:
         ]
         if self.fresh is not None:
             lines.append(f"on {len(self.fresh[1].metric) or t.check} runs with fresh draws:")
-            for name, score in zip(("own gains", "best gains"), self.fresh, strict=True):
+            for name, score in zip(("own", "best"), self.fresh, strict=True):
                 span = "" if score.refused else f" [{score.interval.low:.4g}, {score.interval.high:.4g}]"
                 lost = f"{100 * score.lost:.1f} % of runs not completed"
-                lines.append(f"  {name}: {value_words(score.value)}{span}, {lost}")
+                lines.append(f"  {name} gains: {value_words(score.value)}{span}, {lost}")
             if self.passed_over:
                 lines.append(f"  {self.passed_over} better on the study's draws, refused by a constraint on these")
         settings = (shlex.quote(f"{path}={json.dumps(value)}") for path, value in self.best.items())
@@ -246,13 +245,11 @@ class Tuned:
 
     def to_dict(self) -> dict[str, Any]:
         """The result for JSON."""
-        fresh = self.fresh and {
-            name: {"quantile": score.interval.to_dict(), "lost": score.lost, "refused": score.refused}
-            for name, score in zip(("own", "best"), self.fresh, strict=True)
-        }
+        scores = zip(("own", "best"), self.fresh or (), strict=self.fresh is not None)
+        of = {n: {"quantile": s.interval.to_dict(), "lost": s.lost, "refused": s.refused} for n, s in scores}
         about = {"controller": self.tune.controller, "objective": self.tune.objective, "quantile": self.tune.quantile}
         counts = {"trials": self.trials, "refused": self.refused, "passed_over": self.passed_over}
-        return about | counts | {"own": self.own, "best": self.value, "gains": self.best, "fresh": fresh}
+        return about | counts | {"own": self.own, "best": self.value, "gains": self.best, "fresh": of or None}
 
 
 def value_words(value: float | None) -> str:
