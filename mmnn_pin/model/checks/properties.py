@@ -20,7 +20,7 @@ from ...settings.shown import AsText
 from ...signals import Array
 from ..base.differential import DifferentialDrive
 from ..base.report import NO_FRICTION
-from ..robot import Robot
+from ..robot import Robot, revolute
 from .nonholonomy import Nonholonomy, nonholonomy
 from .residuals import (
     DEFINITE,
@@ -243,13 +243,6 @@ def unlimited(robot: Robot) -> Array:
     with np.errstate(invalid="ignore", over="ignore"):
         travel = robot.upper - robot.lower
     return np.asarray(~(travel <= np.where(revolute(robot), HUGE_TURN, HUGE_TRAVEL)))
-
-
-def revolute(robot: Robot) -> Array:
-    """Which positions are angles, (nv,) bool."""
-    root = robot.dimensions.pose
-    kinds = [joint.shortname().removeprefix("JointModel") for joint in robot.model.joints][2 if root else 1 :]
-    return np.array([False, False, True][:root] + ["R" in kind for kind in kinds])
 
 
 def residuals_at(terms: Terms, position: Array, v: Array, nu: Array) -> dict[str, float]:
