@@ -39,8 +39,9 @@ SAMPLES = 150  # of a candidate
 RATE = 100.0  # rows per second that are written and that a log is thought to have
 LOOKED = 40  # positions at which links are looked at
 THINNED = 5  # rows of which one is looked at when a motion is judged
+NEARER = (0.5, 0.25, 0.12, 0.06)  # of the range, in which a safe position is looked for
 SLOWED = 0.8 ** np.arange(10)  # speeds that are tried where torques are too large
-TELLING = 1e-12  # least eigenvalue of the information over the largest
+BEFORE = 1e-6  # information on a parameter over its size before any motion: what none shows leads the search nowhere
 STUCK = 1e-3  # range of a joint under which it does not move [rad or m]
 TRIED = 400  # candidates, of which none is a motion
 SLOWER = 10  # times that a motion is made slower at most, once it is found
@@ -221,16 +222,28 @@ class Search:
         moves = np.ones(p, bool)
         base = base_parameters(unknowns, moves, moves)
         apart = clearances(robot, limits.clearance) if n and limits.clearance > 0 else lambda q: np.inf
-        rng = np.random.default_rng(limits.seed)
-        places = [
-            middle,
-            np.clip(rest, middle - half, middle + half),
-            *rng.uniform(middle - half, middle + half, (300, n)),
-        ]
+        places = [middle, np.clip(rest, middle - half, middle + half)]
         low, high = middle - half, middle + half
         made = cls(unknowns, base, limits, limits.share * speed, low, high, limits.share * limit, noise, apart, middle)
-        held = made.weight(np.array(places)).max(axis=1)
-        return replace(made, safe=max(zip(places, held, strict=True), key=lambda at: min(apart(at[0]), 1 / at[1]))[0])
+        return replace(made, safe=made.roomiest(places, np.random.default_rng(limits.seed)))
+
+    def roomiest(self, places: Sequence[Array], rng: np.random.Generator) -> Array:
+        """A position (n,) with room between its links where motors hold the arm up, of some and of random ones.
+
+        It is looked for everywhere first, then ever nearer to the best.
+        """
+
+        def room(found: Sequence[Array] | Array) -> tuple[float, Array]:
+            held = self.weight(np.array(found)).max(axis=1)
+            every = [min(self.apart(q), 1 / one) for q, one in zip(found, held, strict=True)]
+            return max(every), found[int(np.argmax(every))]
+
+        half = (self.high - self.low) / 2
+        most, best = room([*places, *rng.uniform(self.low, self.high, (300, len(half)))])
+        for near in NEARER if most < np.inf else ():
+            at = np.clip(best + near * half * rng.uniform(-1, 1, (60, len(half))), self.low, self.high)
+            most, best = max((most, best), room(at), key=lambda one: one[0])
+        return best
 
     def weight(self, q: Array) -> Array:
         """Torque that holds the arm up over what is allowed, at positions (N, n), (N, p); above 0."""
@@ -312,12 +325,12 @@ class Search:
             return found
         Y, _ = found
         X = (Y * self.scale / self.noise[:, None]).reshape(-1, Y.shape[2])
-        values, vectors = np.linalg.eigh(X.T @ X)
-        dark = values <= TELLING * values[-1]
-        if dark.any():
-            part = (vectors[:, dark] ** 2).sum(axis=1)
-            lead = np.argsort(-part)[: int(dark.sum())]
-            return Refused("unseen", 0.0, tuple(self.unknowns.labels[self.base.independent[i]] for i in lead))
+        A = X.T @ X
+        _, seen, _ = inverted(A)
+        if not seen.all():
+            names = (self.unknowns.labels[i] for i in self.base.independent[~seen])
+            return Refused("unseen", 0.0, tuple(names))
+        values = np.linalg.eigvalsh(A) + BEFORE
         return float(np.log(values).mean() - np.log((1 / values).sum()))
 
     @cached_property

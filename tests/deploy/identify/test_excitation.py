@@ -202,6 +202,12 @@ def test_an_arm_that_its_motors_cannot_stretch_out_moves_where_they_hold_it_up()
     assert np.abs(forces).max() <= 0.8 * 9.0 + 1e-9
 
 
+def test_a_parameter_that_no_motion_shows_beyond_the_noise_refuses_none() -> None:
+    """Without its hand TIAGo's last rotor moves so little that it is lost in the noise; all others are to be found."""
+    found = excite(load("tiago_no_hand"), replace(LIMITS, seconds=0.0))
+    assert np.isfinite(found.sd).all() and found.relative.max() > 10 and (found.relative < 0.1).sum() > 20
+
+
 @pytest.mark.parametrize(
     ("text", "limits", "key", "told"),
     [
