@@ -84,8 +84,8 @@ def of_override(error: InputError, texts: Iterable[str]) -> InputError:
     for key in (text.partition("=")[0].strip() for text in texts):
         if at and (f"{at}.".startswith(f"{key}.") or f"{key}.".startswith(f"{at}.")):
             by_option = key.partition(".")[0] in OPTIONS and not unknown
-            named = max(key, at, key=len) if unknown else error.key
-            error.file, error.key = None, named if by_option else f"--set {named}"
+            error.file, error.option = None, "" if by_option else "--set"
+            error.key = max(key, at, key=len) if unknown else error.key
             break
     return error
 
