@@ -6,6 +6,7 @@ may rank first all the same: a robot does not forget it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from statistics import median
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from ...recording.recording import Recording, as_columns
 
+ERRORS, POSITIONS = ("pose_error.", "z.", "e."), ("pose_error.", "e.")  # signals that runs are ranked by; of places
 FAR = 5.0  # times the median of the others, from which a run is told
 THROWN = 0.05  # least peak that is told [rad or m]
 CHATTER = 0.1  # RMS change of a motor's torque from sample to sample, of its RMS, from which it is told
@@ -28,33 +30,45 @@ def outliers(recordings: Mapping[str, Recording], metrics: Mapping[str, Mapping[
     runs = {name: run for name, run in recordings.items() if run.outcome.status == "completed" and len(run) > 1}
     if len(runs) < 2:
         return []
-    peaks = {name: {k: v for k, v in metrics[name].items() if is_peak(k)} for name in runs}
-    return [*far_peaks(peaks), *chattering({name: chatter(run) for name, run in runs.items()})]
+    errors = {name: {k: v for k, v in metrics[name].items() if k.startswith(ERRORS)} for name in runs}
+    return [*far_peaks(errors), *chattering({name: chatter(run) for name, run in runs.items()})]
 
 
-def is_peak(key: str) -> bool:
-    """Whether a metric is the peak of an error of a position."""
-    return key.startswith(("pose_error.", "e.")) and key.endswith(".peak")
-
-
-def far_peaks(peaks: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """What peaks farthest above the others in every run in which something does.
+def far_peaks(errors: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """What peaks farthest above the others in every run that ranks before one in which nothing does.
 
     Args:
-        peaks: Run to metric to peak [rad or m].
+        errors: Run to metric of an error to its value [rad or m].
     """
-    found = []
-    for name, own in peaks.items():
-        usual = {key: of_others(peaks, name, key) for key in own}
-        far = {key: peak / max(usual[key], 1e-12) for key, peak in own.items() if peak > THROWN}
-        key = max(far, key=far.__getitem__, default="")
-        if key and far[key] > FAR:
-            what, times = key.partition(".")[2].removesuffix(".peak"), shown(far[key])
+    worst = {}
+    for name, own in errors.items():
+        far = {key: own[key] / max(of_others(errors, name, key), 1e-12) for key in own if is_far(errors, name, key)}
+        if far:
+            worst[name] = max(far, key=far.__getitem__)
+    found, ranks = [], {name: rank(own) for name, own in errors.items()}
+    for name, key in worst.items():
+        behind = [other for other in errors if other not in worst and ranks[other] > ranks[name]]
+        if behind:
+            what, peak, usual = key.split(".")[1], errors[name][key], of_others(errors, name, key)
+            times = shown(peak / max(usual, 1e-12))
             found.append(
-                f"{name} throws {what} about: its error peaks at {own[key]:.2g}, {times} times the others' "
-                f"{usual[key]:.2g} [rad or m]; RMS errors of a later window do not show it"
+                f"{name} throws {what} about: its error peaks at {peak:.2g}, {times} times the others' {usual:.2g} "
+                f"[rad or m]; by RMS errors it ranks before {' and '.join(behind)} all the same"
             )
     return found
+
+
+def is_far(errors: Mapping[str, Mapping[str, float]], name: str, key: str) -> bool:
+    """Whether a metric of a run is the peak of a position's error, large, and far above those of the others."""
+    of_position = key.startswith(POSITIONS) and key.endswith(".peak")
+    return of_position and errors[name][key] > max(THROWN, FAR * of_others(errors, name, key))
+
+
+def rank(own: Mapping[str, float]) -> float:
+    """Mean logarithm of a run's RMS errors in the last window, by which runs are ranked; inf without one."""
+    last = [key.rpartition(".rms_")[2] for key in own if ".rms_" in key][-1:]
+    logs = [math.log(value) for key, value in own.items() for end in last if key.endswith(f".rms_{end}") and value > 0]
+    return math.fsum(logs) / len(logs) if logs else math.inf
 
 
 def chattering(shares: Mapping[str, Mapping[str, float]]) -> list[str]:

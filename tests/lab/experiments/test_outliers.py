@@ -14,15 +14,23 @@ from mmnn_pin.lab.show.report.verdict import warnings
 from mmnn_pin.sensing import Sensor
 
 
-def peaks(**joint: float) -> dict[str, dict[str, float]]:
-    return {name: {"e.elbow.peak": peak, "pose_error.x.peak": 0.01} for name, peak in joint.items()}
+def errors(**runs: tuple[float, float]) -> dict[str, dict[str, float]]:
+    """Errors of runs by name: the peak of a joint, and the RMS of the base's x by which they rank."""
+    base = {"e.elbow.rms_0_1": 9.0, "e.elbow.rms_1_5": 0.01, "pose_error.x.peak": 0.01}
+    return {name: {"e.elbow.peak": peak, **base, "pose_error.x.rms_1_5": rms} for name, (peak, rms) in runs.items()}
 
 
-def test_a_run_that_throws_a_joint_about_is_told_and_no_other() -> None:
-    (told,) = far_peaks(peaks(pd_gravity=0.05, pid=0.06, one_layer=1.4))
+def test_a_run_that_throws_a_joint_about_and_ranks_well_is_told_and_no_other() -> None:
+    (told,) = far_peaks(errors(pd_gravity=(0.05, 0.02), pid=(0.06, 0.001), one_layer=(1.4, 0.01)))
     assert told.startswith("one_layer throws elbow about: its error peaks at 1.4, 25 times the others' 0.055")
-    assert far_peaks(peaks(pd=0.05, pid=0.9 * FAR * 0.05)) == []
-    assert far_peaks(peaks(pd=1e-4, pid=0.9 * THROWN)) == []
+    assert told.endswith("by RMS errors it ranks before pd_gravity all the same")
+    assert far_peaks(errors(pd=(0.05, 0.02), pid=(0.9 * FAR * 0.05, 0.01))) == []
+    assert far_peaks(errors(pd=(1e-4, 0.02), pid=(0.9 * THROWN, 0.01))) == []
+
+
+def test_a_run_that_ranks_last_for_it_is_not_told() -> None:
+    """PD under gravity sags from beginning to end, and its RMS says so."""
+    assert far_peaks(errors(pid=(0.02, 0.01), pd_gravity=(0.02, 0.01), pd=(0.2, 0.1))) == []
 
 
 @pytest.fixture(scope="module")
