@@ -49,7 +49,8 @@ def far_peaks(errors: Mapping[str, Mapping[str, float]]) -> list[str]:
     for name, key in worst.items():
         behind = [other for other in errors if other not in worst and ranks[other] > ranks[name]]
         if behind:
-            what, peak, usual = key.split(".")[1], errors[name][key], of_others(errors, name, key)
+            what, peak = key.partition(".")[2].removesuffix(".peak"), errors[name][key]
+            usual = of_others(errors, name, key)
             times = shown(peak / max(usual, 1e-12))
             found.append(
                 f"{name} throws {what} about: its error peaks at {peak:.2g}, {times} times the others' {usual:.2g} "
@@ -91,8 +92,8 @@ def chattering(shares: Mapping[str, Mapping[str, float]]) -> list[str]:
 
 
 def of_others(table: Mapping[str, Mapping[str, float]], name: str, key: str) -> float:
-    """The median of a number over the other runs."""
-    return median(own[key] for other, own in table.items() if other != name and key in own)
+    """The median of a number over the other runs; inf where none has it."""
+    return median([own[key] for other, own in table.items() if other != name and key in own] or [math.inf])
 
 
 def chatter(run: Recording) -> dict[str, float]:
