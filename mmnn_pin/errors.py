@@ -46,13 +46,15 @@ class InputError(MmnnError):
     ) -> None:
         self.what, self.why, self.fix = what, why, fix
         self.file, self.line, self.key = file, line, key
+        self.option = ""  # of the command line that gave the key its value
         super().__init__(what)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return restored, (type(self), self.args, self.__dict__)  # an error comes back from a process as it was
 
     def __str__(self) -> str:
-        where = [str(part) for part in (self.file, self.line, self.key) if part is not None]
+        key = f"{self.option} {self.key}" if self.option and self.key else self.key
+        where = [str(part) for part in (self.file, self.line, key) if part is not None]
         text = ": ".join(part for part in (self.what, self.why, self.fix) if part)
         return f"{':'.join(where)}: error: {text}" if where else f"error: {text}"
 

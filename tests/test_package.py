@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 import importlib.util
 import inspect
+import json
 import os
 import re
 import subprocess
 import sys
 import tomllib
+import types
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,9 @@ import pytest
 from places import ROOT
 
 import mmnn_pin
+from mmnn_pin import load_experiment, run_experiment
+from mmnn_pin.cli import main
+from mmnn_pin.recording.versions import commit
 
 PACKAGE = ROOT / "mmnn_pin"
 README = (ROOT / "README.md").read_text()
@@ -54,6 +59,48 @@ def test_versions_agree() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.M)
     assert project["version"] == mmnn_pin.__version__ == (cited and cited[1])
+
+
+def git(folder: Path, *words: str) -> str:
+    identity = ["-c", "user.name=t", "-c", "user.email=t@t"]
+    return subprocess.run(
+        ["git", "-C", str(folder), *identity, *words], check=True, capture_output=True, text=True
+    ).stdout
+
+
+def test_the_commit_of_a_clone_is_told_and_whether_its_files_are_changed(tmp_path: Path) -> None:
+    package = tmp_path / "mmnn_pin"
+    package.mkdir()
+    assert commit(package) == ""  # neither a clone nor installed from one
+    (package / "a.py").write_text("1\n")
+    git(tmp_path, "init", "-q")
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-qm", "one")
+    head = git(tmp_path, "rev-parse", "HEAD").strip()
+    git(tmp_path, "tag", "-am", "v1", "v1")
+    assert commit(package) == head
+    (package / "untracked.py").write_text("")
+    assert commit(package) == head
+    (package / "a.py").write_text("2\n")
+    assert commit(package) == f"{head}+changes"
+
+
+def test_an_installation_from_a_repository_tells_what_its_installer_noted(tmp_path: Path, monkeypatch) -> None:
+    noted = {"url": "https://x/y.git", "vcs_info": {"vcs": "git", "commit_id": "a1" * 20}}
+    one = types.SimpleNamespace(read_text=lambda name: json.dumps(noted) if name == "direct_url.json" else None)
+    monkeypatch.setattr("mmnn_pin.recording.versions.metadata.distribution", lambda name: one)
+    assert commit(tmp_path / "mmnn_pin") == "a1" * 20
+
+
+def test_the_command_line_and_recordings_tell_version_and_commit(capsys, monkeypatch) -> None:
+    told = {"mmnn_pin": mmnn_pin.__version__, "commit": "c0" * 20}
+    monkeypatch.setattr("mmnn_pin.recording.versions.versions", lambda: told)
+    monkeypatch.setattr("mmnn_pin.recording.recorder.versions", lambda: told)
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"mmnn, version {mmnn_pin.__version__} (commit {'c0' * 20})\n"
+    changes = ["controllers=['pd']", "time.duration=0.004", "windows=[[0.0,0.004]]"]
+    (run,) = run_experiment(load_experiment("track", changes), "track").values()
+    assert run.meta["versions"] == told
 
 
 def public_definitions() -> list[tuple[str, ast.AST]]:

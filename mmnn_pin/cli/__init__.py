@@ -48,6 +48,16 @@ class Commands(click.Group):
         return self.commands[cmd_name]
 
 
+def tell_version(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    """Print the version with its commit."""
+    if asked and not context.resilient_parsing:
+        from ..recording.versions import versions
+
+        commit = versions().get("commit", "")
+        say(f"mmnn, version {__version__}" + (f" (commit {commit})" if commit else ""))
+        context.exit()
+
+
 @click.group(
     cls=Commands,
     invoke_without_command=True,
@@ -62,7 +72,14 @@ class Commands(click.Group):
         "mmnn docs                                       the pages of the documentation, here",
     ),
 )
-@click.version_option(__version__, prog_name="mmnn")
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=tell_version,
+    help="Show the version, and its commit where that is known, and exit.",
+)
 @click.pass_context
 def mmnn(context: click.Context) -> None:
     """Torque control for mobile manipulators: read a URDF, compare controllers in simulation, take one to the robot.

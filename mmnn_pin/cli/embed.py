@@ -10,7 +10,7 @@ import click
 
 from .options import CHANGES, VARIANT, controllers, examples, experiments, robots, shared, understanding
 from .output import DONE, FAILED, answer
-from .run import about_robot, in_toml
+from .run import about_robot, for_another_robot, in_toml
 
 if TYPE_CHECKING:
     from ..deploy.embed import Embedded
@@ -83,8 +83,9 @@ def embed(
 
     changes = [*about_robot(robot, overrides), *settings, *in_toml(robot=robot, controllers=[controller])]
     found = load_experiment(experiment, changes, variant)
-    loaded = found.load_robot()
-    loop = found.loop(loaded, found.controller(found.controllers[0], robot=loaded))
+    with for_another_robot(experiment, variant, found):
+        loaded = found.load_robot()
+        loop = found.loop(loaded, found.controller(found.controllers[0], robot=loaded))
     if plant is not None:
         require_tools(plant)
     made = export(

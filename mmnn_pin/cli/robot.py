@@ -10,7 +10,7 @@ import click
 
 from ..errors import RobotError
 from .options import examples, robots, shared, understanding
-from .output import BAD_INPUT, DONE, FAILED, answer, progress_bar
+from .output import BAD_INPUT, DONE, FAILED, answer, progress_bar, warn
 
 
 @click.command(
@@ -106,10 +106,13 @@ def model(robot: str, state: Path | None, overrides: dict[str, Any], as_json: bo
     out is zero.
     """
     from ..lab.show.robots import model_text
-    from ..model.inspection import NamedState, model_at, read_state
+    from ..model.inspection import NamedState, doubtful, model_at, read_state
     from ..model.loading import load
 
     loaded = load(robot, **overrides)
-    at = model_at(loaded, *(read_state(state, loaded) if state else NamedState().of(loaded)))
+    position, nu = read_state(state, loaded) if state else NamedState().of(loaded)
+    at = model_at(loaded, position, nu)
+    for doubt in doubtful(loaded, position):
+        warn(f"{state}: {doubt}")
     answer(as_json, lambda: at, lambda: model_text(at))
     return DONE

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..errors import InputError
 from ..files import read_toml, require_free
 from .options import CHANGES, VARIANT, cases, controllers, examples, experiments, robots, shared, understanding
 from .output import (
@@ -126,12 +129,25 @@ def run(
     for plot in asked.plots:
         require_free(folder / f"{plot}.png", force, "plot")
     hardware = bool(asked.cases) or has_hardware(asked)
-    if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
-        with before_it_is_compiled(hardware):
-            return run_one(asked, name, folder, force, as_json)
-    compile_if_cold(hardware)
-    command = run_contest if asked.contest is not None else run_cases if asked.cases else run_one
-    return command(asked, name, folder, force, as_json)
+    with for_another_robot(experiment, variant, asked):
+        if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
+            with before_it_is_compiled(hardware):
+                return run_one(asked, name, folder, force, as_json)
+        compile_if_cold(hardware)
+        command = run_contest if asked.contest is not None else run_cases if asked.cases else run_one
+        return command(asked, name, folder, force, as_json)
+
+
+@contextlib.contextmanager
+def for_another_robot(experiment: str, variant: str | None, asked: Experiment) -> Iterator[None]:
+    """Say of an experiment that does not fit the robot that was given which one it is made for."""
+    try:
+        yield
+    except InputError as error:
+        from ..lab.experiments.another_robot import explained
+        from ..lab.experiments.config import load_experiment
+
+        raise explained(error, Path(experiment).stem, asked, load_experiment(experiment, (), variant)) from None
 
 
 def unused(folder: Path) -> Path:

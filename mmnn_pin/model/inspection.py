@@ -21,7 +21,7 @@ from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
 from .base.report import Reading, Undecided, Unsupported
 from .dynamics import Dynamics
-from .robot import Robot
+from .robot import Robot, revolute
 from .urdf.expansion import Unexpanded
 from .urdf.finding import AuditError, Finding
 from .urdf.reading import audit_file
@@ -246,6 +246,24 @@ def read_state(path: str | Path, robot: Robot) -> tuple[Array, Array]:
     except InputError as error:
         error.file = error.file or path
         raise
+
+
+A_TURN = 2 * math.pi  # an angle beyond this looks like degrees, but a wheel's
+
+
+def doubtful(robot: Robot, position: Array) -> list[str]:
+    """What a robot cannot, or can hardly, mean by a position (nv,): beyond a joint's limits, or angles in degrees."""
+    rest, found, wheels = robot.neutral_position(), [], {wheel.joint for wheel in robot.base.wheels}
+    rows = zip(robot.position_names, position, rest, robot.lower, robot.upper, revolute(robot), strict=True)
+    for name, q, at, low, high, turns in rows:
+        unit = "rad" if turns else "m"
+        many = bool(turns and abs(q) > A_TURN and name not in wheels)
+        beyond = q != at and not low <= q <= high
+        if beyond or many:
+            limits = f"beyond its limits {low:.4g} to {high:.4g} {unit}" if beyond else "more than a turn"
+            degrees = f": if these are degrees, give {math.radians(q):.4g}" if many else ""
+            found.append(f"{name} = {q:.4g} {unit} is {limits}{degrees}")
+    return found
 
 
 def model_at(robot: Robot, position: Array, nu: Array) -> dict[str, Any]:

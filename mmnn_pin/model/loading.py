@@ -29,7 +29,7 @@ from ..signals import Array, Dimensions
 from .arm import Arm, choose_arm
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
-from .base.report import arm_notes, printed_notes, settle, unsupported, weak_notes, weld_notes
+from .base.report import arm_notes, friction_notes, printed_notes, settle, unsupported, weak_notes, weld_notes
 from .base.standing import require_rolling, welded
 from .base.understanding import find_base
 from .dynamics import Dynamics
@@ -164,7 +164,8 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
     held = Dynamics(robot).gravity(robot.neutral_position())[robot.dimensions.base :]
     limits = dict(zip(robot.actuator_names, robot.effort_limits, strict=True))
     weak = weak_notes(rest, robot.joint_names, held, np.array([limits[name] for name in robot.joint_names]))
-    return replace(robot, findings=(*robot.findings, *weak))
+    smooth = friction_notes(rest, robot.damping, robot.coulomb)
+    return replace(robot, findings=(*robot.findings, *weak, *smooth))
 
 
 def settled(overrides: Overrides, base: Base) -> Overrides:

@@ -248,6 +248,13 @@ def carrying(robot: Robot, mass: float, joint: str = "", at: Sequence[float] = (
     return replace(robot, model=model)
 
 
+def revolute(robot: Robot) -> Array:
+    """Which positions are angles, (nv,) bool."""
+    root = robot.dimensions.pose
+    kinds = [joint.shortname().removeprefix("JointModel") for joint in robot.model.joints][2 if root else 1 :]
+    return np.array([False, False, True][:root] + ["R" in kind for kind in kinds])
+
+
 def speed_limits(robot: Robot) -> Array:
     """Velocity limits of the URDF of every motor's joint, inf where it states none or 0, (motors,)."""
     names, limits = robot.full_velocity_names, robot.model.velocityLimit

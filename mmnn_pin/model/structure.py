@@ -10,6 +10,7 @@ torques u act on the joints as `E_full u` and on nu as `E u`, `E = T' E_full` (2
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -28,6 +29,7 @@ from .arm import Arm
 from .base.base import Base
 from .base.overrides import Overrides
 from .urdf.finding import Finding
+from .urdf.packages import environment
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,12 +270,16 @@ class Structure:
 
     def facts(self) -> dict[str, Any]:
         """What a recording should know of it, enough for `recorded_robot` to build it again."""
+        stated, ros = self.overrides.stated(), environment()
+        if "package_dirs" in stated:  # who builds it again may stand in another folder
+            stated["package_dirs"] = tuple(map(os.path.abspath, stated["package_dirs"]))
         return {
             "robot": self.name,
             "urdf": self.urdf,
             "urdf_file": str(self.path.absolute()),
             "urdf_sha256": self.sha256,
-            "overrides": self.overrides.stated(),
+            "overrides": stated,
+            **({"package_path": ros} if ros else {}),
             "mass_factors": dict(self.masses),
             "armature": self.model.armature[self.arm_index].tolist(),
             "viscous": self.viscous.tolist(),

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-import platform
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
-from functools import cache
-from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -27,6 +24,7 @@ from ..signals import HAND, SIGNALS, Array, Layout
 from .recording import Outcome, Recording, from_file
 from .run_file import Arrays, Columns, RunFile, decode, encode
 from .schema import facts_problem
+from .versions import versions
 
 BUFFER_BYTES = 1 << 22  # from this size on numpy asks for large pages, which are faster to get
 FIRST_WRITE, WRITE_PERIOD = 0.45, 0.25  # since the start, and between two others [s] of wall clock
@@ -216,18 +214,6 @@ class _Memory:
 def buffer_rows(layout: Layout) -> int:
     """How many rows a recorder gathers at most before it hands them over."""
     return max(1024, -(-BUFFER_BYTES // (8 * layout.width)))
-
-
-@cache
-def versions() -> dict[str, str]:
-    """Versions of Python, of this package and of what its numbers come from."""
-    found = {"python": platform.python_version()}
-    for name in ("mmnn_pin", "pin", "numpy", "numba", "h5py"):
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = "unknown"
-    return found
 
 
 def _facts(meta: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,12 +2,12 @@
 
 `Recording` reads it, `recorder.Recorder` writes it, `run_file` describes the HDF5 file and `schema` what it must be. A
 run that was killed is readable up to its last flush. Whoever made a file: its texts and names are data. Nothing that
-they name is run, and nothing opened but the meshes of a robot whose own file still lies where the run found it.
+they name is run, and nothing opened but the meshes of a robot whose own file still lies where the run found it
+(`robot_file`).
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -23,20 +23,16 @@ from ..errors import InputError, RecordingError, UnknownName
 from ..model.base.overrides import Overrides
 from ..model.loading import build
 from ..model.robot import Robot
-from ..model.urdf.document import Document
-from ..model.urdf.packages import locate
-from ..model.urdf.reading import MAX_BYTES, parse
-from ..model.urdf.xml import parse_xml, text_of
 from ..settings.arguments import checked
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
+from .robot_file import document_of
 from .run_file import Arrays, Columns, Places, RunFile
 from .tracking import Errors, prismatic_joints
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 T = TypeVar("T")
-UNSEEN = "elsewhere://"  # before the name of a mesh that is not looked for
 # Names in the group `final` of recordings before version 0.2, and what they are called now.
 FINAL_OF_OLD = {"memory": "controller_state", "rig_memory": "hardware_state"}
 
@@ -351,7 +347,8 @@ def recorded_robot(recording: Recording, package_dirs: Sequence[str | Path] = ()
     """The true robot of a recording.
 
     Its meshes are read from the folders given, and from where the run found them if the robot's own file still lies
-    there unchanged: a recording makes nobody read other files. Wheels whose radius came from a mesh need it.
+    there unchanged, or is a xacro file that names them: a recording makes nobody read other files. Wheels whose radius
+    came from a mesh need it.
 
     Args:
         recording: The recording.
@@ -365,7 +362,8 @@ def recorded_robot(recording: Recording, package_dirs: Sequence[str | Path] = ()
     if missing := [key for key in ("urdf_file", "mass_factors", "viscous", "joint_friction") if key not in meta]:
         what = f"the recording does not tell '{missing[0]}' of its robot"
         raise RecordingError(what, why="an older mmnn_pin wrote it", file=recording.path)
-    robot = build(*document_of(recording, recording.fact("overrides", Overrides), package_dirs))
+    stated, found = recording.fact("overrides", Overrides), tuple(map(str, meta.get("package_path", ())))
+    robot = build(*document_of(recording.urdf, Path(meta["urdf_file"]), stated, found, tuple(map(str, package_dirs))))
     for key in ("velocity_names", "position_names", "actuator_names"):
         own, told = getattr(robot, key), tuple(meta.get(key, ()))
         if own != told:
@@ -390,51 +388,6 @@ def friction_of(robot: Robot, recorded: Mapping[str, Any]) -> dict[str, Any]:
         if not np.isfinite(value).all() or np.min(value, initial=np.inf) < 0:
             raise ValueError(f"'{name}' of joint_friction is negative or not finite")
     return found
-
-
-def document_of(
-    recording: Recording, overrides: Overrides, package_dirs: Sequence[str | Path]
-) -> tuple[Document, Overrides]:
-    """The URDF of a recording and what is said about it, without what a recording alone does not open."""
-    text, file = recording.urdf.encode(), Path(recording.meta["urdf_file"])
-    folders = tuple(map(str, package_dirs))
-    if is_unchanged(file, text):
-        stated = msgspec.structs.replace(overrides, package_dirs=(*folders, *overrides.package_dirs))
-        return parse(text, file, overrides.strict, stated.package_dirs), stated
-    stated = msgspec.structs.replace(overrides, package_dirs=folders, controllers_file=None)
-    file = Path(folders[0] if folders else os.devnull) / file.name
-    return parse(sealed(text, file, folders), file, overrides.strict, folders), stated
-
-
-def is_unchanged(file: Path, text: bytes) -> bool:
-    """Whether a robot's own file lies there, with the robot of a text in it."""
-    try:
-        if not file.is_file() or file.stat().st_size > MAX_BYTES:
-            return False
-        one, other = (parse(sealed(data), os.devnull).text for data in (file.read_bytes(), text))
-        return one.split() == other.split()  # an older version left out the empty lines
-    except (OSError, ValueError, InputError):
-        return False
-
-
-def sealed(data: bytes, file: Path | None = None, folders: Sequence[str] = ()) -> bytes:
-    """A URDF whose meshes are not looked for, but those that are in some folders.
-
-    Args:
-        data: The URDF.
-        file: Where relative names start.
-        folders: Folders to look in.
-    """
-    root, _ = parse_xml(data)
-    if root is None:
-        return data
-    roots = tuple(os.path.join(os.path.realpath(folder), "") for folder in folders)
-    for mesh in root.iter("mesh"):
-        name = mesh.get("filename", "")
-        found = locate(name, file, folders).file if file is not None and folders else None
-        if found is None or not str(found).startswith(roots):
-            mesh.set("filename", f"{UNSEEN}{name}")
-    return text_of(root).encode()
 
 
 def recorded_position(recording: Recording, robot: Robot) -> Array:

@@ -52,6 +52,7 @@ class Facts(msgspec.Struct, frozen=True):
     kinematic: dict[str, Any] = {}
     time: dict[str, Any] = {}
     overrides: dict[str, Any] = {}
+    package_path: tuple[str, ...] = ()
     nominal: dict[str, Any] = {}
     sensor: dict[str, Any] = {}
     actuator: dict[str, Any] = {}

@@ -6,8 +6,10 @@ A `SetpointSource` says at every sample where the robot should be. A `Trajectory
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import Protocol
 
@@ -47,7 +49,7 @@ class Watched(Protocol):
 STANDING = 5.0  # time of an arm's motion where no base says one [s]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trajectory:
     """What the whole robot should do over time: a source of setpoints that knows them ahead.
 
@@ -78,6 +80,19 @@ class Trajectory:
         require_types(self)
         object.__setattr__(self, "arm", tuple(self.arm))
         require_positive(slowness=self.slowness)
+
+    def __repr__(self) -> str:
+        parts = [] if self.base is None else [f"base {worded(self.base, 0)}"]
+        kinds = Counter(type(one).__name__ for one in self.arm)
+        parts += [f"arm {', '.join(f'{n} {kind}' if n > 1 else kind for kind, n in kinds.items())}"] if kinds else []
+        end = f"{self.duration:.4g} s" if np.isfinite(self.duration) else "without an end"
+        return f"<Trajectory: {'; '.join([*parts, end])}>"
+
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, BasePath | JointProfile]] = [] if self.base is None else [("base", self.base)]
+        rows += [(f"arm[{i}]", one) for i, one in enumerate(self.arm)]
+        lines = (f"<tr><th>{name}</th><td>{escape(worded(part))}</td></tr>" for name, part in rows)
+        return f"<table><caption>{escape(repr(self))}</caption>{''.join(lines)}</table>"
 
     @classmethod
     @checked
@@ -284,6 +299,16 @@ class Trajectory:
             raise TrajectoryError(
                 f"{len(self.arm)} arm profiles for {layout.arm} arm joints", fix=f"give {layout.arm} of them"
             )
+
+
+def worded(part: BasePath | JointProfile, most: int = 100) -> str:
+    """A path or a profile in a few words: as Python writes it where that is short, else how many samples it has."""
+    text, kind = repr(part), type(part).__name__
+    if len(text) <= most and "\n" not in text:
+        return text
+    held = next((held for name in ("time", "times", "points") if (held := getattr(part, name, None)) is not None), ())
+    unit = "points" if kind in ("Points", "Waypoints") else "samples"
+    return f"{kind} of {len(held)} {unit}" if len(held) else kind
 
 
 def still(part: BasePath | JointProfile | None) -> bool:

@@ -366,7 +366,7 @@ def test_what_does_not_fit_the_robot_or_the_run_is_refused(event, text):
 @pytest.mark.parametrize("event", ["type='push', on='v', force=1", "type='payload', mass=1", "type='block', joint='a'"])
 def test_what_begins_after_the_run_is_refused(event):
     events = f"disturbances=[{{type='commands', fault='lost'}}, {{{event}, start=5.0}}]"
-    with pytest.raises(ConfigError, match=r"chapter4\.toml:disturbances\.1\.start.*the run ends at 5 s"):
+    with pytest.raises(ConfigError, match=r"^--set disturbances\.1\.start.*the run ends at 5 s"):
         load_experiment("chapter4", [events])
 
 

@@ -705,3 +705,35 @@ def test_ctrl_c_that_a_compiler_swallows_is_not_a_fault_of_ours() -> None:
         raise RuntimeError("no compiled object yet")
     with pytest.raises(RuntimeError), interruptible(lambda: None):
         raise RuntimeError("a fault indeed")
+
+
+@pytest.mark.parametrize(
+    ("experiment", "keys"),
+    [
+        ("certified", "reference.arm, feedback.arm, friction.arm"),
+        ("contest", "reference.arm, sensor.velocity_noise"),
+        ("chapter4", "reference.arm"),
+    ],
+)
+def test_an_experiment_that_is_made_for_another_robot_says_so(experiment, keys, tmp_path, capsys):
+    """What in it is of how many joints, and which experiment to take; and that one takes it."""
+    file = tmp_path / "three.urdf"
+    third = '<link name="hand"><inertial><mass value="0.2"/><inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" '
+    third += 'izz="1e-3"/></inertial></link><joint name="wrist" type="revolute"><parent link="arm_tip"/><child '
+    third += 'link="hand"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="9" velocity="5"/></joint></robot>'
+    file.write_text(load("platform_arm").path.read_text().replace("</robot>", third))
+    assert main(["run", experiment, "--robot", str(file), "--controller", "pd", "--out", str(tmp_path / "out")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    about = (
+        f"--robot: error: {experiment} is made for platform_arm and its 2 arm joints: {keys}: three has 3 arm joints"
+    )
+    advised = f"mmnn run track --robot {file}"
+    assert line.startswith(about) and advised in line and not (tmp_path / "out").exists()
+    words = ["--controller", "pd", "--set", "time.duration=0.02", "--out", str(tmp_path / "driven")]
+    assert main([*advised.split()[1:], *words]) == 0
+
+
+def test_a_list_of_the_users_own_is_told_as_it_is(tmp_path, capsys):
+    words = ["--set", "friction.arm=[1,2]", "--controller", "pd", "--out", str(tmp_path / "out")]
+    assert main(["run", "track", "--robot", "ur5", *words]) == 2
+    assert "friction.arm: error: 2 numbers for 6 velocities" in capsys.readouterr().err

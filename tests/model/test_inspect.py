@@ -276,3 +276,20 @@ def test_states_beyond_a_double_are_bad_input(call, state):
     Path("s.json").write_text(state)
     code, _, err = call("model", written(Drive().urdf()), "--at", "s.json", "--json")
     assert code == 2 and err.count("\n") == 1 and "not finite" in err and "RuntimeWarning" not in err
+
+
+@pytest.mark.parametrize(
+    ("joints", "pose", "told"),
+    [
+        ({"arm_1_joint": 45.0}, [0, 0, 0], ["arm_1_joint = 45 rad is beyond its limits -3.142 to 3.142 rad", "0.7854"]),
+        ({"arm_1_joint": 3.3}, [0, 0, 0], ["arm_1_joint = 3.3 rad is beyond its limits -3.142 to 3.142 rad"]),
+        ({}, [0, 0, 90], ["phi = 90 rad is more than a turn: if these are degrees, give 1.571"]),
+        ({"arm_1_joint": 2.6, "wheel_left_joint": 60.0}, [100, -100, 6.2], []),
+    ],
+)
+def test_a_state_that_a_robot_can_hardly_mean_is_warned_of(joints, pose, told, tmp_path, call):
+    """Angles in degrees, or beyond limits; the answer is given all the same."""
+    (tmp_path / "s.json").write_text(json.dumps({"joints": joints, "pose": pose}))
+    code, out, err = call("model", "platform_arm", "--at", str(tmp_path / "s.json"), "--json")
+    assert code == 0 and "M" in json.loads(out)
+    assert err.count("warning: ") == (told != []) and all(text in err for text in told)

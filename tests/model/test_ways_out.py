@@ -15,7 +15,8 @@ from test_wild import codes
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model.base.overrides import Overrides
-from mmnn_pin.model.base.report import Undecided, Unsupported
+from mmnn_pin.model.base.report import NO_FRICTION, Undecided, Unsupported
+from mmnn_pin.model.checks.properties import check
 from mmnn_pin.model.inspection import refusal_of
 from mmnn_pin.model.loading import load
 
@@ -361,3 +362,13 @@ def test_a_motor_that_cannot_hold_its_load_is_told_with_both_numbers(effort, wea
         assert "effort of 'lift' is 170 N, and gravity takes 177 N" in str(found[0]) and "--lock lift" in found[0].fix
         locked = followed(text, ways_of(found[0].fix)[0])
         assert "lift" in locked.arm.locked and "arm-weak" not in codes(locked)
+
+
+@pytest.mark.parametrize("dynamics", ["", '<dynamics damping="0.1"/>', '<dynamics friction="0.1"/>'])
+def test_a_robot_without_any_friction_is_told_so_in_one_line(dynamics):
+    """By inspect and by check; a joint with some is enough for none to be said."""
+    robot = robot_of(chassis(pair()).replace("</joint>", f"{dynamics}</joint>", 1))
+    found = [f for f in robot.findings if f.code == "no-friction"]
+    assert [f.severity for f in found] == ["note"] * (not dynamics)
+    assert len([note for note in check(robot, samples=2).notes if NO_FRICTION in note]) == (not dynamics)
+    assert not found or ("--set friction.arm=0.1" in found[0].fix and "\n" not in str(found[0]))

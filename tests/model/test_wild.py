@@ -290,7 +290,7 @@ def test_huge_limits_are_not_taken_at_their_word():
     text = four(more=MOVE).replace('lower="0.2" upper="2"', 'lower="-1e16" upper="1e16"')
     report = check(robot_of(text), samples=5)
     assert report.passed and "elbow" in report.notes[0] and "+-pi" in report.notes[0]
-    assert not check(robot_of(four(more=MOVE)), samples=2).notes
+    assert not any("+-pi" in note for note in check(robot_of(four(more=MOVE)), samples=2).notes)
 
 
 # --- Interfaces -------------------------------------------------------------------------------------------------------

@@ -104,10 +104,10 @@ def test_another_robot_leaves_what_the_toml_says_of_its_own(place, capsys):
 
 
 @pytest.mark.parametrize(("said", "words"), [
-    (["--radius", "-1"], "track.toml:overrides.radius: error: -1.0 cannot be a radius"),
+    (["--radius", "-1"], "overrides.radius: error: -1.0 cannot be a radius"),
     (["--base", "omni"], "overrides.base: error: unknown base 'omni'"),
     (["--wheels", "fl,nope"], "unknown wheel joint 'nope'"),
-    (["--set", "overrides.whels=3"], "overrides: error: unknown key 'whels'"),
+    (["--set", "overrides.whels=3"], "--set overrides.whels: error: unknown key 'whels'"),
     (["--set", "overrides.radius='a'"], "overrides.radius: error: 'a' is a text: give a number"),
 ])  # fmt: skip
 def test_what_cannot_be_is_one_line_and_nothing_is_written(place, capsys, said, words):

@@ -21,7 +21,8 @@ from mmnn_pin.errors import ConfigError, InputError, RecordingError
 from mmnn_pin.lab.experiments.config import recorded_experiment
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recorder import Recorder
-from mmnn_pin.recording.recording import UNSEEN, Recording, recorded_robot
+from mmnn_pin.recording.recording import Recording, recorded_robot
+from mmnn_pin.recording.robot_file import UNSEEN
 from mmnn_pin.torque.neural import Neural
 
 Change = Callable[[h5py.File], object]

@@ -2,78 +2,56 @@
 
 Joint j moves as `q_j = q_j0 + s_j sum_l a_l sin(l w t) / (l w) + b_l (1 - cos(l w t)) / (l w)` (Swevers, Ganseman,
 Tukel, De Schutter, Van Brussel 1997, IEEE T-RA 13(5)), at rest at start and end: `sum a_l = 0`, `sum l b_l = 0`.
-Base velocities are the same series. Every candidate is scaled into the limits of position and speed, slowed until the
-URDF's torques are within theirs, and refused where spheres along the links touch. Of these, the one is looked for with
-the most information `A = sum Y_b' Y_b / s^2` in the base parameters over their sizes, `log det A / b - log tr A^-1`:
-both the volume of what stays unknown and its worst side; by steps that are kept when they help.
+Base velocities are the same series. Every candidate is scaled into the limits of position and speed, drawn together
+where spheres along the links touch or a motor could not hold its joint up, and slowed until the URDF's torques are
+within theirs; what is still refused says why. Of the others, the one is looked for with the most information
+`A = sum Y_b' Y_b / s^2` in the base parameters over their sizes, `log det A / b - log tr A^-1`: both the volume of what
+stays unknown and its worst side; by steps that are kept when they help.
 """
 
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-import pinocchio as pin
 
 from ...errors import ConfigError
 from ...files import whole_file
 from ...model.regressor import Regressor
 from ...model.robot import Robot, speed_limits
+from ...model.tree.body import parameters
 from ...signals import Array
 from ...torque.pseudo_inertia import BODY
+from .clearance import clearances
 from .equations import Unknowns
 from .least_squares import Base, base_parameters, inverted
+from .limits import Limits, Refused, none_found
 from .programme import mass_matrix
 
 HARMONICS, FASTEST = (1, 2, 3, 5, 8, 13, 21, 34), 1.0  # of the duration; largest frequency [Hz]
-SHRUNK = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2)  # parts of a motion that are tried where links touch
+SHRUNK = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2)  # parts of a motion that are tried where links touch or weigh too much
 SAMPLES = 150  # of a candidate
 RATE = 100.0  # rows per second that are written and that a log is thought to have
 LOOKED = 40  # positions at which links are looked at
 THINNED = 5  # rows of which one is looked at when a motion is judged
+NEARER = (0.5, 0.25, 0.12, 0.06)  # of the range, in which a safe position is looked for
+SLOWED = 0.8 ** np.arange(10)  # speeds that are tried where torques are too large
+BEFORE = 1e-6  # information on a parameter over its size before any motion: what none shows leads the search nowhere
+STUCK = 1e-3  # range of a joint under which it does not move [rad or m]
+TRIED = 400  # candidates, of which none is a motion
 SLOWER = 10  # times that a motion is made slower at most, once it is found
 FAST = 1.5  # speed where the URDF states none [rad/s or m/s]
 REACH = np.pi  # of a joint without limits, either way [rad]
 BASE_SPEED, BASE_TURN = 0.4, 0.8  # of a base [m/s, rad/s]
 NOISE = 0.02  # of a torque, of its limit; of its RMS where the URDF states none
-SHARE = 0.8  # of a limit that is used
 FORCE, ROTOR = 0.01, 0.1  # size of friction, of a motor's limit; of a rotor, of the inertia that its joint feels
 
-
-@dataclass(frozen=True)
-class Limits:
-    """What a motion may do.
-
-    Args:
-        duration: [s].
-        space: Half the side of the square that the base stays in [m].
-        share: Of the limits of position, speed and torque that is used.
-        clearance: Radius of the spheres along the links [m]; 0 for no look at collisions.
-        seconds: Time to look for it [s].
-        seed: Of the search.
-
-    Raises:
-        ConfigError: A number that cannot be.
-    """
-
-    duration: float = 40.0
-    space: float = 1.0
-    share: float = SHARE
-    clearance: float = 0.06
-    seconds: float = 20.0
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name, least in (("duration", 5.0), ("space", 0.0), ("share", 0.0), ("clearance", 0.0), ("seconds", 0.0)):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= least) or (name == "share" and not 0 < value <= 1):
-                fix = "give a share up to 1" if name == "share" else f"give a finite number from {least:g}"
-                raise ConfigError(f"{value}", fix=fix, key=f"--{name}")
+Motion = tuple[Array, Array, Array, Array]  # times (N,), integrals of nu, nu, nudot, (N, p) each
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,12 +145,13 @@ def excite(robot: Robot, limits: Limits | None = None) -> Excitation:
         limits: What the motion may do.
 
     Raises:
-        ConfigError: No motion within the limits is free of collisions.
+        ConfigError: No motion is within the limits; with what most candidates were refused for.
     """
     limits = limits or Limits()
     search = Search.of(robot, limits)
     rng, end = np.random.default_rng(limits.seed), clock.monotonic() + limits.seconds
     best, value, step, tried = search.start(rng), -np.inf, 0.5, 0
+    refused: list[Refused] = []
     while value == -np.inf or tried < 40 or clock.monotonic() < end:
         fresh = value == -np.inf
         candidate = (
@@ -182,13 +161,14 @@ def excite(robot: Robot, limits: Limits | None = None) -> Excitation:
         )
         found = search.information(candidate)
         tried += 1
-        if found > value:
+        if isinstance(found, Refused):
+            refused.append(found)
+        elif found > value:
             best, value, step = candidate, found, min(1.0, 1.3 * step)
-        elif not fresh:
+        if not fresh and best is not candidate:
             step = max(0.02, 0.97 * step)
-        if fresh and tried >= 400:
-            why = f"of {tried} none keeps links {2 * limits.clearance:g} m apart, within torques, and moves all"
-            raise ConfigError("no motion found", why=why, fix="use a smaller --clearance or --share", key="--clearance")
+        if fresh and len(refused) >= TRIED:
+            raise search.none_found(refused)
     return search.described(best, tried)
 
 
@@ -205,7 +185,7 @@ class Search:
         torque: (p,) largest generalized forces, inf for none.
         noise: (p,) of the torques.
         apart: Distance of every pair of links over that allowed, of a position (n,); inf without pairs.
-        safe: (n,) a position with room around it; motions shrink towards it where links touch.
+        safe: (n,) a position with room around it where motors hold the arm up; motions shrink towards it.
     """
 
     unknowns: Unknowns
@@ -242,22 +222,41 @@ class Search:
         moves = np.ones(p, bool)
         base = base_parameters(unknowns, moves, moves)
         apart = clearances(robot, limits.clearance) if n and limits.clearance > 0 else lambda q: np.inf
-        rng = np.random.default_rng(limits.seed)
-        places = [
-            middle,
-            np.clip(rest, middle - half, middle + half),
-            *rng.uniform(middle - half, middle + half, (300, n)),
-        ]
-        safe = max(places, key=apart) if np.isfinite(apart(middle)) else middle
+        places = [middle, np.clip(rest, middle - half, middle + half)]
         low, high = middle - half, middle + half
-        return cls(unknowns, base, limits, limits.share * speed, low, high, limits.share * limit, noise, apart, safe)
+        made = cls(unknowns, base, limits, limits.share * speed, low, high, limits.share * limit, noise, apart, middle)
+        return replace(made, safe=made.roomiest(places, np.random.default_rng(limits.seed)))
+
+    def roomiest(self, places: Sequence[Array], rng: np.random.Generator) -> Array:
+        """A position (n,) with room between its links where motors hold the arm up, of some and of random ones.
+
+        It is looked for everywhere first, then ever nearer to the best.
+        """
+
+        def room(found: Sequence[Array] | Array) -> tuple[float, Array]:
+            held = self.weight(np.array(found)).max(axis=1)
+            every = [min(self.apart(q), 1 / one) for q, one in zip(found, held, strict=True)]
+            return max(every), found[int(np.argmax(every))]
+
+        half = (self.high - self.low) / 2
+        most, best = room([*places, *rng.uniform(self.low, self.high, (300, len(half)))])
+        for near in NEARER if most < np.inf else ():
+            at = np.clip(best + near * half * rng.uniform(-1, 1, (60, len(half))), self.low, self.high)
+            most, best = max((most, best), room(at), key=lambda one: one[0])
+        return best
+
+    def weight(self, q: Array) -> Array:
+        """Torque that holds the arm up over what is allowed, at positions (N, n), (N, p); above 0."""
+        still = np.zeros((len(q), len(self.torque)))
+        forces = np.abs(self.unknowns.regressor.along(q, still, still) @ parameters(self.unknowns.robot))
+        return np.asarray(np.maximum(forces / self.torque, 1e-12))
 
     def start(self, rng: np.random.Generator) -> Array:
         """A random candidate, (p, 2 harmonics + 1): coefficients, and where a joint's range is used."""
         return rng.standard_normal((len(self.speed), 2 * len(self.harmonics) + 1))
 
-    def motion(self, candidate: Array, samples: int) -> tuple[Array, Array, Array, Array] | None:
-        """Times, integrals of nu, nu and nudot of a candidate within the limits; None where links touch."""
+    def motion(self, candidate: Array, samples: int) -> Motion | Refused:
+        """Times, integrals of nu, nu and nudot of a candidate within limits of position and speed, its links apart."""
         T = self.limits.duration
         t = np.linspace(0.0, T, samples)
         w, order, count = 2 * np.pi / T, self.harmonics, len(self.harmonics)
@@ -270,7 +269,7 @@ class Search:
         v, dv = c @ a.T + s @ b.T, -(s * wave) @ a.T + (c * wave) @ b.T
         nb = self.unknowns.robot.dimensions.base
         size = np.abs(v).max(axis=0) / self.speed
-        size[nb:] = np.maximum(size[nb:], np.ptp(x[:, nb:], axis=0) / (self.high - self.low))
+        size[nb:] = np.maximum(size[nb:], np.ptp(x[:, nb:], axis=0) / np.maximum(self.high - self.low, 1e-12))
         x, v, dv = (part / np.maximum(size, 1e-12) for part in (x, v, dv))
         where = 1 / (1 + np.exp(-candidate[nb:, -1]))
         room = (self.high - self.low) - np.ptp(x[:, nb:], axis=0)
@@ -283,36 +282,55 @@ class Search:
                 part[:, forward] *= scale
         looked = x[:: max(1, samples // LOOKED), nb:]
         for share in SHRUNK:
-            if all(self.apart(self.safe + share * (q - self.safe)) > 1 for q in looked):
+            places = self.safe + share * (looked - self.safe)
+            nearest = 1.0
+            for q in places:
+                nearest = self.apart(q)
+                if nearest <= 1:
+                    break
+            if nearest > 1 and (self.weight(places) < 1).all():
                 x[:, nb:] = self.safe + share * (x[:, nb:] - self.safe)
                 v[:, nb:], dv[:, nb:] = share * v[:, nb:], share * dv[:, nb:]
                 return t, x, v, dv
-        return None
+        if nearest <= 1:
+            return Refused("links", min(map(self.apart, places)))
+        return self.overloaded("hold", self.weight(places))
 
-    def regressor(self, motion: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
+    def overloaded(self, what: Literal["hold", "move"], load: Array) -> Refused:
+        """A refusal of torques over what is allowed, (N, p), with the velocity that asks for the most."""
+        return Refused(what, float(load.max()), (self.unknowns.robot.velocity_names[int(load.max(axis=0).argmax())],))
+
+    def none_found(self, refused: Sequence[Refused]) -> ConfigError:
+        """What most candidates were refused for; see `limits.none_found`."""
+        robot, stuck = self.unknowns.robot, self.high - self.low < STUCK
+        names = [name for name, one in zip(robot.joint_names, stuck, strict=True) if one]
+        return none_found(refused, self.limits, 1 / SLOWED[-1], names, robot.dimensions.base > 0)
+
+    def regressor(self, motion: Motion) -> tuple[Array, float] | Refused:
         """Y_b (N, p, b) along a motion slowed into the torque limits, and the factor of its speed."""
         _, x, v, dv = motion
-        nb, slow = self.unknowns.robot.dimensions.base, 1.0
-        for _ in range(6):
+        nb = self.unknowns.robot.dimensions.base
+        for slow in SLOWED:
             Y = self.unknowns.matrix(x[:, nb:], slow * v, slow * slow * dv)
-            ratio = float((np.abs(Y @ self.unknowns.prior) / self.torque).max())
-            if ratio <= 1:
-                break
-            slow *= 0.8
-        return Y[:, :, self.base.independent], np.array(slow if ratio <= 1 else 0.0)
+            load = np.abs(Y @ self.unknowns.prior) / self.torque
+            if load.max() <= 1:
+                return Y[:, :, self.base.independent], float(slow)
+        return self.overloaded("move", load)
 
-    def information(self, candidate: Array) -> float:
-        """The information of a candidate, see the module; -inf where it may not be, or does not tell everything."""
+    def information(self, candidate: Array) -> float | Refused:
+        """The information of a candidate, see the module; or why it may not be, or does not tell everything."""
         motion = self.motion(candidate, SAMPLES)
-        if motion is None:
-            return -np.inf
-        Y, slow = self.regressor(motion)
-        if not slow > 0:
-            return -np.inf
+        found = motion if isinstance(motion, Refused) else self.regressor(motion)
+        if isinstance(found, Refused):
+            return found
+        Y, _ = found
         X = (Y * self.scale / self.noise[:, None]).reshape(-1, Y.shape[2])
-        values = np.linalg.eigvalsh(X.T @ X)
-        if not values[0] > 1e-12 * values[-1]:
-            return -np.inf
+        A = X.T @ X
+        _, seen, _ = inverted(A)
+        if not seen.all():
+            names = (self.unknowns.labels[i] for i in self.base.independent[~seen])
+            return Refused("unseen", 0.0, tuple(names))
+        values = np.linalg.eigvalsh(A) + BEFORE
         return float(np.log(values).mean() - np.log((1 / values).sum()))
 
     @cached_property
@@ -343,11 +361,14 @@ class Search:
     def described(self, candidate: Array, tried: int) -> Excitation:
         """The motion of a candidate at full rate, and what it would determine."""
         coarse = self.motion(candidate, SAMPLES)
-        assert coarse is not None
-        slow, nb = float(self.regressor(coarse)[1]), self.unknowns.robot.dimensions.base
+        assert not isinstance(coarse, Refused)
+        found, nb = self.regressor(coarse), self.unknowns.robot.dimensions.base
+        assert not isinstance(found, Refused)
+        slow = found[1]
         for _ in range(SLOWER):  # between samples torques may be larger
             fine = self.motion(candidate, 2 + round(self.limits.duration * RATE / max(slow, 1e-3)))
-            assert fine is not None
+            if isinstance(fine, Refused):  # between samples links may come closer
+                raise self.none_found([fine])
             t, x, v, dv = fine[0] / slow, fine[1], slow * fine[2], slow * slow * fine[3]
             forces = self.unknowns.matrix(x[::THINNED, nb:], v[::THINNED], dv[::THINNED]) @ self.unknowns.prior
             if (np.abs(forces) <= self.torque).all():
@@ -380,49 +401,6 @@ def driven(t: Array, v: Array, robot: Robot) -> Array:
     phi = integral(w)
     c, s = np.cos(phi), np.sin(phi)
     return np.column_stack((integral(c * vx - s * vy), integral(s * vx + c * vy), phi))
-
-
-# -- links apart -------------------------------------------------------------------------------------------------------
-
-
-def clearances(robot: Robot, radius: float) -> Callable[[Array], float]:
-    """Smallest distance of spheres on links that are not neighbours, over two radii, of a position (n,).
-
-    Spheres of one radius stand along the lines from each moving joint to the joints and centres that its body carries.
-    Spheres that touch at rest do not count.
-    """
-    model, offset, arm = robot.model, *robot.arm_map()
-    data, owners, places = model.createData(), [], []
-    moving = [j for j in range(1, model.njoints) if robot.T[model.idx_vs[j]].any() or model.nvs[j] == 3]
-    carrier = {j: j for j in moving}
-    for j in range(1, model.njoints):
-        carrier.setdefault(j, carrier.get(model.parents[j], 0))
-    for j in moving:
-        ends = [model.jointPlacements[k].translation for k in moving if model.parents[k] == j]
-        ends += [model.inertias[j].lever]
-        for end in ends:
-            for share in np.linspace(0.0, 1.0, max(2, int(np.linalg.norm(end) / max(2 * radius, 0.04)) + 1)):
-                owners.append(j)
-                places.append(share * end)
-    if not owners:
-        return lambda q: np.inf
-    owner, local = np.array(owners), np.array(places)
-    joints, index = np.unique(owner, return_inverse=True)
-    near = {(j, k) for j in moving for k in moving if j == k or model.parents[k] == j or model.parents[j] == k}
-    first, second = np.triu_indices(len(owner), 1)
-    far = np.array([(owner[a], owner[b]) not in near for a, b in zip(first, second, strict=True)])
-    first, second = first[far], second[far]
-
-    def distances(q: Array) -> Array:
-        pin.forwardKinematics(model, data, robot.configuration(offset + arm @ q))
-        frames = [data.oMi[int(j)] for j in joints]
-        turned, moved = np.array([f.rotation for f in frames]), np.array([f.translation for f in frames])
-        at = np.einsum("kij,kj->ki", turned[index], local) + moved[index]
-        return np.asarray(np.linalg.norm(at[first] - at[second], axis=1))
-
-    apart = distances(robot.rest[robot.arm_index]) > 2 * radius
-    first, second = first[apart], second[apart]
-    return lambda q: float(distances(q).min(initial=np.inf)) / (2 * radius)
 
 
 def eight_with_sines(search: Search, duration: float) -> Excitation:

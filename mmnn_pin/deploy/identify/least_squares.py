@@ -25,7 +25,8 @@ from scipy.signal import oaconvolve
 from ...signals import Array
 from .equations import ORDER, Bools, Equations, Unknowns
 
-RANK = 1e-9  # relative size of a column's new part under which it depends on the others
+RANK = 1e-9  # relative size of a column under which it is rounding
+DISTINCT = 5e-3  # new part of a column, of its length, under which it counts as depending on the others; see below
 NAMED = 1e-7  # coefficient of a combination, relative, under which it is rounding
 UNSEEN = 1e-10  # relative eigenvalue of the information under which a direction was not moved
 FAR = 4.0  # deviations (of the median) from which an equation counts less; from twice that not at all
@@ -63,6 +64,10 @@ class Base:
 def base_parameters(unknowns: Unknowns, rows: Bools, moves: Bools, samples: int = 300, seed: int = 0) -> Base:
     """The combinations that some rows depend on, whatever the motion.
 
+    A parameter that adds less than `DISTINCT` of its effect to what others do counts as theirs: no noisy motion tells
+    it apart. Axes that a file makes parallel with `rpy="1.57 0 0"`, which misses a right angle by 8e-4, leave such
+    parameters (a Kinova Gen3 lite: 1e-3; with 1.5708, 6e-6); those that are a robot's own add 0.1 and more.
+
     Args:
         unknowns: What is fitted.
         rows: (r,) whether a row counts.
@@ -81,7 +86,7 @@ def base_parameters(unknowns: Unknowns, rows: Bools, moves: Bools, samples: int 
     size = np.linalg.norm(Y, axis=0)
     active = np.flatnonzero(size > RANK * size.max(initial=0.0))
     R, pivot = qr(Y[:, active] / size[active], mode="r", pivoting=True)
-    rank = int(np.sum(np.abs(np.diag(R)) > RANK * abs(R[0, 0])))
+    rank = int(np.sum(np.abs(np.diag(R)) > DISTINCT * abs(R[0, 0])))
     relation = np.linalg.solve(R[:rank, :rank], R[:rank, rank:])
     lead, rest = active[pivot[:rank]], active[pivot[rank:]]
     combination = np.zeros((rank, unknowns.size))

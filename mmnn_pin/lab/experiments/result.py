@@ -23,6 +23,7 @@ from ...settings.shown import Page, Picture, Table
 from .controllers import LEARNERS, effective
 from .experiment import Experiment
 from .hand import HandErrors
+from .outliers import outliers
 from .thesis import beside_the_thesis, figure_ranges
 
 
@@ -142,10 +143,14 @@ class Result(Mapping[str, Recording]):
             **self.largest_errors(),
             **({"hand": {name: told(errors) for name, errors in self.hand.items()}} if any(self.hand.values()) else {}),
             "unfair": unfair(self.experiment, self.metrics),
-            "notes": list(self.notes),
+            "notes": [*self.notes, *self.outliers()],
         }
         about = {"experiment": self.name, "variant": self.experiment.variant, "robot": self.experiment.robot}
         return about | {"runs": runs, "comparison": comparison}
+
+    def outliers(self) -> list[str]:
+        """Runs that throw a joint about, or shake a motor, as no other run does: a sentence each."""
+        return outliers(self.recordings, self.metrics)
 
     def improvements(self) -> dict[str, dict[str, Improvement]]:
         """What of each learner's improvement over PD is gain and what is learning, see `improvements`."""

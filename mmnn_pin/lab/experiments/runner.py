@@ -14,6 +14,7 @@ from ...model.robot import Robot
 from ...recording.metrics import metrics
 from ...recording.recording import Recording, as_columns
 from ...reference import warnings
+from ...sensing import Sensor
 from ...settings import finite
 from ...settings.arguments import checked
 from ...torque.controller import TorqueController
@@ -57,7 +58,8 @@ def run_experiment(
     require_runnable(experiment, robot)
     require_free([file for file in files.values() if file], force)
     runs: dict[str, Recording] = {}
-    notes = [*window_notes(experiment), *reference_notes(experiment, robot), *weak_notes(robot)]
+    notes = [*window_notes(experiment), *reference_notes(experiment, robot)]
+    notes += [*sensor_notes(experiment.sensor, robot), *weak_notes(robot)]
     duration, learners = experiment.time.duration, effective(wanted)
     for controller in in_order(wanted):
         learner = runs.get(learners.get(controller, ""))
@@ -83,6 +85,24 @@ def run_experiment(
         notes += hand_notes(experiment, robot)
     notes += [*margin_notes(experiment, kept), *limit_notes(robot, kept)]
     return Result(experiment, name, kept, numbers, tuple(notes), hand)
+
+
+INEXACT = ("noise", "wheel_noise", "resolution", "wheel_resolution")  # of encoders
+
+
+def sensor_notes(sensor: Sensor, robot: Robot) -> list[str]:
+    """What inexact encoders leave exact: velocities and pose, unless these come from the encoders or have noise."""
+    said = [f"sensor.{name}" for name in INEXACT if np.any(getattr(sensor, name))]
+    exact = {
+        "velocities": sensor.velocity == "true" and not np.any(sensor.velocity_noise),
+        "the base's pose": robot.dimensions.base > 0 and sensor.pose == "true" and not np.any(sensor.pose_noise),
+    }
+    left = [name for name, is_exact in exact.items() if is_exact]
+    if not said or "velocities" not in left:
+        return []
+    fix = 'sensor.velocity="filtered" takes velocities from the encoders, sensor.velocity_noise gives them noise'
+    are = "are" if len(said) > 1 else "is"
+    return [f"{' and '.join(said)} {are} of encoders alone: {' and '.join(left)} stay exact; {fix}"]
 
 
 def weak_notes(robot: Robot) -> list[str]:

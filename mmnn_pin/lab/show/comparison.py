@@ -210,10 +210,10 @@ def outcome_cell(recording: Recording) -> Cell:
 
 
 def notes(result: Result) -> list[str]:
-    """What the user should know: how runs ended, what their weights show, and notes on the settings."""
+    """What the user should know: how runs ended, what their weights show, which stand out, notes on the settings."""
     messages = {name: recording.outcome.message for name, recording in result.recordings.items()}
     ends = [text if text.startswith(name) else f"{name}: {text}" for name, text in messages.items() if text]
-    return [*ends, *result.notes]
+    return [*ends, *result.outliers(), *result.notes]
 
 
 def hand_table(result: Result) -> Table:

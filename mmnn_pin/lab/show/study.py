@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from ..study.choice import Level, advice, best_of, gains_of, levels
+from ..study.intervals import Interval, quantile, rate
 from ..study.results import Results
-from ..study.verdict import Interval, quantile, rate, sentences, verdict
+from ..study.verdict import sentences, verdict
 from .figure import pictures
 from .files import HtmlPage, fill_template
 from .study_figures import shares, shown_unit, titled
@@ -21,8 +22,9 @@ WORST = 5  # runs of each controller that are named
 SIGNIFICANT = 0.01
 QUANTILES = {"median": 0.5, "95 %": 0.95}
 CAPTION = (
-    "95 %: what 95 % of the runs stay below. [a, b]: 95 % confidence interval, of draws as if independent. A run that "
-    "did not complete counts as worse than all others. A dash: not enough runs completed, or too few to bound it."
+    "95 %: what 95 % of the runs stay below. [a, b]: 95 % confidence interval, of draws as if independent; runs that "
+    "share a draw are not. A run that did not complete counts as worse than all others. A dash: not enough runs "
+    "completed, or too few to bound it."
 )
 
 
@@ -107,7 +109,7 @@ def outcome_rows(results: Results) -> Iterator[Row]:
     for status in statuses:
         first = "runs" if status == "completed" else ""
         yield row_of(first, status, *(str(count[status]) for count in counts.values()))
-    rates = (rate(int(s.sum()), len(s)) for s in map(results.succeeded, results.controllers))
+    rates = (rate(results.succeeded(name), results.draws(name)) for name in results.controllers)
     yield row_of("success [%]", "", *(interval_text(interval, 100.0) for interval in rates))
 
 
@@ -117,7 +119,8 @@ def quantile_rows(results: Results) -> Iterator[Row]:
         scale, unit = shown_unit(results, pattern)
         for words, q in QUANTILES.items():
             first = titled(pattern, unit) if words == "median" else ""
-            intervals = (quantile(results.metric(name, pattern), q) for name in results.controllers)
+            every = ((results.metric(name, pattern), results.draws(name)) for name in results.controllers)
+            intervals = (quantile(values, q, draws) for values, draws in every)
             yield row_of(first, words, *(interval_text(interval, scale) for interval in intervals))
 
 
@@ -133,12 +136,12 @@ def to_dict(results: Results) -> dict[str, Any]:
         name: {
             "runs": len(results.of[name]),
             "outcomes": dict(results.outcomes(name)),
-            "success": rate(int(results.succeeded(name).sum()), len(results.of[name])).to_dict(),
+            "success": rate(results.succeeded(name), results.draws(name)).to_dict(),
             "metrics": {
-                pattern: {
-                    "unit": results.unit(pattern),
-                    "median": quantile(results.metric(name, pattern), 0.5).to_dict(),
-                    "q95": quantile(results.metric(name, pattern), 0.95).to_dict(),
+                pattern: {"unit": results.unit(pattern)}
+                | {
+                    key: quantile(results.metric(name, pattern), q, results.draws(name)).to_dict()
+                    for key, q in (("median", 0.5), ("q95", 0.95))
                 }
                 for pattern in results.patterns
             },

@@ -10,8 +10,9 @@ import numpy as np
 from ...signals import Array, IntArray
 from ..study.choice import gains_of, levels
 from ..study.factors import is_number
+from ..study.intervals import rate
 from ..study.results import Results
-from ..study.verdict import Share, bins_of, levels_of, rate, share_of
+from ..study.verdict import Share, bins_of, levels_of, share_of
 from .figure import Look, add_legend, axes_grid, figure, log_ticks, new_figure, plain, styles_of_controllers
 
 if TYPE_CHECKING:
@@ -94,7 +95,8 @@ def draw_rates(axes: Axes, results: Results, name: str) -> None:
         values = results.values(controller, name)
         groups, success = bins_of(values, factor.numeric), results.succeeded(controller)
         x, labels = centres(values, groups, factor.numeric)
-        found = [rate(int(success[groups == g].sum()), int((groups == g).sum())) for g in range(len(x))]
+        draws = results.draws(controller)
+        found = [rate(success[groups == g], draws[groups == g]) for g in range(len(x))]
         y = np.array([interval.value for interval in found])
         bars = np.array([[r.value - r.low for r in found], [r.high - r.value for r in found]])
         x = x if not labels else x + 0.06 * (i - 1)
@@ -128,7 +130,9 @@ def shares(results: Results, result: str) -> dict[str, dict[str, Share]]:
     for controller in results.controllers:
         values = ~results.succeeded(controller) if result == "success" else results.metric(controller, result)
         found[controller] = {
-            name: share_of(results.values(controller, name), values.astype(float), factor.numeric)
+            name: share_of(
+                results.values(controller, name), values.astype(float), factor.numeric, results.groups(controller, name)
+            )
             for name, factor in results.factors.items()
         }
     return found

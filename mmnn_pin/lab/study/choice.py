@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from ...torque import CONTROLLERS
+from .intervals import Interval, quantile, rate
 from .results import Results
-from .verdict import Interval, bins_of, quantile, rate
+from .verdict import bins_of
 
 # First parts of the keys that somebody can choose.
 GAINS = {"feedback", "kinematic", "robust", "robust_of", *(one.key.partition(".")[0] for one in CONTROLLERS.values())}
@@ -70,7 +71,7 @@ def levels(results: Results, controller: str, factor: str) -> list[Level]:
     values = results.values(controller, factor)
     about = results.factors[factor]
     numeric = about.numeric or all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
-    groups, success = bins_of(values, numeric), results.succeeded(controller)
+    groups, success, draws = bins_of(values, numeric), results.succeeded(controller), results.draws(controller)
     metrics = {pattern: results.metric(controller, pattern) for pattern in results.patterns}
     rows = results.of[controller]
     margins, asked = (np.array([row.metrics.get(key, math.nan) for row in rows]) for key in (MARGIN, ASKED))
@@ -85,8 +86,8 @@ def levels(results: Results, controller: str, factor: str) -> list[Level]:
                 low=low,
                 high=high,
                 runs=len(own),
-                success=rate(int(success[inside].sum()), len(own)),
-                medians={pattern: quantile(each[inside], 0.5) for pattern, each in metrics.items()},
+                success=rate(success[inside], draws[inside]),
+                medians={p: quantile(each[inside], 0.5, draws[inside]) for p, each in metrics.items()},
                 margin=float(margins[inside].min()),
                 asked=float(asked[inside].max()),
             )

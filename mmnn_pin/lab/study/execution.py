@@ -20,7 +20,7 @@ from ...loop.batch import needed_bytes
 from ...loop.compiled import CompiledLoop
 from ...loop.side_by_side import WORTH
 from ...recording.metrics import Reducer, metrics
-from ...recording.recorder import versions
+from ...recording.versions import versions
 from ..experiments.controllers import EFFECTIVE
 from .plan import Plan, short
 from .pools import Pool, root_of

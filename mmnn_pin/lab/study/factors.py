@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from ...elementary import exp, log
 from ...elementary.normals import probability, quantile
 from ...errors import ConfigError
 from ...settings import Settings
-from ...signals import Array
+from ...signals import Array, IntArray
 
 DRAWN = ("uniform", "log_uniform", "normal", "log_normal", "triangular", "integer", "choice")
 KINDS = ("grid", *DRAWN)
@@ -188,6 +188,19 @@ QUANTILES: dict[str, Callable[[Any, float], float]] = {
     "log_normal": lambda numbers, u: numbers[0] * exp(numbers[1] * quantile(u)),
     "triangular": triangular,
 }
+
+
+def draws_of(factors: Mapping[str, Factor], runs: Sequence[tuple[Mapping[str, Any], int]]) -> IntArray:
+    """Number of the draw of every run, (n,): runs for which the same was drawn, of one seed where nothing is drawn.
+
+    Args:
+        factors: Of the study.
+        runs: Values of the factors, and the seed.
+    """
+    drawn = [name for name, factor in factors.items() if factor.drawn]
+    keys = [repr([values[name] for name in drawn] if drawn else seed) for values, seed in runs]
+    number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+    return np.array([number[key] for key in keys], np.int64)
 
 
 def unit_cube(method: str, points: int, size: int, seed: int) -> Array:

@@ -22,8 +22,8 @@ from ...errors import InputError, StudyError, UnknownName
 from ...model.robot import Robot
 from ...settings import plain
 from ...settings.arguments import shortly
-from ...signals import Array
-from .factors import Factor, is_number
+from ...signals import Array, IntArray
+from .factors import Factor, draws_of, is_number
 from .keys import near
 from .settings import StudySettings
 from .store import AGAIN, NAME, Stored, reading
@@ -104,6 +104,19 @@ class Results:
     def values(self, controller: str, factor: str) -> list[Any]:
         """Value of a factor in every run of a controller."""
         return [row.parameters[factor] for row in self.of[controller]]
+
+    def draws(self, controller: str) -> IntArray:
+        """Number of the draw of every run of a controller, (n,): what is drawn is equal there.
+
+        Where nothing is drawn, runs of one seed share that.
+        """
+        return draws_of(self.settings.factors, [(row.parameters, row.seed) for row in self.of[controller]])
+
+    def groups(self, controller: str, factor: str) -> IntArray:
+        """Number of the group of every run of a controller, (n,), of runs with one value of a factor and one draw."""
+        pairs = zip(self.draws(controller), self.values(controller, factor), strict=True)
+        keys = [f"{draw} {value!r}" for draw, value in pairs]
+        return np.asarray(np.unique(keys, return_inverse=True)[1], np.int64)
 
     def paired(self, one: str, other: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Places of the runs of two controllers that both have, draw by draw."""

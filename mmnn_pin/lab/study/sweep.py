@@ -20,7 +20,7 @@ from ...errors import ConfigError, UnknownName
 from ...loop.batch import Run, simulate_many
 from ...loop.loop import Loop
 from ...model.robot import Robot
-from ...recording.recorder import versions
+from ...recording.versions import versions
 from ...reference import Trajectory
 from ...settings import plain
 from ...settings.arguments import checked_but, fits, shortly

@@ -8,6 +8,7 @@ gains break it.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 import shlex
@@ -28,20 +29,20 @@ from ...errors import ConfigError, MmnnError, StudyError
 from ...files import locked
 from ...loop.loop import Loop
 from ...sensing import Sensor
-from ...signals import Array
+from ...signals import Array, IntArray
 from ...torque.neural import Neural
 from ..experiments.config import value_at
 from ..proof.rate import rate_of
 from ..proof.subject import Subject
 from .execution import execute
-from .factors import Factor
+from .factors import Factor, draws_of
+from .intervals import Interval, quantile
 from .keys import require_path, times
 from .plan import Plan, changed_base, plan_of
 from .pools import Pool
 from .results import worth
 from .settings import StudyFile, Tune, placing
 from .store import AGAIN, require_kept, require_there, storage_error
-from .verdict import Interval, quantile
 from .worker import loop_of, optional
 
 NAME = "tune.sqlite"
@@ -60,17 +61,19 @@ class Score:
         quantile: Which counts.
         refused: Share of runs on which the gains break a constraint; nothing was run then.
         complaint: One of these complaints.
+        draws: (n,) number of the draw of every run; None where each has its own.
     """
 
     metric: Array
     quantile: float
     refused: float = 0.0
     complaint: str = ""
+    draws: IntArray | None = None
 
     @property
     def interval(self) -> Interval:
         """The quantile with its confidence interval."""
-        return quantile(self.metric, self.quantile)
+        return quantile(self.metric, self.quantile, self.draws)
 
     @property
     def lost(self) -> float:
@@ -115,16 +118,15 @@ class Scorer:
         """
         plan = self.plan(gains)
         if complaints := list(violations(plan)):
-            share = len(complaints) / len(judged(plan))
-            return Score(np.zeros(0), self.tune.quantile, share, complaints[0])
-        metric = np.full(len(plan), math.inf)
-        groups = execute(self.pool, plan, range(len(plan)), self.handed)
-        for row, done in (pair for group in groups for pair in group):
+            return Score(np.zeros(0), self.tune.quantile, len(complaints) / len(judged(plan)), complaints[0])
+        metric, runs = np.full(len(plan), math.inf), [(dict[str, Any](), 0)] * len(plan)
+        for row, done in itertools.chain.from_iterable(execute(self.pool, plan, range(len(plan)), self.handed)):
             if done.status == "failed":
                 raise MmnnError(f"a run failed: {done.message}")
             metric[row.id] = worth(done.status, done.metrics, self.tune.objective)
+            runs[row.id] = row.parameters, row.seed
         self.pool = replace(self.pool, first_alone=False)
-        return Score(metric, self.tune.quantile)
+        return Score(metric, self.tune.quantile, draws=draws_of(self.study.settings.factors, runs))
 
     def plan(self, gains: Mapping[str, Any]) -> Plan:
         """The runs of one set of gains."""
@@ -232,10 +234,10 @@ class Tuned:
         ]
         if self.fresh is not None:
             lines.append(f"on {len(self.fresh[1].metric) or t.check} runs with fresh draws:")
-            for name, score in zip(("own gains", "best gains"), self.fresh, strict=True):
+            for name, score in zip(("own", "best"), self.fresh, strict=True):
                 span = "" if score.refused else f" [{score.interval.low:.4g}, {score.interval.high:.4g}]"
                 lost = f"{100 * score.lost:.1f} % of runs not completed"
-                lines.append(f"  {name}: {value_words(score.value)}{span}, {lost}")
+                lines.append(f"  {name} gains: {value_words(score.value)}{span}, {lost}")
             if self.passed_over:
                 lines.append(f"  {self.passed_over} better on the study's draws, refused by a constraint on these")
         settings = (shlex.quote(f"{path}={json.dumps(value)}") for path, value in self.best.items())
@@ -243,13 +245,11 @@ class Tuned:
 
     def to_dict(self) -> dict[str, Any]:
         """The result for JSON."""
-        fresh = self.fresh and {
-            name: {"quantile": score.interval.to_dict(), "lost": score.lost, "refused": score.refused}
-            for name, score in zip(("own", "best"), self.fresh, strict=True)
-        }
+        scores = zip(("own", "best"), self.fresh or (), strict=self.fresh is not None)
+        of = {n: {"quantile": s.interval.to_dict(), "lost": s.lost, "refused": s.refused} for n, s in scores}
         about = {"controller": self.tune.controller, "objective": self.tune.objective, "quantile": self.tune.quantile}
-        counts = {"trials": self.trials, "refused": self.refused, "passed_over": self.passed_over, "own": self.own}
-        return about | counts | {"best": self.value, "gains": self.best, "fresh": fresh}
+        counts = {"trials": self.trials, "refused": self.refused, "passed_over": self.passed_over}
+        return about | counts | {"own": self.own, "best": self.value, "gains": self.best, "fresh": of or None}
 
 
 def value_words(value: float | None) -> str:

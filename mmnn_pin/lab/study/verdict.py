@@ -1,86 +1,31 @@
 """What numbers of many runs show, and the answer of a study: which controller to take, and within which values.
 
-Confidence intervals of 95 % that assume no distribution, a paired test of two rates, and how much of a result each
-factor decides: first-order variance shares from the runs themselves. The box of factors in which a controller succeeds
-often enough is found on half of the runs and judged on the other half. The search peels thin slices off the box where
-they cost most successes (PRIM: Friedman and Fisher, 1999) and then takes back every cut that is not needed.
+How much of a result each factor decides: first-order variance shares from the runs themselves. The box of factors in
+which a controller succeeds often enough is found on half of the draws and judged on the other half. The search peels
+thin slices off the box where they cost most successes (PRIM: Friedman and Fisher, 1999) and then takes back every cut
+that is not needed.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import binom, binomtest, rankdata, spearmanr
 from scipy.stats import f as f_distribution
+from scipy.stats import rankdata, spearmanr
 
 from ...signals import Array, IntArray
 from .factors import Factor
+from .intervals import Interval, Mask, differ, percent, rate
 from .results import Results
 
-LEVEL = 0.95
 BINS = 8
 CHANCE = 0.05  # two rates differ where chance alone would do so less often than this
 SLICE = 0.06  # share of the box that a peel takes
 SMALLEST = 0.08  # share of the runs that a box must hold
 FEWEST = 20  # runs of either half that it must hold
-Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Interval:
-    """An estimate with its confidence interval."""
-
-    value: float
-    low: float
-    high: float
-
-    def to_dict(self) -> dict[str, float | None]:
-        """For JSON, which knows no inf and no nan."""
-        parts = {"value": self.value, "low": self.low, "high": self.high}
-        return {name: number if math.isfinite(number) else None for name, number in parts.items()}
-
-
-def rate(successes: int, runs: int) -> Interval:
-    """A share with Wilson's interval; nan without runs."""
-    if not runs:
-        return Interval(math.nan, 0.0, 1.0)
-    found = binomtest(successes, runs).proportion_ci(LEVEL, "wilson")
-    return Interval(successes / runs, float(found.low), float(found.high))
-
-
-def quantile(values: Array, q: float) -> Interval:
-    """A quantile with the interval between two order statistics, whose ranks are binomial.
-
-    Args:
-        values: (n,) independent draws; inf is larger than all others.
-        q: Which, between 0 and 1.
-    """
-    n = len(values)
-    if not n:
-        return Interval(math.nan, math.nan, math.nan)
-    ordered = np.sort(values)
-    low, high = (int(binom.ppf(p, n, q)) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
-    return Interval(
-        float(np.quantile(ordered, q, method="inverted_cdf")),
-        float(ordered[low - 1]) if low > 0 else -math.inf,
-        float(ordered[high]) if high < n else math.inf,
-    )
-
-
-def differ(one: Mask, other: Mask) -> float:
-    """Probability of so unequal successes by chance: McNemar's exact test on runs with equal draws.
-
-    Args:
-        one: (n,) successes of one controller.
-        other: (n,) of another one, on the same draws.
-    """
-    wins, losses = int((one & ~other).sum()), int((other & ~one).sum())
-    return float(binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
 
 
 @dataclass(frozen=True)
@@ -99,7 +44,7 @@ class Share:
     p: float
 
 
-def share_of(values: Sequence[Any], result: Array, ordered: bool) -> Share:
+def share_of(values: Sequence[Any], result: Array, ordered: bool, groups: IntArray | None = None) -> Share:
     """Share of one factor in one result.
 
     The estimate from given data: the variance between the means of bins of the factor over the whole variance
@@ -109,24 +54,28 @@ def share_of(values: Sequence[Any], result: Array, ordered: bool) -> Share:
         values: (n,) the factor's.
         result: (n,) the result; inf is the worst.
         ordered: Whether the values have an order.
+        groups: (n,) number of the group of every run, of runs with one value that are not independent of each other;
+            None where all are.
     """
     ranks = rankdata(np.where(np.isnan(result), np.inf, result))
-    groups = bins_of(values, ordered)
-    n, k = len(ranks), int(groups.max(initial=-1)) + 1
+    bins = bins_of(values, ordered)
+    n, k = len(ranks), int(bins.max(initial=-1)) + 1
     total = float(((ranks - ranks.mean()) ** 2).sum()) if n else 0.0
     varies = bool(n) and ordered and np.ptp(np.asarray(values, float)) > 0 and np.ptp(ranks) > 0
     direction = float(spearmanr(np.asarray(values, float), ranks).statistic) if varies else np.nan
     if k < 2 or n <= k or total == 0:
         return Share(0.0, direction if total else np.nan, 1.0)
-    counts = np.bincount(groups, minlength=k)
-    means = np.bincount(groups, ranks, minlength=k) / counts
+    counts = np.bincount(bins, minlength=k)
+    means = np.bincount(bins, ranks, minlength=k) / counts
     between = float((counts * (means - ranks.mean()) ** 2).sum())
-    within = max(total - between, 0.0)
-    noise = within / (n - k)
+    alone = np.arange(n) if groups is None else np.unique(groups, return_inverse=True)[1]
+    sums, free = np.bincount(alone, ranks - means[bins]), int(alone.max()) + 1 - k
+    if free < 1:
+        return Share(0.0, direction, 1.0)
+    noise = float((sums**2 / np.bincount(alone)).sum()) / free  # of a bin's mean, times its runs
     ratio = between / (k - 1) / noise if noise > 0 else np.inf
-    return Share(
-        max(0.0, (between - (k - 1) * noise) / total), direction, float(f_distribution.sf(ratio, k - 1, n - k))
-    )
+    p = float(f_distribution.sf(ratio, k - 1, free))
+    return Share(max(0.0, (between - (k - 1) * noise) / total), direction, p)
 
 
 def bins_of(values: Sequence[Any], ordered: bool, most: int = BINS) -> IntArray:
@@ -241,7 +190,7 @@ class Verdict:
 def verdict(results: Results) -> Verdict:
     """The answer: most successes on equal draws; among those not told apart the smallest median of the first metric."""
     good = {name: results.succeeded(name) for name in results.controllers}
-    rates = {name: rate(int(s.sum()), len(s)) for name, s in good.items()}
+    rates = {name: rate(s, results.draws(name)) for name, s in good.items()}
     wanted = results.settings.success.wanted
     best = max(rates, key=lambda name: rates[name].value)
     if rates[best].value == 0:
@@ -253,21 +202,26 @@ def verdict(results: Results) -> Verdict:
         medians = {name: float(np.median(results.metric(name, deciding))) for name in (best, *alike)}
         best = min(medians, key=lambda name: medians[name] if medians[name] < np.inf else np.inf)  # NaN is none
         alike = [name for name in rates if name != best and chance(results, best, name) > CHANCE / len(others)]
-    points = np.unique([row.point for row in results.of[best]], return_inverse=True)[1]
-    half = (np.random.default_rng(0).random(points.max() + 1) < 0.5)[points]  # finds the region; the others judge it
+    draws = results.draws(best)
+    half = (np.random.default_rng(0).random(draws.max() + 1) < 0.5)[draws]  # finds the region; the others judge it
     values = {name: results.values(best, name) for name in results.factors}
-    region = region_of(values, results.factors, good[best], half, wanted)
+    region = region_of(values, results.factors, good[best], half, wanted, draws)
     return Verdict(best, rates, tuple(alike), deciding, region, wanted)
 
 
 def chance(results: Results, one: str, other: str) -> float:
     """Probability that two controllers differ so much by chance, on their common draws."""
     here, there = results.paired(one, other)
-    return differ(results.succeeded(one)[here], results.succeeded(other)[there])
+    return differ(results.succeeded(one)[here], results.succeeded(other)[there], results.draws(one)[here])
 
 
 def region_of(
-    values: Mapping[str, Sequence[Any]], factors: Mapping[str, Factor], success: Mask, half: Mask, wanted: float
+    values: Mapping[str, Sequence[Any]],
+    factors: Mapping[str, Factor],
+    success: Mask,
+    half: Mask,
+    wanted: float,
+    draws: IntArray | None = None,
 ) -> Region | None:
     """The largest box found in which at least the wanted share succeeds; None where there is none.
 
@@ -277,6 +231,7 @@ def region_of(
         success: (n,) which runs succeeded.
         half: (n,) which runs find the box; the others judge it.
         wanted: Share of successes.
+        draws: (n,) number of the draw of every run; None where each has its own.
     """
     cuts: dict[str, Cut] = {}
     inside = np.ones(len(success), bool)
@@ -297,7 +252,8 @@ def region_of(
     cuts = needed(cuts, values, success, half, wanted)
     inside = runs_within(cuts, values, len(success))
     judged = inside & ~half
-    return Region(tuple(cuts.values()), float(inside.mean()), rate(int(success[judged].sum()), int(judged.sum())))
+    found = rate(success[judged], None if draws is None else draws[judged])
+    return Region(tuple(cuts.values()), float(inside.mean()), found)
 
 
 def peels(name: str, factor: Factor, values: Sequence[Any], inside: Mask, cut: Cut | None) -> list[Cut]:
@@ -380,8 +336,3 @@ def describe_region(results: Results, found: Verdict) -> str:
     units = {n: f.unit or "times the experiment's" * f.relative for n, f in results.factors.items()}
     cuts = ", ".join(cut.describe(units[cut.factor]) for cut in where.cuts)
     return f"Within {cuts} ({100 * where.share:.0f} % of all draws) it succeeds in {checked} ({wanted} were asked)."
-
-
-def percent(interval: Interval) -> str:
-    """A rate with its interval."""
-    return f"{100 * interval.value:.1f} % [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"

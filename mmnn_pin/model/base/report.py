@@ -28,6 +28,8 @@ from .wheels import HUB, LUMPY, PARTIAL, TILTED, TOUCHING, Candidate, Candidates
 STRAIGHT = 0.7  # cosine of the largest angle between rolling direction and root link that is not told
 
 LARGE, WIDE = 2.0, 3.0  # [m], fraction of the track; no wheel of a robot has a larger radius
+NO_FRICTION = "no joint has damping or friction"
+
 HUGE = 20.0  # [m], no robot has a larger track
 
 SAME_RADIUS = 0.01  # radii that differ by more than this fraction are told
@@ -64,6 +66,7 @@ CODES = {
     # the arm and the rest
     "arm-locked": "note",
     "arm-weak": "warning",
+    "no-friction": "note",
     "welded": "warning",
     "pinocchio": "warning",
     "overrides": "note",
@@ -219,6 +222,21 @@ def weak_notes(rest: AtRest, names: Sequence[str], held: Array, limits: Array) -
             fix = f"correct effort in its <limit>, or --lock {name}"
             found.append(note(rest, "arm-weak", name, what, "no controller holds it up", fix, about=name))
     return found
+
+
+def friction_notes(rest: AtRest, damping: Array, coulomb: Array) -> list[Finding]:
+    """That no joint has friction.
+
+    Args:
+        rest: The robot.
+        damping: (nv,) of all joints.
+        coulomb: (nv,) their dry friction.
+    """
+    if np.any(damping) or np.any(coulomb):
+        return []
+    why = "runs have none, and a real gear takes a good part of a small motor's torque"
+    fix = "state it in <dynamics>, find it with mmnn identify, or try some: --set friction.arm=0.1"
+    return [note(rest, "no-friction", "", NO_FRICTION, why, fix, about="")]
 
 
 def weld_notes(rest: AtRest, kinds: dict[str, str]) -> list[Finding]:

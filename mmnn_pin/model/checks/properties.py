@@ -19,7 +19,8 @@ from ...settings.arguments import checked
 from ...settings.shown import AsText
 from ...signals import Array
 from ..base.differential import DifferentialDrive
-from ..robot import Robot
+from ..base.report import NO_FRICTION
+from ..robot import Robot, revolute
 from .nonholonomy import Nonholonomy, nonholonomy
 from .residuals import (
     DEFINITE,
@@ -115,7 +116,7 @@ class Report(AsText):
         bounds: Estimated bounds.
         nonholonomic: The Frobenius test.
         skipped: Properties that could not be checked, and why.
-        notes: What to know of the states that were drawn.
+        notes: What to know of the states that were drawn, and of the robot.
     """
 
     robot: str
@@ -203,10 +204,12 @@ def check(
 
 
 def notes_of(robot: Robot) -> tuple[str, ...]:
-    """What to know of the states that were drawn: limits that were not taken at their word."""
+    """What to know of the states that were drawn, limits that were not taken at their word; and of no friction."""
     names = zip(robot.position_names, unlimited(robot), robot.lower, strict=True)
     wide = ", ".join(name for name, free, low in names if free and np.isfinite(low))
-    return (f"limits too wide to be meant, positions drawn within +-pi or +-1 m: {wide}",) if wide else ()
+    found = [f"limits too wide to be meant, positions drawn within +-pi or +-1 m: {wide}"] if wide else []
+    smooth = not (robot.damping.any() or robot.coulomb.any() or robot.viscous.any())
+    return (*found, *[f"note: {NO_FRICTION}: nothing is lost in `passive`"] * smooth)
 
 
 def worse(a: float | None, b: float, at_least: bool) -> float:
@@ -240,13 +243,6 @@ def unlimited(robot: Robot) -> Array:
     with np.errstate(invalid="ignore", over="ignore"):
         travel = robot.upper - robot.lower
     return np.asarray(~(travel <= np.where(revolute(robot), HUGE_TURN, HUGE_TRAVEL)))
-
-
-def revolute(robot: Robot) -> Array:
-    """Which positions are angles, (nv,) bool."""
-    root = robot.dimensions.pose
-    kinds = [joint.shortname().removeprefix("JointModel") for joint in robot.model.joints][2 if root else 1 :]
-    return np.array([False, False, True][:root] + ["R" in kind for kind in kinds])
 
 
 def residuals_at(terms: Terms, position: Array, v: Array, nu: Array) -> dict[str, float]:

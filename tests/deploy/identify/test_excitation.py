@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from closed_form import inertial, joint
+from robots import dynamics, place, robot_of
 
 from mmnn_pin import Feedback, Measurement, Setpoint, Stepper, Trajectory, load, load_experiment
 from mmnn_pin.cli import main
@@ -164,7 +166,73 @@ def test_the_printed_command_drives_the_motion_as_it_is(
     np.testing.assert_allclose(asked, table["positionarm_1_joint"], atol=2e-3)
 
 
-def test_links_that_never_come_apart_are_refused(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mmnn_pin.deploy.identify.excitation.clearances", lambda robot, radius: lambda q: 0.5)
-    with pytest.raises(ConfigError, match="no motion found"):
-        excite(robot, Limits(seconds=0.0))
+def hanging_arm(right: float = np.pi / 2, effort: float = 200.0, range_of_last: float = 3.0) -> str:
+    """A fixed arm of three joints; the last two turn alike, but for what `right` misses a right angle by."""
+    text = '<robot name="hanging"><link name="base"/>'
+    for i, turn in enumerate((0.0, right, -2 * right)):
+        high = 3.0 if i < 2 else range_of_last
+        limit = f'<limit lower="{-high}" upper="{high}" effort="{effort}" velocity="2"/>' + dynamics(0.1, 0.2)
+        at = place((0.0, 0.3, 0.0) if i == 2 else (0.0, 0.0, 0.2), (turn, 0.0, 0.0))
+        text += f'<link name="link_{i}">{inertial(3.0, (0.03, 0.01, 0.03), place((0.02, 0.15, 0.05)))}</link>'
+        parent = "base" if i == 0 else f"link_{i - 1}"
+        text += joint(f"joint_{i}", parent, f"link_{i}", at, "0 0 1", limit, "revolute")
+    return text + "</robot>"
+
+
+@pytest.mark.parametrize("right", [1.57, 1.5708, 1.570796])
+def test_axes_that_a_file_makes_parallel_but_for_rounding_are_parallel(right: float) -> None:
+    """What tells them apart is no base parameter: no motion would show it, and none was found."""
+    exact, rounded = (robot_of(hanging_arm(angle)) for angle in (np.pi / 2, right))
+    found = excite(rounded, LIMITS)
+    assert np.isfinite(found.sd).all() and found.condition < 1e3
+    assert len(found.sd) == len(Search.of(exact, LIMITS).base.independent)
+    Y = Regressor.of(rounded).along(found.position, found.nu, found.nudot)
+    torque, theta = Y @ parameters(rounded), parameters(rounded)
+    search = Search.of(rounded, LIMITS)
+    whole = search.unknowns.matrix(found.position, found.nu, found.nudot)
+    folded = whole[:, :, found.base.independent] @ (found.base.combination[:, : len(theta)] @ theta)
+    assert np.abs(folded - torque).max() < 2e-3 * np.abs(torque).max()
+
+
+def test_an_arm_that_its_motors_cannot_stretch_out_moves_where_they_hold_it_up() -> None:
+    weak = robot_of(hanging_arm(effort=9.0))
+    assert np.abs(weak.gravity([0.0, np.pi / 2, np.pi])).max() > 1.5 * 9.0
+    found = excite(weak, LIMITS)
+    forces = Regressor.of(weak).along(found.position, found.nu, found.nudot) @ parameters(weak)
+    assert np.abs(forces).max() <= 0.8 * 9.0 + 1e-9
+
+
+def test_a_parameter_that_no_motion_shows_beyond_the_noise_refuses_none() -> None:
+    """Without its hand TIAGo's last rotor moves so little that it is lost in the noise; all others are to be found."""
+    found = excite(load("tiago_no_hand"), replace(LIMITS, seconds=0.0))
+    assert np.isfinite(found.sd).all() and found.relative.max() > 10 and (found.relative < 0.1).sum() > 20
+
+
+@pytest.mark.parametrize(
+    ("text", "limits", "key", "told"),
+    [
+        (hanging_arm(effort=0.5), LIMITS, "--share", r"400 of 400 .* the arm's weight alone .* at joint_1"),
+        (hanging_arm(range_of_last=1e-4), LIMITS, "--lock", "joint_2 cannot move: --lock joint_2"),
+        (hanging_arm(), replace(LIMITS, share=1e-3, duration=5.0), "--share", "the arm's weight alone"),
+    ],
+)
+def test_what_refuses_most_candidates_is_told_with_what_to_change(
+    text: str, limits: Limits, key: str, told: str
+) -> None:
+    with pytest.raises(ConfigError, match=f"no motion found: .*{told}") as error:
+        excite(robot_of(text), limits)
+    assert error.value.key == key
+
+
+def test_a_base_without_room_is_told(robot: Robot) -> None:
+    with pytest.raises(ConfigError, match="the base has no room"):
+        excite(robot, replace(LIMITS, space=0.0))
+
+
+def test_links_that_come_too_close_are_told_with_a_clearance_that_works() -> None:
+    robot, wide = load("ur5"), replace(LIMITS, clearance=0.4)
+    with pytest.raises(ConfigError, match=r"links that are no neighbours come closer than 0\.8 m") as error:
+        excite(robot, wide)
+    assert error.value.key == "--clearance"
+    advised = float(error.value.fix.split(": ")[1].split()[0])
+    assert np.isfinite(excite(robot, replace(wide, clearance=advised)).sd).all()

@@ -121,11 +121,19 @@ def test_overrides_change_what_is_run() -> None:
         ("seed=-1", "seed"),
     ],
 )
-def test_errors_name_file_and_key_path(setting: str, key: str) -> None:
+def test_errors_name_file_and_key_path(setting: str, key: str, tmp_path: Path) -> None:
+    """Of a file; of an override that it came from there."""
     with pytest.raises(ConfigError) as error:
         load_experiment("chapter4", [setting])
-    assert error.value.key == key and error.value.file == bundled()["chapter4"]
-    assert str(error.value).startswith(f"{bundled()['chapter4']}:{key}: error: ")
+    assert error.value.key == key and error.value.file is None
+    option = "" if key in ("controllers", "seed") else "--set "
+    assert str(error.value).startswith(f"{option}{key}: error: ")
+    file = tmp_path / "mine.toml"
+    file.write_text(f'experiment = "chapter4"\n{setting}\n')
+    with pytest.raises(ConfigError) as error:
+        load_experiment(file)
+    assert error.value.key == key and error.value.file == file
+    assert str(error.value).startswith(f"{file}:{key}: error: ")
 
 
 @pytest.mark.parametrize(

@@ -132,10 +132,10 @@ def test_a_learner_can_have_a_robust_term_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("setting", "told"),
     [
-        ("robust_of.pd={base=1.0}", "robust_of: error: unknown key 'pd': there is: two_layer, one_layer"),
+        ("robust_of.pd={base=1.0}", "robust_of.pd: error: unknown key 'pd': there is: two_layer, one_layer"),
         (
             "robust_of.one_layer={bas=1.0}",
-            "robust_of.one_layer: error: unknown key 'bas': did you mean 'base'? there is: base, arm, ZB",
+            "robust_of.one_layer.bas: error: unknown key 'bas': did you mean 'base'? there is: base, arm, ZB",
         ),
         ("robust_of.two_layer={base=-1.0}", "robust.base: error: -1.0"),
     ],

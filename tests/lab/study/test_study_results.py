@@ -26,14 +26,12 @@ from mmnn_pin.lab.show.figure import axes_grid
 from mmnn_pin.lab.show.gallery import OF
 from mmnn_pin.lab.show.study import page, render
 from mmnn_pin.lab.study.factors import Factor
+from mmnn_pin.lab.study.intervals import differ, quantile, rate
 from mmnn_pin.lab.study.results import Results, load_results, unit_of, value_of
 from mmnn_pin.lab.study.settings import Sampling, StudySettings, Success
 from mmnn_pin.lab.study.store import NAME, Stored, writing
 from mmnn_pin.lab.study.verdict import (
     bins_of,
-    differ,
-    quantile,
-    rate,
     region_of,
     sentences,
     share_of,
@@ -49,13 +47,71 @@ def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
     inside = [(q := quantile(row, 0.8)).low <= true <= q.high for row in draws]
     assert 0.94 < np.mean(inside) < 0.99
     counts = rng.binomial(60, 0.3, 1500)
-    assert 0.93 < np.mean([(r := rate(int(k), 60)).low <= 0.3 <= r.high for k in counts]) < 0.97
+    assert 0.93 < np.mean([(r := rate(np.arange(60) < k)).low <= 0.3 <= r.high for k in counts]) < 0.97
+
+
+@pytest.mark.parametrize(("groups", "seeds", "spread"), [(12, 8, 3.0), (40, 5, 1.0), (40, 5, 0.0), (64, 2, 2.0)])
+def test_seeds_of_one_draw_do_not_narrow_an_interval(groups: int, seeds: int, spread: float) -> None:
+    """Draws decide more (`spread`) or less of a run: the truth of all draws is covered as often as is said.
+
+    The intervals of runs as if each were a draw of its own cover it far less often where draws decide much.
+    """
+    rng = np.random.default_rng(7)
+    draws = np.repeat(np.arange(groups), seeds)
+    errors = spread * rng.standard_normal((1000, groups, 1)) + rng.standard_normal((1000, groups, seeds))
+    errors, true = errors.reshape(1000, -1), math.hypot(spread, 1.0) * stats.norm.ppf(0.7)
+    good = errors < true  # of which 0.7 are, over all draws
+    covered, naive = [], []
+    for row, successes in zip(errors, good, strict=True):
+        q, r = quantile(row, 0.7, draws), rate(successes, draws)
+        covered.append([q.low <= true <= q.high, r.low <= 0.7 <= r.high])
+        q, r = quantile(row, 0.7), rate(successes)
+        naive.append([q.low <= true <= q.high, r.low <= 0.7 <= r.high])
+    assert np.mean(covered, axis=0).min() > 0.93
+    if spread:
+        assert np.mean(naive, axis=0).max() < 0.91
+    else:  # and where they decide nothing, little is lost
+        wide, narrow = (np.mean([(r := rate(s, of)).high - r.low for s in good]) for of in (draws, None))
+        assert wide < 1.15 * narrow
+
+
+def test_an_interval_of_draws_is_that_of_a_bootstrap_of_draws() -> None:
+    """A second answer: the middle 95 % of the rate over draws that are drawn again, with all their seeds."""
+    rng = np.random.default_rng(8)
+    p = rng.beta(2.0, 1.0, (200, 1))
+    good = rng.random((200, 6)) < p
+    again = good[rng.integers(0, 200, (4000, 200))].mean(axis=(1, 2))
+    found = rate(good.ravel(), np.repeat(np.arange(200), 6))
+    assert [found.low, found.high] == pytest.approx(np.quantile(again, [0.025, 0.975]), abs=0.006)
+    assert found.high - found.low > 1.5 * (rate(good.ravel()).high - rate(good.ravel()).low)
+
+
+def test_seeds_that_repeat_a_draw_say_nothing_new() -> None:
+    rng = np.random.default_rng(9)
+    one, other = rng.random(30) < 0.6, rng.random(30) < 0.4
+    draws, values = np.repeat(np.arange(30), 4), rng.random(30)
+    again, single = rate(np.repeat(one, 4), draws), rate(one)
+    assert (again.low, again.high) == pytest.approx((single.low, single.high))
+    assert quantile(np.repeat(values, 4), 0.5, draws) == quantile(values, 0.5)
+    assert differ(np.repeat(one, 4), np.repeat(other, 4), draws) == differ(one, other)
+    ranks = share_of(np.repeat(values, 4).tolist(), np.repeat(rng.random(30), 4), True, draws)
+    assert ranks.p > 0.01
+
+
+def test_a_factor_without_influence_has_none_by_many_seeds_either() -> None:
+    rng, draws = np.random.default_rng(10), np.repeat(np.arange(40), 6)
+    found = []
+    for _ in range(300):
+        values, own = rng.random(40)[draws].tolist(), rng.random(40)[draws] + 0.2 * rng.random(240)
+        found.append([share_of(values, own, True, groups).p < 0.05 for groups in (draws, None)])
+    honest, naive = np.mean(found, axis=0)
+    assert honest < 0.09 and naive > 0.5
 
 
 @given(st.integers(0, 50), st.integers(1, 50))
 def test_a_rate_solves_wilsons_equation(successes: int, more: int) -> None:
     n = successes + more
-    found, z = rate(successes, n), stats.norm.ppf(0.975)
+    found, z = rate(np.arange(n) < successes), stats.norm.ppf(0.975)
     for bound in (found.low, found.high):
         assert (found.value - bound) ** 2 == pytest.approx(z**2 * bound * (1 - bound) / n, abs=1e-9)
 
@@ -200,7 +256,7 @@ def test_a_region_that_the_runs_kept_apart_do_not_confirm_is_said_to_be_none() -
     results = made({"pd": np.ones(40, bool)}, {"pd": np.ones(40)}, {"x": np.linspace(0, 1, 40)})
     found = verdict(results)
     assert found.region is not None and not found.region.cuts
-    poor = replace(found, region=replace(found.region, success=rate(1, 20)))
+    poor = replace(found, region=replace(found.region, success=rate(np.arange(20) < 1)))
     assert sentences(results, poor)[-1].endswith("succeed, fewer than the 95 % that were asked.")
 
 

@@ -23,7 +23,7 @@ from ....model.urdf.document import placement
 from ....model.urdf.meshes import BrokenMesh, meshes_of
 from ....model.urdf.packages import locate
 from ....model.urdf.xml import number, vector
-from ....recording.recording import UNSEEN
+from ....recording.robot_file import UNSEEN
 from ....signals import Array
 from ..files import Blob
 from .motion import Tree, columns

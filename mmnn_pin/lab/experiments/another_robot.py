@@ -1,0 +1,90 @@
+"""What to say of an experiment that is made for another robot than the one it is asked to drive."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+
+from ...errors import ConfigError, InputError, UnknownName
+from ...model.loading import load_with
+from ...model.robot import Robot
+from .experiment import Experiment
+
+SIZED = ("feedback", "friction", "masses", "sensor", "actuator", "interfaces")  # may hold lists of joints
+OF_POSE = "sensor.pose_noise"
+LENGTHS = re.compile(r"^\d+ (?:numbers|profiles|arm profiles|bodies) .*?\d+ ")  # begins what is said of a wrong length
+ANY = "track"  # drives any robot
+
+
+def explained(error: InputError, name: str, asked: Experiment, own: Experiment) -> InputError:
+    """An error about the length of a list, or a name that a robot lacks, in the words of who gave another robot.
+
+    Args:
+        error: What the run of an experiment was refused for.
+        name: The experiment's name.
+        asked: The experiment as it was asked for.
+        own: As its file has it, with the robot that it is made for.
+
+    Returns:
+        The error itself where it is about something else.
+    """
+    wrong = bool(LENGTHS.match(error.what)) or isinstance(error, UnknownName)
+    if not wrong or not error.key or (asked.robot, asked.overrides) == (own.robot, own.overrides):
+        return error
+    here, there = (load_with(one.robot, one.overrides) for one in (asked, own))
+    made = list(sized(own, there, here))
+    if not any(error.key.endswith(key) for key in made):  # the user's own
+        return error
+    what = f"{name} is made for {there.name} and its {count(there)}: {', '.join(made)}"
+    fix = f"take {ANY}, which drives any robot: mmnn run {ANY} --robot {asked.robot}; or set these for {here.name}"
+    return ConfigError(what, why=f"{here.name} has {count(here)}", fix=fix, key="--robot")
+
+
+def count(robot: Robot) -> str:
+    """How many joints its arm has, in words."""
+    n = robot.dimensions.arm
+    return f"{n} arm joint{'s' * (n != 1)}"
+
+
+def sized(experiment: Experiment, robot: Robot, other: Robot) -> Iterator[str]:
+    """Keys of an experiment whose values suit one robot alone: one for each of its joints, or its joints by name.
+
+    Args:
+        experiment: The experiment.
+        robot: The robot that it is made for.
+        other: The one that it should drive.
+    """
+    arm = experiment.reference.arm
+    if not isinstance(arm, dict) and len(arm) != other.dimensions.arm:
+        yield "reference.arm"
+    table = msgspec.to_builtins(experiment)
+    for key, value in flat({name: table[name] for name in SIZED}):
+        if isinstance(value, dict):
+            if set(value) & (names_of(robot) - names_of(other)):
+                yield key
+        elif isinstance(value, list | tuple) and key != OF_POSE:
+            fits = [{one.dimensions.base} if key.endswith(".base") else lengths_of(one) for one in (robot, other)]
+            if len(value) in fits[0] - fits[1]:
+                yield key
+
+
+def names_of(robot: Robot) -> set[str]:
+    """Names of its joints and motors."""
+    return {*robot.position_names, *robot.actuator_names}
+
+
+def lengths_of(robot: Robot) -> set[int]:
+    """How long a list may be that has a number for each joint of its arm, velocity, motor, or joint."""
+    size = robot.dimensions
+    return {size.arm, size.dof, len(robot.actuator_names), size.full}
+
+
+def flat(table: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Key paths and values of nested tables; a table is a value, too."""
+    for key, value in table.items():
+        yield f"{before}{key}", value
+        if isinstance(value, dict):
+            yield from flat(value, f"{before}{key}.")

@@ -1,0 +1,108 @@
+"""Runs that an average hides: an error that peaks far above those of the other runs, a torque that chatters.
+
+RMS errors after a transient rank controllers. One that throws a joint about while it learns, or that shakes its motors,
+may rank first all the same: a robot does not forget it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from statistics import median
+
+import numpy as np
+
+from ...recording.recording import Recording, as_columns
+
+ERRORS, POSITIONS = ("pose_error.", "z.", "e."), ("pose_error.", "e.")  # signals that runs are ranked by; of places
+FAR = 5.0  # times the median of the others, from which a run is told
+THROWN = 0.05  # least peak that is told [rad or m]
+CHATTER = 0.1  # RMS change of a motor's torque from sample to sample, of its RMS, from which it is told
+
+
+def outliers(recordings: Mapping[str, Recording], metrics: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """A sentence for every completed run whose error peaks, or whose torque chatters, far above those of the others.
+
+    Args:
+        recordings: The runs by name.
+        metrics: Their numbers.
+    """
+    runs = {name: run for name, run in recordings.items() if run.outcome.status == "completed" and len(run) > 1}
+    if len(runs) < 2:
+        return []
+    errors = {name: {k: v for k, v in metrics[name].items() if k.startswith(ERRORS)} for name in runs}
+    return [*far_peaks(errors), *chattering({name: chatter(run) for name, run in runs.items()})]
+
+
+def far_peaks(errors: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """What peaks farthest above the others in every run that ranks before one in which nothing does.
+
+    Args:
+        errors: Run to metric of an error to its value [rad or m].
+    """
+    worst = {}
+    for name, own in errors.items():
+        far = {key: own[key] / max(of_others(errors, name, key), 1e-12) for key in own if is_far(errors, name, key)}
+        if far:
+            worst[name] = max(far, key=far.__getitem__)
+    found, ranks = [], {name: rank(own) for name, own in errors.items()}
+    for name, key in worst.items():
+        behind = [other for other in errors if other not in worst and ranks[other] > ranks[name]]
+        if behind:
+            what, peak = key.partition(".")[2].removesuffix(".peak"), errors[name][key]
+            usual = of_others(errors, name, key)
+            times = shown(peak / max(usual, 1e-12))
+            found.append(
+                f"{name} throws {what} about: its error peaks at {peak:.2g}, {times} times the others' {usual:.2g} "
+                f"[rad or m]; by RMS errors it ranks before {' and '.join(behind)} all the same"
+            )
+    return found
+
+
+def is_far(errors: Mapping[str, Mapping[str, float]], name: str, key: str) -> bool:
+    """Whether a metric of a run is the peak of a position's error, large, and far above those of the others."""
+    of_position = key.startswith(POSITIONS) and key.endswith(".peak")
+    return of_position and errors[name][key] > max(THROWN, FAR * of_others(errors, name, key))
+
+
+def rank(own: Mapping[str, float]) -> float:
+    """Mean logarithm of a run's RMS errors in the last window, by which runs are ranked; inf without one."""
+    last = [key.rpartition(".rms_")[2] for key in own if ".rms_" in key][-1:]
+    logs = [math.log(value) for key, value in own.items() for end in last if key.endswith(f".rms_{end}") and value > 0]
+    return math.fsum(logs) / len(logs) if logs else math.inf
+
+
+def chattering(shares: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """The motor that is shaken most in every run that shakes one.
+
+    Args:
+        shares: Run to motor to what `chatter` says.
+    """
+    found = []
+    for name, own in shares.items():
+        motor = max(own, key=own.__getitem__)
+        usual = of_others(shares, name, motor)
+        if own[motor] > max(CHATTER, FAR * usual):
+            times = shown(own[motor] / max(usual, 1e-12))
+            found.append(
+                f"{name} shakes {motor}: its torque changes by {100 * own[motor]:.0f} % of its RMS from sample to "
+                f"sample, {times} times as much as the others'"
+            )
+    return found
+
+
+def of_others(table: Mapping[str, Mapping[str, float]], name: str, key: str) -> float:
+    """The median of a number over the other runs; inf where none has it."""
+    return median([own[key] for other, own in table.items() if other != name and key in own] or [math.inf])
+
+
+def chatter(run: Recording) -> dict[str, float]:
+    """RMS change of every motor's torque from sample to sample over its RMS, after the first fifth of a run."""
+    torque = as_columns(run["motor_torque"])[len(run) // 5 :]
+    change, size = (np.sqrt(np.mean(part**2, axis=0)) for part in (np.diff(torque, axis=0), torque))
+    return dict(zip(run.labels("motor_torque"), (change / np.maximum(size, 1e-12)).tolist(), strict=True))
+
+
+def shown(ratio: float) -> str:
+    """A ratio in words."""
+    return f"{ratio:.2g}" if ratio < 100 else "over 100"
