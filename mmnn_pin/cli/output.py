@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
 EVERY = 10.0  # between two lines of progress [s]
-NARROW, WIDE = 40, 200  # columns of a terminal that tables are made for, at least and at most
+NARROW, WIDTH, WIDE = 40, 100, 200  # columns that tables are made for: at least, without a terminal, at most
 STUDY, CONTEST, IDENTIFIED = "study.sqlite", ("contest.json", "rows.json"), "*.identified.json"  # their files
 
 
@@ -51,10 +51,16 @@ def say(text: str) -> None:
 
 
 def look() -> dict[str, Any]:
-    """How text for standard output looks: in colours and as wide as the terminal, else plain and as wide as it is."""
-    if not sys.stdout.isatty():
+    """How text for standard output looks: in colours on a terminal; as wide as that or COLUMNS, else as it is."""
+    colour = sys.stdout.isatty()
+    if not colour and not os.environ.get("COLUMNS", "").isdigit():
         return {}
-    return {"colour": True, "width": min(max(shutil.get_terminal_size().columns, NARROW), WIDE)}
+    return {"colour": colour, "width": min(max(shutil.get_terminal_size().columns, NARROW), WIDE)}
+
+
+def columns() -> int:
+    """Columns of text for standard output, see `look`."""
+    return int(look().get("width", WIDTH))
 
 
 def printable(text: str) -> str:

@@ -10,7 +10,7 @@ import click
 
 from ..errors import RobotError
 from .options import examples, robots, shared, understanding
-from .output import BAD_INPUT, DONE, FAILED, answer, progress_bar
+from .output import BAD_INPUT, DONE, FAILED, answer, columns, progress_bar
 
 
 @click.command(
@@ -77,7 +77,7 @@ def inspect(robot: str, overrides: dict[str, Any], as_json: bool) -> int:
     for finding in content["findings"]:
         if finding["severity"] == "error":
             click.echo(finding["text"], err=True)
-    text = inspection_text(content) if code == DONE else refusal_text(content)
+    text = inspection_text(content, columns()) if code == DONE else refusal_text(content)
     without_texts = [{k: v for k, v in finding.items() if k != "text"} for finding in content["findings"]]
     if as_json or text:
         answer(as_json, lambda: content | {"findings": without_texts}, lambda: text)

@@ -18,6 +18,7 @@ from .output import (
     STOPPED,
     answer,
     before_it_is_compiled,
+    columns,
     compile_if_cold,
     interruptible,
     look,
@@ -146,7 +147,6 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     from ..lab.show.comparison import notes, render
     from ..lab.show.gallery import write_pictures
     from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
-    from ..lab.show.table import WIDTH
 
     with progress_bar() as show, interruptible(show) as progress:
         result = run_experiment(asked, name, out=folder, force=force, progress=progress)
@@ -155,7 +155,7 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     def text() -> str:
         remarks = [f"note: {note}" for note in (*worse_somewhere(result), *rivals_left_out(result), *notes(result))]
         files = [recording.path for recording in result.recordings.values() if recording.path]
-        verdict = textwrap.fill(headline(result), look().get("width", WIDTH))
+        verdict = textwrap.fill(headline(result), columns())
         return "\n".join([render(result, **look()), "", verdict, *remarks, wrote([*files, *pictures.values()])])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
@@ -251,22 +251,42 @@ def list_(as_json: bool) -> int:
             for part, kinds in (("base", BASE_PATHS), ("arm", ARM_PROFILES))
         },
     }
-    answer(as_json, lambda: there_is, lambda: list_text(there_is))
+    answer(as_json, lambda: there_is, lambda: list_text(there_is, columns()))
     return DONE
 
 
-def list_text(there_is: dict[str, dict[str, Any]]) -> str:
-    """What there is, a line each; variants and cases behind their experiments."""
+def list_text(there_is: dict[str, dict[str, Any]], width: int) -> str:
+    """What there is, in lines of at most `width` columns; variants and cases behind their experiments.
+
+    Robots are named with the files that they come from, which stay whole, in groups by folder.
+    """
     titles = dict(there_is["experiments"])
     for option in ("variant", "case"):
         for name, known in there_is[f"{option}s"].items():
             shown = [*known[:MOST], "..."] if len(known) > MOST else known
             titles[name] += f" (--{option} {', '.join(shown)})" if known else ""
-    groups = {"experiments": titles, **{kind: there_is[kind] for kind in ("robots", "controllers")}}
+    groups: dict[str, dict[str, str]] = {"experiments": titles}
+    for name, file in there_is["robots"].items():
+        folder = robot_folder(Path(file))
+        groups.setdefault(f"robots in {folder}", {})[name] = str(Path(file).relative_to(folder))
+    groups["controllers"] = there_is["controllers"]
     groups |= {f"references of the {part}": kinds for part, kinds in there_is["references"].items()}
     return "\n".join(
-        "\n".join([kind, *(f"  {name:24}{text}" for name, text in group.items())]) for kind, group in groups.items()
+        "\n".join([kind, *(hanging(name, text, width) for name, text in group.items())])
+        for kind, group in groups.items()
     )
+
+
+def robot_folder(file: Path) -> Path:
+    """The folder that the robots beside a file share: that of example-robot-data, or its own."""
+    return next((folder for folder in file.parents if folder.match("example-robot-data/robots")), file.parent)
+
+
+def hanging(name: str, text: str, width: int) -> str:
+    """A name and what it is, the lines of the text below each other; a file is not broken."""
+    room = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
+    room.initial_indent, room.subsequent_indent = f"  {name:24}", " " * 26
+    return room.fill(text) if text else f"  {name}"
 
 
 @click.command(

@@ -87,11 +87,26 @@ def test_progress_in_a_log_goes_to_standard_error(monkeypatch, capsys) -> None:
 
 
 def test_tables_are_as_wide_as_the_terminal_and_plain_in_a_file(monkeypatch) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
     assert output.look() == {}
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
     for columns, wanted in ((63, 63), (10, output.NARROW), (999, output.WIDE)):
         monkeypatch.setenv("COLUMNS", str(columns))
         assert output.look() == {"colour": True, "width": wanted}
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: False, raising=False)
+    assert output.look() == {"colour": False, "width": output.WIDE}  # asked for, as `COLUMNS=999 mmnn list | less`
+
+
+@pytest.mark.parametrize("columns", [60, 80, 200])
+def test_lists_fold_below_each_other_and_break_no_name(columns: int, capsys, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert main(["list"]) == 0
+    listed = capsys.readouterr().out
+    assert all(len(line) <= columns for line in listed.splitlines() if ".urdf" not in line and "robots in" not in line)
+    assert main(["inspect", "tiago_dual"]) == 0
+    told = capsys.readouterr().out.partition("findings")[0]
+    assert "hand_right_little_flex_3_joint" in told
+    assert all(len(line) <= columns for line in told.splitlines() if "_joint, " in line)
 
 
 def test_help_says_how_to_switch_completion_on(capsys) -> None:

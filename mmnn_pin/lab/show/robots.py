@@ -14,24 +14,27 @@ from ...model.checks.nonholonomy import RANK_TOLERANCE
 from ...model.checks.properties import Report, check
 from ...model.inspection import inspection_of
 from ...recording.recording import Recording, recorded_robot
+from .table import WIDTH
 
-SHOWN = 12  # locked joints listed one by one
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
 CHECK_SAMPLES = 20  # random states of the property checks
 CHECK_SEED = 0
 
 
-def inspection_text(content: dict[str, Any]) -> str:
-    """The tables and the findings of what `model.inspection.inspection_of` gives, as text."""
+def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
+    """The tables and the findings of what `model.inspection.inspection_of` gives, as text.
+
+    Names are folded to `width` columns; a finding stays one line, so that it can be searched for.
+    """
     findings = "".join(f"\n  {finding['text']}" for finding in content["findings"])
     last = f"findings ({len(content['findings'])}){findings}" if findings else "no findings"
-    return f"{understood_text(content)}\n\n{last}"
+    return f"{understood_text(content, width)}\n\n{last}"
 
 
-def understood_text(content: dict[str, Any]) -> str:
+def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
     """Base, wheels, arm and what is locked."""
-    told = (head(content), wheels(content["base"]), arm(content["arm"]), interfaces(content))
-    parts = (*told, *locked(content["locked_at"]))
+    told = (head(content, width), wheels(content["base"]), arm(content["arm"]), interfaces(content, width))
+    parts = (*told, *locked(content["locked_at"], width))
     return "\n\n".join(part for part in parts if part)
 
 
@@ -47,7 +50,7 @@ def refusal_text(content: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def head(content: dict[str, Any]) -> str:
+def head(content: dict[str, Any], width: int) -> str:
     """File, mass and base."""
     base = content["base"]
     lines = [("file", content["file"]), ("sha256", content["sha256"]), ("mass", f"{content['mass']:.4g} kg")]
@@ -58,7 +61,7 @@ def head(content: dict[str, Any]) -> str:
         lines += [("track", f"{base['track']:.4g} m"), ("control frame", frame)]
         lines.append(("floor", f"{floor:.4g} m above the root link's origin"))
     for key in ("casters", "suspensions"):
-        lines += [(key, ", ".join(base[key]))] if base[key] else []
+        lines += [(key, folded(", ".join(base[key]), width, 16).lstrip())] if base[key] else []
     return "\n".join(f"{name:16}{value}" for name, value in lines)
 
 
@@ -88,7 +91,7 @@ def arm(content: dict[str, Any]) -> str:
     return "\n".join([underlined(rows), "angles in rad, travels in m, efforts in N m or N; - for no limit", *slaves])
 
 
-def interfaces(content: dict[str, Any]) -> str:
+def interfaces(content: dict[str, Any], width: int = WIDTH) -> str:
     """Which command interface is used, which are offered, and by which joints; empty where none is stated."""
     offered = content["interfaces_offered"]
     if not any(offered.values()):
@@ -96,37 +99,41 @@ def interfaces(content: dict[str, Any]) -> str:
     groups: dict[tuple[str, str], list[str]] = {}
     for name, used in content["interfaces"].items():
         groups.setdefault((used, ", ".join(offered[name]) or "none stated"), []).append(name)
-    heading, line, *rows = underlined([("interface", "offered"), *groups]).split("\n")
-    joints = [folded(", ".join(names)) for names in groups.values()]
+    heading, line, *rows = underlined([("interface", "offered"), *groups], texts=True).split("\n")
+    joints = [folded(", ".join(names), width) for names in groups.values()]
     return "\n".join([heading, line, *(f"{row}\n{names}" for row, names in zip(rows, joints, strict=True))])
 
 
-def folded(names: str) -> str:
-    """Names, indented, in lines of at most 100 characters; a name is never cut."""
-    lines = textwrap.TextWrapper(100, "  ", "  ", break_long_words=False, break_on_hyphens=False)
-    return lines.fill(names)
+def folded(names: str, width: int, indent: int = 2) -> str:
+    """Names, indented, in lines of at most `width` characters; a name is never cut."""
+    room = " " * indent
+    return textwrap.TextWrapper(width, room, room, break_long_words=False, break_on_hyphens=False).fill(names)
 
 
-def locked(content: dict[str, Any]) -> Iterator[str]:
-    """Joints that stand still, a table per reason; long ones are cut."""
+def locked(content: dict[str, Any], width: int) -> Iterator[str]:
+    """Joints that stand still, a paragraph per reason."""
     for why in dict.fromkeys(entry["why"] for entry in content.values()):
-        names = {name: entry["position"] for name, entry in content.items() if entry["why"] == why}
-        rows = [("locked joint", "at"), *((name, f"{at:.4g}") for name, at in list(names.items())[:SHOWN])]
-        more = f"\nand {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-        yield f"{underlined(rows)}{more}\n{why}"
+        places: dict[str, list[str]] = {}
+        for name, entry in content.items():
+            if entry["why"] == why:
+                places.setdefault(f"{entry['position']:.4g}", []).append(" ".join(name.split()))
+        lines = (folded(f"at {place}: {', '.join(names)}", width) for place, names in places.items())
+        yield "\n".join([f"locked joints, {why}", *lines])
 
 
-def underlined(rows: Sequence[Sequence[str]]) -> str:
-    """Rows in columns, a line under the heading."""
-    first, *others = aligned([[" ".join(cell.split()) for cell in row] for row in rows])  # a name may hold a line break
+def underlined(rows: Sequence[Sequence[str]], texts: bool = False) -> str:
+    """Rows in columns, a line under the heading; see `aligned`."""
+    clean = [[" ".join(cell.split()) for cell in row] for row in rows]  # a name may hold a line break
+    first, *others = aligned(clean, texts)
     return "\n".join([first, "-" * len(first), *others])
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows in columns, the first one to the left, the others to the right."""
+def aligned(rows: Sequence[Sequence[str]], texts: bool = False) -> list[str]:
+    """Rows in columns, the first one to the left, the others to the right unless they are texts."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    numbers = ([cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)] for row in rows)
-    return ["  ".join([row[0].ljust(widths[0]), *cells]) for row, cells in zip(rows, numbers, strict=True)]
+    place = str.ljust if texts else str.rjust
+    others = ([place(cell, width) for cell, width in zip(row[1:], widths[1:], strict=True)] for row in rows)
+    return ["  ".join([row[0].ljust(widths[0]), *cells]).rstrip() for row, cells in zip(rows, others, strict=True)]
 
 
 # -- reduced model -----------------------------------------------------------------------------------------------------
