@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from ...model.checks.nonholonomy import RANK_TOLERANCE
 from ...model.checks.properties import Report, check
 from ...model.inspection import inspection_of
+from ...model.urdf.expansion import EXPANDED
 from ...recording.recording import Recording, recorded_robot
 from .table import WIDTH
 
@@ -276,5 +278,9 @@ def about_robot(recording: Recording, samples: int = CHECK_SAMPLES) -> RobotShow
     sha256 = recording.meta.get("urdf_sha256", "not recorded")
     content = inspection_of(robot) | {"file": robot.path.name, "sha256": sha256}
     report = check(robot, samples, CHECK_SEED)
-    findings = tuple(f | {"text": f["text"].replace(str(robot.path), robot.path.name)} for f in content["findings"])
+    found = [f | {"text": f["text"].replace(str(robot.path), robot.path.name)} for f in content["findings"]]
+    if Path(recording.meta["urdf_file"]).suffix == ".xacro":  # a recording has what came of it
+        note = replace(EXPANDED, file=robot.path.name)
+        found.insert(0, {"severity": note.severity, "text": str(note)})
+    findings = tuple(found)
     return RobotShown(robot.name, understood_text(content), findings, properties_text(report), report.passed)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -84,6 +85,17 @@ class Table:
     rows: tuple[Row, ...]
     notes: tuple[str, ...] = ()
     gap: int = 2
+
+    @property
+    def spans(self) -> list[tuple[Row, int, bool]]:
+        """Rows; how many rows the first cell of each names, 0 where one above does; whether a group ends with them."""
+        starts = [i for i, row in enumerate(self.rows) if row.cells[0].text or i == 0 or self.rows[i - 1].ends]
+        lengths = {start: end - start for start, end in pairwise([*starts, len(self.rows)])}
+        spans = (lengths.get(i, 0) for i in range(len(self.rows)))
+        return [
+            (row, span, self.rows[i + max(span, 1) - 1].ends)
+            for i, (row, span) in enumerate(zip(self.rows, spans, strict=True))
+        ]
 
     @property
     def caption(self) -> str:

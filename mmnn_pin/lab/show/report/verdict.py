@@ -29,6 +29,7 @@ ABOUT_PROOF = (
     "d/dt (s\u1d40Ms/2) = s\u1d40(\u03a8 - \u03c4 + d) over control periods, worst relative error, "
     f"tolerance {TOLERANCE:g}. mmnn prove tells more of each run."
 )
+SAME = 1e-3  # relative difference of errors that no plot shows
 FAR = 2.0  # times another's error that is told
 PLAIN = ("pd", "pd_gravity", "pid")
 FROZEN = {"same": "own trajectory", "held_out": "held out", "payload": "with a payload"}
@@ -147,6 +148,7 @@ def points(result: Result) -> Iterator[str]:
             "Compared are the errors of pose, velocities and joints, all weighted alike (geometric mean of their "
             "ratios); the table has each of them."
         )
+    yield from alike(result)
     yield from (gain_or_learning(learner, rows) for learner, rows in result.improvements().items())
     for name, recording in result.recordings.items():
         if controller_of(name, recording) in ORACLES and len(judged) and math.isfinite(scores[name]):
@@ -161,6 +163,20 @@ def points(result: Result) -> Iterator[str]:
     if ranges := result.figure_ranges():
         met = sum(row["inside"] for row in ranges)
         yield f"{met} of {len(ranges)} extremes lie where the axes of the thesis's figures have them."
+
+
+def alike(result: Result) -> Iterator[str]:
+    """Runs with the errors of another, whose curves hide each other."""
+    names, keys = (
+        list(result.metrics),
+        [key for key in next(iter(result.metrics.values())) if key.endswith(window(result))],
+    )
+    for i, name in enumerate(names):
+        one = [result.metrics[name][key] for key in keys]
+        for other in names[:i]:
+            if np.allclose(one, [result.metrics[other][key] for key in keys], rtol=SAME, atol=0.0):
+                yield f"{name} has the errors of {other}: one curve lies on the other."
+                break
 
 
 def gain_or_learning(learner: str, rows: Mapping[str, Improvement]) -> str:
