@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import select
 import shutil
 import sys
@@ -114,17 +115,22 @@ def test_help_says_how_to_switch_completion_on(capsys) -> None:
     assert "_MMNN_COMPLETE=bash_source mmnn" in " ".join(capsys.readouterr().out.split())
 
 
-class Bash:
-    """An interactive bash on a terminal of its own, with completion switched on as `mmnn --help` says."""
+SHELLS = {"bash": ("--norc", "--noprofile", "-i"), "zsh": ("-f", "-i")}
 
-    def __init__(self) -> None:
+
+class Shell:
+    """An interactive shell on a terminal of its own, with completion switched on as `mmnn --help` says."""
+
+    def __init__(self, name: str, home: Path) -> None:
         path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
         self.pid, self.terminal = pty.fork()
         if self.pid == 0:
-            os.environ.update(PATH=path, TERM="dumb", COLUMNS="200")
-            os.execvp("bash", ["bash", "--norc", "--noprofile", "-i"])
+            os.environ.update(PATH=path, TERM="dumb", COLUMNS="200", HOME=str(home))
+            os.execvp(name, [name, *SHELLS[name]])
         self.prompts = 0  # numbered: what is given up is drawn again behind its own prompt, which is not the next one
-        os.write(self.terminal, b"eval \"$(_MMNN_COMPLETE=bash_source mmnn)\"; shown=0; PS1='ready $((++shown))> '\n")
+        subst = "setopt prompt_subst; " if name == "zsh" else ""
+        setup = f"eval \"$(_MMNN_COMPLETE={name}_source mmnn)\"; shown=0; {subst}PS1='ready $((++shown))> '\n"
+        os.write(self.terminal, setup.encode())
         self.read_to_prompt()
 
     def read_to(self, end: str) -> str:
@@ -141,15 +147,17 @@ class Bash:
     def after_a_tab(self, typed: str) -> str:
         """What the line holds then."""
         os.write(self.terminal, f"{typed}\t#".encode())
-        told = self.read_to("#").replace("\a", "").partition("#")[0]
+        told = re.sub(r".\x08", "", self.read_to("#").replace("\a", "")).partition("#")[0]
         os.write(self.terminal, b"\x15\n")  # the line is given up
         self.read_to_prompt()
         return told[told.rindex("mmnn run") :]
 
 
-@pytest.mark.skipif(not shutil.which("bash"), reason="needs bash")
-def test_bash_completes_with_a_blank_only_after_what_is_whole() -> None:
-    bash = Bash()
+@pytest.mark.parametrize("name", SHELLS)
+def test_shells_complete_with_a_blank_only_after_what_is_whole(name: str, tmp_path: Path) -> None:
+    if not shutil.which(name):
+        pytest.skip(f"needs {name}")
+    shell = Shell(name, tmp_path)
     for typed, rest in (
         ("mmnn run tra", "ck "),
         ("mmnn run chapter4 --variant fi", "gures "),
@@ -158,7 +166,7 @@ def test_bash_completes_with_a_blank_only_after_what_is_whole() -> None:
         ("mmnn run track --set fee", "dback."),
         ("mmnn run track --set adaptive.lea", "kage="),
     ):
-        assert bash.after_a_tab(typed) == typed + rest
-    os.write(bash.terminal, b"exit\n")
-    os.waitpid(bash.pid, 0)
-    os.close(bash.terminal)
+        assert shell.after_a_tab(typed) == typed + rest
+    os.write(shell.terminal, b"exit\n")
+    os.waitpid(shell.pid, 0)
+    os.close(shell.terminal)
