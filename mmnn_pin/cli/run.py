@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..files import read_toml, require_free
+from ..files import read_toml
 from .options import CHANGES, VARIANT, cases, controllers, examples, experiments, robots, shared, understanding
 from .output import (
     DONE,
@@ -79,7 +79,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
-    help="Folder for the files.  [default: runs/EXPERIMENT[-VARIANT], numbered where that exists]",
+    help="Folder for the files; where it has such files, a numbered one.  [default: runs/EXPERIMENT[-VARIANT]]",
 )
 @click.option("--force", is_flag=True, help="Replace what is already in that folder.")
 @understanding
@@ -121,11 +121,9 @@ def run(
     changes = [*about_robot(robot, overrides), *settings, *in_toml(**chosen)]
     asked, name = chosen_cases(load_experiment(experiment, changes, variant), cases), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
-    if out is None and not force and asked.contest is None:  # a contest goes on where it was stopped
-        folder = unused(folder)
     require_plots(asked.plots)
-    for plot in asked.plots:
-        require_free(folder / f"{plot}.png", force, "plot")
+    if not force and asked.contest is None:  # a contest goes on where it was stopped
+        folder = unused(folder, files_of(asked) if out else None)
     hardware = bool(asked.cases) or has_hardware(asked)
     if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
         with before_it_is_compiled(hardware):
@@ -135,10 +133,26 @@ def run(
     return command(asked, name, folder, force, as_json)
 
 
-def unused(folder: Path) -> Path:
-    """A folder that does not exist yet: this one, or `FOLDER-2` and so on."""
+def unused(folder: Path, files: list[str] | None) -> Path:
+    """This folder, or where it is taken the first of `FOLDER-2` and so on that does not exist, announced.
+
+    Args:
+        folder: The folder.
+        files: It is taken if it has one of these; None if it only exists.
+    """
+    if not (folder.exists() if files is None else any((folder / file).exists() for file in files)):
+        return folder
     numbered = (folder.with_name(f"{folder.name}-{i}") for i in itertools.count(2))
-    return next(each for each in itertools.chain([folder], numbered) if not each.exists())
+    free = next(each for each in numbered if not each.exists())
+    click.echo(f"{folder} has runs already: these go to {free} (--force replaces them)", err=True)
+    return free
+
+
+def files_of(asked: Experiment) -> list[str]:
+    """What a run writes into its folder: recordings by case, and plots."""
+    folders = [f"{case}/" for case in asked.cases] or [""]
+    runs = [f"{folder}{name}.h5" for folder in folders for name in asked.controllers]
+    return [*runs, *(f"{plot}.png" for plot in asked.plots)]
 
 
 def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
