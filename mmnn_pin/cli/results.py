@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import ConfigError, RecordingError
+from ..errors import ConfigError, InputError, RecordingError
 from ..files import require_free
 from .options import FORCE, PACKAGE_DIRS, examples, law, numbers, shared
 from .output import (
@@ -85,7 +87,7 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
     """Plot recordings side by side. RUN is a recording, a folder of them, or the folder of one study or contest."""
     from ..lab.contest.contest import opened
     from ..lab.show.curves import require_comparable
-    from ..lab.show.figure import save
+    from ..lab.show.figure import FIGURES, save
     from ..lab.show.gallery import OF, PICTURES
     from ..lab.study.results import load_results
 
@@ -103,7 +105,10 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
     files = pictures(out or Path("."), tuple(dict.fromkeys(wanted)))
     for file in files.values():
         require_free(file, force, "picture")
-    for what, figure in {what: make(what) for what in files}.items():
+    proved = kind == "runs" and any(what in FIGURES["proof"] for what in files)
+    with proving(recordings) if proved else nullcontext():
+        figures = {what: make(what) for what in files}
+    for what, figure in figures.items():
         save(figure, files[what], force)
     answer(as_json, lambda: about | {"files": named(files)}, lambda: wrote(files.values()))
     return DONE
@@ -126,6 +131,24 @@ def require_whats(chosen: tuple[str, ...], kind: str, folder: Path | None) -> No
             raise ConfigError(f"'{what}' is a plot of the runs of one task", fix=fix, file=folder, key="--what")
         fix = f"there is: {', '.join(whats(kind))}"
         raise ConfigError(f"'{what}' is no figure of a {kind}", fix=fix, file=folder, key="--what")
+
+
+@contextmanager
+def proving(recordings: Mapping[str, Recording]) -> Iterator[None]:
+    """Within it what takes long of the runs' proofs is told on standard error, as of `mmnn prove`."""
+    from ..lab.proof.proof import QUICK, Proof, keep
+
+    with progress_bar() as show:
+        for name, recording in recordings.items():
+            show(f"{name}, reading", 0.0)
+            with suppress(InputError):  # one that holds too little for a proof
+                keep(Proof(recording, budget=QUICK, progress=partial(tell, show, name)))
+        yield
+
+
+def tell(show: Callable[[str, float], None], name: str, what: str, fraction: float) -> None:
+    """Progress of a part of a run's proof."""
+    show(f"{name}, {what}", fraction)
 
 
 def by_name(recordings: list[Recording]) -> dict[str, Recording]:
@@ -375,7 +398,8 @@ def report(
     else:
         recordings = by_name(open_runs(runs))
         about = {"runs": [str(recording.path) for recording in recordings.values()]}
-        made = make(recordings, command=command, with_replay=not no_replay, package_dirs=package_dirs)
+        with proving(recordings):
+            made = make(recordings, command=command, with_replay=not no_replay, package_dirs=package_dirs)
     for warning in made.warnings:
         warn(warning)
     made.save(html, force)
