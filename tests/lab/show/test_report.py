@@ -227,8 +227,12 @@ def test_the_headline_compares_with_the_best_of_what_learns_nothing() -> None:
     assert "50 % smaller than those of pid, the best of pd, pd_gravity and pid, and 33 % smaller" in found.headline
     assert not any("did not run" in text for text in found.warnings if "effective" not in text)
     less = verdict(result_of({name: runs[name] for name in ("two_layer", "pd", "pd_gravity")}))
-    assert less.headline.endswith("75 % smaller than those of pd_gravity, the best of pd and pd_gravity.")
+    assert less.headline.endswith(
+        "75 % smaller than those of pd_gravity, the best of pd and pd_gravity; pid did not run."
+    )
     assert "pid did not run" in " ".join(less.warnings)
+    only = verdict(result_of({name: runs[name] for name in ("two_layer", "pd")}))
+    assert only.headline.endswith("smaller than those of pd, the next best; pd_gravity and pid did not run.")
     plain = verdict(result_of({name: runs[name] for name in ("pd", "pid")}))
     assert plain.headline.endswith("92 % smaller than those of pd, the next best.")
 
