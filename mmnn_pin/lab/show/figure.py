@@ -286,9 +286,9 @@ def plain(text: str) -> str:
 
 
 def folded(label: str, letters: int = LETTERS) -> str:
-    """The label of an axis in lines short enough for it, broken at blanks and underscores, for matplotlib."""
+    """The label of an axis in lines short enough for it, broken at blanks and underscores, not in its unit."""
     lines = [""]
-    for part in re.findall(r"[^_ ]*[_ ]|[^_ ]+$", label):
+    for part in re.findall(r"\[[^\]]*\]$|[^_ ]*[_ ]|[^_ ]+$", label):
         for piece in (part[i : i + letters] for i in range(0, len(part), letters)):
             if len(lines[-1]) + len(piece.rstrip()) > letters:
                 lines.append("")

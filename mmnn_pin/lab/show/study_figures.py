@@ -157,9 +157,8 @@ def errors_against_factors(results: Results) -> Figure:
             axes.set_xlabel(plain(titled(name, results.factors[name].unit)))
     for axes, pattern in zip(grid[0], chosen, strict=True):
         axes.set_title(plain(titled(pattern, shown_unit(results, pattern)[1])))
-    legend(
-        picture, results, "Errors against each factor", [("delay margin too small", {"color": "0.3", **SHORT})] * short
-    )
+    title = f"Errors against {names[0] if len(names) == 1 else 'each factor'}"
+    legend(picture, results, title, [("delay margin too small", {"color": "0.3", **SHORT})] * short)
     return picture
 
 

@@ -14,7 +14,16 @@ from places import ROOT
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments import controllers
 from mmnn_pin.lab.show import plots
-from mmnn_pin.lab.show.figure import FIGURES, OTHERS, STYLES, in_the_dark, save, styles_of, styles_of_controllers
+from mmnn_pin.lab.show.figure import (
+    FIGURES,
+    OTHERS,
+    STYLES,
+    folded,
+    in_the_dark,
+    save,
+    styles_of,
+    styles_of_controllers,
+)
 from mmnn_pin.lab.show.gallery import PICTURES
 from mmnn_pin.lab.show.plots import errors_figure, path_figure, psi_figure, torque_figure
 from mmnn_pin.recording.recorder import Recorder
@@ -289,6 +298,11 @@ def test_long_names_of_joints_do_not_meet(what):
             assert own.y0 - 4 <= box.y0 and box.y1 <= own.y1 + 4, label.get_text()
     tops = {axes.get_subplotspec().colspan.start: axes for axes in reversed(figure.axes)}
     assert all(axes.get_title().strip() for axes in tops.values())
+
+
+def test_a_label_is_not_broken_in_its_unit():
+    assert folded("arm_1_joint [N m s]").split("\n") == ["arm_1_joint", "[N m s]"]
+    assert folded("pose error, in the base frame [mm or mrad]").split("\n")[-1].endswith("[mm or mrad]")
 
 
 def test_the_reference_of_a_replay_has_a_colour_of_its_own():
