@@ -269,16 +269,19 @@ def found_in(paths: tuple[Path, ...], what: str) -> Path | None:
 
 
 def open_runs(paths: tuple[Path, ...]) -> list[Recording]:
-    """The recordings of some paths: each a recording, or a folder of recordings.
+    """The recordings of some paths: each a recording, or a folder of recordings, in the order of `mmnn list`.
 
     Raises:
         RecordingError: None there, or one that cannot be read.
     """
     from ..recording.recording import Recording
+    from ..torque import CONTROLLERS
 
+    places = {name: place for place, name in enumerate(CONTROLLERS)}  # the user's own come first
     files: list[Path] = []
     for path in paths:
-        here = sorted(path.glob("*.h5")) if path.is_dir() else [path]
+        found = sorted(path.glob("*.h5"), key=lambda file: (places.get(file.stem, -1), file.name))
+        here = found if path.is_dir() else [path]
         if not here:
             folders = [folder.name for folder in folders_of(path)]
             fix = f"name one of its folders: {', '.join(folders)}" if folders else "name one that `mmnn run` wrote"

@@ -640,7 +640,7 @@ def test_several_plots_go_into_a_folder(call: Call, short_run: Path) -> None:
     whats = [word for what in ("torque", "path") for word in ("--what", what)]
     code, out, _ = call("plot", short_run, *whats, "--what", "path", "--out", "there", "--json")
     got = json.loads(out)
-    assert code == 0 and [Path(run).stem for run in got["runs"]] == ["pd", "two_layer"]
+    assert code == 0 and [Path(run).stem for run in got["runs"]] == ["two_layer", "pd"]
     assert got["files"] == {what: f"there/{what}.png" for what in ("torque", "path")}
     assert sorted(str(file) for file in Path("there").iterdir()) == sorted(got["files"].values())
 
