@@ -42,7 +42,7 @@ def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_jso
     loaded = load(robot, **overrides)
     with progress_bar() as show:
         report = judge(loaded, samples, seed, progress=functools.partial(show, "checking"))
-    answer(as_json, lambda: properties_dict(report), lambda: properties_text(report))
+    answer(as_json, lambda: properties_dict(report), lambda: properties_text(report, columns()))
     return DONE if report.passed else FAILED
 
 
@@ -111,5 +111,5 @@ def model(robot: str, state: Path | None, overrides: dict[str, Any], as_json: bo
 
     loaded = load(robot, **overrides)
     at = model_at(loaded, *(read_state(state, loaded) if state else NamedState().of(loaded)))
-    answer(as_json, lambda: at, lambda: model_text(at))
+    answer(as_json, lambda: at, lambda: model_text(at, columns()))
     return DONE

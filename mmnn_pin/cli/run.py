@@ -335,6 +335,6 @@ def readings(experiment: str, variant: str | None, settings: tuple[str, ...], as
     answer(
         as_json,
         lambda: {"experiment": name, "variant": asked.variant, "readings": rows},
-        lambda: render_readings(f"{asked.title or name}{words}, one reading changed at a time", rows),
+        lambda: render_readings(f"{asked.title or name}{words}, one reading changed at a time", rows, columns()),
     )
     return DONE

@@ -107,6 +107,10 @@ def test_lists_fold_below_each_other_and_break_no_name(columns: int, capsys, mon
     assert main(["inspect", "tiago_dual"]) == 0
     told = capsys.readouterr().out.partition("findings")[0]
     assert "hand_right_little_flex_3_joint" in told
+    for command in ("check", "model"):
+        assert main([command, "platform_arm"]) == 0
+        long = [line for line in capsys.readouterr().out.splitlines() if len(line) > columns]
+        assert all("M <=" in line or "M nudot" in line for line in long)  # a formula is one line
     assert all(len(line) <= columns for line in told.splitlines() if "_joint, " in line)
 
 

@@ -21,6 +21,7 @@ from .table import WIDTH
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
 CHECK_SAMPLES = 20  # random states of the property checks
 CHECK_SEED = 0
+NARROWEST = 24  # columns that a text beside others has at least
 
 
 def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
@@ -141,32 +142,39 @@ def aligned(rows: Sequence[Sequence[str]], texts: bool = False) -> list[str]:
 # -- reduced model -----------------------------------------------------------------------------------------------------
 
 
-def model_text(model: dict[str, Any]) -> str:
-    """Text of what `mmnn_pin.model.inspection.model_at` gives."""
+def model_text(model: dict[str, Any], width: int = WIDTH) -> str:
+    """Text of what `mmnn_pin.model.inspection.model_at` gives; columns of wide matrices go below each other."""
     names, full, motors = model["velocity_names"], model["full_velocity_names"], model["actuator_names"]
     rows = [f"constraint {i + 1}" for i in range(len(model["A"]))]
+    forces = np.transpose([model["gravity"], model["friction"]])
     blocks = [
         f"robot {model['robot']}, base {model['base']}",
         "M nudot + C nu + gravity + friction = E u,   velocity = T nu,   A velocity = 0",
-        matrix("M", model["M"], names, names),
-        matrix("C", model["C"], names, names),
-        matrix(
-            "gravity, friction", np.transpose([model["gravity"], model["friction"]]), names, ["gravity", "friction"]
-        ),
-        matrix("T", model["T"], full, names),
-        matrix("A", model["A"], rows, full),
-        matrix("E", model["E"], names, motors),
+        *matrix("M", model["M"], names, names, width),
+        *matrix("C", model["C"], names, names, width),
+        *matrix("gravity, friction", forces, names, ["gravity", "friction"], width),
+        *matrix("T", model["T"], full, names, width),
+        *matrix("A", model["A"], rows, full, width),
+        *matrix("E", model["E"], names, motors, width),
     ]
-    return "\n\n".join(block for block in blocks if block)
+    return "\n\n".join(blocks)
 
 
-def matrix(title: str, values: Any, rows: Sequence[str], columns: Sequence[str]) -> str:
-    """A matrix with names; empty if it has no rows or no columns."""
+def matrix(title: str, values: Any, rows: Sequence[str], columns: Sequence[str], width: int) -> Iterator[str]:
+    """A matrix with names, some columns below the others where it is wider; nothing without rows or columns."""
     values = np.asarray(values, float)
     if not values.size:
-        return ""
-    cells = ([name, *(f"{value:.5g}" for value in row)] for name, row in zip(rows, values, strict=True))
-    return "\n".join(aligned([[title, *columns], *cells]))
+        return
+    names = [title, *rows]
+    cells = [[name, *(f"{value:.5g}" for value in column)] for name, column in zip(columns, values.T, strict=True)]
+    room, first = width - max(map(len, names)), 0
+    while first < len(cells):
+        last, taken = first, 0
+        while last < len(cells) and (last == first or taken + 2 + max(map(len, cells[last])) <= room):
+            taken += 2 + max(map(len, cells[last]))
+            last += 1
+        yield "\n".join(aligned([*zip(names, *cells[first:last], strict=True)]))
+        first = last
 
 
 # -- properties --------------------------------------------------------------------------------------------------------
@@ -210,19 +218,20 @@ def json_number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def properties_text(report: Report) -> str:
-    """The report for a terminal: one line per property, the bounds, the Frobenius test."""
+def properties_text(report: Report, columns: int = WIDTH) -> str:
+    """The report for a terminal: the properties with what they mean, the bounds, the Frobenius test."""
     width = max(map(len, report.properties))
     lines = [f"robot {report.robot}: {report.samples} random states, seed {report.seed}", ""]
     lines.append(f"{'property':<{width}}  {'worst':>9}  {'allowed':>9}")
     for name, p in report.properties.items():
         allowed = f"{'>' if p.at_least else '<='} {p.tolerance:.0e}"
-        lines.append(f"{name:<{width}}  {p.worst:>9.1e}  {allowed:>9}  {'ok  ' if p.passed else 'FAIL'}  {p.means}")
-    lines += [f"{name:<{width}}  skipped: {why}" for name, why in report.skipped.items()]
+        row = f"{name:<{width}}  {p.worst:>9.1e}  {allowed:>9}  {'ok  ' if p.passed else 'FAIL'}  "
+        lines.append(beside(row, p.means, columns))
+    lines += [beside(f"{name:<{width}}  skipped: ", why, columns) for name, why in report.skipped.items()]
     lines += report.notes
     b = report.bounds
     lines += ["", f"reduced M: {b.M_min:.4g} I <= M <= {b.M_max:.4g} I (SI units);  ||C|| <= {b.C_b:.4g} ||nu||"]
-    lines += [f"  sampling: {SAMPLING}", "", f"base: {report.nonholonomic.verdict}"]
+    lines += [beside("  sampling: ", SAMPLING, columns), "", beside("base: ", report.nonholonomic.verdict, columns)]
     for where, found in (("pose", report.nonholonomic.pose), ("pose and wheels", report.nonholonomic.with_wheels)):
         if found is not None:
             ranks = " -> ".join(map(str, found.growth))
@@ -230,6 +239,16 @@ def properties_text(report: Report) -> str:
     failed = [name for name, p in report.properties.items() if not p.passed]
     lines += ["", f"FAILED: {', '.join(failed)}" if failed else "all properties hold"]
     return "\n".join(lines)
+
+
+def beside(head: str, text: str, width: int) -> str:
+    """A text behind a head, in lines of at most so many columns; on lines of its own where the head leaves no room."""
+    room = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
+    if len(head) > width - NARROWEST:
+        room.initial_indent = room.subsequent_indent = "  "
+        return f"{head.rstrip()}\n{room.fill(text)}"
+    room.initial_indent, room.subsequent_indent = head, " " * len(head)
+    return room.fill(text)
 
 
 # -- the robots of runs ------------------------------------------------------------------------------------------------
