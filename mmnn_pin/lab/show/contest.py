@@ -97,8 +97,8 @@ KNOWLEDGE: Sequence[Quantity] = (
     Quantity("frozen_fvu", "FVU\nfrozen", "", per_row(lambda row: nan(row.frozen_worst))),
     Quantity("held_base", "base held\nout", "mm", per_row(HELD_BASE, how="learning"), "lost"),
     Quantity("held_arm", "arm held\nout", "mrad", per_row(HELD_ARM, how="learning"), "lost"),
-    Quantity("frozen_base", "the same,\nfrozen", "", per_row(HELD_BASE, how="frozen"), "lost"),
-    Quantity("frozen_arm", "the same,\nfrozen", "", per_row(HELD_ARM, how="frozen"), "lost"),
+    Quantity("frozen_base", "base\nfrozen", "mm", per_row(HELD_BASE, how="frozen"), "lost"),
+    Quantity("frozen_arm", "arm\nfrozen", "mrad", per_row(HELD_ARM, how="frozen"), "lost"),
     Quantity("step", "step\n/ pd", "", lambda standing, task, name: [standing.step_ratio(task, name)]),
 )
 WIDTH = 120
