@@ -13,9 +13,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ParamSpec
@@ -215,6 +215,24 @@ def counter(what: str, total: int, done: int = 0) -> Iterator[Callable[[int, str
 
 
 @contextmanager
+def proving(recordings: Mapping[str, Recording]) -> Iterator[None]:
+    """Within it what takes long of the runs' proofs is told on standard error, as of `mmnn prove`."""
+    from ..lab.proof.proof import QUICK, Proof, keep
+
+    with progress_bar() as show:
+        for name, recording in recordings.items():
+            show(f"{name}, reading", 0.0)
+            with suppress(InputError):  # one that holds too little for a proof
+                keep(Proof(recording, budget=QUICK, progress=partial(tell, show, name)))
+        yield
+
+
+def tell(show: Callable[[str, float], None], name: str, what: str, fraction: float) -> None:
+    """Progress of a part of a run's proof."""
+    show(f"{name}, {what}", fraction)
+
+
+@contextmanager
 def interruptible(show: Callable[P, None]) -> Iterator[Callable[P, None]]:
     """A progress function that also raises what Ctrl-C raises.
 
@@ -292,6 +310,28 @@ def open_runs(paths: tuple[Path, ...]) -> list[Recording]:
         for where, why in recording.damage.items():
             warn(printable(f"{recording.path}: {where} is damaged and left out: {why}"))
     return recordings
+
+
+def one_run(path: Path) -> Recording:
+    """The one recording of a path, with rows.
+
+    Raises:
+        RecordingError: A folder, no recording, or one without rows.
+    """
+    from ..lab.show.curves import require_comparable
+
+    if not path.is_dir():
+        recordings = open_runs((path,))
+        require_comparable(recordings)
+        return recordings[0]
+    fix, here, folders = "name a recording that `mmnn run` wrote", sorted(path.glob("*.h5")), folders_of(path)
+    if here:
+        fix = f"name one of its recordings: {', '.join(file.name for file in here)}"
+    elif folders:
+        names = ", ".join(dict.fromkeys(file.name for folder in folders for file in sorted(folder.glob("*.h5"))))
+        where = ", ".join(folder.name for folder in folders)
+        fix = f"name a recording FOLDER/FILE in it: FOLDER is one of {where}; FILE one of {names}"
+    raise RecordingError("a folder", why="one run is judged at a time", fix=fix, file=path)
 
 
 def folders_of(path: Path) -> list[Path]:

@@ -5,15 +5,14 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
-from functools import cached_property, partial
+from contextlib import nullcontext
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import ConfigError, InputError, RecordingError
+from ..errors import ConfigError
 from ..files import require_free
 from .options import FORCE, PACKAGE_DIRS, examples, law, numbers, shared
 from .output import (
@@ -25,8 +24,10 @@ from .output import (
     found_in,
     look,
     named,
+    one_run,
     open_runs,
     progress_bar,
+    proving,
     warn,
     wrote,
 )
@@ -131,24 +132,6 @@ def require_whats(chosen: tuple[str, ...], kind: str, folder: Path | None) -> No
             raise ConfigError(f"'{what}' is a plot of the runs of one task", fix=fix, file=folder, key="--what")
         fix = f"there is: {', '.join(whats(kind))}"
         raise ConfigError(f"'{what}' is no figure of a {kind}", fix=fix, file=folder, key="--what")
-
-
-@contextmanager
-def proving(recordings: Mapping[str, Recording]) -> Iterator[None]:
-    """Within it what takes long of the runs' proofs is told on standard error, as of `mmnn prove`."""
-    from ..lab.proof.proof import QUICK, Proof, keep
-
-    with progress_bar() as show:
-        for name, recording in recordings.items():
-            show(f"{name}, reading", 0.0)
-            with suppress(InputError):  # one that holds too little for a proof
-                keep(Proof(recording, budget=QUICK, progress=partial(tell, show, name)))
-        yield
-
-
-def tell(show: Callable[[str, float], None], name: str, what: str, fraction: float) -> None:
-    """Progress of a part of a run's proof."""
-    show(f"{name}, {what}", fraction)
 
 
 def by_name(recordings: list[Recording]) -> dict[str, Recording]:
@@ -261,28 +244,6 @@ def prove(
         ).rstrip(),
     )
     return DONE if found.holds else FAILED
-
-
-def one_run(path: Path) -> Recording:
-    """The one recording of a path, with rows.
-
-    Raises:
-        RecordingError: A folder, no recording, or one without rows.
-    """
-    from ..lab.show.curves import require_comparable
-
-    if not path.is_dir():
-        recordings = open_runs((path,))
-        require_comparable(recordings)
-        return recordings[0]
-    fix, here, folders = "name a recording that `mmnn run` wrote", sorted(path.glob("*.h5")), folders_of(path)
-    if here:
-        fix = f"name one of its recordings: {', '.join(file.name for file in here)}"
-    elif folders:
-        names = ", ".join(dict.fromkeys(file.name for folder in folders for file in sorted(folder.glob("*.h5"))))
-        where = ", ".join(folder.name for folder in folders)
-        fix = f"name a recording FOLDER/FILE in it: FOLDER is one of {where}; FILE one of {names}"
-    raise RecordingError("a folder", why="one run is judged at a time", fix=fix, file=path)
 
 
 @click.command(
