@@ -7,9 +7,6 @@ from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.torque.adaptive import Adaptive
 from mmnn_pin.torque.model_based import ComputedTorque
 
-robot = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
-regressor, gains = Regressor.of(robot), Feedback(500.0, 30.0)
-
 
 def loop(controller, base, periods, duration):
     """A closed loop on the thesis robot with friction."""
@@ -33,6 +30,8 @@ HELD_OUT = {
     "circle": (Circle(radius=0.7, speed=0.5, ramp=1.0), (3.1, 2.3)),
 }
 if __name__ == "__main__":
+    robot = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
+    regressor, gains = Regressor.of(robot), Feedback(500.0, 30.0)
     truth = {name: loop(ComputedTorque(gains), *motion, 10.0).run() for name, motion in HELD_OUT.items()}
     for name, motion in TRAINING.items():
         learned = loop(Adaptive(regressor, gains), *motion, 48.0).run()

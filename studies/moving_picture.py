@@ -1,7 +1,7 @@
 """The moving picture of a replay page, as the README shows it.
 
-    mmnn run track --robot tiago --controller computed_torque --out runs/tiago
-    mmnn replay runs/tiago/computed_torque.h5 --html runs/tiago/replay.html
+    mmnn run track --robot tiago --controller two_layer --set time.duration=40 --out runs/tiago
+    mmnn replay runs/tiago/two_layer.h5 --html runs/tiago/replay.html
     python -m studies.moving_picture runs/tiago/replay.html docs/figures/replay.gif
 
 Needs Chromium, playwright and Pillow (`pip install -e ".[test]"`).
@@ -18,6 +18,7 @@ from pathlib import Path
 from PIL import Image
 
 SIZE = {"width": 960, "height": 540}
+COLOURS = 96  # of the picture
 DRAWN = 600  # software takes that long to draw a frame [ms]
 FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
@@ -27,12 +28,12 @@ def main(words: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("page", type=Path)
     parser.add_argument("picture", type=Path)
-    parser.add_argument("--frames", type=int, default=40)
-    parser.add_argument("--seconds", type=float, default=6.0, help="that the picture takes")
+    parser.add_argument("--frames", type=int, default=48)
+    parser.add_argument("--seconds", type=float, default=8.0, help="that the picture takes")
     parser.add_argument("--width", type=int, default=640, help="of the picture in pixels")
     given = parser.parse_args(words)
     frames = [small(frame, given.width) for frame in shots(given.page, given.frames)]
-    first, *others = frames
+    first, *others = with_colours(frames)
     wait = round(1e3 * given.seconds / given.frames)
     first.save(given.picture, save_all=True, append_images=others, duration=wait, loop=0, optimize=True)
     drawn = Image.open(given.picture).n_frames  # frames that are alike become one
@@ -66,11 +67,21 @@ def shots(page: Path, count: int) -> list[Image.Image]:
 
 
 def small(frame: Image.Image, width: int) -> Image.Image:
-    """The middle of a frame at a width, with the colours that a GIF can have."""
+    """The middle of a frame at a width."""
     across, down = frame.size
     frame = frame.crop((round(0.12 * across), round(0.1 * down), round(0.88 * across), round(0.9 * down)))
     height = round(frame.height * width / frame.width)
-    return frame.convert("RGB").resize((width, height), Image.Resampling.LANCZOS).quantize(64, dither=Image.Dither.NONE)
+    return frame.convert("RGB").resize((width, height), Image.Resampling.LANCZOS)
+
+
+def with_colours(frames: list[Image.Image]) -> list[Image.Image]:
+    """Frames with the same few colours: what does not move then does not flicker, and takes no room."""
+    some = frames[:: max(1, len(frames) // 6)]
+    sheet = Image.new("RGB", (some[0].width, some[0].height * len(some)))
+    for i, frame in enumerate(some):
+        sheet.paste(frame, (0, i * frame.height))
+    colours = sheet.quantize(COLOURS, kmeans=1, dither=Image.Dither.NONE)
+    return [frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames]
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 import tomllib
 import types
 from pathlib import Path
@@ -137,8 +138,33 @@ def blocks(language: str, page: str = README) -> list[str]:
 
 def test_readme_shows_the_quickstart_as_it_is() -> None:
     source = (ROOT / "examples/quickstart.py").read_text()
-    code = source[source.index("from mmnn_pin") :]
-    assert code in blocks("python")
+    head, guard, body = source[source.index("from mmnn_pin") :].partition('if __name__ == "__main__":\n')
+    assert guard and head + textwrap.dedent(body) in blocks("python")
+
+
+def test_examples_run_only_where_they_are_the_program() -> None:
+    """Processes that they start import them again."""
+    for file in sorted((ROOT / "examples").rglob("*.py")):
+        module = ast.parse(file.read_text())
+        ours = {name.name for node in module.body for name in names_from(node)}
+        loose = [ast.unparse(node) for node in module.body if runs_when_imported(node, ours)]
+        assert loose == [], file.name
+
+
+def names_from(node: ast.stmt) -> list[ast.alias]:
+    """Names that a statement imports from the package."""
+    return node.names if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("mmnn_pin") else []
+
+
+def runs_when_imported(node: ast.stmt, ours: set[str]) -> bool:
+    """Whether a statement of a module does more than import, define, or set a constant without a function of ours."""
+    if isinstance(node, ast.If):
+        return "__name__ == '__main__'" not in ast.unparse(node.test)
+    if isinstance(node, ast.Assign | ast.AnnAssign):
+        called = [ast.unparse(call.func) for call in ast.walk(node) if isinstance(call, ast.Call)]
+        return any(re.split(r"\W", name)[0] in ours and name.split(".")[-1][0].islower() for name in called)
+    is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    return not is_text and not isinstance(node, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef)
 
 
 @compiled_only

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,7 @@ import click
 from ..errors import ConfigError
 from ..files import require_free
 from .options import FORCE, examples, numbers, robots, run_command, shared, understanding
-from .output import DONE, FAILED, answer, named, warn, wrote
+from .output import DONE, FAILED, answer, look, named, warn, wrote
 
 if TYPE_CHECKING:
     from ..deploy.identify.identification import Identification
@@ -131,7 +130,7 @@ def identify(
 
     def text() -> str:
         after = [wrote(files.values()), *what_it_changes(found, robot, files["urdf"], overrides)] if files else []
-        return "\n".join((text_of(report, sys.stdout.isatty()), *after))
+        return "\n".join((text_of(report, **look()), *after))
 
     answer(as_json, lambda: report, text)
     if not files:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
-from click.shell_completion import BashComplete, CompletionItem, add_completion_class
+from click.shell_completion import BashComplete, CompletionItem, ZshComplete, add_completion_class
 
 from ..errors import ConfigError, InputError
 
@@ -89,6 +89,23 @@ class Bash(BashComplete):
 }
 complete -o nosort -F %(complete_func)s_on %(prog_name)s
 """
+    )
+
+
+@add_completion_class
+class Zsh(ZshComplete):
+    """The same in zsh, also in one that nobody has switched completion on in; fish needs nothing."""
+
+    source_template = ZshComplete.source_template.replace(
+        "        compadd -U -V unsorted -a completions\n",
+        """        local -a unfinished=(${(M)completions:#*[.=]})
+        completions=(${completions:#*[.=]})
+        compadd -U -V unsorted -a completions
+        compadd -U -S '' -V unsorted -a unfinished
+""",
+    ).replace(
+        "    compdef %(complete_func)s",
+        "    (( $+functions[compdef] )) || { autoload -Uz compinit && compinit -i; }\n    compdef %(complete_func)s",
     )
 
 

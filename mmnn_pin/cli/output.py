@@ -13,9 +13,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ParamSpec
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
 EVERY = 10.0  # between two lines of progress [s]
-NARROW, WIDE = 40, 200  # columns of a terminal that tables are made for, at least and at most
+NARROW, WIDTH, WIDE = 40, 100, 200  # columns that tables are made for: at least, without a terminal, at most
 STUDY, CONTEST, IDENTIFIED = "study.sqlite", ("contest.json", "rows.json"), "*.identified.json"  # their files
 
 
@@ -51,10 +51,16 @@ def say(text: str) -> None:
 
 
 def look() -> dict[str, Any]:
-    """How text for standard output looks: in colours and as wide as the terminal, else plain and as wide as it is."""
-    if not sys.stdout.isatty():
+    """How text for standard output looks: in colours on a terminal; as wide as that or COLUMNS, else as it is."""
+    colour = sys.stdout.isatty()
+    if not colour and not os.environ.get("COLUMNS", "").isdigit():
         return {}
-    return {"colour": True, "width": min(max(shutil.get_terminal_size().columns, NARROW), WIDE)}
+    return {"colour": colour, "width": min(max(shutil.get_terminal_size().columns, NARROW), WIDE)}
+
+
+def columns() -> int:
+    """Columns of text for standard output, see `look`."""
+    return int(look().get("width", WIDTH))
 
 
 def printable(text: str) -> str:
@@ -209,6 +215,24 @@ def counter(what: str, total: int, done: int = 0) -> Iterator[Callable[[int, str
 
 
 @contextmanager
+def proving(recordings: Mapping[str, Recording]) -> Iterator[None]:
+    """Within it what takes long of the runs' proofs is told on standard error, as of `mmnn prove`."""
+    from ..lab.proof.proof import QUICK, Proof, keep
+
+    with progress_bar() as show:
+        for name, recording in recordings.items():
+            show(f"{name}, reading", 0.0)
+            with suppress(InputError):  # one that holds too little for a proof
+                keep(Proof(recording, budget=QUICK, progress=partial(tell, show, name)))
+        yield
+
+
+def tell(show: Callable[[str, float], None], name: str, what: str, fraction: float) -> None:
+    """Progress of a part of a run's proof."""
+    show(f"{name}, {what}", fraction)
+
+
+@contextmanager
 def interruptible(show: Callable[P, None]) -> Iterator[Callable[P, None]]:
     """A progress function that also raises what Ctrl-C raises.
 
@@ -263,16 +287,19 @@ def found_in(paths: tuple[Path, ...], what: str) -> Path | None:
 
 
 def open_runs(paths: tuple[Path, ...]) -> list[Recording]:
-    """The recordings of some paths: each a recording, or a folder of recordings.
+    """The recordings of some paths: each a recording, or a folder of recordings, in the order of `mmnn list`.
 
     Raises:
         RecordingError: None there, or one that cannot be read.
     """
     from ..recording.recording import Recording
+    from ..torque import CONTROLLERS
 
+    places = {name: place for place, name in enumerate(CONTROLLERS)}  # the user's own come first
     files: list[Path] = []
     for path in paths:
-        here = sorted(path.glob("*.h5")) if path.is_dir() else [path]
+        found = sorted(path.glob("*.h5"), key=lambda file: (places.get(file.stem, -1), file.name))
+        here = found if path.is_dir() else [path]
         if not here:
             folders = [folder.name for folder in folders_of(path)]
             fix = f"name one of its folders: {', '.join(folders)}" if folders else "name one that `mmnn run` wrote"
@@ -283,6 +310,28 @@ def open_runs(paths: tuple[Path, ...]) -> list[Recording]:
         for where, why in recording.damage.items():
             warn(printable(f"{recording.path}: {where} is damaged and left out: {why}"))
     return recordings
+
+
+def one_run(path: Path) -> Recording:
+    """The one recording of a path, with rows.
+
+    Raises:
+        RecordingError: A folder, no recording, or one without rows.
+    """
+    from ..lab.show.curves import require_comparable
+
+    if not path.is_dir():
+        recordings = open_runs((path,))
+        require_comparable(recordings)
+        return recordings[0]
+    fix, here, folders = "name a recording that `mmnn run` wrote", sorted(path.glob("*.h5")), folders_of(path)
+    if here:
+        fix = f"name one of its recordings: {', '.join(file.name for file in here)}"
+    elif folders:
+        names = ", ".join(dict.fromkeys(file.name for folder in folders for file in sorted(folder.glob("*.h5"))))
+        where = ", ".join(folder.name for folder in folders)
+        fix = f"name a recording FOLDER/FILE in it: FOLDER is one of {where}; FILE one of {names}"
+    raise RecordingError("a folder", why="one run is judged at a time", fix=fix, file=path)
 
 
 def folders_of(path: Path) -> list[Path]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+from contextlib import nullcontext
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import ConfigError, RecordingError
+from ..errors import ConfigError
 from ..files import require_free
 from .options import FORCE, PACKAGE_DIRS, examples, law, numbers, shared
 from .output import (
@@ -23,8 +24,10 @@ from .output import (
     found_in,
     look,
     named,
+    one_run,
     open_runs,
     progress_bar,
+    proving,
     warn,
     wrote,
 )
@@ -85,7 +88,7 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
     """Plot recordings side by side. RUN is a recording, a folder of them, or the folder of one study or contest."""
     from ..lab.contest.contest import opened
     from ..lab.show.curves import require_comparable
-    from ..lab.show.figure import save
+    from ..lab.show.figure import FIGURES, save
     from ..lab.show.gallery import OF, PICTURES
     from ..lab.study.results import load_results
 
@@ -103,7 +106,10 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
     files = pictures(out or Path("."), tuple(dict.fromkeys(wanted)))
     for file in files.values():
         require_free(file, force, "picture")
-    for what, figure in {what: make(what) for what in files}.items():
+    proved = kind == "runs" and any(what in FIGURES["proof"] for what in files)
+    with proving(recordings) if proved else nullcontext():
+        figures = {what: make(what) for what in files}
+    for what, figure in figures.items():
         save(figure, files[what], force)
     answer(as_json, lambda: about | {"files": named(files)}, lambda: wrote(files.values()))
     return DONE
@@ -240,28 +246,6 @@ def prove(
     return DONE if found.holds else FAILED
 
 
-def one_run(path: Path) -> Recording:
-    """The one recording of a path, with rows.
-
-    Raises:
-        RecordingError: A folder, no recording, or one without rows.
-    """
-    from ..lab.show.curves import require_comparable
-
-    if not path.is_dir():
-        recordings = open_runs((path,))
-        require_comparable(recordings)
-        return recordings[0]
-    fix, here, folders = "name a recording that `mmnn run` wrote", sorted(path.glob("*.h5")), folders_of(path)
-    if here:
-        fix = f"name one of its recordings: {', '.join(file.name for file in here)}"
-    elif folders:
-        names = ", ".join(dict.fromkeys(file.name for folder in folders for file in sorted(folder.glob("*.h5"))))
-        where = ", ".join(folder.name for folder in folders)
-        fix = f"name a recording FOLDER/FILE in it: FOLDER is one of {where}; FILE one of {names}"
-    raise RecordingError("a folder", why="one run is judged at a time", fix=fix, file=path)
-
-
 @click.command(
     short_help="Watch recordings in the browser.",
     epilog=examples(
@@ -375,7 +359,8 @@ def report(
     else:
         recordings = by_name(open_runs(runs))
         about = {"runs": [str(recording.path) for recording in recordings.values()]}
-        made = make(recordings, command=command, with_replay=not no_replay, package_dirs=package_dirs)
+        with proving(recordings):
+            made = make(recordings, command=command, with_replay=not no_replay, package_dirs=package_dirs)
     for warning in made.warnings:
         warn(warning)
     made.save(html, force)

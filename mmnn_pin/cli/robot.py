@@ -10,7 +10,7 @@ import click
 
 from ..errors import RobotError
 from .options import examples, robots, shared, understanding
-from .output import BAD_INPUT, DONE, FAILED, answer, progress_bar, warn
+from .output import BAD_INPUT, DONE, FAILED, answer, columns, progress_bar, warn
 
 
 @click.command(
@@ -42,7 +42,7 @@ def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_jso
     loaded = load(robot, **overrides)
     with progress_bar() as show:
         report = judge(loaded, samples, seed, progress=functools.partial(show, "checking"))
-    answer(as_json, lambda: properties_dict(report), lambda: properties_text(report))
+    answer(as_json, lambda: properties_dict(report), lambda: properties_text(report, columns()))
     return DONE if report.passed else FAILED
 
 
@@ -77,7 +77,7 @@ def inspect(robot: str, overrides: dict[str, Any], as_json: bool) -> int:
     for finding in content["findings"]:
         if finding["severity"] == "error":
             click.echo(finding["text"], err=True)
-    text = inspection_text(content) if code == DONE else refusal_text(content)
+    text = inspection_text(content, columns()) if code == DONE else refusal_text(content)
     without_texts = [{k: v for k, v in finding.items() if k != "text"} for finding in content["findings"]]
     if as_json or text:
         answer(as_json, lambda: content | {"findings": without_texts}, lambda: text)
@@ -114,5 +114,5 @@ def model(robot: str, state: Path | None, overrides: dict[str, Any], as_json: bo
     at = model_at(loaded, position, nu)
     for doubt in doubtful(loaded, position):
         warn(f"{state}: {doubt}")
-    answer(as_json, lambda: at, lambda: model_text(at))
+    answer(as_json, lambda: at, lambda: model_text(at, columns()))
     return DONE

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import InputError
-from ..files import read_toml, require_free
+from ..files import read_toml
 from .options import CHANGES, VARIANT, cases, controllers, examples, experiments, robots, shared, understanding
 from .output import (
     DONE,
@@ -21,6 +21,7 @@ from .output import (
     STOPPED,
     answer,
     before_it_is_compiled,
+    columns,
     compile_if_cold,
     interruptible,
     look,
@@ -81,7 +82,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
-    help="Folder for the files.  [default: runs/EXPERIMENT[-VARIANT], numbered where that exists]",
+    help="Folder for the files; where it has such files, a numbered one.  [default: runs/EXPERIMENT[-VARIANT]]",
 )
 @click.option("--force", is_flag=True, help="Replace what is already in that folder.")
 @understanding
@@ -123,11 +124,9 @@ def run(
     changes = [*about_robot(robot, overrides), *settings, *in_toml(**chosen)]
     asked, name = chosen_cases(load_experiment(experiment, changes, variant), cases), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
-    if out is None and not force and asked.contest is None:  # a contest goes on where it was stopped
-        folder = unused(folder)
     require_plots(asked.plots)
-    for plot in asked.plots:
-        require_free(folder / f"{plot}.png", force, "plot")
+    if not force and asked.contest is None:  # a contest goes on where it was stopped
+        folder = unused(folder, files_of(asked) if out else None)
     hardware = bool(asked.cases) or has_hardware(asked)
     with for_another_robot(experiment, variant, asked):
         if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
@@ -150,10 +149,26 @@ def for_another_robot(experiment: str, variant: str | None, asked: Experiment) -
         raise explained(error, Path(experiment).stem, asked, load_experiment(experiment, (), variant)) from None
 
 
-def unused(folder: Path) -> Path:
-    """A folder that does not exist yet: this one, or `FOLDER-2` and so on."""
+def unused(folder: Path, files: list[str] | None) -> Path:
+    """This folder, or where it is taken the first of `FOLDER-2` and so on that does not exist, announced.
+
+    Args:
+        folder: The folder.
+        files: It is taken if it has one of these; None if it only exists.
+    """
+    if not (folder.exists() if files is None else any((folder / file).exists() for file in files)):
+        return folder
     numbered = (folder.with_name(f"{folder.name}-{i}") for i in itertools.count(2))
-    return next(each for each in itertools.chain([folder], numbered) if not each.exists())
+    free = next(each for each in numbered if not each.exists())
+    click.echo(f"{folder} has runs already: these go to {free} (--force replaces them)", err=True)
+    return free
+
+
+def files_of(asked: Experiment) -> list[str]:
+    """What a run writes into its folder: recordings by case, and plots."""
+    folders = [f"{case}/" for case in asked.cases] or [""]
+    runs = [f"{folder}{name}.h5" for folder in folders for name in asked.controllers]
+    return [*runs, *(f"{plot}.png" for plot in asked.plots)]
 
 
 def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
@@ -162,7 +177,6 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     from ..lab.show.comparison import notes, render
     from ..lab.show.gallery import write_pictures
     from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
-    from ..lab.show.table import WIDTH
 
     with progress_bar() as show, interruptible(show) as progress:
         result = run_experiment(asked, name, out=folder, force=force, progress=progress)
@@ -171,7 +185,7 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     def text() -> str:
         remarks = [f"note: {note}" for note in (*worse_somewhere(result), *rivals_left_out(result), *notes(result))]
         files = [recording.path for recording in result.recordings.values() if recording.path]
-        verdict = textwrap.fill(headline(result), look().get("width", WIDTH))
+        verdict = textwrap.fill(headline(result), columns())
         return "\n".join([render(result, **look()), "", verdict, *remarks, wrote([*files, *pictures.values()])])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
@@ -267,22 +281,42 @@ def list_(as_json: bool) -> int:
             for part, kinds in (("base", BASE_PATHS), ("arm", ARM_PROFILES))
         },
     }
-    answer(as_json, lambda: there_is, lambda: list_text(there_is))
+    answer(as_json, lambda: there_is, lambda: list_text(there_is, columns()))
     return DONE
 
 
-def list_text(there_is: dict[str, dict[str, Any]]) -> str:
-    """What there is, a line each; variants and cases behind their experiments."""
+def list_text(there_is: dict[str, dict[str, Any]], width: int) -> str:
+    """What there is, in lines of at most `width` columns; variants and cases behind their experiments.
+
+    Robots are named with the files that they come from, which stay whole, in groups by folder.
+    """
     titles = dict(there_is["experiments"])
     for option in ("variant", "case"):
         for name, known in there_is[f"{option}s"].items():
             shown = [*known[:MOST], "..."] if len(known) > MOST else known
             titles[name] += f" (--{option} {', '.join(shown)})" if known else ""
-    groups = {"experiments": titles, **{kind: there_is[kind] for kind in ("robots", "controllers")}}
+    groups: dict[str, dict[str, str]] = {"experiments": titles}
+    for name, file in there_is["robots"].items():
+        folder = robot_folder(Path(file))
+        groups.setdefault(f"robots in {folder}", {})[name] = str(Path(file).relative_to(folder))
+    groups["controllers"] = there_is["controllers"]
     groups |= {f"references of the {part}": kinds for part, kinds in there_is["references"].items()}
     return "\n".join(
-        "\n".join([kind, *(f"  {name:24}{text}" for name, text in group.items())]) for kind, group in groups.items()
+        "\n".join([kind, *(hanging(name, text, width) for name, text in group.items())])
+        for kind, group in groups.items()
     )
+
+
+def robot_folder(file: Path) -> Path:
+    """The folder that the robots beside a file share: that of example-robot-data, or its own."""
+    return next((folder for folder in file.parents if folder.match("example-robot-data/robots")), file.parent)
+
+
+def hanging(name: str, text: str, width: int) -> str:
+    """A name and what it is, the lines of the text below each other; a file is not broken."""
+    room = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
+    room.initial_indent, room.subsequent_indent = f"  {name:24}", " " * 26
+    return room.fill(text) if text else f"  {name}"
 
 
 @click.command(
@@ -317,6 +351,6 @@ def readings(experiment: str, variant: str | None, settings: tuple[str, ...], as
     answer(
         as_json,
         lambda: {"experiment": name, "variant": asked.variant, "readings": rows},
-        lambda: render_readings(f"{asked.title or name}{words}, one reading changed at a time", rows),
+        lambda: render_readings(f"{asked.title or name}{words}, one reading changed at a time", rows, columns()),
     )
     return DONE

@@ -203,20 +203,24 @@ def test_a_second_run_gets_a_numbered_folder_and_leaves_the_first_as_it_was(call
     assert code == 0 and f"wrote {second}/pd.h5" in out
     assert sorted(map(str, Path("runs").iterdir())) == [first, second]
     code, out, err = call(*command, "--out", second)
-    assert code == 2 and out == "" and "--force" in only_line(err)
-    Path(second, "errors.png").unlink()
-    assert call(*command, "--out", second)[0] == 2
+    told = f"{second} has runs already: these go to {second}-2 (--force replaces them)"
+    assert code == 0 and f"wrote {second}-2/pd.h5" in out and told in err
     assert {file: file.read_bytes() for file in before} == before
     assert call("run", "chapter4", "--controller", "pd", "--set", "time.duration=0.03", "--force")[0] == 0
-    assert len(Recording.open(f"{first}/pd.h5")) == 15 and len(list(Path("runs").iterdir())) == 2
+    assert len(Recording.open(f"{first}/pd.h5")) == 15 and len(list(Path("runs").iterdir())) == 3
 
 
-def test_a_plot_that_exists_is_not_overwritten(call: Call) -> None:
+@pytest.mark.usefixtures("undrawn")
+def test_a_named_folder_is_used_unless_it_has_such_files(call: Call) -> None:
     Path("out").mkdir()
     Path("out/errors.png").write_text("mine")
-    code, _, err = call("run", "chapter4", *SHORT, "--out", "out")
-    assert code == 2 and "errors.png" in only_line(err)
+    assert call("run", "chapter4", *SHORT, "--controller", "pd", "--out", "out")[0] == 0
     assert Path("out/errors.png").read_text() == "mine" and len(list(Path("out").iterdir())) == 1
+    assert Path("out-2/pd.h5").is_file()
+    _, out, err = call("run", "chapter4", *SHORT, "--controller", "pid", "--set", "plots=[]", "--out", "out-2")
+    assert "wrote out-2/pid.h5" in out and "has runs" not in err  # beside those that are there
+    assert call("run", "chapter4", *SHORT, "--controller", "pid", "--out", "out-2", "--force")[0] == 0
+    assert not Path("out-2-2").exists() and not Path("out-3").exists()
 
 
 def test_ctrl_c_keeps_what_is_recorded(tmp_path: Path) -> None:
@@ -636,7 +640,7 @@ def test_several_plots_go_into_a_folder(call: Call, short_run: Path) -> None:
     whats = [word for what in ("torque", "path") for word in ("--what", what)]
     code, out, _ = call("plot", short_run, *whats, "--what", "path", "--out", "there", "--json")
     got = json.loads(out)
-    assert code == 0 and [Path(run).stem for run in got["runs"]] == ["pd", "two_layer"]
+    assert code == 0 and [Path(run).stem for run in got["runs"]] == ["two_layer", "pd"]
     assert got["files"] == {what: f"there/{what}.png" for what in ("torque", "path")}
     assert sorted(str(file) for file in Path("there").iterdir()) == sorted(got["files"].values())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import select
 import shutil
 import sys
@@ -87,11 +88,30 @@ def test_progress_in_a_log_goes_to_standard_error(monkeypatch, capsys) -> None:
 
 
 def test_tables_are_as_wide_as_the_terminal_and_plain_in_a_file(monkeypatch) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
     assert output.look() == {}
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
     for columns, wanted in ((63, 63), (10, output.NARROW), (999, output.WIDE)):
         monkeypatch.setenv("COLUMNS", str(columns))
         assert output.look() == {"colour": True, "width": wanted}
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: False, raising=False)
+    assert output.look() == {"colour": False, "width": output.WIDE}  # asked for, as `COLUMNS=999 mmnn list | less`
+
+
+@pytest.mark.parametrize("columns", [60, 80, 200])
+def test_lists_fold_below_each_other_and_break_no_name(columns: int, capsys, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert main(["list"]) == 0
+    listed = capsys.readouterr().out
+    assert all(len(line) <= columns for line in listed.splitlines() if ".urdf" not in line and "robots in" not in line)
+    assert main(["inspect", "tiago_dual"]) == 0
+    told = capsys.readouterr().out.partition("findings")[0]
+    assert "hand_right_little_flex_3_joint" in told
+    for command in ("check", "model"):
+        assert main([command, "platform_arm"]) == 0
+        long = [line for line in capsys.readouterr().out.splitlines() if len(line) > columns]
+        assert all("M <=" in line or "M nudot" in line for line in long)  # a formula is one line
+    assert all(len(line) <= columns for line in told.splitlines() if "_joint, " in line)
 
 
 def test_help_says_how_to_switch_completion_on(capsys) -> None:
@@ -99,17 +119,22 @@ def test_help_says_how_to_switch_completion_on(capsys) -> None:
     assert "_MMNN_COMPLETE=bash_source mmnn" in " ".join(capsys.readouterr().out.split())
 
 
-class Bash:
-    """An interactive bash on a terminal of its own, with completion switched on as `mmnn --help` says."""
+SHELLS = {"bash": ("--norc", "--noprofile", "-i"), "zsh": ("-f", "-i")}
 
-    def __init__(self) -> None:
+
+class Shell:
+    """An interactive shell on a terminal of its own, with completion switched on as `mmnn --help` says."""
+
+    def __init__(self, name: str, home: Path) -> None:
         path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
         self.pid, self.terminal = pty.fork()
         if self.pid == 0:
-            os.environ.update(PATH=path, TERM="dumb", COLUMNS="200")
-            os.execvp("bash", ["bash", "--norc", "--noprofile", "-i"])
+            os.environ.update(PATH=path, TERM="dumb", COLUMNS="200", HOME=str(home))
+            os.execvp(name, [name, *SHELLS[name]])
         self.prompts = 0  # numbered: what is given up is drawn again behind its own prompt, which is not the next one
-        os.write(self.terminal, b"eval \"$(_MMNN_COMPLETE=bash_source mmnn)\"; shown=0; PS1='ready $((++shown))> '\n")
+        subst = "setopt prompt_subst; " if name == "zsh" else ""
+        setup = f"eval \"$(_MMNN_COMPLETE={name}_source mmnn)\"; shown=0; {subst}PS1='ready $((++shown))> '\n"
+        os.write(self.terminal, setup.encode())
         self.read_to_prompt()
 
     def read_to(self, end: str) -> str:
@@ -126,15 +151,17 @@ class Bash:
     def after_a_tab(self, typed: str) -> str:
         """What the line holds then."""
         os.write(self.terminal, f"{typed}\t#".encode())
-        told = self.read_to("#").replace("\a", "").partition("#")[0]
+        told = re.sub(r".\x08", "", self.read_to("#").replace("\a", "")).partition("#")[0]
         os.write(self.terminal, b"\x15\n")  # the line is given up
         self.read_to_prompt()
         return told[told.rindex("mmnn run") :]
 
 
-@pytest.mark.skipif(not shutil.which("bash"), reason="needs bash")
-def test_bash_completes_with_a_blank_only_after_what_is_whole() -> None:
-    bash = Bash()
+@pytest.mark.parametrize("name", SHELLS)
+def test_shells_complete_with_a_blank_only_after_what_is_whole(name: str, tmp_path: Path) -> None:
+    if not shutil.which(name):
+        pytest.skip(f"needs {name}")
+    shell = Shell(name, tmp_path)
     for typed, rest in (
         ("mmnn run tra", "ck "),
         ("mmnn run chapter4 --variant fi", "gures "),
@@ -143,7 +170,7 @@ def test_bash_completes_with_a_blank_only_after_what_is_whole() -> None:
         ("mmnn run track --set fee", "dback."),
         ("mmnn run track --set adaptive.lea", "kage="),
     ):
-        assert bash.after_a_tab(typed) == typed + rest
-    os.write(bash.terminal, b"exit\n")
-    os.waitpid(bash.pid, 0)
-    os.close(bash.terminal)
+        assert shell.after_a_tab(typed) == typed + rest
+    os.write(shell.terminal, b"exit\n")
+    os.waitpid(shell.pid, 0)
+    os.close(shell.terminal)

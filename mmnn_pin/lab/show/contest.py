@@ -24,6 +24,7 @@ from .figure import (
     axes_grid,
     figure,
     log_ticks,
+    mark_empty,
     new_figure,
     pictures,
     plain,
@@ -96,8 +97,8 @@ KNOWLEDGE: Sequence[Quantity] = (
     Quantity("frozen_fvu", "FVU\nfrozen", "", per_row(lambda row: nan(row.frozen_worst))),
     Quantity("held_base", "base held\nout", "mm", per_row(HELD_BASE, how="learning"), "lost"),
     Quantity("held_arm", "arm held\nout", "mrad", per_row(HELD_ARM, how="learning"), "lost"),
-    Quantity("frozen_base", "the same,\nfrozen", "", per_row(HELD_BASE, how="frozen"), "lost"),
-    Quantity("frozen_arm", "the same,\nfrozen", "", per_row(HELD_ARM, how="frozen"), "lost"),
+    Quantity("frozen_base", "base\nfrozen", "mm", per_row(HELD_BASE, how="frozen"), "lost"),
+    Quantity("frozen_arm", "arm\nfrozen", "mrad", per_row(HELD_ARM, how="frozen"), "lost"),
     Quantity("step", "step\n/ pd", "", lambda standing, task, name: [standing.step_ratio(task, name)]),
 )
 WIDTH = 120
@@ -290,8 +291,7 @@ def dots(standing: Standing, title: str, columns: Sequence[tuple[str, Callable[.
             axes.set_xscale("log")
             number_axes(axes.xaxis)
         else:
-            axes.set_xticks([])
-            axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="0.5")
+            mark_empty(axes)
         axes.set_yticks([-k for k in range(len(names))], [plain(name) for name in names] if j == 0 else [])
         axes.set_ylim(0.6 - len(names), 0.6)
         axes.set_title(f"{task}: " * (j == 0) + label + "".join(f", {how}" for how in options.values()))
@@ -317,7 +317,7 @@ def known(standing: Standing) -> Figure:
     """Frozen against online FVU: what a learner knows against what it follows; on the diagonal both are one."""
     tasks, style = tasks_run(standing), styles_of_controllers(standing.controllers)
     learners = [name for name in standing.controllers if name not in (BASELINE, *ORACLES)]
-    picture, panels = axes_grid(len(tasks), 4, 3.2, 3.1, 0.9)
+    picture, panels = axes_grid(len(tasks), 4, 3.2 if len(tasks) > 1 else 4.6, 3.1, 0.9)
     shown: dict[str, Look] = {}
     for axes, task in zip(panels, tasks, strict=True):
         for name, marker in zip(learners, cycle(MARKERS), strict=False):

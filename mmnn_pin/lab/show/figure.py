@@ -153,20 +153,23 @@ def write_figures(
 
 
 def styles_of_controllers(controllers: Iterable[str]) -> dict[str, Style]:
-    """Style of every controller: its own, else the next that is free."""
-    others = cycle(OTHERS)
-    return {name: STYLES.get(name) or next(others) for name in controllers}
+    """Style of every controller: its own, or where it has none or another has the same, the next that is free."""
+    return distinct({name: STYLES.get(name) for name in controllers})
 
 
 def styles_of(recordings: Mapping[str, Recording]) -> dict[str, Style]:
-    """Style of every recording: by its key, else by its controller, else the next that is free."""
-    styles = {name: STYLES[name] for name in recordings if name in STYLES}
-    others = cycle(OTHERS)
-    for name, recording in recordings.items():
-        own = STYLES.get(str(recording.meta.get("controller")))
-        if name not in styles:
-            styles[name] = own if own is not None and own not in styles.values() else next(others)
-    return styles
+    """Style of every recording: by its key, else by its controller; no two alike while there are others."""
+    return distinct({n: STYLES.get(n) or STYLES.get(str(r.meta.get("controller"))) for n, r in recordings.items()})
+
+
+def distinct(wanted: Mapping[str, Style | None]) -> dict[str, Style]:
+    """Styles by name: what is wanted, controllers of the package first; else, or where that is taken, of `OTHERS`."""
+    found: dict[str, Style] = {}
+    others, known = cycle(OTHERS), [name for name in STYLES if name in wanted]
+    for name in (*known, *(name for name in wanted if name not in STYLES)):
+        own = wanted[name]
+        found[name] = own if own is not None and own not in found.values() else next(others)
+    return {name: found[name] for name in wanted}
 
 
 def in_the_dark(color: str) -> str:
@@ -218,6 +221,12 @@ def log_ticks(axis: Axis, steps: Sequence[float]) -> None:
     axis.set_major_locator(LogLocator(subs=steps, numticks=8))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def mark_empty(axes: Axes) -> None:
+    """Say in an axes that nothing is drawn in it."""
+    axes.set_xticks([])
+    axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="0.5")
 
 
 def require_found(recordings: Mapping[str, Recording], found: Collection[object], what: str) -> None:
@@ -277,9 +286,9 @@ def plain(text: str) -> str:
 
 
 def folded(label: str, letters: int = LETTERS) -> str:
-    """The label of an axis in lines short enough for it, broken at blanks and underscores, for matplotlib."""
+    """The label of an axis in lines short enough for it, broken at blanks and underscores, not in its unit."""
     lines = [""]
-    for part in re.findall(r"[^_ ]*[_ ]|[^_ ]+$", label):
+    for part in re.findall(r"\[[^\]]*\]$|[^_ ]*[_ ]|[^_ ]+$", label):
         for piece in (part[i : i + letters] for i in range(0, len(part), letters)):
             if len(lines[-1]) + len(piece.rstrip()) > letters:
                 lines.append("")
@@ -352,8 +361,8 @@ def svg(figure: Figure) -> str:
 
 def pictures(of: Subject, shown: Any) -> list[dict[str, str]]:
     """The figures of a page that there is something for, as SVG, each with its caption."""
-    entries = (entry for entry in FIGURES[of].values() if not entry.lacks(shown))
-    return [{"svg": svg(entry.make(shown)), "caption": entry.caption} for entry in entries]
+    entries = {name: entry for name, entry in FIGURES[of].items() if not entry.lacks(shown)}
+    return [{"name": n, "svg": svg(entry.make(shown)), "caption": entry.caption} for n, entry in entries.items()]
 
 
 def thin(path: Path) -> None:

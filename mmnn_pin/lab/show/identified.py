@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import RecordingError
 from .figure import RC, folded, svg
 from .files import HtmlPage, fill_template
-from .table import Cell, Column, Kind, Line, Table, number, row_of, terminal_text
+from .table import WIDTH, Cell, Column, Kind, Line, Table, number, row_of, terminal_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,8 +29,8 @@ WORDS = (
 PRIOR = 0.5  # share known below which a number is mostly the URDF's
 
 
-def text_of(report: dict[str, Any], colour: bool = False) -> str:
-    """The report of an identification for a terminal."""
+def text_of(report: dict[str, Any], colour: bool = False, width: int = WIDTH) -> str:
+    """The report of an identification as text of at most `width` columns."""
     parts: list[Any] = [headline(report)]
     for table in (joints_table(report), bodies_table(report), friction_table(report)):
         parts += ["", Line(table.title, "bold"), table, *table.notes]
@@ -42,7 +42,7 @@ def text_of(report: dict[str, Any], colour: bool = False) -> str:
         f"{count} base parameters, condition number {'infinite' if condition is None else f'{condition:.3g}'}",
     ]
     parts += [f"- {note}" for note in (*unidentified(report), *report["notes"])]
-    return terminal_text(parts, colour)
+    return terminal_text(parts, colour, width)
 
 
 def headline(report: dict[str, Any]) -> str:

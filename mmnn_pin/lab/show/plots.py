@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PANELS_PER_COLUMN = 4
+NOTE_ROOM = 0.2  # share of an axes' height that is free above the curves for a note
 GIVEN: Look = {"linewidth": 0.8, "alpha": 0.65}
 STOP: Look = {"color": "#d62728", "alpha": 0.12}
 
@@ -87,11 +88,12 @@ def torque_figure(recordings: Recordings) -> Figure:
 
 
 def draw_effort_limit(axes: Axes, limit: float, unit: str) -> None:
-    """Lines at an actuator's limits if the curves come near, else a note of it."""
+    """Lines at an actuator's limits if the curves come near, else a note of it above them."""
     lower, upper = axes.get_ylim()
     if max(-lower, upper) < 0.5 * limit:
-        place: Look = {"transform": axes.transAxes, "ha": "right", "va": "top", "backgroundcolor": "#ffffffc0"}
-        axes.text(0.99, 0.96, rf"limit $\pm${limit:g} {unit}", fontsize=8, color="0.3", **place)
+        axes.set_ylim(lower, upper + NOTE_ROOM * (upper - lower))
+        place: Look = {"transform": axes.transAxes, "ha": "right", "va": "top"}
+        axes.text(0.99, 0.98, rf"limit $\pm${limit:g} {unit}", fontsize=8, color="0.3", **place)
         return
     for side in (-limit, limit):
         axes.axhline(side, color="0.25", linewidth=0.9, linestyle=(0, (4, 3)))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,25 +14,30 @@ import numpy as np
 from ...model.checks.nonholonomy import RANK_TOLERANCE
 from ...model.checks.properties import Report, check
 from ...model.inspection import inspection_of
+from ...model.urdf.expansion import EXPANDED
 from ...recording.recording import Recording, recorded_robot
+from .table import WIDTH
 
-SHOWN = 12  # locked joints listed one by one
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
 CHECK_SAMPLES = 20  # random states of the property checks
 CHECK_SEED = 0
+NARROWEST = 24  # columns that a text beside others has at least
 
 
-def inspection_text(content: dict[str, Any]) -> str:
-    """The tables and the findings of what `model.inspection.inspection_of` gives, as text."""
+def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
+    """The tables and the findings of what `model.inspection.inspection_of` gives, as text.
+
+    Names are folded to `width` columns; a finding stays one line, so that it can be searched for.
+    """
     findings = "".join(f"\n  {finding['text']}" for finding in content["findings"])
     last = f"findings ({len(content['findings'])}){findings}" if findings else "no findings"
-    return f"{understood_text(content)}\n\n{last}"
+    return f"{understood_text(content, width)}\n\n{last}"
 
 
-def understood_text(content: dict[str, Any]) -> str:
+def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
     """Base, wheels, arm and what is locked."""
-    told = (head(content), wheels(content["base"]), arm(content["arm"]), interfaces(content))
-    parts = (*told, *locked(content["locked_at"]))
+    told = (head(content, width), wheels(content["base"]), arm(content["arm"]), interfaces(content, width))
+    parts = (*told, *locked(content["locked_at"], width))
     return "\n\n".join(part for part in parts if part)
 
 
@@ -47,7 +53,7 @@ def refusal_text(content: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def head(content: dict[str, Any]) -> str:
+def head(content: dict[str, Any], width: int) -> str:
     """File, mass and base."""
     base = content["base"]
     lines = [("file", content["file"]), ("sha256", content["sha256"]), ("mass", f"{content['mass']:.4g} kg")]
@@ -58,7 +64,7 @@ def head(content: dict[str, Any]) -> str:
         lines += [("track", f"{base['track']:.4g} m"), ("control frame", frame)]
         lines.append(("floor", f"{floor:.4g} m above the root link's origin"))
     for key in ("casters", "suspensions"):
-        lines += [(key, ", ".join(base[key]))] if base[key] else []
+        lines += [(key, folded(", ".join(base[key]), width, 16).lstrip())] if base[key] else []
     return "\n".join(f"{name:16}{value}" for name, value in lines)
 
 
@@ -88,7 +94,7 @@ def arm(content: dict[str, Any]) -> str:
     return "\n".join([underlined(rows), "angles in rad, travels in m, efforts in N m or N; - for no limit", *slaves])
 
 
-def interfaces(content: dict[str, Any]) -> str:
+def interfaces(content: dict[str, Any], width: int = WIDTH) -> str:
     """Which command interface is used, which are offered, and by which joints; empty where none is stated."""
     offered = content["interfaces_offered"]
     if not any(offered.values()):
@@ -96,68 +102,79 @@ def interfaces(content: dict[str, Any]) -> str:
     groups: dict[tuple[str, str], list[str]] = {}
     for name, used in content["interfaces"].items():
         groups.setdefault((used, ", ".join(offered[name]) or "none stated"), []).append(name)
-    heading, line, *rows = underlined([("interface", "offered"), *groups]).split("\n")
-    joints = [folded(", ".join(names)) for names in groups.values()]
+    heading, line, *rows = underlined([("interface", "offered"), *groups], texts=True).split("\n")
+    joints = [folded(", ".join(names), width) for names in groups.values()]
     return "\n".join([heading, line, *(f"{row}\n{names}" for row, names in zip(rows, joints, strict=True))])
 
 
-def folded(names: str) -> str:
-    """Names, indented, in lines of at most 100 characters; a name is never cut."""
-    lines = textwrap.TextWrapper(100, "  ", "  ", break_long_words=False, break_on_hyphens=False)
-    return lines.fill(names)
+def folded(names: str, width: int, indent: int = 2) -> str:
+    """Names, indented, in lines of at most `width` characters; a name is never cut."""
+    room = " " * indent
+    return textwrap.TextWrapper(width, room, room, break_long_words=False, break_on_hyphens=False).fill(names)
 
 
-def locked(content: dict[str, Any]) -> Iterator[str]:
-    """Joints that stand still, a table per reason; long ones are cut."""
+def locked(content: dict[str, Any], width: int) -> Iterator[str]:
+    """Joints that stand still, a paragraph per reason."""
     for why in dict.fromkeys(entry["why"] for entry in content.values()):
-        names = {name: entry["position"] for name, entry in content.items() if entry["why"] == why}
-        rows = [("locked joint", "at"), *((name, f"{at:.4g}") for name, at in list(names.items())[:SHOWN])]
-        more = f"\nand {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-        yield f"{underlined(rows)}{more}\n{why}"
+        places: dict[str, list[str]] = {}
+        for name, entry in content.items():
+            if entry["why"] == why:
+                places.setdefault(f"{entry['position']:.4g}", []).append(" ".join(name.split()))
+        lines = (folded(f"at {place}: {', '.join(names)}", width) for place, names in places.items())
+        yield "\n".join([f"locked joints, {why}", *lines])
 
 
-def underlined(rows: Sequence[Sequence[str]]) -> str:
-    """Rows in columns, a line under the heading."""
-    first, *others = aligned([[" ".join(cell.split()) for cell in row] for row in rows])  # a name may hold a line break
+def underlined(rows: Sequence[Sequence[str]], texts: bool = False) -> str:
+    """Rows in columns, a line under the heading; see `aligned`."""
+    clean = [[" ".join(cell.split()) for cell in row] for row in rows]  # a name may hold a line break
+    first, *others = aligned(clean, texts)
     return "\n".join([first, "-" * len(first), *others])
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows in columns, the first one to the left, the others to the right."""
+def aligned(rows: Sequence[Sequence[str]], texts: bool = False) -> list[str]:
+    """Rows in columns, the first one to the left, the others to the right unless they are texts."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    numbers = ([cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)] for row in rows)
-    return ["  ".join([row[0].ljust(widths[0]), *cells]) for row, cells in zip(rows, numbers, strict=True)]
+    place = str.ljust if texts else str.rjust
+    others = ([place(cell, width) for cell, width in zip(row[1:], widths[1:], strict=True)] for row in rows)
+    return ["  ".join([row[0].ljust(widths[0]), *cells]).rstrip() for row, cells in zip(rows, others, strict=True)]
 
 
 # -- reduced model -----------------------------------------------------------------------------------------------------
 
 
-def model_text(model: dict[str, Any]) -> str:
-    """Text of what `mmnn_pin.model.inspection.model_at` gives."""
+def model_text(model: dict[str, Any], width: int = WIDTH) -> str:
+    """Text of what `mmnn_pin.model.inspection.model_at` gives; columns of wide matrices go below each other."""
     names, full, motors = model["velocity_names"], model["full_velocity_names"], model["actuator_names"]
     rows = [f"constraint {i + 1}" for i in range(len(model["A"]))]
+    forces = np.transpose([model["gravity"], model["friction"]])
     blocks = [
         f"robot {model['robot']}, base {model['base']}",
         "M nudot + C nu + gravity + friction = E u,   velocity = T nu,   A velocity = 0",
-        matrix("M", model["M"], names, names),
-        matrix("C", model["C"], names, names),
-        matrix(
-            "gravity, friction", np.transpose([model["gravity"], model["friction"]]), names, ["gravity", "friction"]
-        ),
-        matrix("T", model["T"], full, names),
-        matrix("A", model["A"], rows, full),
-        matrix("E", model["E"], names, motors),
+        *matrix("M", model["M"], names, names, width),
+        *matrix("C", model["C"], names, names, width),
+        *matrix("gravity, friction", forces, names, ["gravity", "friction"], width),
+        *matrix("T", model["T"], full, names, width),
+        *matrix("A", model["A"], rows, full, width),
+        *matrix("E", model["E"], names, motors, width),
     ]
-    return "\n\n".join(block for block in blocks if block)
+    return "\n\n".join(blocks)
 
 
-def matrix(title: str, values: Any, rows: Sequence[str], columns: Sequence[str]) -> str:
-    """A matrix with names; empty if it has no rows or no columns."""
+def matrix(title: str, values: Any, rows: Sequence[str], columns: Sequence[str], width: int) -> Iterator[str]:
+    """A matrix with names, some columns below the others where it is wider; nothing without rows or columns."""
     values = np.asarray(values, float)
     if not values.size:
-        return ""
-    cells = ([name, *(f"{value:.5g}" for value in row)] for name, row in zip(rows, values, strict=True))
-    return "\n".join(aligned([[title, *columns], *cells]))
+        return
+    names = [title, *rows]
+    cells = [[name, *(f"{value:.5g}" for value in column)] for name, column in zip(columns, values.T, strict=True)]
+    room, first = width - max(map(len, names)), 0
+    while first < len(cells):
+        last, taken = first, 0
+        while last < len(cells) and (last == first or taken + 2 + max(map(len, cells[last])) <= room):
+            taken += 2 + max(map(len, cells[last]))
+            last += 1
+        yield "\n".join(aligned([*zip(names, *cells[first:last], strict=True)]))
+        first = last
 
 
 # -- properties --------------------------------------------------------------------------------------------------------
@@ -201,19 +218,20 @@ def json_number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def properties_text(report: Report) -> str:
-    """The report for a terminal: one line per property, the bounds, the Frobenius test."""
+def properties_text(report: Report, columns: int = WIDTH) -> str:
+    """The report for a terminal: the properties with what they mean, the bounds, the Frobenius test."""
     width = max(map(len, report.properties))
     lines = [f"robot {report.robot}: {report.samples} random states, seed {report.seed}", ""]
     lines.append(f"{'property':<{width}}  {'worst':>9}  {'allowed':>9}")
     for name, p in report.properties.items():
         allowed = f"{'>' if p.at_least else '<='} {p.tolerance:.0e}"
-        lines.append(f"{name:<{width}}  {p.worst:>9.1e}  {allowed:>9}  {'ok  ' if p.passed else 'FAIL'}  {p.means}")
-    lines += [f"{name:<{width}}  skipped: {why}" for name, why in report.skipped.items()]
+        row = f"{name:<{width}}  {p.worst:>9.1e}  {allowed:>9}  {'ok  ' if p.passed else 'FAIL'}  "
+        lines.append(beside(row, p.means, columns))
+    lines += [beside(f"{name:<{width}}  skipped: ", why, columns) for name, why in report.skipped.items()]
     lines += report.notes
     b = report.bounds
     lines += ["", f"reduced M: {b.M_min:.4g} I <= M <= {b.M_max:.4g} I (SI units);  ||C|| <= {b.C_b:.4g} ||nu||"]
-    lines += [f"  sampling: {SAMPLING}", "", f"base: {report.nonholonomic.verdict}"]
+    lines += [beside("  sampling: ", SAMPLING, columns), "", beside("base: ", report.nonholonomic.verdict, columns)]
     for where, found in (("pose", report.nonholonomic.pose), ("pose and wheels", report.nonholonomic.with_wheels)):
         if found is not None:
             ranks = " -> ".join(map(str, found.growth))
@@ -221,6 +239,16 @@ def properties_text(report: Report) -> str:
     failed = [name for name, p in report.properties.items() if not p.passed]
     lines += ["", f"FAILED: {', '.join(failed)}" if failed else "all properties hold"]
     return "\n".join(lines)
+
+
+def beside(head: str, text: str, width: int) -> str:
+    """A text behind a head, in lines of at most so many columns; on lines of its own where the head leaves no room."""
+    room = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
+    if len(head) > width - NARROWEST:
+        room.initial_indent = room.subsequent_indent = "  "
+        return f"{head.rstrip()}\n{room.fill(text)}"
+    room.initial_indent, room.subsequent_indent = head, " " * len(head)
+    return room.fill(text)
 
 
 # -- the robots of runs ------------------------------------------------------------------------------------------------
@@ -269,5 +297,9 @@ def about_robot(recording: Recording, samples: int = CHECK_SAMPLES) -> RobotShow
     sha256 = recording.meta.get("urdf_sha256", "not recorded")
     content = inspection_of(robot) | {"file": robot.path.name, "sha256": sha256}
     report = check(robot, samples, CHECK_SEED)
-    findings = tuple(f | {"text": f["text"].replace(str(robot.path), robot.path.name)} for f in content["findings"])
+    found = [f | {"text": f["text"].replace(str(robot.path), robot.path.name)} for f in content["findings"]]
+    if Path(recording.meta["urdf_file"]).suffix == ".xacro":  # a recording has what came of it
+        note = replace(EXPANDED, file=robot.path.name)
+        found.insert(0, {"severity": note.severity, "text": str(note)})
+    findings = tuple(found)
     return RobotShown(robot.name, understood_text(content), findings, properties_text(report), report.passed)

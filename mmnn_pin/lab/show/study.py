@@ -17,6 +17,7 @@ from .study_figures import shares, shown_unit, titled
 from .table import Cell, Column, Line, Row, Table, grouped, number, row_of, terminal_text
 
 WIDTH = 110
+FIRST = {True: "study-errors", False: "study-factors"}  # what a page shows at once: with gains, their errors
 NAME = 16  # letters of a controller's name on a line
 WORST = 5  # runs of each controller that are named
 SIGNIFICANT = 0.01
@@ -160,6 +161,7 @@ def page(results: Results, command: str = "") -> HtmlPage:
         command: The command that makes this page, to be shown in it.
     """
     head, *points = answer(results)
+    drawn, first = pictures("study", results), ("study-distributions", FIRST[bool(gains_of(results))])
     bounds = []
     for pattern, bound in results.settings.success.at_most.items():
         scale, unit = shown_unit(results, pattern)
@@ -172,7 +174,8 @@ def page(results: Results, command: str = "") -> HtmlPage:
         notes=remarks(results),
         table=summary(results),
         success=" and ".join(["it completes", *bounds]),
-        pictures=pictures("study", results),
+        pictures=[picture for picture in drawn if picture["name"] in first],
+        more=[picture for picture in drawn if picture["name"] not in first],
         decides=decides(results),
         worst=worst(results),
         factors=factor_rows(results),

@@ -24,6 +24,8 @@ SHORT: Look = {"marker": "o", "markersize": 8, "fillstyle": "none", "linestyle":
 MAP_BINS = 6
 DECADE = 8.0  # spread from which an axis is logarithmic
 TICKS = 8  # values of a factor that all stand on its axis, at most
+SHORTEST = 6  # letters that each of these may have
+FINE = 0.01  # a logarithmic axis from less than this has long numbers
 MOST_METRICS = 3  # metrics in the figures of distributions and of what decides
 
 
@@ -105,14 +107,16 @@ def draw_rates(axes: Axes, results: Results, name: str) -> None:
         axes.set_xticks(range(len(labels)), [plain(label) for label in labels])
     elif factor.on_log_scale:
         log_axis(axes)
+    else:
+        axes.locator_params(axis="x", nbins=5)
     axes.set(ylim=(-0.03, 1.03), xlabel=plain(titled(name, factor.unit)), ylabel="success rate")
 
 
 def log_axis(axes: Axes) -> None:
-    """A logarithmic axis across, labelled at 1, 2 and 5 of every decade, over two decades at powers of ten alone."""
+    """A logarithmic axis across, labelled at 1, 2 and 5 of every decade where that has room, else at powers of ten."""
     axes.set_xscale("log")
     low, high = axes.get_xlim()
-    log_ticks(axes.xaxis, (1.0, 2.0, 5.0) if high <= 100 * low else (1.0,))
+    log_ticks(axes.xaxis, (1.0, 2.0, 5.0) if high <= (100 if low >= FINE else 10) * low else (1.0,))
 
 
 def centres(values: Sequence[Any], groups: IntArray, numeric: bool) -> tuple[Array, list[str]]:
@@ -146,20 +150,19 @@ def shares(results: Results, result: str) -> dict[str, dict[str, Share]]:
     " runs at a value have none. A cross at the top: fewer than half of the runs completed.",
 )
 def errors_against_factors(results: Results) -> Figure:
-    """Median of every metric against every number that is varied, with 95 % intervals."""
+    """Median of every metric against every number that is varied, with 95 % intervals: a row per number."""
     chosen, names = results.patterns[:MOST_METRICS], numeric_of(results)
-    picture = new_figure(3.6 * len(names), 2.6 * len(chosen) + 0.7)
-    grid: Any = picture.subplots(len(chosen), len(names), squeeze=False, sharex="col")
+    picture = new_figure(3.6 * max(len(chosen), 1.5), 2.5 * len(names) + 0.9)
+    grid: Any = picture.subplots(len(names), len(chosen), squeeze=False)
     short = False
-    for row, pattern in zip(grid, chosen, strict=True):
-        for axes, name in zip(row, names, strict=True):
+    for row, name in zip(grid, names, strict=True):
+        for axes, pattern in zip(row, chosen, strict=True):
             short |= draw_errors(axes, results, name, pattern)
-        row[0].set_ylabel(plain(titled(pattern, shown_unit(results, pattern)[1])))
-    for axes, name in zip(grid[-1], names, strict=True):
-        axes.set_xlabel(plain(titled(name, results.factors[name].unit)))
-    legend(
-        picture, results, "Errors against each factor", [("delay margin too small", {"color": "0.3", **SHORT})] * short
-    )
+            axes.set_xlabel(plain(titled(name, results.factors[name].unit)))
+    for axes, pattern in zip(grid[0], chosen, strict=True):
+        axes.set_title(plain(titled(pattern, shown_unit(results, pattern)[1])))
+    title = f"Errors against {names[0] if len(names) == 1 else 'each factor'}"
+    legend(picture, results, title, [("delay margin too small", {"color": "0.3", **SHORT})] * short)
     return picture
 
 
@@ -198,8 +201,11 @@ def draw_errors(axes: Axes, results: Results, name: str, pattern: str) -> bool:
         tops += [(x, style.color) for x, m in found if not np.isfinite(m.value)]
     if min(values) > 0 and max(values) / min(values) >= DECADE:
         log_axis(axes)
-    if len(values) <= TICKS:
-        axes.set_xticks(sorted(values), [f"{value:g}" for value in sorted(values)])
+    else:
+        axes.locator_params(axis="x", nbins=5)
+    labels = [f"{value:g}" for value in sorted(values)]
+    if len(values) <= TICKS and all(len(label) <= SHORTEST for label in labels):  # chosen, not drawn at random
+        axes.set_xticks(sorted(values), labels)
         axes.set_xticks([], minor=True)
     axes.set_ylim(0, 1.04 * axes.get_ylim()[1])  # a mark at the top has room
     for x, y, color in unbounded:
@@ -207,8 +213,10 @@ def draw_errors(axes: Axes, results: Results, name: str, pattern: str) -> bool:
     for place, error, color in short:
         if np.isfinite(error):
             axes.plot(place, error, color=color, **SHORT)
-    for x, color in tops:
-        axes.plot(x, 0.97, "X", transform=axes.get_xaxis_transform(), color=color, mec="white", ms=7, zorder=5)
+    for i, (x, color) in enumerate(tops):
+        above = sum(x == other for other, _ in tops[:i])  # crosses of other controllers at this value
+        place = axes.get_xaxis_transform()
+        axes.plot(x, 0.97 - 0.06 * above, "X", transform=place, color=color, mec="white", ms=7, zorder=5)
     return bool(short)
 
 

@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
 WIDTH = 100  # columns of a terminal
+HEIGHT = 25  # its rows; with both given, rich takes the width even where TERM=dumb
+LABELS = 0.4  # share of a terminal that texts left of numbers keep before the numbers go below each other
 CUT = "\u2026"  # what rich puts where a text is cut off
 Kind = Literal["", "best", "good", "bad", "warn", "dim"]
 STYLES: dict[Kind, str] = {"best": "bold", "good": "green", "bad": "bold red", "warn": "yellow", "dim": "dim"}
@@ -84,6 +87,17 @@ class Table:
     gap: int = 2
 
     @property
+    def spans(self) -> list[tuple[Row, int, bool]]:
+        """Rows; how many rows the first cell of each names, 0 where one above does; whether a group ends with them."""
+        starts = [i for i, row in enumerate(self.rows) if row.cells[0].text or i == 0 or self.rows[i - 1].ends]
+        lengths = {start: end - start for start, end in pairwise([*starts, len(self.rows)])}
+        spans = (lengths.get(i, 0) for i in range(len(self.rows)))
+        return [
+            (row, span, self.rows[i + max(span, 1) - 1].ends)
+            for i, (row, span) in enumerate(zip(self.rows, spans, strict=True))
+        ]
+
+    @property
     def caption(self) -> str:
         """The notes as one text."""
         return " ".join(self.notes)
@@ -119,7 +133,8 @@ def terminal_text(parts: Iterable[str | Line | Table], colour: bool = False, wid
     from rich.console import Console
     from rich.text import Text
 
-    console = Console(width=width, force_terminal=colour, color_system="standard" if colour else None)
+    colours: Literal["standard"] | None = "standard" if colour else None
+    console = Console(width=width, height=HEIGHT, force_terminal=colour, color_system=colours)
     with console.capture() as capture:
         for part in (Line(part) if isinstance(part, str) else part for part in parts):
             if isinstance(part, Table):
@@ -152,13 +167,35 @@ def of_columns(table: Table, heads: int, first: int, end: int) -> Table:
 
 
 def fits(table: Table, width: int) -> bool:
-    """Whether nothing of a table is cut off on a terminal."""
+    """Whether nothing of a table is cut off on a terminal, and the texts left of its numbers are not squeezed."""
     from rich.console import Console
 
-    console = Console(width=width, color_system=None)
+    first = table.columns[0]
+    if (
+        first.text and first.fold and not all(column.text for column in table.columns)
+    ):  # it would give way to any number
+        width += max(0, widest(table) - least(table, width))
+        table = replace(table, columns=(replace(first, fold=False), *table.columns[1:]))
+    console = Console(width=width, height=HEIGHT, color_system=None)
     with console.capture() as capture:
         console.print(terminal_table(table))
     return CUT not in capture.get() or any(CUT in cell.text for row in table.rows for cell in row.cells)
+
+
+def widest(table: Table) -> int:
+    """Letters of the longest line in the first column."""
+    return max(len(line) for text in first_texts(table) for line in text.split("\n"))
+
+
+def least(table: Table, width: int) -> int:
+    """Letters that the first column keeps: its longest word, and its share of the terminal if it needs that."""
+    word = max((len(word) for text in first_texts(table) for word in text.split()), default=0)
+    return max(word, min(widest(table), round(LABELS * width)))
+
+
+def first_texts(table: Table) -> list[str]:
+    """Heading and cells of the first column."""
+    return [table.columns[0].heading, *(row.cells[0].text for row in table.rows)]
 
 
 def terminal_table(table: Table) -> RichTable:

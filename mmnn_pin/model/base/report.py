@@ -36,6 +36,8 @@ SAME_RADIUS = 0.01  # radii that differ by more than this fraction are told
 
 OFF_FLOOR = 0.02  # wheels further than this fraction of their radius from the footprint are told
 
+MOST_NAMES = 8  # joints that a note names; what was understood of the robot lists all
+
 # Severity by code; docs/reference/urdf-audit.md tells each with its reason.
 CODES = {
     # refused, with the candidates or the machine's name
@@ -200,7 +202,9 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
     for reason in dict.fromkeys(arm.reasons.values()):
         names = [name for name, why in arm.reasons.items() if why == reason]
         if "taken as a" in reason:
-            text, fix = f"locked: {', '.join(names)}", "--free JOINT lets one move, --free all every one"
+            more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+            text = f"locked: {', '.join(names[:MOST_NAMES])}{more}"
+            fix = "--free JOINT lets one move, --free all every one"
             notes.append(note(rest, "arm-locked", names[0], text, reason, fix, "arm"))
     return notes
 

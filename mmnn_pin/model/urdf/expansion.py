@@ -39,6 +39,9 @@ KEPT: dict[str, tuple[dict[str, tuple[int, int] | None], tuple[dict[str, Any], b
 CHILD = "from mmnn_pin.model.urdf.expanding import child; child()"
 
 
+EXPANDED = finding("expanded", 1, "expanded by xacro: lines are those of the URDF that it makes")
+
+
 class Unexpanded(RobotError):
     """A xacro file that cannot be expanded."""
 
@@ -64,7 +67,7 @@ class Expansion(NamedTuple):
 
     def findings(self, without: Sequence[str]) -> list[Finding]:
         """What there is to say of the file, with the macros that the user leaves out."""
-        notes = [finding("expanded", 1, "expanded by xacro: lines are those of the URDF that it makes")]
+        notes = [EXPANDED]
         for name, folder in self.renamed.items():
             what, why = f"package '{name}' is not found", f"taken as it is {folder}, which has the file that is wanted"
             fix = "give the folder that holds it with --package-dir"

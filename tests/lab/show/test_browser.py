@@ -192,15 +192,25 @@ def test_the_wanted_path_is_dashed_in_the_colour_of_the_ghost(thesis: Opened) ->
     assert thesis.page.evaluate(edge) == "rgb(91, 91, 214)"
 
 
-def test_of_many_runs_the_first_that_is_no_oracle_is_shown(chromium: Any, tmp_path: Path) -> None:
+def test_of_many_runs_a_learner_is_shown_and_others_stand_beside_it(chromium: Any, tmp_path: Path) -> None:
     robot = load("platform_arm")
-    names = ("computed_torque", "pd", "pd_gravity", "pid")
+    names = ("computed_torque", "pd", "pd_gravity", "pid", "two_layer")
     file = page({name: recorded(robot, name, duration=0.2) for name in names}).save(tmp_path / "many.html")
     with opened(chromium, file, color_scheme="dark") as seen:
-        assert seen.page.evaluate("replay.runs.map((run) => run.group.visible)") == [False, True, False, False]
+        assert seen.page.evaluate("replay.runs.map((run) => run.group.visible)") == [False, False, False, False, True]
         assert seen.page.evaluate("replay.runs.map((run) => run.color)") == [
             in_the_dark(STYLES[n].color) for n in names
         ]
+        places = "replay.runs.filter((run) => run.group.visible).map((run) => run.group.position.y)"
+        seen.page.get_by_label("pd", exact=True).check()
+        assert seen.page.evaluate(places) == [0, 0]
+        seen.page.get_by_label("side by side").check()
+        first, second = seen.page.evaluate(places)
+        seen.page.get_by_label("pd_gravity").check()
+        assert seen.page.evaluate(places) == [first, second, 2 * second] and second < 0
+        seen.page.get_by_label("pd", exact=True).uncheck()
+        assert seen.page.evaluate(places) == [first, second]  # no gap where one is hidden
+        assert seen.problems == []
 
 
 def test_what_happens_is_coloured_while_it_lasts(chromium: Any, tmp_path: Path) -> None:

@@ -29,6 +29,26 @@ def test_every_number_is_there_once_and_no_line_is_longer(heads: list[str], widt
         assert head in text
 
 
+def test_labels_are_not_squeezed_to_have_room_for_numbers() -> None:
+    """At 100 columns, 18 controllers once left the labels 8 letters: `velocit`, `y w`."""
+    labels = ("pose x [mm]", "peak torque wheel_right_joint", "velocity w [mrad/s]")
+    rows = tuple(row_of(label, "RMS 2-10 s", *(f"{i}.25" for i in range(18))) for label in labels)
+    columns = (Column(text=True, fold=True), Column(text=True), *(Column("controller") for _ in range(18)))
+    table = Table("Many", columns, rows)
+    for width in (80, 100, 200):
+        text = terminal_text([table], width=width)
+        assert all(text.count(label) == len(folded(table, width)) for label in labels)
+    narrow = terminal_text([table], width=60)
+    assert "wheel_right_joint" in narrow and narrow.count("velocity w") == len(folded(table, 60))
+    assert all(len(line) <= 60 for line in narrow.splitlines())
+
+
+def test_a_dumb_terminal_is_as_wide_as_it_is(monkeypatch) -> None:
+    monkeypatch.setenv("TERM", "dumb")
+    text = terminal_text([wide(["pd", "pid"]), "word " * 30], colour=True, width=50)
+    assert all(len(line) <= 50 for line in re.sub(r"\x1b\[[0-9;]*m", "", text).splitlines())
+
+
 def test_a_table_that_fits_stays_whole_and_marks_stay_with_their_cells() -> None:
     table = wide(["pd", "pid"])
     assert folded(table, 100) == [table]

@@ -14,7 +14,16 @@ from places import ROOT
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments import controllers
 from mmnn_pin.lab.show import plots
-from mmnn_pin.lab.show.figure import FIGURES, OTHERS, STYLES, in_the_dark, save, styles_of
+from mmnn_pin.lab.show.figure import (
+    FIGURES,
+    OTHERS,
+    STYLES,
+    folded,
+    in_the_dark,
+    save,
+    styles_of,
+    styles_of_controllers,
+)
 from mmnn_pin.lab.show.gallery import PICTURES
 from mmnn_pin.lab.show.plots import errors_figure, path_figure, psi_figure, torque_figure
 from mmnn_pin.recording.recorder import Recorder
@@ -112,6 +121,16 @@ def test_other_names_get_their_controller_s_style_once_and_then_free_ones():
     assert len(set(many.values())) == len(OTHERS)
     five = styles_of({str(k): recording("mine", rows=1) for k in range(5)}).values()
     assert len({style.color for style in five}) == 5, "a replay has colours alone"
+    for names in (("two_layer", "two_layer_zero"), ("two_layer_zero", "two_layer")):
+        for both in (styles_of({name: recording(name) for name in names}), styles_of_controllers(names)):
+            assert list(both) == list(names) and both["two_layer"] == STYLES["two_layer"] != both["two_layer_zero"]
+
+
+def test_a_note_of_a_limit_stands_above_the_curves():
+    axes = torque_figure({"two_layer": recording(effort_limits=(1e6, 2.0, float("inf"), 3.0))}).axes[2]
+    lower, upper = axes.get_ylim()
+    highest = max(line.get_ydata().max() for line in curves(axes))
+    assert axes.texts and highest < upper - 0.16 * (upper - lower)
 
 
 def test_torques_of_base_and_motors_with_their_limits():
@@ -279,6 +298,11 @@ def test_long_names_of_joints_do_not_meet(what):
             assert own.y0 - 4 <= box.y0 and box.y1 <= own.y1 + 4, label.get_text()
     tops = {axes.get_subplotspec().colspan.start: axes for axes in reversed(figure.axes)}
     assert all(axes.get_title().strip() for axes in tops.values())
+
+
+def test_a_label_is_not_broken_in_its_unit():
+    assert folded("arm_1_joint [N m s]").split("\n") == ["arm_1_joint", "[N m s]"]
+    assert folded("pose error, in the base frame [mm or mrad]").split("\n")[-1].endswith("[mm or mrad]")
 
 
 def test_the_reference_of_a_replay_has_a_colour_of_its_own():

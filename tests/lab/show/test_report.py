@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,6 +26,7 @@ from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show.figure import STYLES, in_the_dark
 from mmnn_pin.lab.show.report import MOST, Report, command_of, kept_rows, report, result_of
 from mmnn_pin.lab.show.report.verdict import verdict
+from mmnn_pin.lab.show.robots import robots_of
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.urdf.reading import parse
@@ -122,6 +124,18 @@ def test_the_table_holds_the_metrics(made: Report, chapter4: dict[str, Recording
         assert float(table[arm][2 + i].strip(" *")) == pytest.approx(expected, rel=0.01)
 
 
+def test_the_name_of_an_error_spans_its_rows(made: Report, chapter4: dict[str, Recording]) -> None:
+    windows = len(load_experiment("chapter4", SETTINGS).windows)
+    (row,) = re.findall(r"<th scope=row([^>]*)>joint arm_1_joint \[mrad\]</th>", made.html)
+    assert f"rowspan={1 + windows}" in row
+    table = made.html.partition('id="tables"')[2].partition("</table>")[0]
+    rows = re.findall(r"<tr[^>]*>(.*?)</tr>", table)
+    spans = [re.match(r"<th scope=row(?: rowspan=(\d+))?", row) for row in rows]
+    taken = sum(int(span[1] or 1) for span in spans if span)
+    assert taken == len(rows) - 1 > 10  # the heading's row has no name
+    assert {row.count("<td") for row in rows[1:]} == {1 + len(chapter4)}
+
+
 def test_the_curves_are_the_signals(made: Report, chapter4: dict[str, Recording]) -> None:
     data = data_of(made.html)
     assert [run["name"] for run in data["runs"]] == list(chapter4)
@@ -192,16 +206,18 @@ def test_a_winner_on_average_says_where_it_is_far_worse() -> None:
     assert not any("on average alone" in text for text in verdict(result_of(runs)).warnings)
 
 
+def of_size(size: float) -> Callable[..., None]:
+    """A change of `recorded` that gives all errors this value."""
+
+    def change(table: np.ndarray, where) -> None:
+        for name in ("pose_error", "z", "e", "true_pose_error", "true_z", "true_e"):
+            table[:, where(name)] = size
+
+    return change
+
+
 def test_the_headline_compares_with_the_best_of_what_learns_nothing() -> None:
     """Not with PD, which is easy to beat where gravity pulls."""
-
-    def of_size(size: float):
-        def change(table: np.ndarray, where) -> None:
-            for name in ("pose_error", "z", "e", "true_pose_error", "true_z", "true_e"):
-                table[:, where(name)] = size
-
-        return change
-
     robot, sizes = (
         load("platform_arm"),
         {"two_layer": 0.02, "adaptive": 0.03, "pd": 0.5, "pd_gravity": 0.08, "pid": 0.04},
@@ -211,10 +227,42 @@ def test_the_headline_compares_with_the_best_of_what_learns_nothing() -> None:
     assert "50 % smaller than those of pid, the best of pd, pd_gravity and pid, and 33 % smaller" in found.headline
     assert not any("did not run" in text for text in found.warnings if "effective" not in text)
     less = verdict(result_of({name: runs[name] for name in ("two_layer", "pd", "pd_gravity")}))
-    assert less.headline.endswith("75 % smaller than those of pd_gravity, the best of pd and pd_gravity.")
+    assert less.headline.endswith(
+        "75 % smaller than those of pd_gravity, the best of pd and pd_gravity; pid did not run."
+    )
     assert "pid did not run" in " ".join(less.warnings)
+    only = verdict(result_of({name: runs[name] for name in ("two_layer", "pd")}))
+    assert only.headline.endswith("smaller than those of pd, the next best; pd_gravity and pid did not run.")
     plain = verdict(result_of({name: runs[name] for name in ("pd", "pid")}))
     assert plain.headline.endswith("92 % smaller than those of pd, the next best.")
+
+
+def test_a_curve_that_lies_on_another_is_told() -> None:
+    robot = load("platform_arm")
+    sizes = {"pd": 0.1, "pd_gravity": 0.1, "pid": 0.2}
+    runs = {name: recorded(robot, name, change=of_size(size)) for name, size in sizes.items()}
+    told = [text for text in verdict(result_of(runs)).points if "lies on" in text]
+    assert told == ["pd_gravity has the errors of pd: one curve lies on the other."]
+
+
+def test_findings_have_the_lines_that_inspect_tells(tmp_path: Path, capsys) -> None:
+    """Comments, empty lines and tags over several lines do not move them; of xacro it is said whose they are."""
+    text = (ROOT / "urdf/platform_arm.urdf").read_text()
+    text = text.replace('<link name="caster_front"', '<!-- a\n\n comment -->\n<link\n\n  name="caster_front"')
+    file = tmp_path / "mine.urdf"
+    file.write_text(text.replace('effort="200"', 'effort="0.001"'))
+    run = recorded(load(file), "pd")
+    assert main(["inspect", str(file), "--json"]) == 0
+    lines = [(f["line"], f["code"]) for f in json.loads(capsys.readouterr().out)["findings"]]
+    assert lines and max(lines)[0] > 20
+    for gone in (False, True):
+        if gone:
+            file.unlink()
+        (robot,) = robots_of({"pd": run})
+        told = [re.match(r"mine\.urdf:(\d+): .*\[(.*)\]$", finding["text"]) for finding in robot.findings]
+        assert [(int(found[1]), found[2]) for found in told] == lines
+    (made,) = robots_of({"pd": recorded(load("platform_arm"), "pd", urdf_file=str(tmp_path / "mine.urdf.xacro"))})
+    assert "lines are those of the URDF that it makes" in made.findings[0]["text"]
 
 
 def test_warnings_come_with_their_reasons(chapter4: dict[str, Recording]) -> None:

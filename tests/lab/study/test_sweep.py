@@ -162,7 +162,7 @@ def test_errors_of_turning_and_sliding_joints_have_both_units():
     mixed = replace(results, units={"e.arm.rms": "rad", "e.lift.rms": "m"})
     assert mixed.unit("e.*.rms") == "rad or m" and shown_unit(mixed, "e.*.rms") == (1e3, "mrad or mm")
     assert "mrad or mm" in levels_text(mixed, "feedback.arm")
-    assert errors_against_factors(mixed).axes[0].get_ylabel() == "e.*.rms [mrad or mm]"
+    assert errors_against_factors(mixed).axes[0].get_title() == "e.*.rms [mrad or mm]"
     assert replace(results, units={"e.arm.rms": "rad", "e.share.rms": ""}).unit("e.*.rms") == ""
 
 

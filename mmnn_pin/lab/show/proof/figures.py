@@ -30,6 +30,7 @@ from ..figure import (
     folded,
     legend_label,
     limits,
+    mark_empty,
     new_figure,
     plain,
     styles_of,
@@ -186,6 +187,10 @@ def ranks_figure(recordings: Recordings) -> Figure:
         axes.set_title(plain(kind))
     for axes in grid.flat:
         axes.xaxis.get_major_locator().set_params(integer=True)
+        if not axes.lines:
+            mark_empty(axes)
+        elif max(len(line.get_xdata()) for line in axes.lines) == 1:
+            axes.set_xlim(0.0, 2.0)
     for axes in grid[-1]:
         axes.set_xlabel("number")
     looks = [(legend_label(name, recordings[name]), styles[name].line) for name in proofs]

@@ -25,7 +25,7 @@ from ....model.robot import Robot
 from ....model.urdf.reading import parse
 from ....recording.recording import Recording, recorded_robot
 from ....signals import Array
-from ...experiments.controllers import ORACLES
+from ...experiments.controllers import CONTROLLERS
 from ..figure import in_the_dark, run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, compressed, fill_template, web_file
 from ..serving import HOST, first_free
@@ -36,6 +36,11 @@ FPS = 60.0
 LARGE = 50_000_000  # bytes of a page that the user is warned of
 LOOK = 0.5  # how often it is looked whether the parent lives [s]
 SCRIPTS = ("unpack.js", "geometry.js", "robot.js", "stage.js", "run.js", "player.js", "main.js")
+
+
+def rank(controller: str) -> int:
+    """Place of a controller among those that one wants to see: the user's own, learners, plain ones, the oracle."""
+    return [*CONTROLLERS].index(controller) if controller in CONTROLLERS else -1
 
 
 class Scene:
@@ -76,7 +81,7 @@ class Scene:
         bodies = {body.joint.name: i for i, body in enumerate(tree.bodies) if body.joint}
         events = [event.for_page(bodies) for event in events_of(recording)]
         about = {"name": name, "label": run_label(name, recording), "robot": index, "events": events}
-        about |= {"color": color, "dark": in_the_dark(color), "oracle": recording.meta.get("controller") in ORACLES}
+        about |= {"color": color, "dark": in_the_dark(color), "rank": rank(str(recording.meta.get("controller")))}
         self._runs.append(about | packed(recording, robot, rows, self.blob))
         self.frames += len(rows)
         self.samples += len(recording)
@@ -96,7 +101,7 @@ class Scene:
         index, _ = self._robot(robot)
         still = {name: self.blob.add(position[None], "f4") for name in ("position", "reference")}
         about = {"name": robot.name, "label": robot.name, "robot": index, "events": []}
-        about |= {"color": "#000000", "dark": in_the_dark("#000000"), "oracle": False}
+        about |= {"color": "#000000", "dark": in_the_dark("#000000"), "rank": 0}
         time = self.blob.add(np.zeros(1), "f4")
         self._runs.append(about | {"frames": 1, "width": position.size, "time": time} | still)
         self.frames += 1

@@ -29,6 +29,8 @@ ABOUT_PROOF = (
     "d/dt (s\u1d40Ms/2) = s\u1d40(\u03a8 - \u03c4 + d) over control periods, worst relative error, "
     f"tolerance {TOLERANCE:g}. mmnn prove tells more of each run."
 )
+SAME = 1e-3  # relative difference of errors that no plot shows
+TOLD = 0.1  # share of PD's errors that a plain rival takes off and that is told
 FAR = 2.0  # times another's error that is told
 PLAIN = ("pd", "pd_gravity", "pid")
 FROZEN = {"same": "own trajectory", "held_out": "held out", "payload": "with a payload"}
@@ -67,7 +69,10 @@ def headline(result: Result) -> str:
         than = f"{percent(1 - scores[best])} smaller than those of {base}, the best of {beside},"
     ahead = f"{percent(1 - scores[best] / scores[second])} smaller than those of {second}, the next best"
     errors = (than if second == base else f"{than} and {ahead}") if than else ahead
-    return f"{best} tracks best of {len(judged)}: in {when(result)} its RMS errors are on average {errors.rstrip(',')}."
+    missing = second in others and rivals_missing(result)  # PD alone is easily beaten
+    without = f"; {' and '.join(missing)} did not run" if missing else ""
+    told = f"{errors.rstrip(',')}{without}"
+    return f"{best} tracks best of {len(judged)}: in {when(result)} its RMS errors are on average {told}."
 
 
 def alone(result: Result, name: str) -> str:
@@ -147,7 +152,11 @@ def points(result: Result) -> Iterator[str]:
             "Compared are the errors of pose, velocities and joints, all weighted alike (geometric mean of their "
             "ratios); the table has each of them."
         )
+    yield from alike(result)
     yield from (gain_or_learning(learner, rows) for learner, rows in result.improvements().items())
+    base = compared_with(result)
+    if result.improvements() and scores.get("pd", 0.0) > 1.0 / (1.0 - TOLD):  # 1 is the error of `base`
+        yield f"{base} learns nothing; its errors, too, are {percent(1 - 1 / scores['pd'])} smaller than those of pd."
     for name, recording in result.recordings.items():
         if controller_of(name, recording) in ORACLES and len(judged) and math.isfinite(scores[name]):
             left = percent(scores[name] / scores[judged[0]])
@@ -161,6 +170,20 @@ def points(result: Result) -> Iterator[str]:
     if ranges := result.figure_ranges():
         met = sum(row["inside"] for row in ranges)
         yield f"{met} of {len(ranges)} extremes lie where the axes of the thesis's figures have them."
+
+
+def alike(result: Result) -> Iterator[str]:
+    """Runs with the errors of another, whose curves hide each other."""
+    names, keys = (
+        list(result.metrics),
+        [key for key in next(iter(result.metrics.values())) if key.endswith(window(result))],
+    )
+    for i, name in enumerate(names):
+        one = [result.metrics[name][key] for key in keys]
+        for other in names[:i]:
+            if np.allclose(one, [result.metrics[other][key] for key in keys], rtol=SAME, atol=0.0):
+                yield f"{name} has the errors of {other}: one curve lies on the other."
+                break
 
 
 def gain_or_learning(learner: str, rows: Mapping[str, Improvement]) -> str:
@@ -208,10 +231,14 @@ def worse_somewhere(result: Result) -> Iterator[str]:
 
 def rivals_left_out(result: Result) -> Iterator[str]:
     """That a learner did not meet PD with gravity or PID, where it did not."""
-    ran = {controller_of(name, recording) for name, recording in result.recordings.items()}
-    missing = [name for name in PLAIN if name != "pd" and name not in ran]
-    if missing and ran - {*PLAIN, *ORACLES}:
+    if missing := rivals_missing(result):
         yield f"{' and '.join(missing)} did not run: this does not show whether a learner beats them"
+
+
+def rivals_missing(result: Result) -> list[str]:
+    """Of PD with gravity and PID those that did not run; none where there is no learner to beat them."""
+    ran = {controller_of(name, recording) for name, recording in result.recordings.items()}
+    return [name for name in PLAIN if name != "pd" and name not in ran] if ran - {*PLAIN, *ORACLES} else []
 
 
 def torques(result: Result) -> Iterator[str]:

@@ -1,3 +1,5 @@
+const LEAST = 1e-12; // smallest share of the largest value that a logarithmic axis goes down to
+
 /** One panel: an SVG that is drawn anew when its size, its stretch of x, or the runs shown change. */
 class Plot {
   constructor(group, spec, report) {
@@ -5,13 +7,19 @@ class Plot {
     this.box = document.createElement("figure");
     this.box.className = spec.plane ? "plot wide" : "plot";
     this.caption = this.box.appendChild(document.createElement("figcaption"));
-    this.caption.textContent = spec.unit ? `${spec.title} [${spec.unit}]` : spec.title;
+    this.caption.textContent = this.named();
     this.svg = this.box.appendChild(element("svg", { tabindex: 0, role: "img", "aria-label": `plot of ${this.caption.textContent}` }));
     this.output = this.box.appendChild(document.createElement("output"));
     this.output.setAttribute("aria-live", "polite");
     this.output.hidden = true;
     this.full = extent(spec.curves.flatMap((c) => spec.plane ? [...c.x] : [c.x[0], c.x[c.x.length - 1]]));
     if (!spec.plane) this.listen();
+  }
+
+  /** What the panel shows: title, unit with the power of ten that its numbers leave out, and a limit that is not drawn. */
+  named(power = "", limit = false) {
+    const { title, unit, limit: most } = this.spec, units = [power, unit].filter(Boolean).join(" ");
+    return `${title}${units ? ` [${units}]` : ""}${limit ? `, limit ±${told(most)}` : ""}`;
   }
 
   get shown() { return this.spec.curves.filter((c) => c.run === null || this.report.visible[c.run]); }
@@ -25,7 +33,7 @@ class Plot {
       for (let i = Math.max(0, placeOf(x, from) - 1); i < x.length && x[i] <= to; i++) if (x[i] <= until) values.push(y[i]);
     }
     let [low, high] = extent(this.spec.scale === "log" ? values.filter((v) => v > 0) : values);
-    if (this.spec.scale === "log") return [low / 1.5, high * 1.5];
+    if (this.spec.scale === "log") return [Math.max(low, high * LEAST) / 1.5, high * 1.5];
     if (this.spec.limit !== undefined && Math.max(-low, high) > 0.5 * this.spec.limit) { low = Math.min(low, -this.spec.limit); high = Math.max(high, this.spec.limit); }
     const margin = 0.07 * (high - low) || 1;
     return [low - margin, high + margin];
@@ -71,11 +79,9 @@ class Plot {
       add("text", { x: X(v), y: top + height + 15, "text-anchor": "middle" }, told(v, 5));
     }
     add("text", { x: left + width / 2, y: H - 4, "text-anchor": "middle" }, spec.across || "time [s]");
-    if (spec.limit !== undefined) {
-      if (Y(spec.limit) >= top) for (const v of [-spec.limit, spec.limit]) add("line", { class: "limit", x1: left, x2: left + width, y1: Y(v), y2: Y(v) });
-      else add("text", { x: left + width - 4, y: top + 13, "text-anchor": "end" }, `limit ±${told(spec.limit)} ${spec.unit}`);
-    }
-    if (scale.note) add("text", { x: left + 4, y: top + 13 }, scale.note);
+    const near = spec.limit !== undefined && Y(spec.limit) >= top;
+    if (near) for (const v of [-spec.limit, spec.limit]) add("line", { class: "limit", x1: left, x2: left + width, y1: Y(v), y2: Y(v) });
+    this.caption.textContent = this.named(scale.note, spec.limit !== undefined && !near);
     const drawn = add("g", { "clip-path": `url(#${clip})` });
     for (const curve of this.shown) {
       const look = curve.run === null ? { class: "curve truth" } : { class: "curve", stroke: `var(--run-${curve.run})`, "stroke-dasharray": this.report.runs[curve.run].dash };

@@ -38,7 +38,7 @@ const scales = {
   linear: (low, high) => {
     const exponent = common(Math.max(Math.abs(low), Math.abs(high)));
     const ticks = steps(low, high, 5).map((v) => [v, told(v / 10 ** exponent)]);
-    return { to: (v) => v, ticks: () => ticks, note: exponent ? `×${power(10 ** exponent)}` : "" };
+    return { to: (v) => v, ticks: () => ticks, note: exponent ? power(10 ** exponent) : "" };
   },
   log: () => ({ to: (v) => (v > 0 ? Math.log10(v) : NaN), ticks: (low, high) => powers(low, high).map((v) => [v, power(v)]) }),
   symlog: (low, high) => {

@@ -57,13 +57,13 @@ function sameReference(a, b) {
 }
 
 function addLegend(runs, switches) {
-  const legend = document.getElementById("legend"), first = runs.find((run) => !run.run.oracle) ?? runs[0];
+  const legend = document.getElementById("legend"), first = runs.reduce((a, b) => (b.run.rank < a.run.rank ? b : a));
   for (const run of runs) {
     const item = element("li"), line = element("span", "line");
     line.style.background = run.color;
     if (runs.length > 1) {
       run.group.visible = runs.length <= FEW || run === first;
-      const label = addSwitch(item, "", run.group.visible, (on) => { run.group.visible = on; switches.update(); });
+      const label = addSwitch(item, "", run.group.visible, (on) => { run.group.visible = on; switches.place(); });
       label.append(line, run.run.label);
     } else item.append(line, run.run.label);
     legend.append(item);
@@ -77,14 +77,14 @@ function addLegend(runs, switches) {
   }
 }
 
-const FEW = 3; // runs that are put side by side from the start; of more the first alone is shown that is no oracle
+const FEW = 3; // runs that are put side by side from the start; of more one alone is shown, a learner where there is one
 
 const LAYERS = { reference: ["reference"], paths: ["paths", "wanted"], "tip trace": ["traces"], "hand frame": ["frames"] };
 
 /** What is switched on; `update` shows it, by `redraw` in the end. */
 class Switches {
   constructor(stage, runs) {
-    Object.assign(this, { runs, apart: false, follow: false, hidden: new Set(), redraw: () => {} });
+    Object.assign(this, { runs, apart: false, framed: 0, follow: false, hidden: new Set(), redraw: () => {} });
     const place = document.getElementById("switches"), { extent: [x0, y0, x1, y1], reach } = stage.room;
     const change = (act) => (on) => { act(on); this.update(); };
     for (const [text, names] of Object.entries(LAYERS)) {
@@ -93,19 +93,31 @@ class Switches {
     }
     if (runs.some((run) => run.robot.mobile)) addSwitch(place, "follow", false, change((on) => { this.follow = on; }));
     this.spread = y1 - y0 + 2.2 * reach;
-    const spread = (on) => {
-      this.apart = on;
-      stage.frame([x0, on ? y0 - (runs.length - 1) * this.spread : y0, x1, y1]);
-    };
+    this.frame = () => stage.frame([x0, y0 - this.width, x1, y1]);
     const few = runs.length > 1 && runs.length <= FEW;
-    if (runs.length > 1) addSwitch(place, "side by side", few, change(spread));
-    if (few) spread(true);
+    if (runs.length > 1) addSwitch(place, "side by side", few, (on) => { this.apart = on; this.place(); });
+    this.apart = few;
+    if (few) this.frame();
+    this.framed = this.width;
+    this.update();
+  }
+
+  /** How far the last of the runs that are shown is from the first [m]. */
+  get width() { return this.apart ? Math.max(0, this.runs.filter((run) => run.group.visible).length - 1) * this.spread : 0; }
+
+  /** Show other runs, or put them elsewhere: in the middle of the picture again where they lie apart. */
+  place() {
+    const width = this.width;
+    if (width !== this.framed) this.frame();
+    this.framed = width;
     this.update();
   }
 
   update() {
-    this.runs.forEach((run, i) => {
-      run.group.position.setY(this.apart ? -i * this.spread : 0);
+    let beside = 0;
+    this.runs.forEach((run) => {
+      run.group.position.setY(this.apart ? -beside * this.spread : 0);
+      if (run.group.visible) beside++;
       for (const [name, objects] of Object.entries(run.layers)) {
         const told = ["reference", "wanted"].includes(name) && !this.apart && run.twins.some((twin) => twin.group.visible);
         const shown = !this.hidden.has(name) && !told;
@@ -165,7 +177,7 @@ async function main() {
     const [x, y] = leader.robot.mobile ? leader.now : [0, 0];
     if (switches.follow && before) stage.follow(x - before[0], y - before[1]);
     before = [x, y];
-    const wide = switches.apart ? ((runs.length - 1) * switches.spread) / 2 : 0;
+    const wide = switches.width / 2;
     stage.light(x, y - wide, wide);
     stage.draw();
   });
