@@ -228,7 +228,7 @@ def properties_text(report: Report, columns: int = WIDTH) -> str:
         row = f"{name:<{width}}  {p.worst:>9.1e}  {allowed:>9}  {'ok  ' if p.passed else 'FAIL'}  "
         lines.append(beside(row, p.means, columns))
     lines += [beside(f"{name:<{width}}  skipped: ", why, columns) for name, why in report.skipped.items()]
-    lines += report.notes
+    lines += [beside("", note, columns) for note in report.notes]
     b = report.bounds
     lines += ["", f"reduced M: {b.M_min:.4g} I <= M <= {b.M_max:.4g} I (SI units);  ||C|| <= {b.C_b:.4g} ||nu||"]
     lines += [beside("  sampling: ", SAMPLING, columns), "", beside("base: ", report.nonholonomic.verdict, columns)]
