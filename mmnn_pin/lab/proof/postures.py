@@ -1,0 +1,488 @@
+"""M, C and gravity of a robot over boxes of joint positions: their values in the middle, and how far off they may be.
+
+A body's motion is that of its homogeneous transform H, and with its pseudo-inertia P (4 x 4) every term of the reduced
+dynamics is an inner product `<A, B> = tr(A P B')` of derivatives of H, summed over bodies:
+
+    M_ij = <H_i, H_j>        C_ijk nu_j = <H_i, H_jk> nu_j        gravity_i = -<H_i, g e4'>
+
+H_i is the motion along the i-th velocity and H_jk how H_k changes along the j-th. Both are products of screws from the
+base outwards, `S_i S_j H`, and so are all their derivatives by joint positions. Two facts make bounds of these:
+
+* derivatives to the third order are known in the middle, exactly;
+* a derivative by any joints is no longer than that by the outermost of them alone, as screws further in only turn it:
+  `|S_a ... S_d H| <= |S_d H|`, the root of the inertia around joint d of all that it carries. Nothing else is needed
+  to close Taylor's formula.
+
+All is measured in coordinates in which M of the middle is the identity, `s = L^-T x` with `M = L L'`: a joint of grams
+counts as much as the base. So with the middle M0, at every place of the box,
+
+    (1 - mass) M0 <= M <= (1 + mass) M0        |L^-1 (C - C0)_jk| <= coriolis_jk        |L^-1 (g - g0)| <= gravity
+
+Nothing is sampled. Wheels may stand at any angle: each counts as alike all around its axis, and what it is not is added
+to the bounds. Rounding: `UNIT` times the sizes of the factors of every inner product is added, some thousand times what
+the sums can lose, and `SLACK` for what is computed afterwards from matrices near the identity.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from itertools import combinations_with_replacement as multisets
+from itertools import product
+from math import factorial, prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import RobotError
+from ...model.robot import Robot
+from ...model.tree.motion import BASE, LINK, NUMBER, PRISMATIC
+from ...model.tree.tree import flatten
+from ...signals import Array, IntArray
+
+BoolArray = NDArray[np.bool_]
+
+ORDER = 3  # of the derivatives that are known in the middle
+UNIT, SLACK = 1e-12, 1e-9  # of rounding
+CHUNK = 32  # boxes at a time
+CORNERS = 9  # joints up to which all corners of a box are looked at
+PLANAR = np.zeros((3, 4, 4))  # screws of the base's velocities (vx, vy, w)
+PLANAR[0, 0, 3] = PLANAR[1, 1, 3] = PLANAR[2, 1, 0] = 1.0
+PLANAR[2, 0, 1] = -1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Postures:
+    """Terms in the middle of N boxes, and how far off they may be anywhere in each.
+
+    Attributes:
+        q: (N, n) middles of the boxes [rad or m].
+        half: (N, n) their half-widths.
+        M: (N, p, p) mass matrices.
+        coriolis: (N, p, p, p): `C(q, nu)_ik = sum_j coriolis_ijk nu_j`.
+        gravity: (N, p).
+        mass_off: (N,) `|L^-1 (M - M0) L^-T|` at most.
+        coriolis_off: (N, p, p) `|L^-1 (C - C0)_jk|` at most.
+        gyration_off: (N, p) of the symmetric part of `L^-1 (C - C0)_k L^-T` over i and j at most.
+        gravity_off: (N,) `|L^-1 (g - g0)|` at most.
+    """
+
+    q: Array
+    half: Array
+    M: Array
+    coriolis: Array
+    gravity: Array
+    mass_off: Array
+    coriolis_off: Array
+    gyration_off: Array
+    gravity_off: Array
+
+    def at(self, places: IntArray | NDArray[np.bool_] | slice) -> Postures:
+        """Some of the boxes."""
+        return Postures(*(getattr(self, one.name)[places] for one in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """A robot as screws and pseudo-inertias: J joints, those of wheels among them, and B = 1 + J bodies, the base first.
+
+    Attributes:
+        above: (B, J) whether a joint carries a body.
+        parents: (J,) number of the body that carries each joint.
+        sliding: (J,) whether a joint slides.
+        placements: (J, 4, 4) of every joint in the body that carries it.
+        roots: (B, 4, 4) R with `P = R diag(signs) R'`, in the frame of the body's joint.
+        signs: (B, 4) 1, or -1 where a body is none that exists.
+        offset: (J,) joint positions for the arm at 0; 0 for wheels.
+        columns: (J, n) what each arm joint adds.
+        T: (J, p) velocities of the joints.
+        base: (p, 4, 4) screws of the base's part of every velocity.
+        turning: (p,) how fast the base turns with it.
+        uneven: Of wheels: the joint and the root u of how far P may be from that of a wheel alike all around,
+            `|tr(A P B') - tr(A P_even B')| <= u^2 |A H| |B H|` at every angle, H the placement of its joint.
+        rotors: (p, p) constant mass.
+        g: (3,) [m/s^2].
+    """
+
+    above: BoolArray
+    parents: tuple[int, ...]
+    sliding: tuple[bool, ...]
+    placements: Array
+    roots: Array
+    signs: Array
+    offset: Array
+    columns: Array
+    T: Array
+    base: Array
+    turning: Array
+    uneven: tuple[tuple[int, float], ...]
+    rotors: Array
+    g: Array
+
+    @classmethod
+    def of(cls, robot: Robot) -> Bodies:
+        """The bodies of a robot.
+
+        Raises:
+            RobotError: A joint that neither follows the arm nor is a wheel on the base, a floor that is not level, or
+                a joint that cannot be compiled.
+        """
+        tree = flatten(robot.model, robot.T, robot.rest, (robot.frame[0], robot.frame[1], robot.frame[2]))
+        if not tree.level:
+            raise RobotError("gravity depends on the heading", why="bounds are for a level floor")
+        offset, columns = robot.arm_map()
+        links, numbers, joints = tree.links, tree.numbers, slice(BASE.w + 1, None)
+        T = np.zeros((len(links), robot.T.shape[1]))
+        for row, (_, _, _, first, stop), own in zip(T, links, numbers, strict=True):
+            row[first:stop] = own[NUMBER.weight : NUMBER.weight + stop - first]
+        parents, at = links[joints, LINK.parent] - BASE.w, links[joints, LINK.coordinate]
+        wheels = ~columns[at].any(axis=1)
+        above = np.zeros((1 + len(at), len(at)), bool)
+        for k, parent in enumerate(parents):
+            above[k + 1] = above[parent]
+            above[k + 1, k] = True
+        for k in np.flatnonzero(wheels):
+            if parents[k] or above[:, k].sum() > 1:
+                name = robot.full_velocity_names[at[k]]
+                raise RobotError(f"joint '{name}' neither follows the arm nor is a wheel that carries nothing")
+        P, uneven = np.array([pseudo_inertia(own) for own in numbers[BASE.w :]]), []
+        for k in np.flatnonzero(wheels):
+            even = around(P[k + 1])
+            uneven.append((int(k), float(np.sqrt(np.linalg.norm(P[k + 1] - even, 2)))))
+            P[k + 1] = even
+        values, vectors = np.linalg.eigh(P)
+        return cls(
+            above=above,
+            parents=tuple(parents.tolist()),
+            sliding=tuple((links[joints, LINK.kind] == PRISMATIC).tolist()),
+            placements=np.array([placement(own) for own in numbers[joints]]).reshape(-1, 4, 4),
+            roots=vectors * np.sqrt(np.abs(values))[:, None, :],
+            signs=np.where(values < 0, -1.0, 1.0),
+            offset=np.where(wheels, 0.0, offset[at]),
+            columns=columns[at],
+            T=T[joints],
+            base=np.einsum("bi,brc->irc", T[: BASE.w + 1], PLANAR),
+            turning=np.abs(T[BASE.w]),
+            uneven=tuple(uneven),
+            rotors=tree.rotors,
+            g=np.array(tree.gravity),
+        )
+
+    def over(self, q: Array, half: Array) -> Postures:
+        """The terms over boxes with middles (N, n) and half-widths (N, n)."""
+        parts = [Jets(self, q[k : k + CHUNK], half[k : k + CHUNK]).postures() for k in range(0, len(q), CHUNK)]
+        return Postures(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Postures)))
+
+    def placed(self, q: Array) -> tuple[Array, Array]:
+        """Transforms of the bodies (N, B, 4, 4) and screws of the joints (N, J, 4, 4) at joint positions (N, J)."""
+        H, screws = [np.broadcast_to(np.eye(4), (len(q), 4, 4))], []
+        for k, parent in enumerate(self.parents):
+            moved, own = np.zeros((len(q), 4, 4)), np.zeros((4, 4))
+            moved[:] = np.eye(4)
+            if self.sliding[k]:
+                moved[:, 2, 3], own[2, 3] = q[:, k], 1.0
+            else:
+                c, s = np.cos(q[:, k]), np.sin(q[:, k])
+                moved[:, 0, 0], moved[:, 0, 1], moved[:, 1, 0], moved[:, 1, 1] = c, -s, s, c
+                own[0, 1], own[1, 0] = -1.0, 1.0
+            H.append(H[parent] @ self.placements[k] @ moved)
+            screws.append(H[-1] @ own @ inverse(H[-1]))
+        return np.stack(H, axis=1), np.stack(screws, axis=1) if screws else np.zeros((len(q), 0, 4, 4))
+
+
+def inverse(H: Array) -> Array:
+    """Of transforms (N, 4, 4)."""
+    result, R = np.zeros_like(H), H[:, :3, :3].swapaxes(1, 2)
+    result[:, :3, :3], result[:, :3, 3], result[:, 3, 3] = R, -(R @ H[:, :3, 3:])[..., 0], 1.0
+    return result
+
+
+def placement(numbers: Array) -> Array:
+    """(4, 4) of a joint in the body that carries it."""
+    H = np.eye(4)
+    H[:3, :3], H[:3, 3] = numbers[NUMBER.rotation : NUMBER.origin].reshape(3, 3), numbers[NUMBER.origin :][:3]
+    return H
+
+
+def pseudo_inertia(numbers: Array) -> Array:
+    """(4, 4) of a body in the frame of its joint."""
+    P = np.zeros((4, 4))
+    xx, xy, xz, yy, yz, zz = numbers[NUMBER.second : NUMBER.weight]
+    P[:3, :3] = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+    P[:3, 3] = P[3, :3] = numbers[NUMBER.moment :][:3]
+    P[3, 3] = numbers[NUMBER.mass]
+    return P
+
+
+def around(P: Array) -> Array:
+    """The nearest pseudo-inertia that is alike all around z."""
+    even = np.diag(np.diag(P))
+    even[0, 0] = even[1, 1] = (P[0, 0] + P[1, 1]) / 2
+    even[2, 3] = even[3, 2] = P[2, 3]
+    return even
+
+
+class Jets:
+    """Derivatives of all transforms in the middles of N boxes, and the bounds that follow.
+
+    Derivatives by joints K = (a, b, ...), from the base outwards, of `H R`, flat in e entries: `w[K]` (N, B, 4, 4) of
+    the transforms; `Z[K]` (N, e, p) of the motions along the normalised velocities; `W[K]` (N, e, p, p) of how they
+    change, along velocities in their own units.
+
+    Args:
+        bodies: The robot.
+        q: (N, n) middles [rad or m].
+        half: (N, n) half-widths.
+    """
+
+    def __init__(self, bodies: Bodies, q: Array, half: Array) -> None:
+        self.bodies, self.q, self.half = bodies, q, half
+        self.width = half @ np.abs(bodies.columns).T  # (N, J)
+        self.moving = [int(k) for k in np.flatnonzero(bodies.columns.any(axis=1))]
+        H, self.screws = bodies.placed(bodies.offset + q @ bodies.columns.T)
+        self.roots = H @ bodies.roots
+        self.signs = np.broadcast_to(bodies.signs[:, None], (len(bodies.signs), 3, 4)).ravel()
+        self.w: dict[tuple[int, ...], Array] = {}
+        self.orders = [list(multisets(self.moving, order)) for order in range(ORDER + 1)]
+        first = {K: self._along(K) for some in self.orders for K in some}
+        self.W = {K: self._twice(K) for some in self.orders[:2] for K in some}
+        self.pull = (bodies.g[:, None] * bodies.roots[:, 3:]).ravel()  # g e4' R, (e,)
+        start = first[()]
+        self.M = self.inner(start, start) + bodies.rotors
+        self.C = np.einsum("nei,e,nejk->nijk", start, self.signs, self.W[()])
+        self.gravity = -np.einsum("nei,e,e->ni", start, self.signs, self.pull)
+        self.L_inv = np.linalg.inv(np.linalg.cholesky(self.M))
+        self.Z = {K: value @ self.L_inv.swapaxes(1, 2) for K, value in first.items()}
+        self.sizes = np.linalg.norm(start, axis=1)  # (N, p)
+
+    # -- derivatives in the middle --
+
+    def screwed(self, K: tuple[int, ...]) -> Array:
+        """`w[K]`."""
+        if K not in self.w:
+            product = self.screws[:, K[0]] if K else np.broadcast_to(np.eye(4), (len(self.q), 4, 4))
+            for joint in K[1:]:
+                product = product @ self.screws[:, joint]
+            carried = self.bodies.above[:, K].all(axis=1)[None, :, None, None]
+            self.w[K] = np.where(carried, product[:, None] @ self.roots, 0.0)
+        return self.w[K]
+
+    def _along(self, K: tuple[int, ...]) -> Array:
+        """(N, e, p) before it is normalised."""
+        found = np.einsum("irs,nbsc->nbrci", self.bodies.base, self.screwed(K))
+        for t, T in enumerate(self.bodies.T):
+            found += self.screwed(tuple(sorted((*K, t))))[..., None] * T
+        return found[:, :, :3].reshape(len(self.q), -1, len(self.bodies.base))
+
+    def _twice(self, K: tuple[int, ...]) -> Array:
+        """`W[K]`."""
+        base, T, p = self.bodies.base, self.bodies.T, len(self.bodies.base)
+        found = np.einsum("jrs,kst,nbtc->nbrcjk", base, base, self.screwed(K))
+        for t in range(len(T)):
+            one = self.screwed(tuple(sorted((*K, t))))
+            found += np.einsum("jrs,k,nbsc->nbrcjk", base, T[t], one) + np.einsum("j,krs,nbsc->nbrcjk", T[t], base, one)
+            for u in range(len(T)):
+                found += self.screwed(tuple(sorted((*K, t, u))))[..., None, None] * np.multiply.outer(T[t], T[u])
+        return found[:, :, :3].reshape(len(self.q), -1, p, p)
+
+    def inner(self, A: Array, B: Array) -> Array:
+        """`<A_i, B_j>` of (N, e, i), (N, e, j)."""
+        return np.asarray((A * self.signs[:, None]).swapaxes(1, 2) @ B)
+
+    def of_M(self, K: tuple[int, ...]) -> Array:
+        """Derivative of the normalised mass matrix, (N, p, p)."""
+        found = np.zeros_like(self.M)
+        for bits in product((False, True), repeat=len(K) - 1):
+            left = (K[0], *(k for k, bit in zip(K[1:], bits, strict=True) if bit))
+            right = tuple(k for k, bit in zip(K[1:], bits, strict=True) if not bit)
+            found += self.inner(self.Z[left], self.Z[right])
+        return found + found.swapaxes(1, 2)
+
+    # -- bounds over the boxes --
+
+    def postures(self) -> Postures:
+        """The terms and how far off they may be."""
+        off = (self.mass_off(), *self.coriolis_off(), self.gravity_off())
+        return Postures(self.q, self.half, self.M, self.C, self.gravity, *((1 + SLACK) * one for one in off))
+
+    def weight(self, K: tuple[int, ...]) -> Array:
+        """What a derivative counts with in Taylor's formula at the corners of the boxes, (N,)."""
+        return np.asarray(self.width[:, K].prod(axis=1) / prod(factorial(K.count(k)) for k in set(K)))
+
+    @cached_property
+    def reach(self) -> Array:
+        """(N, J) largest `|S_d H|`: the root of the inertia around joint d of what it carries."""
+        found = np.zeros_like(self.width)
+        for d in reversed(range(found.shape[1])):
+            found[:, d] = length(self.screwed((d,))[:, :, :3])
+            for k in self.moving:
+                if k > d and (self.bodies.above[:, d] & self.bodies.above[:, k]).any():
+                    found[:, d] += self.width[:, k] * found[:, k]
+        return found
+
+    @cached_property
+    def once(self) -> Array:
+        """(N, p, J) largest derivative of the motion along a velocity by joints of which d is the outermost."""
+        J = self.width.shape[1]
+        outer = self.reach[:, np.maximum.outer(range(J), range(J))]
+        return np.asarray(np.einsum("ti,ntd->nid", self.arm, outer) + self.turning[:, None] * self.reach[:, None])
+
+    @cached_property
+    def again(self) -> Array:
+        """(N, p, p, J) the same of how that motion changes along another velocity."""
+        J, arm, turning = self.width.shape[1], self.arm, self.turning
+        outer = self.reach[:, np.maximum.outer(np.maximum.outer(range(J), range(J)), range(J))]
+        found = np.einsum("tj,uk,ntud->njkd", arm, arm, outer)
+        found += np.einsum("j,nkd->njkd", turning, self.once)
+        return found + np.einsum("njd,k->njkd", self.once - turning[:, None] * self.reach[:, None], turning)
+
+    @cached_property
+    def arm(self) -> Array:
+        """(J, p) how fast the joints of the arm move, without sign."""
+        found = np.abs(self.bodies.T)
+        found[[k for k in range(len(found)) if k not in self.moving]] = 0.0
+        return found
+
+    @property
+    def turning(self) -> Array:
+        """(p,) how fast the base turns."""
+        return self.bodies.turning
+
+    def outermost(self, order: int) -> Array:
+        """(N, J) sum of the weights of all derivatives of an order whose outermost joint is d."""
+        upto = np.zeros((len(self.q), self.width.shape[1] + 1))
+        moving = np.isin(np.arange(self.width.shape[1]), self.moving)
+        upto[:, 1:] = np.cumsum(self.width * moving, axis=1) ** order
+        return np.asarray(np.diff(upto, axis=1) / factorial(order))
+
+    def sums(self, centre: dict[tuple[int, ...], Array], crude: Array, last: int) -> list[Array]:
+        """Sums by order, up to `last`, of weights times largest norms: known in the middle; by the outermost joint.
+
+        Args:
+            centre: Norms (N, ...) of the derivatives that are known.
+            crude: (N, ..., J) bounds of all of at least the first order, by the outermost joint.
+            last: Order to go to, one above what is known.
+        """
+        most: dict[tuple[int, ...], Array] = {}
+        for K in sorted(centre, key=len, reverse=True):
+            grown = centre[K].copy()
+            for k in self.moving:
+                more = tuple(sorted((*K, k)))
+                grown += expand(self.width[:, k], grown) * most.get(more, crude[..., more[-1]])
+            most[K] = np.minimum(grown, crude[..., K[-1]]) if K else grown
+        result = [np.zeros_like(most[()]) for _ in range(last)]
+        for K, value in most.items():
+            result[len(K)] += expand(self.weight(K), value) * value
+        rest = self.outermost(last)
+        return [*result, (crude * rest.reshape(len(rest), *(1,) * (crude.ndim - 2), -1)).sum(axis=-1)]
+
+    @cached_property
+    def motions(self) -> list[Array]:
+        """Sums by order of `Z`, up to ORDER + 1, (N,) each."""
+        centre = {K: norm(value) for K, value in self.Z.items()}
+        crude = np.linalg.norm(np.abs(self.L_inv) @ self.once, axis=1)
+        return self.sums(centre, crude, ORDER + 1)
+
+    def corners(self, parts: list[Array]) -> Array:
+        """Largest norm of `sum d_k parts_k` over all corners `|d_k| = width_k`; of matrices or vectors (N, ...)."""
+        if not parts:
+            return np.zeros(len(self.q))
+        parts = [expand(self.width[:, k], part) * part for k, part in zip(self.moving, parts, strict=True)]
+        if len(parts) > CORNERS:
+            return np.asarray(sum(norm(part) for part in parts))
+        signs = product((1.0, -1.0), repeat=len(parts) - 1)
+        sums = (sum((s * part for s, part in zip(sign, parts[1:], strict=True)), parts[0]) for sign in signs)
+        return np.max([norm(one) for one in sums], axis=0)
+
+    def mass_off(self) -> Array:
+        """See `Postures`."""
+        found = self.corners([self.of_M(K) for K in self.orders[1]])
+        for some in self.orders[2:]:
+            for K in some:
+                found += self.weight(K) * norm(self.of_M(K))
+        found += sum(a * b for a, b in zip(self.motions, reversed(self.motions), strict=True))
+        return found + self.uneven**2 + UNIT * self.loose**2 + SLACK
+
+    def gravity_off(self) -> Array:
+        """See `Postures`."""
+        pull = self.signs * self.pull
+        found = self.corners([pull @ self.Z[K] for K in self.orders[1]])
+        for some in self.orders[2:]:
+            for K in some:
+                found += self.weight(K) * norm(pull @ self.Z[K])
+        carried = np.array([np.linalg.norm(self.pull.reshape(len(own), -1)[own]) for own in self.bodies.above.T])
+        J = self.width.shape[1]
+        heavy = (self.reach * carried)[:, np.maximum.outer(range(J), range(J))]
+        most = np.einsum("ti,ntd->nid", self.arm, heavy) + self.turning[:, None] * (self.reach * carried)[:, None]
+        found += (np.linalg.norm(np.abs(self.L_inv) @ most, axis=1) * self.outermost(ORDER + 1)).sum(axis=1)
+        tilt = sum(u * np.linalg.norm(self.bodies.placements[k][3]) for k, u in self.bodies.uneven)
+        strength = np.linalg.norm(self.bodies.g)
+        return found + self.uneven * strength * tilt + UNIT * self.loose * np.linalg.norm(self.pull)
+
+    def coriolis_off(self) -> tuple[Array, Array]:
+        """`coriolis_off` and `gyration_off` of `Postures`."""
+        Z, W, by = self.Z[()], self.W[()], self.L_inv.swapaxes(1, 2)
+        found, turned = np.zeros(W.shape[:1] + W.shape[2:]), np.zeros(W.shape[:1] + W.shape[3:])
+        for K in self.orders[1]:
+            change = np.einsum("nei,e,nejk->nijk", self.Z[K], self.signs, W)
+            change += np.einsum("nei,e,nejk->nijk", Z, self.signs, self.W[K])
+            found += expand(self.weight(K), found) * np.linalg.norm(change, axis=1)
+            change = np.einsum("nijk,njl->nkil", change, by)
+            turned += expand(self.weight(K), turned) * norm((change + change.swapaxes(2, 3)) / 2)
+        first, own = self.motions, {K: np.linalg.norm(value, axis=1) for K, value in self.W.items()}
+        some = self.sums(own, self.again, 2)
+        found += sum(expand(a, b) * b for a, b in zip(first[:3], reversed(some), strict=True))
+        own = {K: norm(np.einsum("nejk,njl->nkel", value, by)) for K, value in self.W.items()}
+        crude = np.linalg.norm(np.einsum("nij,njkd->nikd", np.abs(self.L_inv), self.again), axis=1)
+        some = self.sums(own, crude, 2)
+        turned += sum(expand(a, b) * b for a, b in zip(first[:3], reversed(some), strict=True))
+        rough, odd = self.uneven_twice, expand(self.uneven, found)
+        size = np.linalg.norm(W, axis=1)
+        found += odd * rough + UNIT * expand(self.loose, found) * size
+        mixed = np.linalg.norm(np.abs(self.L_inv) @ rough, axis=1)
+        sized = np.linalg.norm(np.abs(self.L_inv) @ size, axis=1)
+        return found, turned + expand(self.uneven, turned) * mixed + UNIT * expand(self.loose, turned) * sized
+
+    @cached_property
+    def loose(self) -> Array:
+        """(N,) `| |L^-1| |H_i| |`: what rounding counts with."""
+        return np.asarray(np.linalg.norm(np.einsum("nij,nj->ni", np.abs(self.L_inv), self.sizes), axis=1))
+
+    @cached_property
+    def uneven(self) -> Array:
+        """(N,) root of what wheels that are not alike all around take from or give to M, normalised."""
+        p, base = len(self.bodies.base), self.bodies.base
+        Mu = np.zeros((p, p))
+        for k, u in self.bodies.uneven:
+            A = u * (base + np.multiply.outer(self.bodies.T[k], self.screws[0, k])) @ self.bodies.placements[k]
+            Mu += np.einsum("irc,jrc->ij", A, A)
+        return np.asarray(np.sqrt(np.abs(np.linalg.eigvalsh(self.L_inv @ Mu @ self.L_inv.swapaxes(1, 2))[:, -1])))
+
+    @cached_property
+    def uneven_twice(self) -> Array:
+        """(p, p) the same of how motions along velocities change along others, in their own units."""
+        base, found = self.bodies.base, np.zeros((len(self.bodies.base),) * 2)
+        for k, u in self.bodies.uneven:
+            S, T = self.screws[0, k], self.bodies.T[k]
+            spun = np.multiply.outer(T, S)
+            twice = np.einsum("jrs,ksc->jkrc", base, base + spun) + np.einsum("krs,jsc->jkrc", base + spun, spun)
+            found += u**2 * np.einsum("jkrc,jkrc->jk", *(2 * [twice @ self.bodies.placements[k]]))
+        return np.sqrt(found)
+
+
+def expand(weights: Array, like: Array) -> Array:
+    """Weights (N,) that multiply an array (N, ...)."""
+    return weights.reshape(-1, *(1,) * (like.ndim - 1))
+
+
+def length(values: Array) -> Array:
+    """Of everything but the first axis, (N,)."""
+    return np.asarray(np.sqrt((values.reshape(len(values), -1) ** 2).sum(axis=1)))
+
+
+def norm(values: Array) -> Array:
+    """Largest singular value of matrices (..., a, b); length of vectors (N, a)."""
+    if values.ndim == 2:
+        return np.asarray(np.linalg.norm(values, axis=1))
+    small = values.swapaxes(-1, -2) @ values
+    return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(small)[..., -1], 0.0)))
