@@ -27,18 +27,18 @@ from ...signals import Array
 from .bounds import PoseSet, WeightsBound, weights_bound
 from .certified_loop import CertifiedLoop, Condition, limits_in, limits_of_motors
 from .learner import NAMES
-from .motion_bound import Drive, Gains, MotionBound, MotionSamples, drive, motion_bound
+from .motion_bound import Cover, Drive, Gains, MotionBound, drive, motion_bound
 
 BoolArray = NDArray[np.bool_]
-Row = tuple[str, float, str, str, str]  # the fields of a Constant
+Row = tuple[str, float, str, str, str]  # the first fields of a Constant
 STRICT = 1.02  # a box is this much larger than the place where its error may stand still
 STEPS = 200
 SMALL = 1e-12  # of the region's energy: what is below is left to rounding
 SETTLED = 1e-3
-ENERGIES = np.geomspace(1e-6, 30.0, 32)  # [J]
-SIZES = np.array([0.01, 0.03, 0.07, 0.13, 0.2, 0.3, 0.42, 0.56, 0.72])  # of the largest size of the pose error
-THIN = 8  # of the samples, every which is looked at in the search
-ARMS = (1.0, 2.5)  # of the size that the energy drives the arm errors to
+ENERGIES = np.geomspace(1e-6, 30.0, 64)  # [J]
+SIZES = np.array([0.01, 0.03, 0.06, 0.09, 0.13, 0.17, 0.2, 0.25, 0.3, 0.36, 0.42, 0.5, 0.6, 0.72])  # of the largest size of the pose error
+THIN = 8  # of the boxes of a cover, every which is looked at in the search
+ARMS = (1.0, 1.2, 2.5)  # of the size that the energy drives the arm errors to
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,11 +124,10 @@ def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
     feedback = "smallest s'Ks / s'Ms: feedback less kinematic gains and Coriolis [1/s]"
     less = "the same less what the hold of the torque takes [1/s]"
     stands = "where the pose error may stand still, within the region [m]"
-    share = float((faces.joints / loop.samples.spread).max(initial=0.0))
     arm = (
         Condition("decay, arm", loop.arm_decay, 0.0, "decay of the arm errors' size [1/s]", "above"),
         Condition("face, arm", faces.arm, box.arm, "the same of the arm errors' size"),
-        Condition("arm", share, 1.0 + 1e-12, "the region's arm errors over those that were sampled"),
+        Condition("arm", box.arm / loop.widest.size, 1.0 + 1e-12, "arm errors over those that M is bounded for"),
     )
     yield from (
         Condition("pose", faces.decay, 0.0, "decay of the pose error in the region [1/s]", "above"),
@@ -150,8 +149,9 @@ class Constant:
         name: As in docs/explanation/theory.md.
         value: In SI units.
         unit: Its unit.
-        source: "given" by robot, settings, reference; "computed" from others; or "sampled" over configurations.
+        source: "given" by robot, settings, reference; "computed" from others; or "bounded" over all configurations.
         words: What it is.
+        sampled: What is bounded, the worst of one configuration in every box: no part of the proof; None for others.
     """
 
     name: str
@@ -159,22 +159,32 @@ class Constant:
     unit: str
     source: str
     words: str
+    sampled: float | None = None
+
+    @property
+    def loose(self) -> float | None:
+        """How many times the sampled value the bound is away from 0, or the other way round; None without one."""
+        if self.sampled is None or not self.sampled * self.value > 0:
+            return None
+        return max(self.value / self.sampled, self.sampled / self.value)
 
 
 def constants(boxes: Boxes, faces: Faces) -> Iterator[Constant]:
     """See `Certificate.constants`."""
-    rows = chain(error_constants(boxes.loop, faces), controller_constants(boxes))
-    for name, value, *words in chain(rows, energy_constants(boxes.loop, faces.motion)):
+    loop, cover = boxes.loop, boxes.cover(faces.box)
+    sampled = cover.sampled(loop.bodies)
+    there = motion_bound(sampled, boxes.drive(faces.box), faces.box.energy, boxes.gains)
+    for name, value, *words in chain(error_constants(loop, faces), controller_constants(boxes)):
         yield Constant(name, float(value), *words)
+    pairs = zip(dynamic_constants(loop, cover, faces.motion), dynamic_constants(loop, sampled, there), strict=True)
+    for (name, value, *words), (_, other, *_) in pairs:
+        yield Constant(name, float(value), *words, sampled=float(other))
 
 
 def error_constants(loop: CertifiedLoop, faces: Faces) -> list[Row]:
     """Of the reference, the pose and the arm: fields of `Constant`."""
     pose = loop.pose
-    arm = [
-        ("lambda_b", loop.arm_decay, "1/s", "computed", "decay of the arm errors"),
-        ("gamma_b", loop.samples.arm_gain, "", "sampled", "how the energy drives the arm errors"),
-    ]
+    arm = [("lambda_b", loop.arm_decay, "1/s", "computed", "decay of the arm errors")]
     return [
         ("h", loop.period, "s", "given", "control period"),
         ("delay", loop.late, "s", "given", "from a sample to when its command is in force, at most"),
@@ -209,28 +219,30 @@ def controller_constants(boxes: Boxes) -> Iterator[Row]:
         yield f"|V| {NAMES[i]}", bound.V, "", "computed", "bound on the hidden weights that learn"
 
 
-def energy_constants(loop: CertifiedLoop, motion: MotionBound) -> list[Row]:
-    """Of the energy of the errors."""
-    eigenvalues = np.linalg.eigvalsh(loop.samples.M)
+def dynamic_constants(loop: CertifiedLoop, cover: Cover, motion: MotionBound) -> list[Row]:
+    """Of the robot's dynamics and of the energy of the errors."""
+    least, most = cover.eigenvalues
+    arm = [("gamma_b", cover.arm_gain, "", "bounded", "how the energy drives the arm errors")]
     return [
-        ("M_min", eigenvalues.min(), "SI", "sampled", "smallest eigenvalue of M"),
-        ("M_max", eigenvalues.max(), "SI", "sampled", "largest eigenvalue of M"),
-        ("mu", motion.fastest, "1/s", "sampled", "largest eigenvalue of M^-1 k"),
-        ("margin", motion.margin, "1/s", "sampled", "smallest s' K s / s' M s, hold included"),
-        ("lambda_E", motion.rate, "1/s", "sampled", "rate used for the energy of the errors"),
-        ("push", motion.pushed, "SI", "sampled", "largest |ds/dt| but for the feedback, in the norm of k"),
+        ("M_min", least, "SI", "bounded", "smallest eigenvalue of M"),
+        ("M_max", most, "SI", "bounded", "largest eigenvalue of M"),
+        *(arm if len(loop.K) else ()),
+        ("mu", motion.fastest, "1/s", "bounded", "largest eigenvalue of M^-1 k"),
+        ("margin", motion.margin, "1/s", "bounded", "smallest s' K s / s' M s, hold included"),
+        ("lambda_E", motion.rate, "1/s", "bounded", "rate used for the energy of the errors"),
+        ("E*", motion.level, "J", "bounded", "energy above which it falls"),
+        ("push", motion.pushed, "SI", "bounded", "largest |ds/dt| but for the feedback, in the norm of k"),
     ]
 
 
 def search(loop: CertifiedLoop, start: Box | None = None) -> Boxes:
     """The largest invariant box of a grid, those around the start first; where there is none, the one nearest to it.
 
-    Boxes are looked at with few samples first, from the best on with all.
+    Boxes are looked at in few postures first, from the best on in all.
     """
-    few = loop.samples.thinned(THIN)
     invariant, nearest, least = [], None, math.inf
     for box in candidates(loop):
-        boxes = Boxes(loop, box, few)
+        boxes = Boxes(loop, box, THIN)
         if not (boxes.pose_stands(box) < box.pose and boxes.arm_stands(box) <= box.arm):
             continue
         faces = boxes.faces(box)
@@ -249,7 +261,9 @@ def search(loop: CertifiedLoop, start: Box | None = None) -> Boxes:
 def candidates(loop: CertifiedLoop) -> Iterator[Box]:
     """Boxes whose arm errors are those that the energy drives, or more."""
     for energy in ENERGIES:
-        arm = math.sqrt(2 * energy) * loop.samples.arm_gain / loop.arm_decay if len(loop.K) else 0.0
+        arm = 0.0
+        for _ in range(3 * bool(len(loop.K))):  # the gain is that of a cover that holds the arm errors
+            arm = math.sqrt(2 * energy) * loop.cover(STRICT * arm).arm_gain / loop.arm_decay
         for share in SIZES:
             for more in ARMS if len(loop.K) else (1.0,):
                 yield Box(float(share * loop.pose.largest), STRICT * more * arm, float(energy))
@@ -269,11 +283,16 @@ class Boxes:
     Args:
         loop: The loop.
         outer: The outermost box; the weights' bounds are taken there.
-        samples: The robot along the reference; all samples if None.
+        thin: Which of the boxes of covers are looked at: every one, or one of so many, for a first look.
     """
 
-    def __init__(self, loop: CertifiedLoop, outer: Box, samples: MotionSamples | None = None) -> None:
-        self.loop, self.outer, self.samples = loop, outer, samples or loop.samples
+    def __init__(self, loop: CertifiedLoop, outer: Box, thin: int = 1) -> None:
+        self.loop, self.outer, self.thin = loop, outer, thin
+
+    def cover(self, box: Box) -> Cover:
+        """Where the robot may be while its errors are in a box."""
+        found = self.loop.cover(box.arm)
+        return found if self.thin == 1 else found.thinned(self.thin)
 
     @cached_property
     def networks(self) -> dict[int, WeightsBound]:
@@ -298,7 +317,7 @@ class Boxes:
 
     def velocity(self, box: Box) -> Array:
         """(p,) largest |s_i| in a box."""
-        return np.asarray(np.sqrt(2 * box.energy * self.samples.lightest))
+        return np.asarray(np.sqrt(2 * box.energy * self.cover(box).lightest))
 
     def measured(self, box: Box) -> Array:
         """(p,) the same of s as the controller sees it."""
@@ -306,7 +325,7 @@ class Boxes:
 
     def joints(self, box: Box) -> Array:
         """(n,) largest |e_i| in a box."""
-        return box.arm * self.samples.joint_reach
+        return box.arm * self.loop.metric.reach
 
     def drive(self, box: Box) -> Drive:
         """What the errors of a box do to the reference velocity."""
@@ -321,17 +340,18 @@ class Boxes:
         pose, (away, turning) = self.loop.pose, self.loop.drift
         decay = pose.decay(box.pose, float(self.velocity(box)[1]))
         G = np.array([1.0, pose.yaw_gain(pose.reach(box.pose).cosine)])
-        driven = np.linalg.eigvalsh(G[:, None] * self.samples.M_inverse[:, :2, :2] * G).max()
+        driven = np.linalg.eigvalsh(G[:, None] * self.cover(box).M_inverse[:, :2, :2] * G).max()
         speed = np.sqrt(2 * (box.energy if energy is None else energy) * driven) + away + G[1] * turning
         return float(speed / decay) if decay > 0 else np.inf
 
     def arm_stands(self, box: Box) -> float:
-        """The same of the arm errors' size; inf for configurations that were not looked at, or without decay."""
+        """The same of the arm errors' size; inf where M has no bound for it, or without decay."""
         if not len(self.loop.K):
             return 0.0
-        if (self.joints(box) > self.samples.spread).any() or not self.loop.arm_decay > 0:
+        cover = self.cover(box)
+        if box.arm > cover.size or not self.loop.arm_decay > 0:
             return np.inf
-        return float(np.sqrt(2 * box.energy) * self.samples.arm_gain / self.loop.arm_decay)
+        return float(np.sqrt(2 * box.energy) * cover.arm_gain / self.loop.arm_decay)
 
     def faces(self, box: Box) -> Faces:
         """Judge a box within the outermost one."""
@@ -344,7 +364,7 @@ class Boxes:
             yaw_gain=pose.yaw_gain(reach.cosine),
             joints=self.joints(box),
             velocity=s,
-            motion=motion_bound(self.samples, self.drive(box), box.energy, self.gains),
+            motion=motion_bound(self.cover(box), self.drive(box), box.energy, self.gains),
             pose=self.pose_stands(box),
             arm=self.arm_stands(box),
             limits=self.limits(box),
@@ -384,7 +404,7 @@ class Box:
 
     Attributes:
         pose: Size of the pose error, see `pose_bound` [m].
-        arm: Size of the arm errors, see `MotionSamples.arm_metric`.
+        arm: Size of the arm errors, see `ArmMetric`.
         energy: s' M s / 2 [J].
     """
 

@@ -26,11 +26,13 @@ from ...signals import Array, Layout
 from ...torque.controller import per_velocity
 from .bounds import PoseBound
 from .learner import Networks
-from .motion_bound import Along, Drive, MotionSamples, sample
+from .motion_bound import Along, ArmMetric, Cover, Drive
+from .postures import Bodies
 from .subject import Subject
 
 TOLERANCE = 1e-3  # of the largest rate
 SPREAD = 0.5  # [rad or m]: arm errors beyond this are not looked at
+LADDER = 0.7 ** np.arange(15.0)  # of the largest size of arm errors, for which there are covers
 SIGNALS = ("velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref", "pose_ref")
 RATES = (("velocity_ref", "acceleration_ref"), ("q_ref", "qdot_ref"), ("qdot_ref", "qddot_ref"))
 TORQUE = "largest motor torque [N m or N]"
@@ -52,7 +54,6 @@ class CertifiedLoop:
         projection: Largest norm that a supervisor scales the weights back to, None without.
         supervisor: Limits that the loop must not pass; None without.
         drift: Speed [m/s] and yaw rate [rad/s] at which the reference's poses leave its velocities, at most.
-        spread: (n,) largest arm error looked at [rad or m].
         late: Largest time from a sample to when its command is in force [s].
         noise: (p,) largest error of the measured velocities [m/s, rad/s].
         motors: (motors,) largest torque of every motor, inf where there is no limit [N m or N].
@@ -68,7 +69,6 @@ class CertifiedLoop:
     projection: float | None = None
     supervisor: Supervisor | None = None
     drift: tuple[float, float] = (0.0, 0.0)
-    spread: Array | None = None
     late: float = 0.0
     noise: Array = field(default_factory=lambda: np.zeros(1))
     motors: Array = field(default_factory=lambda: np.full(1, np.inf))
@@ -89,18 +89,50 @@ class CertifiedLoop:
         return self.kinematic.arm_gains(self.robot.dimensions)
 
     @cached_property
-    def samples(self) -> MotionSamples:
-        """The robot along the reference; the arm's metric is the one whose errors a given energy drives less far."""
-        n = self.robot.dimensions.arm
-        result = sample(self.robot, self.along, np.full(n, SPREAD) if self.spread is None else self.spread)
-        if n == 0 or not np.ptp(self.K):
-            return result
-        return max((result, replace(result, decoupled=True)), key=lambda one: one.arm_decay(self.K) / one.arm_gain)
+    def bodies(self) -> Bodies:
+        """What bounds of the dynamics are computed from; errors as of `Bodies.of`."""
+        return Bodies.of(self.robot)
+
+    @cached_property
+    def metric(self) -> ArmMetric:
+        """Of the arm errors."""
+        return ArmMetric.best(self.robot, self.along, self.K)
+
+    @cached_property
+    def sizes(self) -> Array:
+        """Sizes of the arm errors for which there may be covers, the largest first; 0 without an arm."""
+        return SPREAD / self.metric.reach.max() * LADDER if len(self.K) else np.zeros(1)
+
+    @cached_property
+    def known(self) -> dict[int, Cover]:
+        """The covers that were asked for, by their place in `sizes`."""
+        return {}
+
+    def cover(self, arm: float) -> Cover:
+        """Wherever the robot may be with a size of the arm errors; where M is not bounded there, the widest that is.
+
+        Raises:
+            RecordingError: Not even the smallest is.
+        """
+        last = len(self.sizes) - 1
+        for k in range(max(int((self.sizes >= arm).sum()) - 1, 0), last + 1):
+            if k not in self.known:
+                size = float(self.sizes[k])
+                self.known[k] = Cover.of(self.robot, self.bodies, self.along, self.metric, size)
+            if (self.known[k].mass_off < 1).all():
+                return self.known[k]
+        why = f"with joints up to {SPREAD * LADDER[last]:.2g} off, M may change along the reference by all of itself "
+        raise RecordingError("no certificate", why=f"{why}between the places it is looked at; use a slower reference")
+
+    @property
+    def widest(self) -> Cover:
+        """The one for the largest size of the arm errors; errors as of `cover`."""
+        return self.cover(np.inf)
 
     @cached_property
     def arm_decay(self) -> float:
-        """Rate at which the size of the arm errors decays for r = 0 [1/s]; see `MotionSamples.arm_decay`."""
-        return self.samples.arm_decay(self.K)
+        """Rate at which the size of the arm errors decays for r = 0 [1/s]; see `ArmMetric.decay`."""
+        return self.metric.decay(self.K)
 
     @cached_property
     def robust(self) -> tuple[Array, Array]:

@@ -322,7 +322,7 @@ def sizes_of(subject: Subject, loop: CertifiedLoop) -> Sizes:
     """The sizes along a run."""
     rows, where = subject.truth(subject.rows), subject.layout.where
     e = rows[:, where("e")]
-    arm = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", e, loop.samples.arm_metric, e), 0.0))
+    arm = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", e, loop.metric.N, e), 0.0))
     pose = loop.pose.size(rows[:, where("pose_error")])
     return Sizes(subject.signal("time")[:, 0], pose, arm, motion_energy(subject, rows))
 

@@ -65,6 +65,7 @@ class Postures:
         coriolis_off: (N, p, p) `|L^-1 (C - C0)_jk|` at most.
         gyration_off: (N, p) of the symmetric part of `L^-1 (C - C0)_k L^-T` over i and j at most.
         gravity_off: (N,) `|L^-1 (g - g0)|` at most.
+        bend: (N, n) what of `mass_off` the positions of each joint of the arm make to first order.
     """
 
     q: Array
@@ -76,15 +77,20 @@ class Postures:
     coriolis_off: Array
     gyration_off: Array
     gravity_off: Array
+    bend: Array
 
     def at(self, places: IntArray | NDArray[np.bool_] | slice) -> Postures:
         """Some of the boxes."""
         return Postures(*(getattr(self, one.name)[places] for one in fields(self)))
 
+    def joined(self, other: Postures) -> Postures:
+        """These boxes and then others."""
+        return Postures(*(np.concatenate((getattr(self, f.name), getattr(other, f.name))) for f in fields(self)))
+
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """A robot as screws and pseudo-inertias: J joints, those of wheels among them, and B = 1 + J bodies, the base first.
+    """A robot as screws and pseudo-inertias: J joints, wheels among them, and B = 1 + J bodies, the base first.
 
     Attributes:
         above: (B, J) whether a joint carries a body.
@@ -242,6 +248,7 @@ class Jets:
         H, self.screws = bodies.placed(bodies.offset + q @ bodies.columns.T)
         self.roots = H @ bodies.roots
         self.signs = np.broadcast_to(bodies.signs[:, None], (len(bodies.signs), 3, 4)).ravel()
+        self.riding = np.flatnonzero(bodies.base.any(axis=(1, 2))).tolist()  # velocities that move the base
         self.w: dict[tuple[int, ...], Array] = {}
         self.orders = [list(multisets(self.moving, order)) for order in range(ORDER + 1)]
         first = {K: self._along(K) for some in self.orders for K in some}
@@ -269,21 +276,30 @@ class Jets:
 
     def _along(self, K: tuple[int, ...]) -> Array:
         """(N, e, p) before it is normalised."""
-        found = np.einsum("irs,nbsc->nbrci", self.bodies.base, self.screwed(K))
-        for t, T in enumerate(self.bodies.T):
-            found += self.screwed(tuple(sorted((*K, t))))[..., None] * T
-        return found[:, :, :3].reshape(len(self.q), -1, len(self.bodies.base))
+        T, base, here = self.bodies.T, self.bodies.base, self.screwed(K)
+        found = np.zeros((len(base), *here[:, :, :3].shape))
+        for j in self.riding:
+            found[j] = base[j, :3] @ here
+        for t, j in np.argwhere(T):
+            found[j] += T[t, j] * self.screwed(tuple(sorted((*K, int(t)))))[:, :, :3]
+        return np.ascontiguousarray(found.reshape(len(base), len(here), -1).transpose(1, 2, 0))
 
     def _twice(self, K: tuple[int, ...]) -> Array:
         """`W[K]`."""
-        base, T, p = self.bodies.base, self.bodies.T, len(self.bodies.base)
-        found = np.einsum("jrs,kst,nbtc->nbrcjk", base, base, self.screwed(K))
-        for t in range(len(T)):
-            one = self.screwed(tuple(sorted((*K, t))))
-            found += np.einsum("jrs,k,nbsc->nbrcjk", base, T[t], one) + np.einsum("j,krs,nbsc->nbrcjk", T[t], base, one)
-            for u in range(len(T)):
-                found += self.screwed(tuple(sorted((*K, t, u))))[..., None, None] * np.multiply.outer(T[t], T[u])
-        return found[:, :, :3].reshape(len(self.q), -1, p, p)
+        T, base, here = self.bodies.T, self.bodies.base, self.screwed(K)
+        found = np.zeros((len(base), len(base), *here[:, :, :3].shape))
+        for j in self.riding:
+            for k in self.riding:
+                found[j, k] = base[j, :3] @ base[k] @ here
+        for t, k in np.argwhere(T):
+            one = self.screwed(tuple(sorted((*K, int(t)))))
+            for j in self.riding:
+                turned = T[t, k] * (base[j, :3] @ one)
+                found[j, k] += turned
+                found[k, j] += turned
+            for u, j in np.argwhere(T):
+                found[j, k] += T[t, k] * T[u, j] * self.screwed(tuple(sorted((*K, int(t), int(u)))))[:, :, :3]
+        return np.ascontiguousarray(found.reshape(len(base), len(base), len(here), -1).transpose(2, 3, 0, 1))
 
     def inner(self, A: Array, B: Array) -> Array:
         """`<A_i, B_j>` of (N, e, i), (N, e, j)."""
@@ -303,7 +319,8 @@ class Jets:
     def postures(self) -> Postures:
         """The terms and how far off they may be."""
         off = (self.mass_off(), *self.coriolis_off(), self.gravity_off())
-        return Postures(self.q, self.half, self.M, self.C, self.gravity, *((1 + SLACK) * one for one in off))
+        off = tuple((1 + SLACK) * one for one in off)
+        return Postures(self.q, self.half, self.M, self.C, self.gravity, *off, self.bend())
 
     def weight(self, K: tuple[int, ...]) -> Array:
         """What a derivative counts with in Taylor's formula at the corners of the boxes, (N,)."""
@@ -402,6 +419,13 @@ class Jets:
                 found += self.weight(K) * norm(self.of_M(K))
         found += sum(a * b for a, b in zip(self.motions, reversed(self.motions), strict=True))
         return found + self.uneven**2 + UNIT * self.loose**2 + SLACK
+
+    def bend(self) -> Array:
+        """See `Postures`."""
+        found = np.zeros_like(self.half)
+        for (k,) in self.orders[1]:
+            found += norm(self.of_M((k,)))[:, None] * self.half * np.abs(self.bodies.columns[k])
+        return found
 
     def gravity_off(self) -> Array:
         """See `Postures`."""
