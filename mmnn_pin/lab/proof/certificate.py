@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from typing import Any
 
@@ -36,8 +36,10 @@ STEPS = 200
 SMALL = 1e-12  # of the region's energy: what is below is left to rounding
 SETTLED = 1e-3
 ENERGIES = np.geomspace(1e-6, 30.0, 64)  # [J]
-SIZES = np.array([0.01, 0.03, 0.06, 0.09, 0.13, 0.17, 0.2, 0.25, 0.3, 0.36, 0.42, 0.5, 0.6, 0.72])  # of the largest size of the pose error
-THIN = 8  # of the boxes of a cover, every which is looked at in the search
+SIZES = np.array(
+    [0.01, 0.03, 0.06, 0.09, 0.13, 0.17, 0.2, 0.25, 0.3, 0.36, 0.42, 0.5, 0.6, 0.72]
+)  # of the largest size
+
 ARMS = (1.0, 1.2, 2.5)  # of the size that the energy drives the arm errors to
 
 
@@ -241,16 +243,15 @@ def search(loop: CertifiedLoop, start: Box | None = None) -> Boxes:
     Boxes are looked at in few postures first, from the best on in all.
     """
     invariant, nearest, least = [], None, math.inf
-    for box in candidates(loop):
-        boxes = Boxes(loop, box, THIN)
-        if not (boxes.pose_stands(box) < box.pose and boxes.arm_stands(box) <= box.arm):
-            continue
-        faces = boxes.faces(box)
-        if faces.invariant:
+    for boxes in chain.from_iterable(map(partial(held, loop), ENERGIES)):
+        for box in boxes:
+            faces = Boxes(loop, box, glance=True).faces(box)
+            if not faces.invariant:
+                if (over := excess(faces)) < least:
+                    nearest, least = box, over
+                break  # a larger pose error drives the energy more
             around = start is not None and start.within(box)
             invariant.append((around, math.log(box.pose * math.sqrt(box.energy) * (box.arm or 1.0)), box))
-        elif (over := excess(faces)) < least:
-            nearest, least = box, over
     for _, _, box in sorted(invariant, key=lambda one: one[:2], reverse=True):
         boxes = Boxes(loop, box)
         if boxes.faces(box).invariant:
@@ -258,15 +259,15 @@ def search(loop: CertifiedLoop, start: Box | None = None) -> Boxes:
     return Boxes(loop, nearest or Box(SIZES[0] * loop.pose.largest, 0.0, ENERGIES[0]))
 
 
-def candidates(loop: CertifiedLoop) -> Iterator[Box]:
-    """Boxes whose arm errors are those that the energy drives, or more."""
-    for energy in ENERGIES:
-        arm = 0.0
-        for _ in range(3 * bool(len(loop.K))):  # the gain is that of a cover that holds the arm errors
-            arm = math.sqrt(2 * energy) * loop.cover(STRICT * arm).arm_gain / loop.arm_decay
-        for share in SIZES:
-            for more in ARMS if len(loop.K) else (1.0,):
-                yield Box(float(share * loop.pose.largest), STRICT * more * arm, float(energy))
+def held(loop: CertifiedLoop, energy: float) -> Iterator[Iterator[Box]]:
+    """Boxes of an energy that hold the errors which it drives: for every size of the arm's, by the pose's."""
+    arm = 0.0
+    for _ in range(3 * bool(len(loop.K))):  # the gain is that of a cover that holds the arm errors
+        arm = math.sqrt(2 * energy) * loop.cover(STRICT * arm).arm_gain / loop.arm_decay
+    for more in ARMS if len(loop.K) else (1.0,):
+        some = [Box(float(share * loop.pose.largest), STRICT * more * arm, float(energy)) for share in SIZES]
+        if Boxes(loop, some[0], glance=True).arm_stands(some[0]) <= some[0].arm:
+            yield (box for box in some if Boxes(loop, box, glance=True).pose_stands(box) < box.pose)
 
 
 def excess(faces: Faces) -> float:
@@ -283,16 +284,16 @@ class Boxes:
     Args:
         loop: The loop.
         outer: The outermost box; the weights' bounds are taken there.
-        thin: Which of the boxes of covers are looked at: every one, or one of so many, for a first look.
+        glance: Whether few postures are enough, for a first look.
     """
 
-    def __init__(self, loop: CertifiedLoop, outer: Box, thin: int = 1) -> None:
-        self.loop, self.outer, self.thin = loop, outer, thin
+    def __init__(self, loop: CertifiedLoop, outer: Box, glance: bool = False) -> None:
+        self.loop, self.outer, self.glance = loop, outer, glance
 
     def cover(self, box: Box) -> Cover:
         """Where the robot may be while its errors are in a box."""
         found = self.loop.cover(box.arm)
-        return found if self.thin == 1 else found.thinned(self.thin)
+        return found.few if self.glance else found
 
     @cached_property
     def networks(self) -> dict[int, WeightsBound]:

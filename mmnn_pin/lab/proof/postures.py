@@ -256,7 +256,7 @@ class Jets:
         self.pull = (bodies.g[:, None] * bodies.roots[:, 3:]).ravel()  # g e4' R, (e,)
         start = first[()]
         self.M = self.inner(start, start) + bodies.rotors
-        self.C = np.einsum("nei,e,nejk->nijk", start, self.signs, self.W[()])
+        self.C = self.inner(start, self.W[()])
         self.gravity = -np.einsum("nei,e,e->ni", start, self.signs, self.pull)
         self.L_inv = np.linalg.inv(np.linalg.cholesky(self.M))
         self.Z = {K: value @ self.L_inv.swapaxes(1, 2) for K, value in first.items()}
@@ -302,8 +302,9 @@ class Jets:
         return np.ascontiguousarray(found.reshape(len(base), len(base), len(here), -1).transpose(2, 3, 0, 1))
 
     def inner(self, A: Array, B: Array) -> Array:
-        """`<A_i, B_j>` of (N, e, i), (N, e, j)."""
-        return np.asarray((A * self.signs[:, None]).swapaxes(1, 2) @ B)
+        """`<A_i, B_j>` of (N, e, i), (N, e, ...)."""
+        found = (A * self.signs[:, None]).swapaxes(1, 2) @ B.reshape(*B.shape[:2], -1)
+        return np.asarray(found.reshape(len(A), A.shape[2], *B.shape[2:]))
 
     def of_M(self, K: tuple[int, ...]) -> Array:
         """Derivative of the normalised mass matrix, (N, p, p)."""
@@ -448,15 +449,14 @@ class Jets:
         Z, W, by = self.Z[()], self.W[()], self.L_inv.swapaxes(1, 2)
         found, turned = np.zeros(W.shape[:1] + W.shape[2:]), np.zeros(W.shape[:1] + W.shape[3:])
         for K in self.orders[1]:
-            change = np.einsum("nei,e,nejk->nijk", self.Z[K], self.signs, W)
-            change += np.einsum("nei,e,nejk->nijk", Z, self.signs, self.W[K])
+            change = self.inner(self.Z[K], W) + self.inner(Z, self.W[K])
             found += expand(self.weight(K), found) * np.linalg.norm(change, axis=1)
-            change = np.einsum("nijk,njl->nkil", change, by)
+            change = change.transpose(0, 3, 1, 2) @ by[:, None]
             turned += expand(self.weight(K), turned) * norm((change + change.swapaxes(2, 3)) / 2)
         first, own = self.motions, {K: np.linalg.norm(value, axis=1) for K, value in self.W.items()}
         some = self.sums(own, self.again, 2)
         found += sum(expand(a, b) * b for a, b in zip(first[:3], reversed(some), strict=True))
-        own = {K: norm(np.einsum("nejk,njl->nkel", value, by)) for K, value in self.W.items()}
+        own = {K: norm(value.transpose(0, 3, 1, 2) @ by[:, None]) for K, value in self.W.items()}
         crude = np.linalg.norm(np.einsum("nij,njkd->nikd", np.abs(self.L_inv), self.again), axis=1)
         some = self.sums(own, crude, 2)
         turned += sum(expand(a, b) * b for a, b in zip(first[:3], reversed(some), strict=True))

@@ -53,7 +53,7 @@ def test_a_region_is_certified_and_its_boxes_shrink() -> None:
     assert region.reach.ex > 0.05 and region.joints.min() > 0.05
     for faces in found.faces[:-1]:  # what the chain of section 5 needs of each step
         assert faces.motion.level < faces.box.energy or faces is found.faces[-2]
-    assert {constant.source for constant in found.constants} == {"given", "computed", "sampled"}
+    assert {constant.source for constant in found.constants} == {"given", "computed", "bounded"}
 
 
 def test_it_takes_less_where_there_is_more_to_fear() -> None:
@@ -94,15 +94,16 @@ def test_on_the_faces_of_the_region_the_worst_velocity_error_pulls_inward() -> N
     """Pose and arm: s of the region's energy in the direction that drives the error most, by the kinematics."""
     found, rng = certificate(), np.random.default_rng(0)
     loop, box = found.boxes.loop, found.region.box
-    N, pose, nearest = loop.samples.arm_metric, loop.pose, -np.inf
+    N, pose, nearest = loop.metric.N, loop.pose, -np.inf
+    masses = found.boxes.cover(box).postures.M
     for _ in range(300):
-        M_inverse = loop.samples.M_inverse[rng.integers(len(loop.samples.M))]
+        M_inverse = np.linalg.inv(masses[rng.integers(len(masses))])
 
         def worst_s(force: np.ndarray, M_inverse: np.ndarray = M_inverse) -> np.ndarray:
             return M_inverse @ force * np.sqrt(2 * box.energy / (force @ M_inverse @ force))
 
         v = rng.standard_normal(2)
-        e = loop.samples.arm_root @ v / np.linalg.norm(v) * box.arm
+        e = loop.metric.root @ v / np.linalg.norm(v) * box.arm
         s = worst_s(np.concatenate(([0, 0], N @ e)))
         rate = e @ N @ (s[2:] - loop.K * e)
         assert rate < 0
@@ -129,13 +130,13 @@ def test_on_the_faces_of_the_region_the_worst_velocity_error_pulls_inward() -> N
 
 def start_in(region: Faces, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A state of the region from 9 numbers in [-1, 1]: pose error, arm error, s, each scaled onto its face if large."""
-    loop, samples = certificate().boxes.loop, certificate().boxes.loop.samples
+    loop = certificate().boxes.loop
     robot, box = loop.robot, region.box
     u, v, s = place[:3], place[3:5], place[5:9]
     error = u / max(np.linalg.norm(u), 1.0) * np.array([1, 1, np.sqrt(loop.pose.ky)]) * box.pose * 1.3
     while loop.pose.size(error[None])[0] > box.pose * 0.999:
         error = error * 0.99
-    e = samples.arm_root @ (v / max(np.linalg.norm(v), 1.0)) * box.arm * 0.999
+    e = loop.metric.root @ (v / max(np.linalg.norm(v), 1.0)) * box.arm * 0.999
     table = loop.along
     phi = -error[2]
     c, sine = np.cos(phi), np.sin(phi)
@@ -404,6 +405,6 @@ def test_chapter_4_fails_by_its_gains_and_its_period() -> None:
     found = certify(certified_loop(Subject.of(run)))
     failed = {condition.name: condition.value for condition in found.conditions if not condition.holds}
     assert not found.holds and {"feedback", "period"} <= set(failed)
-    M11 = found.boxes.samples.M[0, 0, 0]
+    M11 = found.boxes.cover(found.region.box).postures.M[0, 0, 0]
     assert failed["feedback"] <= 500 / M11 - 10 + 1e-6 < 0
     assert kinematic().kx < 500 / M11

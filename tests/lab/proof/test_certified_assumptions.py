@@ -51,22 +51,22 @@ def pd_run(duration: float = 0.3, start: Start | None = None, **more: object) ->
 def test_arm_errors_shrink_in_their_metric_whatever_the_gains_are(k1: float, k2: float, seed: int) -> None:
     """Along edot = -K e; in the metric of the inertia they need not, and nothing is held there."""
     loop = learner_loop(K=(k1, k2))
-    e, N = np.random.default_rng(seed).standard_normal(2), loop.samples.arm_metric
+    e, N = np.random.default_rng(seed).standard_normal(2), loop.metric.N
     assert 0 < loop.arm_decay <= min(k1, k2) * (1 + 1e-9)
     assert -(e @ N @ (loop.K * e)) <= -loop.arm_decay * (e @ N @ e) * (1 - 1e-9)
-    coupled = replace(loop.samples, decoupled=False)
-    if coupled.arm_decay(loop.K) <= 0:
+    coupled = learner_loop(K=3.0).metric
+    if coupled.decay(loop.K) <= 0:
         box = Box(0.02, 0.005, 0.002)
         loop = learner_loop(K=(k1, k2))
-        loop.__dict__["samples"] = coupled  # what is cached
+        loop.__dict__["metric"] = coupled  # what is cached
         assert Boxes(loop, box).arm_stands(box) == np.inf
 
 
 def test_the_metric_of_the_inertia_is_left_where_gains_differ_much() -> None:
     """Its size grows from a place on the face of a small box, at first, that was taken for held."""
     loop = learner_loop(K=(1.0, 12.0))
-    assert loop.samples.decoupled and not learner_loop(K=3.0).samples.decoupled
-    N = replace(loop.samples, decoupled=False).arm_metric
+    N = learner_loop(K=3.0).metric.N
+    assert loop.metric.N[0, 1] == 0 and N[0, 1] != 0
     values, vectors = np.linalg.eigh(N * loop.K + (N * loop.K).T)
     assert values[0] < 0 and vectors[:, 0] @ N @ (loop.K * vectors[:, 0]) < 0
 
@@ -80,9 +80,9 @@ def test_a_period_that_takes_all_of_the_feedback_holds_nothing_however_strong_th
     loop = replace(learner_loop(), robot=robot, learner=None, gain=20.0 * DIAGONAL, period=period)
     box = Box(0.08, 0.4, 1.0)
     boxes = Boxes(loop, box)
-    found = motion_bound(loop.samples, boxes.drive(box), box.energy, boxes.gains)
+    found = motion_bound(boxes.cover(box), boxes.drive(box), box.energy, boxes.gains)
     assert period * found.fastest > 0.5 and found.margin > 0 and found.level == np.inf
-    brief = motion_bound(loop.samples, boxes.drive(box), box.energy, replace(boxes.gains, period=1e-4))
+    brief = motion_bound(boxes.cover(box), boxes.drive(box), box.energy, replace(boxes.gains, period=1e-4))
     assert np.isfinite(brief.level)
 
 

@@ -97,7 +97,7 @@ class Period:
         """Size of the pose error, of the arm's, and the energy, (3,)."""
         loop, where = self.loop, Layout.of(self.loop.robot.dimensions).where
         s = self.nu_ref(t, state) - self.split(state)[2]
-        e, N = self.row[where("e")], loop.samples.arm_metric
+        e, N = self.row[where("e")], loop.metric.N
         energy = s @ self.dynamics.mass_matrix(self.position(state)) @ s / 2
         return np.array([loop.pose.size(self.row[where("pose_error")][None])[0], np.sqrt(e @ N @ e), energy])
 
@@ -128,7 +128,7 @@ def anywhere(period: Period, box: Box, rng: np.random.Generator) -> Array:
     while loop.pose.size(error[None])[0] > 0.98 * box.pose:
         error *= 0.99
     y = rng.standard_normal(len(loop.K))
-    e = loop.samples.arm_root @ (y / np.linalg.norm(y)) * 0.98 * box.arm
+    e = loop.metric.root @ (y / np.linalg.norm(y)) * 0.98 * box.arm
     pose_ref = along.pose_ref[k]
     phi = pose_ref[2] - error[2]
     c, s = np.cos(phi), np.sin(phi)
@@ -174,8 +174,9 @@ def gained(before: float, after: float, faces: Faces, period: float) -> float:
 @pytest.mark.parametrize("seed", range(6))
 def test_no_held_torque_within_its_bounds_beats_the_inequalities(seed: int) -> None:
     loop, rng, seen, nearest = random_loop(seed), np.random.default_rng(seed), 0, -np.inf
-    scale = np.trace(loop.samples.M[0]) / loop.robot.dimensions.dof
-    stretch = np.sqrt(np.linalg.eigvalsh(loop.samples.arm_metric).max())
+    M0 = loop.cover(0.0).postures.M[0]
+    scale = np.trace(M0) / loop.robot.dimensions.dof
+    stretch = np.sqrt(np.linalg.eigvalsh(loop.metric.N).max())
     for pose, arm, energy in BOXES:
         box = Box(pose * loop.pose.largest, float(arm * stretch), float(energy * np.sqrt(scale)))
         boxes = Boxes(loop, box)
@@ -183,7 +184,7 @@ def test_no_held_torque_within_its_bounds_beats_the_inequalities(seed: int) -> N
         for _ in range(12 if np.isfinite(faces.motion.level) else 0):
             period = Period(loop, int(rng.integers(len(loop.along.v_ref))))
             state, force = anywhere(period, box, rng), gains.network + gains.disturbance
-            loss = np.diag(gains.upper) - faces.motion.rate * loop.samples.M[0]
+            loss = np.diag(gains.upper) - faces.motion.rate * M0
             s = worst_s(period, state, box, force, loss, rng)
             state, tau = moved(period, state, s), gains.upper * s - np.sign(s) * force
             before, after = period.sizes(0.0, state), period.sizes(loop.period, period.after(state, tau))
