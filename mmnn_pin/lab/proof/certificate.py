@@ -31,7 +31,7 @@ from .motion_bound import Cover, Drive, Gains, MotionBound, drive, motion_bound
 
 BoolArray = NDArray[np.bool_]
 Row = tuple[str, float, str, str, str]  # the first fields of a Constant
-STRICT = 1.02  # a box is this much larger than the place where its error may stand still
+STRICT = 1.005  # a box is this much larger than the place where its error may stand still
 STEPS = 200
 SMALL = 1e-12  # of the region's energy: what is below is left to rounding
 SETTLED = 1e-3
@@ -92,7 +92,10 @@ class Certificate:
                 asdict(c) | {"limit": finite(c.limit), "value": finite(c.value), "holds": c.holds}
                 for c in self.conditions
             ],
-            "constants": [asdict(c) | {"value": finite(c.value)} for c in self.constants],
+            "constants": [
+                asdict(c) | {"value": finite(c.value), "sampled": None if c.sampled is None else finite(c.sampled)}
+                for c in self.constants
+            ],
             "region": self.region.to_dict(names) if self.holds else None,
             "bound": self.bound.to_dict(names) if self.holds else None,
         }
@@ -394,7 +397,7 @@ class Boxes:
         while result[0].invariant and len(result) < STEPS and result[-1].box.energy > SMALL * self.outer.energy:
             faces = self.faces(self.inner(result[-1]))
             result.append(faces)
-            if faces.box.energy > (1 - SETTLED) * result[-2].box.energy:
+            if not faces.box.below(result[-2].box):
                 break
         return result
 
@@ -416,6 +419,11 @@ class Box:
     def within(self, other: Box) -> bool:
         """Whether all of it is in another box."""
         return self.pose <= other.pose and self.arm <= other.arm and self.energy <= other.energy
+
+    def below(self, other: Box) -> bool:
+        """Whether it is smaller than another one that it is in, in a measure that counts."""
+        pairs = ((self.pose, other.pose), (self.arm, other.arm), (self.energy, other.energy))
+        return any(own < (1 - SETTLED) * its for own, its in pairs)
 
     def holds(self, pose: Array, arm: Array, energy: Array) -> BoolArray:
         """Which of k states are inside; (k,) each."""
