@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -187,7 +188,14 @@ class CertifiedLoop:
 
     def disturbed(self, disturbance: Array) -> CertifiedLoop:
         """The same with an external force of at most (p,) [N, N m]."""
-        return replace(self, disturbance=np.asarray(disturbance, float))
+        return self.tuned(disturbance=np.asarray(disturbance, float))
+
+    def tuned(self, **changes: Any) -> CertifiedLoop:
+        """The same robot along the same reference with some fields changed: covers are not made again."""
+        found = replace(self, **changes)
+        if found.robot is self.robot and found.along is self.along and found.kinematic is self.kinematic:
+            found.__dict__["known"] = self.known
+        return found
 
 
 def certified_loop(subject: Subject) -> CertifiedLoop:
