@@ -1,9 +1,10 @@
 """What the certificate says of arms with many joints: `python -m studies.certified_arms`.
 
-A line at 0.3 m/s with every joint of the arm swinging, exact poses, no network, PD whose gains are a bandwidth times the
-effective inertia of each velocity, a control period as long as the hold permits (`h mu` = 0.1). The table has the first
-bandwidth with a region, and at it, or at the last, the energy E* above which the energy of the errors falls, beside
-what samples say of it, and how far M may be off its middle in a box of postures, relative.
+A line at 0.3 m/s with every joint of the arm swinging, exact poses, no network, PD whose gains are a bandwidth times
+the effective inertia of each velocity, a control period as long as the hold permits (`h mu` = 0.1); where there is
+gravity also with it added at the measured joints. The table has the first bandwidth with a region, and at it, or at the
+last, the energy E* above which the energy of the errors falls, beside what samples say of it, and how far M may be off
+its middle in a box of postures, relative.
 `platform_panda` is chapter 4's platform with a Panda of 7 joints in place of its arm.
 """
 
@@ -26,6 +27,7 @@ from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
 from mmnn_pin.lab.proof.motion_bound import Along
 from mmnn_pin.lab.show.table import Column, Row, Table, row_of, terminal_text
 from mmnn_pin.model import Robot, load
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robots import find
 from mmnn_pin.signals import Layout
 
@@ -92,7 +94,7 @@ def robot_of(name: str) -> Robot:
     return platform_panda() if name == "platform_panda" else load(name)
 
 
-def loop_of(robot: Robot, swing: float, middle: Sequence[float] | None = None) -> CertifiedLoop:
+def loop_of(robot: Robot, swing: float, middle: Sequence[float] | None = None, weighs: bool = False) -> CertifiedLoop:
     """The loop along a line, every joint swinging by `swing` [rad or m], with gains that are still to be chosen."""
     layout, n, at = Layout.of(robot.dimensions), robot.dimensions.arm, robot.arm_index
     if middle is None:
@@ -103,12 +105,12 @@ def loop_of(robot: Robot, swing: float, middle: Sequence[float] | None = None) -
     pose, v, a, q, qdot, qddot = parts
     kinematic = Kinematic(kx=1.0, ky=8.0, kth=2 * 8**0.5, K=3.0)
     along, none = Along(v, a, q, qdot, qddot, pose), np.zeros(n + 2)
-    return CertifiedLoop(robot, kinematic, along, 1e-3, np.ones(n + 2), None, none)
+    return CertifiedLoop(robot, kinematic, along, 1e-3, np.ones(n + 2), None, none, weighs=weighs)
 
 
-def study(robot: Robot, swing: float, middle: Sequence[float] | None = None) -> Found:
+def study(robot: Robot, swing: float, middle: Sequence[float] | None = None, weighs: bool = False) -> Found:
     """The first bandwidth with a region, or the last."""
-    begun, loop = perf_counter(), loop_of(robot, swing, middle)
+    begun, loop = perf_counter(), loop_of(robot, swing, middle, weighs)
     cover = loop.cover(0.0)
     inertia = 1 / np.einsum("nii->ni", np.linalg.inv(cover.postures.M)).mean(axis=0)
     for bandwidth in BANDWIDTHS:
@@ -140,7 +142,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in given.robots:
         robot = robot_of(name)
         robot = robot.without_friction() if given.frictionless else robot
-        rows.append(row(name, study(robot, given.swing, READY.get(name))))
+        weighs = Dynamics(robot).feels_gravity
+        for own in (False, True)[: 1 + weighs]:
+            found = study(robot, given.swing, READY.get(name), own)
+            rows.append(row(f"{name}, {'pd_gravity' if own else 'pd'}", found))
     heads = ["bandwidth\n1/s", "period\nus", "E*\nJ", "sampled\nJ", "region\nJ", "M off", "joints\nmrad", "took\ns"]
     columns = (Column(text=True), *map(Column, heads), Column("verdict", text=True))
     print(terminal_text([Table("arms", columns, tuple(rows))], False, 140))

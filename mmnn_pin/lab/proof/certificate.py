@@ -317,7 +317,7 @@ class Boxes:
             network[part], norm[part] = self.networks[i].output, self.networks[i].norm
         upper = loop.gain + np.where(Kz > 0, Kz * (np.where(Kz > 0, norm, 0.0) + ZB), 0.0)
         force = loop.disturbance + np.where(loop.noise > 0, upper, 0.0) * loop.noise
-        return Gains(loop.gain + Kz * ZB, upper, network, loop.K, force, loop.period, loop.late)
+        return Gains(loop.gain + Kz * ZB, upper, network, loop.K, force, loop.period, loop.late, loop.weighs)
 
     def velocity(self, box: Box) -> Array:
         """(p,) largest |s_i| in a box."""
@@ -377,7 +377,8 @@ class Boxes:
     def limits(self, box: Box) -> list[Condition]:
         """What may be reached in a box of the limits of motors and supervisor."""
         loop, s = self.loop, self.measured(box)
-        bounded = np.nan_to_num(self.gains.upper * s + self.gains.network, posinf=1e300)  # 0 times inf is not 0
+        held = self.gains.network + (self.cover(box).weight if loop.weighs else 0.0)
+        bounded = np.nan_to_num(self.gains.upper * s + held, posinf=1e300)  # 0 times inf is not 0
         result = limits_of_motors(loop.motors, torque := np.abs(np.linalg.inv(loop.robot.E)) @ bounded)
         if (its := loop.supervisor) is None:
             return result

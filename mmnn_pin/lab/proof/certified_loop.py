@@ -20,6 +20,7 @@ from ...errors import RecordingError
 from ...kinematic import Kinematic
 from ...model.base import BY_SIZE
 from ...model.base.differential import DifferentialDrive
+from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...safety import Safety
 from ...safety.supervisor import HEADING, POSITION
@@ -34,8 +35,10 @@ from .subject import Subject
 TOLERANCE = 1e-3  # of the largest rate
 SPREAD = 0.5  # [rad or m]: arm errors beyond this are not looked at
 LADDER = 0.7 ** np.arange(15.0)  # of the largest size of arm errors, for which there are covers
+BEYOND = 2e-3  # [rad or m] that joints may move while a command is in force, where it has the gravity of its sample
 SIGNALS = ("velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref", "pose_ref")
 RATES = (("velocity_ref", "acceleration_ref"), ("q_ref", "qdot_ref"), ("qdot_ref", "qddot_ref"))
+WEIGHED = 50  # rows whose gravity is compared with the robot's
 TORQUE = "largest motor torque [N m or N]"
 SPEED = 1e-6  # [m/s] below which the reference counts as standing
 
@@ -58,6 +61,7 @@ class CertifiedLoop:
         late: Largest time from a sample to when its command is in force [s].
         noise: (p,) largest error of the measured velocities [m/s, rad/s].
         motors: (motors,) largest torque of every motor, inf where there is no limit [N m or N].
+        weighs: Whether the controller adds the gravity at the joints that it measures.
     """
 
     robot: Robot
@@ -73,6 +77,7 @@ class CertifiedLoop:
     late: float = 0.0
     noise: Array = field(default_factory=lambda: np.zeros(1))
     motors: Array = field(default_factory=lambda: np.full(1, np.inf))
+    weighs: bool = False
 
     def __post_init__(self) -> None:
         robot = self.robot
@@ -119,7 +124,8 @@ class CertifiedLoop:
         for k in range(max(int((self.sizes >= arm).sum()) - 1, 0), last + 1):
             if k not in self.known:
                 size = float(self.sizes[k])
-                self.known[k] = Cover.of(self.robot, self.bodies, self.along, self.metric, size)
+                beyond = BEYOND * self.weighs
+                self.known[k] = Cover.of(self.robot, self.bodies, self.along, self.metric, size, beyond)
             if (self.known[k].mass_off < 1).all():
                 return self.known[k]
         why = f"with joints up to {SPREAD * LADDER[last]:.2g} off, M may change along the reference by all of itself "
@@ -193,7 +199,8 @@ class CertifiedLoop:
     def tuned(self, **changes: Any) -> CertifiedLoop:
         """The same robot along the same reference with some fields changed: covers are not made again."""
         found = replace(self, **changes)
-        if found.robot is self.robot and found.along is self.along and found.kinematic is self.kinematic:
+        same = ("robot", "along", "kinematic", "weighs")
+        if all(getattr(found, name) is getattr(self, name) for name in same):
             found.__dict__["known"] = self.known
         return found
 
@@ -226,6 +233,7 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
         late=delay(subject),
         noise=subject.velocity_noise,
         motors=subject.motor_limits,
+        weighs=learner is None and not proportional(subject),
     )
 
 
@@ -261,10 +269,14 @@ def refusal(subject: Subject) -> str:
             return f"kinematic.{name} is 0"
     learner = subject.networks
     if learner is None:
-        if proportional(subject):
+        if proportional(subject) or weighing(subject):
             return ""
         clipped = "safety" in subject.recording and np.any(subject.recording["safety"] > 0)
-        return "its supervisor stepped in" if clipped else f"{subject.controller} is no learner of the thesis, nor PD"
+        return (
+            "its supervisor stepped in"
+            if clipped
+            else f"{subject.controller} is no learner of the thesis, nor PD, nor PD with the gravity of the robot"
+        )
     if learner.context.limits is not None:
         return "its robust term and Psi_hat are kept within the motors' limits"
     if learner.own.update != "after_output":
@@ -321,6 +333,20 @@ def proportional(subject: Subject) -> bool:
     scale = np.abs(tau).max() + 1e-300
     constant = bool((gain > 0).all()) and not np.ptp(gain, axis=0).any()
     return constant and bool(np.abs(gain * s - tau).max() <= 1e-9 * scale)
+
+
+def weighing(subject: Subject) -> bool:
+    """Whether the torque of a run is a constant gain times s plus the robot's gravity at the sample."""
+    gain, tau, said = (subject.signal(name) for name in ("effective_gain", "torque", "psi_hat"))
+    s = subject.signal("nu_ref") - np.hstack((subject.signal("velocity"), subject.signal("qdot")))
+    scale, robot = np.abs(tau).max() + 1e-300, subject.robot
+    dynamics, position = Dynamics(robot), robot.neutral_position()
+    for k in np.unique(np.linspace(0, len(tau) - 1, WEIGHED).astype(int)):
+        position[robot.arm_index] = subject.signal("q")[k]
+        if np.abs(dynamics.gravity(robot.follow(position)) - said[k]).max() > 1e-9 * scale:
+            return False
+    constant = bool((gain > 0).all()) and not np.ptp(gain, axis=0).any()
+    return constant and bool(np.abs(gain * s + said - tau).max() <= 1e-9 * scale)
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,14 +66,14 @@ class MotionBound:
 
 def motion_bound(cover: Cover, added: Drive, energy: float, gains: Gains) -> MotionBound:
     """The energy of the errors in a box of pose errors, arm errors and energies up to `energy`."""
-    forces, viscous = Forces.of(cover, added, gains), Feed.of(cover, added)
+    forces, feed = Forces.of(cover, added, energy, gains), Feed.of(cover, added)
     pushed, fastest = push(cover, added, forces, energy, gains), cover.fastest(gains.upper)
-    unheld = settle(cover, viscous, forces, gains, 1.0, np.inf)[2]
+    unheld = settle(cover, feed, forces, gains, 1.0, np.inf)[2]
     best = MotionBound(np.nan, np.inf, -np.inf, unheld, fastest, pushed)
     for (grip, delay), spent in product(stale(gains, fastest, pushed, energy), SPENT):
         share = 1 - grip - spent
         constant = delay**2 / (4 * spent) if share > 0 else np.inf  # nothing is left of the feedback
-        rate, level, margin = settle(cover, viscous, forces, gains, max(share, -1.0), constant)
+        rate, level, margin = settle(cover, feed, forces, gains, max(share, -1.0), constant)
         if level < best.level or (np.isinf(level) and np.isinf(best.level) and margin > best.margin):
             best = MotionBound(rate, level, margin, unheld, fastest, pushed)
     return best
@@ -125,14 +125,18 @@ class Forces:
     arm_size: float
 
     @classmethod
-    def of(cls, cover: Cover, added: Drive, gains: Gains) -> Forces:
-        """In one box."""
+    def of(cls, cover: Cover, added: Drive, energy: float, gains: Gains) -> Forces:
+        """In one box, energies up to `energy`."""
         L, L_inv, off, own = cover.L, cover.L_inv, cover.postures, cover.coriolis
         nu, about = cover.nu, cover.nu_off
         speed, Lt = np.abs(nu) + about, L.swapaxes(1, 2)
         pulled = np.einsum("nijk,nk->nij", own, nu)
         turned = np.einsum("nijk,nj->nik", own, nu) + L_inv @ cover.viscous
-        still = (L_inv @ off.gravity[..., None])[..., 0] + (turned @ nu[..., None])[..., 0]
+        still, slack = (turned @ nu[..., None])[..., 0], off.gravity_off
+        if gains.weighs:
+            slack = cover.old_gravity(added.nu, energy, gains.oldest)
+        else:
+            still = still + (L_inv @ off.gravity[..., None])[..., 0]
         p, a = nu.shape[1], added.nu
         by_error = pulled + turned
         ways = np.concatenate((by_error, L_inv, Lt), axis=2)
@@ -140,7 +144,7 @@ class Forces:
         nudot[:2] = added.nudot
         amounts = np.concatenate((a, cover.dry + gains.network + gains.disturbance, nudot))
         length = np.linalg.norm(own, axis=1)
-        slack = off.gravity_off + np.einsum("njk,nj,nk->n", off.coriolis_off, speed + a, speed + a)
+        slack = slack + np.einsum("njk,nj,nk->n", off.coriolis_off, speed + a, speed + a)
         slack += np.einsum("njk,nj,nk->n", length, about + a, about + a)
         slack += np.einsum("nk,nk->n", np.linalg.norm(by_error, axis=1), about)
         accelerations = np.einsum("nij,nj->ni", Lt, cover.nudot)
@@ -182,7 +186,9 @@ def settle(
     values = values - feed.lost[:, None]
     least = values[:, 0]
     margin = float((least / np.where(least > 0, cover.high, cover.low)).min())
-    if not margin > 0 or not (np.isfinite(forces.amounts).all() and np.isfinite(constant)):
+    if not margin > 0 or not (
+        np.isfinite(forces.amounts).all() and np.isfinite(forces.slack).all() and np.isfinite(constant)
+    ):
         return np.nan, np.inf, margin
     rates = margin * SHARES
     weights = 1 / (values - (rates[:, None] * cover.high)[..., None])  # (r, N, p)
@@ -276,6 +282,7 @@ class Gains:
         disturbance: (p,) largest external force, noise times the gains included [N, N m].
         period: Control period [s].
         late: Largest time from a sample to when its command is in force [s].
+        weighs: Whether it adds the gravity at the joints of the sample.
     """
 
     lower: Array
@@ -285,6 +292,7 @@ class Gains:
     disturbance: Array
     period: float
     late: float = 0.0
+    weighs: bool = False
 
     @property
     def oldest(self) -> float:
@@ -464,6 +472,7 @@ class Cover:
         dry: (p,) largest dry friction on nu.
         metric: Of the arm errors.
         size: Of the arm errors up to which the boxes hold all.
+        beyond: How far joints beside their places there are in the boxes, too [rad or m].
     """
 
     nu: Array
@@ -475,13 +484,16 @@ class Cover:
     dry: Array
     metric: ArmMetric
     size: float
+    beyond: float = 0.0
 
     @classmethod
-    def of(cls, robot: Robot, bodies: Bodies, along: Along, metric: ArmMetric, size: float) -> Cover:
+    def of(
+        cls, robot: Robot, bodies: Bodies, along: Along, metric: ArmMetric, size: float, beyond: float = 0.0
+    ) -> Cover:
         """The cover of a whole reference with arm errors of up to a size; boxes in which M bends are cut in two."""
         dry = np.abs(robot.T).T @ robot.dry[:, :2].sum(axis=1)
         (q, q_off), (nu, nu_off), (nudot, nudot_off) = along.stretches(STRETCHES)
-        q_off = q_off + size * metric.reach
+        q_off = q_off + size * metric.reach + beyond
         most = max(EFFORT // nu.shape[1] ** 2, FEWEST)
         owner, found = np.arange(len(q)), bodies.over(q, q_off)
         while len(owner) < most and (bent := found.mass_off > BENT).any() and q.shape[1]:
@@ -496,7 +508,7 @@ class Cover:
             owner = np.concatenate((owner[kept], owner[worst], owner[worst]))
             found = found.at(kept).joined(cut)
         terms = (part[owner] for part in (nu, nu_off, nudot, nudot_off))
-        return cls(*terms, found, viscous_friction(robot), dry, metric, size)
+        return cls(*terms, found, viscous_friction(robot), dry, metric, size, beyond)
 
     @cached_property
     def few(self) -> Cover:
@@ -516,7 +528,7 @@ class Cover:
     def at(self, places: slice, postures: Postures) -> Cover:
         """Stretches at some places, with other terms."""
         parts = (part[places] for part in (self.nu, self.nu_off, self.nudot, self.nudot_off))
-        return Cover(*parts, postures, self.viscous, self.dry, self.metric, self.size)
+        return Cover(*parts, postures, self.viscous, self.dry, self.metric, self.size, self.beyond)
 
     @property
     def mass_off(self) -> Array:
@@ -569,6 +581,25 @@ class Cover:
     def arm_gain(self) -> float:
         """Largest `|r|_N / sqrt(s' M s)`."""
         return self.metric.driven(self.M_inverse[:, 2:, 2:])
+
+    def old_gravity(self, error: Array, energy: float, age: float) -> Array:
+        """(N,) how far gravity may be from that of an age ago [s], normalised; inf where that may be outside of a box.
+
+        Args:
+            error: (p,) of nu_ref at most.
+            energy: Of the errors in velocity at most [J].
+            age: In seconds.
+        """
+        speed = np.abs(self.nu) + self.nu_off + error + np.sqrt(2 * energy * self.lightest)
+        moved = age * speed[:, 2:]
+        slope = self.postures.gravity_slope
+        return np.where((moved <= self.beyond).all(axis=1), np.einsum("nk,nk->n", slope, moved), np.inf)
+
+    @cached_property
+    def weight(self) -> Array:
+        """(p,) largest gravity [N, N m]."""
+        rows = np.linalg.norm(self.L, axis=2) * self.postures.gravity_off[:, None]
+        return np.asarray((np.abs(self.postures.gravity) + rows).max(axis=0))
 
     @cached_property
     def eigenvalues(self) -> tuple[float, float]:

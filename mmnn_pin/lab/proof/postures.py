@@ -65,6 +65,7 @@ class Postures:
         coriolis_off: (N, p, p) `|L^-1 (C - C0)_jk|` at most.
         gyration_off: (N, p) of the symmetric part of `L^-1 (C - C0)_k L^-T` over i and j at most.
         gravity_off: (N,) `|L^-1 (g - g0)|` at most.
+        gravity_slope: (N, n) `|L^-1 dg/dq|` by each joint of the arm at most.
         bend: (N, n) what of `mass_off` the positions of each joint of the arm make to first order.
     """
 
@@ -77,6 +78,7 @@ class Postures:
     coriolis_off: Array
     gyration_off: Array
     gravity_off: Array
+    gravity_slope: Array
     bend: Array
 
     def at(self, places: IntArray | NDArray[np.bool_] | slice) -> Postures:
@@ -319,7 +321,7 @@ class Jets:
 
     def postures(self) -> Postures:
         """The terms and how far off they may be."""
-        off = (self.mass_off(), *self.coriolis_off(), self.gravity_off())
+        off = (self.mass_off(), *self.coriolis_off(), *self.gravity_off())
         off = tuple((1 + SLACK) * one for one in off)
         return Postures(self.q, self.half, self.M, self.C, self.gravity, *off, self.bend())
 
@@ -381,6 +383,15 @@ class Jets:
             crude: (N, ..., J) bounds of all of at least the first order, by the outermost joint.
             last: Order to go to, one above what is known.
         """
+        most = self.largest(centre, crude)
+        result = [np.zeros_like(most[()]) for _ in range(last)]
+        for K, value in most.items():
+            result[len(K)] += expand(self.weight(K), value) * value
+        rest = self.outermost(last)
+        return [*result, (crude * rest.reshape(len(rest), *(1,) * (crude.ndim - 2), -1)).sum(axis=-1)]
+
+    def largest(self, centre: dict[tuple[int, ...], Array], crude: Array) -> dict[tuple[int, ...], Array]:
+        """Largest norms in the boxes of the derivatives that are known in the middle; arguments as of `sums`."""
         most: dict[tuple[int, ...], Array] = {}
         for K in sorted(centre, key=len, reverse=True):
             grown = centre[K].copy()
@@ -388,11 +399,7 @@ class Jets:
                 more = tuple(sorted((*K, k)))
                 grown += expand(self.width[:, k], grown) * most.get(more, crude[..., more[-1]])
             most[K] = np.minimum(grown, crude[..., K[-1]]) if K else grown
-        result = [np.zeros_like(most[()]) for _ in range(last)]
-        for K, value in most.items():
-            result[len(K)] += expand(self.weight(K), value) * value
-        rest = self.outermost(last)
-        return [*result, (crude * rest.reshape(len(rest), *(1,) * (crude.ndim - 2), -1)).sum(axis=-1)]
+        return most
 
     @cached_property
     def motions(self) -> list[Array]:
@@ -428,21 +435,26 @@ class Jets:
             found += norm(self.of_M((k,)))[:, None] * self.half * np.abs(self.bodies.columns[k])
         return found
 
-    def gravity_off(self) -> Array:
-        """See `Postures`."""
+    def gravity_off(self) -> tuple[Array, Array]:
+        """`gravity_off` and `gravity_slope` of `Postures`."""
         pull = self.signs * self.pull
+        centre = {K: norm(pull @ self.Z[K]) for some in self.orders[1:] for K in some}
         found = self.corners([pull @ self.Z[K] for K in self.orders[1]])
-        for some in self.orders[2:]:
-            for K in some:
-                found += self.weight(K) * norm(pull @ self.Z[K])
+        for K, value in centre.items():
+            found += self.weight(K) * value * (len(K) > 1)
         carried = np.array([np.linalg.norm(self.pull.reshape(len(own), -1)[own]) for own in self.bodies.above.T])
         J = self.width.shape[1]
         heavy = (self.reach * carried)[:, np.maximum.outer(range(J), range(J))]
         most = np.einsum("ti,ntd->nid", self.arm, heavy) + self.turning[:, None] * (self.reach * carried)[:, None]
-        found += (np.linalg.norm(np.abs(self.L_inv) @ most, axis=1) * self.outermost(ORDER + 1)).sum(axis=1)
+        crude, slope = np.linalg.norm(np.abs(self.L_inv) @ most, axis=1), np.zeros_like(self.half)
+        found += (crude * self.outermost(ORDER + 1)).sum(axis=1)
+        for K, value in self.largest(centre, crude).items():
+            if len(K) == 1:
+                slope += value[:, None] * np.abs(self.bodies.columns[K[0]])
         tilt = sum(u * np.linalg.norm(self.bodies.placements[k][3]) for k, u in self.bodies.uneven)
         strength = np.linalg.norm(self.bodies.g)
-        return found + self.uneven * strength * tilt + UNIT * self.loose * np.linalg.norm(self.pull)
+        rough = UNIT * self.loose * np.linalg.norm(self.pull)
+        return found + self.uneven * strength * tilt + rough, slope + rough[:, None]
 
     def coriolis_off(self) -> tuple[Array, Array]:
         """`coriolis_off` and `gyration_off` of `Postures`."""

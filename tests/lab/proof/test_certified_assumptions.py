@@ -11,6 +11,7 @@ from certified import DIAGONAL, PERIOD, kinematic, learner_loop, loop_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from proofs import SLOW
+from robots import mobile_arm
 
 from mmnn_pin import PD, Feedback, Hold, Line, Timing, Trajectory, load
 from mmnn_pin.actuator.settings import Actuator
@@ -22,10 +23,14 @@ from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.lab.show.proof.text import side
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.latency import Latency
+from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.reference import Table
 from mmnn_pin.reference.path import BasePath, BaseSamples
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
+from mmnn_pin.torque.classical import PDGravity
 
 compiled_only = pytest.mark.skipif(SLOW, reason="thousands of uncompiled steps")
 BRIEF = PERIOD / 4  # [s]
@@ -69,6 +74,46 @@ def test_the_metric_of_the_inertia_is_left_where_gains_differ_much() -> None:
     assert loop.metric.N[0, 1] == 0 and N[0, 1] != 0
     values, vectors = np.linalg.eigh(N * loop.K + (N * loop.K).T)
     assert values[0] < 0 and vectors[:, 0] @ N @ (loop.K * vectors[:, 0]) < 0
+
+
+# -- gravity that the controller adds ----------------------------------------------------------------------------------
+
+
+@cache
+def weighed(factor: float = 1.0) -> Subject:
+    """A Subject whose controller adds the gravity of a robot with masses of a factor."""
+    robot, period = mobile_arm(2), 2e-4
+    inertia = 1 / np.diag(np.linalg.inv(Dynamics(robot).mass_matrix(robot.neutral_position())))
+    regressor = Regressor.of(robot)
+    gain = Feedback(tuple((100 * inertia[:2]).tolist()), tuple((100 * inertia[2:]).tolist()))
+    control = PDGravity(feedback=gain, motion=regressor, theta=factor * parameters(robot))
+    path = Trajectory(Line(speed=0.3), (Hold(0.1), Hold(0.2)))
+    timing = Timing(0.02, period, period)
+    return pd_run(0.02, controller=control, robot=robot, trajectory=path, timing=timing)
+
+
+@compiled_only
+def test_gravity_that_the_controller_adds_counts_by_what_changes_within_the_hold() -> None:
+    assert Dynamics(weighed().robot).feels_gravity
+    loop = certified_loop(weighed())
+    assert loop.weighs and refusal(weighed()) == ""
+    assert "nor PD with the gravity of the robot" in refusal(weighed(1.1))
+    box = Box(0.02, 0.01, 1e-3)
+    with_it, without = (Boxes(one, box).faces(box).motion.level for one in (loop, replace(loop, weighs=False)))
+    assert with_it < 0.1 * without
+    rng, cover = np.random.default_rng(0), loop.cover(box.arm)
+    dynamics, position = Dynamics(loop.robot), loop.robot.neutral_position()
+    age, most = 2e-4, cover.old_gravity(np.full(4, 0.1), box.energy, 2e-4)
+    assert np.isfinite(most).all() and np.isinf(cover.old_gravity(np.full(4, 100.0), box.energy, 2e-4)).all()
+    speed = np.abs(cover.nu) + cover.nu_off + 0.1 + np.sqrt(2 * box.energy * cover.lightest)
+    for _ in range(100):
+        k = rng.integers(len(most))
+        half = cover.postures.half[k] - cover.beyond
+        q, terms = cover.postures.q[k] + half * rng.uniform(-1, 1, 2), []
+        for at in (q, q - age * speed[k, 2:] * rng.choice((-1, 1), 2)):
+            position[loop.robot.arm_index] = at
+            terms.append(dynamics.gravity(loop.robot.follow(position)))
+        assert np.linalg.norm(cover.L_inv[k] @ (terms[0] - terms[1])) <= most[k] * (1 + 1e-9)
 
 
 # -- the hold, and where nothing drives ------------------------------------------------------------------------------

@@ -127,6 +127,22 @@ def test_bounds_of_small_boxes_are_reached(name: str) -> None:
     assert (1 + nearest[felt > 0] > np.array([0.7, 0.3, 0.3, 0.7])[felt > 0]).all() or not bent
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from([name for name in NAMES if name != "platform_arm"]), st.integers(0, 2**32 - 1))
+def test_gravity_changes_no_faster_than_its_slope(name: str, seed: int) -> None:
+    """Between any two places of a box, joint by joint."""
+    robot, rng = robot_of(name), np.random.default_rng(seed)
+    n = robot.dimensions.arm
+    q, half = rng.uniform(-3, 3, n), rng.uniform(0.0, 0.2) * rng.uniform(0, 1, n)
+    found = bodies_of(name).over(q[None], half[None])
+    L_inv = np.linalg.inv(np.linalg.cholesky(found.M[0]))
+    for _ in range(6):
+        a, b = (q + half * rng.choice((-1, 1), n) * rng.choice((1.0, rng.random())) for _ in range(2))
+        change = L_inv @ (true_terms(robot, a, rng)[2] - true_terms(robot, b, rng)[2])
+        odd = found.gravity_off[0] * bool(bodies_of(name).uneven)  # wheels stand elsewhere
+        assert np.linalg.norm(change) <= found.gravity_slope[0] @ np.abs(a - b) + odd + 1e-9
+
+
 def test_derivatives_are_those_of_finite_differences() -> None:
     """Of M to the third order, by joints that turn and one that slides, normalised as in the middle."""
     name = "mobile_7"
