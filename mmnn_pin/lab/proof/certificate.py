@@ -179,11 +179,11 @@ def constants(boxes: Boxes, faces: Faces) -> Iterator[Constant]:
     loop, cover = boxes.loop, boxes.cover(faces.box)
     sampled = cover.sampled(loop.bodies)
     there = motion_bound(sampled, boxes.drive(faces.box), faces.box.energy, boxes.gains)
-    for name, value, *words in chain(error_constants(loop, faces), controller_constants(boxes)):
-        yield Constant(name, float(value), *words)
+    for name, value, unit, source, words in chain(error_constants(loop, faces), controller_constants(boxes)):
+        yield Constant(name, float(value), unit, source, words)
     pairs = zip(dynamic_constants(loop, cover, faces.motion), dynamic_constants(loop, sampled, there), strict=True)
-    for (name, value, *words), (_, other, *_) in pairs:
-        yield Constant(name, float(value), *words, sampled=float(other))
+    for (name, value, unit, source, words), (_, other, *_) in pairs:
+        yield Constant(name, float(value), unit, source, words, float(other))
 
 
 def error_constants(loop: CertifiedLoop, faces: Faces) -> list[Row]:
@@ -245,9 +245,9 @@ def search(loop: CertifiedLoop, start: Box | None = None) -> Boxes:
 
     Boxes are looked at in few postures first, from the best on in all.
     """
-    invariant, nearest, least = [], None, math.inf
-    for boxes in chain.from_iterable(map(partial(held, loop), ENERGIES)):
-        for box in boxes:
+    invariant, nearest, least = list[tuple[bool, float, Box]](), None, math.inf
+    for some in chain.from_iterable(map(partial(held, loop), ENERGIES)):
+        for box in some:
             faces = Boxes(loop, box, glance=True).faces(box)
             if not faces.invariant:
                 if (over := excess(faces)) < least:

@@ -507,8 +507,9 @@ class Cover:
             cut = bodies.over(np.concatenate((middle - step, middle + step)), np.concatenate((half, half)))
             owner = np.concatenate((owner[kept], owner[worst], owner[worst]))
             found = found.at(kept).joined(cut)
-        terms = (part[owner] for part in (nu, nu_off, nudot, nudot_off))
-        return cls(*terms, found, viscous_friction(robot), dry, metric, size, beyond)
+        nu, nu_off, nudot, nudot_off = (part[owner] for part in (nu, nu_off, nudot, nudot_off))
+        friction = viscous_friction(robot)
+        return cls(nu, nu_off, nudot, nudot_off, found, friction, dry, metric, size, beyond)
 
     @cached_property
     def few(self) -> Cover:
@@ -527,8 +528,8 @@ class Cover:
 
     def at(self, places: slice, postures: Postures) -> Cover:
         """Stretches at some places, with other terms."""
-        parts = (part[places] for part in (self.nu, self.nu_off, self.nudot, self.nudot_off))
-        return Cover(*parts, postures, self.viscous, self.dry, self.metric, self.size, self.beyond)
+        nu, nu_off, nudot, nudot_off = (one[places] for one in (self.nu, self.nu_off, self.nudot, self.nudot_off))
+        return replace(self, nu=nu, nu_off=nu_off, nudot=nudot, nudot_off=nudot_off, postures=postures)
 
     @property
     def mass_off(self) -> Array:
@@ -548,7 +549,7 @@ class Cover:
     @cached_property
     def L(self) -> Array:
         """(N, p, p) `M0 = L L'`."""
-        return np.linalg.cholesky(self.postures.M)
+        return np.asarray(np.linalg.cholesky(self.postures.M))
 
     @cached_property
     def L_inv(self) -> Array:

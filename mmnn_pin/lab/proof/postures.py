@@ -144,19 +144,20 @@ class Bodies:
         for row, (_, _, _, first, stop), own in zip(T, links, numbers, strict=True):
             row[first:stop] = own[NUMBER.weight : NUMBER.weight + stop - first]
         parents, at = links[joints, LINK.parent] - BASE.w, links[joints, LINK.coordinate]
-        wheels = ~columns[at].any(axis=1)
+        free = ~columns[at].any(axis=1)
+        wheels = np.flatnonzero(free).tolist()
         above = np.zeros((1 + len(at), len(at)), bool)
         for k, parent in enumerate(parents):
             above[k + 1] = above[parent]
             above[k + 1, k] = True
-        for k in np.flatnonzero(wheels):
+        for k in wheels:
             if parents[k] or above[:, k].sum() > 1:
                 name = robot.full_velocity_names[at[k]]
                 raise RobotError(f"joint '{name}' neither follows the arm nor is a wheel that carries nothing")
         P, uneven = np.array([pseudo_inertia(own) for own in numbers[BASE.w :]]), []
-        for k in np.flatnonzero(wheels):
+        for k in wheels:
             even = around(P[k + 1])
-            uneven.append((int(k), float(np.sqrt(np.linalg.norm(P[k + 1] - even, 2)))))
+            uneven.append((k, float(np.sqrt(np.linalg.norm(P[k + 1] - even, 2)))))
             P[k + 1] = even
         values, vectors = np.linalg.eigh(P)
         return cls(
@@ -166,7 +167,7 @@ class Bodies:
             placements=np.array([placement(own) for own in numbers[joints]]).reshape(-1, 4, 4),
             roots=vectors * np.sqrt(np.abs(values))[:, None, :],
             signs=np.where(values < 0, -1.0, 1.0),
-            offset=np.where(wheels, 0.0, offset[at]),
+            offset=np.where(free, 0.0, offset[at]),
             columns=columns[at],
             T=T[joints],
             base=np.einsum("bi,brc->irc", T[: BASE.w + 1], PLANAR),
@@ -269,11 +270,11 @@ class Jets:
     def screwed(self, K: tuple[int, ...]) -> Array:
         """`w[K]`."""
         if K not in self.w:
-            product = self.screws[:, K[0]] if K else np.broadcast_to(np.eye(4), (len(self.q), 4, 4))
+            chain = self.screws[:, K[0]] if K else np.broadcast_to(np.eye(4), (len(self.q), 4, 4))
             for joint in K[1:]:
-                product = product @ self.screws[:, joint]
-            carried = self.bodies.above[:, K].all(axis=1)[None, :, None, None]
-            self.w[K] = np.where(carried, product[:, None] @ self.roots, 0.0)
+                chain = chain @ self.screws[:, joint]
+            carried = np.all(self.bodies.above[:, list(K)], axis=1).reshape(1, -1, 1, 1)
+            self.w[K] = np.where(carried, chain[:, None] @ self.roots, 0.0)
         return self.w[K]
 
     def _along(self, K: tuple[int, ...]) -> Array:
@@ -321,9 +322,11 @@ class Jets:
 
     def postures(self) -> Postures:
         """The terms and how far off they may be."""
-        off = (self.mass_off(), *self.coriolis_off(), *self.gravity_off())
-        off = tuple((1 + SLACK) * one for one in off)
-        return Postures(self.q, self.half, self.M, self.C, self.gravity, *off, self.bend())
+        mass, coriolis, gyration, gravity, slope = (
+            (1 + SLACK) * off for off in (self.mass_off(), *self.coriolis_off(), *self.gravity_off())
+        )
+        terms = self.q, self.half, self.M, self.C, self.gravity
+        return Postures(*terms, mass, coriolis, gyration, gravity, slope, self.bend())
 
     def weight(self, K: tuple[int, ...]) -> Array:
         """What a derivative counts with in Taylor's formula at the corners of the boxes, (N,)."""

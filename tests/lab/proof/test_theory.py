@@ -518,6 +518,7 @@ def test_the_document_names_only_tests_that_exist() -> None:
         "test_certificate.py",
         "test_certified_assumptions.py",
         "test_certified_period.py",
+        "test_postures.py",
         "test_known.py",
         "test_tube.py",
         "test_blocks.py",
