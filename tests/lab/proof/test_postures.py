@@ -14,6 +14,7 @@ from robots import fixed_arm, mobile_arm
 
 from mmnn_pin import load
 from mmnn_pin.errors import RobotError
+from mmnn_pin.lab.proof import postures
 from mmnn_pin.lab.proof.postures import Bodies, Jets, Postures, norm
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
@@ -165,6 +166,43 @@ def test_derivatives_are_those_of_finite_differences() -> None:
         for _ in range(6):
             K = tuple(sorted(int(k) for k in rng.choice(jets.moving, order)))
             np.testing.assert_allclose(jets.of_M(K)[0], slope(q, K), atol=2e-5)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from([name for name in NAMES if name not in REAL]), st.integers(0, 2**32 - 1))
+def test_what_taylors_formula_leaves_is_within_the_bound_of_the_fourth_order(name: str, seed: int) -> None:
+    """M at a corner less its polynomial of the third order, in boxes of up to half a radian."""
+    robot, rng = robot_of(name), np.random.default_rng(seed)
+    n = robot.dimensions.arm
+    q, half = rng.uniform(-3, 3, n), rng.uniform(0.05, 0.5) * rng.uniform(0.2, 1, n)
+    jets, sign = Jets(bodies_of(name), q[None], half[None]), rng.choice((-1.0, 1.0), n)
+    rest = jets.L_inv[0] @ true_terms(robot, q + sign * half, rng)[0] @ jets.L_inv[0].T - np.eye(robot.dimensions.dof)
+    for K in (K for some in jets.orders[1:] for K in some):
+        joints = [int(np.flatnonzero(bodies_of(name).columns[k])[0]) for k in K]
+        rest -= np.prod(sign[joints]) * jets.weight(K)[0] * jets.of_M(K)[0]
+    bound = sum(a * b for a, b in zip(jets.motions, reversed(jets.motions), strict=True))[0]
+    assert np.linalg.norm(rest, 2) <= bound + 1e-9
+
+
+@pytest.mark.parametrize("name", ["mobile_3", "fixed_7", "platform_arm"])
+def test_no_derivative_of_a_motion_is_longer_in_a_box_than_its_bound(name: str, monkeypatch) -> None:
+    """At corners, to the fourth order; and sums by order are those of all derivatives with their weights."""
+    monkeypatch.setattr(postures, "ORDER", 4)
+    rng, N = np.random.default_rng(0), 6
+    n = robot_of(name).dimensions.arm
+    q, half = rng.uniform(-2, 2, (N, n)), rng.uniform(0.05, 0.4, (N, n))
+    there = Jets(bodies_of(name), q + half * rng.choice((-1, 1), q.shape), half)
+    back = np.linalg.inv(there.L_inv)
+    monkeypatch.setattr(postures, "ORDER", 3)
+    jets = Jets(bodies_of(name), q, half)
+    centre = {K: norm(value) for K, value in jets.Z.items()}
+    crude = np.linalg.norm(np.abs(jets.L_inv) @ jets.once, axis=1)
+    most, sums = jets.largest(centre, crude), [np.zeros(N) for _ in range(5)]
+    for K, value in there.Z.items():
+        bound = most[K] if K in most else crude[:, K[-1]]
+        assert (norm(value @ (jets.L_inv @ back).swapaxes(1, 2)) <= bound * (1 + 1e-9)).all(), K
+        sums[len(K)] += jets.weight(K) * bound
+    np.testing.assert_allclose(jets.motions, sums)
 
 
 def test_screws_further_in_only_turn_a_derivative() -> None:
