@@ -27,7 +27,7 @@ from ...signals import Array
 from .bounds import PoseSet, WeightsBound, weights_bound
 from .certified_loop import CertifiedLoop, Condition, limits_in, limits_of_motors
 from .learner import NAMES
-from .motion_bound import Cover, Drive, Gains, MotionBound, drive, motion_bound
+from .motion_bound import Cover, Drive, Gains, MotionBound, drive, drivers, motion_bound
 
 BoolArray = NDArray[np.bool_]
 Row = tuple[str, float, str, str, str]  # the first fields of a Constant
@@ -41,6 +41,23 @@ SIZES = np.array(
 )  # of the largest size
 
 ARMS = (1.0, 1.2, 2.5)  # of the size that the energy drives the arm errors to
+NAMED = 3  # of what drives the energy most
+REMEDIES = {  # by how the name of a condition begins
+    "speed": "a reference that never stands still",
+    "leakage": "a smaller F or G, or less leakage",
+    "weights": "leakage (kappa > 0), or a projection of the weights",
+    "period": "a shorter control period, or weaker feedback of the lightest joint",
+    "feedback, held": "a shorter control period",
+    "feedback": "stronger feedback, or a smaller kx and K",
+    "decay, arm": "gains K that differ less",
+    "arm": "a larger K, or stronger feedback",
+    "face, arm": "a larger K, or stronger feedback",
+    "face, pose": "larger kx, ky and kth, or stronger feedback",
+    "pose": "a smaller region, or a faster reference",
+    "face, energy": "stronger feedback at a shorter period, or less of what drives it",
+    "motors": "stronger motors, or a smaller region",
+    "supervisor": "wider limits, or a smaller region",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +99,27 @@ class Certificate:
         """The constants of the theorem in the region."""
         return list(constants(self.boxes, self.region))
 
+    @property
+    def remedy(self) -> str:
+        """What to change so that the first condition that fails does not; empty where all hold."""
+        failed = next((one.name for one in self.conditions if not one.holds), None)
+        if failed is None:
+            return ""
+        what = next((words for start, words in REMEDIES.items() if failed.startswith(start)), "a smaller region")
+        if failed != "face, energy":
+            return what
+        loop, boxes, box = self.boxes.loop, self.boxes, self.region.box
+        cover, names = boxes.cover(box), loop.robot.velocity_names
+        shares = list(drivers(cover, boxes.drive(box), box.energy, boxes.gains, names).items())[:NAMED]
+        return f"{what}; what drives it most: {', '.join(f'{name} ({share:.0%})' for name, share in shares)}"
+
     def to_dict(self) -> dict[str, Any]:
         """Whether it holds, conditions, constants, region and bound, for JSON."""
         names = self.boxes.loop.robot.velocity_names
         return {
             "holds": self.holds,
             "region_asked_for": self.asked,
+            "remedy": self.remedy,
             "conditions": [
                 asdict(c) | {"limit": finite(c.limit), "value": finite(c.value), "holds": c.holds}
                 for c in self.conditions

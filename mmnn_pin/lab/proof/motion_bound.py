@@ -19,6 +19,7 @@ for the metric at hand; all else that a place of the box may have otherwise than
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise, product
@@ -195,6 +196,41 @@ def settle(
     powers = (forces.size(cover, V, weights) ** 2).max(axis=1) / 4 + constant
     best = int(np.argmin(powers / rates))
     return float(rates[best]), float(powers[best] / (2 * rates[best])), margin
+
+
+def drivers(cover: Cover, added: Drive, energy: float, gains: Gains, names: Sequence[str]) -> dict[str, float]:
+    """What drives s in a box of errors, the most first: shares of the sum of their sizes in the metric of the feedback.
+
+    Args:
+        cover: Where the robot may be.
+        added: What the errors do to the reference velocity.
+        energy: Of the errors in velocity at most [J].
+        gains: What the controller does.
+        names: (p,) of the velocities.
+    """
+    forces, feed, p = Forces.of(cover, added, energy, gains), Feed.of(cover, added), len(names)
+    held = cover.L_inv * gains.lower @ cover.L_inv.swapaxes(1, 2)
+    values, V = np.linalg.eigh(feed.K + held)
+    weights = 1 / np.maximum(values - feed.lost[:, None], 1e-3 * values[:, -1:])
+    k = int(np.argmax(forces.size(cover, V, weights)))
+    Vt, weights = V[k].T, weights[k]
+    widest = float(np.sqrt(weights.max()))
+
+    def size(force: Array) -> float:
+        return float(np.sqrt(weights @ (Vt @ force) ** 2))
+
+    weight = cover.L_inv[k] @ cover.postures.gravity[k] * (not gains.weighs)
+    ways = np.array([size(way) for way in forces.ways[k].T]) * forces.amounts
+    found = {"gravity": size(weight), "the reference's own motion": size(forces.still[k] + forces.moved[k] - weight)}
+    shares = ways[p : 2 * p] / np.maximum(forces.amounts[p : 2 * p], 1e-300)
+    given = {"dry friction": cover.dry, "the network": gains.network, "force or noise": gains.disturbance}
+    for what, amounts in given.items():
+        found |= {f"{what} on {name}": float(one) for name, one in zip(names, shares * amounts, strict=True)}
+    arm = forces.arm_size * np.linalg.norm(np.sqrt(weights)[:, None] * (Vt @ forces.arm[k])) if len(gains.K) else 0.0
+    found["errors of pose and arm"] = float(ways[:p].sum() + ways[2 * p :].sum() + arm)
+    found["what terms may be off in a box of postures"] = widest * float(forces.slack[k] + forces.jolt[k])
+    total = max(sum(found.values()), 1e-300)
+    return {what: found[what] / total for what in sorted(found, key=lambda one: -found[one]) if found[what] > 0}
 
 
 def push(cover: Cover, added: Drive, forces: Forces, energy: float, gains: Gains) -> float:

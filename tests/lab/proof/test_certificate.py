@@ -23,6 +23,7 @@ from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.proof.certificate import Box, Boxes, Certificate, Faces, certify
 from mmnn_pin.lab.proof.certified_loop import certified_loop, refusal
 from mmnn_pin.lab.proof.certified_run import Sizes, sizes_of
+from mmnn_pin.lab.proof.motion_bound import drivers
 from mmnn_pin.lab.proof.rate import Rate, rate_of
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.loop.before_run import Start
@@ -69,6 +70,26 @@ def test_it_takes_less_where_there_is_more_to_fear() -> None:
         learner_loop(disturbance=FORCE, F=(2.0, 2.0)),
     ):
         assert not Boxes(loop, box).faces(box).invariant
+
+
+def test_what_fails_says_what_to_change_and_what_drives_the_energy() -> None:
+    """A force on one velocity, dry friction of one joint, no network: each is named first where it is the largest."""
+    assert certificate().remedy == ""
+    box = certificate().region.box
+    slow = Certificate(boxes := Boxes(learner_loop(disturbance=FORCE, period=8 * PERIOD), box), [boxes.faces(box)])
+    assert slow.remedy == "a shorter control period, or weaker feedback of the lightest joint"
+    for loop, most in (
+        (learner_loop(disturbance=np.array([0.0, 0.0, 30.0, 0.0])), "force or noise on arm_1_joint"),
+        (
+            replace(learner_loop(), robot=certified_robot().with_joint_friction(0.0, (0.0, 20.0))),
+            "dry friction on arm_2",
+        ),
+        (learner_loop(hidden=800), "the network on arm_2_joint"),
+    ):
+        found = Certificate(boxes := Boxes(loop, box), [boxes.faces(box)])
+        assert "what drives it most: " + most in found.remedy
+        shares = drivers(boxes.cover(box), boxes.drive(box), box.energy, boxes.gains, NAMES)
+        assert sum(shares.values()) == pytest.approx(1.0) and next(iter(shares)).startswith(most)
 
 
 def test_a_projection_bounds_what_no_leakage_does() -> None:

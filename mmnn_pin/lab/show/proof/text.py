@@ -261,7 +261,7 @@ def verdict(certificate: Certificate) -> str:
     why = "; ".join(f"{c.name}: {side(c.value)} is not {c.need} {side(c.limit)}" for c in failed)
     none = "No region was found. At the one nearest to it"
     where = "The region asked for is not shown to be invariant" if certificate.asked else none
-    return f"FAILS. {where}: {why}. That proves nothing against the loop."
+    return f"FAILS. {where}: {why}. That proves nothing against the loop. What would help: {certificate.remedy}."
 
 
 def side(value: float) -> str:
