@@ -24,7 +24,7 @@ from mmnn_pin import Line, Sine, Trajectory
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.proof.certificate import Certificate, Constant, certify
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
-from mmnn_pin.lab.proof.motion_bound import Along
+from mmnn_pin.lab.proof.cover import Along
 from mmnn_pin.lab.show.table import Column, Row, Table, row_of, terminal_text
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.dynamics import Dynamics

@@ -27,9 +27,10 @@ from ...safety.supervisor import HEADING, POSITION
 from ...signals import Array, Layout
 from ...torque.controller import per_velocity
 from .bounds import PoseBound
+from .cover import Along, ArmMetric, Cover
 from .learner import Networks
-from .motion_bound import Along, ArmMetric, Cover, Drive
-from .postures import Bodies
+from .motion_bound import Drive
+from .screws import Bodies
 from .subject import Subject
 
 TOLERANCE = 1e-3  # of the largest rate

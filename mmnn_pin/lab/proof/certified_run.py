@@ -31,7 +31,8 @@ from ...settings.shown import AsText
 from ...signals import Array
 from ...torque.neural import Robust
 from .balance import BUDGET
-from .certificate import BoolArray, Box, Certificate, certify
+from .boxes import BoolArray, Box
+from .certificate import Certificate, certify
 from .certified_loop import CertifiedLoop, certified_loop, push_bound
 from .learner import NAMES, Networks, seen
 from .lyapunov import motion_energy

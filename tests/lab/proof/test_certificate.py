@@ -20,7 +20,8 @@ from mmnn_pin.cli import main
 from mmnn_pin.disturbance import Push
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.proof.certificate import Box, Boxes, Certificate, Faces, certify
+from mmnn_pin.lab.proof.boxes import Box, Boxes, Faces
+from mmnn_pin.lab.proof.certificate import Certificate, certify
 from mmnn_pin.lab.proof.certified_loop import certified_loop, refusal
 from mmnn_pin.lab.proof.certified_run import Sizes, sizes_of
 from mmnn_pin.lab.proof.motion_bound import drivers

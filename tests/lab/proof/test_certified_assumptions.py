@@ -15,7 +15,8 @@ from robots import mobile_arm
 
 from mmnn_pin import PD, Feedback, Hold, Line, Timing, Trajectory, load
 from mmnn_pin.actuator.settings import Actuator
-from mmnn_pin.lab.proof.certificate import Box, Boxes, Certificate, certify
+from mmnn_pin.lab.proof.boxes import Box, Boxes
+from mmnn_pin.lab.proof.certificate import Certificate, certify
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop, certified_loop, drift, jump, refusal
 from mmnn_pin.lab.proof.certified_run import compare, sizes_of
 from mmnn_pin.lab.proof.motion_bound import Gains, motion_bound, stale

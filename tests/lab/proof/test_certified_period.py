@@ -17,7 +17,7 @@ from robots import mobile_arm
 
 from mmnn_pin import PD, Circle, Eight, Feedback, Line, Loop, Sine, Timing, Trajectory, load
 from mmnn_pin.kinematic import Kinematic, command
-from mmnn_pin.lab.proof.certificate import Box, Boxes, Faces
+from mmnn_pin.lab.proof.boxes import Box, Boxes, Faces
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop, certified_loop
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.loop.before_run import Start

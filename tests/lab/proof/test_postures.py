@@ -15,7 +15,8 @@ from robots import fixed_arm, mobile_arm
 from mmnn_pin import load
 from mmnn_pin.errors import RobotError
 from mmnn_pin.lab.proof import postures
-from mmnn_pin.lab.proof.postures import Bodies, Jets, Postures, norm
+from mmnn_pin.lab.proof.postures import Jets, Postures, norm
+from mmnn_pin.lab.proof.screws import Bodies
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.robots import extra
@@ -72,7 +73,7 @@ def test_in_the_middle_the_terms_are_those_of_pinocchio(name: str) -> None:
     robot, rng = robot_of(name), np.random.default_rng(0)
     for _ in range(5):
         q = rng.uniform(-2, 2, robot.dimensions.arm)
-        found = bodies_of(name).over(q[None], np.zeros((1, len(q))))
+        found = postures.postures(bodies_of(name), q[None], np.zeros((1, len(q))))
         M, C, gravity = true_terms(robot, q, rng)
         tolerance = 1e-9 if not bodies_of(name).uneven else 1e-5  # wheels stand where they may
         np.testing.assert_allclose(found.M[0], M, atol=tolerance * np.abs(M).max())
@@ -88,7 +89,7 @@ def test_no_place_of_a_box_is_beyond_its_bounds(name: str, seed: int, width: flo
     robot, rng = robot_of(name), np.random.default_rng(seed)
     n = robot.dimensions.arm
     q, half = rng.uniform(-3, 3, n), width * (np.ones(n) if alike else rng.uniform(0, 1, n) ** 3)
-    found = bodies_of(name).over(q[None], half[None])
+    found = postures.postures(bodies_of(name), q[None], half[None])
     for _ in range(6):
         u = rng.uniform(-1, 1, n)
         place = np.where(rng.random(n) < rng.choice((0.0, 0.5, 1.0)), np.sign(u), u)
@@ -103,12 +104,12 @@ def test_a_box_in_a_box_has_smaller_bounds_and_lies_within(name: str, seed: int,
     n = robot.dimensions.arm
     q, half = rng.uniform(-3, 3, n), width * rng.uniform(0, 1, n)
     smaller = half * share * rng.uniform(0, 1, n)
-    large, small = (bodies_of(name).over(q[None], one[None]) for one in (half, smaller))
+    large, small = (postures.postures(bodies_of(name), q[None], one[None]) for one in (half, smaller))
     for bound in ("mass_off", "coriolis_off", "gyration_off", "gravity_off"):
         assert (getattr(small, bound) <= getattr(large, bound) * (1 + 1e-9)).all(), bound
     place = q + (half - smaller) * rng.uniform(-1, 1, n)
     assert (over(large, robot, place, rng) <= 0).all()
-    moved = bodies_of(name).over(place[None], smaller[None])
+    moved = postures.postures(bodies_of(name), place[None], smaller[None])
     corner = place + smaller * rng.choice((-1, 1), n)  # of both boxes: both bounds hold
     assert (over(large, robot, corner, rng) <= 0).all() and (over(moved, robot, corner, rng) <= 0).all()
 
@@ -120,11 +121,11 @@ def test_bounds_of_small_boxes_are_reached(name: str) -> None:
     n, nearest = robot.dimensions.arm, np.full(4, -1.0)
     for _ in range(4):
         q = rng.uniform(-2, 2, n)
-        found = bodies_of(name).over(q[None], np.full((1, n), 0.02))
+        found = postures.postures(bodies_of(name), q[None], np.full((1, n), 0.02))
         for _ in range(60):
             nearest = np.maximum(nearest, over(found, robot, q + 0.02 * rng.choice((-1, 1), n), rng))
     felt = np.array([1, 1, 1, Dynamics(robot).feels_gravity])
-    bent = bodies_of(name).over(q[None], np.full((1, n), 0.02)).mass_off[0] > 1e-6
+    bent = postures.postures(bodies_of(name), q[None], np.full((1, n), 0.02)).mass_off[0] > 1e-6
     assert (1 + nearest[felt > 0] > np.array([0.7, 0.3, 0.3, 0.7])[felt > 0]).all() or not bent
 
 
@@ -135,7 +136,7 @@ def test_gravity_changes_no_faster_than_its_slope(name: str, seed: int) -> None:
     robot, rng = robot_of(name), np.random.default_rng(seed)
     n = robot.dimensions.arm
     q, half = rng.uniform(-3, 3, n), rng.uniform(0.0, 0.2) * rng.uniform(0, 1, n)
-    found = bodies_of(name).over(q[None], half[None])
+    found = postures.postures(bodies_of(name), q[None], half[None])
     L_inv = np.linalg.inv(np.linalg.cholesky(found.M[0]))
     for _ in range(6):
         a, b = (q + half * rng.choice((-1, 1), n) * rng.choice((1.0, rng.random())) for _ in range(2))
@@ -229,7 +230,7 @@ def test_a_body_that_cannot_exist_is_bounded_too() -> None:
     bodies, rng = Bodies.of(strange), np.random.default_rng(0)
     assert (bodies.signs < 0).any()
     q, half = rng.uniform(-1, 1, 3), np.full(3, 0.1)
-    found = bodies.over(q[None], half[None])
+    found = postures.postures(bodies, q[None], half[None])
     for _ in range(50):
         assert (over(found, strange, q + half * rng.choice((-1, 1), 3), rng) <= 0).all()
 
@@ -244,7 +245,7 @@ def test_a_wheel_that_is_heavier_on_one_side_is_bounded_at_every_angle() -> None
     bodies, rng, worst = Bodies.of(heavy), np.random.default_rng(0), -1.0
     assert len(bodies.uneven) == 1 and not bodies_of("platform_arm").uneven
     q = np.array([0.3, 0.9])
-    found = bodies.over(q[None], np.zeros((1, 2)))
+    found = postures.postures(bodies, q[None], np.zeros((1, 2)))
     for _ in range(200):
         beyond = over(found, heavy, q, rng)
         assert (beyond <= 0).all()

@@ -22,9 +22,10 @@ from scipy.special import expit
 
 from mmnn_pin.kinematic import command
 from mmnn_pin.lab.proof.bounds import PoseBound, PoseSet, growth
-from mmnn_pin.lab.proof.certificate import Box, Boxes
+from mmnn_pin.lab.proof.boxes import Box, Boxes
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
-from mmnn_pin.lab.proof.motion_bound import Cover, Feed, Forces, Gains, drive, push
+from mmnn_pin.lab.proof.cover import Cover
+from mmnn_pin.lab.proof.motion_bound import Feed, Forces, Gains, drive, push
 from mmnn_pin.lab.proof.rate import radius
 from mmnn_pin.loop.sampled import held_loop
 from mmnn_pin.model.dynamics import Dynamics
