@@ -126,7 +126,9 @@ def row(name: str, found: Found) -> Row:
     """One line of the table."""
     level, box = found.constants["E*"], found.certificate.region.box
     cover = found.certificate.boxes.cover(box)
-    joints = 1e3 * (found.certificate.bound if found.certificate.holds else found.certificate.region).joints.max()
+    joints = 1e3 * (found.certificate.bound if found.certificate.holds else found.certificate.region).joints.max(
+        initial=0.0
+    )
     cells = (found.bandwidth, 1e6 * found.period, level.value, level.sampled, box.energy, cover.mass_off.max(), joints)
     return row_of(name, *(f"{value:.2g}" for value in cells), f"{found.seconds:.0f}", found.verdict)
 

@@ -155,10 +155,11 @@ def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
     feedback = "smallest s'Ks / s'Ms: feedback less kinematic gains and Coriolis [1/s]"
     less = "the same less what the hold of the torque takes [1/s]"
     stands = "where the pose error may stand still, within the region [m]"
+    wide = box.arm / loop.widest.size if len(faces.joints) else 0.0
     arm = (
         Condition("decay, arm", loop.arm_decay, 0.0, "decay of the arm errors' size [1/s]", "above"),
         Condition("face, arm", faces.arm, box.arm, "the same of the arm errors' size"),
-        Condition("arm", box.arm / loop.widest.size, 1.0 + 1e-12, "arm errors over those that M is bounded for"),
+        Condition("arm", wide, 1.0 + 1e-12, "arm errors over those that M is bounded for"),
     )
     yield from (
         Condition("pose", faces.decay, 0.0, "decay of the pose error in the region [1/s]", "above"),

@@ -202,18 +202,23 @@ class Jets:
                     found[:, d] += self.width[:, k] * found[:, k]
         return found
 
+    @property
+    def further(self) -> IntArray:
+        """(J, J) the further out of two joints."""
+        every = np.arange(self.width.shape[1])
+        return np.maximum.outer(every, every)
+
     @cached_property
     def once(self) -> Array:
         """(N, p, J) largest derivative of the motion along a velocity by joints of which d is the outermost."""
-        J = self.width.shape[1]
-        outer = self.reach[:, np.maximum.outer(range(J), range(J))]
+        outer = self.reach[:, self.further]
         return np.asarray(np.einsum("ti,ntd->nid", self.arm, outer) + self.turning[:, None] * self.reach[:, None])
 
     @cached_property
     def again(self) -> Array:
         """(N, p, p, J) the same of how that motion changes along another velocity."""
-        J, arm, turning = self.width.shape[1], self.arm, self.turning
-        outer = self.reach[:, np.maximum.outer(np.maximum.outer(range(J), range(J)), range(J))]
+        arm, turning = self.arm, self.turning
+        outer = self.reach[:, np.maximum.outer(self.further, np.arange(len(arm)))]
         found = np.einsum("tj,uk,ntud->njkd", arm, arm, outer)
         found += np.einsum("j,nkd->njkd", turning, self.once)
         return found + np.einsum("njd,k->njkd", self.once - turning[:, None] * self.reach[:, None], turning)
@@ -305,8 +310,7 @@ class Jets:
         for K, value in centre.items():
             found += self.weight(K) * value * (len(K) > 1)
         carried = np.array([np.linalg.norm(self.pull.reshape(len(own), -1)[own]) for own in self.bodies.above.T])
-        J = self.width.shape[1]
-        heavy = (self.reach * carried)[:, np.maximum.outer(range(J), range(J))]
+        heavy = (self.reach * carried)[:, self.further]
         most = np.einsum("ti,ntd->nid", self.arm, heavy) + self.turning[:, None] * (self.reach * carried)[:, None]
         crude, slope = np.linalg.norm(np.abs(self.L_inv) @ most, axis=1), np.zeros_like(self.half)
         found += (crude * self.outermost(ORDER + 1)).sum(axis=1)

@@ -5,13 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mmnn_pin import load
 from mmnn_pin.lab.proof.boxes import Box, Boxes
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robots import extra
-from studies.certified_arms import HELD, READY, loop_of, platform_panda
+from studies.certified_arms import HELD, READY, loop_of, platform_panda, study
 
 needs_data = pytest.mark.skipif("panda" not in extra(), reason="example-robot-data is not installed")
 BANDWIDTH, BOX = 178.0, Box(4.3e-3, 6.3e-3, 1.0e-4)
+
+
+def test_a_base_without_an_arm_is_certified() -> None:
+    found = study(load("platform_arm", lock=["arm_1_joint", "arm_2_joint"]), 0.1)
+    assert found.certificate.holds and found.verdict == "holds" and not len(found.certificate.bound.joints)
 
 
 @needs_data

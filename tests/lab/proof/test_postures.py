@@ -23,12 +23,14 @@ from mmnn_pin.model.robots import extra
 from mmnn_pin.signals import Array
 
 REAL = [name for name in ("tiago_no_hand", "panda", "ur5") if name in extra()]
-NAMES = ["platform_arm", *REAL, *(f"{kind}_{n}" for kind in ("mobile", "fixed") for n in (1, 3, 7))]
+NAMES = ["platform_arm", "locked", *REAL, *(f"{kind}_{n}" for kind in ("mobile", "fixed") for n in (1, 3, 7))]
 
 
 @cache
 def robot_of(name: str) -> Robot:
     kind, _, joints = name.partition("_")
+    if name == "locked":
+        return load("platform_arm", lock=["arm_1_joint", "arm_2_joint"])
     if kind in ("mobile", "fixed"):
         return {"mobile": mobile_arm, "fixed": fixed_arm}[kind](int(joints), seed=int(joints))
     return load(name)
@@ -130,7 +132,7 @@ def test_bounds_of_small_boxes_are_reached(name: str) -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.sampled_from([name for name in NAMES if name != "platform_arm"]), st.integers(0, 2**32 - 1))
+@given(st.sampled_from([name for name in NAMES if name not in ("platform_arm", "locked")]), st.integers(0, 2**32 - 1))
 def test_gravity_changes_no_faster_than_its_slope(name: str, seed: int) -> None:
     """Between any two places of a box, joint by joint."""
     robot, rng = robot_of(name), np.random.default_rng(seed)
