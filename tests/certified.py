@@ -9,8 +9,8 @@ import numpy as np
 from mmnn_pin import Feedback, Hold, Line, Loop, Neural, Sine, Timing, Trajectory, load
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
+from mmnn_pin.lab.proof.cover import Along
 from mmnn_pin.lab.proof.learner import Networks
-from mmnn_pin.lab.proof.motion_bound import Along
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.signals import Layout

@@ -1,9 +1,8 @@
 """The interface of a torque controller: velocity command and measurement in, generalized torque out.
 
-A controller's settings are frozen; what it remembers is a `ControllerState` made by `init` and updated in place, so
-that a run can be frozen, resumed, or started twice from equal weights. `Controller` is what the two kinds share. A
-`CompiledController` is one of this package: a `Law`, which `torque.law` steps in every engine. A `TorqueController` is
-one of a user in plain Python, for the ordinary loop. `torque/__init__.py` has the list of all controllers.
+A controller's settings are frozen; what it remembers is a `ControllerState`, so that a run can be frozen, resumed, or
+started twice. A `CompiledController` is one of this package: a `Law`, which `torque.law` steps in every engine; a
+`TorqueController` is a user's in plain Python, for the ordinary loop.
 """
 
 from __future__ import annotations

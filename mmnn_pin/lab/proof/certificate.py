@@ -13,32 +13,45 @@ the largest that can be is searched for.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from functools import partial
 from itertools import chain
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...settings import finite
-from ...signals import Array
-from .bounds import PoseSet, WeightsBound, weights_bound
-from .certified_loop import CertifiedLoop, Condition, limits_in, limits_of_motors
+from .boxes import STRICT, Box, Boxes, Faces
+from .certified_loop import CertifiedLoop, Condition
+from .cover import Cover
 from .learner import NAMES
-from .motion_bound import Drive, Gains, MotionBound, MotionSamples, drive, motion_bound
+from .motion_bound import MotionBound, drivers, motion_bound
 
-BoolArray = NDArray[np.bool_]
-Row = tuple[str, float, str, str, str]  # the fields of a Constant
-STRICT = 1.02  # a box is this much larger than the place where its error may stand still
-STEPS = 200
-SMALL = 1e-12  # of the region's energy: what is below is left to rounding
-SETTLED = 1e-3
-ENERGIES = np.geomspace(1e-6, 30.0, 32)  # [J]
-SIZES = np.array([0.01, 0.03, 0.07, 0.13, 0.2, 0.3, 0.42, 0.56, 0.72])  # of the largest size of the pose error
-THIN = 8  # of the samples, every which is looked at in the search
-ARMS = (1.0, 2.5)  # of the size that the energy drives the arm errors to
+Row = tuple[str, float, str, str, str]  # the first fields of a Constant
+ENERGIES = np.geomspace(1e-6, 30.0, 64)  # [J]
+SIZES = np.array(
+    [0.01, 0.03, 0.06, 0.09, 0.13, 0.17, 0.2, 0.25, 0.3, 0.36, 0.42, 0.5, 0.6, 0.72]
+)  # of the largest size
+
+ARMS = (1.0, 1.2, 2.5)  # of the size that the energy drives the arm errors to
+NAMED = 3  # of what drives the energy most
+REMEDIES = {  # by how the name of a condition begins
+    "speed": "a reference that never stands still",
+    "leakage": "a smaller F or G, or less leakage",
+    "weights": "leakage (kappa > 0), or a projection of the weights",
+    "period": "a shorter control period, or weaker feedback of the lightest joint",
+    "feedback, held": "a shorter control period",
+    "feedback": "stronger feedback, or a smaller kx and K",
+    "decay, arm": "gains K that differ less",
+    "arm": "a larger K, or stronger feedback",
+    "face, arm": "a larger K, or stronger feedback",
+    "face, pose": "larger kx, ky and kth, or stronger feedback",
+    "pose": "a smaller region, or a faster reference",
+    "face, energy": "stronger feedback at a shorter period, or less of what drives it",
+    "motors": "stronger motors, or a smaller region",
+    "supervisor": "wider limits, or a smaller region",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,17 +93,35 @@ class Certificate:
         """The constants of the theorem in the region."""
         return list(constants(self.boxes, self.region))
 
+    @property
+    def remedy(self) -> str:
+        """What to change so that the first condition that fails does not; empty where all hold."""
+        failed = next((one.name for one in self.conditions if not one.holds), None)
+        if failed is None:
+            return ""
+        what = next((words for start, words in REMEDIES.items() if failed.startswith(start)), "a smaller region")
+        if failed != "face, energy":
+            return what
+        loop, boxes, box = self.boxes.loop, self.boxes, self.region.box
+        cover, names = boxes.cover(box), loop.robot.velocity_names
+        shares = list(drivers(cover, boxes.drive(box), box.energy, boxes.gains, names).items())[:NAMED]
+        return f"{what}; what drives it most: {', '.join(f'{name} ({share:.0%})' for name, share in shares)}"
+
     def to_dict(self) -> dict[str, Any]:
         """Whether it holds, conditions, constants, region and bound, for JSON."""
         names = self.boxes.loop.robot.velocity_names
         return {
             "holds": self.holds,
             "region_asked_for": self.asked,
+            "remedy": self.remedy,
             "conditions": [
                 asdict(c) | {"limit": finite(c.limit), "value": finite(c.value), "holds": c.holds}
                 for c in self.conditions
             ],
-            "constants": [asdict(c) | {"value": finite(c.value)} for c in self.constants],
+            "constants": [
+                asdict(c) | {"value": finite(c.value), "sampled": None if c.sampled is None else finite(c.sampled)}
+                for c in self.constants
+            ],
             "region": self.region.to_dict(names) if self.holds else None,
             "bound": self.bound.to_dict(names) if self.holds else None,
         }
@@ -124,11 +155,11 @@ def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
     feedback = "smallest s'Ks / s'Ms: feedback less kinematic gains and Coriolis [1/s]"
     less = "the same less what the hold of the torque takes [1/s]"
     stands = "where the pose error may stand still, within the region [m]"
-    share = float((faces.joints / loop.samples.spread).max(initial=0.0))
+    wide = box.arm / loop.widest.size if len(faces.joints) else 0.0
     arm = (
         Condition("decay, arm", loop.arm_decay, 0.0, "decay of the arm errors' size [1/s]", "above"),
         Condition("face, arm", faces.arm, box.arm, "the same of the arm errors' size"),
-        Condition("arm", share, 1.0 + 1e-12, "the region's arm errors over those that were sampled"),
+        Condition("arm", wide, 1.0 + 1e-12, "arm errors over those that M is bounded for"),
     )
     yield from (
         Condition("pose", faces.decay, 0.0, "decay of the pose error in the region [1/s]", "above"),
@@ -150,8 +181,9 @@ class Constant:
         name: As in docs/explanation/theory.md.
         value: In SI units.
         unit: Its unit.
-        source: "given" by robot, settings, reference; "computed" from others; or "sampled" over configurations.
+        source: "given" by robot, settings, reference; "computed" from others; or "bounded" over all configurations.
         words: What it is.
+        sampled: What is bounded, the worst of one configuration in every box: no part of the proof; None for others.
     """
 
     name: str
@@ -159,22 +191,32 @@ class Constant:
     unit: str
     source: str
     words: str
+    sampled: float | None = None
+
+    @property
+    def loose(self) -> float | None:
+        """How many times the sampled value the bound is away from 0, or the other way round; None without one."""
+        if self.sampled is None or not self.sampled * self.value > 0:
+            return None
+        return max(self.value / self.sampled, self.sampled / self.value)
 
 
 def constants(boxes: Boxes, faces: Faces) -> Iterator[Constant]:
     """See `Certificate.constants`."""
-    rows = chain(error_constants(boxes.loop, faces), controller_constants(boxes))
-    for name, value, *words in chain(rows, energy_constants(boxes.loop, faces.motion)):
-        yield Constant(name, float(value), *words)
+    loop, cover = boxes.loop, boxes.cover(faces.box)
+    sampled = cover.sampled(loop.bodies)
+    there = motion_bound(sampled, boxes.drive(faces.box), faces.box.energy, boxes.gains)
+    for name, value, unit, source, words in chain(error_constants(loop, faces), controller_constants(boxes)):
+        yield Constant(name, float(value), unit, source, words)
+    pairs = zip(dynamic_constants(loop, cover, faces.motion), dynamic_constants(loop, sampled, there), strict=True)
+    for (name, value, unit, source, words), (_, other, *_) in pairs:
+        yield Constant(name, float(value), unit, source, words, float(other))
 
 
 def error_constants(loop: CertifiedLoop, faces: Faces) -> list[Row]:
     """Of the reference, the pose and the arm: fields of `Constant`."""
     pose = loop.pose
-    arm = [
-        ("lambda_b", loop.arm_decay, "1/s", "computed", "decay of the arm errors"),
-        ("gamma_b", loop.samples.arm_gain, "", "sampled", "how the energy drives the arm errors"),
-    ]
+    arm = [("lambda_b", loop.arm_decay, "1/s", "computed", "decay of the arm errors")]
     return [
         ("h", loop.period, "s", "given", "control period"),
         ("delay", loop.late, "s", "given", "from a sample to when its command is in force, at most"),
@@ -209,36 +251,37 @@ def controller_constants(boxes: Boxes) -> Iterator[Row]:
         yield f"|V| {NAMES[i]}", bound.V, "", "computed", "bound on the hidden weights that learn"
 
 
-def energy_constants(loop: CertifiedLoop, motion: MotionBound) -> list[Row]:
-    """Of the energy of the errors."""
-    eigenvalues = np.linalg.eigvalsh(loop.samples.M)
+def dynamic_constants(loop: CertifiedLoop, cover: Cover, motion: MotionBound) -> list[Row]:
+    """Of the robot's dynamics and of the energy of the errors."""
+    least, most = cover.eigenvalues
+    arm = [("gamma_b", cover.arm_gain, "", "bounded", "how the energy drives the arm errors")]
     return [
-        ("M_min", eigenvalues.min(), "SI", "sampled", "smallest eigenvalue of M"),
-        ("M_max", eigenvalues.max(), "SI", "sampled", "largest eigenvalue of M"),
-        ("mu", motion.fastest, "1/s", "sampled", "largest eigenvalue of M^-1 k"),
-        ("margin", motion.margin, "1/s", "sampled", "smallest s' K s / s' M s, hold included"),
-        ("lambda_E", motion.rate, "1/s", "sampled", "rate used for the energy of the errors"),
-        ("push", motion.pushed, "SI", "sampled", "largest |ds/dt| but for the feedback, in the norm of k"),
+        ("M_min", least, "SI", "bounded", "smallest eigenvalue of M"),
+        ("M_max", most, "SI", "bounded", "largest eigenvalue of M"),
+        *(arm if len(loop.K) else ()),
+        ("mu", motion.fastest, "1/s", "bounded", "largest eigenvalue of M^-1 k"),
+        ("margin", motion.margin, "1/s", "bounded", "smallest s' K s / s' M s, hold included"),
+        ("lambda_E", motion.rate, "1/s", "bounded", "rate used for the energy of the errors"),
+        ("E*", motion.level, "J", "bounded", "energy above which it falls"),
+        ("push", motion.pushed, "SI", "bounded", "largest |ds/dt| but for the feedback, in the norm of k"),
     ]
 
 
 def search(loop: CertifiedLoop, start: Box | None = None) -> Boxes:
     """The largest invariant box of a grid, those around the start first; where there is none, the one nearest to it.
 
-    Boxes are looked at with few samples first, from the best on with all.
+    Boxes are looked at in few postures first, from the best on in all.
     """
-    few = loop.samples.thinned(THIN)
-    invariant, nearest, least = [], None, math.inf
-    for box in candidates(loop):
-        boxes = Boxes(loop, box, few)
-        if not (boxes.pose_stands(box) < box.pose and boxes.arm_stands(box) <= box.arm):
-            continue
-        faces = boxes.faces(box)
-        if faces.invariant:
+    invariant, nearest, least = list[tuple[bool, float, Box]](), None, math.inf
+    for some in chain.from_iterable(map(partial(held, loop), ENERGIES)):
+        for box in some:
+            faces = Boxes(loop, box, glance=True).faces(box)
+            if not faces.invariant:
+                if (over := excess(faces)) < least:
+                    nearest, least = box, over
+                break  # a larger pose error drives the energy more
             around = start is not None and start.within(box)
             invariant.append((around, math.log(box.pose * math.sqrt(box.energy) * (box.arm or 1.0)), box))
-        elif (over := excess(faces)) < least:
-            nearest, least = box, over
     for _, _, box in sorted(invariant, key=lambda one: one[:2], reverse=True):
         boxes = Boxes(loop, box)
         if boxes.faces(box).invariant:
@@ -246,13 +289,15 @@ def search(loop: CertifiedLoop, start: Box | None = None) -> Boxes:
     return Boxes(loop, nearest or Box(SIZES[0] * loop.pose.largest, 0.0, ENERGIES[0]))
 
 
-def candidates(loop: CertifiedLoop) -> Iterator[Box]:
-    """Boxes whose arm errors are those that the energy drives, or more."""
-    for energy in ENERGIES:
-        arm = math.sqrt(2 * energy) * loop.samples.arm_gain / loop.arm_decay if len(loop.K) else 0.0
-        for share in SIZES:
-            for more in ARMS if len(loop.K) else (1.0,):
-                yield Box(float(share * loop.pose.largest), STRICT * more * arm, float(energy))
+def held(loop: CertifiedLoop, energy: float) -> Iterator[Iterator[Box]]:
+    """Boxes of an energy that hold the errors which it drives: for every size of the arm's, by the pose's."""
+    arm = 0.0
+    for _ in range(3 * bool(len(loop.K))):  # the gain is that of a cover that holds the arm errors
+        arm = math.sqrt(2 * energy) * loop.cover(STRICT * arm).arm_gain / loop.arm_decay
+    for more in ARMS if len(loop.K) else (1.0,):
+        some = [Box(float(share * loop.pose.largest), STRICT * more * arm, float(energy)) for share in SIZES]
+        if Boxes(loop, some[0], glance=True).arm_stands(some[0]) <= some[0].arm:
+            yield (box for box in some if Boxes(loop, box, glance=True).pose_stands(box) < box.pose)
 
 
 def excess(faces: Faces) -> float:
@@ -261,190 +306,3 @@ def excess(faces: Faces) -> float:
     if not motion.margin > 0:
         return 1e6 - motion.margin if np.isfinite(motion.margin) else 1e12
     return float(min(max(faces.pose / box.pose, motion.level / box.energy), 1e5))
-
-
-class Boxes:
-    """The boxes of one loop, for weights that are bounded as they are in the outermost one.
-
-    Args:
-        loop: The loop.
-        outer: The outermost box; the weights' bounds are taken there.
-        samples: The robot along the reference; all samples if None.
-    """
-
-    def __init__(self, loop: CertifiedLoop, outer: Box, samples: MotionSamples | None = None) -> None:
-        self.loop, self.outer, self.samples = loop, outer, samples or loop.samples
-
-    @cached_property
-    def networks(self) -> dict[int, WeightsBound]:
-        """Bounds on the weights of every network, (1 the base's, 2 the arm's)."""
-        loop = self.loop
-        if loop.learner is None:
-            return {}
-        s = self.measured(self.outer)
-        x = loop.input_norm(self.drive(self.outer), self.outer.pose, self.joints(self.outer), s)
-        return {i: weights_bound(loop.learner, i, s, x, loop.projection) for i, _ in loop.learner.networks}
-
-    @cached_property
-    def gains(self) -> Gains:
-        """What the controller does inside of the outermost box."""
-        loop, network = self.loop, np.zeros(self.loop.robot.dimensions.dof)
-        (Kz, ZB), norm = loop.robust, np.zeros_like(network)
-        for i, part in loop.learner.networks if loop.learner else ():
-            network[part], norm[part] = self.networks[i].output, self.networks[i].norm
-        upper = loop.gain + np.where(Kz > 0, Kz * (np.where(Kz > 0, norm, 0.0) + ZB), 0.0)
-        force = loop.disturbance + np.where(loop.noise > 0, upper, 0.0) * loop.noise
-        return Gains(loop.gain + Kz * ZB, upper, network, loop.K, force, loop.period, loop.late)
-
-    def velocity(self, box: Box) -> Array:
-        """(p,) largest |s_i| in a box."""
-        return np.asarray(np.sqrt(2 * box.energy * self.samples.lightest))
-
-    def measured(self, box: Box) -> Array:
-        """(p,) the same of s as the controller sees it."""
-        return self.velocity(box) + self.loop.noise
-
-    def joints(self, box: Box) -> Array:
-        """(n,) largest |e_i| in a box."""
-        return box.arm * self.samples.joint_reach
-
-    def drive(self, box: Box) -> Drive:
-        """What the errors of a box do to the reference velocity."""
-        loop, reach = self.loop, self.loop.pose.reach(box.pose)
-        return drive(loop.pose, reach, box.arm, self.joints(box), loop.K, loop.along.a_ref, loop.drift)
-
-    def pose_stands(self, box: Box, energy: float | None = None) -> float:
-        """Size below which the pose error may grow in a box [m], for energies up to one below the box's if given.
-
-        inf where nothing holds it.
-        """
-        pose, (away, turning) = self.loop.pose, self.loop.drift
-        decay = pose.decay(box.pose, float(self.velocity(box)[1]))
-        G = np.array([1.0, pose.yaw_gain(pose.reach(box.pose).cosine)])
-        driven = np.linalg.eigvalsh(G[:, None] * self.samples.M_inverse[:, :2, :2] * G).max()
-        speed = np.sqrt(2 * (box.energy if energy is None else energy) * driven) + away + G[1] * turning
-        return float(speed / decay) if decay > 0 else np.inf
-
-    def arm_stands(self, box: Box) -> float:
-        """The same of the arm errors' size; inf for configurations that were not looked at, or without decay."""
-        if not len(self.loop.K):
-            return 0.0
-        if (self.joints(box) > self.samples.spread).any() or not self.loop.arm_decay > 0:
-            return np.inf
-        return float(np.sqrt(2 * box.energy) * self.samples.arm_gain / self.loop.arm_decay)
-
-    def faces(self, box: Box) -> Faces:
-        """Judge a box within the outermost one."""
-        pose = self.loop.pose
-        reach, s = pose.reach(box.pose), self.velocity(box)
-        return Faces(
-            box=box,
-            reach=reach,
-            decay=pose.decay(box.pose, float(s[1])),
-            yaw_gain=pose.yaw_gain(reach.cosine),
-            joints=self.joints(box),
-            velocity=s,
-            motion=motion_bound(self.samples, self.drive(box), box.energy, self.gains),
-            pose=self.pose_stands(box),
-            arm=self.arm_stands(box),
-            limits=self.limits(box),
-        )
-
-    def limits(self, box: Box) -> list[Condition]:
-        """What may be reached in a box of the limits of motors and supervisor."""
-        loop, s = self.loop, self.measured(box)
-        bounded = np.nan_to_num(self.gains.upper * s + self.gains.network, posinf=1e300)  # 0 times inf is not 0
-        result = limits_of_motors(loop.motors, torque := np.abs(np.linalg.inv(loop.robot.E)) @ bounded)
-        if (its := loop.supervisor) is None:
-            return result
-        return result + limits_in(its, loop.signal_bounds(self.drive(box), box.pose, self.joints(box), s), torque)
-
-    def inner(self, faces: Faces) -> Box:
-        """The next smaller box: the energy first, then what it drives."""
-        box, level = faces.box, faces.motion.level
-        energy = min(box.energy, STRICT * level)
-        share = float(np.sqrt(energy / box.energy))
-        pose = min(box.pose, STRICT * self.pose_stands(box, energy))
-        return Box(pose, min(box.arm, STRICT * share * faces.arm), energy)
-
-    def descend(self) -> list[Faces]:
-        """From the outermost box, if it is invariant, to the one that every motion from there ends up in."""
-        result = [self.faces(self.outer)]
-        while result[0].invariant and len(result) < STEPS and result[-1].box.energy > SMALL * self.outer.energy:
-            faces = self.faces(self.inner(result[-1]))
-            result.append(faces)
-            if faces.box.energy > (1 - SETTLED) * result[-2].box.energy:
-                break
-        return result
-
-
-@dataclass(frozen=True, eq=False)
-class Box:
-    """Errors of at most this.
-
-    Attributes:
-        pose: Size of the pose error, see `pose_bound` [m].
-        arm: Size of the arm errors, see `MotionSamples.arm_metric`.
-        energy: s' M s / 2 [J].
-    """
-
-    pose: float
-    arm: float
-    energy: float
-
-    def within(self, other: Box) -> bool:
-        """Whether all of it is in another box."""
-        return self.pose <= other.pose and self.arm <= other.arm and self.energy <= other.energy
-
-    def holds(self, pose: Array, arm: Array, energy: Array) -> BoolArray:
-        """Which of k states are inside; (k,) each."""
-        return (pose <= self.pose) & (arm <= self.arm) & (energy <= self.energy)
-
-
-@dataclass(frozen=True, eq=False)
-class Faces:
-    """Where each error may stand still, the others anywhere in a box: it falls from there up to the box's face.
-
-    Attributes:
-        box: The box.
-        reach: Its pose errors.
-        decay: Rate at which the pose error decays in it [1/s].
-        yaw_gain: g [m].
-        joints: (n,) largest |e_i| in it [rad or m].
-        velocity: (p,) largest |s_i| in it.
-        motion: The energy in it.
-        pose: Size below which the pose error may grow [m]; inf where nothing holds it.
-        arm: The same of the arm errors.
-        limits: What may be reached in it of the limits of motors and supervisor.
-    """
-
-    box: Box
-    reach: PoseSet
-    decay: float
-    yaw_gain: float
-    joints: Array
-    velocity: Array
-    motion: MotionBound
-    pose: float
-    arm: float
-    limits: list[Condition]
-
-    @property
-    def invariant(self) -> bool:
-        """Whether no motion leaves the box, no motor saturates and no supervisor steps in."""
-        inside = self.pose < self.box.pose and self.motion.level < self.box.energy
-        inside = inside and all(limit.holds for limit in self.limits)
-        return bool(inside and (self.arm < self.box.arm or not len(self.joints)))
-
-    def to_dict(self, names: Sequence[str]) -> dict[str, Any]:
-        """The box in the units of its errors, for JSON, with the names of the velocities."""
-        return {
-            "pose_size": self.box.pose,
-            "arm_size": self.box.arm,
-            "energy": self.box.energy,
-            "ex": self.reach.ex,
-            "ey": self.reach.ey,
-            "ephi": self.reach.heading,
-            "e": {name: float(value) for name, value in zip(names[2:], self.joints, strict=True)},
-            "s": {name: float(value) for name, value in zip(names, self.velocity, strict=True)},
-        }

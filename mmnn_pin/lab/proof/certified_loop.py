@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -19,20 +20,26 @@ from ...errors import RecordingError
 from ...kinematic import Kinematic
 from ...model.base import BY_SIZE
 from ...model.base.differential import DifferentialDrive
+from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...safety import Safety
 from ...safety.supervisor import HEADING, POSITION
 from ...signals import Array, Layout
 from ...torque.controller import per_velocity
 from .bounds import PoseBound
+from .cover import Along, ArmMetric, Cover
 from .learner import Networks
-from .motion_bound import Along, Drive, MotionSamples, sample
+from .motion_bound import Drive
+from .screws import Bodies
 from .subject import Subject
 
 TOLERANCE = 1e-3  # of the largest rate
 SPREAD = 0.5  # [rad or m]: arm errors beyond this are not looked at
+LADDER = 0.7 ** np.arange(15.0)  # of the largest size of arm errors, for which there are covers
+BEYOND = 2e-3  # [rad or m] that joints may move while a command is in force, where it has the gravity of its sample
 SIGNALS = ("velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref", "pose_ref")
 RATES = (("velocity_ref", "acceleration_ref"), ("q_ref", "qdot_ref"), ("qdot_ref", "qddot_ref"))
+WEIGHED = 50  # rows whose gravity is compared with the robot's
 TORQUE = "largest motor torque [N m or N]"
 SPEED = 1e-6  # [m/s] below which the reference counts as standing
 
@@ -52,10 +59,10 @@ class CertifiedLoop:
         projection: Largest norm that a supervisor scales the weights back to, None without.
         supervisor: Limits that the loop must not pass; None without.
         drift: Speed [m/s] and yaw rate [rad/s] at which the reference's poses leave its velocities, at most.
-        spread: (n,) largest arm error looked at [rad or m].
         late: Largest time from a sample to when its command is in force [s].
         noise: (p,) largest error of the measured velocities [m/s, rad/s].
         motors: (motors,) largest torque of every motor, inf where there is no limit [N m or N].
+        weighs: Whether the controller adds the gravity at the joints that it measures.
     """
 
     robot: Robot
@@ -68,10 +75,10 @@ class CertifiedLoop:
     projection: float | None = None
     supervisor: Supervisor | None = None
     drift: tuple[float, float] = (0.0, 0.0)
-    spread: Array | None = None
     late: float = 0.0
     noise: Array = field(default_factory=lambda: np.zeros(1))
     motors: Array = field(default_factory=lambda: np.full(1, np.inf))
+    weighs: bool = False
 
     def __post_init__(self) -> None:
         robot = self.robot
@@ -89,18 +96,51 @@ class CertifiedLoop:
         return self.kinematic.arm_gains(self.robot.dimensions)
 
     @cached_property
-    def samples(self) -> MotionSamples:
-        """The robot along the reference; the arm's metric is the one whose errors a given energy drives less far."""
-        n = self.robot.dimensions.arm
-        result = sample(self.robot, self.along, np.full(n, SPREAD) if self.spread is None else self.spread)
-        if n == 0 or not np.ptp(self.K):
-            return result
-        return max((result, replace(result, decoupled=True)), key=lambda one: one.arm_decay(self.K) / one.arm_gain)
+    def bodies(self) -> Bodies:
+        """What bounds of the dynamics are computed from; errors as of `Bodies.of`."""
+        return Bodies.of(self.robot)
+
+    @cached_property
+    def metric(self) -> ArmMetric:
+        """Of the arm errors."""
+        return ArmMetric.best(self.robot, self.along, self.K)
+
+    @cached_property
+    def sizes(self) -> Array:
+        """Sizes of the arm errors for which there may be covers, the largest first; 0 without an arm."""
+        return SPREAD / self.metric.reach.max() * LADDER if len(self.K) else np.zeros(1)
+
+    @cached_property
+    def known(self) -> dict[int, Cover]:
+        """The covers that were asked for, by their place in `sizes`."""
+        return {}
+
+    def cover(self, arm: float) -> Cover:
+        """Wherever the robot may be with a size of the arm errors; where M is not bounded there, the widest that is.
+
+        Raises:
+            RecordingError: Not even the smallest is.
+        """
+        last = len(self.sizes) - 1
+        for k in range(max(int((self.sizes >= arm).sum()) - 1, 0), last + 1):
+            if k not in self.known:
+                size = float(self.sizes[k])
+                beyond = BEYOND * self.weighs
+                self.known[k] = Cover.of(self.robot, self.bodies, self.along, self.metric, size, beyond)
+            if (self.known[k].mass_off < 1).all():
+                return self.known[k]
+        why = f"with joints up to {SPREAD * LADDER[last]:.2g} off, M may change along the reference by all of itself "
+        raise RecordingError("no certificate", why=f"{why}between the places it is looked at; use a slower reference")
+
+    @property
+    def widest(self) -> Cover:
+        """The one for the largest size of the arm errors; errors as of `cover`."""
+        return self.cover(np.inf)
 
     @cached_property
     def arm_decay(self) -> float:
-        """Rate at which the size of the arm errors decays for r = 0 [1/s]; see `MotionSamples.arm_decay`."""
-        return self.samples.arm_decay(self.K)
+        """Rate at which the size of the arm errors decays for r = 0 [1/s]; see `ArmMetric.decay`."""
+        return self.metric.decay(self.K)
 
     @cached_property
     def robust(self) -> tuple[Array, Array]:
@@ -155,7 +195,15 @@ class CertifiedLoop:
 
     def disturbed(self, disturbance: Array) -> CertifiedLoop:
         """The same with an external force of at most (p,) [N, N m]."""
-        return replace(self, disturbance=np.asarray(disturbance, float))
+        return self.tuned(disturbance=np.asarray(disturbance, float))
+
+    def tuned(self, **changes: Any) -> CertifiedLoop:
+        """The same robot along the same reference with some fields changed: covers are not made again."""
+        found = replace(self, **changes)
+        same = ("robot", "along", "kinematic", "weighs")
+        if all(getattr(found, name) is getattr(self, name) for name in same):
+            found.__dict__["known"] = self.known
+        return found
 
 
 def certified_loop(subject: Subject) -> CertifiedLoop:
@@ -186,6 +234,7 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
         late=delay(subject),
         noise=subject.velocity_noise,
         motors=subject.motor_limits,
+        weighs=learner is None and not proportional(subject),
     )
 
 
@@ -221,10 +270,14 @@ def refusal(subject: Subject) -> str:
             return f"kinematic.{name} is 0"
     learner = subject.networks
     if learner is None:
-        if proportional(subject):
+        if proportional(subject) or weighing(subject):
             return ""
         clipped = "safety" in subject.recording and np.any(subject.recording["safety"] > 0)
-        return "its supervisor stepped in" if clipped else f"{subject.controller} is no learner of the thesis, nor PD"
+        return (
+            "its supervisor stepped in"
+            if clipped
+            else f"{subject.controller} is no learner of the thesis, nor PD, nor PD with the gravity of the robot"
+        )
     if learner.context.limits is not None:
         return "its robust term and Psi_hat are kept within the motors' limits"
     if learner.own.update != "after_output":
@@ -281,6 +334,20 @@ def proportional(subject: Subject) -> bool:
     scale = np.abs(tau).max() + 1e-300
     constant = bool((gain > 0).all()) and not np.ptp(gain, axis=0).any()
     return constant and bool(np.abs(gain * s - tau).max() <= 1e-9 * scale)
+
+
+def weighing(subject: Subject) -> bool:
+    """Whether the torque of a run is a constant gain times s plus the robot's gravity at the sample."""
+    gain, tau, said = (subject.signal(name) for name in ("effective_gain", "torque", "psi_hat"))
+    s = subject.signal("nu_ref") - np.hstack((subject.signal("velocity"), subject.signal("qdot")))
+    scale, robot = np.abs(tau).max() + 1e-300, subject.robot
+    dynamics, position = Dynamics(robot), robot.neutral_position()
+    for k in np.unique(np.linspace(0, len(tau) - 1, WEIGHED).astype(int)):
+        position[robot.arm_index] = subject.signal("q")[k]
+        if np.abs(dynamics.gravity(robot.follow(position)) - said[k]).max() > 1e-9 * scale:
+            return False
+    constant = bool((gain > 0).all()) and not np.ptp(gain, axis=0).any()
+    return constant and bool(np.abs(gain * s + said - tau).max() <= 1e-9 * scale)
 
 
 @dataclass(frozen=True, eq=False)

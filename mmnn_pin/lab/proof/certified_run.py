@@ -31,7 +31,8 @@ from ...settings.shown import AsText
 from ...signals import Array
 from ...torque.neural import Robust
 from .balance import BUDGET
-from .certificate import BoolArray, Box, Certificate, certify
+from .boxes import BoolArray, Box
+from .certificate import Certificate, certify
 from .certified_loop import CertifiedLoop, certified_loop, push_bound
 from .learner import NAMES, Networks, seen
 from .lyapunov import motion_energy
@@ -322,7 +323,7 @@ def sizes_of(subject: Subject, loop: CertifiedLoop) -> Sizes:
     """The sizes along a run."""
     rows, where = subject.truth(subject.rows), subject.layout.where
     e = rows[:, where("e")]
-    arm = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", e, loop.samples.arm_metric, e), 0.0))
+    arm = np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", e, loop.metric.N, e), 0.0))
     pose = loop.pose.size(rows[:, where("pose_error")])
     return Sizes(subject.signal("time")[:, 0], pose, arm, motion_energy(subject, rows))
 

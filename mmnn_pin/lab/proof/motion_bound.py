@@ -10,28 +10,29 @@ With K the matrix in brackets, R = (K - rate M)^-1 and |u|_R = sqrt(u' R u)
 
 so that E falls while it is above `(|u|_R^2 / 4 + constant) / (2 rate)`.
 
-Mass, Coriolis and gravity terms are those of the robot *sampled* along its reference, the arm's configuration off it by
-an offset in a box, the corners first. What follows from them holds for these configurations, not for all between.
+Mass, Coriolis and gravity terms are those of a *cover*: boxes of joint positions that together hold all that the arm
+may reach while its errors are within theirs, over stretches of the reference that together are all of it. In each the
+terms are known in the middle and bounded elsewhere (`postures`), in coordinates in which M of the middle, `M0 = L L'`,
+is the identity: `x = L' s`, forces `L^-1 u`. Vectors of which only amounts are known add up at the signs that are worst
+for the metric at hand; all else that a place of the box may have otherwise than its middle adds by its length.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
-from ...loop.before_run import viscous_friction
-from ...model.dynamics import Dynamics
-from ...model.robot import Robot
-from ...signals import Array, IntArray
+from ...signals import Array
 from .bounds import PoseBound, PoseSet
+from .cover import Cover
+from .postures import norm
 
-SAMPLES = 240
 SPENT = (0.03, 0.1, 0.3)  # of the feedback, on what the hold lets pass
 BACK = 4  # samples that late commands are followed back
-SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85])  # of the largest rate
+SHARES = np.array([0.05, 0.15, 0.3, 0.4, 0.5, 0.6, 0.75])  # of the largest rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,16 +57,16 @@ class MotionBound:
     pushed: float
 
 
-def motion_bound(samples: MotionSamples, added: Drive, energy: float, gains: Gains) -> MotionBound:
+def motion_bound(cover: Cover, added: Drive, energy: float, gains: Gains) -> MotionBound:
     """The energy of the errors in a box of pose errors, arm errors and energies up to `energy`."""
-    forces = Forces.of(samples, added, gains)
-    pushed, fastest = push(samples, added, forces, energy, gains), samples.fastest(gains.upper)
-    unheld = settle(samples, added, forces, gains, 1.0, np.inf)[2]
+    forces, feed = Forces.of(cover, added, energy, gains), Feed.of(cover, added)
+    pushed, fastest = push(cover, added, forces, energy, gains), cover.fastest(gains.upper)
+    unheld = settle(cover, feed, forces, gains, 1.0, np.inf)[2]
     best = MotionBound(np.nan, np.inf, -np.inf, unheld, fastest, pushed)
     for (grip, delay), spent in product(stale(gains, fastest, pushed, energy), SPENT):
         share = 1 - grip - spent
         constant = delay**2 / (4 * spent) if share > 0 else np.inf  # nothing is left of the feedback
-        rate, level, margin = settle(samples, added, forces, gains, max(share, -1.0), constant)
+        rate, level, margin = settle(cover, feed, forces, gains, max(share, -1.0), constant)
         if level < best.level or (np.isinf(level) and np.isinf(best.level) and margin > best.margin):
             best = MotionBound(rate, level, margin, unheld, fastest, pushed)
     return best
@@ -93,77 +94,208 @@ def stale(gains: Gains, fastest: float, pushed: float, energy: float) -> list[tu
 
 @dataclass(frozen=True, eq=False)
 class Forces:
-    """What drives s in a box, apart from the accelerations that the errors add.
+    """What drives s in a box, normalised: `L^-1 u` is a centre, ways with amounts and any sign, and a rest's length.
 
     Attributes:
-        centre: (N, p) Psi along the reference without any error; what it is, not how large.
-        around: (N, p) how far the rest may take it, per component: Coriolis and friction of the errors, dry friction,
-            network, disturbance.
+        still: (N, p) Psi along the reference without any error and without M nudot.
+        moved: (N, p) M nudot along the reference.
+        ways: (N, p, 3 p) what an error of nu_ref does to Coriolis terms and friction; a force on a velocity; an
+            acceleration of nu_ref.
+        amounts: (3 p,) how much of each: errors of nu_ref; dry friction, network and disturbance; accelerations.
+        slack: (N,) the rest but for accelerations.
+        jolt: (N,) the rest of accelerations: `(M - M0) nudot` and how the reference's varies.
+        arm: (N, p, n) M times the accelerations that arm errors of size 1 add.
+        arm_size: Size of the arm errors.
     """
 
-    centre: Array
-    around: Array
+    still: Array
+    moved: Array
+    ways: Array
+    amounts: Array
+    slack: Array
+    jolt: Array
+    arm: Array
+    arm_size: float
 
     @classmethod
-    def of(cls, samples: MotionSamples, added: Drive, gains: Gains) -> Forces:
-        """In one box."""
-        nu, nudot, C = samples.along.nu, samples.along.nudot, np.abs(samples.coriolis)
-        centre = np.einsum("nij,nj->ni", samples.M, nudot) + samples.gravity + nu @ samples.viscous.T
-        centre += np.einsum("nijk,nj,nk->ni", samples.coriolis, nu, nu)
-        speed = np.abs(nu)
-        around = np.einsum("nijk,j,nk->ni", C, added.nu, speed) + np.einsum("nijk,nj,k->ni", C, speed, added.nu)
-        around += np.einsum("nijk,j,k->ni", C, added.nu, added.nu) + np.abs(samples.viscous) @ added.nu
-        return cls(centre, around + samples.dry + gains.network + gains.disturbance)
+    def of(cls, cover: Cover, added: Drive, energy: float, gains: Gains) -> Forces:
+        """In one box, energies up to `energy`."""
+        L, L_inv, off, own = cover.L, cover.L_inv, cover.postures, cover.coriolis
+        nu, about = cover.nu, cover.nu_off
+        speed, Lt = np.abs(nu) + about, L.swapaxes(1, 2)
+        pulled = np.einsum("nijk,nk->nij", own, nu)
+        turned = np.einsum("nijk,nj->nik", own, nu) + L_inv @ cover.viscous
+        still, slack = (turned @ nu[..., None])[..., 0], off.gravity_off
+        if gains.weighs:
+            slack = cover.old_gravity(added.nu, energy, gains.oldest)
+        else:
+            still = still + (L_inv @ off.gravity[..., None])[..., 0]
+        p, a = nu.shape[1], added.nu
+        by_error = pulled + turned
+        ways = np.concatenate((by_error, L_inv, Lt), axis=2)
+        nudot = np.zeros(p)
+        nudot[:2] = added.nudot
+        amounts = np.concatenate((a, cover.dry + gains.network + gains.disturbance, nudot))
+        length = np.linalg.norm(own, axis=1)
+        slack = slack + np.einsum("njk,nj,nk->n", off.coriolis_off, speed + a, speed + a)
+        slack += np.einsum("njk,nj,nk->n", length, about + a, about + a)
+        slack += np.einsum("nk,nk->n", np.linalg.norm(by_error, axis=1), about)
+        accelerations = np.einsum("nij,nj->ni", Lt, cover.nudot)
+        heavy = np.linalg.norm(Lt, axis=1)
+        jolt = cover.mass_off * (np.linalg.norm(accelerations, axis=1) + heavy @ nudot)
+        jolt += cover.high * np.einsum("ni,ni->n", heavy, cover.nudot_off)
+        arm = Lt[:, :, p - len(gains.K) :] @ (gains.K[:, None] ** 2 * cover.metric.root)
+        return cls(still, accelerations, ways, amounts, slack, jolt, arm, added.arm)
+
+    def size(self, cover: Cover, V: Array, weights: Array) -> Array:
+        """(..., N) largest `|u|_R`, normalised, for `R = V diag(weights) V'`; V (N, p, p), weights (..., N, p)."""
+        widest = np.sqrt(weights.max(axis=-1))
+        Vt = V.swapaxes(1, 2)
+        centre = np.einsum("nij,nj->ni", Vt, self.still + self.moved)
+        size = np.sqrt((weights * centre**2).sum(axis=-1))
+        size = size + spread(Vt @ self.ways, weights, self.amounts)
+        if self.arm.shape[2]:
+            arm = Vt @ self.arm
+            size += self.arm_size * np.sqrt(
+                np.linalg.eigvalsh(np.einsum("nia,...ni,nib->...nab", arm, weights, arm))[..., -1]
+            )
+            size += widest * cover.mass_off * self.arm_size * norm(self.arm)
+        return np.asarray(size + widest * (self.slack + self.jolt))
+
+
+def spread(ways: Array, weights: Array, amounts: Array) -> Array:
+    """(..., N) largest `|sum a_k ways_k|`, `|a_k| <= amounts_k`, where squares of entries (N, p) count with weights."""
+    acting = amounts > 0
+    weighed = ways[:, :, acting] * amounts[acting] * np.sqrt(weights)[..., None]
+    return np.asarray(np.sqrt(np.abs(weighed.swapaxes(-1, -2) @ weighed).sum(axis=(-1, -2))))
 
 
 def settle(
-    samples: MotionSamples, added: Drive, forces: Forces, gains: Gains, share: float, constant: float
+    cover: Cover, feed: Feed, forces: Forces, gains: Gains, share: float, constant: float
 ) -> tuple[float, float, float]:
     """Rate, level and margin where `share` of the feedback is left by the hold, which adds `constant` [W]."""
-    K, lost = dissipation(samples, added, share * gains.lower)
-    L = samples.root_inverse
-    margin = float((np.linalg.eigvalsh(L @ K @ L.swapaxes(1, 2))[:, 0] - lost).min())
-    if not margin > 0 or not (np.isfinite(forces.around).all() and np.isfinite(constant)):
+    held = cover.L_inv * (share * gains.lower) @ cover.L_inv.swapaxes(1, 2)
+    values, V = np.linalg.eigh(feed.K + held)
+    values = values - feed.lost[:, None]
+    least = values[:, 0]
+    margin = float((least / np.where(least > 0, cover.high, cover.low)).min())
+    if not margin > 0 or not (
+        np.isfinite(forces.amounts).all() and np.isfinite(forces.slack).all() and np.isfinite(constant)
+    ):
         return np.nan, np.inf, margin
     rates = margin * SHARES
-    R = np.linalg.inv(K[None] - (rates[:, None] + lost)[..., None, None] * samples.M)  # (r, N, p, p)
-    MRM = samples.M @ R @ samples.M
-    size = np.sqrt(np.einsum("ni,rnij,nj->rn", forces.centre, R, forces.centre))
-    size += np.sqrt(np.einsum("ni,rnij,nj->rn", forces.around, np.abs(R), forces.around))
-    size += np.sqrt(np.einsum("i,rnij,j->rn", added.nudot, np.abs(MRM[..., :2, :2]), added.nudot))
-    if len(gains.K):
-        scaled = samples.arm_root * (gains.K**2)[:, None]  # K^2 e = scaled y, |y| <= b
-        size += added.arm * np.sqrt(np.linalg.eigvalsh(scaled.T @ MRM[..., 2:, 2:] @ scaled)[..., -1])
-    powers = (size**2).max(axis=1) / 4 + constant
+    weights = 1 / (values - (rates[:, None] * cover.high)[..., None])  # (r, N, p)
+    powers = (forces.size(cover, V, weights) ** 2).max(axis=1) / 4 + constant
     best = int(np.argmin(powers / rates))
     return float(rates[best]), float(powers[best] / (2 * rates[best])), margin
 
 
-def push(samples: MotionSamples, added: Drive, forces: Forces, energy: float, gains: Gains) -> float:
+def drivers(cover: Cover, added: Drive, energy: float, gains: Gains, names: Sequence[str]) -> dict[str, float]:
+    """What drives s in a box of errors, the most first: shares of the sum of their sizes in the metric of the feedback.
+
+    Args:
+        cover: Where the robot may be.
+        added: What the errors do to the reference velocity.
+        energy: Of the errors in velocity at most [J].
+        gains: What the controller does.
+        names: (p,) of the velocities.
+    """
+    forces, feed, p = Forces.of(cover, added, energy, gains), Feed.of(cover, added), len(names)
+    held = cover.L_inv * gains.lower @ cover.L_inv.swapaxes(1, 2)
+    values, V = np.linalg.eigh(feed.K + held)
+    weights = 1 / np.maximum(values - feed.lost[:, None], 1e-3 * values[:, -1:])
+    k = int(np.argmax(forces.size(cover, V, weights)))
+    Vt, weights = V[k].T, weights[k]
+    widest = float(np.sqrt(weights.max()))
+
+    def size(force: Array) -> float:
+        return float(np.sqrt(weights @ (Vt @ force) ** 2))
+
+    weight = cover.L_inv[k] @ cover.postures.gravity[k] * (not gains.weighs)
+    ways = np.array([size(way) for way in forces.ways[k].T]) * forces.amounts
+    found = {"gravity": size(weight), "the reference's own motion": size(forces.still[k] + forces.moved[k] - weight)}
+    shares = ways[p : 2 * p] / np.maximum(forces.amounts[p : 2 * p], 1e-300)
+    given = {"dry friction": cover.dry, "the network": gains.network, "force or noise": gains.disturbance}
+    for what, amounts in given.items():
+        found |= {f"{what} on {name}": float(one) for name, one in zip(names, shares * amounts, strict=True)}
+    arm = forces.arm_size * np.linalg.norm(np.sqrt(weights)[:, None] * (Vt @ forces.arm[k])) if len(gains.K) else 0.0
+    found["errors of pose and arm"] = float(ways[:p].sum() + ways[2 * p :].sum() + arm)
+    found["what terms may be off in a box of postures"] = widest * float(forces.slack[k] + forces.jolt[k])
+    total = max(sum(found.values()), 1e-300)
+    return {what: found[what] / total for what in sorted(found, key=lambda one: -found[one]) if found[what] > 0}
+
+
+def push(cover: Cover, added: Drive, forces: Forces, energy: float, gains: Gains) -> float:
     """Largest `|d s / dt|` in a box in the norm of the gains, without what the feedback does to it."""
-    s, nu, C = np.sqrt(2 * energy * samples.lightest), np.abs(samples.along.nu) + added.nu, np.abs(samples.coriolis)
-    if not (np.isfinite(forces.around).all() and np.isfinite(gains.upper).all()):
+    if not (np.isfinite(forces.amounts).all() and np.isfinite(gains.upper).all()):
         return np.inf
+    own, L_inv, off, low = cover.coriolis, cover.L_inv, cover.postures, cover.low
+    p = len(added.nu)
+    values, V = np.linalg.eigh(L_inv * gains.upper @ L_inv.swapaxes(1, 2))
+    fastest, Vt, one = np.sqrt(values[:, -1]), V.swapaxes(1, 2), np.ones_like(values)
+    size = np.sqrt(2 * energy / low)  # of s: |L' s|
+    # forces, through M^-1 = L^-T (I + ...) L^-1
+    force = slice(0, 2 * p)
+    direct = np.sqrt((values * (Vt @ forces.still[..., None])[..., 0] ** 2).sum(axis=1))
+    direct += spread(Vt @ forces.ways[:, :, force], values, forces.amounts[force])
+    rest = np.linalg.norm(forces.still, axis=1) + spread(forces.ways[:, :, force], one, forces.amounts[force])
+    # of s: C(s) nu_ref, C(nu_ref) s, C(s) s, friction
+    by = L_inv.swapaxes(1, 2)
+    nu, wide = cover.nu, cover.nu_off + added.nu
+    turned = np.einsum("nijk,nk->nij", own, nu) + np.einsum("nijk,nj->nik", own, nu) + L_inv @ cover.viscous
+    turned = turned @ by
+    direct += size * norm(np.sqrt(values)[..., None] * (Vt @ turned))
+    rest = cover.mass_off / low * (rest + size * norm(turned))
+    sides = norm(np.einsum("nijk,njl->nkil", own, by)) + norm(np.einsum("nijk,nkl->njil", own, by))
+    far = np.abs(L_inv)
+    more = np.linalg.norm(far @ off.coriolis_off, axis=1) + np.linalg.norm(
+        far @ off.coriolis_off.swapaxes(1, 2), axis=1
+    )
+    bent = np.einsum("nk,nk->n", sides, wide) + np.einsum("nk,nk->n", more, np.abs(nu) + wide)
+    s = size[:, None] * np.linalg.norm(L_inv, axis=1)
+    both = np.linalg.norm(own, axis=1) + off.coriolis_off
+    bent = size * bent + np.einsum("njk,nj,nk->n", both, s, s) + forces.slack
+    total = direct + fastest * (rest + bent / low)
+    # accelerations of nu_ref
     root = np.sqrt(gains.upper)
-    centre = np.linalg.solve(samples.M, forces.centre[..., None])[..., 0]
-    moved = forces.around + np.abs(samples.viscous) @ s
-    moved += np.einsum("nijk,j,nk->ni", C, s, nu) + np.einsum("nijk,nj,k->ni", C, nu + s, s)
-    around = (np.abs(samples.M_inverse) @ moved[..., None])[..., 0] + added.half @ s
-    around[:, :2] += added.nudot
-    size = np.linalg.norm(root * centre, axis=1) + np.linalg.norm(root * around, axis=1)
-    own = (root[:, None] * added.middle) @ samples.root_inverse.swapaxes(1, 2)
-    size += np.sqrt(2 * energy) * np.linalg.norm(own, ord=2, axis=(1, 2))
+    nudot = np.zeros(p)
+    nudot[:2] = added.nudot
+    total += np.linalg.norm(root * cover.nudot, axis=1)
+    total += np.linalg.norm(root * (cover.nudot_off + nudot + s @ added.half.T), axis=1)
+    total += size * norm((root[:, None] * added.middle) @ by)
     if len(gains.K):
-        size += added.arm * np.linalg.norm(root[2:, None] * (gains.K**2)[:, None] * samples.arm_root, ord=2)
-    return float(size.max())
+        total += added.arm * np.linalg.norm(root[2:, None] * (gains.K**2)[:, None] * cover.metric.root, ord=2)
+    return float(total.max())
 
 
-def dissipation(samples: MotionSamples, added: Drive, gain: Array) -> tuple[Array, Array]:
-    """K (N, p, p) in the middle of the box, and the rates (N,) that the rest of the box may take from it, times M."""
-    driven = np.einsum("nij,jk->nik", samples.M, added.middle)
-    K = np.diag(gain) + samples.viscous - driven + np.einsum("nijk,nk->nij", samples.coriolis, samples.along.nu)
-    lost = np.einsum("nik,ik->n", samples.shears, added.half) + samples.gyration @ added.nu
-    return (K + K.swapaxes(1, 2)) / 2, lost
+@dataclass(frozen=True, eq=False)
+class Feed:
+    """The quadratic form in s but for the feedback, normalised.
+
+    Attributes:
+        K: (N, p, p) of `viscous - sym(M Az) + sym(C(., nu_ref))` in the middle of the box.
+        lost: (N,) what it may have less elsewhere.
+    """
+
+    K: Array
+    lost: Array
+
+    @classmethod
+    def of(cls, cover: Cover, added: Drive) -> Feed:
+        """In one box."""
+        Lt, L_inv, off, own = cover.L.swapaxes(1, 2), cover.L_inv, cover.postures, cover.coriolis
+        by = L_inv.swapaxes(1, 2)
+        driven = Lt @ added.middle @ by
+        K = L_inv @ cover.viscous @ by - driven + np.einsum("nijk,nk->nij", own, cover.nu) @ by
+        turned = np.einsum("nijk,njl->nkil", own, by)
+        gyration = norm((turned + turned.swapaxes(2, 3)) / 2) + off.gyration_off
+        lost = np.einsum("nk,nk->n", gyration, cover.nu_off + added.nu)
+        lost += np.einsum("nk,nk->n", off.gyration_off, np.abs(cover.nu)) + cover.mass_off * norm(driven)
+        # s' M E_ik s = (a_i x) (b_k x) for M0, a_i and b_k columns of L' and L^-1
+        a, b = np.linalg.norm(Lt, axis=1), np.linalg.norm(L_inv, axis=1)
+        shears = np.abs(np.eye(len(added.nu))) / 2 + (0.5 + cover.mass_off)[:, None, None] * a[:, :, None] * b[:, None]
+        lost += np.einsum("nik,ik->n", shears, added.half)
+        return cls((K + K.swapaxes(1, 2)) / 2, lost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,6 +310,7 @@ class Gains:
         disturbance: (p,) largest external force, noise times the gains included [N, N m].
         period: Control period [s].
         late: Largest time from a sample to when its command is in force [s].
+        weighs: Whether it adds the gravity at the joints of the sample.
     """
 
     lower: Array
@@ -187,6 +320,7 @@ class Gains:
     disturbance: Array
     period: float
     late: float = 0.0
+    weighs: bool = False
 
     @property
     def oldest(self) -> float:
@@ -250,165 +384,3 @@ def input_matrix(pose: PoseBound, reach: PoseSet, K: Array) -> tuple[Array, Arra
     middle[1, 1] = (low + high) / 2
     half[1, 1] = (high - low) / 2 + pose.ky * pose.fastest * reach.ex
     return middle, half
-
-
-@dataclass(frozen=True, eq=False)
-class Along:
-    """A reference at N instants.
-
-    Attributes:
-        v_ref: (N, 2) vr, wr [m/s, rad/s].
-        a_ref: (N, 2) their derivatives.
-        q_ref: (N, n) [rad or m].
-        qdot_ref: (N, n).
-        qddot_ref: (N, n).
-        pose_ref: (N, 3) [m, m, rad].
-    """
-
-    v_ref: Array
-    a_ref: Array
-    q_ref: Array
-    qdot_ref: Array
-    qddot_ref: Array
-    pose_ref: Array
-
-    def at(self, places: IntArray) -> Along:
-        """The reference at some of the instants."""
-        return Along(*(getattr(self, name)[places] for name in self.__dataclass_fields__))
-
-    @property
-    def nu(self) -> Array:
-        """Velocities without any error, (N, p)."""
-        return np.concatenate((self.v_ref, self.qdot_ref), axis=1)
-
-    @property
-    def nudot(self) -> Array:
-        """Accelerations without any error, (N, p)."""
-        return np.concatenate((self.a_ref, self.qddot_ref), axis=1)
-
-
-@dataclass(frozen=True, eq=False)
-class MotionSamples:
-    """Terms of the reduced dynamics at N instants of a reference.
-
-    Args:
-        along: The reference there.
-        q: (N, n) the arm's configurations, off the reference by up to `spread` [rad or m].
-        M: (N, p, p) mass matrices.
-        coriolis: (N, p, p, p): `C(q, nu)_ik = sum_j coriolis_ijk nu_j`.
-        gravity: (N, p).
-        viscous: (p, p) viscous friction on nu, positive semi-definite.
-        dry: (p,) largest dry friction on nu.
-        spread: (n,) half-width of the box of the arm's offsets from the reference [rad or m].
-        decoupled: Whether the size of arm errors counts every joint by itself, see `arm_metric`.
-    """
-
-    along: Along
-    q: Array
-    M: Array
-    coriolis: Array
-    gravity: Array
-    viscous: Array
-    dry: Array
-    spread: Array
-    decoupled: bool = False
-    root_inverse: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "root_inverse", np.linalg.inv(np.linalg.cholesky(self.M)))
-
-    def thinned(self, step: int) -> MotionSamples:
-        """Every step-th sample."""
-        keep = np.arange(0, len(self.M), step)
-        M, C, gravity = self.M[keep], self.coriolis[keep], self.gravity[keep]
-        return replace(self, along=self.along.at(keep), q=self.q[keep], M=M, coriolis=C, gravity=gravity)
-
-    @cached_property
-    def M_inverse(self) -> Array:
-        """(N, p, p)."""
-        return np.asarray(np.linalg.inv(self.M))
-
-    @cached_property
-    def lightest(self) -> Array:
-        """(p,) largest `(M^-1)_ii`: an energy E of the errors allows `|s_i| <= sqrt(2 E (M^-1)_ii)`."""
-        return np.asarray(np.einsum("nii->ni", self.M_inverse).max(axis=0))
-
-    def fastest(self, gain: Array) -> float:
-        """Largest eigenvalue of `M^-1 diag(gain)` [1/s]; inf for gains (p,) without bound."""
-        if not np.isfinite(gain).all():
-            return np.inf
-        L = self.root_inverse
-        return float(np.linalg.eigvalsh(L * gain @ L.swapaxes(1, 2)).max())
-
-    @cached_property
-    def arm_metric(self) -> Array:
-        """N (n, n): the size of an arm error e is `sqrt(e' N e)`.
-
-        The arm's inertia with the base free; `decoupled` the inverse of what is on the diagonal of its inverse.
-        """
-        mean = self.M_inverse[:, 2:, 2:].mean(axis=0)
-        return np.diag(1 / np.diag(mean)) if self.decoupled else np.asarray(np.linalg.inv(mean))
-
-    @cached_property
-    def arm_root(self) -> Array:
-        """(n, n): `e = arm_root y` with |y| the size of e."""
-        return np.linalg.inv(np.linalg.cholesky(self.arm_metric)).T
-
-    @cached_property
-    def joint_reach(self) -> Array:
-        """(n,) largest |e_i| for a size of 1."""
-        return np.linalg.norm(self.arm_root, axis=1)
-
-    @cached_property
-    def arm_gain(self) -> float:
-        """Largest `|r|_N / sqrt(s' M s)`."""
-        if not self.M.shape[1] > 2:
-            return 0.0
-        root = np.linalg.cholesky(self.arm_metric)
-        return float(np.sqrt(np.linalg.eigvalsh(root.T @ self.M_inverse[:, 2:, 2:] @ root).max()))
-
-    def arm_decay(self, K: Array) -> float:
-        """Rate at which the size of the arm errors decays for r = 0 [1/s]: of `e' N e`, with edot = r - K e, K (n,)."""
-        N = self.arm_metric
-        if not len(N):
-            return np.inf
-        L, NK = np.linalg.inv(np.linalg.cholesky(N)), N * K
-        return float(np.linalg.eigvalsh(L @ (NK + NK.T) @ L.T / 2)[0])
-
-    @cached_property
-    def gyration(self) -> Array:
-        """(N, p) rates: `|s' C(q, s) e_k| <= gyration_k s' M s`."""
-        return self.rate(self.coriolis.transpose(0, 3, 1, 2))
-
-    @cached_property
-    def shears(self) -> Array:
-        """(N, p, p) rates: `|s' M E_ik s| <= shears_ik s' M s`, E_ik the matrix with a single 1."""
-        p = self.M.shape[1]
-        return self.rate(np.einsum("nij,ujk->nuik", self.M, np.eye(p * p).reshape(p * p, p, p))).reshape(-1, p, p)
-
-    def rate(self, X: Array) -> Array:
-        """Largest `|s' X s| / s' M s` of matrices (N, k, p, p); (N, k) [1/s]."""
-        L = self.root_inverse[:, None]
-        return np.asarray(np.abs(np.linalg.eigvalsh(L @ ((X + X.swapaxes(2, 3)) / 2) @ L.swapaxes(2, 3))).max(axis=-1))
-
-
-def sample(robot: Robot, along: Along, spread: Array, seed: int = 0, samples: int = SAMPLES) -> MotionSamples:
-    """Terms along a whole reference (T instants), `samples` of them, the arm spread around it."""
-    rng, n, dynamics = np.random.default_rng(seed), robot.dimensions.arm, Dynamics(robot)
-    places = np.unique(np.linspace(0, len(along.v_ref) - 1, samples).astype(int))
-    places = np.resize(places, samples)  # a short reference is sampled again with other offsets
-    offsets = rng.uniform(-1, 1, (samples, n))
-    offsets[: samples * 3 // 4] = np.where(offsets[: samples * 3 // 4] < 0, -1.0, 1.0)
-    offsets[::4] = 0.0
-    rng.shuffle(offsets)
-    here, p = along.at(places), robot.dimensions.dof
-    M, C, g = np.zeros((samples, p, p)), np.zeros((samples, p, p, p)), np.zeros((samples, p))
-    position = robot.neutral_position()
-    for k in range(samples):
-        position[robot.arm_index] = here.q_ref[k] + offsets[k] * spread
-        placed = robot.follow(position)
-        M[k], g[k] = dynamics.mass_matrix(placed), dynamics.gravity(placed)
-        for j, unit in enumerate(np.eye(p)):
-            C[k, :, j, :] = dynamics.coriolis_matrix(placed, unit)
-    dry = np.abs(robot.T).T @ robot.dry[:, :2].sum(axis=1)
-    return MotionSamples(here, here.q_ref + offsets * spread, M, C, g, viscous_friction(robot), dry, spread)

@@ -20,9 +20,11 @@ from mmnn_pin.cli import main
 from mmnn_pin.disturbance import Push
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.proof.certificate import Box, Boxes, Certificate, Faces, certify
+from mmnn_pin.lab.proof.boxes import Box, Boxes, Faces
+from mmnn_pin.lab.proof.certificate import Certificate, certify
 from mmnn_pin.lab.proof.certified_loop import certified_loop, refusal
 from mmnn_pin.lab.proof.certified_run import Sizes, sizes_of
+from mmnn_pin.lab.proof.motion_bound import drivers
 from mmnn_pin.lab.proof.rate import Rate, rate_of
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.loop.before_run import Start
@@ -53,7 +55,7 @@ def test_a_region_is_certified_and_its_boxes_shrink() -> None:
     assert region.reach.ex > 0.05 and region.joints.min() > 0.05
     for faces in found.faces[:-1]:  # what the chain of section 5 needs of each step
         assert faces.motion.level < faces.box.energy or faces is found.faces[-2]
-    assert {constant.source for constant in found.constants} == {"given", "computed", "sampled"}
+    assert {constant.source for constant in found.constants} == {"given", "computed", "bounded"}
 
 
 def test_it_takes_less_where_there_is_more_to_fear() -> None:
@@ -69,6 +71,26 @@ def test_it_takes_less_where_there_is_more_to_fear() -> None:
         learner_loop(disturbance=FORCE, F=(2.0, 2.0)),
     ):
         assert not Boxes(loop, box).faces(box).invariant
+
+
+def test_what_fails_says_what_to_change_and_what_drives_the_energy() -> None:
+    """A force on one velocity, dry friction of one joint, no network: each is named first where it is the largest."""
+    assert certificate().remedy == ""
+    box = certificate().region.box
+    slow = Certificate(boxes := Boxes(learner_loop(disturbance=FORCE, period=8 * PERIOD), box), [boxes.faces(box)])
+    assert slow.remedy == "a shorter control period, or weaker feedback of the lightest joint"
+    for loop, most in (
+        (learner_loop(disturbance=np.array([0.0, 0.0, 30.0, 0.0])), "force or noise on arm_1_joint"),
+        (
+            replace(learner_loop(), robot=certified_robot().with_joint_friction(0.0, (0.0, 20.0))),
+            "dry friction on arm_2",
+        ),
+        (learner_loop(hidden=800), "the network on arm_2_joint"),
+    ):
+        found = Certificate(boxes := Boxes(loop, box), [boxes.faces(box)])
+        assert "what drives it most: " + most in found.remedy
+        shares = drivers(boxes.cover(box), boxes.drive(box), box.energy, boxes.gains, NAMES)
+        assert sum(shares.values()) == pytest.approx(1.0) and next(iter(shares)).startswith(most)
 
 
 def test_a_projection_bounds_what_no_leakage_does() -> None:
@@ -94,15 +116,16 @@ def test_on_the_faces_of_the_region_the_worst_velocity_error_pulls_inward() -> N
     """Pose and arm: s of the region's energy in the direction that drives the error most, by the kinematics."""
     found, rng = certificate(), np.random.default_rng(0)
     loop, box = found.boxes.loop, found.region.box
-    N, pose, nearest = loop.samples.arm_metric, loop.pose, -np.inf
+    N, pose, nearest = loop.metric.N, loop.pose, -np.inf
+    masses = found.boxes.cover(box).postures.M
     for _ in range(300):
-        M_inverse = loop.samples.M_inverse[rng.integers(len(loop.samples.M))]
+        M_inverse = np.linalg.inv(masses[rng.integers(len(masses))])
 
         def worst_s(force: np.ndarray, M_inverse: np.ndarray = M_inverse) -> np.ndarray:
             return M_inverse @ force * np.sqrt(2 * box.energy / (force @ M_inverse @ force))
 
         v = rng.standard_normal(2)
-        e = loop.samples.arm_root @ v / np.linalg.norm(v) * box.arm
+        e = loop.metric.root @ v / np.linalg.norm(v) * box.arm
         s = worst_s(np.concatenate(([0, 0], N @ e)))
         rate = e @ N @ (s[2:] - loop.K * e)
         assert rate < 0
@@ -129,13 +152,13 @@ def test_on_the_faces_of_the_region_the_worst_velocity_error_pulls_inward() -> N
 
 def start_in(region: Faces, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A state of the region from 9 numbers in [-1, 1]: pose error, arm error, s, each scaled onto its face if large."""
-    loop, samples = certificate().boxes.loop, certificate().boxes.loop.samples
+    loop = certificate().boxes.loop
     robot, box = loop.robot, region.box
     u, v, s = place[:3], place[3:5], place[5:9]
     error = u / max(np.linalg.norm(u), 1.0) * np.array([1, 1, np.sqrt(loop.pose.ky)]) * box.pose * 1.3
     while loop.pose.size(error[None])[0] > box.pose * 0.999:
         error = error * 0.99
-    e = samples.arm_root @ (v / max(np.linalg.norm(v), 1.0)) * box.arm * 0.999
+    e = loop.metric.root @ (v / max(np.linalg.norm(v), 1.0)) * box.arm * 0.999
     table = loop.along
     phi = -error[2]
     c, sine = np.cos(phi), np.sin(phi)
@@ -357,7 +380,7 @@ def test_the_command_tells_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 @compiled_only
 def test_a_region_and_forces_may_be_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A box just inside the one found is certified, not with a force beyond what it stands, nor a tiny box."""
+    """The next box inside the one found is certified, not with a force beyond what it stands, nor a tiny box."""
     file = tmp_path / "run.h5"
     loop_of(Start((0.01, 0.01, 0.0), moving=True), 0.04).run(file)
 
@@ -366,8 +389,8 @@ def test_a_region_and_forces_may_be_asked_for(tmp_path: Path, capsys: pytest.Cap
         found: dict = json.loads(capsys.readouterr().out)["certificate"]
         return found
 
-    box = certify(certified_loop(Subject.of(Recording.open(file)))).region.box
-    sizes = {name: 0.99 * getattr(box, name) for name in ("pose", "arm", "energy")}
+    box = certify(certified_loop(Subject.of(Recording.open(file)))).faces[1].box
+    sizes = {name: getattr(box, name) for name in ("pose", "arm", "energy")}
     region = [f"--region={name}={value!r}" for name, value in sizes.items()]
     found = told(*region)
     assert found["holds"] and found["region_asked_for"]
@@ -404,6 +427,6 @@ def test_chapter_4_fails_by_its_gains_and_its_period() -> None:
     found = certify(certified_loop(Subject.of(run)))
     failed = {condition.name: condition.value for condition in found.conditions if not condition.holds}
     assert not found.holds and {"feedback", "period"} <= set(failed)
-    M11 = found.boxes.samples.M[0, 0, 0]
+    M11 = found.boxes.cover(found.region.box).postures.M[0, 0, 0]
     assert failed["feedback"] <= 500 / M11 - 10 + 1e-6 < 0
     assert kinematic().kx < 500 / M11

@@ -11,10 +11,12 @@ from certified import DIAGONAL, PERIOD, kinematic, learner_loop, loop_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from proofs import SLOW
+from robots import mobile_arm
 
 from mmnn_pin import PD, Feedback, Hold, Line, Timing, Trajectory, load
 from mmnn_pin.actuator.settings import Actuator
-from mmnn_pin.lab.proof.certificate import Box, Boxes, Certificate, certify
+from mmnn_pin.lab.proof.boxes import Box, Boxes
+from mmnn_pin.lab.proof.certificate import Certificate, certify
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop, certified_loop, drift, jump, refusal
 from mmnn_pin.lab.proof.certified_run import compare, sizes_of
 from mmnn_pin.lab.proof.motion_bound import Gains, motion_bound, stale
@@ -22,10 +24,14 @@ from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.lab.show.proof.text import side
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.latency import Latency
+from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.reference import Table
 from mmnn_pin.reference.path import BasePath, BaseSamples
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
+from mmnn_pin.torque.classical import PDGravity
 
 compiled_only = pytest.mark.skipif(SLOW, reason="thousands of uncompiled steps")
 BRIEF = PERIOD / 4  # [s]
@@ -51,24 +57,64 @@ def pd_run(duration: float = 0.3, start: Start | None = None, **more: object) ->
 def test_arm_errors_shrink_in_their_metric_whatever_the_gains_are(k1: float, k2: float, seed: int) -> None:
     """Along edot = -K e; in the metric of the inertia they need not, and nothing is held there."""
     loop = learner_loop(K=(k1, k2))
-    e, N = np.random.default_rng(seed).standard_normal(2), loop.samples.arm_metric
+    e, N = np.random.default_rng(seed).standard_normal(2), loop.metric.N
     assert 0 < loop.arm_decay <= min(k1, k2) * (1 + 1e-9)
     assert -(e @ N @ (loop.K * e)) <= -loop.arm_decay * (e @ N @ e) * (1 - 1e-9)
-    coupled = replace(loop.samples, decoupled=False)
-    if coupled.arm_decay(loop.K) <= 0:
+    coupled = learner_loop(K=3.0).metric
+    if coupled.decay(loop.K) <= 0:
         box = Box(0.02, 0.005, 0.002)
         loop = learner_loop(K=(k1, k2))
-        loop.__dict__["samples"] = coupled  # what is cached
+        loop.__dict__["metric"] = coupled  # what is cached
         assert Boxes(loop, box).arm_stands(box) == np.inf
 
 
 def test_the_metric_of_the_inertia_is_left_where_gains_differ_much() -> None:
     """Its size grows from a place on the face of a small box, at first, that was taken for held."""
     loop = learner_loop(K=(1.0, 12.0))
-    assert loop.samples.decoupled and not learner_loop(K=3.0).samples.decoupled
-    N = replace(loop.samples, decoupled=False).arm_metric
+    N = learner_loop(K=3.0).metric.N
+    assert loop.metric.N[0, 1] == 0 and N[0, 1] != 0
     values, vectors = np.linalg.eigh(N * loop.K + (N * loop.K).T)
     assert values[0] < 0 and vectors[:, 0] @ N @ (loop.K * vectors[:, 0]) < 0
+
+
+# -- gravity that the controller adds ----------------------------------------------------------------------------------
+
+
+@cache
+def weighed(factor: float = 1.0) -> Subject:
+    """A Subject whose controller adds the gravity of a robot with masses of a factor."""
+    robot, period = mobile_arm(2), 2e-4
+    inertia = 1 / np.diag(np.linalg.inv(Dynamics(robot).mass_matrix(robot.neutral_position())))
+    regressor = Regressor.of(robot)
+    gain = Feedback(tuple((100 * inertia[:2]).tolist()), tuple((100 * inertia[2:]).tolist()))
+    control = PDGravity(feedback=gain, motion=regressor, theta=factor * parameters(robot))
+    path = Trajectory(Line(speed=0.3), (Hold(0.1), Hold(0.2)))
+    timing = Timing(0.02, period, period)
+    return pd_run(0.02, controller=control, robot=robot, trajectory=path, timing=timing)
+
+
+@compiled_only
+def test_gravity_that_the_controller_adds_counts_by_what_changes_within_the_hold() -> None:
+    assert Dynamics(weighed().robot).feels_gravity
+    loop = certified_loop(weighed())
+    assert loop.weighs and refusal(weighed()) == ""
+    assert "nor PD with the gravity of the robot" in refusal(weighed(1.1))
+    box = Box(0.02, 0.01, 1e-3)
+    with_it, without = (Boxes(one, box).faces(box).motion.level for one in (loop, replace(loop, weighs=False)))
+    assert with_it < 0.1 * without
+    rng, cover = np.random.default_rng(0), loop.cover(box.arm)
+    dynamics, position = Dynamics(loop.robot), loop.robot.neutral_position()
+    age, most = 2e-4, cover.old_gravity(np.full(4, 0.1), box.energy, 2e-4)
+    assert np.isfinite(most).all() and np.isinf(cover.old_gravity(np.full(4, 100.0), box.energy, 2e-4)).all()
+    speed = np.abs(cover.nu) + cover.nu_off + 0.1 + np.sqrt(2 * box.energy * cover.lightest)
+    for _ in range(100):
+        k = rng.integers(len(most))
+        half = cover.postures.half[k] - cover.beyond
+        q, terms = cover.postures.q[k] + half * rng.uniform(-1, 1, 2), []
+        for at in (q, q - age * speed[k, 2:] * rng.choice((-1, 1), 2)):
+            position[loop.robot.arm_index] = at
+            terms.append(dynamics.gravity(loop.robot.follow(position)))
+        assert np.linalg.norm(cover.L_inv[k] @ (terms[0] - terms[1])) <= most[k] * (1 + 1e-9)
 
 
 # -- the hold, and where nothing drives ------------------------------------------------------------------------------
@@ -80,9 +126,9 @@ def test_a_period_that_takes_all_of_the_feedback_holds_nothing_however_strong_th
     loop = replace(learner_loop(), robot=robot, learner=None, gain=20.0 * DIAGONAL, period=period)
     box = Box(0.08, 0.4, 1.0)
     boxes = Boxes(loop, box)
-    found = motion_bound(loop.samples, boxes.drive(box), box.energy, boxes.gains)
+    found = motion_bound(boxes.cover(box), boxes.drive(box), box.energy, boxes.gains)
     assert period * found.fastest > 0.5 and found.margin > 0 and found.level == np.inf
-    brief = motion_bound(loop.samples, boxes.drive(box), box.energy, replace(boxes.gains, period=1e-4))
+    brief = motion_bound(boxes.cover(box), boxes.drive(box), box.energy, replace(boxes.gains, period=1e-4))
     assert np.isfinite(brief.level)
 
 

@@ -254,14 +254,14 @@ def verdict(certificate: Certificate) -> str:
     if certificate.holds:
         return (
             "Holds: from every error in the region, with any weights that the update can reach and any force within d, "
-            "the sampled loop never leaves it and ends up in the bound. Sampled constants are the largest over "
-            f"{len(certificate.boxes.samples.M)} configurations along the reference."
+            "the sampled loop never leaves it and ends up in the bound. M, C and gravity are bounded over "
+            f"{len(certificate.boxes.cover(certificate.region.box).nu)} boxes of postures that hold all it can reach."
         )
     failed = [c for c in certificate.conditions if not c.holds]
     why = "; ".join(f"{c.name}: {side(c.value)} is not {c.need} {side(c.limit)}" for c in failed)
     none = "No region was found. At the one nearest to it"
     where = "The region asked for is not shown to be invariant" if certificate.asked else none
-    return f"FAILS. {where}: {why}. That proves nothing against the loop."
+    return f"FAILS. {where}: {why}. That proves nothing against the loop. What would help: {certificate.remedy}."
 
 
 def side(value: float) -> str:
@@ -329,10 +329,16 @@ def run_sentence(run: Comparison) -> str:
 
 
 def constant_table(certificate: Certificate) -> Table:
-    """A row per constant, with its source."""
+    """A row per constant, with its source, and beside what is bounded how far it is from the worst that was sampled."""
     columns = words("constant"), Column("value", fold=True), *map(words, ("unit", "source", "what it is"))
     rows = (
-        row_of(c.name, side(c.value) if math.isfinite(c.value) else "none", c.unit, c.source, c.words)
+        row_of(
+            c.name,
+            side(c.value) if math.isfinite(c.value) else "none",
+            c.unit,
+            c.source,
+            c.words if c.loose is None else f"{c.words} ({c.loose:.3g} times off what samples have)",
+        )
         for c in certificate.constants
     )
     return Table("Constants", columns, tuple(rows))
