@@ -1,8 +1,7 @@
 """The interface of a torque controller: velocity command and measurement in, generalized torque out.
 
-A controller's settings are frozen; what it remembers is a `ControllerState`, so that a run can be frozen, resumed, or
-started twice. A `CompiledController` is one of this package: a `Law`, which `torque.law` steps in every engine; a
-`TorqueController` is a user's in plain Python, for the ordinary loop.
+Settings are frozen; what a controller remembers is a `ControllerState`, so that a run can be resumed, or started twice.
+A `CompiledController` is one of this package, a `Law`; a `TorqueController` a user's, for the ordinary loop.
 """
 
 from __future__ import annotations
@@ -58,10 +57,10 @@ class Context:
 
 @dataclass
 class ControllerState:
-    """What a controller remembers between samples: one flat array, and named views into it.
+    """What a controller remembers between samples.
 
     Attributes:
-        values: (size,) everything, float64.
+        values: (size,) all of it, float64; parts are named views into it.
         shapes: Name and shape of each part, in the order in which they stand in `values`.
     """
 
@@ -131,8 +130,8 @@ class Machine(NamedTuple):
 
     def strength(self, K: Array) -> float:
         """What the motors of the arm can give over its gains, the median of the joints [rad/s]; 0 without limits."""
-        n = self.effort.size
-        return float(np.median(self.effort / K[K.size - n :])) if n and np.isfinite(self.effort).all() else 0.0
+        known = self.effort.size and np.isfinite(self.effort).all()
+        return float(np.median(self.effort / K[-self.effort.size :])) if known else 0.0
 
 
 class Told(Protocol):
