@@ -16,6 +16,7 @@ import pytest
 from hypothesis import settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the tests run side by side; read when numpy is imported
+os.environ.pop("COLUMNS", None)  # the terminal's width is a test's own; the workers of pytest-xdist are given one
 
 # A shell that starts the tests in the background lets them ignore Ctrl-C; tests of Ctrl-C need it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
