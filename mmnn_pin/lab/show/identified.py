@@ -50,6 +50,9 @@ def headline(report: dict[str, Any]) -> str:
     ours, urdf, alone = (percent(report[key]) for key in ("held_out", "urdf_held_out", "friction_held_out"))
     count = sum(joint["identified"] for joint in report["joints"].values())
     word = "better than" if report["better"] else "NOT better than both"
+    numbers = [report[key] for key in ("held_out", "urdf_held_out", "friction_held_out")]
+    if not report["better"] and None not in numbers and numbers[0] < min(numbers[1:]):
+        word = f"of what a URDF can hold of it {percent(report['without_toml_held_out'])}: NOT better than both"
     if not report["plausible"]:
         any_numbers = percent(report["least_squares_held_out"])
         word = f"NOT believed (least squares without regard to masses: {any_numbers}), beside"

@@ -28,6 +28,7 @@ from mmnn_pin.deploy.identify.least_squares import Base
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.report import inertia_of, links_of, report_of
 from mmnn_pin.errors import ConfigError, InputError, MmnnError, RecordingError, UnknownName
+from mmnn_pin.lab.show.identified import headline, percent
 from mmnn_pin.model.inspection import inspection_of
 from mmnn_pin.model.loading import load_with
 from mmnn_pin.model.robot import Robot
@@ -477,3 +478,8 @@ def test_a_fit_that_a_urdf_cannot_hold_is_not_better(found: Identification) -> N
     other.__dict__["in_urdf"] = 3.0 * found.unknowns.prior
     assert not other.helps_in_urdf and not other.better
     assert "constants and rotors" in why_nothing(other)
+    held, before = (percent(other.error(model)) for model in ("urdf_file", "urdf"))
+    assert f"of what a URDF can hold of it {held}: NOT better than both the URDF ({before})" in headline(
+        report_of(other)
+    )
+    assert "better than the URDF" in headline(report_of(found))
