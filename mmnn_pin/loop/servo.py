@@ -179,8 +179,8 @@ def require_no_torque_regressor(controller: CompiledController | TorqueControlle
     """
     learner = controller.law(context).learner if isinstance(controller, CompiledController) else None
     if learner is not None and KERNELS[type(learner)].settle is not nothing_to_keep:
-        why = "it learns from the torque of every velocity, and on a velocity interface there is none to know"
-        fix = "use pd, computed_torque, two_layer, one_layer, adaptive or disturbance_observer"
+        why = "it goes by the torque of every velocity, and on a velocity interface there is none to know"
+        fix = "use pd, pd_gravity, computed_torque, two_layer, one_layer, adaptive or disturbance_observer"
         raise ConfigError(f"{controller.name} on a velocity interface", why=why, fix=fix, key="interfaces")
 
 
