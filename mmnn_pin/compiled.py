@@ -31,12 +31,14 @@ import hashlib
 import os
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property, partial, wraps
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
@@ -139,7 +141,7 @@ def cache_root() -> Path:
 @cache
 def cache_folder() -> Path | None:
     """Folder for the code compiled from exactly these sources, None where nothing can be written."""
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(numba.__version__.encode())  # of two versions neither reads what the other keeps
     package = Path(__file__).parent
     for source in sorted(package.rglob("*.py")):
         text = source.read_bytes()
@@ -158,15 +160,33 @@ class OwnNames(IndexDataCacheFile):
 
     numba numbers them. Of two processes that compile at the same time each may give one number to another signature,
     and then a run calls code that was made for other arguments, and crashes. Where one overwrites what the other has
-    entered in the index, that is compiled once more.
+    entered in the index, that is compiled once more. A file that a crash left empty or cut off counts as none, and code
+    that does not fit on the disk is not kept.
     """
 
     def save(self, key: Any, data: Any) -> None:
         """Keep code; first itself, then its name."""
+        with suppress(OSError):
+            self._keep(key, data)
+
+    def _keep(self, key: Any, data: Any) -> None:
         entries = self._load_index()
         name = entries.get(key) or self._data_name(int(hashlib.sha256(self._dump(key)).hexdigest()[:15], 16))
         self._save_data(name, data)
         self._save_index(entries | {key: name})
+
+    def load(self, key: Any) -> Any:
+        """What is kept; None for nothing that can be read."""
+        try:
+            return super().load(key)
+        except (OSError, EOFError, UnpicklingError):
+            return None
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            return dict(super()._load_index())
+        except (EOFError, UnpicklingError):
+            return {}
 
 
 def is_warm() -> bool:

@@ -53,7 +53,8 @@ class InputError(MmnnError):
         return restored, (type(self), self.args, self.__dict__)  # an error comes back from a process as it was
 
     def __str__(self) -> str:
-        key = f"{self.option} {self.key}" if self.option and self.key else self.key
+        given = self.option and self.key and self.line is None  # else a file has the key, on that line
+        key = f"{self.option} {self.key}" if given else self.key
         where = [str(part) for part in (self.file, self.line, key) if part is not None]
         text = ": ".join(part for part in (self.what, self.why, self.fix) if part)
         return f"{':'.join(where)}: error: {text}" if where else f"error: {text}"

@@ -635,7 +635,9 @@ def watch() -> None:
                 os.path.abspath(os.fsdecode(n)) for n in given[: CHANGES[event]] if isinstance(n, str | bytes | Path)
             ]
             CHANGED.extend(name for name in names if event != "os.mkdir" or not os.path.isdir(name))
-        elif event in ("os.system", "os.exec", "os.posix_spawn", "subprocess.Popen"):
+        elif (
+            event in ("os.system", "os.exec", "os.posix_spawn", "subprocess.Popen") and given[0] != "git"
+        ):  # its commit
             CHANGED.append(f"the program {given[0]}")
 
     sys.addaudithook(hook)

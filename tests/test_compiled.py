@@ -382,5 +382,30 @@ def test_processes_that_compile_at_the_same_time_do_not_take_each_others_code(tm
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is kept")
+@pytest.mark.parametrize("kind", ["nbi", "nbc"])
+@pytest.mark.parametrize("size", [0, 5, 12])
+def test_a_file_that_was_cut_off_counts_as_none_and_is_written_anew(tmp_path, kind, size):
+    files = OwnNames(str(tmp_path), "function", "stamp")
+    files.save("floats", "code for floats")
+    (path,) = tmp_path.glob(f"*.{kind}")
+    os.truncate(path, size)
+    assert files.load("floats") is None
+    files.save("floats", "code for floats")
+    assert files.load("floats") == "code for floats"
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is kept")
+def test_code_that_the_disk_does_not_take_is_not_kept(tmp_path, monkeypatch):
+    files = OwnNames(str(tmp_path), "function", "stamp")
+
+    def full(*arguments: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(files, "_save_data", full)
+    files.save("floats", "code for floats")
+    assert files.load("floats") is None
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is kept")
 def test_all_compiled_functions_keep_their_code_under_own_names():
     assert all(isinstance(made._cache._cache_file, OwnNames) for made in MADE)

@@ -8,15 +8,13 @@ Signals that are kept would have to be copied, so batches that keep some stay he
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
-import sys
 import threading
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -31,6 +29,7 @@ from ..recording.recording import Outcome, Recording
 from ..signals import Array
 from ..torque.controller import CompiledController
 from .controller import with_findings
+from .forking import FORK, Flag, end_with, forks, no_interruption
 from .loop import Loop
 from .setup import Sink
 from .side_by_side import LANES, WARM, WORTH, Lanes, forms_of
@@ -54,10 +53,6 @@ class Run:
 
 
 NOT_STARTED = Run(Outcome("interrupted", 0.0, message="not started"), {}, {})
-FORKED = 500_000  # samples of a batch, from which on it goes to processes
-MORE = ("interfaces", "within_limits")
-DECISIVE = ("engine", "timing", "plant", "contact", "sensor", "actuator", "latency", "disturbances", "safety", *MORE)
-FORK: Any = multiprocessing.get_context("fork") if sys.platform == "linux" else None
 
 
 @one_thread
@@ -116,17 +111,19 @@ def simulate_many(
     try:
         for group in here:
             done = told(done + take(group, work.some(group)))
-            if results[0].outcome.status == "interrupted":
+            if any(results[i].outcome.status == "interrupted" for i in group):
                 return results
-        with work.pool(workers) as pool:
+        rest = groups[len(here) :]
+        with work.pool(max(1, min(workers, len(rest)))) as pool:
             try:
-                asked = {work.ask(pool, group): group for group in groups[len(here) :]}
+                for group in rest:
+                    asked[work.ask(pool, group)] = group
                 pending = set(asked)
                 while pending:
                     finished, pending = wait(pending, return_when=FIRST_COMPLETED)
                     done = told(done + sum(take(asked[future], future.result()) for future in finished))
             finally:
-                work.stopped.set()
+                work.end(pool)
     except KeyboardInterrupt:
         for future, group in asked.items():
             if future.done() and not future.cancelled() and future.exception() is None:
@@ -151,7 +148,8 @@ class Work:
     ) -> None:
         self.loops, self.states, self.windows, self.keep, self.forked = loops, states, windows, keep, forked
         self.worth = sum(loop.timing.samples for loop in loops) >= WORTH
-        self.stopped = FORK.Event() if forked else threading.Event()
+        self.stopped = Flag() if forked else threading.Event()
+        self.parent = os.getpid()
 
     def some(self, places: Sequence[int]) -> list[Run]:
         """Make the runs of a group; those that are stopped before they begin, as such."""
@@ -166,43 +164,30 @@ class Work:
             return ThreadPoolExecutor(workers)
         return ProcessPoolExecutor(workers, mp_context=FORK, initializer=inherit, initargs=(self,))
 
+    def end(self, pool: Executor) -> None:
+        """End threads or processes; these are waited for whatever keys are pressed, or nobody would end them."""
+        with no_interruption() if self.forked else nullcontext():
+            self.stopped.set()
+            pool.shutdown(cancel_futures=True)
+
     def ask(self, pool: Executor, places: Sequence[int]) -> Future[list[Run]]:
         """Have the runs of a group made."""
         if not self.forked:
             return pool.submit(self.some, places)
-        with warnings.catch_warnings():
+        with no_interruption(), warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of threads that BLAS has, which rest
             return pool.submit(inherited_work, places)
 
 
 def inherit(work: Work) -> None:
-    """Begin a forked process: Ctrl-C is for its parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Begin a forked process."""
+    end_with(work.parent)
     Work.inherited = work
 
 
 def inherited_work(places: Sequence[int]) -> list[Run]:
     """Runs of a group, in a forked process."""
     return Work.inherited.some(places)
-
-
-def forks(loops: Sequence[Loop], workers: int) -> bool:
-    """Whether a batch goes to processes: where forking is safe and takes less time than it gains.
-
-    The first run compiles for all, so these are alike in all that code depends on. Laws in plain Python stay in this
-    process: their authors may look at them afterwards.
-    """
-    safe = sys.platform == "linux" and threading.active_count() == 1 and not multiprocessing.current_process().daemon
-    large = workers > 1 and sum(loop.timing.samples for loop in loops) >= FORKED
-    first = loops[0].controller
-    return safe and large and isinstance(first, CompiledController) and all(are_alike(loops[0], loop) for loop in loops)
-
-
-def are_alike(one: Loop, other: Loop) -> bool:
-    """Whether the code that steps one loop is that of the other; robots, gains, references and seeds may differ."""
-    first, second = one.controller, other.controller
-    same = one.layout == other.layout and all(getattr(one, name) == getattr(other, name) for name in DECISIVE)
-    return same and one.engine != "ordinary" and type(first) is type(second) and first.name == second.name
 
 
 def groups_of(loops: Sequence[Loop] | Mapping[int, Loop], places: Iterable[int], workers: int) -> list[list[int]]:

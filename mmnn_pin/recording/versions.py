@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 import subprocess
 from functools import cache
@@ -49,7 +50,8 @@ def described(clone: Path) -> str:
     """The commit of a clone, empty where git does not tell it."""
     command = ["git", "-C", str(clone), "describe", "--always", "--abbrev=40", f"--dirty={CHANGED}", "--exclude=*"]
     try:
-        told = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
+        quiet = os.environ | {"GIT_OPTIONAL_LOCKS": "0"}  # it writes nothing
+        told = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False, env=quiet)
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return told.stdout.strip() if told.returncode == 0 else ""

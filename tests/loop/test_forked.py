@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -153,6 +154,67 @@ def test_ctrl_c_of_a_terminal_ends_all_processes_and_keeps_what_is_done():
         os.killpg(running.pid, 0)
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_processes_end_with_their_parent_however_it_ends(number):
+    running = begun(6)
+    os.kill(running.pid, number)
+    running.communicate(timeout=120)  # the output is closed once nobody has it
+    for _ in range(100):
+        if not alive(running.pid):
+            break
+        time.sleep(0.05)
+    assert not alive(running.pid)
+
+
+def alive(group: int) -> bool:
+    """Whether a process group has processes."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_ctrl_c_in_a_second_run_that_is_made_alone_ends_the_batch(forked, monkeypatch):
+    some, calls, me = batch.simulate_group, [], os.getpid()
+
+    def pressed(runs, worth, cancelled):
+        calls.append(runs)
+        made = some(runs, worth, cancelled)
+        return (
+            made
+            if os.getpid() != me or len(calls) < 2
+            else [replace(one, outcome=batch.NOT_STARTED.outcome) for one in made]
+        )
+
+    monkeypatch.setattr(batch, "simulate_group", pressed)
+    late = replace(BASIC, latency=Latency(command=0.002))
+    runs = simulate_many([late] * 9, workers=2)
+    assert [run.outcome.status for run in runs] == ["completed", *["interrupted"] * 8] and len(calls) == 2
+
+
+def test_ctrl_c_while_processes_are_forked_waits_until_they_are(forked, monkeypatch):
+    fork, me, unblocked = os.fork, os.getpid(), []
+
+    def pressed():
+        if os.getpid() == me:
+            os.kill(me, signal.SIGINT)
+        unblocked.append(signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, []))
+        return fork()
+
+    monkeypatch.setattr(os, "fork", pressed)
+    runs = simulate_many([BASIC] * 40, workers=3)
+    assert len(unblocked) == 3 and not any(unblocked) and not multiprocessing.active_children()
+    assert {run.outcome.status for run in runs} <= {"completed", "interrupted"} and runs[-1] == batch.NOT_STARTED
+
+
+def test_no_more_processes_are_forked_than_there_are_groups(forked, monkeypatch):
+    fork, forks = os.fork, []
+    monkeypatch.setattr(os, "fork", lambda: forks.append(1) or fork())
+    simulate_many([replace(BASIC, latency=Latency(command=0.002))] * 6, workers=50)
+    assert len(forks) == 4
+
+
 def test_a_killed_process_is_told():
     running = begun(6)
     mine = [pid for pid in children(running.pid) if b"-c" in Path(f"/proc/{pid}/cmdline").read_bytes()]
@@ -169,6 +231,7 @@ def test_only_large_batches_of_compiled_laws_fork_and_only_where_it_is_safe(monk
     assert not batch.forks(large, 1) and not batch.forks(large[:10], 2)
     other = (replace(large[0], engine="ordinary"), replace(large[0], controller=PD(GAINS)))
     other += (replace(large[0], latency=Latency(command=0.001)), replace(large[0], timing=Timing(duration=4.0)))
+    other += (replace(large[0], robot=replace(ROBOT, effort_limits=np.full_like(ROBOT.effort_limits, np.inf))),)
     assert not any(batch.forks([*large, one], 2) for one in other)
     fitting = (replace(large[0], robot=ROBOT.with_masses(1.2), seed=3), replace(large[0], trajectory=TURN))
     assert all(batch.forks([*large, one], 2) for one in fitting)

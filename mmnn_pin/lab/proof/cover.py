@@ -169,9 +169,8 @@ class Cover:
             kept = np.setdiff1d(np.arange(len(owner)), worst)
             middle, half, at = found.q[worst], found.half[worst].copy(), found.bend[worst].argmax(axis=1)
             rows = np.arange(len(worst))
-            half[rows, at] /= 2
-            step = np.zeros_like(half)
-            step[rows, at] = half[rows, at]
+            step, width = np.zeros_like(half), half[rows, at]
+            half[rows, at], step[rows, at] = (width + beyond) / 2, (width - beyond) / 2
             cut = postures(bodies, np.concatenate((middle - step, middle + step)), np.concatenate((half, half)))
             owner = np.concatenate((owner[kept], owner[worst], owner[worst]))
             found = found.at(kept).joined(cut)
@@ -259,10 +258,12 @@ class Cover:
             energy: Of the errors in velocity at most [J].
             age: In seconds.
         """
-        speed = np.abs(self.nu) + self.nu_off + error + np.sqrt(2 * energy * self.lightest)
+        before = age * (np.abs(self.nudot) + self.nudot_off)  # the command may be as old as the stretch before
+        speed = np.abs(self.nu) + self.nu_off + before + error + np.sqrt(2 * energy * self.lightest)
         moved = age * speed[:, 2:]
         slope = self.postures.gravity_slope
-        return np.where((moved <= self.beyond).all(axis=1), np.einsum("nk,nk->n", slope, moved), np.inf)
+        changed = np.einsum("nk,nk->n", slope, moved) + 2 * self.postures.gravity_wheels  # its wheels stand elsewhere
+        return np.where((moved <= self.beyond).all(axis=1), changed, np.inf)
 
     @cached_property
     def weight(self) -> Array:

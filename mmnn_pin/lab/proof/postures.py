@@ -60,6 +60,7 @@ class Postures:
         gyration_off: (N, p) of the symmetric part of `L^-1 (C - C0)_k L^-T` over i and j at most.
         gravity_off: (N,) `|L^-1 (g - g0)|` at most.
         gravity_slope: (N, n) `|L^-1 dg/dq|` by each joint of the arm at most.
+        gravity_wheels: (N,) what of `gravity_off` the angles of wheels make that are heavier on one side.
         bend: (N, n) what of `mass_off` the positions of each joint of the arm make to first order.
     """
 
@@ -73,6 +74,7 @@ class Postures:
     gyration_off: Array
     gravity_off: Array
     gravity_slope: Array
+    gravity_wheels: Array
     bend: Array
 
     def at(self, places: IntArray | NDArray[np.bool_] | slice) -> Postures:
@@ -181,11 +183,11 @@ class Jets:
 
     def postures(self) -> Postures:
         """The terms and how far off they may be."""
-        mass, coriolis, gyration, gravity, slope = (
+        mass, coriolis, gyration, gravity, slope, wheels = (
             (1 + SLACK) * off for off in (self.mass_off(), *self.coriolis_off(), *self.gravity_off())
         )
         terms = self.q, self.half, self.M, self.C, self.gravity
-        return Postures(*terms, mass, coriolis, gyration, gravity, slope, self.bend())
+        return Postures(*terms, mass, coriolis, gyration, gravity, slope, wheels, self.bend())
 
     def weight(self, K: tuple[int, ...]) -> Array:
         """What a derivative counts with in Taylor's formula at the corners of the boxes, (N,)."""
@@ -302,8 +304,8 @@ class Jets:
             found += norm(self.of_M((k,)))[:, None] * self.half * np.abs(self.bodies.columns[k])
         return found
 
-    def gravity_off(self) -> tuple[Array, Array]:
-        """`gravity_off` and `gravity_slope` of `Postures`."""
+    def gravity_off(self) -> tuple[Array, Array, Array]:
+        """`gravity_off`, `gravity_slope` and `gravity_wheels` of `Postures`."""
         pull = self.signs * self.pull
         centre = {K: norm(pull @ self.Z[K]) for some in self.orders[1:] for K in some}
         found = self.corners([pull @ self.Z[K] for K in self.orders[1]])
@@ -320,7 +322,8 @@ class Jets:
         tilt = sum(u * np.linalg.norm(self.bodies.placements[k][3]) for k, u in self.bodies.uneven)
         strength = np.linalg.norm(self.bodies.g)
         rough = UNIT * self.loose * np.linalg.norm(self.pull)
-        return found + self.uneven * strength * tilt + rough, slope + rough[:, None]
+        wheels = self.uneven * strength * tilt
+        return found + wheels + rough, slope + rough[:, None], wheels
 
     def coriolis_off(self) -> tuple[Array, Array]:
         """`coriolis_off` and `gyration_off` of `Postures`."""

@@ -37,7 +37,7 @@ WRONG = {
     ', "arm_2_joint"]': ("]", "error: nothing commands arm_2_joint: add them to a table [[commands]]"),
     "rate = 100.0": ("rate = 1e5", "FILE:2:rate: error: 100000.0 /s: use 1 to 2000"),
     'robot = "platform_arm"': ('robot = "nobody"', "unknown robot 'nobody'"),
-    "base = 10.0": ("bass = 10.0", "FILE:5:set.feedback: error: unknown key 'bass'"),
+    "base = 10.0": ("bass = 10.0", "FILE:5:set.feedback.bass: error: unknown key 'bass'"),
     "[network]": ("[network", "FILE:8: error: not valid TOML"),
 }
 

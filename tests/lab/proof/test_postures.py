@@ -15,6 +15,7 @@ from robots import fixed_arm, mobile_arm
 from mmnn_pin import load
 from mmnn_pin.errors import RobotError
 from mmnn_pin.lab.proof import postures
+from mmnn_pin.lab.proof.cover import ArmMetric, Cover
 from mmnn_pin.lab.proof.postures import Jets, Postures, norm
 from mmnn_pin.lab.proof.screws import Bodies
 from mmnn_pin.model.dynamics import Dynamics
@@ -143,7 +144,7 @@ def test_gravity_changes_no_faster_than_its_slope(name: str, seed: int) -> None:
     for _ in range(6):
         a, b = (q + half * rng.choice((-1, 1), n) * rng.choice((1.0, rng.random())) for _ in range(2))
         change = L_inv @ (true_terms(robot, a, rng)[2] - true_terms(robot, b, rng)[2])
-        odd = found.gravity_off[0] * bool(bodies_of(name).uneven)  # wheels stand elsewhere
+        odd = 2 * found.gravity_wheels[0]  # wheels stand elsewhere
         assert np.linalg.norm(change) <= found.gravity_slope[0] @ np.abs(a - b) + odd + 1e-9
 
 
@@ -253,6 +254,26 @@ def test_a_wheel_that_is_heavier_on_one_side_is_bounded_at_every_angle() -> None
         assert (beyond <= 0).all()
         worst = max(worst, beyond[0])
     assert worst > -0.95
+
+
+def test_gravity_of_a_wheel_that_is_heavier_on_one_side_is_no_gravity_that_a_controller_adds() -> None:
+    """It knows the joints of the arm, and has the wheels where the robot stands at rest."""
+    robot = robot_of("platform_arm")
+    model = robot.model.copy()
+    joint = model.getJointId(robot.actuator_names[0])
+    body = model.inertias[joint]
+    model.inertias[joint] = pin.Inertia(body.mass, body.lever + np.array([0.01, 0.0, 0.005]), body.inertia)
+    heavy, rng, q = replace(robot, model=model), np.random.default_rng(0), np.array([[0.3, 0.9]])
+    bodies, nothing = Bodies.of(heavy), np.zeros((1, 2))
+    found, zero = postures.postures(bodies, q, nothing), np.zeros((1, 4))
+    metric = ArmMetric(np.eye(2))
+    cover = Cover(zero, zero, zero, zero, found, np.zeros((4, 4)), np.zeros(4), metric, 0.0, 1e-3)
+    L_inv = np.linalg.inv(np.linalg.cholesky(found.M[0]))
+    still = heavy.neutral_position()
+    still[heavy.arm_index] = q[0]
+    added = Dynamics(heavy).gravity(heavy.follow(still))
+    changes = [np.linalg.norm(L_inv @ (true_terms(heavy, q[0], rng)[2] - added)) for _ in range(50)]
+    assert 0.3 < max(changes) <= cover.old_gravity(np.zeros(4), 0.0, 1e-4)[0]
 
 
 def test_what_has_no_bound_says_so() -> None:
