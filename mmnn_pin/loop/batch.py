@@ -14,7 +14,6 @@ import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, cast
@@ -52,6 +51,7 @@ class Run:
     recording: Recording | None = None
 
 
+LOOK = 0.2  # between looks whether Ctrl-C was pressed [s]
 NOT_STARTED = Run(Outcome("interrupted", 0.0, message="not started"), {}, {})
 
 
@@ -114,13 +114,13 @@ def simulate_many(
             if any(results[i].outcome.status == "interrupted" for i in group):
                 return results
         rest = groups[len(here) :]
-        with work.pool(max(1, min(workers, len(rest)))) as pool:
+        with work.pool(max(1, min(workers, len(rest)))) as pool, no_interruption() as pressed:
             try:
                 for group in rest:
                     asked[work.ask(pool, group)] = group
                 pending = set(asked)
-                while pending:
-                    finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+                while pending and not pressed:
+                    finished, pending = wait(pending, LOOK, FIRST_COMPLETED)
                     done = told(done + sum(take(asked[future], future.result()) for future in finished))
             finally:
                 work.end(pool)
@@ -165,16 +165,15 @@ class Work:
         return ProcessPoolExecutor(workers, mp_context=FORK, initializer=inherit, initargs=(self,))
 
     def end(self, pool: Executor) -> None:
-        """End threads or processes; these are waited for whatever keys are pressed, or nobody would end them."""
-        with no_interruption() if self.forked else nullcontext():
-            self.stopped.set()
-            pool.shutdown(cancel_futures=True)
+        """End threads or processes, and wait for them."""
+        self.stopped.set()
+        pool.shutdown(cancel_futures=True)
 
     def ask(self, pool: Executor, places: Sequence[int]) -> Future[list[Run]]:
         """Have the runs of a group made."""
         if not self.forked:
             return pool.submit(self.some, places)
-        with no_interruption(), warnings.catch_warnings():
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of threads that BLAS has, which rest
             return pool.submit(inherited_work, places)
 

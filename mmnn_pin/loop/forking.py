@@ -82,13 +82,29 @@ class Flag:
 
 
 @contextmanager
-def no_interruption() -> Iterator[None]:
-    """Ctrl-C waits: in the midst of forking it would leave processes that nobody ends, or end some at their start."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+def no_interruption() -> Iterator[list[int]]:
+    """Ctrl-C is noted in a list, and comes at the end; the third one comes at once.
+
+    In the midst of forking it would leave processes that nobody ends; in `concurrent.futures.wait`, locks that nobody
+    gives back. A signal that is blocked would reach a thread of BLAS, and Python all the same.
+    """
+    pressed: list[int] = []
+    if threading.current_thread() is not threading.main_thread():  # it does not come here
+        yield pressed
+        return
+
+    def note(number: int, _: object) -> None:
+        pressed.append(number)
+        if len(pressed) > 2:
+            raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, note)
     try:
-        yield
+        yield pressed
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.signal(signal.SIGINT, before)
+        if pressed:
+            signal.raise_signal(signal.SIGINT)
 
 
 def end_with(parent: int) -> None:
@@ -98,7 +114,6 @@ def end_with(parent: int) -> None:
         parent: Its number.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
