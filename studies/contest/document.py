@@ -18,7 +18,6 @@ from .delay import DELAYS, LOST, errors_by_delay
 HERE = Path(__file__).parent
 SUMMARY = HERE / "summary.json"
 Cell = list[float | str | None] | None
-UNITS = {"frozen_base": "mm", "frozen_arm": "mrad"}  # their headings in a terminal say "the same"
 FAR = (  # in the page's table of distances from the best; the CSV file has all
     *("pd_gravity", "pid", "two_layer", "adaptive", "adaptive_composite", "concurrent"),
     *("kalman_regressor", "kalman_friction", ORACLE),
@@ -71,9 +70,8 @@ def rows(summary: dict[str, Any]) -> list[dict[str, Any]]:
         {"task": task, "controller": name, "runs lost": about["lost"][name]}
         | {"over the best": short(summary.get("far", {}).get(name, {}).get(task, ""))}
         | {
-            f"{quantity.key}{f' [{unit}]' if unit else ''}{suffix}": told(row[quantity.key], place)
+            f"{quantity.key}{f' [{quantity.unit}]' if quantity.unit else ''}{suffix}": told(row[quantity.key], place)
             for quantity in (*TRAINING, *KNOWLEDGE)
-            for unit in [UNITS.get(quantity.key, quantity.unit)]
             for suffix, place in (("", 1), (" smallest", 0), (" largest", 2))
         }
         for task, about in summary["tasks"].items()
