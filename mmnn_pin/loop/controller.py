@@ -106,6 +106,7 @@ def context_of(
     lag: Array | None = None,
     way: float = 0.0,
     predicted: float = 0.0,
+    margin: float = 0.0,
 ) -> Context:
     """What a controller is told before a run of a robot; how it moves only where a learning law asks for it.
 
@@ -120,12 +121,14 @@ def context_of(
         lag: (p,) known time constants of the motors, seen from the velocities; None for none [s].
         way: See `Context.way` [s].
         predicted: See `Context.predicted` [s].
+        margin: See `Context.margin` [s].
     """
     told = isinstance(controller, LearningLaw) and controller.knows_motion
     kept = controller.within_limits if within_limits is None else within_limits
     limits = motor_limits(robot.E, robot.effort_limits) if kept else None
     motion = regressor_of(robot) if told else None
-    return Context(layout or Layout.of(robot.dimensions), period, samples, rng, motion, limits, lag, way, predicted)
+    layout = layout or Layout.of(robot.dimensions)
+    return Context(layout, period, samples, rng, motion, limits, lag, way, predicted, margin)
 
 
 def regressor_of(robot: Robot) -> Regressor:

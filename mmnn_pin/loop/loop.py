@@ -257,6 +257,11 @@ class Loop:
         """Known time from the command of a torque to the measurement that shows it, less what is predicted [s]."""
         return self.latency.way(self.timing)
 
+    @property
+    def predicted(self) -> float:
+        """By how much measurements are brought up to now [s]."""
+        return self.latency.caught_up(self.timing)
+
     def delay_margin(self) -> float:
         """Delay between measurement and torque at which the sampled loop turns unstable along the reference [s].
 

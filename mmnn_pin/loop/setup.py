@@ -107,6 +107,10 @@ class Setup(Protocol):
     def behind(self) -> float:
         """Known time from the command of a torque to the measurement that shows it, less what is predicted [s]."""
 
+    @property
+    def predicted(self) -> float:
+        """By how much measurements are brought up to now [s]."""
+
     def streams(self) -> Streams:
         """Random generators of the sensors, of the disturbances and of the commands' delays."""
 
@@ -127,7 +131,8 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
         setup.layout,
         lag=setup.lags,
         way=setup.behind,
-        predicted=setup.latency.caught_up(setup.timing),
+        predicted=setup.predicted,
+        margin=setup.latency.margin,
     )
 
 
@@ -183,6 +188,7 @@ class Outside:
 
     Attributes:
         behind: See `Setup.behind`.
+        predicted: See `Setup.predicted`.
     """
 
     robot: Robot
@@ -204,6 +210,7 @@ class Outside:
     way: float = 0.0
     lag: Numbers = 0.0
     behind: float = 0.0
+    predicted: float = 0.0
 
     @cached_property
     def layout(self) -> Layout:

@@ -166,7 +166,7 @@ class Stepper:
         setup = Outside(
             robot, controller, kinematic, safety, timing, nominal, seed, within_limits, sensor=sensor,
             interfaces=dict(interfaces or {}), servo=servo, lead=lead, way=latency, lag=lag,
-            behind=0.0 if predict else latency,
+            behind=0.0 if predict else latency, predicted=latency if predict else 0.0,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency, layout = period, check_gains, latency, setup.layout

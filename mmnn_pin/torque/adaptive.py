@@ -71,6 +71,7 @@ POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qd
 NU_REF, NUDOT_REF, Z, R = (INDEX[name] for name in ("nu_ref", "nudot_ref", "z", "r"))
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 TAKEN = 0.01  # how often a sample is taken for the excitation [s]
+MEANT = 0.001  # control period that `slowest_learned` is meant for [s]
 EXCITED = 1e-3  # share of what random motion of unit speed excites, above which a direction counts as excited
 
 
@@ -89,8 +90,9 @@ class AdaptiveSettings(Settings, frozen=True):
         rotor: Rate of the rotors' inertias; gamma_j is `rotor c_j^2`. Mostly a link's own inertia says the same: 0.
         leakage: sigma, how fast the estimate is pulled back to its start [1/s].
         share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut. "delays"
-            is `h / (h + d)` of the known delays d, those that are predicted included, so that the answers that do not
-            show yet stay below the feedback.
+            is `h / (h + d)` of the known delays d, those that are predicted and `latency.margin` included, so that the
+            answers that do not show yet stay below the feedback: answers of every sample are an integral with the rate
+            `share / h`, which bears a delay of `h / share` less the hold h.
         modification: "sigma" leaks always, "e" in proportion to |s|.
         bounds: The largest ratio of an estimate to its start, either way.
         heaviest: The largest ratio of an estimate to a body of `mass` and `size`, where it starts from these. Too light
@@ -106,8 +108,8 @@ class AdaptiveSettings(Settings, frozen=True):
         slowest: The prior is made lighter where the inertia that a velocity feels of it is more than this times its
             gain [s]; see `torque.prior`.
         slowest_learned: Bound on the weight of a body that starts from the prior: the inertia that a velocity feels of
-            it is at most this times its gain [s]. Held for a control period, the feedback of a heavier one would not be
-            stable.
+            it is at most this times its gain at a control period of 1 ms, in proportion less at longer ones [s]. Held
+            for a control period, the feedback of a heavier one would not be stable.
 
     Raises:
         ConfigError: A number that is negative, not finite or 0 where it must not be.
@@ -257,7 +259,7 @@ def share_of(settings: AdaptiveSettings, context: Context) -> float:
     if settings.share != "delays":
         return float(settings.share)
     slow = 0.0 if context.lag is None else float(context.lag.max(initial=0.0))
-    late = max(0.0, context.way) + context.predicted + slow
+    late = max(0.0, context.way) + context.predicted + slow + context.margin
     return context.control_period / (context.control_period + late)
 
 
@@ -297,7 +299,7 @@ class Adaptive(ParameterLearner):
             h=float(context.control_period),
             gamma=every[:first:BODY].copy(),
             least=1.0 / own.bounds,
-            most=self._most.copy(),
+            most=self.most(context.control_period),
             roots=roots,
             inverses=np.array([inverse(C) for C in roots]).reshape(roots.shape),
             rates=every[first:].copy(),
@@ -401,9 +403,8 @@ class Adaptive(ParameterLearner):
         theta[:first] = np.concatenate([vector_of(lifted(P, G)) for P, G in pairs])
         return theta
 
-    @cached_property
-    def _most(self) -> Array:
-        """Largest ratios of the bodies' estimates to their start, (bodies,)."""
+    def most(self, period: float) -> Array:
+        """Largest ratios of the bodies' estimates to their start at a control period [s], (bodies,)."""
         own, K = self.settings, gains_of(self.regressor, self.feedback)
         if self.informed:
             return np.full(len(self.regressor.bodies), float(own.bounds))
@@ -411,7 +412,8 @@ class Adaptive(ParameterLearner):
         prior = balls(self.regressor, own.mass, own.size)
         prior[: self.regressor.inertial] *= np.repeat(share, BODY)
         felt = inertia_of_bodies(self.regressor, prior)
-        bearable = np.where(felt > 0, own.slowest_learned * K / np.where(felt > 0, felt, 1.0), np.inf).min(axis=1)
+        bound = own.slowest_learned * MEANT / period
+        bearable = np.where(felt > 0, bound * K / np.where(felt > 0, felt, 1.0), np.inf).min(axis=1)
         return np.maximum(1.0, np.minimum(np.minimum(own.bounds, own.heaviest / share), bearable))
 
     def counts(self) -> tuple[int, int, int]:

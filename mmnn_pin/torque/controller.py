@@ -42,6 +42,7 @@ class Context:
         lag: (p,) known time constants of the motors, seen from the velocities [s]; None for none.
         way: Known time from the command of a torque to the measurement that shows it, less what is predicted [s].
         predicted: By how much a measurement is moved on as the reference has moved; it shows no torque of then [s].
+        margin: Delay that the loop should bear beside what is known, see `loop.latency.Latency` [s].
     """
 
     layout: Layout
@@ -53,6 +54,7 @@ class Context:
     lag: Array | None = None
     way: float = 0.0
     predicted: float = 0.0
+    margin: float = 0.0
 
 
 @dataclass

@@ -16,7 +16,7 @@ from learning import assert_engines_agree, assert_frozen, assert_it_resumes
 from places import ROOT
 from scipy.linalg import expm, sqrtm
 
-from mmnn_pin import PD, Circle, Eight, Loop, Sine, Timing, Trajectory, load, load_experiment
+from mmnn_pin import PD, Circle, Eight, Loop, Sine, Stepper, Timing, Trajectory, load, load_experiment
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.dynamics import Dynamics
@@ -239,14 +239,14 @@ def test_the_estimate_stays_physical_and_bounded_whatever_comes(seed, size):
 def test_no_body_is_believed_to_be_heavier_than_ten_of_the_priors_however_light_that_was_made():
     """Under strong gains the prior stays as it is; servo-sized gains make it lighter, and it may grow as much more."""
     strong = Adaptive(REGRESSOR, Feedback(1e4, 1e4))
-    np.testing.assert_allclose(strong._most, 10.0)
+    np.testing.assert_allclose(strong.most(0.001), 10.0)
     weak = Adaptive(REGRESSOR, Feedback(20.0, 0.5))
-    assert (weak._most > 10.0).any() and weak._most.max() <= 100.0
+    assert (weak.most(0.001) > 10.0).any() and weak.most(0.001).max() <= 100.0
     for i, body in enumerate(REGRESSOR.bodies):
         mass = weak.start()[10 * i]
-        assert weak._most[i] == pytest.approx(min(100.0, 10.0 * (30.0 if body == "root" else 2.0) / mass))
+        assert weak.most(0.001)[i] == pytest.approx(min(100.0, 10.0 * (30.0 if body == "root" else 2.0) / mass))
     told = Adaptive(REGRESSOR, Feedback(20.0, 0.5), AdaptiveSettings(initial="nominal"), strong.start())
-    np.testing.assert_array_equal(told._most, 100.0)
+    np.testing.assert_array_equal(told.most(0.001), 100.0)
 
 
 def test_a_sample_answers_at_most_its_share_of_the_feedback():
@@ -524,25 +524,65 @@ class Truth:
 LATE = st.floats(0.0, 0.05)
 
 
-@given(st.floats(1e-4, 0.02), LATE, LATE, st.lists(LATE, min_size=4, max_size=4))
+@given(st.floats(1e-4, 0.02), LATE, LATE, LATE, st.lists(LATE, min_size=4, max_size=4))
 @settings(max_examples=40, deadline=None)
-def test_answers_that_do_not_show_yet_stay_below_the_feedback(period, way, predicted, lags):
-    context = Context(Layout.of(ROBOT.dimensions), period, 1, lag=np.array(lags), way=way, predicted=predicted)
+def test_answers_that_do_not_show_yet_stay_below_the_feedback(period, way, predicted, margin, lags):
+    known = {"lag": np.array(lags), "way": way, "predicted": predicted, "margin": margin}
+    context = Context(Layout.of(ROBOT.dimensions), period, 1, **known)
     share = share_of(AdaptiveSettings(share="delays"), context)
-    under_way = 1 + (way + predicted + max(lags)) / period  # samples until an answer shows
+    under_way = 1 + (way + predicted + margin + max(lags)) / period  # samples until an answer shows
     assert share * under_way == pytest.approx(1.0) and 0 < share <= 1
     assert share_of(AdaptiveSettings(share=0.3), context) == 0.3
 
 
+@pytest.mark.parametrize("late", range(5))
+@pytest.mark.parametrize("bandwidth", [0.001, 0.01])
+def test_an_answer_of_that_share_bears_the_delay_that_it_counts_with(late, bandwidth):
+    """s+ = s - a (s + I), I+ = I + share s, both late: eigenvalues reach 1 where share is above 1 / (1 + late)."""
+
+    def radius(share):
+        size = late + 2  # s, then what was asked for before and has not shown yet, then I
+        A = np.zeros((size, size))
+        A[0, 0], A[-1, -1], A[-1, 0] = 1.0, 1.0, share
+        asked = np.zeros(size)
+        asked[0], asked[-1] = -bandwidth, -bandwidth
+        if late:
+            A[0, late] = 1.0
+            A[1] = asked
+            A[2 : late + 1, 1:late] = np.eye(late - 1)
+        else:
+            A[0] += asked
+        return np.abs(np.linalg.eigvals(A)).max()
+
+    context = Context(Layout.of(ROBOT.dimensions), 0.001, 1, way=0.001 * late)
+    share = share_of(AdaptiveSettings(share="delays"), context)
+    assert radius(0.9 * share) < 1.0 < radius(1.1 * share)
+
+
 def test_a_share_is_a_number_or_that_of_the_delays():
     assert share_of(AdaptiveSettings(share="delays"), Context(Layout.of(ROBOT.dimensions), 0.001, 1)) == 1.0
-    experiment = load_experiment("track", ["time.duration=0.01", "actuator.lag=0.003", "latency.sensing=0.001"])
-    robot = experiment.load_robot()
-    loop = experiment.loop(robot, experiment.controller("adaptive", robot=robot))
-    assert share_of(loop.controller.settings, loop.context()) == pytest.approx(1 / 5)  # 1 ms of 1 + 1 + 3
+
+    def share(*overrides):
+        experiment = load_experiment("track", ["time.duration=0.01", *overrides])
+        robot = experiment.load_robot()
+        loop = experiment.loop(robot, experiment.controller("adaptive", robot=robot))
+        return share_of(loop.controller.settings, loop.context())
+
+    assert share() == pytest.approx(1 / 4)  # 1 ms of 1 and the margin of 3
+    assert share("actuator.lag=0.003", "latency.sensing=0.001") == pytest.approx(1 / 8)  # 1 + 1 + 3 + 3
+    assert share("actuator.lag=0.003", "latency.margin=0.0") == pytest.approx(1 / 4)
     # What is predicted of a measurement is the reference's motion, not what a torque did meanwhile.
-    late = ["time.duration=0.01", "latency.sensing=0.006", "latency.predict=true"]
-    loop = load_experiment("track", late).loop(robot, experiment.controller("adaptive", robot=robot))
-    assert loop.behind == 0.0 and share_of(loop.controller.settings, loop.context()) == pytest.approx(1 / 7)
+    assert share("latency.sensing=0.006", "latency.predict=true") == pytest.approx(1 / 10)
+
+
+@pytest.mark.parametrize("predict", [False, True])
+def test_a_real_robots_share_counts_with_its_latency(predict):
+    calm = Feedback((100.0, 100.0), (5.0, 5.0))
+    controller = Adaptive(REGRESSOR, calm, AdaptiveSettings(share="delays"))
+    stepper = Stepper(ROBOT, controller, period=0.002, latency=0.004, predict=predict)
+    assert share_of(controller.settings, stepper.setup.context()) == pytest.approx(2 / 9)  # 2 + 4 + 3
+
+
+def test_a_share_that_is_no_number_is_refused():
     with pytest.raises(ConfigError, match=r"adaptive\.share"):
         load_experiment("track", ["adaptive.share=fast"])
