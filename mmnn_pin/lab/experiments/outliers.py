@@ -13,11 +13,13 @@ from statistics import median
 import numpy as np
 
 from ...recording.recording import Recording, as_columns
+from ...signals import Array
 
 ERRORS, POSITIONS = ("pose_error.", "z.", "e."), ("pose_error.", "e.")  # signals that runs are ranked by; of places
 FAR = 5.0  # times the median of the others, from which a run is told
 THROWN = 0.05  # least peak that is told [rad or m]
-CHATTER = 0.1  # RMS change of a motor's torque from sample to sample, of its RMS, from which it is told
+FAST = 10.0  # frequency above which a torque shakes its motor rather than moves it [Hz]
+CHATTER = 0.1  # share of the RMS of a motor's torque that is that fast, from which it is told
 
 
 def outliers(recordings: Mapping[str, Recording], metrics: Mapping[str, Mapping[str, float]]) -> list[str]:
@@ -85,8 +87,8 @@ def chattering(shares: Mapping[str, Mapping[str, float]]) -> list[str]:
         if own[motor] > max(CHATTER, FAR * usual):
             times = shown(own[motor] / max(usual, 1e-12))
             found.append(
-                f"{name} shakes {motor}: its torque changes by {100 * own[motor]:.0f} % of its RMS from sample to "
-                f"sample, {times} times as much as the others'"
+                f"{name} shakes {motor}: {100 * own[motor]:.0f} % of the RMS of its torque is faster than {FAST:g} Hz, "
+                f"{times} times as much as the others'"
             )
     return found
 
@@ -97,10 +99,26 @@ def of_others(table: Mapping[str, Mapping[str, float]], name: str, key: str) -> 
 
 
 def chatter(run: Recording) -> dict[str, float]:
-    """RMS change of every motor's torque from sample to sample over its RMS, after the first fifth of a run."""
-    torque = as_columns(run["motor_torque"])[len(run) // 5 :]
-    change, size = (np.sqrt(np.mean(part**2, axis=0)) for part in (np.diff(torque, axis=0), torque))
-    return dict(zip(run.labels("motor_torque"), (change / np.maximum(size, 1e-12)).tolist(), strict=True))
+    """What `fast` says of every motor's torque, after the first fifth of a run."""
+    torque, time = as_columns(run["motor_torque"])[len(run) // 5 :], run.time
+    share = fast(torque, (time[-1] - time[0]) / (len(run) - 1))
+    return dict(zip(run.labels("motor_torque"), share.tolist(), strict=True))
+
+
+def fast(torque: Array, period: float) -> Array:
+    """Share of the RMS of torques that is faster than `FAST`.
+
+    A ring at 30 Hz changes a torque little from one sample to the next where samples are 1 ms apart, and shakes a motor
+    all the same: so frequencies are looked at, of the torque under a Hann window.
+
+    Args:
+        torque: (k, motors).
+        period: Between rows [s].
+    """
+    power = np.abs(np.fft.rfft(torque * np.hanning(len(torque))[:, None], axis=0)) ** 2
+    power[1:] *= 2.0  # of negative frequencies, too
+    quick = np.fft.rfftfreq(len(torque), period) > FAST
+    return np.sqrt(power[quick].sum(axis=0) / np.maximum(power.sum(axis=0), 1e-24))
 
 
 def shown(ratio: float) -> str:
