@@ -133,6 +133,7 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
         way=setup.behind,
         predicted=setup.predicted,
         margin=setup.latency.margin,
+        smoothing=setup.sensor.smoothing(setup.timing.measurement_period),
     )
 
 

@@ -91,6 +91,18 @@ class Sensor(Settings, frozen=True):
         """Whether the controller gets the true state at once."""
         return self == _exact(self.bandwidth, self.side)
 
+    def smoothing(self, period: float) -> float:
+        """By how much the velocities' filter is late, to an integral of them: it is stable up to the rate 1 / this.
+
+        That holds for loops slower than the filter. The observer on a model knows the torque but not why an integral
+        changes it; 1.1 is the most it needs whatever the bandwidth of the loop.
+
+        Args:
+            period: Between two measurements [s].
+        """
+        poles = {"filtered": 1.0, "observer": 2.0, "model": 1.1}
+        return period / 2 if self.velocity == "difference" else poles.get(self.velocity, 0.0) / self.bandwidth
+
     def on(
         self,
         robot: Robot,

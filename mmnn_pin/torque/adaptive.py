@@ -90,9 +90,10 @@ class AdaptiveSettings(Settings, frozen=True):
         rotor: Rate of the rotors' inertias; gamma_j is `rotor c_j^2`. Mostly a link's own inertia says the same: 0.
         leakage: sigma, how fast the estimate is pulled back to its start [1/s].
         share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut. "delays"
-            is `h / (h + d)` of the known delays d, those that are predicted and `latency.margin` included, so that the
-            answers that do not show yet stay below the feedback: answers of every sample are an integral with the rate
-            `share / h`, which bears a delay of `h / share` less the hold h.
+            is `h / (h + d)` of the known delays d, so that the answers that do not show yet stay below the feedback:
+            answers of every sample are an integral with the rate `share / h`, which bears a delay of `h / share` less
+            the hold h. d is the latency, that which is predicted included, `latency.margin`, the motors' lag and the
+            filter of velocities.
         modification: "sigma" leaks always, "e" in proportion to |s|.
         bounds: The largest ratio of an estimate to its start, either way.
         heaviest: The largest ratio of an estimate to a body of `mass` and `size`, where it starts from these. Too light
@@ -259,7 +260,7 @@ def share_of(settings: AdaptiveSettings, context: Context) -> float:
     if settings.share != "delays":
         return float(settings.share)
     slow = 0.0 if context.lag is None else float(context.lag.max(initial=0.0))
-    late = max(0.0, context.way) + context.predicted + slow + context.margin
+    late = max(0.0, context.way) + context.predicted + context.smoothing + slow + context.margin
     return context.control_period / (context.control_period + late)
 
 

@@ -43,6 +43,7 @@ class Context:
         way: Known time from the command of a torque to the measurement that shows it, less what is predicted [s].
         predicted: By how much a measurement is moved on as the reference has moved; it shows no torque of then [s].
         margin: Delay that the loop should bear beside what is known, see `loop.latency.Latency` [s].
+        smoothing: By how much the filter of the sensors' velocities is late, see `sensing.Sensor.smoothing` [s].
     """
 
     layout: Layout
@@ -55,6 +56,7 @@ class Context:
     way: float = 0.0
     predicted: float = 0.0
     margin: float = 0.0
+    smoothing: float = 0.0
 
 
 @dataclass

@@ -22,6 +22,7 @@ from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings, Estimate, adapt, share_of
 from mmnn_pin.torque.controller import Context, Feedback
@@ -524,13 +525,13 @@ class Truth:
 LATE = st.floats(0.0, 0.05)
 
 
-@given(st.floats(1e-4, 0.02), LATE, LATE, LATE, st.lists(LATE, min_size=4, max_size=4))
+@given(st.floats(1e-4, 0.02), LATE, LATE, LATE, LATE, st.lists(LATE, min_size=4, max_size=4))
 @settings(max_examples=40, deadline=None)
-def test_answers_that_do_not_show_yet_stay_below_the_feedback(period, way, predicted, margin, lags):
-    known = {"lag": np.array(lags), "way": way, "predicted": predicted, "margin": margin}
+def test_answers_that_do_not_show_yet_stay_below_the_feedback(period, way, predicted, margin, smoothing, lags):
+    known = {"lag": np.array(lags), "way": way, "predicted": predicted, "margin": margin, "smoothing": smoothing}
     context = Context(Layout.of(ROBOT.dimensions), period, 1, **known)
     share = share_of(AdaptiveSettings(share="delays"), context)
-    under_way = 1 + (way + predicted + margin + max(lags)) / period  # samples until an answer shows
+    under_way = 1 + (way + predicted + margin + smoothing + max(lags)) / period  # samples until an answer shows
     assert share * under_way == pytest.approx(1.0) and 0 < share <= 1
     assert share_of(AdaptiveSettings(share=0.3), context) == 0.3
 
@@ -559,6 +560,43 @@ def test_an_answer_of_that_share_bears_the_delay_that_it_counts_with(late, bandw
     assert radius(0.9 * share) < 1.0 < radius(1.1 * share)
 
 
+def largest(rate, bandwidth, velocity, pole):
+    """Largest real part of v' = -bandwidth v_hat + p, p' = -rate bandwidth v_hat behind a filter or observer."""
+    v, p, x, first, second, third = np.eye(6)  # x is the angle; then what the filter remembers
+    if velocity == "filtered":
+        hat, filtered = first, {3: pole * (v - first)}
+    elif velocity == "observer":  # first follows the angle, second its rate
+        hat, error = second, x - first
+        filtered = {3: second + 2 * pole * error, 4: pole**2 * error}
+    else:  # the same, which expects the acceleration of the feedback; third is what it learns of p
+        hat, error = second, x - first
+        filtered = {
+            3: second + 3 * pole * error,
+            4: third - bandwidth * second + 3 * pole**2 * error,
+            5: pole**3 * error,
+        }
+    A = np.zeros((6, 6))
+    A[0], A[1], A[2] = p - bandwidth * hat, -rate * bandwidth * hat, v
+    for row, motion in filtered.items():
+        A[row] = motion
+    kept = [0, 1, *([] if velocity == "filtered" else [2]), *filtered]
+    values = np.linalg.eigvals(A[np.ix_(kept, kept)])
+    values = values[np.argsort(np.abs(values))]
+    return values[1 if velocity != "filtered" else 0 :].real.max()  # an angle may be anywhere
+
+
+@pytest.mark.parametrize(
+    ("velocity", "bandwidths"),
+    [("filtered", (0.1, 1.0, 10.0)), ("observer", (0.01, 0.02)), ("model", (0.1, 1.0, 10.0))],
+)
+def test_an_integral_is_stable_up_to_the_rate_that_the_velocities_filter_permits(velocity, bandwidths):
+    pole = 40.0
+    rate = 1 / Sensor(velocity=velocity, bandwidth=pole).smoothing(1e-3)
+    assert all(largest(0.95 * rate, w * pole, velocity, pole) < 0 for w in bandwidths)
+    assert any(largest(1.05 * rate, w * pole, velocity, pole) > 0 for w in bandwidths)
+    assert Sensor(velocity="difference").smoothing(1e-3) == 5e-4 and Sensor().smoothing(1e-3) == 0.0
+
+
 def test_a_share_is_a_number_or_that_of_the_delays():
     assert share_of(AdaptiveSettings(share="delays"), Context(Layout.of(ROBOT.dimensions), 0.001, 1)) == 1.0
 
@@ -573,6 +611,7 @@ def test_a_share_is_a_number_or_that_of_the_delays():
     assert share("actuator.lag=0.003", "latency.margin=0.0") == pytest.approx(1 / 4)
     # What is predicted of a measurement is the reference's motion, not what a torque did meanwhile.
     assert share("latency.sensing=0.006", "latency.predict=true") == pytest.approx(1 / 10)
+    assert share("sensor.velocity=filtered", "sensor.bandwidth=50") == pytest.approx(1 / 24)  # 20 ms
 
 
 @pytest.mark.parametrize("predict", [False, True])
