@@ -29,7 +29,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import sys
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from copy import copy
@@ -39,6 +41,7 @@ from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
 from pickle import UnpicklingError
+from shutil import rmtree
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
@@ -60,6 +63,7 @@ from .parts import spelled
 
 UNUSED = (InlineClosureLikes, LiteralUnroll, NopythonRewrites, RewriteDynamicRaises, WithLifting)  # of numba's passes
 MARKS = (b"@internal", b"@compiled", b"@linked", b"@inlined", b"@spliced")
+KEPT = 30 * 86400.0  # how long code of other versions is kept after its last use [s]
 MADE: list[Any] = []  # all compiled functions
 KINDS: dict[Any, type] = {}  # what those are that run as plain Python
 F = TypeVar("F", bound=Callable[..., Any])
@@ -149,10 +153,21 @@ def cache_folder() -> Path | None:
             digest.update(str(source.relative_to(package)).encode() + b"\0" + text)
     folder = cache_root() / digest.hexdigest()[:16]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        if not folder.exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            forget(cache_root())
+        os.utime(folder)  # used now
     except OSError:
         return None
     return folder if os.access(folder, os.W_OK) else None
+
+
+def forget(root: Path) -> None:
+    """Remove the code of other versions that nothing has used for `KEPT`: each takes up to 150 MB."""
+    for folder in root.iterdir():
+        with suppress(OSError):  # another process removes it, too
+            if re.fullmatch("[0-9a-f]{16}", folder.name) and time.time() - folder.stat().st_mtime > KEPT:
+                rmtree(folder, ignore_errors=True)
 
 
 class OwnNames(IndexDataCacheFile):

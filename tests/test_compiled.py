@@ -8,6 +8,7 @@ import os
 import pickle
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +22,7 @@ from numba._dispatcher import compute_fingerprint
 
 from mmnn_pin import load_experiment
 from mmnn_pin.by_address import by_address
-from mmnn_pin.compiled import MADE, OwnNames, by_type, compiled, internal, linked
+from mmnn_pin.compiled import KEPT, MADE, OwnNames, by_type, cache_folder, compiled, internal, linked
 from mmnn_pin.loop.hardware import MotorSide
 from mmnn_pin.loop.latency import Transport
 from mmnn_pin.loop.servo import VelocityServo
@@ -409,3 +410,19 @@ def test_code_that_the_disk_does_not_take_is_not_kept(tmp_path, monkeypatch):
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is kept")
 def test_all_compiled_functions_keep_their_code_under_own_names():
     assert all(isinstance(made._cache._cache_file, OwnNames) for made in MADE)
+
+
+def test_code_of_other_versions_that_nothing_uses_is_removed_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    old, used, foreign = (tmp_path / name for name in ("0" * 16, "1" * 16, "somebody_elses"))
+    for folder in (old, used, foreign):
+        (folder / "deep").mkdir(parents=True)
+        (folder / "deep" / "code.nbc").write_bytes(b"code")
+        age = 2 * 86400.0 if folder == used else KEPT + 60.0
+        os.utime(folder, (time.time() - age,) * 2)
+    own = cache_folder.__wrapped__()  # as a new process has it
+    assert own is not None and set(tmp_path.iterdir()) == {own, used, foreign}
+    os.utime(own, (0.0, 0.0))
+    assert cache_folder.__wrapped__() == own and time.time() - own.stat().st_mtime < 60.0
