@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import json
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,16 +125,33 @@ def run(
     asked, name = chosen_cases(load_experiment(experiment, changes, variant), cases), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
     require_plots(asked.plots)
+    taken = folder
     if not force and asked.contest is None:  # a contest goes on where it was stopped
         folder = unused(folder, files_of(asked) if out else None)
+    elsewhere = f"{taken} has runs already: these go to {folder} (--force replaces them)" if folder != taken else ""
+    named = (
+        bool(controllers)
+        or any(change.startswith("controllers") for change in settings)
+        or says_controllers(experiment)
+    )
     hardware = bool(asked.cases) or has_hardware(asked)
     with for_another_robot(experiment, variant, asked):
         if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
             with before_it_is_compiled(hardware):
-                return run_one(asked, name, folder, force, as_json)
+                return run_one(asked, name, folder, force, as_json, elsewhere, named)
         compile_if_cold(hardware)
-        command = run_contest if asked.contest is not None else run_cases if asked.cases else run_one
-        return command(asked, name, folder, force, as_json)
+        if asked.contest is not None:
+            return run_contest(asked, name, folder, force, as_json)
+        if asked.cases:
+            return run_cases(asked, name, folder, force, as_json, elsewhere)
+        return run_one(asked, name, folder, force, as_json, elsewhere, named)
+
+
+def says_controllers(experiment: str) -> bool:
+    """Whether an experiment is a file of the user's that says which controllers run."""
+    from ..lab.experiments.config import bundled, find
+
+    return experiment not in bundled() and "controllers" in read_toml(find(experiment))
 
 
 @contextlib.contextmanager
@@ -150,7 +167,7 @@ def for_another_robot(experiment: str, variant: str | None, asked: Experiment) -
 
 
 def unused(folder: Path, files: list[str] | None) -> Path:
-    """This folder, or where it is taken the first of `FOLDER-2` and so on that does not exist, announced.
+    """This folder, or where it is taken the first of `FOLDER-2` and so on that does not exist.
 
     Args:
         folder: The folder.
@@ -159,9 +176,19 @@ def unused(folder: Path, files: list[str] | None) -> Path:
     if not (folder.exists() if files is None else any((folder / file).exists() for file in files)):
         return folder
     numbered = (folder.with_name(f"{folder.name}-{i}") for i in itertools.count(2))
-    free = next(each for each in numbered if not each.exists())
-    click.echo(f"{folder} has runs already: these go to {free} (--force replaces them)", err=True)
-    return free
+    return next(each for each in numbered if not each.exists())
+
+
+def after_a_line(text: str, show: Callable[[str, float], None]) -> Callable[[str, float], None]:
+    """A progress function that prints a line on standard error, if there is one, when it is first called."""
+    lines = [text] if text else []
+
+    def progress(name: str, fraction: float) -> None:
+        if lines:
+            click.echo(lines.pop(), err=True)
+        show(name, fraction)
+
+    return progress
 
 
 def files_of(asked: Experiment) -> list[str]:
@@ -171,15 +198,25 @@ def files_of(asked: Experiment) -> list[str]:
     return [*runs, *(f"{plot}.png" for plot in asked.plots)]
 
 
-def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
-    """Run an experiment, draw and print what came of it; 130 if stopped, 1 if a run did not reach its end, else 0."""
+def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool, elsewhere: str, named: bool) -> int:
+    """Run an experiment, draw and print what came of it; 130 if stopped, 1 if a run did not reach its end, else 0.
+
+    Args:
+        asked: The experiment.
+        name: Its name.
+        folder: For its files.
+        force: Replace those that are there.
+        as_json: Print one JSON object.
+        elsewhere: Said once it is sure to run; empty for nothing.
+        named: Whether the user chose the controllers; else those that cannot run are left out.
+    """
     from ..lab.experiments.runner import run_experiment
     from ..lab.show.comparison import notes, render
     from ..lab.show.gallery import write_pictures
     from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
 
-    with progress_bar() as show, interruptible(show) as progress:
-        result = run_experiment(asked, name, out=folder, force=force, progress=progress)
+    with progress_bar() as show, interruptible(after_a_line(elsewhere, show)) as progress:
+        result = run_experiment(asked, name, out=folder, force=force, progress=progress, leave_out=not named)
     pictures = write_pictures(result.recordings, asked.plots, folder, force)
 
     def text() -> str:
@@ -194,12 +231,12 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     return DONE if result.completed else FAILED
 
 
-def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
+def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool, elsewhere: str) -> int:
     """Run all controllers in all cases and print the verdicts; the exit code."""
     from ..lab.experiments.cases import run_cases as run_all
     from ..lab.show.comparison import render_cases
 
-    with progress_bar() as show, interruptible(show) as progress:
+    with progress_bar() as show, interruptible(after_a_line(elsewhere, show)) as progress:
         matrix = run_all(asked, name, out=folder, force=force, progress=progress)
     command = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
     files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {command}"
