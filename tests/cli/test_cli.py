@@ -211,6 +211,31 @@ def test_a_second_run_gets_a_numbered_folder_and_leaves_the_first_as_it_was(call
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_a_refused_run_does_not_say_where_its_runs_go(call: Call) -> None:
+    command = ("run", "chapter4", "--controller", "pd", *SHORT)
+    assert call(*command)[0] == 0
+    code, out, err = call(*command, "--set", "feedback.arm=1e9")
+    assert code == 2 and "unstable" in err and "these go to" not in err + out
+    assert [str(folder) for folder in Path("runs").iterdir()] == ["runs/chapter4"]
+    assert "these go to runs/chapter4-2" in call(*command)[2]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_default_controllers_that_cannot_run_are_left_out_and_named_ones_are_refused(call: Call) -> None:
+    wheels = ("--set", 'interfaces={wheel_left_joint="velocity",wheel_right_joint="velocity"}')
+    code, out, err = call("run", "track", *SHORT, *wheels)
+    assert code == 0 and "note: pid left out: it goes by the torque of every joint" in out and "pid.h5" not in out
+    assert "note: driven wheel_left_joint, wheel_right_joint by velocity; all others by effort" in out
+    named = [("--controller", "pid"), ("--set", "controllers=['pd', 'pid']")]
+    Path("own.toml").write_text('experiment = "track"\ncontrollers = ["pid", "pd"]\n')
+    for name, more in [*(("track", more) for more in named), ("own.toml", ())]:
+        code, out, err = call("run", name, *SHORT, *wheels, *more)
+        assert code == 2 and "pid on a velocity interface" in err and err.count("\n") == 1
+    Path("own.toml").write_text('experiment = "track"\n')
+    assert call("run", "own.toml", *SHORT, *wheels)[0] == 0
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_a_named_folder_is_used_unless_it_has_such_files(call: Call) -> None:
     Path("out").mkdir()
     Path("out/errors.png").write_text("mine")
