@@ -11,7 +11,7 @@ import click
 from ..errors import ConfigError
 from ..files import require_free
 from .options import FORCE, examples, numbers, robots, run_command, shared, understanding
-from .output import DONE, FAILED, answer, look, named, warn, wrote
+from .output import DONE, FAILED, answer, look, named, progress_bar, warn, wrote
 
 if TYPE_CHECKING:
     from ..deploy.identify.identification import Identification
@@ -119,11 +119,13 @@ def identify(
     if without_load:
         raise ConfigError("it goes with --payload", fix="add it, or leave it out", key="--without-load")
     corrected.require_free(corrected.files_of(loaded, out), loaded, force)
-    given, judged = (read_logs(some, loaded, names, rate, degrees) for some in (logs, held_out))
-    found = identification.identify(
-        loaded, given, held_out=judged, cutoff=cutoff, stribeck=stribeck,
-        torque_constants=constants_of(constants),
-    )  # fmt: skip
+    with progress_bar() as show:
+        show("reading the logs", 0.0)
+        given, judged = (read_logs(some, loaded, names, rate, degrees) for some in (logs, held_out))
+        found = identification.identify(
+            loaded, given, held_out=judged, cutoff=cutoff, stribeck=stribeck,
+            torque_constants=constants_of(constants), progress=show,
+        )  # fmt: skip
     report = corrected.report_of(found)
     files = corrected.write(found, out, force) if found.better or even_if_worse else {}
     report |= {"file": str(files["urdf"]) if files else None, "files": named(files)}
