@@ -129,7 +129,7 @@ def run(
     if not force and asked.contest is None:  # a contest goes on where it was stopped
         folder = unused(folder, files_of(asked) if out else None)
     elsewhere = f"{taken} has runs already: these go to {folder} (--force replaces them)" if folder != taken else ""
-    named = (
+    by_name = (
         bool(controllers)
         or any(change.startswith("controllers") for change in settings)
         or says_controllers(experiment)
@@ -138,13 +138,13 @@ def run(
     with for_another_robot(experiment, variant, asked):
         if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
             with before_it_is_compiled(hardware):
-                return run_one(asked, name, folder, force, as_json, elsewhere, named)
+                return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
         compile_if_cold(hardware)
         if asked.contest is not None:
             return run_contest(asked, name, folder, force, as_json)
         if asked.cases:
             return run_cases(asked, name, folder, force, as_json, elsewhere)
-        return run_one(asked, name, folder, force, as_json, elsewhere, named)
+        return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
 
 
 def says_controllers(experiment: str) -> bool:
@@ -198,7 +198,9 @@ def files_of(asked: Experiment) -> list[str]:
     return [*runs, *(f"{plot}.png" for plot in asked.plots)]
 
 
-def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool, elsewhere: str, named: bool) -> int:
+def run_one(
+    asked: Experiment, name: str, folder: Path, force: bool, as_json: bool, elsewhere: str, by_name: bool
+) -> int:
     """Run an experiment, draw and print what came of it; 130 if stopped, 1 if a run did not reach its end, else 0.
 
     Args:
@@ -208,7 +210,7 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
         force: Replace those that are there.
         as_json: Print one JSON object.
         elsewhere: Said once it is sure to run; empty for nothing.
-        named: Whether the user chose the controllers; else those that cannot run are left out.
+        by_name: Whether the user chose the controllers; else those that cannot run are left out.
     """
     from ..lab.experiments.runner import run_experiment
     from ..lab.show.comparison import notes, render
@@ -216,7 +218,7 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
 
     with progress_bar() as show, interruptible(after_a_line(elsewhere, show)) as progress:
-        result = run_experiment(asked, name, out=folder, force=force, progress=progress, leave_out=not named)
+        result = run_experiment(asked, name, out=folder, force=force, progress=progress, leave_out=not by_name)
     pictures = write_pictures(result.recordings, asked.plots, folder, force)
 
     def text() -> str:
