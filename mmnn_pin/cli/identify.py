@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ..deploy.identify.log import Log
     from ..model.robot import Robot
 
+FOLLOWS = "kalman_friction"  # the controller that follows such motions best, with delay and encoders, too
 HEADERS = (
     "Which header, joint or topic holds a signal: SIGNAL=HEADER, several separated by commas, or a TOML file of such"
     " lines. Repeatable."
@@ -259,10 +260,13 @@ def excite(
     report = found.to_dict() | {"file": str(out)}
 
     def text() -> str:
-        """What was found, and how to drive it: as it is, as it keeps its own share of the limits."""
+        """What was found, and how to drive it: as it is, for it keeps its own share of the limits, by a learner.
+
+        Such motions ask for torques that the feedback of a light joint, which has to bear delay, is too weak for.
+        """
         whole: dict[str, object] = {"reference__file": str(out), "reference__share": 0.0}
         whole["time__duration"] = float(found.time[-1])
-        drive = run_command(robot, overrides, "pid", **whole)
+        drive = run_command(robot, overrides, FOLLOWS, **whole)
         return f"{excitation_text(report)}\n{wrote([out])}\ndrive it, in simulation first:\n  {drive}"
 
     answer(as_json, lambda: report, text)

@@ -316,7 +316,7 @@ class ServoGains(NamedTuple):
         """Those of servos whose bandwidths are multiplied."""
         b = self.bandwidth
         return ServoGains(
-            factor * self.gains, factor * b if isinstance(b, int | float) else [factor * one for one in b]
+            factor * self.gains, factor * b if isinstance(b, int | float) else tuple(factor * one for one in b)
         )
 
 

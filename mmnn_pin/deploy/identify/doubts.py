@@ -13,6 +13,7 @@ from ...model.robot import Robot
 from ...signals import Array
 from .equations import coordinates
 from .log import Log
+from .quality import Bools
 
 ABOVE = 1.001  # times a limit: more is not rounding
 POOR = 0.05  # error below which no joint fits badly
@@ -38,7 +39,7 @@ def beyond_limits(logs: Sequence[Log], robot: Robot, unknown: Collection[str]) -
             )
 
 
-def misfits(names: Sequence[str], errors: Mapping[str, Array], follows: Array) -> Iterator[str]:
+def misfits(names: Sequence[str], errors: Mapping[str, Array], follows: Bools) -> Iterator[str]:
     """Joints that were fitted, and whose held-out error is far above least squares' or that of the other joints.
 
     Args:
@@ -47,7 +48,7 @@ def misfits(names: Sequence[str], errors: Mapping[str, Array], follows: Array) -
         follows: (r,) whether an effort was fitted, of bool.
     """
     ours, theirs = errors["identified"], errors["least_squares"]
-    for i in np.flatnonzero(follows & (ours > POOR)):
+    for i in map(int, np.flatnonzero(follows & (ours > POOR))):
         others = ours[follows & np.isfinite(ours) & (np.arange(len(names)) != i)]
         usual = float(np.median(others)) if others.size else np.inf
         here = f"{names[i]} fits badly: held-out error {100 * ours[i]:.3g} %"
