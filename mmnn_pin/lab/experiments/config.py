@@ -25,6 +25,7 @@ from ...settings.arguments import checked, wrong_type
 from .contest import ONLY
 from .controllers import CONTROLLERS, new_name, renamed
 from .experiment import Experiment
+from .references import as_long_as_its_file
 
 FOLDER = Path(__file__).parent
 ITS_OWN = ("title", "variant", "experiment", "cases")  # keys that no other experiment takes over
@@ -58,7 +59,10 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
         override(table, text)
     if any(text.startswith("reference.file") for text in texts) and "title" not in {text[:5] for text in texts}:
         table["title"] = f"The motion of {Path(str(table['reference']['file'])).name}"
-    with_starts(table, read_toml(path), path, texts)
+    own = read_toml(path)
+    if not any(text.startswith(("time.duration", "time=")) for text in texts):
+        as_long_as_its_file(table, own if path.parent != FOLDER else {})
+    with_starts(table, own, path, texts)
     try:
         require_overrides(table.get("overrides", {}))
         require_disturbances(table.get("disturbances"))
