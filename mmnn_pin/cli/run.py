@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import json
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -135,7 +135,7 @@ def run(
         or says_controllers(experiment)
     )
     hardware = bool(asked.cases) or has_hardware(asked)
-    with for_another_robot(experiment, variant, asked):
+    with told_from_where(experiment, variant, asked, changes):
         if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
             with before_it_is_compiled(hardware):
                 return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
@@ -155,15 +155,19 @@ def says_controllers(experiment: str) -> bool:
 
 
 @contextlib.contextmanager
-def for_another_robot(experiment: str, variant: str | None, asked: Experiment) -> Iterator[None]:
-    """Say of an experiment that does not fit the robot that was given which one it is made for."""
+def told_from_where(experiment: str, variant: str | None, asked: Experiment, changes: Sequence[str]) -> Iterator[None]:
+    """Errors within say which option or line of a file they are about.
+
+    An experiment that does not fit the robot that was given is told with the robot that it is made for.
+    """
     try:
         yield
     except InputError as error:
-        from ..lab.experiments.another_robot import explained
         from ..lab.experiments.config import load_experiment
+        from ..lab.experiments.refusals import explained, located
 
-        raise explained(error, Path(experiment).stem, asked, load_experiment(experiment, (), variant)) from None
+        found = explained(error, Path(experiment).stem, asked, load_experiment(experiment, (), variant))
+        raise located(found, experiment, changes, variant) from None
 
 
 def unused(folder: Path, files: list[str] | None) -> Path:
@@ -179,16 +183,23 @@ def unused(folder: Path, files: list[str] | None) -> Path:
     return next(each for each in numbered if not each.exists())
 
 
-def after_a_line(text: str, show: Callable[[str, float], None]) -> Callable[[str, float], None]:
-    """A progress function that prints a line on standard error, if there is one, when it is first called."""
+@contextlib.contextmanager
+def announced(text: str) -> Iterator[Callable[[str, float], None]]:
+    """A progress function that first prints a line on standard error, if there is one; a refused run never does."""
     lines = [text] if text else []
 
-    def progress(name: str, fraction: float) -> None:
+    def tell() -> None:
         if lines:
             click.echo(lines.pop(), err=True)
-        show(name, fraction)
 
-    return progress
+    with progress_bar() as show, interruptible(show) as progress:
+
+        def first_told(name: str, fraction: float) -> None:
+            tell()
+            progress(name, fraction)
+
+        yield first_told
+    tell()
 
 
 def files_of(asked: Experiment) -> list[str]:
@@ -217,7 +228,7 @@ def run_one(
     from ..lab.show.gallery import write_pictures
     from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
 
-    with progress_bar() as show, interruptible(after_a_line(elsewhere, show)) as progress:
+    with announced(elsewhere) as progress:
         result = run_experiment(asked, name, out=folder, force=force, progress=progress, leave_out=not by_name)
     pictures = write_pictures(result.recordings, asked.plots, folder, force)
 
@@ -238,7 +249,7 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
     from ..lab.experiments.cases import run_cases as run_all
     from ..lab.show.comparison import render_cases
 
-    with progress_bar() as show, interruptible(after_a_line(elsewhere, show)) as progress:
+    with announced(elsewhere) as progress:
         matrix = run_all(asked, name, out=folder, force=force, progress=progress)
     command = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
     files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {command}"

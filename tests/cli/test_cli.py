@@ -766,3 +766,37 @@ def test_a_list_of_the_users_own_is_told_as_it_is(tmp_path, capsys):
     words = ["--set", "friction.arm=[1,2]", "--controller", "pd", "--out", str(tmp_path / "out")]
     assert main(["run", "track", "--robot", "ur5", *words]) == 2
     assert "friction.arm: error: 2 numbers for 6 velocities" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "begins"),
+    [
+        ("reference.base.lenght=3", "--set reference.base.lenght: error: unknown key 'lenght': did you mean 'length'?"),
+        (
+            "reference.base.type=circel",
+            "--set reference.base.type: error: unknown type 'circel': did you mean 'circle'",
+        ),
+        ("reference.arm.amplitude=x", "--set reference.arm.amplitude: error: 'x' is a text"),
+        ("reference.base.length=-3", "--set reference.base.length: error: length = -3.0 is not positive"),
+        ("reference.arm=[]", "--set reference.arm: error: 0 profiles for 2 arm joints"),
+        ("feedback.arm=1e9", "--set feedback: error: the sampled PD loop is unstable"),
+    ],
+)
+def test_an_error_met_while_the_run_is_made_names_the_option_it_came_from(change: str, begins: str, call: Call) -> None:
+    code, _, err = call("run", "track", "--controller", "pd", "--set", change)
+    assert code == 2 and err.startswith(begins) and err.count("\n") == 1 and not files_here(), err
+    code, _, err = call("embed", "track", "--controller", "pd", "--out", "c", "--set", change)
+    assert code == 2 and err.startswith(begins) and not files_here(), err
+
+
+def test_an_error_met_while_the_run_is_made_names_the_line_of_the_file_it_came_from(call: Call) -> None:
+    Path("mine.toml").write_text('experiment = "track"\n\n[reference.base]\ntype = "circel"\n')
+    assert call("run", "mine.toml")[2].startswith("mine.toml:4:reference.base.type: error: unknown type 'circel'")
+    Path("next.toml").write_text('experiment = "mine.toml"\n[time]\nduration = 2.0\n')
+    assert call("run", "next.toml")[2].startswith("mine.toml:4:reference.base.type: error: unknown type 'circel'")
+    key = ("--set", "reference.base={type='circle', radius=-1, speed=0.3}")
+    assert call("run", "next.toml", *key)[2].startswith(
+        "--set reference.base.radius: error: radius = -1.0 is not positive"
+    )
+    Path("mine.toml").write_text('experiment = "track"\ncontrollers = ["pd"]\n[feedback]\nbase = 1.0\narm = 1e9\n')
+    assert call("run", "mine.toml")[2].startswith("mine.toml:3:feedback: error: the sampled PD loop is unstable")

@@ -360,6 +360,10 @@ def make(kinds: dict[str, Any], table: dict[str, Any], key: str) -> Any:
         where = str(error).partition(" - at ")[2].strip("`").removeprefix("$")
         what, fix = wrong_type(error, arguments.get(where.removeprefix(".")))
         raise ConfigError(what, fix=fix, key=key + where) from error
+    except InputError as error:  # of the object itself, which knows only the name of its argument
+        first = error.what.partition(" ")[0]
+        error.key = error.key or (f"{key}.{first}" if first in known else key)
+        raise
 
 
 def as_long_as_its_file(table: dict[str, Any], own: Mapping[str, Any]) -> None:

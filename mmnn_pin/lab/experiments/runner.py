@@ -45,8 +45,7 @@ def run_experiment(
         name: Its name, for the recordings.
         out: Folder for the recordings, one HDF5 file per controller; None keeps them in memory.
         force: Replace existing recordings.
-        progress: Called with the first controller and 0 once all is found fit to run, then now and then with the
-            controller and the fraction done.
+        progress: Called now and then with the controller and the fraction done, first when one runs.
         leave_out: Leave out, with a note, controllers that cannot run on velocity interfaces; else they are refused.
 
     Raises:
@@ -64,8 +63,6 @@ def run_experiment(
     require_runnable(experiment, robot)
     require_free([file for file in files.values() if file], force)
     runs: dict[str, Recording] = {}
-    if progress is not None:
-        progress(in_order(wanted)[0], 0.0)
     notes = [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
     notes += [*interface_notes(experiment, robot), *sensor_notes(experiment.sensor, robot), *weak_notes(robot)]
     duration, learners = experiment.time.duration, effective(wanted)
