@@ -1,20 +1,26 @@
-"""`mmnn docs`: the pages of the documentation and what a key of an experiment means, where no site is at hand."""
+"""`mmnn docs`: the pages of the documentation and what keys and names mean, where no site is at hand."""
 
 from __future__ import annotations
 
 import inspect
 import re
+import textwrap
+from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
+from typing import Any, get_args
 
 import click
+import msgspec
 from click.shell_completion import CompletionItem
 
 from ..errors import UnknownName
 from .options import PACKAGE, examples, shared, starting
-from .output import DONE, answer
+from .output import DONE, answer, columns
 
 FOLDERS = (PACKAGE / "docs", PACKAGE.parent / "docs")  # of a wheel, of a clone
 ARGUMENT = re.compile(r"^    (?P<name>\w+): (?P<text>.*(?:\n {8}.*)*)", re.M)
+FREE = {"reference.base": "BASE_PATHS", "reference.arm": "ARM_PROFILES", "reference.hand.path": "HAND_PATHS"}
 
 
 def pages() -> dict[str, Path]:
@@ -28,39 +34,187 @@ def title(page: Path) -> str:
     return page.read_text("utf-8").partition("\n")[0].lstrip("# ")
 
 
+# -- keys of an experiment ---------------------------------------------------------------------------------------------
+
+
+def meanings(kind: Any) -> dict[str, str]:
+    """What the docstrings of a class and of those that it derives from say of its fields."""
+    docs = [inspect.getdoc(each) or "" for each in reversed(getattr(kind, "__mro__", ()))]
+    return {found["name"]: " ".join(found["text"].split()) for doc in docs for found in ARGUMENT.finditer(doc)}
+
+
+def first_line(thing: Any) -> str:
+    """What a thing is, in the first line of its docstring."""
+    return (inspect.getdoc(thing) or "").partition("\n")[0]
+
+
 def meaning(key: str) -> str:
-    """What a key of an experiment means, as its class says it; empty for one that there is not."""
+    """What a key of an experiment means, as its class says it, and its subkeys; empty for one that there is not."""
     from ..lab.experiments.config import keys_of, kind_at
 
     above, _, name = key.rpartition(".")
     kind = kind_at(above or None)
     if name not in keys_of(kind):
         return ""
-    said = {found["name"]: found["text"] for found in ARGUMENT.finditer(inspect.getdoc(kind) or "")}
-    return f"{key}: {' '.join(said.get(name, 'a table').split())}"
+    said = meanings(kind).get(name) or first_line(kind_at(key)) or "a table"
+    return "\n".join([f"{key}: {said}", *subkeys(key, kind_at(key))])
+
+
+def subkeys(key: str, kind: Any) -> Iterator[str]:
+    """The keys of a table with defaults and meanings, a line each; of tables with a `type`, type by type."""
+    if key in FREE:
+        kinds = getattr(import_module("mmnn_pin.lab.experiments.references"), FREE[key])
+        for name, one in kinds.items():
+            fields = inspect.signature(one).parameters.values()
+            defaults = {p.name: "required" if p.default is p.empty else f"default: {shown(p.default)}" for p in fields}
+            yield from table_lines(f'type = "{name}"', one, defaults)
+        return
+    for one in tables_in(kind):
+        tag = one.__struct_config__.tag
+        heading = f'type = "{tag}"' if tag else f"keys of {key}"
+        yield from table_lines(heading, one, {f.encode_name: default_of(f) for f in msgspec.structs.fields(one)})
+
+
+def table_lines(heading: str, kind: Any, defaults: dict[str, str]) -> Iterator[str]:
+    """A heading and the keys of a kind of table, each with its default and its meaning."""
+    said, width = meanings(kind), max(map(len, defaults), default=0)
+    what = f": {first_line(kind)}" if heading.startswith("type") else ""
+    yield "\n" + textwrap.fill(heading + what, columns(), subsequent_indent="  ")
+    for name, default in defaults.items():
+        yield hanging(f"  {name:{width}}  ", f"{said.get(name, '')} [{default}]".lstrip())
+
+
+def hanging(name: str, text: str) -> str:
+    """A name and a text behind it, whose lines stand below each other."""
+    room = textwrap.TextWrapper(columns(), break_long_words=False, break_on_hyphens=False)
+    room.initial_indent, room.subsequent_indent = name, " " * len(name)
+    return room.fill(text)
+
+
+def default_of(field: msgspec.structs.FieldInfo) -> str:
+    """The default of a key in words."""
+    if field.required:
+        return "required"
+    made = field.default_factory() if callable(field.default_factory) else field.default
+    return "a table" if isinstance(made, msgspec.Struct) else f"default: {shown(made)}"
+
+
+def shown(value: Any) -> str:
+    """A value as TOML has it, in short."""
+    if value is None:
+        return "unset"
+    text = str(value).lower() if isinstance(value, bool) else repr(list(value) if isinstance(value, tuple) else value)
+    return text.replace("'", '"') if len(text) <= 60 else "several"
+
+
+def tables_in(kind: Any) -> list[type[msgspec.Struct]]:
+    """The structs that a type holds, however deep in unions, lists and tables of names."""
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return [kind]
+    return [struct for part in get_args(kind) for struct in tables_in(part)]
+
+
+# -- names of Python, and what is listed from the code -----------------------------------------------------------------
+
+
+def public(name: str) -> str:
+    """The signature and the docstring of a public name; empty for one that there is not."""
+    import mmnn_pin
+
+    if name not in mmnn_pin.__all__ or name.startswith("_"):
+        return ""
+    thing = getattr(mmnn_pin, name)
+    try:
+        signature = str(inspect.signature(thing))
+    except (TypeError, ValueError):
+        signature = ""
+    return f"{name}{signature}\n\n{inspect.getdoc(thing) or ''}"
+
+
+def python_names() -> dict[str, str]:
+    """What `from mmnn_pin import ...` has."""
+    import mmnn_pin
+
+    return {name: first_line(getattr(mmnn_pin, name)) for name in mmnn_pin.__all__ if not name.startswith("_")}
+
+
+def commands() -> dict[str, str]:
+    """The commands."""
+    from . import mmnn
+
+    return {f"mmnn {name}": command.get_short_help_str(100) for name, command in mmnn.commands.items()}
+
+
+def controllers() -> dict[str, str]:
+    """The controllers."""
+    from ..torque import CONTROLLERS
+
+    return {name: entry.about for name, entry in CONTROLLERS.items()}
+
+
+def experiment_keys() -> dict[str, str]:
+    """Keys of an experiment."""
+    from ..lab.experiments.experiment import Experiment
+
+    said = meanings(Experiment)
+    return {f.encode_name: said.get(f.encode_name, first_line(f.type)) for f in msgspec.structs.fields(Experiment)}
+
+
+def paths() -> dict[str, str]:
+    """What `type` may be in the tables of a reference."""
+    kinds = import_module("mmnn_pin.lab.experiments.references")
+    return {key: ", ".join(getattr(kinds, name)) for key, name in FREE.items()}
+
+
+LISTED: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
+    "reference/python": ("Python: `mmnn docs NAME` prints one of them", python_names),
+    "reference/commands": ("Commands: `mmnn NAME --help` prints one of them", commands),
+    "reference/controllers": ("Controllers", controllers),
+    "reference/paths": ("Paths and profiles: `mmnn docs KEY` prints those of one key", paths),
+    "reference/experiment-keys": ("Keys of an experiment: `mmnn docs KEY` prints one of them", experiment_keys),
+}
+
+
+def listed(name: str) -> str:
+    """A page that is written from the code; empty for one that there is not."""
+    if name not in LISTED:
+        return ""
+    heading, content = LISTED[name]
+    found = content()
+    width = max(map(len, found))
+    return "\n".join([f"# {heading}\n", *(hanging(f"{key:{width}}  ", text) for key, text in found.items())])
 
 
 def names(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Pages that a shell completes."""
-    return starting(pages(), incomplete)
+    return starting([*pages(), *LISTED], incomplete)
 
 
 @click.command(
     short_help="Read the documentation: its pages, or what a key of an experiment means.",
-    epilog=examples("mmnn docs", "mmnn docs how-to/studies | less", "mmnn docs latency.margin"),
+    epilog=examples(
+        "mmnn docs",
+        "mmnn docs how-to/studies | less",
+        "mmnn docs latency.margin",
+        "mmnn docs actuator                  a table: its keys, defaults and meanings",
+        "mmnn docs Trajectory                a name of Python; mmnn docs reference/python lists them",
+    ),
 )
 @click.argument("page", required=False, shell_complete=names)
 @shared
 def docs(page: str | None, as_json: bool) -> int:
-    """Print a page of the documentation, or what a key of an experiment means; without PAGE all pages with titles."""
+    """Print a page of the documentation, a key of an experiment with its subkeys, or a name of Python.
+
+    Without PAGE it lists all pages.
+    """
     there = pages()
     if page is None:
-        found = {name: title(file) for name, file in there.items()}
+        found = {name: title(file) for name, file in there.items()} | {name: one[0] for name, one in LISTED.items()}
         answer(as_json, lambda: found, lambda: "\n".join(f"{name:30}{heading}" for name, heading in found.items()))
         return DONE
     name = page.removeprefix("docs/").removesuffix(".md")
-    text = there[name].read_text("utf-8") if name in there else meaning(page)
+    text = there[name].read_text("utf-8") if name in there else listed(name) or meaning(page) or public(page)
     if not text:
-        raise UnknownName("page or key", page, there)
+        raise UnknownName("page, key or name", page, [*there, *LISTED])
     answer(as_json, lambda: {"page": page, "text": text}, lambda: text.rstrip())
     return DONE

@@ -10,7 +10,7 @@ import click
 
 from .options import CHANGES, VARIANT, controllers, examples, experiments, robots, shared, understanding
 from .output import DONE, FAILED, answer
-from .run import about_robot, for_another_robot, in_toml
+from .run import about_robot, in_toml, told_from_where
 
 if TYPE_CHECKING:
     from ..deploy.embed import Embedded
@@ -83,15 +83,16 @@ def embed(
 
     changes = [*about_robot(robot, overrides), *settings, *in_toml(robot=robot, controllers=[controller])]
     found = load_experiment(experiment, changes, variant)
-    with for_another_robot(experiment, variant, found):
+    with told_from_where(experiment, variant, found, changes):
         loaded = found.load_robot()
         loop = found.loop(loaded, found.controller(found.controllers[0], robot=loaded))
-    if plant is not None:
-        require_tools(plant)
-    made = export(
-        loop, out, force=force, single=single, diagnostics=not no_diagnostics, steps=steps,
-        compiler=None if no_check else cc, memory=memory or MEMORY,
-    )  # fmt: skip
+        if plant is not None:
+            require_tools(plant)
+        with found.in_its_keys():
+            made = export(
+                loop, out, force=force, single=single, diagnostics=not no_diagnostics, steps=steps,
+                compiler=None if no_check else cc, memory=memory or MEMORY,
+            )  # fmt: skip
     run = None if plant is None else compared(supervised(loop), out, plant, cc.split(), steps, out / "run.h5")
     bits = f"within {TOLERANCE:g} of the largest torque of Python" if single else "with the bits of Python"
     said = "" if no_check else f"self-test passed: {made.selftest_steps} samples {bits}\n"

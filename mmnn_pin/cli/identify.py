@@ -11,13 +11,14 @@ import click
 from ..errors import ConfigError
 from ..files import require_free
 from .options import FORCE, examples, numbers, robots, run_command, shared, understanding
-from .output import DONE, FAILED, answer, look, named, warn, wrote
+from .output import DONE, FAILED, answer, look, named, progress_bar, warn, wrote
 
 if TYPE_CHECKING:
     from ..deploy.identify.identification import Identification
     from ..deploy.identify.log import Log
     from ..model.robot import Robot
 
+FOLLOWS = "kalman_friction"  # the controller that follows such motions best, with delay and encoders, too
 HEADERS = (
     "Which header, joint or topic holds a signal: SIGNAL=HEADER, several separated by commas, or a TOML file of such"
     " lines. Repeatable."
@@ -119,11 +120,13 @@ def identify(
     if without_load:
         raise ConfigError("it goes with --payload", fix="add it, or leave it out", key="--without-load")
     corrected.require_free(corrected.files_of(loaded, out), loaded, force)
-    given, judged = (read_logs(some, loaded, names, rate, degrees) for some in (logs, held_out))
-    found = identification.identify(
-        loaded, given, held_out=judged, cutoff=cutoff, stribeck=stribeck,
-        torque_constants=constants_of(constants),
-    )  # fmt: skip
+    with progress_bar() as show:
+        show("reading the logs", 0.0)
+        given, judged = (read_logs(some, loaded, names, rate, degrees) for some in (logs, held_out))
+        found = identification.identify(
+            loaded, given, held_out=judged, cutoff=cutoff, stribeck=stribeck,
+            torque_constants=constants_of(constants), progress=show,
+        )  # fmt: skip
     report = corrected.report_of(found)
     files = corrected.write(found, out, force) if found.better or even_if_worse else {}
     report |= {"file": str(files["urdf"]) if files else None, "files": named(files)}
@@ -257,10 +260,13 @@ def excite(
     report = found.to_dict() | {"file": str(out)}
 
     def text() -> str:
-        """What was found, and how to drive it: as it is, as it keeps its own share of the limits."""
+        """What was found, and how to drive it: as it is, for it keeps its own share of the limits, by a learner.
+
+        Such motions ask for torques that the feedback of a light joint, which has to bear delay, is too weak for.
+        """
         whole: dict[str, object] = {"reference__file": str(out), "reference__share": 0.0}
         whole["time__duration"] = float(found.time[-1])
-        drive = run_command(robot, overrides, "pid", **whole)
+        drive = run_command(robot, overrides, FOLLOWS, **whole)
         return f"{excitation_text(report)}\n{wrote([out])}\ndrive it, in simulation first:\n  {drive}"
 
     answer(as_json, lambda: report, text)

@@ -52,18 +52,21 @@ def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_jso
         "mmnn inspect my_robot.urdf",
         "mmnn inspect my_robot.urdf --wheels left_joint,right_joint --radius 0.1",
         "mmnn inspect tiago --lock torso_lift_joint=0.2 --arm-tip arm_7_link",
+        "mmnn inspect my_robot.urdf --gains               the gains that mmnn run track gives it",
         "mmnn inspect my_robot.urdf --strict --json",
     ),
 )
 @click.argument("robot", shell_complete=robots)
+@click.option("--gains", is_flag=True, help="Also the gains that suit it, as `mmnn run track` takes them.")
 @understanding
 @shared
-def inspect(robot: str, overrides: dict[str, Any], as_json: bool) -> int:
+def inspect(robot: str, gains: bool, overrides: dict[str, Any], as_json: bool) -> int:
     """Show what the loader understood of ROBOT: base, wheels, arm with limits, locked joints, mass, and all findings.
 
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. The options can also
     stand in NAME.mmnn.toml beside NAME.urdf. Exit code 2 when the robot cannot be used or its base is undecided.
     """
+    from ..lab.experiments.track_gains import track_gains
     from ..lab.show.robots import inspection_text, refusal_text
     from ..model.base.overrides import Overrides
     from ..model.inspection import inspection_of, refusal_of
@@ -71,7 +74,8 @@ def inspect(robot: str, overrides: dict[str, Any], as_json: bool) -> int:
     from ..model.robots import find
 
     try:
-        content, code = inspection_of(load(robot, **overrides)), DONE
+        loaded = load(robot, **overrides)
+        content, code = inspection_of(loaded) | ({"track": track_gains(loaded)} if gains else {}), DONE
     except RobotError as error:
         content, code = refusal_of(error, find(robot), Overrides(**overrides)), BAD_INPUT
     for finding in content["findings"]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -189,13 +190,26 @@ def control(
         "force": force,
     }
     more |= {"safety": loop.safety or Safety(torque="urdf"), "meta": {"config": experiment.to_json()}}
-    with Stepper.of(loop, **more) as stepper, Bridge(stepper, settings, told) as node:
+    with of_settings(experiment):
+        made = with_lines(lambda: Stepper.of(loop, **more), settings, file)
+    with made as stepper, Bridge(stepper, settings, told) as node:
         motion = None
         if settings.follow == "experiment":
             motion = stepper.plan(loop.trajectory, experiment.time.duration, from_here=True)
             seconds = min(seconds, experiment.time.duration)
         told(f"{robot.name} at {settings.rate:g} Hz in domain {settings.network.domain}, as {file} says")
         return node.run(wait, seconds, motion)
+
+
+@contextlib.contextmanager
+def of_settings(experiment: Experiment) -> Iterator[None]:
+    """Errors of the loop within name keys of an experiment as the node's settings take them."""
+    try:
+        with experiment.in_its_keys():
+            yield
+    except ConfigError as error:
+        error.fix = error.fix.replace("--set ", "--set set.")
+        raise
 
 
 def told(text: str) -> None:

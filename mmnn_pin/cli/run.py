@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import json
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,32 +125,53 @@ def run(
     asked, name = chosen_cases(load_experiment(experiment, changes, variant), cases), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
     require_plots(asked.plots)
+    taken = folder
     if not force and asked.contest is None:  # a contest goes on where it was stopped
         folder = unused(folder, files_of(asked) if out else None)
+    elsewhere = f"{taken} has runs already: these go to {folder} (--force replaces them)" if folder != taken else ""
+    by_name = (
+        bool(controllers)
+        or any(change.startswith("controllers") for change in settings)
+        or says_controllers(experiment)
+    )
     hardware = bool(asked.cases) or has_hardware(asked)
-    with for_another_robot(experiment, variant, asked):
+    with told_from_where(experiment, variant, asked, changes):
         if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
             with before_it_is_compiled(hardware):
-                return run_one(asked, name, folder, force, as_json)
+                return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
         compile_if_cold(hardware)
-        command = run_contest if asked.contest is not None else run_cases if asked.cases else run_one
-        return command(asked, name, folder, force, as_json)
+        if asked.contest is not None:
+            return run_contest(asked, name, folder, force, as_json)
+        if asked.cases:
+            return run_cases(asked, name, folder, force, as_json, elsewhere)
+        return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
+
+
+def says_controllers(experiment: str) -> bool:
+    """Whether an experiment is a file of the user's that says which controllers run."""
+    from ..lab.experiments.config import bundled, find
+
+    return experiment not in bundled() and "controllers" in read_toml(find(experiment))
 
 
 @contextlib.contextmanager
-def for_another_robot(experiment: str, variant: str | None, asked: Experiment) -> Iterator[None]:
-    """Say of an experiment that does not fit the robot that was given which one it is made for."""
+def told_from_where(experiment: str, variant: str | None, asked: Experiment, changes: Sequence[str]) -> Iterator[None]:
+    """Errors within say which option or line of a file they are about.
+
+    An experiment that does not fit the robot that was given is told with the robot that it is made for.
+    """
     try:
         yield
     except InputError as error:
-        from ..lab.experiments.another_robot import explained
         from ..lab.experiments.config import load_experiment
+        from ..lab.experiments.refusals import explained, located
 
-        raise explained(error, Path(experiment).stem, asked, load_experiment(experiment, (), variant)) from None
+        found = explained(error, Path(experiment).stem, asked, load_experiment(experiment, (), variant))
+        raise located(found, experiment, changes, variant) from None
 
 
 def unused(folder: Path, files: list[str] | None) -> Path:
-    """This folder, or where it is taken the first of `FOLDER-2` and so on that does not exist, announced.
+    """This folder, or where it is taken the first of `FOLDER-2` and so on that does not exist.
 
     Args:
         folder: The folder.
@@ -159,9 +180,26 @@ def unused(folder: Path, files: list[str] | None) -> Path:
     if not (folder.exists() if files is None else any((folder / file).exists() for file in files)):
         return folder
     numbered = (folder.with_name(f"{folder.name}-{i}") for i in itertools.count(2))
-    free = next(each for each in numbered if not each.exists())
-    click.echo(f"{folder} has runs already: these go to {free} (--force replaces them)", err=True)
-    return free
+    return next(each for each in numbered if not each.exists())
+
+
+@contextlib.contextmanager
+def announced(text: str) -> Iterator[Callable[[str, float], None]]:
+    """A progress function that first prints a line on standard error, if there is one; a refused run never does."""
+    lines = [text] if text else []
+
+    def tell() -> None:
+        if lines:
+            click.echo(lines.pop(), err=True)
+
+    with progress_bar() as show, interruptible(show) as progress:
+
+        def first_told(name: str, fraction: float) -> None:
+            tell()
+            progress(name, fraction)
+
+        yield first_told
+    tell()
 
 
 def files_of(asked: Experiment) -> list[str]:
@@ -171,15 +209,27 @@ def files_of(asked: Experiment) -> list[str]:
     return [*runs, *(f"{plot}.png" for plot in asked.plots)]
 
 
-def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
-    """Run an experiment, draw and print what came of it; 130 if stopped, 1 if a run did not reach its end, else 0."""
+def run_one(
+    asked: Experiment, name: str, folder: Path, force: bool, as_json: bool, elsewhere: str, by_name: bool
+) -> int:
+    """Run an experiment, draw and print what came of it; 130 if stopped, 1 if a run did not reach its end, else 0.
+
+    Args:
+        asked: The experiment.
+        name: Its name.
+        folder: For its files.
+        force: Replace those that are there.
+        as_json: Print one JSON object.
+        elsewhere: Said once it is sure to run; empty for nothing.
+        by_name: Whether the user chose the controllers; else those that cannot run are left out.
+    """
     from ..lab.experiments.runner import run_experiment
     from ..lab.show.comparison import notes, render
     from ..lab.show.gallery import write_pictures
     from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
 
-    with progress_bar() as show, interruptible(show) as progress:
-        result = run_experiment(asked, name, out=folder, force=force, progress=progress)
+    with announced(elsewhere) as progress:
+        result = run_experiment(asked, name, out=folder, force=force, progress=progress, leave_out=not by_name)
     pictures = write_pictures(result.recordings, asked.plots, folder, force)
 
     def text() -> str:
@@ -194,12 +244,12 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     return DONE if result.completed else FAILED
 
 
-def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
+def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool, elsewhere: str) -> int:
     """Run all controllers in all cases and print the verdicts; the exit code."""
     from ..lab.experiments.cases import run_cases as run_all
     from ..lab.show.comparison import render_cases
 
-    with progress_bar() as show, interruptible(show) as progress:
+    with announced(elsewhere) as progress:
         matrix = run_all(asked, name, out=folder, force=force, progress=progress)
     command = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
     files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {command}"

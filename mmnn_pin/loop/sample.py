@@ -26,7 +26,7 @@ from ..torque.controller import CompiledController, Context, ControllerState, To
 from .controller import Torque
 from .hardware import Hardware, is_stopped, send
 from .lead import Lead, catch_up, reference_then
-from .servo import answered, ask
+from .servo import ServoGains, answered, ask
 
 TIME, POSITION, NU, POSE_REF, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
 ALPHA, Q_REF, TORQUE, MOTOR_TORQUE = (INDEX[n] for n in ("alpha", "q_ref", "torque", "motor_torque"))
@@ -132,7 +132,7 @@ class Plan:
         block: Samples that an engine hands over at a time.
         latency: Known delay between measurement and torque, for the check of the gains [s].
         lag: Time constant of the motors, one number or one per motor, for the same [s].
-        servo: (p,) gains on s that the servos of velocity interfaces amount to, for the same; None without any.
+        servo: What the servos of velocity interfaces amount to, for the same; None without any.
         lead: How Psi_hat looks ahead to where the torque acts; None where it does not.
         age: By how much measurements are brought up to now [s].
     """
@@ -152,7 +152,7 @@ class Plan:
     block: int = 1
     latency: float = 0.0
     lag: float | tuple[float, ...] = 0.0
-    servo: Array | None = None
+    servo: ServoGains | None = None
     lead: Lead | None = None
     age: float = 0.0
 

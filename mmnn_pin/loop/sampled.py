@@ -16,7 +16,8 @@ at the nearest minimum of `1/2 (q_ref - q)' k K (q_ref - q) + U(q)`, with the st
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,6 +27,7 @@ from ..compiled import one_thread
 from ..errors import ConfigError
 from ..model.base import BY_SIZE
 from ..model.dynamics import Dynamics
+from ..settings import Numbers
 from ..signals import Array, IntArray, Setpoint
 from ..torque.classical import Gravity, Integrator
 from ..torque.controller import CompiledController
@@ -40,6 +42,7 @@ WITHOUT_RATES = (Gravity, Integrator)  # their Psi_hat does not answer to nudot_
 LARGEST = 700.0  # exponents up to here have an exponential
 FREQUENCIES, SLOWEST = 160, 0.05  # of the sweep, from this one on [rad/s]
 SHARES = np.geomspace(1.0, 0.01, 25)  # of the gains that are tried
+ROOM = 1.5  # times the bandwidth of servos that is advised, the loop holds, too
 
 
 @dataclass(frozen=True)
@@ -226,7 +229,7 @@ def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | N
         found.append(held_loop(dynamics.mass_matrix(position), *loop))
         if isinstance(plan.controller, PD | ScheduledPD):
             springs = (share * gains_of(plan))[robot.dimensions.base :] * plan.K
-            by_torque = np.ones(springs.size) if servo is None else servo[robot.dimensions.base :] == 0.0
+            by_torque = np.ones(springs.size) if servo is None else servo.gains[robot.dimensions.base :] == 0.0
             if (stiffness := sag(dynamics, position, springs, np.flatnonzero(by_torque))) is not None:
                 found.append(held_loop(dynamics.mass_matrix(position), *loop, stiffness))
     return found
@@ -279,7 +282,7 @@ def slowest(plan: Plan) -> float:
 def gains_of(plan: Plan) -> Array:
     """Gains on s, (p,): the controller's, and on velocity interfaces what their servos amount to."""
     gains = plan.controller.feedback_gain(plan.layout)  # type: ignore[union-attr]
-    return gains if plan.servo is None else np.where(plan.servo > 0.0, plan.servo, gains)
+    return gains if plan.servo is None else np.where(plan.servo.gains > 0.0, plan.servo.gains, gains)
 
 
 def adds_inside(plan: Plan) -> bool:
@@ -328,20 +331,62 @@ def require_stable_gains(plan: Plan) -> None:
     """Judge the sampled PD loop at ten places along the setpoints, and with the latency of the plan.
 
     Raises:
-        ConfigError: It is unstable at one of them, with the numbers and the largest gain that stands.
+        ConfigError: It is unstable at one of them, with the numbers and the largest gain that stands, or the bandwidth
+            of slower servos that cure it.
     """
     if not judges(plan):
         return
-    robot, dynamics = plan.robot, Dynamics(plan.robot)
-    gains, friction = gains_of(plan), viscous_friction(robot)
     h = slowest(plan)
+    for verdict in verdicts(plan):
+        if not verdict.stable:
+            what = f"the sampled loop is unstable: spectral radius {verdict.radius:.4g} > 1, commands held for {h:g} s"
+            require_slow_servos(plan, what)
+        require_stable(verdict, gains_of(plan), plan.robot.velocity_names, h)
+    if plan.latency > 0.0:
+        require_margin(plan)
+
+
+def verdicts(plan: Plan) -> Iterator[SampledLoop]:
+    """The sampled PD loop at ten places along the setpoints."""
+    robot, dynamics = plan.robot, Dynamics(plan.robot)
+    gains, friction, h = gains_of(plan), viscous_friction(robot), slowest(plan)
     for i in np.unique(np.linspace(0, len(plan.setpoints) - 1, 10).astype(int)):
         position, _ = Start().state(robot, plan.setpoints[i])
         velocity = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
-        verdict = sampled_loop(dynamics.mass_matrix(position), gains, velocity, plan.gains, plan.K, h, friction)
-        require_stable(verdict, gains, robot.velocity_names, h)
-    if plan.latency > 0.0:
-        require_margin(plan)
+        yield sampled_loop(dynamics.mass_matrix(position), gains, velocity, plan.gains, plan.K, h, friction)
+
+
+def require_slow_servos(plan: Plan, what: str) -> None:
+    """Refuse servos of velocity interfaces that are too fast for a loop, where slower ones cure it.
+
+    Args:
+        plan: Of the loop.
+        what: What is wrong with it.
+
+    Raises:
+        ConfigError: With the bandwidth that it bears with some room.
+    """
+    for share in SHARES[1:] if plan.servo is not None else ():
+        slower = plan.servo.times(float(share))  # type: ignore[union-attr]
+        if not holds(replace(plan, servo=slower.times(ROOM))):
+            continue
+        b, fast = (in_short(servo.bandwidth) for servo in (slower, plan.servo))  # type: ignore[union-attr]
+        why = f"servos with a bandwidth of {fast} 1/s on velocity interfaces are too fast for it"
+        fix = f"state slower ones, servo=Servo(bandwidth={b}), or shorten the control or sensor period"
+        raise ConfigError(what, why=why, fix=fix, key="servo.bandwidth")
+
+
+def in_short(numbers: Numbers) -> str:
+    """Numbers with two digits, as Python and TOML have them."""
+    short = [f"{number:.2g}" for number in np.atleast_1d(numbers)]
+    return f"[{', '.join(short)}]" if np.ndim(numbers) else short[0]
+
+
+def holds(plan: Plan) -> bool:
+    """Whether the sampled loop of a plan is stable, and bears its latency."""
+    return all(verdict.stable for verdict in verdicts(plan)) and (
+        plan.latency <= 0.0 or delay_margin(plan) > plan.latency
+    )
 
 
 def require_margin(plan: Plan) -> None:
@@ -353,13 +398,14 @@ def require_margin(plan: Plan) -> None:
     margin = delay_margin(plan)
     if margin > plan.latency:
         return
+    what = f"the loop does not bear a latency of {1e3 * plan.latency:.3g} ms"
+    require_slow_servos(plan, what)
     share = largest_share(plan)
     fix = "lower the gains of the kinematic layer, or shorten the latency"
     if share > 0.0:
         gains = share * gains_of(plan)
         largest = ", ".join(f"{name} {gain:.4g}" for name, gain in zip(plan.robot.velocity_names, gains, strict=True))
         fix = f"lower the feedback to {share:.4f} of it: {largest}; or shorten the latency"
-    what = f"the loop does not bear a latency of {1e3 * plan.latency:.3g} ms"
     why = f"its delay margin is {1e3 * margin:.3g} ms"
     raise ConfigError(what, why=why, fix=fix, key="latency")
 

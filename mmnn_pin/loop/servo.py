@@ -171,14 +171,19 @@ def state_size(on: Array, arm: int) -> int:
     return 2 * on.size + arm + 1 if on.any() else 0
 
 
+def needs_torques(controller: CompiledController | TorqueController, context: Context) -> bool:
+    """Whether a controller learns from the torque of every row: on servo rows nobody knows it."""
+    learner = controller.law(context).learner if isinstance(controller, CompiledController) else None
+    return learner is not None and KERNELS[type(learner)].settle is not nothing_to_keep
+
+
 def require_no_torque_regressor(controller: CompiledController | TorqueController, context: Context) -> None:
-    """Refuse learners that predict the torque of every row: on servo rows nobody knows it.
+    """Refuse what `needs_torques` on servo rows.
 
     Raises:
-        ConfigError: It is one.
+        ConfigError: It does.
     """
-    learner = controller.law(context).learner if isinstance(controller, CompiledController) else None
-    if learner is not None and KERNELS[type(learner)].settle is not nothing_to_keep:
+    if needs_torques(controller, context):
         why = "it goes by the torque of every velocity, and on a velocity interface there is none to know"
         fix = "use pd, pd_gravity, computed_torque, two_layer, one_layer, adaptive or disturbance_observer"
         raise ConfigError(f"{controller.name} on a velocity interface", why=why, fix=fix, key="interfaces")
@@ -296,14 +301,33 @@ def servo_slots(servo: Servo, latency: float, dt: float) -> int:
     return round((servo.delay + latency) / dt) + 2
 
 
-def servo_gains(robot: Robot, given: Mapping[str, str] | None, servo: Servo) -> Array | None:
-    """Gains on s that the servos amount to, `b (1 + k) / (M^-1)_ii` on servo rows and 0 on the others, (p,).
+class ServoGains(NamedTuple):
+    """What servos amount to in the loop that is judged before a run.
 
-    None where all rows take effort; errors as of `interfaces_of` and `split_of`.
+    Attributes:
+        gains: (p,) on s: `b (1 + k) / (M^-1)_ii` on servo rows, 0 on the others.
+        bandwidth: b as it is stated [1/s].
+    """
+
+    gains: Array
+    bandwidth: Numbers
+
+    def times(self, factor: float) -> ServoGains:
+        """Those of servos whose bandwidths are multiplied."""
+        b = self.bandwidth
+        return ServoGains(
+            factor * self.gains, factor * b if isinstance(b, int | float) else tuple(factor * one for one in b)
+        )
+
+
+def servo_gains(robot: Robot, given: Mapping[str, str] | None, servo: Servo) -> ServoGains | None:
+    """What the servos of a robot amount to; None where all rows take effort.
+
+    Errors as of `interfaces_of` and `split_of`.
     """
     _, on = interfaces_of(robot, given)
     if not on.any():
         return None
     b, k, _ = laws(robot, servo)
     M_inv = inverse(Twin(robot).mass_matrix(robot.neutral_position()))
-    return np.asarray(on * b * (1.0 + k) / np.diag(M_inv), float)
+    return ServoGains(np.asarray(on * b * (1.0 + k) / np.diag(M_inv), float), servo.bandwidth)

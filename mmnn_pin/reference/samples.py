@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,6 +24,9 @@ from .path import BasePath, BaseSamples, require_finite, times
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+
+SEPARATORS = ",;\t"  # of cells; the one that the first line has most of
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +72,8 @@ class Table(BasePath):
     @classmethod
     def read(cls, file: str | Path) -> Table:
         """Table from a CSV file with the columns `t, x, y, phi, v, w`, in any order, others ignored.
+
+        Cells are separated by commas, semicolons or tabs.
 
         A holonomic base has the columns `vx, vy` in place of `v`. Without columns of velocities they are those of the
         poses.
@@ -187,7 +193,9 @@ class Columns(Mapping[str, Array]):
         file = Path(file)
         try:
             with file.open(newline="", encoding="utf-8-sig") as stream:
-                rows = list(csv.reader(stream, skipinitialspace=True))
+                first = stream.readline()
+                stream.seek(0)
+                rows = list(csv.reader(stream, delimiter=max(SEPARATORS, key=first.count), skipinitialspace=True))
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             no_text = "it is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else str(error)
             why = getattr(error, "strerror", None) or no_text
@@ -248,13 +256,18 @@ def number_at(row: Sequence[str], place: int, column: str, file: Path, line: int
     """A number of a line.
 
     Raises:
-        TrajectoryError: There is none at that place.
+        TrajectoryError: There is none at that place, or one that is not finite.
     """
     text = row[place] if place < len(row) else ""
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
-        raise TrajectoryError(f"{column} = '{text}' is not a number", file=file, line=line) from None
+        fix = "write a decimal point" if "," in text else "write a number there" if text else "give one cell per column"
+        raise TrajectoryError(f"{column} = '{text}' is not a number", fix=fix, file=file, line=line) from None
+    if not math.isfinite(number):
+        fix = "give a number there, or leave the line out"
+        raise TrajectoryError(f"{column} = {text.strip()} is not finite", fix=fix, file=file, line=line)
+    return number
 
 
 def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float | None = None) -> None:

@@ -203,7 +203,7 @@ class Trajectory:
 
         `x, y, phi` of the base [m, m, rad] and, where they are known, `v, w` or `vx, vy, w`; `position.JOINT` of an
         arm joint, or only its name [rad or m], and, where it is known, `velocity.JOINT`. `mmnn excite` writes such
-        files.
+        files. Cells are separated by commas, semicolons or tabs.
 
         Raises:
             TrajectoryError: The file cannot be read, holds no motion of this robot, or one that it cannot follow; with

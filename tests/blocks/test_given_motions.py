@@ -114,7 +114,44 @@ def test_a_file_of_the_base_alone_leaves_the_arm_to_the_tables(tmp_path: Path) -
     np.testing.assert_allclose(drawn(again.trajectory_of(r), r, T).velocity[:, 0], 0.4, atol=1e-6)
 
 
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_cells_may_be_separated_by_semicolons_or_tabs(mark: str, tmp_path: Path) -> None:
+    text = "t [s],x,y,phi,position.arm_1_joint\n" + "".join(f"{t},{0.2 * t},0,0,{0.1 * t}\n" for t in T)
+    (tmp_path / "commas.csv").write_text(text)
+    (tmp_path / "others.csv").write_text(text.replace(",", mark))
+    one, other = (Trajectory.from_csv(robot(), tmp_path / f"{name}.csv") for name in ("commas", "others"))
+    np.testing.assert_array_equal(one.table(T, robot().dimensions), other.table(T, robot().dimensions))
+    (tmp_path / "others.csv").write_text("t;x;y;phi\n0;0;0;0\n1;0,5;0;0\n")
+    with pytest.raises(TrajectoryError, match=r"others.csv:3: error: x = '0,5' is not a number: write a decimal point"):
+        Trajectory.from_csv(robot(), tmp_path / "others.csv")
+
+
+def test_a_run_ends_with_its_file_unless_the_user_says_how_long(tmp_path: Path) -> None:
+    (file := tmp_path / "short.csv").write_text(
+        "t,position.arm_1_joint\n" + "".join(f"{t},{0.1 * t}\n" for t in np.linspace(0.0, 2.5004, 9))
+    )
+    given = f"reference.file={file}"
+    assert load_experiment("track", [given]).time.duration == 2.5
+    assert load_experiment("track", [given, "time.control_period=0.01"]).time.duration == 2.5
+    assert load_experiment("track", [given, "time.control_period=0.002"]).time.duration == 2.5
+    assert load_experiment("track", [given, "time.duration=1.5"]).time.duration == 1.5
+    assert load_experiment("track").time.duration == 10.0
+    trajectory = load_experiment("track", [given]).trajectory_of(robot())
+    assert trajectory.table(np.arange(2500) * 0.001, robot().dimensions).shape[0] == 2500
+    with pytest.raises(TrajectoryError, match=r"the reference ends at .*shorten the run"):
+        load_experiment("track", [given, "time.duration=4"]).trajectory_of(robot()).table([4.0], robot().dimensions)
+    own = tmp_path / "own.toml"
+    own.write_text(f'experiment = "track"\n[reference]\nfile = "{file}"\n')
+    assert load_experiment(own).time.duration == 2.5
+    own.write_text(f'experiment = "track"\n[time]\nduration = 3.0\n[reference]\nfile = "{file}"\n')
+    assert load_experiment(own).time.duration == 3.0
+    file.write_text(file.read_text() + "12.0,0.3\n")
+    assert load_experiment("track", [given]).time.duration == 10.0  # it goes on, as a note says
+
+
 BAD = {
+    "not a number": ("t,x,y,phi\n0,0,0,0\n1,1,nan,0\n", "y = nan is not finite: give a number there", 3),
+    "infinite": ("t,x,y,phi\n0,0,0,0\n1,1,0,-inf\n", "phi = -inf is not finite", 3),
     "no x": ("t,y,phi,arm_9\n0,0,0,1\n", "no column x", 1),
     "no motion": ("t,arm_9\n0,1\n", "no motion of platform_arm", 1),
     "no time": ("x,y,phi\n0,0,0\n", "no column t", 1),

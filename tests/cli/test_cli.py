@@ -211,6 +211,31 @@ def test_a_second_run_gets_a_numbered_folder_and_leaves_the_first_as_it_was(call
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_a_refused_run_does_not_say_where_its_runs_go(call: Call) -> None:
+    command = ("run", "chapter4", "--controller", "pd", *SHORT)
+    assert call(*command)[0] == 0
+    code, out, err = call(*command, "--set", "feedback.arm=1e9")
+    assert code == 2 and "unstable" in err and "these go to" not in err + out
+    assert [str(folder) for folder in Path("runs").iterdir()] == ["runs/chapter4"]
+    assert "these go to runs/chapter4-2" in call(*command)[2]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_default_controllers_that_cannot_run_are_left_out_and_named_ones_are_refused(call: Call) -> None:
+    wheels = ("--set", 'interfaces={wheel_left_joint="velocity",wheel_right_joint="velocity"}')
+    code, out, err = call("run", "track", *SHORT, *wheels)
+    assert code == 0 and "note: pid left out: it goes by the torque of every joint" in out and "pid.h5" not in out
+    assert "note: driven wheel_left_joint, wheel_right_joint by velocity; all others by effort" in out
+    named = [("--controller", "pid"), ("--set", "controllers=['pd', 'pid']")]
+    Path("own.toml").write_text('experiment = "track"\ncontrollers = ["pid", "pd"]\n')
+    for name, more in [*(("track", more) for more in named), ("own.toml", ())]:
+        code, out, err = call("run", name, *SHORT, *wheels, *more)
+        assert code == 2 and "pid on a velocity interface" in err and err.count("\n") == 1
+    Path("own.toml").write_text('experiment = "track"\n')
+    assert call("run", "own.toml", *SHORT, *wheels)[0] == 0
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_a_named_folder_is_used_unless_it_has_such_files(call: Call) -> None:
     Path("out").mkdir()
     Path("out/errors.png").write_text("mine")
@@ -741,3 +766,37 @@ def test_a_list_of_the_users_own_is_told_as_it_is(tmp_path, capsys):
     words = ["--set", "friction.arm=[1,2]", "--controller", "pd", "--out", str(tmp_path / "out")]
     assert main(["run", "track", "--robot", "ur5", *words]) == 2
     assert "friction.arm: error: 2 numbers for 6 velocities" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "begins"),
+    [
+        ("reference.base.lenght=3", "--set reference.base.lenght: error: unknown key 'lenght': did you mean 'length'?"),
+        (
+            "reference.base.type=circel",
+            "--set reference.base.type: error: unknown type 'circel': did you mean 'circle'",
+        ),
+        ("reference.arm.amplitude=x", "--set reference.arm.amplitude: error: 'x' is a text"),
+        ("reference.base.length=-3", "--set reference.base.length: error: length = -3.0 is not positive"),
+        ("reference.arm=[]", "--set reference.arm: error: 0 profiles for 2 arm joints"),
+        ("feedback.arm=1e9", "--set feedback: error: the sampled PD loop is unstable"),
+    ],
+)
+def test_an_error_met_while_the_run_is_made_names_the_option_it_came_from(change: str, begins: str, call: Call) -> None:
+    code, _, err = call("run", "track", "--controller", "pd", "--set", change)
+    assert code == 2 and err.startswith(begins) and err.count("\n") == 1 and not files_here(), err
+    code, _, err = call("embed", "track", "--controller", "pd", "--out", "c", "--set", change)
+    assert code == 2 and err.startswith(begins) and not files_here(), err
+
+
+def test_an_error_met_while_the_run_is_made_names_the_line_of_the_file_it_came_from(call: Call) -> None:
+    Path("mine.toml").write_text('experiment = "track"\n\n[reference.base]\ntype = "circel"\n')
+    assert call("run", "mine.toml")[2].startswith("mine.toml:4:reference.base.type: error: unknown type 'circel'")
+    Path("next.toml").write_text('experiment = "mine.toml"\n[time]\nduration = 2.0\n')
+    assert call("run", "next.toml")[2].startswith("mine.toml:4:reference.base.type: error: unknown type 'circel'")
+    key = ("--set", "reference.base={type='circle', radius=-1, speed=0.3}")
+    assert call("run", "next.toml", *key)[2].startswith(
+        "--set reference.base.radius: error: radius = -1.0 is not positive"
+    )
+    Path("mine.toml").write_text('experiment = "track"\ncontrollers = ["pd"]\n[feedback]\nbase = 1.0\narm = 1e9\n')
+    assert call("run", "mine.toml")[2].startswith("mine.toml:3:feedback: error: the sampled PD loop is unstable")

@@ -8,10 +8,13 @@ import re
 from importlib import import_module
 from pathlib import Path
 
+import msgspec
 import pytest
 from places import ROOT
 
+import mmnn_pin
 from mmnn_pin.cli import main
+from mmnn_pin.lab.experiments.experiment import Experiment
 
 docs = import_module("mmnn_pin.cli.docs")  # not the command of that name
 POINTER = re.compile(r"mmnn docs ([\w-]+[./][\w./-]*\w)")
@@ -41,7 +44,7 @@ def test_every_pointer_that_is_printed_leads_somewhere(capsys: pytest.CaptureFix
 def test_pages_and_keys(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["docs", "--json"]) == 0
     titles = json.loads(capsys.readouterr().out)
-    assert titles["how-to/studies"] and set(titles) == set(docs.pages())
+    assert titles["how-to/studies"] and set(titles) == {*docs.pages(), *docs.LISTED}
     assert main(["docs", "docs/how-to/studies.md"]) == 0
     assert capsys.readouterr().out.strip() == (ROOT / "docs/how-to/studies.md").read_text("utf-8").strip()
     assert main(["docs", "latency.margin"]) == 0
@@ -50,6 +53,43 @@ def test_pages_and_keys(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.strip() == said
     assert main(["docs", "how-to/studie"]) == 2
     assert "did you mean 'how-to/studies'?" in capsys.readouterr().err
+
+
+def printed(capsys: pytest.CaptureFixture[str], name: str) -> str:
+    assert main(["docs", name]) == 0, name
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("key", [f.encode_name for f in msgspec.structs.fields(Experiment)])
+def test_every_key_is_printed_and_a_table_lists_its_subkeys_with_defaults(
+    key: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = printed(capsys, key)
+    assert text.startswith(f"{key}: ") and len(text) > len(key) + 8
+    (field,) = (f for f in msgspec.structs.fields(Experiment) if f.encode_name == key)
+    for table in docs.tables_in(field.type):
+        made = table() if not any(f.required for f in msgspec.structs.fields(table)) else None
+        for inner in msgspec.structs.fields(table):
+            line = re.search(rf"^  {inner.encode_name} +.*(?:\n {{5,}}.*)*", text, re.M)
+            assert line, inner.encode_name
+            default = re.search(r"\[(?:default: (.*)|required|a table)\]$", " ".join(line[0].split()))
+            assert default, line[0]
+            if made is not None and isinstance(value := getattr(made, inner.name), int | float):
+                assert default[1] == str(value).lower()
+
+
+def test_what_the_site_writes_from_the_code_is_listed_here(capsys: pytest.CaptureFixture[str]) -> None:
+    python = printed(capsys, "reference/python")
+    for name in mmnn_pin._WHERE:
+        assert re.search(rf"^{name} +\S", python, re.M), name
+        assert printed(capsys, name).startswith(name)
+    assert "length  Extent along its long axis [m]. [required]" in printed(capsys, "reference.base")
+    assert 'type = "minimum_jerk"' in printed(capsys, "reference.arm")
+    assert "eight" in printed(capsys, "reference/paths") and "mmnn identify" in printed(capsys, "reference/commands")
+    assert "pd_gravity" in printed(capsys, "reference/controllers")
+    assert re.search(r"^servo +The servos", printed(capsys, "reference/experiment-keys"), re.M)
+    assert main(["docs", "reference/pyton"]) == 2
+    assert "did you mean 'reference/python'?" in capsys.readouterr().err
 
 
 def test_a_wheel_has_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

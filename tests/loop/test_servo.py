@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields, replace
 
 import numpy as np
@@ -11,10 +12,11 @@ from hypothesis import strategies as st
 from numba import config
 from scipy.integrate import solve_ivp
 
-from mmnn_pin import PD, Eight, Feedback, Loop, Sine, Stepper, Timing, Trajectory, load
+from mmnn_pin import PD, Eight, Feedback, Loop, Sine, Stepper, Timing, Trajectory, compare, load, load_experiment
 from mmnn_pin.actuator import Drive
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.latency import Latency
@@ -22,11 +24,13 @@ from mmnn_pin.loop.ordinary import OrdinaryLoop
 from mmnn_pin.loop.servo import Servo, interfaces_of, servo_slots, split_of, velocity_servo
 from mmnn_pin.loop.suited import Given, suited
 from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.robots import robot_data
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import exact
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque.model_based import ComputedTorque
 
+needs_data = pytest.mark.skipif(robot_data() is None, reason="example-robot-data is not installed")
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5))
 WHEELS = dict.fromkeys(ROBOT.actuator_names[:2], "velocity")
 H = 0.002
@@ -239,3 +243,79 @@ def test_names_say_which_rows_are_servo_rows():
     assert kinds == ("velocity", "velocity", "effort", "position") and on.tolist() == [1, 1, 0, 1]
     with pytest.raises(ConfigError, match=r"servo\.bandwidth"):
         Servo(bandwidth=0.0)
+
+
+# -- servos that are too fast for the loop -----------------------------------------------------------------------------
+
+
+def advised(text):
+    """What a refusal says to write in Python for slower servos."""
+    found = re.search(r"servo=(Servo\(bandwidth=[^)]*\))", text)
+    assert found, text
+    return eval(found[1], {"Servo": Servo})
+
+
+@pytest.mark.parametrize("bandwidth", [30.0, (30.0, 30.0, 60.0, 60.0)])
+@pytest.mark.parametrize("period", [0.04, 0.1])
+def test_slower_servos_are_advised_where_they_help_and_then_the_loop_holds(period, bandwidth):
+    given = {"period": period, "interfaces": dict.fromkeys(ROBOT.actuator_names, "velocity")}
+    with pytest.raises(ConfigError, match=r"servo\.bandwidth: error: the sampled loop is unstable") as refused:
+        Stepper(ROBOT, PD(), servo=Servo(bandwidth=bandwidth), **given)
+    servo = advised(str(refused.value))
+    assert np.ndim(servo.bandwidth) == np.ndim(bandwidth) and np.max(servo.bandwidth) < 60.0
+    with Stepper(ROBOT, PD(), servo=servo, **given) as stepper:
+        assert stepper.delay_margin() > 0.1 * period
+
+
+def test_servos_that_do_not_bear_a_latency_are_told_to_be_slower():
+    given = {"period": 0.02, "interfaces": dict.fromkeys(ROBOT.actuator_names, "velocity"), "latency": 0.03}
+    with pytest.raises(ConfigError, match=r"does not bear a latency of 30 ms") as refused:
+        Stepper(ROBOT, PD(), **given)
+    with Stepper(ROBOT, PD(), servo=advised(str(refused.value)), **given) as stepper:
+        assert stepper.delay_margin() > 0.03
+
+
+def test_gains_on_effort_are_to_blame_where_slower_servos_do_not_help():
+    stiff = PD(Feedback(20.0, 3000.0))
+    with pytest.raises(ConfigError, match="feedback: error: the sampled PD loop is unstable"):
+        Stepper(ROBOT, stiff, period=0.02, interfaces=WHEELS)
+
+
+@needs_data
+def test_tiago_at_50_hz_follows_once_the_advice_of_its_refusal_is_taken():
+    motors = ",".join(f'{name}="velocity"' for name in load("tiago").actuator_names)
+    keys = ['robot="tiago"', 'controllers=["pd"]', f"interfaces={{{motors}}}", "time.control_period=0.02"]
+    keys += ["time.duration=0.4" if config.DISABLE_JIT else "time.duration=4.0"]
+    with pytest.raises(ConfigError, match="too fast") as refused:
+        run_experiment(load_experiment("track", keys), "track")
+    found = re.search(r"--set (servo\.bandwidth=[0-9.]+)", str(refused.value))
+    assert found
+    result = run_experiment(load_experiment("track", [*keys, found[1]]), "track")
+    assert result.completed
+    errors = result["pd"].errors(start=0.0 if config.DISABLE_JIT else 2.0)
+    assert max(error.rms for error in errors.values()) < 0.05
+
+
+def test_a_comparison_in_python_is_told_its_own_key():
+    path = Trajectory.of(ROBOT, base=Eight(3.0, 1.5, 20.0))
+    every = {"interfaces": dict.fromkeys(ROBOT.actuator_names, "velocity"), "time.control_period": 0.1}
+    every |= {"time.plant_step": 0.001}
+    with pytest.raises(ConfigError, match="too fast") as refused:
+        compare(ROBOT, path, ["pd"], duration=1.0, settings=every)
+    found = re.search(r"settings=(\{.*?\})", str(refused.value))
+    assert found
+    assert compare(ROBOT, path, ["pd"], duration=1.0, settings=every | eval(found[1])).completed
+
+
+# -- controllers that cannot run on them -------------------------------------------------------------------------------
+
+
+def test_controllers_that_nobody_named_are_left_out_with_a_note():
+    path = Trajectory.of(ROBOT, base=Eight(3.0, 1.5, 20.0))
+    result = compare(ROBOT, path, duration=0.02, settings={"interfaces": WHEELS})
+    assert list(result) == ["pd", "pd_gravity", "two_layer"]
+    assert [note for note in result.notes if note.startswith("pid left out")]
+    assert "driven wheel_left_joint, wheel_right_joint by velocity; all others by effort" in result.notes
+    with pytest.raises(ConfigError, match="pid on a velocity interface"):
+        compare(ROBOT, path, ["pd", "pid"], duration=0.02, settings={"interfaces": WHEELS})
+    assert list(compare(ROBOT, path, duration=0.02)) == ["pd", "pd_gravity", "pid", "two_layer"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from drives import ARM, Drive
 from test_base import MOVE, drone, four, welded
 
+from mmnn_pin import Feedback, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model import Undecided, load
@@ -60,6 +62,45 @@ def test_prefixes_that_nobody_declared_harm_nothing(call):
     assert (code, err) == (0, "") and found["ok"] and found["base"]["kind"] == "differential_drive"
     assert "namespace" in {finding["code"] for finding in found["findings"]}
     assert found["interfaces"]["shoulder"] == "effort"
+
+
+TAGS = """<ros2_control name="c" type="system">
+<joint name="left"><command_interface name="velocity"/></joint>
+<joint name="right"><command_interface name="velocity"/></joint>
+<joint name="elbow"><command_interface name="position"/><command_interface name="effort"/></joint></ros2_control>"""
+
+
+def test_it_tells_how_a_run_drives_motors_and_how_to_drive_them_as_the_urdf_offers(call):
+    file = written(Drive().urdf(ARM + TAGS))
+    out = call("inspect", file)[1]
+    assert "mmnn run drives every motor by effort unless it is told otherwise" in out
+    said = next(line for line in out.splitlines() if line.startswith("  --set")).strip()
+    options = ("run", "track", "--robot", file, "--controller", "pd", "--set", "time.duration=0.02")
+    options += ("--set", "plots=[]")
+    code, out, err = call(*options, *shlex.split(said))
+    assert code == 0 and "note: driven left, right by velocity; all others by effort" in out, err
+    code, out, err = call(*options)
+    assert code == 0 and "note: driven by effort, which the URDF does not offer: left, right (see mmnn inspect)" in out
+    assert "driven" not in call("run", "track", *options[4:])[1]  # of platform_arm, whose URDF offers nothing
+
+
+def test_gains_are_those_of_a_run_and_can_be_copied(call):
+    file = written(Drive().urdf(ARM))
+    assert "track" not in json.loads(call("inspect", file, "--json")[1])
+    found = json.loads(call("inspect", file, "--gains", "--json")[1])["track"]
+    experiment = load_experiment("track", [f'robot="{file}"'])
+    robot = experiment.load_robot()
+    gains = experiment.controller("pd", robot=robot).feedback.vector(robot.dimensions)
+    np.testing.assert_array_equal(list(found["gains"].values()), gains)
+    assert list(found["gains"]) == list(robot.velocity_names)
+    products = [found["inertia"][name] * found["bandwidth"][name] for name in found["gains"]]
+    np.testing.assert_allclose(products, gains)
+    text = call("inspect", file, "--gains")[1]
+    options = shlex.split(next(line for line in text.splitlines() if "--set feedback" in line or "'feedback" in line))
+    copied = load_experiment("track", [f'robot="{file}"', *options[1::2]]).controller("pd", robot=robot)
+    np.testing.assert_allclose(copied.feedback.vector(robot.dimensions), gains, rtol=1e-3)
+    python = next(line for line in text.splitlines() if line.startswith("  Feedback(")).removesuffix(" in Python")
+    np.testing.assert_allclose(eval(python.strip(), {"Feedback": Feedback}).vector(robot.dimensions), gains, rtol=1e-3)
 
 
 def test_a_negative_limit_is_none(call):

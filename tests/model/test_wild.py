@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_base import MOVE, four
 
-from mmnn_pin.errors import ConfigError, RobotError
+from mmnn_pin.cli import main
+from mmnn_pin.errors import ConfigError, RobotError, UnknownName
 from mmnn_pin.lab.show.robots import interfaces
 from mmnn_pin.model.base.report import Undecided, Unsupported
 from mmnn_pin.model.checks.properties import check
@@ -371,6 +372,27 @@ def test_xacro_is_expanded_with_packages_by_their_names_and_arguments(tmp_path):
     assert load(file).model.inertias[1].lever[2] == pytest.approx(0.5)
     with pytest.raises(ConfigError, match="write NAME:=VALUE"):
         load(file, xacro=("length=3",))
+
+
+def test_a_misspelt_argument_of_a_xacro_file_is_refused_with_the_one_that_is_meant(tmp_path, capsys):
+    """Xacro takes it in silence, and the robot is another one than was asked for."""
+    file = workspace(tmp_path, '<xacro:arg name="gripper_mass"\n default="1"/>')
+    with pytest.raises(UnknownName) as refused:
+        load(file, xacro=("lenght:=3", "gripper_mass:=2"))
+    where = f"{file}:xacro: error: unknown argument 'lenght': did you mean 'length'? there is: gripper_mass, length"
+    assert str(refused.value) == where
+    assert main(["inspect", str(file), "--xacro", "lenght:=3"]) == 2
+    assert "did you mean 'length'?" in capsys.readouterr().err
+    assert load(file, xacro=("length:=3", "gripper_mass:=2")).model.inertias[1].lever[2] == pytest.approx(1.5)
+    (bare := tmp_path / "bare.xacro").write_text(drive_of(SPHERE.format(r=0.1), 0.2, 0.1))
+    with pytest.raises(UnknownName, match="there is: no argument at all"):
+        load(bare, xacro=("length:=3",))
+
+
+@pytest.mark.parametrize("use", ["$(arg speed)", "${xacro.arg('speed')}"])
+def test_an_argument_without_a_default_counts_as_declared(use, tmp_path):
+    file = workspace(tmp_path, f'<xacro:property name="s" value="{use}"/><xacro:arg name="${{\'a\'}}b" default="1"/>')
+    assert load(file, xacro=("speed:=3",)).dimensions.arm == 1
 
 
 @pytest.mark.parametrize("variable", ["ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH", ""])

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
@@ -26,6 +26,7 @@ from ...settings.arguments import checked
 from ...settings.shown import AsText
 from ...signals import Array
 from .constants import constants_of
+from .doubts import beyond_limits, misfits, missing_notes
 from .equations import (
     Bools,
     Equations,
@@ -69,6 +70,7 @@ class Identification(AsText):
         why: For the other rows, by name, why not.
         friction: (r, k) friction alone and a constant, fitted to every row.
         notes: What there is to say beside the logs' own notes.
+        beyond: Efforts above their motors' limits, a line for each.
         wheels: Radii and track, where a log has a reference pose; None without.
     """
 
@@ -85,6 +87,7 @@ class Identification(AsText):
     friction: Array
     notes: tuple[str, ...]
     wheels: Wheels | None = None
+    beyond: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         ours, file = 100 * self.error("identified"), 100 * self.error("urdf")
@@ -92,6 +95,12 @@ class Identification(AsText):
 
     def __str__(self) -> str:  # what shows it stands above it, so it is found by name
         return str(import_module("mmnn_pin.lab.show.identified").text_of(self.to_dict()))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What makes it doubtful: efforts above their limits, joints that fit badly."""
+        errors = {model: self.errors(model) for model in ("identified", "least_squares", "urdf")}
+        return (*self.beyond, *misfits(self.names, errors, self.follows))
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, for JSON: joints, base parameters, bodies, friction."""
@@ -195,6 +204,7 @@ def identify(
     stribeck: float | None = None,
     torque_constants: Mapping[str, float | None] | None = None,
     weight: float | None = None,
+    progress: Callable[[str, float], None] | None = None,
 ) -> Identification:
     """Inertias and friction of a robot from recorded motion.
 
@@ -207,6 +217,7 @@ def identify(
         torque_constants: Torque per unit of a recorded effort, by motor; 1 for those not named. None finds it from
             motors with known constants that feel the same bodies.
         weight: Of the URDF in the consistent fit; by default chosen on blocks left out.
+        progress: Called now and then with what is being done and the fraction of it.
 
     Raises:
         RecordingError: A log that cannot be used.
@@ -225,33 +236,42 @@ def identify(
     """
     given, judged = logs_of(logs, robot), logs_of(held_out, robot)
     require_settings(cutoff, stribeck, weight)
-    given, judged = (
-        [sound(scaled(log, robot, torque_constants or {}), robot) for log in some] for some in (given, judged)
-    )
-    every = [*given, *judged]
+    tell, constants, count = progress or (lambda what, fraction: None), torque_constants or {}, len(given)
+    every = []
+    for i, log in enumerate([*given, *judged]):
+        tell("looking at the logs", i / (count + len(judged)))
+        every.append(sound(scaled(log, robot, constants), robot))
+    given, judged = every[:count], every[count:]
     unknowns = Unknowns(robot, Regressor.of(robot), measured_rows(robot, every), stribeck)
     cutoff = chosen_cutoff(every, robot) if cutoff is None else cutoff
     still = still_speeds(every, unknowns, cutoff)
+    tell("making equations", 0.0)
     training, test = divided([equations(log, unknowns, cutoff, still) for log in given])
     if judged:
         training = Equations.stacked([training, test])
         test = Equations.stacked([equations(log, unknowns, cutoff, still) for log in judged])
-    wanted = [name for name, value in (torque_constants or {}).items() if value is None]
+    wanted = [name for name, value in constants.items() if value is None]
     notes: tuple[str, ...] = ()
     if wanted:
         training, test, notes = with_constants(training, test, unknowns, wanted)
-    found = fitted(robot, every, unknowns, training, test, weight)
-    found = replace(found, notes=(*notes, *found.notes))
+    found = fitted(robot, every, unknowns, training, test, weight, tell)
+    found = replace(found, notes=(*notes, *found.notes), beyond=tuple(beyond_limits(every, robot, wanted)))
     driven = [log for log in every if has_reference(log, robot)]
     return replace(found, wheels=wheels_of(robot, driven)) if driven else found
 
 
 def fitted(
-    robot: Robot, logs: Sequence[Log], unknowns: Unknowns, training: Equations, test: Equations, weight: float | None
+    robot: Robot,
+    logs: Sequence[Log],
+    unknowns: Unknowns,
+    training: Equations,
+    test: Equations,
+    weight: float | None,
+    tell: Callable[[str, float], None],
 ) -> Identification:
     """The fit to some equations, judged on others; see `identify`."""
     prior, friction = Prior.of(unknowns, training), friction_alone(training, unknowns)
-    follows, why, chosen = following(training, unknowns, prior, friction)
+    follows, why, chosen = following(training, unknowns, prior, friction, tell)
     moves = np.array(
         [
             np.ptp(np.concatenate([coordinates(log, robot)[0][:, i] for log in logs])) > 1e-3
@@ -259,8 +279,10 @@ def fitted(
         ]
     )
     used = training.only(follows)
+    tell("fitting base parameters", 0.0)
     fit = weighted_fit(used, base_parameters(unknowns, follows, moves))
     chosen = chosen if weight is None else weight
+    tell("fitting all parameters", 0.0)
     consistent = consistent_fit(used, prior, follows, fit.deviation, chosen, fit.inflation)
     notes = [*missing_notes(logs, robot), *misnamed_notes(training, unknowns)]
     return Identification(
@@ -353,7 +375,7 @@ def friction_columns(unknowns: Unknowns, i: int) -> Array:
 
 
 def following(
-    training: Equations, unknowns: Unknowns, prior: Prior, friction: Array
+    training: Equations, unknowns: Unknowns, prior: Prior, friction: Array, tell: Callable[[str, float], None]
 ) -> tuple[Bools, dict[str, str], float]:
     """Rows that the rigid body explains better than friction alone, why the others do not, and the prior's weight.
 
@@ -374,7 +396,8 @@ def following(
     alone = friction_left_out(training, unknowns)
     deviation = np.sqrt(np.maximum(alone / np.maximum(counts, 1), 1e-18))
     while True:
-        for _ in range(3):
+        for part in range(3):
+            tell("looking for joints that follow the rigid body", part / 3)
             chosen, errors = blocks.chosen(follows, deviation, prior.strength)
             deviation = np.where(follows, np.sqrt(np.maximum(errors / np.maximum(counts, 1), 1e-18)), deviation)
         size = np.maximum(blocks.square.sum(axis=0), 1e-300)
@@ -413,20 +436,6 @@ def friction_left_out(of: Equations, unknowns: Unknowns) -> Array:
 
 
 # -- notes -------------------------------------------------------------------------------------------------------------
-
-
-def missing_notes(logs: Sequence[Log], robot: Robot) -> list[str]:
-    """What is not in the logs and was taken as still."""
-    found = []
-    for log in logs:
-        _, missing = coordinates(log, robot)
-        if missing:
-            found.append(f"{log.name}: not in the log, taken as still: {', '.join(missing)}")
-        frozen = [name for name in log.position if name not in robot.joint_names and name in robot.arm.locked]
-        moved = [name for name in frozen if np.ptp(log.position[name]) > 0.02]
-        if moved:
-            found.append(f"{log.name}: locked in the model, but they move: {', '.join(moved)}: --free JOINT frees one")
-    return found
 
 
 def misnamed_notes(training: Equations, unknowns: Unknowns) -> list[str]:

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 from scipy.optimize import linear_sum_assignment
 
 from ...errors import RecordingError
@@ -191,7 +192,7 @@ def despiked(log: Log, robot: Robot) -> Log:
         kind, _, name = signal.partition(".")
         if kind not in ("position", "effort") or name not in robot.full_velocity_names:
             continue
-        middle = median_of_five(values)
+        middle = median_filter(values, 5, mode="nearest")
         off = np.abs(values - middle)
         spread = 1.4826 * float(np.median(off[off > 0])) if (off > 0).any() else 0.0
         steep = 3 * np.median(np.abs(np.diff(values)))  # a fast motion is no spike
@@ -203,12 +204,6 @@ def despiked(log: Log, robot: Robot) -> Log:
                 f"{log.time[np.argmax(spikes)]:.4g} s"
             )
     return log.with_signals(signals, None, *notes)
-
-
-def median_of_five(values: Array) -> Array:
-    """Running median of five rows."""
-    padded = np.pad(values, 2, mode="edge")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1))
 
 
 # -- efforts against the prediction ------------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ WORDS = {
 TIMES = ("time", "t", "timestamp", "stamp", "sec", "seconds")
 UNITS = {"s", "sec", "secs", "seconds", "ms", "us", "ns"}  # that may follow
 PLAIN = {"joint", "joints", "j", "axis", "motor", "link", "actual", "measured", "meas", "state", "raw", "filtered"}
+TAKEN = {"q": "position", "qdot": "velocity", "velocity": "base"}  # of a recording, beside its torque
 BAGS = (".db3", ".mcap", ".bag")
 
 
@@ -143,8 +144,9 @@ def read_csv(path: Path, robot: Robot, columns: Columns, rate: float | None = No
         raise RecordingError("arrays without names of joints", fix=fix, file=path)
     header, table, short = read_table(path)
     joints = [*robot.joint_names, *(n for n in robot.full_velocity_names if n not in robot.joint_names)]
-    where = found_columns(header, joints, columns, path)
-    counted, notes = numbered(header, robot.joint_names, where, path)
+    ours = {} if columns else exported(header)
+    where = ours or found_columns(header, joints, columns, path)
+    counted, notes = ({}, ()) if ours else numbered(header, robot.joint_names, where, path)
     where = counted | where
     if "time" not in where:
         if rate is None:
@@ -154,7 +156,31 @@ def read_csv(path: Path, robot: Robot, columns: Columns, rate: float | None = No
     else:
         time = table[:, where["time"]]
     signals = {signal: table[:, i] for signal, i in where.items() if signal != "time"}
-    return replace(from_signals(str(path), {"time": time, **signals}), notes=notes + short)
+    log = replace(from_signals(str(path), {"time": time, **signals}), notes=notes + short)
+    return of_recording(log, robot) if ours else log
+
+
+def plain(header: str) -> str:
+    """A header without the unit in brackets behind it."""
+    return re.sub(r"\s*\[[^\]0-9][^\]]*\]$", "", header.strip())
+
+
+def exported(header: Sequence[str]) -> dict[str, int]:
+    """Place of every signal in a table that `mmnn export` wrote, as `from_recording` takes them; empty for another.
+
+    Beside what the sensors said it has the truth, references and errors.
+    """
+    names = [plain(name) for name in header]
+    kinds = {name.partition(".")[0] for name in names}
+    if not {"time", "nu_ref", "psi_hat", "motor_torque"} <= kinds:
+        return {}
+    taken = TAKEN | {"applied" if "applied" in kinds else "motor_torque": "effort"}
+    found = {"time": names.index("time")}
+    for i, name in enumerate(names):
+        signal, _, label = name.partition(".")
+        if signal in taken and label:
+            found[f"{taken[signal]}.{label}"] = i
+    return found
 
 
 def numbered(
@@ -261,15 +287,16 @@ def found_columns(header: Sequence[str], joints: Sequence[str], columns: Columns
             found[signal] = header.index(name)
         elif "{joint}" not in "".join(columns) and signal in columns:
             raise UnknownName("column", name, header, file=path, key=f"--columns {signal}")
-    taken = set(found.values())
-    for i, name in enumerate(header):
-        signal = name if name in known else meant(name, joints)
-        if i in taken or not signal or (signal in found and found[signal] in taken):
-            continue
-        if signal in found:
-            what = f"two columns for {signal}: '{header[found[signal]]}' and '{name}'"
-            raise RecordingError(what, fix=f"choose with --columns {signal}=HEADER", file=path, line=1)
-        found[signal] = i
+    for signal_of in (plain, lambda name: meant(name, joints)):  # a name of ours stands before what words may mean
+        taken = dict(found)
+        for i, name in enumerate(header):
+            signal = signal_of(name)
+            if signal not in known or signal in taken or i in taken.values():
+                continue
+            if signal in found:
+                what = f"two columns for {signal}: '{header[found[signal]]}' and '{name}'"
+                raise RecordingError(what, fix=f"choose with --columns {signal}=HEADER", file=path, line=1)
+            found[signal] = i
     return found
 
 
@@ -319,17 +346,24 @@ def from_recording(recording: Recording, robot: Robot) -> Log:
         raise RecordingError("the recording has no rows", fix="name one of a longer run", file=path)
     torque = "applied" if "applied" in recording else "motor_torque"
     signals = {"time": recording.time}
-    for signal, kind in (("q", "position"), ("qdot", "velocity"), (torque, "effort"), ("velocity", "base")):
+    for signal, kind in (TAKEN | {torque: "effort"}).items():
         if signal in recording:
             table = as_columns(recording[signal])
             signals |= {f"{kind}.{name}": table[:, i] for i, name in enumerate(recording.labels(signal))}
-    period = float(np.median(np.diff(recording.time)))
+    return of_recording(from_signals(str(path), signals), robot)
+
+
+def of_recording(log: Log, robot: Robot) -> Log:
+    """The log of a recording: its efforts are held for a period.
+
+    Raises:
+        RecordingError: It is of another robot.
+    """
     known = {*robot.joint_names, *robot.actuator_names}
-    others = [name for name in recording.labels("q") if name not in known] if "q" in recording else []
-    if others:
+    if others := [name for name in log.position if name not in known]:
         what = f"the recording is of a robot with the joint '{others[0]}'"
-        raise RecordingError(what, fix=f"name it with --robot; {robot.name} has {', '.join(known)}", file=path)
-    return replace(from_signals(str(path), signals), effort_delay=period / 2)
+        raise RecordingError(what, fix=f"name it with --robot; {robot.name} has {', '.join(known)}", file=log.name)
+    return replace(log, effort_delay=float(np.median(np.diff(log.time))) / 2)
 
 
 def read_columns(given: Sequence[str]) -> dict[str, str]:

@@ -95,6 +95,7 @@ def report_of(of: Identification) -> dict[str, Any]:
         "theta": of.theta.tolist(),
         "covariance": of.consistent.covariance.tolist(),
         "regressor_size": regressor.size,
+        "warnings": list(of.warnings),
         "notes": [*(f"{log.name}: {note}" for log in of.logs for note in log.notes), *of.notes],
     }
 

@@ -74,6 +74,10 @@ class Assembled(Experiment, frozen=True, kw_only=True):
         """A controller: the object of that name, or one of the package; errors as in `Experiment.controller`."""
         return self.own[name] if name in self.own else super().controller(name, gains, robot)
 
+    def setting(self, key: str, value: str) -> str:
+        """How Python sets one of its keys."""
+        return f'settings={{"{key}": {value}}}'
+
     def to_json(self) -> str:
         """Nothing: no file says what the objects are."""
         return ""
@@ -124,7 +128,8 @@ def compare(
     """
     experiment = assembled(robot, trajectory, controllers, duration=duration, settings=settings)
     folder = None if out is None else Path(out)
-    return run_experiment(experiment, "comparison", out=folder, force=force, progress=progress)
+    leave_out = controllers is DEFAULT
+    return run_experiment(experiment, "comparison", out=folder, force=force, progress=progress, leave_out=leave_out)
 
 
 def assembled(

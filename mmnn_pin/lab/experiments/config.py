@@ -25,13 +25,13 @@ from ...settings.arguments import checked, wrong_type
 from .contest import ONLY
 from .controllers import CONTROLLERS, new_name, renamed
 from .experiment import Experiment
+from .origins import of_override
+from .references import as_long_as_its_file
 
 FOLDER = Path(__file__).parent
 ITS_OWN = ("title", "variant", "experiment", "cases")  # keys that no other experiment takes over
 UNIONS = (Union, UnionType)
 SHORT_NUMBER = re.compile(r"[+-]?(\d+\.|\.\d+)([eE][+-]?\d+)?")  # TOML wants a digit on both sides of the point
-UNKNOWN_KEY = re.compile(r"unknown key '(.*)'")
-OPTIONS = ("robot", "overrides", "controllers", "seed", "plant")  # keys that options of their own set, too
 
 
 @checked
@@ -58,7 +58,10 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
         override(table, text)
     if any(text.startswith("reference.file") for text in texts) and "title" not in {text[:5] for text in texts}:
         table["title"] = f"The motion of {Path(str(table['reference']['file'])).name}"
-    with_starts(table, read_toml(path), path, texts)
+    own = read_toml(path)
+    if not any(text.startswith(("time.duration", "time=")) for text in texts):
+        as_long_as_its_file(table, own if path.parent != FOLDER else {})
+    with_starts(table, own, path, texts)
     try:
         require_overrides(table.get("overrides", {}))
         require_disturbances(table.get("disturbances"))
@@ -70,24 +73,6 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
     except InputError as error:
         error.file = error.file or path
         raise of_override(error, texts) from None
-
-
-def of_override(error: InputError, texts: Iterable[str]) -> InputError:
-    """An error at a key that an override sets: that it came from there, not from the experiment's file.
-
-    Args:
-        error: It; its file and key are changed.
-        texts: `key.path=value`.
-    """
-    unknown = UNKNOWN_KEY.match(error.what)
-    at = ".".join(part for part in (error.key, unknown and unknown[1]) if part)
-    for key in (text.partition("=")[0].strip() for text in texts):
-        if at and (f"{at}.".startswith(f"{key}.") or f"{key}.".startswith(f"{at}.")):
-            by_option = key.partition(".")[0] in OPTIONS and not unknown
-            error.file, error.option = None, "" if by_option else "--set"
-            error.key = max(key, at, key=len) if unknown else error.key
-            break
-    return error
 
 
 def recorded_experiment(recording: Recording) -> Experiment | None:

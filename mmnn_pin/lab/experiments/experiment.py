@@ -5,7 +5,9 @@ Its TOML has exactly these keys.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -48,6 +50,7 @@ from .hand import hand_motion
 from .laws import resolved
 from .references import HeldOut, ReferenceTables
 
+BANDWIDTH = re.compile(r"servo=Servo\(bandwidth=([^)]*)\)")
 PLACES = 10  # along the reference at which inertias are looked at that scale bandwidths
 
 
@@ -370,6 +373,19 @@ class Experiment(LearnerTables, frozen=True):
             servo=self.servo,
             lead=self.lead,
         )
+
+    def setting(self, key: str, value: str) -> str:
+        """How whoever asked for this experiment sets one of its keys."""
+        return f"--set {key}={value}"
+
+    @contextmanager
+    def in_its_keys(self) -> Iterator[None]:
+        """Errors of its loops within name the bandwidth of servos as this experiment takes it."""
+        try:
+            yield
+        except ConfigError as error:
+            error.fix = BANDWIDTH.sub(lambda found: self.setting("servo.bandwidth", found[1]), error.fix)
+            raise
 
     def to_json(self) -> str:
         """The complete experiment with its defaults, as text (JSON) for a recording."""

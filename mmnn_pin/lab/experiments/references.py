@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, Literal
 
 import msgspec
 import numpy as np
 
-from ...errors import ConfigError, TrajectoryError, UnknownName
+from ...errors import ConfigError, InputError, TrajectoryError, UnknownName
 from ...model.base.holonomic import moves_sideways
 from ...model.robot import Robot
 from ...reference import (
@@ -43,6 +45,7 @@ from ...reference.hand import (
     plan,
 )
 from ...reference.joint import JointProfile
+from ...reference.samples import Columns
 from ...reference.trajectory import still
 from ...settings import Settings, Timing, require_gain
 from ...settings.arguments import wrong_type
@@ -357,3 +360,28 @@ def make(kinds: dict[str, Any], table: dict[str, Any], key: str) -> Any:
         where = str(error).partition(" - at ")[2].strip("`").removeprefix("$")
         what, fix = wrong_type(error, arguments.get(where.removeprefix(".")))
         raise ConfigError(what, fix=fix, key=key + where) from error
+    except InputError as error:  # of the object itself, which knows only the name of its argument
+        first = error.what.partition(" ")[0]
+        error.key = error.key or (f"{key}.{first}" if first in known else key)
+        raise
+
+
+def as_long_as_its_file(table: dict[str, Any], own: Mapping[str, Any]) -> None:
+    """Let an experiment end with the motion of its file, where that is shorter and the user does not say how long.
+
+    Args:
+        table: The experiment, changed in place.
+        own: What the user's own file says, empty without one.
+    """
+    time, reference = (table.get(name) for name in ("time", "reference"))
+    if not (isinstance(time, dict) and isinstance(reference, dict)) or not reference.get("file"):
+        return
+    if isinstance(said := own.get("time"), dict) and "duration" in said:
+        return
+    with suppress(InputError, TypeError, ValueError, ZeroDivisionError):  # told when the file is read
+        end, period = (
+            float(Columns.read(reference["file"])["t"][-1]),
+            time.get("control_period", Timing().control_period),
+        )
+        if 0 < end < time["duration"]:
+            time["duration"] = round(math.floor(end / period + 1e-6) * period, 9)

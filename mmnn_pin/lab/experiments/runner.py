@@ -10,6 +10,8 @@ import msgspec
 import numpy as np
 
 from ...errors import RecordingError
+from ...loop.servo import EFFORT, interfaces_of, needs_torques
+from ...model.inspection import interfaces_of as offered_by
 from ...model.robot import Robot
 from ...recording.metrics import metrics
 from ...recording.recording import Recording, as_columns
@@ -34,6 +36,7 @@ def run_experiment(
     out: str | Path | None = None,
     force: bool = False,
     progress: Callable[[str, float], None] | None = None,
+    leave_out: bool = False,
 ) -> Result:
     """Run every controller of an experiment; a diverged run is part of the result.
 
@@ -42,7 +45,8 @@ def run_experiment(
         name: Its name, for the recordings.
         out: Folder for the recordings, one HDF5 file per controller; None keeps them in memory.
         force: Replace existing recordings.
-        progress: Called now and then with the controller and the fraction done.
+        progress: Called now and then with the controller and the fraction done, first when one runs.
+        leave_out: Leave out, with a note, controllers that cannot run on velocity interfaces; else they are refused.
 
     Raises:
         InputError: Bad robot, reference or gains, or recordings that exist; nothing has been written then.
@@ -51,15 +55,16 @@ def run_experiment(
     >>> run_experiment(short, "chapter4")
     <Result: pd completed>
     """
+    robot = experiment.load_robot()
+    experiment, left_out = without_unable(experiment, robot) if leave_out else (experiment, [])
     wanted = experiment.controllers
     files = {controller: Path(out) / f"{controller}.h5" if out else None for controller in wanted}
-    robot = experiment.load_robot()
     config = msgspec.structs.replace(experiment, overrides=robot.overrides).to_json()
     require_runnable(experiment, robot)
     require_free([file for file in files.values() if file], force)
     runs: dict[str, Recording] = {}
-    notes = [*window_notes(experiment), *reference_notes(experiment, robot)]
-    notes += [*sensor_notes(experiment.sensor, robot), *weak_notes(robot)]
+    notes = [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
+    notes += [*interface_notes(experiment, robot), *sensor_notes(experiment.sensor, robot), *weak_notes(robot)]
     duration, learners = experiment.time.duration, effective(wanted)
     for controller in in_order(wanted):
         learner = runs.get(learners.get(controller, ""))
@@ -85,6 +90,38 @@ def run_experiment(
         notes += hand_notes(experiment, robot)
     notes += [*margin_notes(experiment, kept), *limit_notes(robot, kept)]
     return Result(experiment, name, kept, numbers, tuple(notes), hand)
+
+
+def without_unable(experiment: Experiment, robot: Robot) -> tuple[Experiment, list[str]]:
+    """An experiment without the controllers that cannot run on its velocity interfaces, and a note that names them.
+
+    It is as it was where none could.
+    """
+    _, on = interfaces_of(robot, experiment.interfaces)
+    if not on.any():
+        return experiment, []
+    names = [name for name in experiment.controllers if name not in EFFECTIVE]
+    loops = {name: experiment.loop(robot, experiment.controller(name, robot=robot)) for name in names}
+    unable = [name for name, loop in loops.items() if needs_torques(loop.controller, loop.context())]
+    able = tuple(name for name in experiment.controllers if name not in unable)
+    if not unable or not able:
+        return experiment, []
+    why = "they go" if len(unable) > 1 else "it goes"
+    note = f"{', '.join(unable)} left out: {why} by the torque of every joint, which velocity interfaces do not tell"
+    return msgspec.structs.replace(experiment, controllers=able), [note]
+
+
+def interface_notes(experiment: Experiment, robot: Robot) -> list[str]:
+    """How motors are driven, where not all by effort, or where the URDF does not offer that."""
+    said, offered = experiment.interfaces, offered_by(robot)["interfaces_offered"]
+    kinds = {kind: [name for name, one in said.items() if one == kind] for kind in dict.fromkeys(said.values())}
+    driven = [f"{', '.join(names)} by {kind}" for kind, names in kinds.items() if kind != EFFORT]
+    others = [name for name in robot.actuator_names if said.get(name, EFFORT) == EFFORT]
+    unoffered = [name for name in others if offered[name] and EFFORT not in offered[name]]
+    found = [f"driven {'; '.join(driven)}" + ("; all others by effort" if others else "")] if driven else []
+    if unoffered:
+        found.append(f"driven by effort, which the URDF does not offer: {', '.join(unoffered)} (see mmnn inspect)")
+    return found
 
 
 INEXACT = ("noise", "wheel_noise", "resolution", "wheel_resolution")  # of encoders
@@ -164,7 +201,8 @@ def require_runnable(experiment: Experiment, robot: Robot) -> None:
     for controller in in_order(experiment.controllers):
         if controller not in EFFECTIVE:
             loop = experiment.loop(robot, experiment.controller(controller, robot=robot))
-            loop.require_stable_gains()
+            with experiment.in_its_keys():
+                loop.require_stable_gains()
             loop.start.state(robot, loop.table()[0])
             if isinstance(loop.controller, TorqueController):
                 loop.rehearse()

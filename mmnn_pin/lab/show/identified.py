@@ -26,21 +26,18 @@ WORDS = (
     "Held out: motion that the fit never saw. Error: RMS of measured minus predicted torque over RMS of measured, both "
     "through the same low-pass, where the joint moves."
 )
+FITTED = ("held_out", "least_squares_held_out")  # errors of what was fitted
 PRIOR = 0.5  # share known below which a number is mostly the URDF's
 
 
 def text_of(report: dict[str, Any], colour: bool = False, width: int = WIDTH) -> str:
     """The report of an identification as text of at most `width` columns."""
-    parts: list[Any] = [headline(report)]
+    parts: list[Any] = [headline(report), *(f"warning: {text}" for text in report.get("warnings", ()))]
     for table in (joints_table(report), bodies_table(report), friction_table(report)):
         parts += ["", Line(table.title, "bold"), table, *table.notes]
     if report["wheels"]:
         parts += ["", Line("Wheels", "bold"), wheels_table(report)]
-    condition, count = report["condition"], len(report["base_parameters"])
-    parts += [
-        "",
-        f"{count} base parameters, condition number {'infinite' if condition is None else f'{condition:.3g}'}",
-    ]
+    parts += ["", f"{len(report['base_parameters'])} base parameters, {conditioned(report)}"]
     parts += [f"- {note}" for note in (*unidentified(report), *report["notes"])]
     return terminal_text(parts, colour, width)
 
@@ -71,15 +68,20 @@ def joints_table(report: dict[str, Any]) -> Table:
     """Held-out errors joint by joint."""
     keys = ("held_out", "without_toml_held_out", "least_squares_held_out", "friction_held_out", "urdf_held_out")
     heads = ("identified", "in the URDF", "least squares", "friction alone", "URDF before")
-    columns = (Column("joint", text=True), *(Column(head) for head in heads), Column("", text=True))
+    columns = (Column("joint", text=True), *(Column(head) for head in heads))
     rows = []
     for name, joint in report["joints"].items():
-        best = min((joint[key] for key in keys if joint[key] is not None), default=None)
-        cells = [Cell(percent(joint[key]), "best" if joint[key] == best else "") for key in keys]
-        rows.append(row_of(name, *cells, "" if joint["identified"] else "not identified"))
-    rows.append(row_of("all identified", *(percent(report[key]) for key in keys), ""))
+        errors = {key: joint[key] for key in keys if joint["identified"] or key not in FITTED}
+        best = min((error for error in errors.values() if error is not None), default=None)
+        cells = [
+            Cell(percent(errors.get(key)), "best" if best is not None and errors.get(key) == best else "")
+            for key in keys
+        ]
+        rows.append(row_of(name, *cells))
+    rows.append(row_of("all identified", *(percent(report[key]) for key in keys)))
     note = (
         f"Low-pass at {report['cutoff']:.3g} Hz. 'In the URDF': without rotors and constants, which a URDF cannot hold."
+        " A dash: not identified."
     )
     return Table("Held-out torque error", columns, tuple(rows), (WORDS, note))
 
@@ -172,9 +174,16 @@ def base_table(report: dict[str, Any]) -> Table:
         )
         for one in report["base_parameters"]
     ]
-    condition = "infinite" if report["condition"] is None else f"{report['condition']:.3g}"
-    note = f"Weighted least squares without the URDF; condition number of the weighted regressor {condition}."
+    note = f"Weighted least squares without the URDF; {conditioned(report)}."
     return Table("Base parameters", columns, tuple(rows), (note,))
+
+
+def conditioned(report: dict[str, Any]) -> str:
+    """How well the motion tells the base parameters apart."""
+    if report["condition"] is not None:
+        return f"condition number of the weighted regressor {report['condition']:.3g}"
+    every = report["base_parameters"]
+    return f"of which the motion tells {sum(one['identified'] for one in every)} apart"
 
 
 def unidentified(report: dict[str, Any]) -> list[str]:
@@ -231,7 +240,7 @@ def page(file: Path, command: str) -> HtmlPage:
         }
         tables = [joints_table(report), bodies_table(report), friction_table(report), base_table(report)]
         tables += [wheels_table(report)] if report["wheels"] else []
-        points = [*unidentified(report), *report["notes"]]
+        points = [*(f"warning: {text}" for text in report.get("warnings", ())), *unidentified(report), *report["notes"]]
         first = headline(report)
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         fix = "run mmnn identify again"

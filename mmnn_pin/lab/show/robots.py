@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
+import shlex
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -21,6 +24,7 @@ from .table import WIDTH
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
 CHECK_SAMPLES = 20  # random states of the property checks
 CHECK_SEED = 0
+BARE = re.compile(r"[A-Za-z0-9_-]+")  # keys that TOML takes without quotes
 NARROWEST = 24  # columns that a text beside others has at least
 
 
@@ -37,7 +41,7 @@ def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
 def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
     """Base, wheels, arm and what is locked."""
     told = (head(content, width), wheels(content["base"]), arm(content["arm"]), interfaces(content, width))
-    parts = (*told, *locked(content["locked_at"], width))
+    parts = (*told, gains(content.get("track")), *locked(content["locked_at"], width))
     return "\n\n".join(part for part in parts if part)
 
 
@@ -104,7 +108,31 @@ def interfaces(content: dict[str, Any], width: int = WIDTH) -> str:
         groups.setdefault((used, ", ".join(offered[name]) or "none stated"), []).append(name)
     heading, line, *rows = underlined([("interface", "offered"), *groups], texts=True).split("\n")
     joints = [folded(", ".join(names), width) for names in groups.values()]
-    return "\n".join([heading, line, *(f"{row}\n{names}" for row, names in zip(rows, joints, strict=True))])
+    rows = [f"{row}\n{names}" for row, names in zip(rows, joints, strict=True)]
+    return "\n".join([heading, line, *rows, *as_offered(content["interfaces"])])
+
+
+def as_offered(used: Mapping[str, str]) -> Iterator[str]:
+    """How to run a robot by the interfaces of its URDF, where these are not all efforts; one line to be copied."""
+    keys = {name: name if BARE.fullmatch(name) else json.dumps(name, ensure_ascii=False) for name in used}
+    others = ", ".join(f'{keys[name]}="{kind}"' for name, kind in used.items() if kind != "effort")
+    if others:
+        yield "mmnn run drives every motor by effort unless it is told otherwise, here as the URDF offers:"
+        yield f"  --set {shlex.quote(f'interfaces={{{others}}}')}"
+
+
+def gains(content: dict[str, Any] | None) -> str:
+    """Gains of every velocity, and how to set them; empty where they were not asked for."""
+    if content is None:
+        return ""
+    rows = [("gain of track", "gain", "inertia", "bandwidth")]
+    for name, gain in content["gains"].items():
+        rows.append((name, *(f"{value:.4g}" for value in (gain, content["inertia"][name], content["bandwidth"][name]))))
+    keys = " ".join(f"--set {shlex.quote(f'{key}={value}')}" for key, value in content["set"].items())
+    ours = ", ".join(f"{key.partition('.')[2]}={tuple(value)}" for key, value in content["set"].items())
+    lines = ["gains in N s/m or N m s, inertias in kg or kg m^2, bandwidths in 1/s; for controllers without a network:"]
+    lines += [f"  {keys}", f"  Feedback({ours}) in Python"]
+    return "\n".join([underlined(rows), *lines])
 
 
 def folded(names: str, width: int, indent: int = 2) -> str:

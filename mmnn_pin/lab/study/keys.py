@@ -1,9 +1,8 @@
-"""Key paths of an experiment: the line where one stands, whether it exists, what is near it, how to change it."""
+"""Key paths of an experiment: whether one exists, what is near it, how to change it."""
 
 from __future__ import annotations
 
 import difflib
-import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -11,35 +10,6 @@ from ...errors import ConfigError, UnknownName
 from ..experiments.config import keys_of, kind_at, put, value_at
 
 NEAR = 6  # how many near keys an error names
-PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[A-Za-z0-9_-]+)"""
-PATH = rf"{PART}(?:\s*\.\s*{PART})*"
-HEADER = re.compile(rf"^\s*\[\[?\s*({PATH})\s*\]\]?")
-ENTRY = re.compile(rf"^\s*({PATH})\s*=")
-
-
-def line_of(text: str, key: str) -> int | None:
-    """Line, counted from 1, of the entry or table that a key path names, or of the nearest one around it.
-
-    Args:
-        text: The file.
-        key: Key path; quotes around its parts are left out, as in the errors of a config.
-    """
-    best, line, table = 0, None, ""
-    for number, text_line in enumerate(text.splitlines(), start=1):
-        if header := HEADER.match(text_line):
-            table = path = plain(header[1])
-        elif entry := ENTRY.match(text_line):
-            path = f"{table}.{plain(entry[1])}" if table else plain(entry[1])
-        else:
-            continue
-        if f"{key}.".startswith(f"{path}.") and len(path) > best:
-            best, line = len(path), number
-    return line
-
-
-def plain(path: str) -> str:
-    """A key path without quotes and blanks."""
-    return ".".join(part.strip("\"'") for part in re.findall(PART, path))
 
 
 def known_keys(path: str) -> tuple[str, ...]:

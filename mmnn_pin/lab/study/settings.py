@@ -19,8 +19,8 @@ from ...settings.arguments import wrong_type
 from ..experiments.config import bundled, load_experiment, override, words_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.experiment import Experiment
+from ..experiments.origins import line_of
 from .factors import Factor
-from .keys import line_of
 
 MOST = 10_000_000  # runs of one study
 

@@ -25,6 +25,8 @@ HOLDERS = {"robot", "link", "joint", "inertial", "visual", "collision", "geometr
 
 USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)[\"']")
 
+CALLED = re.compile(r"\barg\(\s*[\"']([^\"']+)[\"']\s*\)")  # in an expression
+
 INVALID = r"Invalid parameter \"([^\"]+)\""
 
 FIRST, ARGUMENT = re.compile(r"<robot\b[^>]*>"), re.compile(r"<xacro:arg\s[^>]*>")
@@ -107,6 +109,9 @@ def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, A
                 told["choices"] = choices(hit[1], [*texts.values()])
                 told["within"] = [macro.body.getAttribute("name") for macro in reversed(xacro.macrostack or ())]
             told["bare"] = sorted({name for text in texts.values() for name in BARE if f"<{name} " in text})
+    told["declared"] = sorted(
+        {n for text in texts.values() for one in (STATED, USED, CALLED) for n in one.findall(text)}
+    )
     bare = {name for text in texts.values() for name in PREFIX.findall(text)}
     told["prefixes"] = sorted(bare - set(job["arguments"]))
     told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from lxml import etree
 
-from ...errors import ConfigError, RobotError
+from ...errors import ConfigError, RobotError, UnknownName
 from .expanding import BYTES, INVALID, MACRO, NOT_DEFINED, SECONDS, giving
 from .finding import Finding, finding
 from .packages import above, package_of, packages
@@ -132,6 +132,7 @@ def expand(
 
     Raises:
         ConfigError: Arguments that are none, a macro to leave out that is never called.
+        UnknownName: An argument that no file declares or uses.
         Unexpanded: xacrodoc is not installed, or xacro refuses the file; the reason is in xacro's words.
     """
     job: dict[str, Any] = {"path": str(path), "arguments": arguments_of(given), "without": list(without), "calls": []}
@@ -147,12 +148,31 @@ def expand(
     job["calls"] = told["calls"]
     if "error" in told:
         raise refusal(told, lambda macro: to_leave_out(path, job, macro))
+    require_declared(path, job["arguments"], told["declared"])
     if unused := [name for name in without if name not in told["omitted"]]:
         raise ConfigError(f"no <xacro:{unused[0]}> to leave out", fix="leave out a macro that is called", key="without")
     if b"<link" not in data:
         raise macros_only(path, data)
     data, hanging = pruned(data) if without else (data, [])
     return Expansion(data, told["absent"], job["calls"], hanging, told["renamed"], told["prefixes"])
+
+
+def require_declared(path: Path, given: Iterable[str], declared: Sequence[str]) -> None:
+    """Refuse arguments that no file of a robot declares or uses: xacro takes them in silence.
+
+    Args:
+        path: The file.
+        given: Their names.
+        declared: Names that are declared; of one that is made of others nothing is known, and nothing is refused.
+
+    Raises:
+        UnknownName: One that is not.
+    """
+    if any("$" in name for name in declared):
+        return
+    for name in given:
+        if name not in declared:
+            raise UnknownName("argument", name, declared or ["no argument at all"], file=path, key="xacro")
 
 
 def to_leave_out(path: Path, job: dict[str, Any], macro: str) -> list[str]:

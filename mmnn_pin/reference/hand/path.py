@@ -7,7 +7,6 @@ splines of them between poses, so that angular velocity and acceleration are ana
 
 from __future__ import annotations
 
-import csv
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +21,7 @@ from ...elementary.matrices import product
 from ...errors import TrajectoryError
 from ...signals import Array
 from ..path import Progress, require_finite, require_positive, there_and_stop, times
+from ..samples import Columns
 
 Vector3 = tuple[float, float, float]
 
@@ -232,28 +232,13 @@ class HandSpline(HandPath):
         Raises:
             TrajectoryError: A column is missing, or a value is no number (with the line); as for the class.
         """
-        names: tuple[str, ...] = ("t", "x", "y", "z")
-        try:
-            with open(file, newline="", encoding="utf-8-sig") as stream:
-                rows = csv.DictReader(stream, skipinitialspace=True)
-                there = rows.fieldnames or ()
-                names += ("qx", "qy", "qz", "qw") if any(name in there for name in ("qx", "qy", "qz", "qw")) else ()
-                if missing := [name for name in names if name not in there]:
-                    fix = f"name them {', '.join(names)}"
-                    raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=file, line=1)
-                table: list[list[float]] = []
-                for row in rows:
-                    try:
-                        table.append([float(row[name] or "") for name in names])
-                    except ValueError as error:
-                        raise TrajectoryError(str(error), file=file, line=rows.line_num) from None
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
-            raise TrajectoryError("cannot be read", why=str(error), fix="name a CSV file", file=file) from None
-        data = np.array(table).reshape(-1, len(names))
-        try:
-            return cls(data[:, 1:4], data[:, 0], data[:, 4:] if len(names) > 4 else None)  # type: ignore[arg-type]
-        except TrajectoryError as error:
-            raise TrajectoryError(error.what, why=error.why, fix=error.fix, file=file) from None
+        names, turned = ("t", "x", "y", "z"), ("qx", "qy", "qz", "qw")
+        found = Columns.read(file, names)
+        if turns := any(name in found for name in turned):
+            found = Columns.read(file, (*names, *turned))
+        t, *points = (found[name] for name in names)
+        with found.blamed():
+            return cls(np.stack(points, 1), t, np.stack([found[name] for name in turned], 1) if turns else None)  # type: ignore[arg-type]
 
     @property
     def duration(self) -> float:

@@ -22,13 +22,14 @@ from mmnn_pin.cli.identify import why_nothing
 from mmnn_pin.deploy.identify import programme
 from mmnn_pin.deploy.identify.constants import constants_of
 from mmnn_pin.deploy.identify.corrected import new_links, pseudo_inertia_of, said_of, transport, write
+from mmnn_pin.deploy.identify.doubts import misfits
 from mmnn_pin.deploy.identify.equations import Equations
 from mmnn_pin.deploy.identify.identification import Identification
 from mmnn_pin.deploy.identify.least_squares import Base
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.report import inertia_of, links_of, report_of
 from mmnn_pin.errors import ConfigError, InputError, MmnnError, RecordingError, UnknownName
-from mmnn_pin.lab.show.identified import headline, percent
+from mmnn_pin.lab.show.identified import headline, percent, text_of
 from mmnn_pin.model.inspection import inspection_of
 from mmnn_pin.model.loading import load_with
 from mmnn_pin.model.robot import Robot
@@ -200,6 +201,70 @@ def test_a_joint_that_stands_still_stays_at_the_urdf_and_is_named(urdf: Robot, t
     report = report_of(found)
     assert not report["joints"]["arm_2_joint"]["identified"]
     assert "arm_2_joint" not in report["friction"]
+    text = text_of(report, width=80)
+    assert "infinite" not in text and "\n joint\n" not in text  # no table for the one word "not identified"
+    row = next(line for line in text.splitlines() if line.startswith(" arm_2_joint"))
+    assert row.split()[1:] == ["-"] * 4  # it stands still in the motion held out, too
+    assert "arm_2_joint: stays at the URDF: it hardly moves" in text
+
+
+def test_parameters_that_a_motion_does_not_tell_apart_are_counted_in_plain_words(found: Identification) -> None:
+    report = report_of(found)
+    assert f"number of the weighted regressor {report['condition']:.3g}" in " ".join(text_of(report).split())
+    every = [one | {"identified": i > 1} for i, one in enumerate(report["base_parameters"])]
+    text = text_of(report | {"condition": None, "base_parameters": every})
+    assert f"{len(every)} base parameters, of which the motion tells {len(every) - 2} apart" in text
+    assert "infinite" not in text
+
+
+# -- what makes it doubtful --------------------------------------------------------------------------------------------
+
+
+def test_efforts_that_no_motor_gives_are_told_with_their_joint_and_how_many(
+    urdf: Robot, truth: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = simulated(truth, 30.0, 0.02)
+    sizes = np.sort(np.abs(log.effort["arm_1_joint"]))
+    limits = np.array([sizes[-7] / 1.01, np.inf])
+    count = np.count_nonzero(sizes > 1.001 * limits[0])  # what rounding adds is none
+    weak = replace(urdf, effort_limits=limits)
+    (line,) = identify(weak, log).beyond
+    assert line.startswith(f"effort.arm_1_joint is above the URDF's limit of {limits[0]:g} in {count} of 3000 samples")
+    assert f"at most {sizes[-1]:.4g}" in line and "--torque-constant arm_1_joint=K" in line
+    assert identify(urdf, log).beyond == ()
+    currents = log.with_signals(log.signals | {"effort.arm_1_joint": log.effort["arm_1_joint"] * 50.0})
+    assert identify(weak, currents, torque_constants={"arm_1_joint": None}).beyond == ()  # no torques yet
+    file = csv_of(log.with_signals({k: 1e3 * v if k[0] == "e" else v for k, v in log.signals.items()}), tmp_path / "l")
+    main(["identify", str(file), "--robot", "two_axis_arm", "--out", str(tmp_path / "o"), "--json"])
+    told = json.loads(capsys.readouterr().out)["warnings"]
+    assert [text.split()[0] for text in told][:2] == ["effort.arm_1_joint", "effort.arm_2_joint"]
+
+
+def test_a_joint_that_fits_far_worse_than_the_others_is_told(urdf: Robot, truth: Robot) -> None:
+    log = simulated(truth, 40.0, 0.02)
+    buzz = 0.3 * np.std(log.effort["arm_2_joint"]) * np.sin(2 * np.pi * 0.9 * log.time)
+    found = identify(urdf, log.with_signals(log.signals | {"effort.arm_2_joint": log.effort["arm_2_joint"] + buzz}))
+    (line,) = found.warnings
+    assert line.startswith(f"arm_2_joint fits badly: held-out error {100 * found.errors('identified')[1]:.3g} %")
+    assert f"the other joints' median {100 * found.errors('identified')[0]:.3g} %" in line and "--stribeck" in line
+    assert f"warning: {line}" in " ".join(str(found).split()) and identify(urdf, log).warnings == ()
+
+
+def test_a_joint_is_told_that_least_squares_fit_and_no_body_does() -> None:
+    errors = {"identified": np.array([0.2, 0.02, 0.5, 0.6]), "least_squares": np.array([0.05, 0.01, 0.4, 0.02])}
+    errors |= {"urdf": np.array([0.9, 0.9, 0.1, 0.9])}
+    follows = np.array([True, True, True, False])
+    first, third = misfits(["a", "b", "c", "d"], errors, follows)
+    assert first.startswith("a fits badly: held-out error 20 %, 5 % by least squares without regard to masses")
+    assert third.startswith("c fits badly: held-out error 50 %, the other joints' median 11 %: by the URDF 10 %")
+
+
+def test_a_long_fit_says_how_far_it_is(urdf: Robot, truth: Robot) -> None:
+    told: list[tuple[str, float]] = []
+    identify(urdf, simulated(truth, 10.0, 0.02), progress=lambda what, fraction: told.append((what, fraction)))
+    parts = list(dict.fromkeys(what for what, _ in told))
+    assert parts[:2] == ["looking at the logs", "making equations"] and parts[-1] == "fitting all parameters"
+    assert all(0.0 <= fraction < 1.0 for _, fraction in told)
 
 
 def test_an_effort_of_another_unit_does_not_spoil_the_others(urdf: Robot, truth: Robot) -> None:

@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 from motions import simulated
+from robots import fixed_arm
 
-from mmnn_pin import load
+from mmnn_pin import PD, Line, Loop, Sine, Timing, Trajectory, load
+from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.quality import delay, misnamed, saturated, sound
-from mmnn_pin.deploy.identify.reading import found_columns, read_columns, read_logs
+from mmnn_pin.deploy.identify.reading import found_columns, from_recording, read_columns, read_logs
 from mmnn_pin.errors import InputError, RecordingError, UnknownName
 from mmnn_pin.model.robot import Robot
+from mmnn_pin.sensing import Sensor
 
 JOINTS = ("arm_1_joint", "arm_2_joint")
 
@@ -144,7 +147,11 @@ BAD = {
     "no rows": (lambda text: text.splitlines()[0], "0 rows"),
     "other joints": (lambda text: text.replace("arm_", "leg_"), "no position of a joint of two_axis_arm"),
     "no efforts": (lambda text: text.replace("effort.", "warmth."), "no effort of a joint"),
-    "twice": (lambda text: text.replace("velocity.arm_1_joint", "position_arm_1_joint", 1), "two columns for"),
+    "twice": (lambda text: text.replace("velocity.arm_1_joint", "position.arm_1_joint [rad]", 1), "two columns for"),
+    "twice in other words": (
+        lambda text: text.replace("velocity.arm_1_joint", "arm_1_joint q", 1).replace("position.arm_1", "pos_arm_1", 1),
+        "two columns for position.arm_1_joint: 'pos_arm_1_joint' and 'arm_1_joint q'",
+    ),
 }
 
 
@@ -154,6 +161,31 @@ def test_bad_tables_are_refused_in_one_line(what: str, log: Log, arm: Robot, tmp
     with pytest.raises(InputError) as error:
         read(change(table(log)), tmp_path, arm)
     assert message in str(error.value) and "\n" not in str(error.value) and "log.csv" in str(error.value)
+
+
+def test_a_name_of_ours_stands_before_what_words_may_mean(log: Log, arm: Robot, tmp_path: Path) -> None:
+    text = table(log).replace("velocity.arm_1_joint", "q_ref.arm_1_joint [rad]", 1)
+    found = read(text.replace("position.arm_1_joint", "position.arm_1_joint [rad]"), tmp_path, arm)
+    np.testing.assert_array_equal(found.position[JOINTS[0]], read(table(log), tmp_path, arm).position[JOINTS[0]])
+    assert JOINTS[0] not in found.velocity
+
+
+@pytest.mark.parametrize("name", ["two_axis_arm", "platform_arm"])
+def test_a_csv_of_mmnn_export_is_read_as_its_recording_is(name: str, tmp_path: Path) -> None:
+    robot = load(name)
+    path = Trajectory.of(robot, base=Line(0.3) if name == "platform_arm" else None, arm={JOINTS[0]: Sine(0.5, 2.0)})
+    noisy = Sensor(noise=1e-3)  # what the sensors say is not the truth
+    run = Loop(robot, path, PD(), timing=Timing(duration=0.2), sensor=noisy).run(tmp_path / "run.h5")
+    assert main(["export", str(tmp_path / "run.h5"), "--to", "csv"]) == 0
+    ours, (csv,) = from_recording(run, robot), read_logs([tmp_path / "run.csv"], robot)
+    assert csv.effort_delay == pytest.approx(ours.effort_delay)
+    np.testing.assert_array_equal(csv.time, ours.time)
+    assert list(csv.signals) == list(ours.signals) and len(ours.signals) >= 6
+    for signal, values in ours.signals.items():
+        np.testing.assert_array_equal(csv.signals[signal], values, err_msg=signal)
+    assert not np.array_equal(csv.position[JOINTS[0]], run["position"][:, -2])
+    with pytest.raises(RecordingError, match=r"run\.csv.*of a robot with the joint"):
+        read_logs([tmp_path / "run.csv"], fixed_arm(joints=3))
 
 
 def test_a_last_line_that_is_cut_short_is_left_out(log: Log, arm: Robot, tmp_path: Path) -> None:

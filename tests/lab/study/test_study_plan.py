@@ -17,8 +17,9 @@ from study_files import SHORT, planned, written
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.origins import line_of
 from mmnn_pin.lab.study.factors import Factor, unit_cube
-from mmnn_pin.lab.study.keys import leaves, line_of, near
+from mmnn_pin.lab.study.keys import leaves, near
 from mmnn_pin.lab.study.plan import Plan, plan_of
 
 U = st.floats(0.0, 1.0, exclude_max=True)

@@ -1,17 +1,21 @@
-"""What to say of an experiment that is made for another robot than the one it is asked to drive."""
+"""What to say of an experiment that cannot run: which key is to blame, or which robot it is made for."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName
+from ...files import read_toml
 from ...model.loading import load_with
 from ...model.robot import Robot
+from .config import beside, find, find_variant
 from .experiment import Experiment
+from .origins import line_of, of_override
 
 SIZED = ("feedback", "friction", "masses", "sensor", "actuator", "interfaces")  # may hold lists of joints
 OF_POSE = "sensor.pose_noise"
@@ -88,3 +92,38 @@ def flat(table: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
         yield f"{before}{key}", value
         if isinstance(value, dict):
             yield from flat(value, f"{before}{key}.")
+
+
+# -- which key is to blame -------------------------------------------------------------------------------------------
+
+
+def located(error: InputError, name_or_path: str, overrides: Iterable[str], variant: str | None = None) -> InputError:
+    """An error at a key of an experiment that was met after it was loaded: from which override or line of a file.
+
+    Args:
+        error: It; its file, line and key are changed where the key is found.
+        name_or_path: The experiment, as of `load_experiment`.
+        overrides: Likewise.
+        variant: Likewise.
+    """
+    texts = tuple(overrides)
+    if error.file is not None or not error.key or error.key.startswith("-") or of_override(error, texts).option:
+        return error
+    if any(text.partition("=")[0].strip().partition(".")[0] == error.key.partition(".")[0] for text in texts):
+        return error  # by an option
+    path = find(name_or_path)
+    for file in ancestry(path if variant is None else find_variant(path, variant)):
+        if line := line_of(file.read_text("utf-8"), error.key):
+            error.file, error.line = file, line
+            break
+    return error
+
+
+def ancestry(path: Path) -> Iterator[Path]:
+    """The file of an experiment, and those that it starts from, one after the other."""
+    while True:
+        yield path
+        name = read_toml(path).get("experiment")
+        if name is None:
+            return
+        path = beside(path, name)
