@@ -22,6 +22,7 @@ FAR = (  # in the page's table of distances from the best; the CSV file has all
     *("pd_gravity", "pid", "two_layer", "adaptive", "adaptive_composite", "concurrent"),
     *("kalman_regressor", "kalman_friction", ORACLE),
 )
+LATE = (0, 3)  # places of the delays whose errors the page shows
 DRAWN = ("eight", "rig", "tiago", "friction", "encoders", "drop")  # in the figures of the page
 
 
@@ -31,6 +32,7 @@ def render(summary: dict[str, Any]) -> str:
     templates.filters |= {"cell": cell, "number": number, "percent": lambda value: f"{100 * value:.3g} %"}
     templates.filters |= {"middle": middle}
     templates.globals |= {"middle_axis": axis_at, "unexcited": unexcited, "far_shown": FAR}
+    templates.globals |= {"late_shown": LATE, "lost_from": lost_from}
     return filled(templates, "contest.md.j2", summary)
 
 
@@ -57,6 +59,12 @@ def middle(values: list[Any] | None) -> str:
 def axis_at(ratios: dict[str, float], place: int) -> str:
     """The axis at a place in the order of its ratio."""
     return sorted(ratios, key=ratios.__getitem__)[place]
+
+
+def lost_from(late: dict[str, Any], name: str) -> str:
+    """The least delay that loses a controller."""
+    lost = [delay for delay, one in zip(late["delays"], late["errors"][name], strict=True) if one is None]
+    return f"{1e3 * lost[0]:.0f} ms" if lost else "-"
 
 
 def unexcited(said: dict[str, list[str]]) -> int:
