@@ -29,15 +29,22 @@ def title(page: Path) -> str:
 
 
 def meaning(key: str) -> str:
-    """What a key of an experiment means, as its class says it; empty for one that there is not."""
+    """What a key of an experiment means, as its class says it, and the keys in it; empty for one that there is not."""
     from ..lab.experiments.config import keys_of, kind_at
 
     above, _, name = key.rpartition(".")
     kind = kind_at(above or None)
     if name not in keys_of(kind):
         return ""
-    said = {found["name"]: found["text"] for found in ARGUMENT.finditer(inspect.getdoc(kind) or "")}
-    return f"{key}: {' '.join(said.get(name, 'a table').split())}"
+    inner = kind_at(key)
+    lines = [f"{key}: {said(kind, name)}", *(f"{key}.{one}: {said(inner, one)}" for one in keys_of(inner))]
+    return "\n".join(lines)
+
+
+def said(kind: type, name: str) -> str:
+    """What the docstring of a class of settings says of one of them."""
+    found = {found["name"]: found["text"] for found in ARGUMENT.finditer(inspect.getdoc(kind) or "")}
+    return " ".join(found.get(name, "a table").split())
 
 
 def names(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -47,12 +54,12 @@ def names(context: click.Context, parameter: click.Parameter, incomplete: str) -
 
 @click.command(
     short_help="Read the documentation: its pages, or what a key of an experiment means.",
-    epilog=examples("mmnn docs", "mmnn docs how-to/studies | less", "mmnn docs latency.margin"),
+    epilog=examples("mmnn docs", "mmnn docs how-to/studies | less", "mmnn docs latency", "mmnn docs latency.margin"),
 )
 @click.argument("page", required=False, shell_complete=names)
 @shared
 def docs(page: str | None, as_json: bool) -> int:
-    """Print a page of the documentation, or what a key of an experiment means; without PAGE all pages with titles."""
+    """Print a page of the documentation, or what a key of an experiment means, with the keys in it; without PAGE all pages."""
     there = pages()
     if page is None:
         found = {name: title(file) for name, file in there.items()}

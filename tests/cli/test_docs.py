@@ -12,6 +12,8 @@ import pytest
 from places import ROOT
 
 from mmnn_pin.cli import main
+from mmnn_pin.lab.experiments.config import keys_of
+from mmnn_pin.loop.latency import Latency
 
 docs = import_module("mmnn_pin.cli.docs")  # not the command of that name
 POINTER = re.compile(r"mmnn docs ([\w-]+[./][\w./-]*\w)")
@@ -48,6 +50,10 @@ def test_pages_and_keys(capsys: pytest.CaptureFixture[str]) -> None:
     said = "latency.margin: Delay beyond these that a loop should bear; less is reported. "
     said += "Lower feedback gains bear more [s]."
     assert capsys.readouterr().out.strip() == said
+    assert main(["docs", "latency"]) == 0
+    table, *inner = capsys.readouterr().out.splitlines()
+    assert table.startswith("latency: How long measurements") and said.strip() in inner
+    assert [line.partition(":")[0] for line in inner] == [f"latency.{name}" for name in keys_of(Latency)]
     assert main(["docs", "how-to/studie"]) == 2
     assert "did you mean 'how-to/studies'?" in capsys.readouterr().err
 
