@@ -59,7 +59,7 @@ def names(context: click.Context, parameter: click.Parameter, incomplete: str) -
 @click.argument("page", required=False, shell_complete=names)
 @shared
 def docs(page: str | None, as_json: bool) -> int:
-    """Print a page of the documentation, or what a key of an experiment means, with the keys in it; without PAGE all pages."""
+    """Print a page of the documentation, or what a key of an experiment means with the keys in it; else all pages."""
     there = pages()
     if page is None:
         found = {name: title(file) for name, file in there.items()}

@@ -106,10 +106,10 @@ CAPTION = (
     "Medians over the seeds ({seeds}), below them half of the spread from the smallest to the largest, from 1 % on. "
     "Errors are the true ones: RMS and peak in the last window of the training; arm: root of the mean square over its"
     " joints. torque, kick: largest torque asked of a motor over its limit, in the training and in its first "
-    "{start:g} s. learned in: until the error stays below {learned:g} of the least of {plain}. FVU: of \u03a8, its worst "
-    "component; frozen: with the final weights held fixed, on the worst of the held-out trajectories. held out: RMS error over "
-    "all of those, learning on, or with frozen weights. step: processor time of the controller's step over PD's, "
-    "called from Python."
+    "{start:g} s. learned in: until the error stays below {learned:g} of the least of {plain}. FVU: of \u03a8, its "
+    "worst component; frozen: with the final weights held fixed, on the worst of the held-out trajectories. held out:"
+    " RMS error over all of those, learning on, or with frozen weights. step: processor time of a step over "
+    "PD's, called from Python."
 )
 
 
