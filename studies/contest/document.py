@@ -22,7 +22,6 @@ FAR = (  # in the page's table of distances from the best; the CSV file has all
     *("pd_gravity", "pid", "two_layer", "adaptive", "adaptive_composite", "concurrent"),
     *("kalman_regressor", "kalman_friction", ORACLE),
 )
-LATE = (0, 3)  # places of the delays whose errors the page shows
 DRAWN = ("eight", "rig", "tiago", "friction", "encoders", "drop")  # in the figures of the page
 
 
@@ -32,7 +31,7 @@ def render(summary: dict[str, Any]) -> str:
     templates.filters |= {"cell": cell, "number": number, "percent": lambda value: f"{100 * value:.3g} %"}
     templates.filters |= {"middle": middle}
     templates.globals |= {"middle_axis": axis_at, "unexcited": unexcited, "far_shown": FAR}
-    templates.globals |= {"late_shown": LATE, "lost_from": lost_from}
+    templates.globals |= {"lost_from": lost_from}
     return filled(templates, "contest.md.j2", summary)
 
 
@@ -61,10 +60,13 @@ def axis_at(ratios: dict[str, float], place: int) -> str:
     return sorted(ratios, key=ratios.__getitem__)[place]
 
 
-def lost_from(late: dict[str, Any], name: str) -> str:
-    """The least delay that loses a controller."""
-    lost = [delay for delay, one in zip(late["delays"], late["errors"][name], strict=True) if one is None]
-    return f"{1e3 * lost[0]:.0f} ms" if lost else "-"
+def lost_from(late: dict[str, Any]) -> dict[str, list[str]]:
+    """The least delay that loses a controller, in ms, to the controllers; delays from the least on, "none" at the end."""
+    found: dict[str, list[str]] = {f"{1e3 * delay:.0f} ms": [] for delay in late["delays"]} | {"none": []}
+    for name, errors in late["errors"].items():
+        lost = [delay for delay, one in zip(late["delays"], errors, strict=True) if one is None]
+        found[f"{1e3 * lost[0]:.0f} ms" if lost else "none"].append(name)
+    return {delay: names for delay, names in found.items() if names}
 
 
 def unexcited(said: dict[str, list[str]]) -> int:
