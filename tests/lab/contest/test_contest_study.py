@@ -70,6 +70,11 @@ def test_controllers_are_listed_by_the_least_delay_that_loses_them():
     assert found == {"1 ms": ["a", "c"], "2 ms": ["d"], "none": ["b"]} and list(found) == ["1 ms", "2 ms", "none"]
 
 
+def test_the_best_plain_controller_is_that_of_those_that_ran():
+    far = {"pd": {"a": 9.0, "b": 5.0}, "pd_gravity": {"a": 8.0, "b": 6.0}, "pid": {"a": "inf"}, "adaptive": {"a": 1.0}}
+    assert document.best_plain(far, "a") == 8.0 and document.best_plain(far, "b") == 5.0
+
+
 @pytest.mark.parametrize("tuning", TUNINGS)
 def test_the_contest_has_what_the_search_found(tuning):
     """In the case of the search's name; the document says the same."""
