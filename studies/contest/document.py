@@ -67,7 +67,7 @@ def best_plain(far: dict[str, dict[str, float | str]], task: str) -> float:
 
 
 def lost_from(late: dict[str, Any]) -> dict[str, list[str]]:
-    """The least delay that loses a controller, in ms, to the controllers; delays from the least on, "none" at the end."""
+    """The least delay that loses a controller, in ms, to those controllers; "none" for the rest, at the end."""
     found: dict[str, list[str]] = {f"{1e3 * delay:.0f} ms": [] for delay in late["delays"]} | {"none": []}
     for name, errors in late["errors"].items():
         lost = [delay for delay, one in zip(late["delays"], errors, strict=True) if one is None]
