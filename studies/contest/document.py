@@ -9,6 +9,7 @@ from typing import Any
 
 from mmnn_pin.lab.contest.standing import ORACLE, THESIS, Standing, distances, held_out
 from mmnn_pin.lab.contest.task import held_out_torque, tasks_of
+from mmnn_pin.lab.experiments.controllers import PLAIN
 from mmnn_pin.lab.show.contest import KNOWLEDGE, TRAINING
 from mmnn_pin.lab.show.table import number
 
@@ -19,7 +20,7 @@ HERE = Path(__file__).parent
 SUMMARY = HERE / "summary.json"
 Cell = list[float | str | None] | None
 FAR = (  # in the page's table of distances from the best; the CSV file has all
-    *("pd_gravity", "pid", "two_layer", "adaptive", "adaptive_composite", "concurrent"),
+    *("two_layer", "adaptive", "adaptive_composite", "concurrent"),
     *("kalman_regressor", "kalman_friction", ORACLE),
 )
 DRAWN = ("eight", "rig", "tiago", "friction", "encoders", "drop")  # in the figures of the page
@@ -31,6 +32,7 @@ def render(summary: dict[str, Any]) -> str:
     templates.filters |= {"cell": cell, "number": number, "percent": lambda value: f"{100 * value:.3g} %"}
     templates.filters |= {"middle": middle}
     templates.globals |= {"middle_axis": axis_at, "unexcited": unexcited, "far_shown": FAR}
+    templates.globals |= {"lost_from": lost_from, "plain": PLAIN, "best_plain": best_plain}
     return filled(templates, "contest.md.j2", summary)
 
 
@@ -57,6 +59,20 @@ def middle(values: list[Any] | None) -> str:
 def axis_at(ratios: dict[str, float], place: int) -> str:
     """The axis at a place in the order of its ratio."""
     return sorted(ratios, key=ratios.__getitem__)[place]
+
+
+def best_plain(far: dict[str, dict[str, float | str]], task: str) -> float:
+    """How far the best of PD, PD with gravity and PID is from the least error of a task."""
+    return min(float(far[name][task]) for name in PLAIN if task in far.get(name, ()))
+
+
+def lost_from(late: dict[str, Any]) -> dict[str, list[str]]:
+    """The least delay that loses a controller, in ms, to those controllers; "none" for the rest, at the end."""
+    found: dict[str, list[str]] = {f"{1e3 * delay:.0f} ms": [] for delay in late["delays"]} | {"none": []}
+    for name, errors in late["errors"].items():
+        lost = [delay for delay, one in zip(late["delays"], errors, strict=True) if one is None]
+        found[f"{1e3 * lost[0]:.0f} ms" if lost else "none"].append(name)
+    return {delay: names for delay, names in found.items() if names}
 
 
 def unexcited(said: dict[str, list[str]]) -> int:

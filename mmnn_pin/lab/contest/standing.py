@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 from ...settings import finite
 from ...torque import ENTRIES
 from ..experiments.contest import Contest
-from ..experiments.controllers import ORACLES
+from ..experiments.controllers import ORACLES, PLAIN
 from ..experiments.experiment import Experiment
 from .task import Demand
 from .trial import Number, Trial, TrialResult, arm_of, as_json, base_of, middle, nan
@@ -83,13 +83,23 @@ class Standing:
         return trial.results if trial is not None else []
 
     def learning_times(self, task: str, controller: str) -> list[float]:
-        """Learning time per seed [s], inf where it never learned, nan without PD beside it; see `learning_time`."""
-        pd = {row.seed: row for row in self.of(task, BASELINE)}
+        """Learning time per seed [s], inf where it never learned, nan without a plain controller beside it.
+
+        See `learning_time`.
+        """
         contest = self.contest
         return [
-            learning_time(row, pd[row.seed], contest.window, contest.learned) if row.seed in pd else math.nan
+            learning_time(row, self.plain_errors(task, row.seed), contest.window, contest.learned)
             for row in self.of(task, controller)
         ]
+
+    def plain_errors(self, task: str, seed: int) -> list[float]:
+        """Per axis the least RMS error of PD, PD with gravity and PID in the last window of the training [m, rad].
+
+        Those that ran and reached their end count; without any it is empty.
+        """
+        ran = [row for name in PLAIN for row in self.of(task, name) if row.seed == seed and row.completed]
+        return [min(map(nan, axis)) for axis in zip(*(row.rms.values() for row in ran), strict=True)]
 
     def step_ratio(self, task: str, controller: str) -> float:
         """Time of a controller's step over that of PD, called from Python; nan where one was not measured."""
@@ -134,26 +144,33 @@ class Standing:
         return {"experiment": self.name, "robot": self.experiment.robot, "runs": runs, "comparison": comparison}
 
 
-def learning_time(row: TrialResult, pd: TrialResult, window: float, learned: float) -> float:
-    """Time until the error stays below a share of PD's, counted from the last change of the task; inf for never.
-
-    The error of a window is the root of the mean, over the axes, of its mean square over PD's in PD's last window.
+def learning_time(row: TrialResult, rivals: Sequence[float], window: float, learned: float) -> float:
+    """Time until the error stays below a share of the rivals', counted from the last change of the task; inf for never.
 
     Args:
         row: The run.
-        pd: PD's on the same task with the same seed.
+        rivals: Errors of plain controllers on the same task with the same seed, see `Standing.plain_errors`.
         window: Length of the windows [s].
         learned: The share.
     """
-    scale = [nan(value) ** 2 for value in pd.rms.values()]
-    if not row.completed or not scale or not all(value > 0 for value in scale):
-        return math.inf if not row.completed else math.nan
-    first = round(row.since / window)
-    squares = [sum(a / b for a, b in zip(mean, scale, strict=True)) / len(scale) for mean in row.curve[first:]]
-    above = [k for k, value in enumerate(squares) if value > learned**2]
-    if not squares or (above and above[-1] == len(squares) - 1):
+    if not row.completed:
+        return math.inf
+    if not (errors := relative_errors(row, rivals)):
+        return math.nan
+    later = errors[round(row.since / window) :]
+    above = [k for k, error in enumerate(later) if error > learned]
+    if not later or (above and above[-1] == len(later) - 1):
         return math.inf
     return window * (above[-1] + 1) if above else 0.0
+
+
+def relative_errors(row: TrialResult, rivals: Sequence[float]) -> list[float]:
+    """Error of every window over the rivals': root of the mean, over the axes, of the squared ratio; empty without."""
+    scale = [value**2 for value in rivals]
+    if not scale or not all(value > 0 for value in scale):
+        return []
+    means = (sum(a / b for a, b in zip(window, scale, strict=True)) / len(scale) for window in row.curve)
+    return [math.sqrt(mean) for mean in means]
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import msgspec
 
 from ...errors import ConfigError
 from ...settings import Settings, require_gains
+from .controllers import PLAIN
 
 ONLY = "task"  # name of the task of a contest without cases
 # What a learner knows before it starts.
@@ -57,11 +58,11 @@ class Contest(Settings, frozen=True):
 
     Args:
         seeds: How many, counted from the experiment's own.
-        beside: Controllers that always run, because the others are compared with them: the feedback alone, the thesis's
-            law, the oracle. A case that names its own controllers runs those.
+        beside: Controllers that always run, because the others are compared with them: those without learning, the
+            thesis's law, the oracle. A case that names its own controllers runs those.
         knows: Names of the learners by what they know before they start ("kinematics", "form", "nothing", "nominal").
         window: Length of the windows of the learning curves [s].
-        learned: Error over that of PD, in every later window, that counts as learned.
+        learned: Error over the least of PD, PD with gravity and PID, in every later window, that counts as learned.
         start: Length of the start in which a kick is looked for [s].
         targets: What is asked.
 
@@ -70,7 +71,7 @@ class Contest(Settings, frozen=True):
     """
 
     seeds: int = 5
-    beside: tuple[str, ...] = ("pd", "two_layer", "computed_torque")
+    beside: tuple[str, ...] = (*PLAIN, "two_layer", "computed_torque")
     knows: dict[str, tuple[str, ...]] = msgspec.field(default_factory=dict)
     window: float = 1.0
     learned: float = 0.2

@@ -38,6 +38,8 @@ ORACLES = tuple(name for name, entry in ENTRIES.items() if entry.oracle)
 # Their Psi_hat is computed from a model, not learned.
 MODELS = (*ORACLES, *(name for name, entry in ENTRIES.items() if entry.baseline and DESCRIBED in entry.told))
 LEARNERS = tuple(name for name, entry in ENTRIES.items() if entry.thesis)
+# What an engineer tries before any learner; headlines compare with the best of those that ran.
+PLAIN = ("pd", "pd_gravity", "pid")
 # What an experiment runs unless it says.
 DEFAULT = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")
 # Keys and values of experiments that have another name now, and what they are called in a recording made before.

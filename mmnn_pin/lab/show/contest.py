@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...signals import Array
-from ..contest.standing import BASELINE, Standing, Target, over_all
+from ..contest.standing import BASELINE, Standing, Target, over_all, relative_errors
 from ..contest.trial import arm_of, base_of, nan
-from ..experiments.controllers import ORACLES
+from ..experiments.controllers import ORACLES, PLAIN
 from .figure import (
     FIGURES,
     Look,
@@ -106,10 +106,10 @@ CAPTION = (
     "Medians over the seeds ({seeds}), below them half of the spread from the smallest to the largest, from 1 % on. "
     "Errors are the true ones: RMS and peak in the last window of the training; arm: root of the mean square over its"
     " joints. torque, kick: largest torque asked of a motor over its limit, in the training and in its first "
-    "{start:g} s. learned in: until the error stays below {learned:g} of PD's. FVU: of Psi, its worst component;"
-    " frozen: with the final weights held fixed, on the worst of the held-out trajectories. held out: RMS error over "
-    "all of those, learning on, or with frozen weights. step: processor time of the controller's step over PD's, "
-    "called from Python."
+    "{start:g} s. learned in: until the error stays below {learned:g} of the least of {plain}. FVU: of \u03a8, its "
+    "worst component; frozen: with the final weights held fixed, on the worst of the held-out trajectories. held out:"
+    " RMS error over all of those, learning on, or with frozen weights. step: processor time of a step over "
+    "PD's, called from Python."
 )
 
 
@@ -132,7 +132,8 @@ def judged_targets(standing: Standing) -> list[Target]:
 def caption(standing: Standing) -> str:
     """What the columns mean."""
     contest = standing.contest
-    return CAPTION.format(seeds=contest.seeds, start=contest.start, learned=contest.learned)
+    plain = ", ".join(PLAIN)
+    return CAPTION.format(seeds=contest.seeds, start=contest.start, learned=contest.learned, plain=plain)
 
 
 def findings(standing: Standing) -> list[str]:
@@ -338,10 +339,10 @@ def known(standing: Standing) -> Figure:
     "contest-learning",
     of="contest",
     needs=finished,
-    caption="Error over PD's along the training, median over the seeds; dotted where it counts as learned.",
+    caption="Error over the least of PD, PD with gravity and PID, median over the seeds; dotted: counts as learned.",
 )
 def learning(standing: Standing) -> Figure:
-    """Error over that of PD along the training, median over the seeds; dotted where it counts as learned.
+    """Error over the least of the plain controllers' along the training, median over the seeds; dotted: learned.
 
     Windows are joined until a curve has at most `POINTS`.
     """
@@ -356,7 +357,7 @@ def learning(standing: Standing) -> Figure:
                 middle = np.median([thinned(curve[:length], joined) for curve in curves], axis=0)
                 step = contest.window * joined
                 axes.plot(step * (np.arange(len(middle)) + 0.5), middle, **style[name].line)
-        axes.set(yscale="log", xlabel=f"time [s], in steps of {step:g} s", ylabel="error / PD's", title=task)
+        axes.set(yscale="log", xlabel=f"time [s], in steps of {step:g} s", ylabel="error / best plain", title=task)
         axes.axhline(contest.learned, color="0.5", lw=0.8, ls=":")
     add_legend(picture, "Contest: learning curves", [(plain(name), one.line) for name, one in style.items()])
     return picture
@@ -381,12 +382,7 @@ def thinned(curve: Sequence[float], k: int) -> Array:
 
 
 def relative_curves(standing: Standing, task: str, controller: str) -> list[list[float]]:
-    """Error over PD's per window, one curve per seed that was completed; see `learning_time`."""
-    pd = {row.seed: row for row in standing.of(task, BASELINE)}
-    curves = []
-    for row in standing.of(task, controller):
-        scale = [nan(value) ** 2 for value in pd[row.seed].rms.values()] if row.seed in pd else []
-        if row.completed and scale and all(value > 0 for value in scale):
-            squares = [sum(a / b for a, b in zip(mean, scale, strict=True)) / len(scale) for mean in row.curve]
-            curves.append([math.sqrt(value) for value in squares])
-    return curves
+    """Error over the plain controllers' per window, one curve per seed that was completed; see `relative_errors`."""
+    rows = (row for row in standing.of(task, controller) if row.completed)
+    curves = (relative_errors(row, standing.plain_errors(task, row.seed)) for row in rows)
+    return [curve for curve in curves if curve]

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PANELS_PER_COLUMN = 4
+LEARNERS_BESIDE = 5
 NOTE_ROOM = 0.2  # share of an axes' height that is free above the curves for a note
 GIVEN: Look = {"linewidth": 0.8, "alpha": 0.65}
 STOP: Look = {"color": "#d62728", "alpha": 0.12}
@@ -102,7 +103,9 @@ def draw_effort_limit(axes: Axes, limit: float, unit: str) -> None:
 
 @figure("psi", needs=signals("psi_hat"))
 def psi_figure(recordings: Recordings) -> Figure:
-    """The unknown terms Psi (3.20), (3.21) and what was learned of them, per component; one column per learner.
+    """The unknown terms Psi (3.20), (3.21) and what was learned of them, per component; a column per learner.
+
+    Of many learners, at most `LEARNERS_BESIDE` stand beside each other, and the next ones below them.
 
     Raises:
         RecordingError: No recording, or none of a learner that holds these signals.
@@ -111,21 +114,28 @@ def psi_figure(recordings: Recordings) -> Figure:
     panels = {(panel.label, panel.group): panel for panel in curves.psi(recordings)}
     require_found(recordings, panels, "psi")
     labels, styles = list(dict.fromkeys(label for label, _ in panels)), styles_of(runs)
-    picture = new_figure(3.0 * max(len(runs), 1.5) + 0.8, 1.5 * len(labels) + 1.3)
-    grid = picture.subplots(len(labels), len(runs), sharex=True, sharey="row", squeeze=False)
-    for row, label in zip(grid, labels, strict=True):
+    bands = -(-len(runs) // LEARNERS_BESIDE)
+    columns = -(-len(runs) // bands)
+    picture = new_figure(3.0 * max(columns, 1.5) + 0.8, (1.5 * len(labels) + 0.5) * bands + 0.8)
+    grid = picture.subplots(bands * len(labels), columns, sharex=True, sharey="row", squeeze=False)
+    of_run = grid.reshape(bands, len(labels), columns).transpose(0, 2, 1).reshape(-1, len(labels))
+    for axes in of_run[len(runs) :].flat:
+        axes.set_axis_off()
+    for i, label in enumerate(labels):
         shown = {name: panels[label, name] for name in runs if (label, name) in panels}
         truth = {name: panel.truth for name, panel in shown.items() if panel.truth}
         learned = {name: panel.curves[name] for name, panel in shown.items()}
-        row[0].set_ylabel(folded(next(iter(shown.values())).axis, 13))
-        row[0].set_ylim(limits([*calm_values(truth, runs), *calm_values(learned, runs)]))
-        for axes, name in zip(row, runs, strict=True):
+        for first in grid[i :: len(labels), 0]:
+            first.set_ylabel(folded(next(iter(shown.values())).axis, 13))
+            first.set_ylim(limits([*calm_values(truth, runs), *calm_values(learned, runs)]))
+        for axes, name in zip(of_run[:, i], runs, strict=False):
             if name in shown:
                 axes.plot(*truth[name], **TRUTH)
                 axes.plot(*learned[name], **styles[name].line)
-    for column, (name, recording) in zip(grid.T, runs.items(), strict=True):
+    for column, (name, recording) in zip(of_run, runs.items(), strict=False):
         column[0].set_title(legend_label(name, recording))
         column[-1].set_xlabel("time [s]")
+        column[-1].tick_params(labelbottom=True)
     picture.align_ylabels(list(grid[:, 0]))
     looks = [(rf"$\hat\Psi$ of {plain(name)}", styles[name].line) for name in runs]
     add_legend(picture, r"Unknown terms $\Psi$, true and learned", [(r"true $\Psi$", TRUTH), *looks])

@@ -22,6 +22,7 @@ from mmnn_pin.lab.contest.task import frozen, tasks_of
 from mmnn_pin.lab.contest.trial import (
     Stopped,
     Tracking,
+    Trial,
     TrialResult,
     arm_of,
     base_of,
@@ -33,7 +34,8 @@ from mmnn_pin.lab.contest.trial import (
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment, recorded_experiment
 from mmnn_pin.lab.experiments.contest import Contest, Targets
-from mmnn_pin.lab.show.contest import cell, render
+from mmnn_pin.lab.experiments.controllers import PLAIN
+from mmnn_pin.lab.show.contest import cell, relative_curves, render
 from mmnn_pin.loop.batch import Run
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.model.regressor import Regressor
@@ -43,7 +45,7 @@ from mmnn_pin.signals import Layout
 
 QUICK = [
     *("time.duration=1.6", "time.control_period=0.0025", "time.plant_step=0.00125", "windows=[[0, 0.5], [0.8, 1.6]]"),
-    *("contest.seeds=2", "weights_interval=0.5"),
+    *("contest.seeds=2", "weights_interval=0.5", "contest.beside=['pd','two_layer','computed_torque']"),
     *(f"held_out.{name}.duration=0.9" for name in ("similar", "tight", "circle")),
 ]
 SET = [word for text in QUICK for word in ("--set", text)]
@@ -197,18 +199,42 @@ def row(**changes):
         ([1.0, 1.0, 0.1, 0.1], 1.0, 0.0),
     ],
 )
-def test_learned_is_when_the_error_stays_below_a_share_of_that_of_pd(shares, since, wanted):
-    """Shares of PD's error on both axes; then all of it on one axis, which has the same mean."""
+def test_learned_is_when_the_error_stays_below_a_share_of_the_rivals(shares, since, wanted):
+    """Shares of their error on both axes; then all of it on one axis, which has the same mean."""
     both = [[(2.0 * s) ** 2, (0.5 * s) ** 2] for s in shares]
     one = [[2 * (2.0 * s) ** 2, 0.0] for s in shares]
     for curve in (both, one):
-        assert learning_time(row(curve=curve, since=since), row(), 0.5, 0.2) == wanted
+        assert learning_time(row(curve=curve, since=since), [2.0, 0.5], 0.5, 0.2) == wanted
 
 
 def test_a_lost_run_never_learns_and_without_a_scale_nobody_does():
     curve = [[0.0, 0.0]] * 4
-    assert learning_time(row(curve=curve, outcome="diverged"), row(), 0.5, 0.2) == math.inf
-    assert math.isnan(learning_time(row(curve=curve), row(rms={"x": None, "a": 0.5}), 0.5, 0.2))
+    assert learning_time(row(curve=curve, outcome="diverged"), [2.0, 0.5], 0.5, 0.2) == math.inf
+    for rivals in ([], [math.nan, 0.5], [0.0, 0.5]):
+        assert math.isnan(learning_time(row(curve=curve), rivals, 0.5, 0.2))
+
+
+def test_the_rivals_are_the_best_plain_controllers_that_ran_to_their_end(standing):
+    """Axis by axis, with the same seed; a learner is none, PD alone is one where nothing else ran."""
+    others = {
+        "pd": [row(), row(seed=2)],
+        "pd_gravity": [row(rms={"x": 3.0, "a": 0.3}), row(seed=2, rms={"x": None, "a": None}, outcome="diverged")],
+        "pid": [row(rms={"x": 1.0, "a": 4.0})],
+        "adaptive": [row(rms={"x": 0.01, "a": 0.01})],
+    }
+    trials = {("t", name): Trial("", None, rows) for name, rows in others.items()}
+    mixed = replace(standing, trials=trials)
+    assert mixed.plain_errors("t", 1) == [1.0, 0.3]
+    assert mixed.plain_errors("t", 2) == [2.0, 0.5] and mixed.plain_errors("t", 3) == []
+    half = [[0.25, 0.0225], [0.0, 0.0]]  # of the rivals' error, then none
+    trials["t", "late"] = Trial("", None, [row(curve=half), row(curve=half, outcome="diverged")])
+    mixed = replace(standing, trials=trials)
+    assert relative_curves(mixed, "t", "late") == [pytest.approx([0.5, 0.0])]
+    assert mixed.learning_times("t", "late") == [0.5, math.inf]
+
+
+def test_the_contest_runs_them_beside_any_controller():
+    assert set(PLAIN) <= set(load_experiment("contest").contest.beside) and set(PLAIN) <= set(Contest().beside)
 
 
 # -- the same rows, however they are made --

@@ -63,6 +63,18 @@ def test_the_csv_file_has_the_numbers_of_the_summary_that_is_kept():
             assert row[column] == "" if cell is None else float(row[column]) == pytest.approx(float(cell[1]), rel=1e-3)
 
 
+def test_controllers_are_listed_by_the_least_delay_that_loses_them():
+    some = [1.0, 1.0]
+    errors = {"a": [some, None, None], "b": [some, some, some], "c": [some, None, some], "d": [some, some, None]}
+    found = document.lost_from({"delays": [0.0, 0.001, 0.002], "errors": errors})
+    assert found == {"1 ms": ["a", "c"], "2 ms": ["d"], "none": ["b"]} and list(found) == ["1 ms", "2 ms", "none"]
+
+
+def test_the_best_plain_controller_is_that_of_those_that_ran():
+    far = {"pd": {"a": 9.0, "b": 5.0}, "pd_gravity": {"a": 8.0, "b": 6.0}, "pid": {"a": "inf"}, "adaptive": {"a": 1.0}}
+    assert document.best_plain(far, "a") == 8.0 and document.best_plain(far, "b") == 5.0
+
+
 @pytest.mark.parametrize("tuning", TUNINGS)
 def test_the_contest_has_what_the_search_found(tuning):
     """In the case of the search's name; the document says the same."""

@@ -160,6 +160,23 @@ def test_psi_stands_beside_what_was_learned_per_component_and_controller():
     assert [axes.get_title() for axes in grid[0]] == list(runs)
 
 
+@pytest.mark.parametrize("count", [5, 6, 13])
+def test_psi_of_many_learners_is_folded(count, tmp_path):
+    """Each run stays whole in a column, the scale of a component is one; a row of 13 was 40 inches wide."""
+    runs = {f"run {k}": recording(seed=k) for k in range(count)}
+    figure = psi_figure(runs)
+    bands, columns = {5: (1, 5), 6: (2, 3), 13: (3, 5)}[count]
+    grid = np.array(figure.axes).reshape(bands, 4, columns)
+    for k, (name, rec) in enumerate(runs.items()):
+        mine = grid[k // columns, :, k % columns]
+        assert mine[0].get_title() == name and mine[-1].get_xlabel() == "time [s]"
+        for i, axes in enumerate(mine):
+            np.testing.assert_array_equal(curves(axes)[1].get_ydata(), rec["psi_hat"][:, i])
+            assert axes.get_ylim() == grid[0, i, 0].get_ylim()
+    assert [axes.axison for axes in grid[:, 0].flat] == [k < count for k in range(bands * columns)]
+    assert figure.get_size_inches()[0] <= 16
+
+
 def test_path_and_headings_in_the_plane():
     rec = recording(seed=1)
     figure = path_figure({"two_layer": rec})

@@ -11,7 +11,7 @@ import numpy as np
 
 from ....recording.metrics import halves
 from ....recording.recording import Recording
-from ...experiments.controllers import LEARNERS, ORACLES, effective
+from ...experiments.controllers import LEARNERS, ORACLES, PLAIN, effective
 from ...experiments.result import Improvement, Result, unfair
 from ...proof.balance import TOLERANCE
 from ...proof.proof import Proof, proofs_with
@@ -32,7 +32,6 @@ ABOUT_PROOF = (
 SAME = 1e-3  # relative difference of errors that no plot shows
 TOLD = 0.1  # share of PD's errors that a plain rival takes off and that is told
 FAR = 2.0  # times another's error that is told
-PLAIN = ("pd", "pd_gravity", "pid")
 FROZEN = {"same": "own trajectory", "held_out": "held out", "payload": "with a payload"}
 
 
@@ -117,7 +116,7 @@ def compared_with(result: Result) -> str:
 
 
 def plain_runs(result: Result) -> list[str]:
-    """The runs of what an engineer tries before any learner that reached their end: PD, PD with gravity, PID."""
+    """The runs of PD, PD with gravity and PID that reached their end."""
     runs = result.recordings.items()
     return [name for name, r in runs if controller_of(name, r) in PLAIN and r.outcome.status == "completed"]
 
