@@ -105,9 +105,7 @@ def context_of(
     layout: Layout | None = None,
     lag: Array | None = None,
     way: float = 0.0,
-    predicted: float = 0.0,
-    margin: float = 0.0,
-    smoothing: float = 0.0,
+    unseen: float = 0.0,
 ) -> Context:
     """What a controller is told before a run of a robot; how it moves only where a learning law asks for it.
 
@@ -121,16 +119,14 @@ def context_of(
         layout: Where the signals stand in a row; None where nothing but the robot is recorded.
         lag: (p,) known time constants of the motors, seen from the velocities; None for none [s].
         way: See `Context.way` [s].
-        predicted: See `Context.predicted` [s].
-        margin: See `Context.margin` [s].
-        smoothing: See `Context.smoothing` [s].
+        unseen: See `Context.unseen` [s].
     """
     told = isinstance(controller, LearningLaw) and controller.knows_motion
     kept = controller.within_limits if within_limits is None else within_limits
     limits = motor_limits(robot.E, robot.effort_limits) if kept else None
     motion = regressor_of(robot) if told else None
     layout = layout or Layout.of(robot.dimensions)
-    return Context(layout, period, samples, rng, motion, limits, lag, way, predicted, margin, smoothing)
+    return Context(layout, period, samples, rng, motion, limits, lag, way, unseen)
 
 
 def regressor_of(robot: Robot) -> Regressor:

@@ -131,9 +131,7 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
         setup.layout,
         lag=setup.lags,
         way=setup.behind,
-        predicted=setup.predicted,
-        margin=setup.latency.margin,
-        smoothing=setup.sensor.smoothing(setup.timing.measurement_period),
+        unseen=setup.predicted + setup.sensor.smoothing(setup.timing.measurement_period) + setup.latency.margin,
     )
 
 

@@ -41,9 +41,7 @@ class Context:
         limits: Limits that Psi_hat is kept within; None for none.
         lag: (p,) known time constants of the motors, seen from the velocities [s]; None for none.
         way: Known time from the command of a torque to the measurement that shows it, less what is predicted [s].
-        predicted: By how much a measurement is moved on as the reference has moved; it shows no torque of then [s].
-        margin: Delay that the loop should bear beside what is known, see `loop.latency.Latency` [s].
-        smoothing: By how much the filter of the sensors' velocities is late, see `sensing.Sensor.smoothing` [s].
+        unseen: Further time until velocities show it: prediction, `sensing.Sensor.smoothing`, `latency.margin` [s].
     """
 
     layout: Layout
@@ -54,9 +52,7 @@ class Context:
     limits: MotorLimits | None = None
     lag: Array | None = None
     way: float = 0.0
-    predicted: float = 0.0
-    margin: float = 0.0
-    smoothing: float = 0.0
+    unseen: float = 0.0
 
 
 @dataclass

@@ -525,13 +525,12 @@ class Truth:
 LATE = st.floats(0.0, 0.05)
 
 
-@given(st.floats(1e-4, 0.02), LATE, LATE, LATE, LATE, st.lists(LATE, min_size=4, max_size=4))
+@given(st.floats(1e-4, 0.02), LATE, LATE, st.lists(LATE, min_size=4, max_size=4))
 @settings(max_examples=40, deadline=None)
-def test_answers_that_do_not_show_yet_stay_below_the_feedback(period, way, predicted, margin, smoothing, lags):
-    known = {"lag": np.array(lags), "way": way, "predicted": predicted, "margin": margin, "smoothing": smoothing}
-    context = Context(Layout.of(ROBOT.dimensions), period, 1, **known)
+def test_answers_that_do_not_show_yet_stay_below_the_feedback(period, way, unseen, lags):
+    context = Context(Layout.of(ROBOT.dimensions), period, 1, lag=np.array(lags), way=way, unseen=unseen)
     share = share_of(AdaptiveSettings(share="delays"), context)
-    under_way = 1 + (way + predicted + margin + smoothing + max(lags)) / period  # samples until an answer shows
+    under_way = 1 + (way + unseen + max(lags)) / period  # samples until an answer shows
     assert share * under_way == pytest.approx(1.0) and 0 < share <= 1
     assert share_of(AdaptiveSettings(share=0.3), context) == 0.3
 
