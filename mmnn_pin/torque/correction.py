@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..compiled import copy_to, internal
+from ..compiled import compiled, copy_to, internal
 from ..elementary import exp
 from ..model.regressor import Massless, measured, regress
 from ..parts import Vector
@@ -69,10 +69,19 @@ class Correction(NamedTuple):
 
 
 class Corrected(NamedTuple):
-    """What a correction remembers: w (k,), and the time of its last sample (1,) [s]."""
+    """What a correction remembers.
+
+    Attributes:
+        w: (k,) its weights.
+        when: (1,) time of its last sample [s].
+        asked: (p,) Psi_hat of its last sample.
+        cut: (p,) what the motors' limits took of it.
+    """
 
     w: Vector
     when: Vector
+    asked: Vector
+    cut: Vector
 
 
 def new_correction(context: Context, K: Array, typical: Array, c: float, leakage: float, blend: float) -> Correction:
@@ -95,7 +104,7 @@ def new_correction(context: Context, K: Array, typical: Array, c: float, leakage
     return Correction(
         h=h,
         keep=exp(-leakage * h),
-        top=float(c * p),
+        top=float(c),
         rate=c * p * matters / matters.sum() / np.where(matters, square, 1.0),
         blend=float(blend),
         lasts=FRESH + 2.0 * (h + context.way + slow),
@@ -118,7 +127,7 @@ def desired(row: Array, at: IntArray, c: Correction, known: Massless, gain: Arra
         gain: (p,) K.
         Phi: (p, k) features of the measured motion, changed.
     """
-    p, nb, k0, total = gain.size, at[VELOCITY_REF + 1] - at[VELOCITY_REF], known.Y.shape[1], 0.0
+    p, nb, k0 = gain.size, at[VELOCITY_REF + 1] - at[VELOCITY_REF], known.Y.shape[1]
     for i in range(p):
         c.nu[i] = row[at[VELOCITY_REF] + i] if i < nb else row[at[QDOT_REF] + i - nb]
         c.nudot[i] = row[at[ACCELERATION_REF] + i] if i < nb else row[at[QDDOT_REF] + i - nb]
@@ -127,13 +136,13 @@ def desired(row: Array, at: IntArray, c: Correction, known: Massless, gain: Arra
     for i in range(p):
         copy_to(known.Y[i], c.F[i, :k0])
         copy_to(Phi[i, k0:], c.F[i, k0:])
+        total = 0.0
         for j in range(c.rate.size):
-            total += c.rate[j] * c.F[i, j] * c.F[i, j] / gain[i]
+            total += c.rate[j] * c.F[i, j] * c.F[i, j]
             Phi[i, j] += c.blend * (c.F[i, j] - Phi[i, j])
-    shrink = math.sqrt(c.top / total) if total > c.top else 1.0
-    for i in range(p):
+        scale = math.sqrt(c.top * gain[i] / total) if total > 0.0 else 0.0
         for j in range(c.rate.size):
-            c.F[i, j] *= shrink
+            c.F[i, j] *= scale
 
 
 @internal
@@ -143,13 +152,22 @@ def correct(row: Array, at: IntArray, c: Correction, o: Corrected) -> None:
     if 0.0 <= age <= c.lasts:
         for i in range(c.nu.size):
             row[at[PSI_HAT] + i] += dot(c.F[i], o.w, o.w.size)
+    for i in range(c.nu.size):
+        o.asked[i] = row[at[PSI_HAT] + i]
+
+
+@compiled
+def find_cut(row: Array, at: IntArray, o: Corrected) -> None:
+    """What the motors' limits took of psi_hat."""
+    for i in range(o.cut.size):
+        o.cut[i] = o.asked[i] - row[at[PSI_HAT] + i]
 
 
 @internal
 def follow_error(row: Array, at: IntArray, c: Correction, gain: Array, o: Corrected) -> None:
     """One sample of `w' = Gamma F' s - leakage w`, from 0 after a gap; what is no number teaches nothing."""
     k, nb, time = o.w.size, at[Z + 1] - at[Z], row[at[TIME]]
-    g, answer, feedback = c.g, 0.0, 0.0
+    g, answer, feedback, along, size = c.g, 0.0, 0.0, 0.0, 0.0
     fresh = 0.0 <= time - o.when[0] <= c.lasts
     for j in range(k):
         g[j] = 0.0
@@ -158,6 +176,12 @@ def follow_error(row: Array, at: IntArray, c: Correction, gain: Array, o: Correc
     for i in range(gain.size):
         s = row[at[Z] + i] if i < nb else row[at[R] + i - nb]
         feedback += gain[i] * s * s
+        along += o.cut[i] * s
+        size += o.cut[i] * o.cut[i] / gain[i]
+    for i in range(gain.size):
+        s = row[at[Z] + i] if i < nb else row[at[R] + i - nb]
+        if along > 0.0 and size > 0.0:
+            s -= o.cut[i] / gain[i] * along / size
         for j in range(k):
             g[j] += c.F[i, j] * s
     for j in range(k):

@@ -31,7 +31,7 @@ from ..compiled import copy_to, internal, linked
 from ..model.regressor import Massless, measured, regress
 from ..parts import Matrix, Vector, views
 from ..signals import INDEX, Array, IntArray
-from .correction import Corrected, Correction, correct, desired, follow_error
+from .correction import Corrected, Correction, correct, desired, find_cut, follow_error
 from .factored import add, dot, measure, quadratic, times, variance
 from .filtered import Filter, Filtered, low_pass, period, remember
 from .friction_features import Friction, beside, follow
@@ -146,7 +146,9 @@ def estimate(row: Array, at: IntArray, a: Linear, state: Array) -> None:
 @linked
 def settle(row: Array, at: IntArray, a: Linear, state: Array) -> None:
     """Keep the torque that is held from this sample on."""
-    remember(row, at, parts_of(state, a.layout).filtered)
+    o = parts_of(state, a.layout)
+    remember(row, at, o.filtered)
+    find_cut(row, at, o.corrected)
 
 
 @internal
