@@ -44,6 +44,9 @@ NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 SOON, RISE, FALL = 0.03, 0.3, 5.0  # times over which surprise is averaged, and in which levels of errors follow [s]
 OFTEN = 0.01  # interval beyond which these times are counted in updates [s]
+BURST = 0.05
+HOLD = 0.75
+HOLDT = 0.5
 QUIET = 2.0  # time after a start or a change in which no other one is looked for [s]
 FAINT = 1e-5  # part of the expected square of an error below which none is told from another
 SURPRISE = 25.0  # largest square of an error over its level that one equation counts for
@@ -184,6 +187,9 @@ def learn(
         return
     if correction is not None:
         follow_error(row, at, correction, a.gain, o.corrected)
+        if o.counts[5] > 0.0 and o.counts[4] * a.filter.h < HOLDT:
+            for j in range(o.corrected.w.size):
+                o.corrected.w[j] *= correction.keep ** -HOLD
     f, now = a.filter, int(o.counts[0]) % a.every == 0
     o.counts[0] += 1.0
     if now:
@@ -191,6 +197,7 @@ def learn(
     counts = period(row, at, f, o.filtered)
     if o.filtered.clock[1] <= 1.0:
         o.counts[4] = 0.0
+        o.counts[5] = 0.0
     if friction is not None:
         follow(f, o.filtered, o.moved, a.Phi)
     if counts:
@@ -199,9 +206,9 @@ def learn(
         for i in range(p):
             f.torque[i] -= a.psi0[i]
         low_pass(f, a.Phi, o.filtered)
-        if now:
-            if a.alarm > 0.0:
-                heed(a, o)
+        if a.alarm > 0.0:
+            heed(a, o)
+        if now or (a.alarm > 0.0 and o.counts[4] * f.h < BURST):
             predict(a, o)
     if now:
         project(a, o)
@@ -301,7 +308,7 @@ def heed(a: Linear, o: Parts) -> None:
 
     What the low-pass remembers is then of another robot, and is dropped.
     """
-    p, m, rows, T, surprise = a.gain.size, o.W.shape[0], a.Phi.shape[0], min(a.interval, OFTEN), 0.0
+    p, m, rows, T, surprise = a.gain.size, o.W.shape[0], a.Phi.shape[0], min(a.filter.h, OFTEN), 0.0
     Phi_f, Y_f = o.filtered.Phi_f, o.filtered.Y_f
     for i in range(p):
         e = (Y_f[i] - dot(o.W[min(i, m - 1)], Phi_f[min(i, rows - 1)], o.D.size)) / a.gain[i]
@@ -313,6 +320,7 @@ def heed(a: Linear, o: Parts) -> None:
     o.counts[3] = 1.0 if changed else 0.0
     o.counts[4] = 0.0 if changed else o.counts[4] + 1.0
     if changed:
+        o.counts[5] = 1.0
         Phi_f[:] = 0.0
         Y_f[:] = 0.0
 
