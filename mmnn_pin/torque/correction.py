@@ -1,18 +1,24 @@
 """A correction beside a linear learner: features of the reference, weights that follow the tracking error. Compiled.
 
-    Psi_w = F(t) w,    w' = Gamma F(t)' s - leakage w,    F = Phi_d / sqrt(max(1, tr(K^-1 Phi_d Gamma Phi_d') / (p c)))
+    Psi_w = F(t) w,    w' = Gamma F(t)' s - leakage w,    F = S(t) Phi_d,    S diagonal so that (F Gamma F')_ii = c K_i
 
 Filtered torque says what the robot is, some tenths of a second late, and nothing of what its equations do not hold:
-half a period without lead, a load that was just picked up, motors at their limits. That shows in s at once. Phi_d are
-the features of the desired motion, q_ref in place of q and the reference's velocity in place of nu and nu_ref: the
-desired compensation of Sadegh and Horowitz 1990 (Int. J. Robotics Research 9(3)). They are a function of time alone, so
-they carry no noise and are no feedback; and for any robot, known or not, the map from s to Psi_w is passive:
+half a period without lead, a load that was just picked up, a start beside the reference. That shows in s at once. Phi_d
+are the features of the desired motion, q_ref in place of q and the reference's velocity in place of nu and nu_ref: the
+desired compensation of Sadegh and Horowitz 1990 (Int. J. Robotics Research 9(3)). S makes every velocity answer alike
+on any motion, a slow one as well. F is a function of time alone, so it carries no noise and is no feedback; and for any
+robot, known or not, the map from s to Psi_w is passive:
 
     (w' Gamma^-1 w / 2)' = s' Psi_w - leakage w' Gamma^-1 w.
 
-So V with this term added has in its derivative what it has without a correction, and `- leakage w' Gamma^-1 w`. As
-`tr(K^-1 F Gamma F') <= p c`, the correction never is more than a feedback of p c / leakage times K, all p velocities
-together; faster than leakage it is less. A sample's answer to s is cut at a share of the feedback.
+So V with this term added has in its derivative what it has without a correction, and `- leakage w' Gamma^-1 w`, for any
+leakage that changes with time: just after a change of the robot it is `SLOWER` of what it is otherwise, so that w holds
+until the equations know the new robot, and takes back what the error has gathered. As `tr(K^-1 F Gamma F') = p c`, the
+correction never is more than a feedback of p c / leakage times K, all p velocities together; faster than leakage it is
+less. A sample's answer to s is cut at a share of the feedback.
+
+Where the motors' limits cut Psi_hat by some d (p,), w does not learn against them: of s only what is orthogonal to d
+counts, `s - K^-1 d (d's) / (d' K^-1 d)` for d's > 0. For one motor that is the error without its speed.
 """
 
 from __future__ import annotations
@@ -37,6 +43,7 @@ VELOCITY_REF, ACCELERATION_REF = INDEX["velocity_ref"], INDEX["acceleration_ref"
 Q_REF, QDOT_REF, QDDOT_REF = INDEX["q_ref"], INDEX["qdot_ref"], INDEX["qddot_ref"]
 Z, R, PSI_HAT = INDEX["z"], INDEX["r"], INDEX["psi_hat"]
 SHARE = 0.2  # largest answer of a sample to s, as a share of the feedback
+SLOWER = 0.25  # part of the leakage at which it is forgotten just after a change of the robot
 FRESH = 0.1  # how long after its last sample a correction counts, beside periods and known delays [s]
 
 
@@ -46,7 +53,8 @@ class Correction(NamedTuple):
     Attributes:
         h: Control period [s].
         keep: exp(-leakage h).
-        top: p c, largest trace of what it answers s with, over K [1/s].
+        longer: exp(-SLOWER leakage h).
+        top: c, what it answers s with, over K [1/s].
         rate: (k,) Gamma.
         blend: Part of the learner's own features that is taken at the reference.
         lasts: How long after its last sample it counts [s].
@@ -58,6 +66,7 @@ class Correction(NamedTuple):
 
     h: float
     keep: float
+    longer: float
     top: float
     rate: Array
     blend: float
@@ -104,6 +113,7 @@ def new_correction(context: Context, K: Array, typical: Array, c: float, leakage
     return Correction(
         h=h,
         keep=exp(-leakage * h),
+        longer=exp(-SLOWER * leakage * h),
         top=float(c),
         rate=c * p * matters / matters.sum() / np.where(matters, square, 1.0),
         blend=float(blend),
@@ -152,38 +162,39 @@ def correct(row: Array, at: IntArray, c: Correction, o: Corrected) -> None:
     if 0.0 <= age <= c.lasts:
         for i in range(c.nu.size):
             row[at[PSI_HAT] + i] += dot(c.F[i], o.w, o.w.size)
-    for i in range(c.nu.size):
-        o.asked[i] = row[at[PSI_HAT] + i]
-
-
-@compiled
-def find_cut(row: Array, at: IntArray, o: Corrected) -> None:
-    """What the motors' limits took of psi_hat."""
-    for i in range(o.cut.size):
-        o.cut[i] = o.asked[i] - row[at[PSI_HAT] + i]
 
 
 @internal
-def follow_error(row: Array, at: IntArray, c: Correction, gain: Array, o: Corrected) -> None:
-    """One sample of `w' = Gamma F' s - leakage w`, from 0 after a gap; what is no number teaches nothing."""
+def follow_error(row: Array, at: IntArray, c: Correction, gain: Array, changed: bool, o: Corrected) -> None:
+    """One sample of `w' = Gamma F' s - leakage w`, from 0 after a gap; what is no number teaches nothing.
+
+    Args:
+        row: (width,) row of signals with Psi_hat before the motors' limits.
+        at: Offsets of the signals.
+        c: The correction, with F of the sample.
+        gain: (p,) K.
+        changed: Whether the robot has just changed: w is then forgotten at `SLOWER` of the leakage.
+        o: What it remembers.
+    """
     k, nb, time = o.w.size, at[Z + 1] - at[Z], row[at[TIME]]
-    g, answer, feedback, along, size = c.g, 0.0, 0.0, 0.0, 0.0
-    fresh = 0.0 <= time - o.when[0] <= c.lasts
+    g, s, answer, feedback, against, size = c.g, c.nu, 0.0, 0.0, 0.0, 0.0
+    fresh, keep = 0.0 <= time - o.when[0] <= c.lasts, c.longer if changed else c.keep
     for j in range(k):
         g[j] = 0.0
-        o.w[j] = c.keep * o.w[j] if fresh else 0.0
+        o.w[j] = keep * o.w[j] if fresh else 0.0
     o.when[0] = time
     for i in range(gain.size):
-        s = row[at[Z] + i] if i < nb else row[at[R] + i - nb]
-        feedback += gain[i] * s * s
-        along += o.cut[i] * s
+        s[i] = row[at[Z] + i] if i < nb else row[at[R] + i - nb]
+        o.cut[i] = o.cut[i] if fresh else 0.0
+        o.asked[i] = row[at[PSI_HAT] + i]
+        feedback += gain[i] * s[i] * s[i]
+        against += o.cut[i] * s[i]
         size += o.cut[i] * o.cut[i] / gain[i]
     for i in range(gain.size):
-        s = row[at[Z] + i] if i < nb else row[at[R] + i - nb]
-        if along > 0.0 and size > 0.0:
-            s -= o.cut[i] / gain[i] * along / size
+        if against > 0.0 and size > 0.0:
+            s[i] -= against / size * o.cut[i] / gain[i]
         for j in range(k):
-            g[j] += c.F[i, j] * s
+            g[j] += c.F[i, j] * s[i]
     for j in range(k):
         answer += c.h * c.rate[j] * g[j] * g[j]
     if not (math.isfinite(answer) and math.isfinite(feedback)):
@@ -191,3 +202,10 @@ def follow_error(row: Array, at: IntArray, c: Correction, gain: Array, o: Correc
     step = c.h * (SHARE * feedback / answer if answer > SHARE * feedback else 1.0)
     for j in range(k):
         o.w[j] += step * c.rate[j] * g[j]
+
+
+@compiled
+def find_cut(row: Array, at: IntArray, o: Corrected) -> None:
+    """What the motors' limits took of the Psi_hat of this sample (p,), into o.cut."""
+    for i in range(o.cut.size):
+        o.cut[i] = o.asked[i] - row[at[PSI_HAT] + i]

@@ -23,7 +23,7 @@ class KalmanSettings(Settings, frozen=True):
         bound: Largest weights, as root mean square in standard deviations of the prior.
         pole: Low-pass on features and filtered torque [1/s].
         state_pole: Low-pass on states and torque ahead of the features [1/s]; 0 for none.
-        interval: Time from one update to the next [s], at least a control period.
+        interval: Time from one update to the next [s], at least a control period; just after an alarm that is it.
         alarm: The robot counts as changed where the square of the errors is this many times that of the last seconds;
             its load is then learned anew. 0 for never.
 
@@ -78,18 +78,19 @@ class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
         constant: Standard deviation of the constants, likewise.
         change: Part of a constant's prior variance that comes back in a second [1/s].
         correction: c of `torque.correction`, how fast it answers the tracking error, over K [1/s]; 0 for none.
-        leakage: How fast the correction is forgotten [1/s]; it adds at most `correction / leakage` times K, on average
-            over the velocities.
+        leakage: How fast the correction is forgotten [1/s], just after a change of the robot at a quarter of it; it
+            adds `correction / leakage` times K at low frequencies.
         desired: Part of the features that is taken at the reference's motion, the rest at the measured one; 0 to 1.
     """
 
     noise: float = 0.2
     pole: float = 7.0
+    state_pole: float = 100.0
     friction: float = 0.2
     constant: float = 0.03
     change: float = 0.1
     alarm: float = 3.0
-    correction: float = 20.0
+    correction: float = 40.0
     leakage: float = 20.0
     desired: float = 0.5
 

@@ -43,10 +43,8 @@ Z, R = INDEX["z"], INDEX["r"]
 NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 SOON, RISE, FALL = 0.03, 0.3, 5.0  # times over which surprise is averaged, and in which levels of errors follow [s]
-OFTEN = 0.01  # interval beyond which these times are counted in updates [s]
-BURST = 0.05
-HOLD = 0.75
-HOLDT = 0.5
+OFTEN = 0.01  # control period beyond which these times are counted in samples [s]
+AFTER = 0.5  # time after a change in which every sample is an update, and a correction is forgotten more slowly [s]
 QUIET = 2.0  # time after a start or a change in which no other one is looked for [s]
 FAINT = 1e-5  # part of the expected square of an error below which none is told from another
 SURPRISE = 25.0  # largest square of an error over its level that one equation counts for
@@ -113,8 +111,8 @@ class Parts(NamedTuple):
         W: (m, k) weights, transposed: a column of W is a row here.
         U, D: (k, k), (k,) factors of P.
         prior: (k,) diagonal of P_0.
-        counts: (5,) samples, updates, mean square of errors of late over their levels, whether the robot has just
-            changed, and updates since it last did.
+        counts: (6,) samples, updates, mean square of errors of late over their levels, whether the robot has just
+            changed, samples since it last did, and how many more count as just after that.
         expected: (rows,) variances of the last equations.
         level: (p,) squares of errors in the last seconds, over K.
         filtered: What the filter remembers.
@@ -186,18 +184,14 @@ def learn(
     if not a.learning:
         return
     if correction is not None:
-        follow_error(row, at, correction, a.gain, o.corrected)
-        if o.counts[5] > 0.0 and o.counts[4] * a.filter.h < HOLDT:
-            for j in range(o.corrected.w.size):
-                o.corrected.w[j] *= correction.keep ** -HOLD
-    f, now = a.filter, int(o.counts[0]) % a.every == 0
+        follow_error(row, at, correction, a.gain, o.counts[5] > 0.0, o.corrected)
+    f, now = a.filter, int(o.counts[0]) % a.every == 0 or o.counts[5] > 0.0
     o.counts[0] += 1.0
     if now:
         track(row, at, a, o)
     counts = period(row, at, f, o.filtered)
     if o.filtered.clock[1] <= 1.0:
-        o.counts[4] = 0.0
-        o.counts[5] = 0.0
+        o.counts[4], o.counts[5] = 0.0, 0.0
     if friction is not None:
         follow(f, o.filtered, o.moved, a.Phi)
     if counts:
@@ -208,7 +202,7 @@ def learn(
         low_pass(f, a.Phi, o.filtered)
         if a.alarm > 0.0:
             heed(a, o)
-        if now or (a.alarm > 0.0 and o.counts[4] * f.h < BURST):
+        if now or o.counts[3] > 0.0:
             predict(a, o)
     if now:
         project(a, o)
@@ -319,8 +313,8 @@ def heed(a: Linear, o: Parts) -> None:
     changed = o.counts[4] * T > QUIET and o.counts[2] > a.alarm
     o.counts[3] = 1.0 if changed else 0.0
     o.counts[4] = 0.0 if changed else o.counts[4] + 1.0
+    o.counts[5] = math.ceil(AFTER / T) if changed else max(0.0, o.counts[5] - 1.0)
     if changed:
-        o.counts[5] = 1.0
         Phi_f[:] = 0.0
         Y_f[:] = 0.0
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from learning import SHORT, assert_engines_agree, assert_it_resumes, made
+from scipy.linalg import null_space
 
 from mmnn_pin import Feedback, Loop, load, load_experiment
 from mmnn_pin.errors import ConfigError
@@ -20,7 +21,17 @@ from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import Array, Layout
 from mmnn_pin.torque.controller import Context
-from mmnn_pin.torque.correction import SHARE, Corrected, Correction, correct, desired, follow_error, new_correction
+from mmnn_pin.torque.correction import (
+    SHARE,
+    SLOWER,
+    Corrected,
+    Correction,
+    correct,
+    desired,
+    find_cut,
+    follow_error,
+    new_correction,
+)
 from mmnn_pin.torque.kalman import Kalman
 from mmnn_pin.torque.kalman_settings import KalmanFrictionSettings
 
@@ -39,14 +50,14 @@ def typical() -> Array:
 def new(correction: float = 20.0, leakage: float = 20.0, part: float = 0.5) -> tuple[Correction, Corrected]:
     """A correction of the thesis's robot, and what it remembers."""
     c = new_correction(Context(LAYOUT, H, 1), GAINS, typical(), correction, leakage, part)
-    return c, Corrected(np.zeros(len(c.rate)), np.zeros(1))
+    return c, Corrected(np.zeros(len(c.rate)), np.zeros(1), *np.zeros((2, len(GAINS))))
 
 
 def test_its_numbers_are_those_of_the_settings() -> None:
     """On the motion that it is measured by, it answers s with `correction` times K, on average over the velocities."""
     own = KalmanFrictionSettings(correction=3.0, leakage=2.0, desired=0.25)
     c = Kalman(own, machine_of(ROBOT), K, REGRESSOR).correction(Context(LAYOUT, H, 1))
-    assert c is not None and c.blend == 0.25 and c.top == 12.0 and c.keep == pytest.approx(np.exp(-2.0 * H))
+    assert c is not None and c.blend == 0.25 and c.top == 3.0 and c.keep == pytest.approx(np.exp(-2.0 * H))
     answers = np.einsum("nij,j,nij->ni", typical(), c.rate, typical()).mean(axis=0) / GAINS
     assert answers.mean() == pytest.approx(3.0, rel=1e-9)
 
@@ -88,9 +99,9 @@ def test_with_the_true_parameters_they_say_what_pinocchio_needs_for_the_referenc
         Phi = looked(row, c)
         if part:
             assert Phi[:, : TRUE.size] @ TRUE == pytest.approx(psi, rel=1e-9, abs=1e-9)
-            shrink = c.F[0, TRUE.size] / 1.0  # a column that is 1 ahead of it
-            assert pytest.approx(shrink * Phi, rel=1e-12, abs=1e-12) == c.F
-            assert np.einsum("ij,j,ij,i", c.F, c.rate, c.F, 1 / GAINS) <= c.top * (1 + 1e-9)
+            scale = [np.linalg.lstsq(Phi[[i]].T, c.F[i], rcond=None)[0] for i in range(len(GAINS))]
+            assert pytest.approx(scale * Phi, rel=1e-9, abs=1e-9) == c.F
+            assert np.einsum("ij,j,ij->i", c.F, c.rate, c.F) == pytest.approx(c.top * GAINS, rel=1e-9)
         else:
             still = REGRESSOR.matrix(
                 REGRESSOR.massless.offset + REGRESSOR.massless.arm @ of(row, "q"),
@@ -107,7 +118,7 @@ def test_the_answer_to_an_error_that_stays_is_an_integral_that_forgets() -> None
     for n in range(400):
         row[LAYOUT.where("time")] = n * H
         looked(row, c)
-        follow_error(row, AT, c, GAINS, o)
+        follow_error(row, AT, c, GAINS, False, o)
     expected = c.rate * (c.F.T @ of(row, "z", "r")) * (1.0 - np.exp(-4.0 * 400 * H)) / 4.0
     assert o.w == pytest.approx(expected, rel=2 * 4.0 * H)
     before = of(row, "psi_hat")
@@ -132,11 +143,53 @@ def test_it_is_passive_and_bounded_by_its_gain_whatever_comes(
             np.sqrt((psi**2 / GAINS).sum()) <= len(GAINS) * correction / leakage * largest * (1.0 + leakage * H) + 1e-12
         )
         largest = max(largest, float(np.sqrt((GAINS * s**2).sum())))
-        follow_error(row, AT, c, GAINS, o)
+        follow_error(row, AT, c, GAINS, False, o)
         after = (o.w[live] ** 2 / c.rate[live]).sum() / 2.0
         fed = 0.5 * H * SHARE * (GAINS * s**2).sum()
         assert after <= before + max(0.0, H * s @ psi) + fed + 1e-9 * (before + fed)
     assert (o.w[~live] == 0.0).all()
+
+
+@given(seed=seeds, size=st.sampled_from([1e-6, 1e-2, 1.0]))
+def test_every_velocity_answers_alike_however_slow_the_reference_is(seed: int, size: float) -> None:
+    c, _ = new(correction=3.0)
+    looked(motion(np.random.default_rng(seed), size=size), c)
+    assert np.diag(c.F @ np.diag(c.rate) @ c.F.T) == pytest.approx(3.0 * GAINS, rel=1e-9)
+
+
+@given(seed=seeds, motor=st.integers(0, 3), part=st.sampled_from([1e-6, 1.0, 1e6]))
+def test_against_a_motor_at_its_limit_nothing_is_learned(seed: int, motor: int, part: float) -> None:
+    """The error that counts is the nearest one, measured by K, in which that motor's speed has none."""
+    rng = np.random.default_rng(seed)
+    row = motion(rng, H, 0.1)
+    s, column = of(row, "z", "r"), ROBOT.E[:, motor]
+    for sign in (1.0, -1.0):
+        c, o = new()
+        o.when[0], o.cut[:] = 0.0, sign * part * column * np.sign(column @ s)
+        looked(row, c)
+        follow_error(row, AT, c, GAINS, False, o)
+        free = null_space(column[None] / np.sqrt(GAINS))  # of the errors times sqrt(K)
+        counted = (free @ free.T @ (np.sqrt(GAINS) * s)) / np.sqrt(GAINS) if sign > 0.0 else s
+        step = c.rate * (c.F.T @ counted)
+        assert o.w == pytest.approx(min(1.0, np.abs(o.w).max() / np.abs(H * step).max()) * H * step, rel=1e-6, abs=1e-12)
+        assert sign < 0.0 or abs(column @ counted) < 1e-9
+        assert (o.asked == of(row, "psi_hat")).all()
+        row[LAYOUT.where("psi_hat")] -= 2.0
+        find_cut(row, AT, o)
+        assert o.cut == pytest.approx(2.0)
+        row[LAYOUT.where("psi_hat")] += 2.0
+
+
+@pytest.mark.parametrize(("changed", "rate"), [(False, 4.0), (True, 4.0 * SLOWER)])
+def test_just_after_a_change_it_is_forgotten_more_slowly(changed: bool, rate: float) -> None:
+    c, o = new(leakage=4.0)
+    row = motion(np.random.default_rng(4))
+    row[LAYOUT.where("z")], row[LAYOUT.where("r")], o.w[:] = 0.0, 0.0, 1.0
+    for n in range(100):
+        row[LAYOUT.where("time")] = n * H
+        looked(row, c)
+        follow_error(row, AT, c, GAINS, changed, o)
+    assert o.w == pytest.approx(np.exp(-rate * 100 * H), rel=1e-9)
 
 
 @pytest.mark.parametrize(("later", "counts"), [(0.0, True), (0.05, True), (-1.0, False), (3.0, False)])
@@ -145,14 +198,14 @@ def test_one_that_nobody_moves_any_more_does_not_count(later: float, counts: boo
     rng = np.random.default_rng(1)
     row = motion(rng, 7.0)
     looked(row, c)
-    follow_error(row, AT, c, GAINS, o)
+    follow_error(row, AT, c, GAINS, False, o)
     row[LAYOUT.where("time")] = 7.0 + later
     before = of(row, "psi_hat")
     correct(row, AT, c, o)
     assert (of(row, "psi_hat") != before).any() == counts
     if not counts:
         row[LAYOUT.where("z")], row[LAYOUT.where("r")] = 0.0, 0.0
-        follow_error(row, AT, c, GAINS, o)
+        follow_error(row, AT, c, GAINS, False, o)
         assert (o.w == 0.0).all()
 
 
@@ -162,7 +215,7 @@ def test_a_sample_that_is_no_number_teaches_nothing() -> None:
         row = motion(np.random.default_rng(2))
         looked(row, c)
         row[LAYOUT.where("z")] = value
-        follow_error(row, AT, c, GAINS, o)
+        follow_error(row, AT, c, GAINS, False, o)
         assert (o.w == 0.0).all()
 
 
