@@ -193,7 +193,11 @@ class Kalman(CompiledController):
         drawn = (0, 0) if random is None else (random.units, random.inputs)
         moved = (2, rows * (self.beside - 1)) if self.beside else (0, 0)
         own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (6,), "expected": (rows,), "level": (p,)}
-        corrected = {"w": (k,), "when": (1,), "asked": (p,), "cut": (p,)} if self.beside else {"w": (0,), "when": (0,), "asked": (0,), "cut": (0,)}
+        corrected = (
+            {"w": (k,), "when": (1,), "asked": (p,), "cut": (p,)}
+            if self.beside
+            else {"w": (0,), "when": (0,), "asked": (0,), "cut": (0,)}
+        )
         return {**own, **parts(context, rows, k), "a": drawn, "b": drawn[:1], "moved": moved, **corrected}
 
     def init(self, context: Context) -> ControllerState:

@@ -171,7 +171,9 @@ def test_against_a_motor_at_its_limit_nothing_is_learned(seed: int, motor: int, 
         free = null_space(column[None] / np.sqrt(GAINS))  # of the errors times sqrt(K)
         counted = (free @ free.T @ (np.sqrt(GAINS) * s)) / np.sqrt(GAINS) if sign > 0.0 else s
         step = c.rate * (c.F.T @ counted)
-        assert o.w == pytest.approx(min(1.0, np.abs(o.w).max() / np.abs(H * step).max()) * H * step, rel=1e-6, abs=1e-12)
+        assert o.w == pytest.approx(
+            min(1.0, np.abs(o.w).max() / np.abs(H * step).max()) * H * step, rel=1e-6, abs=1e-12
+        )
         assert sign < 0.0 or abs(column @ counted) < 1e-9
         assert (o.asked == of(row, "psi_hat")).all()
         row[LAYOUT.where("psi_hat")] -= 2.0
@@ -242,11 +244,24 @@ def loop(*said: str) -> Loop:
 def test_it_takes_out_what_filtered_torque_does_not_say() -> None:
     """Half a period of delay: the learner's equations hold exactly, and the robot is late all the same."""
     error = {}
-    for said in ("kalman.friction.correction=20", "kalman.friction.correction=0"):
+    for said in ("kalman.friction.correction=40", "kalman.friction.correction=0"):
         run = loop(said, "feedback={base=500,arm=30}").run()  # weak enough for the delay to show above the noise
         error[said] = np.sqrt((run["true_pose_error"][run["time"].ravel() > 5.0, :2] ** 2).mean())
     with_one, without = error.values()
     assert with_one < 0.7 * without
+
+
+@pytest.mark.compiled
+def test_it_helps_also_where_the_motors_give_all_they_can() -> None:
+    """An eight that asks for more than the wheels' motors have; a correction that learns against them does harm."""
+    eight = 'reference.base={type="eight",length=1.5,width=0.75,period=3.2,ramp=1.0}'
+    error = {}
+    for said in ("kalman.friction.correction=40", "kalman.friction.correction=0"):
+        run = loop(eight, said).run()
+        assert (run["motor_torque"][:, :2] >= 60.0 * (1.0 - 1e-9)).any(axis=0).all()
+        error[said] = np.sqrt((run["true_pose_error"][run["time"].ravel() > 5.0, :2] ** 2).mean())
+    with_one, without = error.values()
+    assert with_one < without
 
 
 @pytest.mark.compiled

@@ -101,7 +101,9 @@ def relearned(alarm: float, jump: float = 5.0, period: float = 0.01) -> tuple[fl
     """Updates after which a parameter that has jumped stays known, and the updates at which a change was seen."""
     k, rng = 3, np.random.default_rng(0)
     own = {"W": (1, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (6,), "expected": (1,), "level": (1,)}
-    state = ControllerState.of(**own, **parts(CONTEXT, 1, k), a=(0, 0), b=(0,), moved=(0, 0), w=(0,), when=(0,), asked=(0,), cut=(0,))
+    state = ControllerState.of(
+        **own, **parts(CONTEXT, 1, k), a=(0, 0), b=(0,), moved=(0, 0), w=(0,), when=(0,), asked=(0,), cut=(0,)
+    )
     state["D"], state["prior"] = 100.0, 100.0
     o, f = state.view(Parts), new_filter(Context(CONTEXT.layout, period, 1), 5.0)
     sizes = {"noise": 0.01, "interval": period, "drift": 1e-9, "change": 0.0, "alarm": alarm, "gain": np.ones(1)}
@@ -173,6 +175,21 @@ def late_error(*settings: str) -> float:
 def test_a_load_that_is_put_down_is_known_to_be_gone_at_once() -> None:
     load = 'disturbances=[{type="payload",mass=2.2,start=4.0,end=9.0,at=[0.33,0.05,0.02]}]'
     assert late_error(load) < 0.3 * late_error(load, "kalman.friction.alarm=0")
+
+
+@pytest.mark.compiled
+def test_just_after_a_change_every_sample_is_an_update() -> None:
+    """Between two runs that differ in a load that is picked up: 0.5 s of updates every 2 ms in place of 10 ms."""
+    updates = []
+    for mass in (0.0, 2.2):
+        load = f'disturbances=[{{type="payload",mass={mass},start=4.0,at=[0.33,0.05,0.02]}}]' if mass else "seed=1"
+        experiment = load_experiment("track", ("time.duration=6.0", "time.control_period=0.002", "lead=true", load))
+        robot = experiment.load_robot()
+        own = experiment.loop(robot, experiment.controller("kalman_friction", robot=robot))
+        state = own.controller.init(own.context())
+        state.values[:] = own.run().final["controller_state"]
+        updates.append(state["counts"][1])
+    assert updates[1] - updates[0] == pytest.approx(0.5 / 0.002 - 0.5 / 0.01, abs=2)
 
 
 @pytest.mark.compiled
