@@ -22,7 +22,7 @@ from ..settings import plain
 from ..settings.arguments import require_types
 from ..signals import Array, Layout
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Machine, Told
-from .correction import Correction, new_correction
+from .correction import Corrected, Correction, new_correction
 from .factored import NEGLIGIBLE, factors, left
 from .filtered import new_filter, parts
 from .friction_features import columns, friction, shipped
@@ -193,11 +193,8 @@ class Kalman(CompiledController):
         drawn = (0, 0) if random is None else (random.units, random.inputs)
         moved = (2, rows * (self.beside - 1)) if self.beside else (0, 0)
         own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (6,), "expected": (rows,), "level": (p,)}
-        corrected = (
-            {"w": (k,), "when": (1,), "asked": (p,), "cut": (p,)}
-            if self.beside
-            else {"w": (0,), "when": (0,), "asked": (0,), "cut": (0,)}
-        )
+        sizes = (k, 1, p, p) if self.beside else (0, 0, 0, 0)
+        corrected = {name: (size,) for name, size in zip(Corrected._fields, sizes, strict=True)}
         return {**own, **parts(context, rows, k), "a": drawn, "b": drawn[:1], "moved": moved, **corrected}
 
     def init(self, context: Context) -> ControllerState:
