@@ -144,6 +144,13 @@ def test_readme_shows_the_quickstart_as_it_is() -> None:
     assert guard and head + textwrap.dedent(body) in blocks("python")
 
 
+def test_two_minutes_of_reading_lead_to_the_first_replay() -> None:
+    """From README's first word to the end of what one must know to watch an own robot: 500 words take two minutes."""
+    before, _, _ = README.partition("That is all there is to read before your first replay.")
+    assert "mmnn run track --robot my_robot.urdf && mmnn replay runs/track" in before and before != README
+    assert len(before.split()) <= 500
+
+
 def test_examples_run_only_where_they_are_the_program() -> None:
     """Processes that they start import them again."""
     for file in sorted((ROOT / "examples").rglob("*.py")):

@@ -24,9 +24,10 @@ FREE = {"reference.base": "BASE_PATHS", "reference.arm": "ARM_PROFILES", "refere
 
 
 def pages() -> dict[str, Path]:
-    """Pages by name, such as `how-to/studies`."""
+    """Pages by name, such as `how-to/studies`; where the site was built, its page of what `LISTED` has is none."""
     folder = next((folder for folder in FOLDERS if (folder / "how-to").is_dir()), FOLDERS[0])
-    return {file.relative_to(folder).with_suffix("").as_posix(): file for file in sorted(folder.glob("*/*.md"))}
+    found = {file.relative_to(folder).with_suffix("").as_posix(): file for file in sorted(folder.glob("*/*.md"))}
+    return {name: file for name, file in found.items() if name not in LISTED}
 
 
 def title(page: Path) -> str:
@@ -140,9 +141,9 @@ def python_names() -> dict[str, str]:
 
 def commands() -> dict[str, str]:
     """The commands."""
-    from . import mmnn
-
-    return {f"mmnn {name}": command.get_short_help_str(100) for name, command in mmnn.commands.items()}
+    every = click.get_current_context().find_root().command
+    assert isinstance(every, click.Group)
+    return {f"mmnn {name}": command.get_short_help_str(100) for name, command in every.commands.items()}
 
 
 def controllers() -> dict[str, str]:

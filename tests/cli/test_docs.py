@@ -101,3 +101,14 @@ def test_a_wheel_has_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     (tmp_path / "docs/how-to/here.md").write_text("# Here\n")
     monkeypatch.setattr(docs, "FOLDERS", (tmp_path / "docs", *docs.FOLDERS))
     assert list(docs.pages()) == ["how-to/here"] and docs.title(docs.pages()["how-to/here"]) == "Here"
+
+
+def test_what_a_build_of_the_site_wrote_does_not_hide_what_is_listed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("how-to/here", "reference/python"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / f"{name}.md").write_text("# Directives of Sphinx\n")
+    monkeypatch.setattr(docs, "FOLDERS", (tmp_path,))
+    assert list(docs.pages()) == ["how-to/here"]
+    assert "Trajectory" in printed(capsys, "reference/python")
