@@ -147,7 +147,7 @@ def test_readme_shows_the_quickstart_as_it_is() -> None:
 def test_two_minutes_of_reading_lead_to_the_first_replay() -> None:
     """From README's first word to the end of what one must know to watch an own robot: 500 words take two minutes."""
     before, _, _ = README.partition("That is all there is to read before your first replay.")
-    assert "mmnn run track --robot my_robot.urdf && mmnn replay runs/track" in before and before != README
+    assert "mmnn run track --robot urdf/platform_arm.urdf && mmnn replay runs/track" in before and before != README
     assert len(before.split()) <= 500
 
 
