@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
@@ -16,8 +15,6 @@ from mmnn_pin.reference import Trajectory
 from mmnn_pin.safety import Safety
 
 from .plant import (
-    AHEAD,
-    LAGGED,
     LAWS,
     NU,
     POSE,
@@ -26,7 +23,6 @@ from .plant import (
     STATES,
     STEP,
     STICK,
-    TURNED,
     Array,
     Body,
     Q,
@@ -50,7 +46,8 @@ class Changes:
         noise: Times the sensors'.
         rolling: Dry resistance of each wheel [N m].
         ripple: Of the motors' torques.
-        first_seed: The first of the seeds.
+        lengths: Times those of the arm.
+        lag: Times the motors', which controllers are told.
     """
 
     law: str = ""
@@ -58,12 +55,23 @@ class Changes:
     noise: float = 1.0
     rolling: float = 0.0
     ripple: float = 0.0
-    first_seed: int = 1
+    lengths: float = 1.0
+    lag: float = 1.0
 
 
 @dataclass(frozen=True)
 class Errors:
-    """RMS errors of one run: base [mm] and arm [mrad] in training, held out while learning, and held out frozen."""
+    """Numbers of one run as the contest has them; inf for what was lost.
+
+    Attributes:
+        base: RMS error in the last window of the training [mm].
+        arm: The same of the joints [mrad].
+        held_base: On all held-out trajectories, while learning [mm].
+        held_arm: Of the joints [mrad].
+        frozen_base: The same with the final weights held fixed [mm].
+        frozen_arm: Of the joints [mrad].
+        frozen_fvu: Of the worst component, weights held fixed, on the worst held-out trajectory.
+    """
 
     base: float
     arm: float
@@ -71,7 +79,7 @@ class Errors:
     held_arm: float
     frozen_base: float
     frozen_arm: float
-    fvu: float
+    frozen_fvu: float
 
     @classmethod
     def middle(cls, runs: list[Errors]) -> Errors:
@@ -82,7 +90,7 @@ class Errors:
 def errors_of(task: Task, name: str, changes: Changes, seed: int) -> Errors:
     """One controller, trained on a task, then held out."""
     experiment, controller = task.experiment, task.controller(name)
-    body, world = read(changes.masses), world_of(task, changes)
+    body, world = read(changes.masses, changes.lengths), world_of(task, changes)
     stepper = new_stepper(task, controller, seed)
     window = experiment.windows[-1]
     rng = np.random.default_rng([seed, 0])
@@ -123,7 +131,7 @@ def world_of(task: Task, changes: Changes) -> World:
         dry=np.array([f.coulomb, f.breakaway, f.stribeck], float),
         rolling=changes.rolling,
         gap=gap,
-        lag=float(motors.lag),  # type: ignore[arg-type]
+        lag=changes.lag * float(motors.lag),  # type: ignore[arg-type]
         ripple=changes.ripple,
         limited=motors.torque_limit == "urdf",
         load=np.array(held, float),
@@ -150,7 +158,7 @@ def follow(
     """Drive the plant along a trajectory.
 
     Returns:
-        (N, 4) time and errors of base (x, y) squared, and of the arm squared per joint; inf from where it is lost on.
+        (N, 3) time, distance of the base, root mean square of the joints' errors [s, m, rad]; inf once it is lost.
     """
     experiment = task.experiment
     h, late = experiment.time.control_period, experiment.latency.sensing
@@ -162,8 +170,9 @@ def follow(
     found = np.full((len(times), 3), np.inf)
     found[:, 0] = times
     for k, time in enumerate(times):
-        error = np.hypot(*(state[POSE : POSE + 2] - table[k, :2])), np.sqrt(np.mean((state[Q : Q + 2] - table[k, 7:9]) ** 2))
-        if not max(error) < LARGE:
+        away, apart = state[POSE : POSE + 2] - table[k, :2], state[Q : Q + 2] - table[k, 7:9]
+        error = np.sqrt([np.sum(away**2), np.mean(apart**2)])
+        if not error.max() < LARGE:
             break
         found[k, 1:] = error
         truth = np.concatenate((state[POSE : POSE + 3], state[NU : NU + 2], state[Q : Q + 2], state[NU + 2 : NU + 4]))
@@ -221,4 +230,5 @@ def unexplained(task: Task, controller: Any, seed: int, state: Any, body: Body, 
         stepper.step(times[k], measurement, Setpoint.side_by_side(row, task.robot.dimensions))
         said[k] = stepper.row[layout.where("psi_hat")]
     late = times >= SETTLED
-    return float(((psi - said)[late] ** 2).sum(axis=0).__truediv__(((psi - psi[late].mean(axis=0))[late] ** 2).sum(axis=0)).max())
+    missed, varies = ((x[late] ** 2).sum(axis=0) for x in (psi - said, psi - psi[late].mean(axis=0)))
+    return float((missed / varies).max())

@@ -80,8 +80,8 @@ class World(NamedTuple):
     load: Array
 
 
-def read(masses: float = 1.0) -> Body:
-    """The platform as its URDF says, all masses and inertias but the wheels' times a factor."""
+def read(masses: float = 1.0, lengths: float = 1.0) -> Body:
+    """The platform as its URDF says: masses and inertias but the wheels' times a factor, lengths of the arm times one."""
     root = ET.parse(URDF).getroot()
     link = {one.attrib["name"]: one.find("inertial") for one in root.iter("link")}
     joint = {one.attrib["name"]: one for one in root.iter("joint")}
@@ -99,9 +99,10 @@ def read(masses: float = 1.0) -> Body:
     limits = [float(joint[name].find("limit").attrib["effort"]) for name in names]  # type: ignore[union-attr]
     radius, half_track = place(joint["base_joint"])[2], place(joint["wheel_left_joint"])[1]
     wheel = [mass("wheel_left"), inertia("wheel_left", "izz"), inertia("wheel_left", "iyy"), radius, half_track]
-    arm = [[masses * mass(name), masses * inertia(name, "izz"), place(link[name])[0]] for name in ("arm_1", "arm_2")]
+    links = "arm_1", "arm_2"
+    arm = [[masses * mass(name), masses * inertia(name, "izz"), lengths * place(link[name])[0]] for name in links]
     base = np.array([masses * mass("base_link"), masses * inertia("base_link", "izz")])
-    mount, length = place(joint["arm_1_joint"])[0], place(joint["arm_2_joint"])[0]
+    mount, length = (lengths * place(joint[name])[0] for name in names[2:])
     return Body(base, np.array(wheel), np.array(arm), mount, length, np.array(limits))
 
 
