@@ -13,47 +13,23 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from mmnn_pin.lab.contest.task import tasks_of
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment
-from mmnn_pin.lab.show.table import Cell, Column, Table, number, row_of, terminal_text
 from mmnn_pin.lab.show.contest import KNOWLEDGE, TRAINING
+from mmnn_pin.lab.show.table import Cell, Column, Table, number, row_of, terminal_text
 
-from ..contest.document import DOCUMENT
+from ..contest.document import DOCUMENT, PLANT
 from ..document import DOCS
-from .drive import Changes, Errors, errors_of
+from .drive import CHANGES, Errors, errors_of
 
-FOUND = Path(__file__).parent / "found.json"
 TASKS = ("eight", "friction", "lag", "late1", "drop")
 CONTROLLERS = (
     *("pd_gravity", "pid", "two_layer", "adaptive", "adaptive_composite", "concurrent", "kalman_regressor"),
     *("kalman_friction", "computed_torque"),
 )
-CHANGES = {
-    "contest": Changes(),
-    "stick": Changes(law="stick"),
-    "lugre": Changes(law="lugre"),
-    "masses": Changes(masses=1.2),
-    "noise": Changes(noise=2.0),
-    "rolling": Changes(rolling=0.8),
-    "ripple": Changes(ripple=0.03),
-    "lengths": Changes(lengths=1.01),
-    "lag": Changes(lag=1.5),
-}
-WORDS = {
-    "contest": "as in the contest",
-    "stick": "dry friction sticks",
-    "lugre": "LuGre friction in place of tanh",
-    "masses": "all masses 1.2 times as large",
-    "noise": "sensors twice as noisy",
-    "rolling": "0.8 N m of dry rolling resistance at each wheel",
-    "ripple": "3 % torque ripple",
-    "lengths": "the arm 1 % longer than the URDF says",
-    "lag": "motors that lag 1.5 times as long as is told",
-}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -76,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 if options.publish:
                     keep(change, task.name, name, errors)
             heads = Column(text=True), *(Column(*head) for head in HEADS)
-            title = f"{task.name}, {WORDS[change]} (in brackets: over the contest's)"
+            title = f"{task.name}, {CHANGES[change].about} (in brackets: over the contest's)"
             print(terminal_text([Table(title, heads, tuple(rows))], False, 120), flush=True)
     if options.publish:
         DOCUMENT.write()
@@ -108,10 +84,10 @@ def cells(errors: Errors, known: Errors) -> list[Cell]:
 
 def keep(change: str, task: str, name: str, errors: Errors) -> None:
     """Put what was found beside what is kept."""
-    content: dict[str, Any] = json.loads(FOUND.read_text(encoding="utf-8")) if FOUND.exists() else {}
+    content: dict[str, Any] = json.loads(PLANT.read_text(encoding="utf-8")) if PLANT.exists() else {}
     numbers = {key: value if math.isfinite(value) else None for key, value in asdict(errors).items()}
     content.setdefault(change, {}).setdefault(task, {})[name] = numbers
-    FOUND.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    PLANT.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The contest's tasks on the plant of this study, each controller through `Stepper`, sample by sample, as on a robot."""
+"""The contest's tasks on the plant of this study, each controller through `Stepper` as on a robot."""
 
 from __future__ import annotations
 
@@ -41,6 +41,7 @@ class Changes:
     """What is other than in the contest.
 
     Attributes:
+        about: In words.
         law: Of the joints' dry friction, "" for the contest's.
         masses: Times those of the URDF.
         noise: Times the sensors'.
@@ -50,6 +51,7 @@ class Changes:
         lag: Times the motors', which controllers are told.
     """
 
+    about: str = "as in the contest"
     law: str = ""
     masses: float = 1.0
     noise: float = 1.0
@@ -57,6 +59,19 @@ class Changes:
     ripple: float = 0.0
     lengths: float = 1.0
     lag: float = 1.0
+
+
+CHANGES = {
+    "contest": Changes(),
+    "stick": Changes("dry friction sticks", law="stick"),
+    "lugre": Changes("LuGre friction", law="lugre"),
+    "masses": Changes("masses 1.2 times", masses=1.2),
+    "lengths": Changes("arm 1 % longer", lengths=1.01),
+    "rolling": Changes("0.8 N m of dry rolling resistance per wheel", rolling=0.8),
+    "noise": Changes("noise twice as large", noise=2.0),
+    "ripple": Changes("3 % torque ripple", ripple=0.03),
+    "lag": Changes("lag 1.5 times as told", lag=1.5),
+}
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-
-
 Array = NDArray[np.float64]
 URDF = Path(__file__).parents[2] / "urdf" / "platform_arm.urdf"
 STEP = 1e-4  # [s]
@@ -81,7 +79,7 @@ class World(NamedTuple):
 
 
 def read(masses: float = 1.0, lengths: float = 1.0) -> Body:
-    """The platform as its URDF says: masses and inertias but the wheels' times a factor, lengths of the arm times one."""
+    """The platform as its URDF says: masses and inertias but the wheels', and the arm's lengths, times factors."""
     root = ET.parse(URDF).getroot()
     link = {one.attrib["name"]: one.find("inertial") for one in root.iter("link")}
     joint = {one.attrib["name"]: one for one in root.iter("joint")}
@@ -297,7 +295,8 @@ def flank(gap: Array, state: Array, j: int, u: float, joint: float, dt: float) -
 
 def inverse(body: Body, world: World, load: float, nu: Array, nudot: Array, q: Array) -> Array:
     """Generalized torque (4,) that a motion needs, with dry friction as the smooth law has it [N, N m]."""
-    M, bias = np.zeros((4, 4)), np.zeros(4)
+    M, bias, T = np.zeros((4, 4)), np.zeros(4), to_motors(body)
     equations(body, load, world.load[1], nu, q, M, bias)
-    dry = np.array([level(speed, world.dry) * math.tanh(speed / SMOOTH_SPEED) for speed in nu[2:]])
-    return M @ nudot + bias + world.viscous * nu + np.concatenate((np.zeros(2), dry))
+    speeds = T @ nu
+    most = np.array([world.rolling, world.rolling, level(nu[2], world.dry), level(nu[3], world.dry)])
+    return M @ nudot + bias + world.viscous * nu + T.T @ (most * np.tanh(speeds / SMOOTH_SPEED))
