@@ -13,11 +13,13 @@ from mmnn_pin.lab.experiments.controllers import PLAIN
 from mmnn_pin.lab.show.contest import KNOWLEDGE, TRAINING
 from mmnn_pin.lab.show.table import number
 
-from ..document import Document, environment, filled
+from ..contest_plant.drive import CHANGES
+from ..document import Document, environment, filled, kept
 from .delay import DELAYS, LOST, errors_by_delay
 
 HERE = Path(__file__).parent
 SUMMARY = HERE / "summary.json"
+PLANT = HERE.parent / "contest_plant" / "found.json"  # of `python -m studies.contest_plant --publish`
 Cell = list[float | str | None] | None
 FAR = (  # in the page's table of distances from the best; the CSV file has all
     *("two_layer", "adaptive", "adaptive_composite", "concurrent"),
@@ -32,8 +34,8 @@ def render(summary: dict[str, Any]) -> str:
     templates.filters |= {"cell": cell, "number": number, "percent": lambda value: f"{100 * value:.3g} %"}
     templates.filters |= {"middle": middle}
     templates.globals |= {"middle_axis": axis_at, "unexcited": unexcited, "far_shown": FAR}
-    templates.globals |= {"lost_from": lost_from, "plain": PLAIN, "best_plain": best_plain}
-    return filled(templates, "contest.md.j2", summary)
+    templates.globals |= {"lost_from": lost_from, "plain": PLAIN, "best_plain": best_plain, "changes": CHANGES}
+    return filled(templates, "contest.md.j2", summary | {"plant": kept(PLANT)})
 
 
 def cell(values: list[Any] | None, infinite: str = "never") -> str:
