@@ -6,12 +6,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from ..actuator import Drive
 from ..by_address import by_address
 from ..compiled import internal
 from ..errors import ConfigError
-from ..settings import Settings, Timing, require_gains
+from ..settings import Settings, Timing, require_gain, require_gains
 from ..signals import EARLY, Array, IntArray
 
 
@@ -38,6 +39,18 @@ class Latency(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         require_gains(self, "latency")
+
+    @classmethod
+    def of(cls, latency: float | Latency, predict: bool | None) -> Latency:
+        """What a number says [s]: the command's delay, or the measurement's where that is predicted; None is as given.
+
+        Raises:
+            ConfigError: It is negative or not finite.
+        """
+        if isinstance(latency, Latency):
+            return latency if predict is None else replace(latency, predict=predict)
+        require_gain(latency, "latency")
+        return cls(sensing=latency, predict=True) if predict else cls(command=latency)
 
     @property
     def total(self) -> float:

@@ -183,12 +183,7 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Outside:
-    """The setup of a robot that is not simulated; arguments as of `stepper.Stepper`, its latency being `way`.
-
-    Attributes:
-        behind: See `Setup.behind`.
-        predicted: See `Setup.predicted`.
-    """
+    """The setup of a robot that is not simulated; arguments as of `stepper.Stepper`."""
 
     robot: Robot
     controller: CompiledController | TorqueController
@@ -206,10 +201,7 @@ class Outside:
     interfaces: Mapping[str, str] = field(default_factory=dict)
     servo: Servo = field(default_factory=Servo)
     lead: bool = False
-    way: float = 0.0
     lag: Numbers = 0.0
-    behind: float = 0.0
-    predicted: float = 0.0
 
     @cached_property
     def layout(self) -> Layout:
@@ -219,7 +211,17 @@ class Outside:
     @property
     def delays(self) -> Array:
         """See `Setup.delays`."""
-        return delays(self.robot, self.timing, Latency(command=self.way), self.lag)
+        return delays(self.robot, self.timing, self.latency, self.lag)
+
+    @property
+    def behind(self) -> float:
+        """See `Setup.behind`."""
+        return self.latency.way(self.timing)
+
+    @property
+    def predicted(self) -> float:
+        """See `Setup.predicted`."""
+        return self.latency.caught_up(self.timing)
 
     @property
     def lags(self) -> Array:

@@ -39,6 +39,7 @@ from ..torque.controller import CompiledController, ControllerState, TorqueContr
 from ..torque.learning_law import LearningLaw
 from .before_run import require_nominal, require_seed, samples_between
 from .controller import state_from, with_findings
+from .latency import Latency
 from .lead import Past, bring_up
 from .loop import Loop
 from .new_hardware import new_hardware
@@ -46,7 +47,7 @@ from .sample import Control, Plan
 from .sampled import delay_margin, require_stable_gains
 from .servo import Command, Servo, interfaces_of, servo_gains
 from .setup import Outside, believed_by, facts_of, new_lead
-from .suited import MARGIN, Given, postures, suited
+from .suited import Given, postures, suited
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
 UNKNOWN = (
@@ -87,11 +88,12 @@ class Stepper:
         nominal: The robot that a controller with a model, but none of its own, believes in; None for `robot`.
         seed: Of what a controller draws.
         within_limits: As in `Loop`.
-        latency: Known delay from the measurement to the motors [s], which the gains have to bear.
-        predict: Whether a measurement is moved on as the reference has moved since it was `measured`,
-            over the latency at most, see `loop.lead.catch_up`.
+        latency: Known delay from the measurement to the motors [s], which the gains have to bear; a `Latency` says how
+            much of it is the measurement's. A number is the command's, or the measurement's where that is predicted.
+        predict: Whether a measurement is moved on as the reference has moved since it was `measured`, over its latency
+            at most (`loop.lead.catch_up`); None for what a `Latency` says.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
-        lead: Whether Psi_hat leads by half the period, the latency and the lag, see `loop.lead`.
+        lead: Whether Psi_hat leads by half the period, the lag and what of the latency is not predicted (`loop.lead`).
         observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
             base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
@@ -139,8 +141,8 @@ class Stepper:
         nominal: Robot | None = None,
         seed: int = 0,
         within_limits: bool | None = None,
-        latency: float = 0.0,
-        predict: bool = False,
+        latency: float | Latency = 0.0,
+        predict: bool | None = None,
         lag: Numbers = 0.0,
         lead: bool = False,
         observer: float = 0.0,
@@ -157,19 +159,18 @@ class Stepper:
             why, fix = "the motors are real: something must stand before them", "give safety=Safety()"
             raise ConfigError("a stepper without a supervisor", why=why, fix=fix, key="safety")
         require_gain(setpoint_timeout, "setpoint_timeout")
-        require_gain(latency, "latency")
+        known = Latency.of(latency, predict)
         timing = Timing(duration=period, control_period=period, plant_step=period)
         require_seed(seed)
         lag = lag if isinstance(lag, int | float) else tuple(lag)
         sensor = Sensor(velocity="model", bandwidth=observer) if observer else Sensor()
-        controller = suited(controller, robot, lambda: Given(kinematic, period, latency + MARGIN, lag))
+        controller = suited(controller, robot, lambda: Given(kinematic, period, known.total + known.margin, lag))
         setup = Outside(
             robot, controller, kinematic, safety, timing, nominal, seed, within_limits, sensor=sensor,
-            interfaces=dict(interfaces or {}), servo=servo, lead=lead, way=latency, lag=lag,
-            behind=0.0 if predict else latency, predicted=latency if predict else 0.0,
+            latency=known, interfaces=dict(interfaces or {}), servo=servo, lead=lead, lag=lag,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
-        self.period, self.check_gains, self.latency, layout = period, check_gains, latency, setup.layout
+        self.period, self.check_gains, self.latency, layout = period, check_gains, known.total, setup.layout
         self.follower, self.at = Follower(robot, limits, setpoint_timeout), layout.offsets
         row = self.row = layout.new_row()
         self.received = row[layout.where("pose").start : layout.where("qdot").stop]
@@ -181,7 +182,8 @@ class Stepper:
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()
         self.every, self.weighed = samples_between(weights_interval, period), -1
-        self.past, self.before = Past.of(latency * predict, period, self.follower.now), self.follower.now.copy()
+        now = self.follower.now
+        self.past, self.before = Past.of(known.caught_up(timing), period, now), now.copy()
         self._equip(setup, state_from(controller, setup.context(), state))
         self._rehearse()
         facts = facts_of(setup, seed) | {"loop": "outside"}
@@ -198,7 +200,7 @@ class Stepper:
         """
         said: dict[str, Any] = {name: getattr(loop, name) for name in ALIKE}
         said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag}
-        said |= {"latency": loop.latency.total, "predict": loop.latency.predict}
+        said |= {"latency": loop.latency}
         return cls(loop.robot, loop.controller, **(said | more))
 
     def step(
@@ -309,7 +311,7 @@ class Stepper:
         kinematic = kinematic or self.setup.kinematic
         made = self.setup.controller
         if controller is not None:
-            lag, delay = self.setup.lag, self.latency + MARGIN
+            lag, delay = self.setup.lag, self.latency + self.setup.latency.margin
             made = suited(controller, self.robot, lambda: Given(kinematic, self.period, delay, lag))
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
