@@ -235,7 +235,7 @@ def run_one(
     def text() -> str:
         remarks = [f"note: {note}" for note in (*worse_somewhere(result), *rivals_left_out(result), *notes(result))]
         files = [recording.path for recording in result.recordings.values() if recording.path]
-        verdict = textwrap.fill(headline(result), columns())
+        verdict = textwrap.fill(headline(result), columns(), break_long_words=False, break_on_hyphens=False)
         return "\n".join([render(result, **look()), "", verdict, *remarks, wrote([*files, *pictures.values()])])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)

@@ -10,10 +10,12 @@ import copy
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from ...errors import ConfigError
 from ...model.robot import Robot
@@ -83,6 +85,14 @@ class Assembled(Experiment, frozen=True, kw_only=True):
         return ""
 
 
+def unlimited_notes(experiment: Experiment, robot: Robot) -> list[str]:
+    """That motors give more than their limits, where the robot has some and the experiment keeps none."""
+    if experiment.actuator.torque_limit is not None or not np.isfinite(robot.effort_limits).any():
+        return []
+    key = experiment.setting("actuator.torque_limit", '"urdf"')
+    return [f"motors give whatever is asked, above the URDF's effort limits, too; {key} keeps to them"]
+
+
 @checked_but("robot", "trajectory", "controllers")
 def compare(
     robot: Robot,
@@ -129,7 +139,8 @@ def compare(
     experiment = assembled(robot, trajectory, controllers, duration=duration, settings=settings)
     folder = None if out is None else Path(out)
     leave_out = controllers is DEFAULT
-    return run_experiment(experiment, "comparison", out=folder, force=force, progress=progress, leave_out=leave_out)
+    made = run_experiment(experiment, "comparison", out=folder, force=force, progress=progress, leave_out=leave_out)
+    return replace(made, notes=(*made.notes, *unlimited_notes(experiment, robot)))
 
 
 def assembled(

@@ -62,13 +62,13 @@ def made_for(robot: Robot, tables: bytes, duration: float, changed: float) -> Tr
 
 
 class Friction(Settings, frozen=True):
-    """Viscous friction on nu, beside what the URDF says of its joints.
+    """Friction that is added to what the URDF says of its joints.
 
     Args:
-        base: One number or one per base velocity [N s/m, N m s].
-        arm: One number or one per joint [N m s or N s/m].
-        coulomb: Dry friction of the arm's gears, one number or one per joint [N m or N]; it sticks with the integrator
-            "stick", else it is smooth.
+        base: Viscous, added to what the wheels' `damping` makes, one number or one per base velocity [N s/m, N m s].
+        arm: Viscous, added to the joints' `damping`, one number or one per joint [N m s or N s/m].
+        coulomb: Dry friction, added to the arm joints' `friction`, one number or one per joint [N m or N]; it sticks
+            with the integrator "stick", else it is smooth.
         breakaway: Ratio of static to Coulomb friction.
         stribeck: Velocity over which the one falls to the other [rad/s or m/s].
     """

@@ -7,17 +7,20 @@ or bad. It knows nothing of colours, widths or tags.
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table as RichTable
 
 WIDTH = 100  # columns of a terminal
 HEIGHT = 25  # its rows; with both given, rich takes the width even where TERM=dumb
 LABELS = 0.4  # share of a terminal that texts left of numbers keep before the numbers go below each other
+UNBOUNDED = 100_000  # columns that no table needs
 CUT = "\u2026"  # what rich puts where a text is cut off
 Kind = Literal["", "best", "good", "bad", "warn", "dim"]
 STYLES: dict[Kind, str] = {"best": "bold", "good": "green", "bad": "bold red", "warn": "yellow", "dim": "dim"}
@@ -139,10 +142,16 @@ def terminal_text(parts: Iterable[str | Line | Table], colour: bool = False, wid
         for part in (Line(part) if isinstance(part, str) else part for part in parts):
             if isinstance(part, Table):
                 for piece in folded(part, width):
-                    console.print(terminal_table(piece))
+                    console.print(laid_out(piece, console))
             else:
-                console.print(Text(part.text), style=part.style or None)
+                console.print(Text(wrapped(part.text, width)), style=part.style or None, soft_wrap=True)
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
+
+
+def wrapped(text: str, width: int) -> str:
+    """A text in lines of at most `width` letters; a word that is longer, such as a path, stays whole."""
+    room = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False, replace_whitespace=False)
+    return "\n".join("\n".join(room.wrap(line)) for line in text.split("\n"))
 
 
 def folded(table: Table, width: int) -> list[Table]:
@@ -167,19 +176,41 @@ def of_columns(table: Table, heads: int, first: int, end: int) -> Table:
 
 
 def fits(table: Table, width: int) -> bool:
-    """Whether nothing of a table is cut off on a terminal, and the texts left of its numbers are not squeezed."""
+    """Whether nothing of a table is cut off on a terminal, no word is broken, and texts left of numbers have room."""
     from rich.console import Console
 
-    first = table.columns[0]
-    if (
-        first.text and first.fold and not all(column.text for column in table.columns)
-    ):  # it would give way to any number
+    if gives_way(table):  # to any number, were it to be folded
+        first, *others = table.columns
         width += max(0, widest(table) - least(table, width))
-        table = replace(table, columns=(replace(first, fold=False), *table.columns[1:]))
+        table = replace(table, columns=(replace(first, fold=False), *others))
     console = Console(width=width, height=HEIGHT, color_system=None)
     with console.capture() as capture:
         console.print(terminal_table(table))
-    return CUT not in capture.get() or any(CUT in cell.text for row in table.rows for cell in row.cells)
+    cut = CUT in capture.get() and not any(CUT in cell.text for row in table.rows for cell in row.cells)
+    return not cut and words_of(table) <= {*capture.get().split()}
+
+
+def gives_way(table: Table) -> bool:
+    """Whether texts left of a table's numbers may be folded."""
+    first = table.columns[0]
+    return first.text and first.fold and not all(column.text for column in table.columns)
+
+
+def words_of(table: Table) -> set[str]:
+    """The words in columns that may be folded."""
+    texts = [broken(column.heading, column.letters) for column in table.columns if column.fold]
+    for row in table.rows:
+        texts += [cell.text for cell, column in zip(row.cells, table.columns, strict=False) if column.fold]
+    return {word for text in texts for word in text.split()}
+
+
+def laid_out(table: Table, console: Console) -> RichTable:
+    """A table for a terminal: texts left of numbers give way to these no further than to `least`."""
+    made = terminal_table(table)
+    natural = console.measure(made, options=console.options.update(width=UNBOUNDED)).maximum
+    if gives_way(table) and natural > console.width:
+        made.columns[0].width = least(table, console.width)
+    return made
 
 
 def widest(table: Table) -> int:

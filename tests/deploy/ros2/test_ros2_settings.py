@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,13 @@ import pytest
 from graph import SETTINGS
 from robots import robot_of
 
-from mmnn_pin import load
+from mmnn_pin import Stepper, load
 from mmnn_pin.cli import main
+from mmnn_pin.cli.ros2 import asked
 from mmnn_pin.deploy.ros2.reading import line_of, load_settings
 from mmnn_pin.deploy.ros2.wiring import example, interfaces
 from mmnn_pin.errors import InputError
+from mmnn_pin.safety import Safety
 
 GOOD = SETTINGS.format(domain=3, reliability="reliable")
 
@@ -122,3 +125,20 @@ def test_every_motor_is_commanded_once(tmp_path: Path) -> None:
 def test_lines_of_keys() -> None:
     text = 'a = 1\n[b]\nc = 2\n"d.e" = 3\n[[f]]\ng = 1\n[[f]]\ng = 2\n'
     assert [line_of(text, key) for key in ("a", "b.c", "f.1.g", "f.1", "b.x", "h")] == [1, 3, 8, 7, 2, None]
+
+
+def test_servos_too_fast_for_the_rate_are_refused_with_the_setting_that_cures_it(tmp_path: Path, capsys: Any) -> None:
+    pytest.importorskip("cyclonedds")
+    file, out = tmp_path / "robot.toml", tmp_path / "run.h5"
+    velocity = 'type = "Float64MultiArray"\ninterface = "velocity"'
+    file.write_text(GOOD.replace("rate = 100.0", "rate = 12.5").replace('type = "Float64MultiArray"', velocity))
+    assert main(["ros2", str(file), "--out", str(out), "--seconds", "0.1"]) == 2
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert line.startswith(f"{file}:") and "are too fast for it: state slower ones, --set set.servo.bandwidth=" in line
+    (change,) = re.findall(r"--set (set\.servo\.bandwidth=[\d.]+)", line)
+    settings = load_settings(file, [change])
+    experiment, robot = asked(settings, file)
+    loop = experiment.loop(robot, experiment.controller("pd", robot=robot))
+    assert f"{loop.servo.bandwidth:g}" == change.partition("=")[2]
+    with Stepper.of(loop, interfaces=interfaces(robot, settings), safety=Safety()) as stepper:
+        assert stepper.delay_margin() > 0.0

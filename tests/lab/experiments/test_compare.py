@@ -9,9 +9,11 @@ import pytest
 
 from mmnn_pin import PD, Feedback, LearningLaw, Line, Loop, Sine, Timing, Trajectory, compare, load, load_experiment
 from mmnn_pin.actuator import Actuator
+from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.experiments.compare import assembled
 from mmnn_pin.lab.experiments.config import recorded_experiment
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import ControllerState, TorqueController
 
@@ -163,3 +165,26 @@ def test_light_wrists_in_stiff_joints_do_not_diverge():
     tiago = load("tiago")
     runs = compare(tiago, Trajectory.of(tiago, base=Line(speed=0.3, ramp=0.5)), ["pd"], duration=0.02)
     assert runs.completed and runs["pd"].errors()["arm_7_joint"].peak < 0.01
+
+
+def test_a_comparison_notes_that_motors_have_no_limits(robot, path):
+    notes = compare(robot, path, ["pd"], duration=SHORT).notes
+    (note,) = [note for note in notes if "effort limits" in note]
+    settings = eval(note.partition("settings=")[2].rpartition(" keeps")[0])
+    limited = compare(robot, path, ["pd"], duration=SHORT, settings=settings)
+    assert not [note for note in limited.notes if "effort limits" in note]
+    assert limited.experiment.actuator.torque_limit == "urdf"
+    free = replace(robot, effort_limits=np.full(len(robot.effort_limits), np.inf))
+    assert not [note for note in compare(free, path, ["pd"], duration=SHORT).notes if "effort limits" in note]
+
+
+def test_friction_is_added_to_the_urdfs_damping_as_the_keys_say(robot, tmp_path, capsys):
+    text = robot.path.read_text().replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><dynamics damping="0.2"/>')
+    (file := tmp_path / "rubs.urdf").write_text(text)
+    damped, nu = load(file), np.array([0.0, 0.0, 1.0, 1.0])
+    given = load_experiment("track", [f'robot="{file}"', "friction.arm=0.3"]).load_robot()
+    np.testing.assert_allclose(Dynamics(damped).friction(nu)[2:].max(), 0.2)
+    np.testing.assert_allclose(Dynamics(given).friction(nu) - Dynamics(damped).friction(nu), [0.0, 0.0, 0.3, 0.3])
+    for key in ("friction.base", "friction.arm", "friction.coulomb"):
+        assert main(["docs", key]) == 0
+        assert "added to" in capsys.readouterr().out

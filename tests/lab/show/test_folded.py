@@ -7,7 +7,7 @@ import re
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmnn_pin.lab.show.table import Cell, Column, Row, Table, folded, row_of, terminal_text
+from mmnn_pin.lab.show.table import Cell, Column, Row, Table, broken, folded, row_of, terminal_text
 
 names = st.lists(st.text("abcdefgh_", min_size=1, max_size=14), min_size=1, max_size=9, unique=True)
 
@@ -56,3 +56,28 @@ def test_a_table_that_fits_stays_whole_and_marks_stay_with_their_cells() -> None
     (one, other) = folded(marked, 12)
     assert one.rows[0].cells[2] == Cell("1", "best", "*") and other.rows[0].cells[2] == Cell("2")
     assert [c.heading for c in one.columns] == ["", "", "pd"] and [c.heading for c in other.columns] == ["", "", "pid"]
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(55, 130), st.lists(st.text("abc_", min_size=1, max_size=18), min_size=1, max_size=4, unique=True))
+def test_no_name_is_broken_by_columns_that_may_be_folded(width: int, heads: list[str]) -> None:
+    """A study's: at 60 columns it broke `pose_error.[xy].peak` and `computed_torque`."""
+    labels = ("pose_error.[xy].peak [mm]", "e.*.peak [mrad]", "success [%]")
+    rows = tuple(row_of(label, "median", *("0.113 [0.0812, 0.168]" for _ in heads)) for label in labels)
+    numbers = (Column(head, fold=True, letters=9) for head in heads)
+    text = terminal_text(
+        [Table("Study", (Column(text=True, fold=True), Column(text=True), *numbers), rows)], width=width
+    )
+    assert all(len(line) <= width for line in text.splitlines())
+    words = {*text.split()}
+    for head in heads:
+        assert {*broken(head, 9).split()} <= words
+    assert {"pose_error.[xy].peak", "e.*.peak", "0.113", "[0.0812,", "0.168]"} <= words
+
+
+def test_a_path_in_a_line_stays_whole_and_other_words_are_wrapped() -> None:
+    path = "/home/someone/a_workspace/src/my_robot-description/urdf/with/many/folders/my_robot.urdf"
+    for colour in (False, True):
+        text = re.sub(r"\x1b\[[0-9;]*m", "", terminal_text([f"Track: an eight ({path}, 10 s, seed 1)"], colour, 60))
+        assert path in text
+        assert all(len(line) <= 60 for line in text.splitlines() if path not in line)

@@ -18,13 +18,13 @@ from places import ROOT
 from replays import TYPES, unpacked
 from replays import recorded as recorded_without_period
 
-from mmnn_pin import load
+from mmnn_pin import PD, Hold, Line, Loop, Measurement, Stepper, Timing, Trajectory, load
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show.figure import STYLES, in_the_dark
-from mmnn_pin.lab.show.report import MOST, Report, command_of, kept_rows, report, result_of
+from mmnn_pin.lab.show.report import MOST, Report, command_of, kept_rows, report, result_of, subject
 from mmnn_pin.lab.show.report.verdict import verdict
 from mmnn_pin.lab.show.robots import robots_of
 from mmnn_pin.model.loading import build
@@ -412,3 +412,21 @@ def test_every_curve_is_seen_on_the_dark_page(name: str) -> None:
     found = re.search(r"--ground: (#[0-9a-f]{6})", dark)
     assert found
     assert (light(in_the_dark(STYLES[name].color)) + 0.05) / (light(found[1]) + 0.05) >= 3.0
+
+
+def test_a_recording_of_hardware_is_no_simulation(tmp_path: Path) -> None:
+    """What a stepper recorded has no plant of ours and no seed; its length is that of the recording."""
+    robot = load("platform_arm")
+    with Stepper(robot, PD(), path=tmp_path / "robot.h5", period=0.002) as stepper:
+        rest = np.zeros(2)
+        for k in range(60):
+            stepper.step(0.002 * k, Measurement(np.zeros(3), rest, rest, rest))
+            stepper.record()
+        run = stepper.finish()
+    simulated = Loop(robot, Trajectory(Line(0.1), (Hold(0.0), Hold(0.0))), PD(), timing=Timing(duration=0.1)).run()
+    told = subject(result_of({"robot": run}))
+    assert "recording of hardware, no simulation" in told and "0.12 s" in told
+    assert "plant" not in told and "seed" not in told
+    assert "recording of hardware, no simulation" in report({"robot": run}, with_replay=False).html
+    for runs in ({"pd": simulated}, {"pd": simulated, "robot": run}):
+        assert "seed 0 · ideal plant" in subject(result_of(runs)) and "hardware" not in subject(result_of(runs))

@@ -52,6 +52,7 @@ from .verdict import proved, verdict
 T = TypeVar("T")
 FPS = 30.0  # of the replay within
 EARLY = 0.2  # without an experiment, the start counts as over after this share of the run
+OUTSIDE = "outside"  # the loop of a recording that a stepper made
 OWN = ("variant", "overrides", "title")  # keys that no `--set` changes
 MOST = 4000  # points of a curve; of a longer one the extremes of this many stretches of time are kept
 LARGEST = 1e30  # what single precision and a plot can still hold
@@ -128,11 +129,14 @@ def shown_or_why(what: str, make: Callable[[], T]) -> tuple[T | None, list[str]]
 
 
 def subject(result: Result) -> str:
-    """What was run on which robot, for how long, in one line."""
-    experiment = result.experiment
-    robots = dict.fromkeys(str(recording.meta.get("robot", "")) for recording in result.recordings.values())
+    """What was run on which robot, for how long, in one line; whether a stepper recorded it on hardware."""
+    experiment, runs = result.experiment, result.recordings.values()
+    robots = dict.fromkeys(str(recording.meta.get("robot", "")) for recording in runs)
     parts = [result.name, f"variant {experiment.variant}" if experiment.variant else "", ", ".join(robots)]
-    parts += [f"{experiment.time.duration:g} s", f"seed {experiment.seed}", f"{experiment.plant} plant"]
+    if all(recording.meta.get("loop") == OUTSIDE for recording in runs):
+        parts += [f"{max(recording.outcome.time for recording in runs):.4g} s", "recording of hardware, no simulation"]
+    else:
+        parts += [f"{experiment.time.duration:g} s", f"seed {experiment.seed}", f"{experiment.plant} plant"]
     return " \u00b7 ".join(part for part in parts if part)
 
 
