@@ -245,7 +245,7 @@ class Loop:
     @property
     def delays(self) -> Array:
         """How long the torque of every velocity is known to be under way, half of its hold included, (p,) [s]."""
-        return delays(self.robot, self.timing, self.latency, self.actuator.lag)
+        return delays(self.robot, self.timing, self.known, self.actuator.lag)
 
     @property
     def lags(self) -> Array:
@@ -253,14 +253,9 @@ class Loop:
         return lags(self.robot, self.actuator.lag)
 
     @property
-    def behind(self) -> float:
-        """Known time from the command of a torque to the measurement that shows it, less what is predicted [s]."""
-        return self.latency.way(self.timing)
-
-    @property
-    def predicted(self) -> float:
-        """By how much measurements are brought up to now [s]."""
-        return self.latency.caught_up(self.timing)
+    def known(self) -> Latency:
+        """What the controller is told of the latency."""
+        return self.latency
 
     def delay_margin(self) -> float:
         """Delay between measurement and torque at which the sampled loop turns unstable along the reference [s].

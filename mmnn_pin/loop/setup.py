@@ -104,12 +104,8 @@ class Setup(Protocol):
         """Known time constants of the motors, seen from the velocities, (p,) [s]."""
 
     @property
-    def behind(self) -> float:
-        """Known time from the command of a torque to the measurement that shows it, less what is predicted [s]."""
-
-    @property
-    def predicted(self) -> float:
-        """By how much measurements are brought up to now [s]."""
+    def known(self) -> Latency:
+        """What the controller is told of it."""
 
     def streams(self) -> Streams:
         """Random generators of the sensors, of the disturbances and of the commands' delays."""
@@ -130,8 +126,10 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
         within_limits,
         setup.layout,
         lag=setup.lags,
-        way=setup.behind,
-        unseen=setup.predicted + setup.sensor.smoothing(setup.timing.measurement_period) + setup.latency.margin,
+        way=setup.known.way(setup.timing),
+        unseen=setup.known.caught_up(setup.timing)
+        + setup.sensor.smoothing(setup.timing.measurement_period)
+        + setup.known.margin,
     )
 
 
@@ -145,7 +143,7 @@ def new_lead(setup: Setup) -> Lead | None:
     if not setup.layout.lead:
         return None
     return lead_of(
-        setup.controller, setup.context(), setup.delays, setup.latency.sensing - setup.latency.caught_up(setup.timing)
+        setup.controller, setup.context(), setup.delays, setup.known.sensing - setup.known.caught_up(setup.timing)
     )
 
 
@@ -175,7 +173,7 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
     hardware |= {"interfaces": dict(setup.interfaces), "servo": plain(setup.servo)} if setup.interfaces else {}
     hardware |= {"lead": setup.delays.tolist()} if setup.layout.lead else {}
     hardware |= {"lag": setup.lags.tolist()} if setup.lags.any() else {}
-    hardware |= {"way": setup.behind} if setup.behind else {}
+    hardware |= {"way": way} if (way := setup.known.way(setup.timing)) else {}
     hardware |= {} if setup.safety is None else {"safety": plain(setup.safety)}
     hardware |= {"disturbances": plain(setup.disturbances)} if setup.disturbances else {}
     return setup.robot.facts() | own | believed | hardware
@@ -183,7 +181,7 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Outside:
-    """The setup of a robot that is not simulated; arguments as of `stepper.Stepper`."""
+    """The setup of a robot that is not simulated, its latency neither; arguments as of `stepper.Stepper`."""
 
     robot: Robot
     controller: CompiledController | TorqueController
@@ -201,6 +199,7 @@ class Outside:
     interfaces: Mapping[str, str] = field(default_factory=dict)
     servo: Servo = field(default_factory=Servo)
     lead: bool = False
+    known: Latency = field(default_factory=Latency)
     lag: Numbers = 0.0
 
     @cached_property
@@ -211,17 +210,7 @@ class Outside:
     @property
     def delays(self) -> Array:
         """See `Setup.delays`."""
-        return delays(self.robot, self.timing, self.latency, self.lag)
-
-    @property
-    def behind(self) -> float:
-        """See `Setup.behind`."""
-        return self.latency.way(self.timing)
-
-    @property
-    def predicted(self) -> float:
-        """See `Setup.predicted`."""
-        return self.latency.caught_up(self.timing)
+        return delays(self.robot, self.timing, self.known, self.lag)
 
     @property
     def lags(self) -> Array:

@@ -167,7 +167,7 @@ class Stepper:
         controller = suited(controller, robot, lambda: Given(kinematic, period, known.total + known.margin, lag))
         setup = Outside(
             robot, controller, kinematic, safety, timing, nominal, seed, within_limits, sensor=sensor,
-            latency=known, interfaces=dict(interfaces or {}), servo=servo, lead=lead, lag=lag,
+            known=known, interfaces=dict(interfaces or {}), servo=servo, lead=lead, lag=lag,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency, layout = period, check_gains, known.total, setup.layout
@@ -311,7 +311,7 @@ class Stepper:
         kinematic = kinematic or self.setup.kinematic
         made = self.setup.controller
         if controller is not None:
-            lag, delay = self.setup.lag, self.latency + self.setup.latency.margin
+            lag, delay = self.setup.lag, self.latency + self.setup.known.margin
             made = suited(controller, self.robot, lambda: Given(kinematic, self.period, delay, lag))
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)

@@ -15,9 +15,7 @@ import numpy as np
 from mmnn_pin.lab.contest.task import Task
 from mmnn_pin.loop.batch import Run, simulate_many
 from mmnn_pin.loop.latency import Latency
-from mmnn_pin.loop.lead import delays
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.signals import Array
 
 DELAYS = (0.0, 0.001, 0.002, 0.003, 0.004, 0.005)  # of the commands [s]
 LOST = 2.0  # times PD's error without delay
@@ -27,14 +25,9 @@ class Unaware(Loop):
     """A loop whose controller takes commands to be on time; the plant is as the loop's latency says."""
 
     @property
-    def delays(self) -> Array:
-        """Half of the hold and the motors' lag, which it knows, (p,) [s]."""
-        return delays(self.robot, self.timing, Latency(), self.actuator.lag)
-
-    @property
-    def behind(self) -> float:
-        """None is known [s]."""
-        return 0.0
+    def known(self) -> Latency:
+        """None is known."""
+        return Latency()
 
 
 def late(task: Task, name: str, delay: float) -> Loop:

@@ -173,10 +173,12 @@ def test_known_age_of_measurements_no_longer_drives_a_robot_off_its_reference():
 
 
 @pytest.mark.compiled
-def test_a_stepper_brings_its_measurements_up_by_their_age_as_a_loop_does():
-    """From the simulated robot's true state 6 ms ago, with its time, to the torques of the loop."""
+@pytest.mark.parametrize(("lead", "command"), [(False, 0.0), (True, 0.0), (True, 0.002)])
+def test_a_stepper_brings_its_measurements_up_by_their_age_as_a_loop_does(lead, command):
+    """From the simulated robot's true state 6 ms ago, with its time, to the torques of the loop; no delay counts twice."""
     h, old = 0.002, 0.006
-    loop = loop_of("platform_arm", lead=False, latency=Latency(sensing=old, predict=True), safety=Safety())
+    latency = Latency(sensing=old, command=command, predict=True)
+    loop = loop_of("platform_arm", lead=lead, latency=latency, safety=Safety())
     run, setpoints = loop.run(), Setpoint.side_by_side(loop.table(), loop.layout)
     arm, nb = loop.robot.arm_index, loop.robot.dimensions.base
 
