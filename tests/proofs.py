@@ -12,7 +12,7 @@ from test_holonomic import PATHS, mecanum
 from mmnn_pin import PD, Hold, Loop, Neural, Sine, Timing, Trajectory
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.lab.proof.tube import Search
+from mmnn_pin.lab.proof.tube_search import Search
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recording import Recording
@@ -81,12 +81,11 @@ def subject_of(kind: str, recording: Recording) -> Subject:
 def attacked(search: Search, first: int, last: int, wanted: int, eps: Array) -> Array:
     """States (blocks, m) of the true loop under errors of Psi (K, p) with the signs worst for one error at the end."""
     periods, rows = search.periods, search.periods.subject.rows
-    Z, signs = np.eye(search.linear.P.shape[1])[wanted], {}
+    Z, signs = np.eye(search.sums.m)[wanted], {}
     for b in range(last, first - 1, -1):
         for j in range(search.ends[b] - 1, search.starts[b] - 1, -1):
-            P, B = search.linear.between(b, j, "P", "B")
-            signs[j], Z = np.sign(Z @ B), Z @ P
-    y, found = search.reached[first], []
+            signs[j], Z = np.sign(Z @ search.steps.B(j)), Z @ search.steps.P(j)
+    y, found = search.reached[search.starts[first]], []
     for b in range(first, last + 1):
         for j in range(search.starts[b], search.ends[b]):
             y = periods.after(rows[j], rows[j + 1], y, periods.torque(rows[j], y) + eps[b] * signs[j])
