@@ -23,9 +23,11 @@ class Curvature:
 
     Attributes:
         M1, M2: (K, r, p, p), (K, r, r, p, p) of the first and second derivatives of M.
-        C0, C1, C2: (K, p, p, p), (K, r, p, p, p), (K, p, p, p) of C_ijk, with `C(q, nu)_ik = sum_j C_ijk nu_j`, of its
-            first derivatives, and of any of its second ones.
-        g1, g2: (K, r, p), (K, r, r, p) of gravity's.
+        C0, C1, C2: (K, p, p, p), (K, r, p, p, p), (K, r, r, p, p, p) of C_ijk, with `C(q, nu)_ik = sum_j C_ijk nu_j`,
+            and of its derivatives.
+        g2: (K, r, r, p) of the second derivatives of gravity.
+        XM1, XC0, XC1: As M1, C0, C1, of what they are times X: accelerations rather than forces.
+        X: (K, p, p) the inverse of `M + stiff` in the middle.
         columns: (K, r, n) how far the arm's joints move them.
     """
 
@@ -34,40 +36,47 @@ class Curvature:
     C0: Array
     C1: Array
     C2: Array
-    g1: Array
     g2: Array
+    XM1: Array
+    XC0: Array
+    XC1: Array
+    X: Array
     columns: Array
 
     @classmethod
-    def of(cls, bodies: Bodies, q: Array, half: Array) -> Curvature:
-        """In boxes with middles (K, n) and half-widths (K, n) [rad or m]."""
+    def of(cls, bodies: Bodies, q: Array, half: Array, stiff: Array) -> Curvature:
+        """In boxes with middles (K, n) and half-widths (K, n) [rad or m]; `stiff` (p, p) is added to M for X."""
         places = [slice(k, k + CHUNK) for k in range(0, len(q), CHUNK)]
-        parts = [Bends(bodies, q[at], half[at]).curvature() for at in places]
+        parts = [Bends(bodies, q[at], half[at]).curvature(stiff) for at in places]
         return cls(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(cls)))
 
     def along(self, moved: Array) -> Bent:
         """What joints of the arm that move by at most (K, n) change."""
         d = np.einsum("kra,ka->kr", self.columns, moved)
-        far = (d.sum(axis=1) ** 2 / 2)[:, None, None, None]
+        twice = np.einsum("kr,ks->krs", d, d) / 2
         return Bent(
             M1=np.einsum("kr,krij->kij", d, self.M1),
-            M2=np.einsum("kr,ks,krsij->kij", d, d, self.M2) / 2,
+            M2=np.einsum("krs,krsij->kij", twice, self.M2),
             C0=self.C0,
             C1=np.einsum("kr,krijl->kijl", d, self.C1),
-            C2=far * self.C2,
-            g1=np.einsum("kr,kri->ki", d, self.g1),
-            g2=np.einsum("kr,ks,krsi->ki", d, d, self.g2) / 2,
+            C2=np.einsum("krs,krsijl->kijl", twice, self.C2),
+            g2=np.einsum("krs,krsi->ki", twice, self.g2),
+            XM1=np.einsum("kr,krij->kij", d, self.XM1),
+            XC0=self.XC0,
+            XC1=np.einsum("kr,krijl->kijl", d, self.XC1),
+            X=np.abs(self.X),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Bent:
-    """Largest changes of M (K, p, p), C (K, p, p, p) and gravity (K, p): all, and what is beyond the first order.
+    """Largest changes of M (K, p, p), C (K, p, p, p) and gravity (K, p), and times X.
 
     Attributes:
-        M1, C1, g1: All of the change.
+        M1, C1, XM1, XC1: All of the change.
         M2, C2, g2: Beyond the first order.
-        C0: (K, p, p, p) C itself.
+        C0, XC0: (K, p, p, p) C itself.
+        X: (K, p, p) without sign.
     """
 
     M1: Array
@@ -75,40 +84,59 @@ class Bent:
     C0: Array
     C1: Array
     C2: Array
-    g1: Array
     g2: Array
+    XM1: Array
+    XC0: Array
+    XC1: Array
+    X: Array
 
 
 class Bends(Jets):
     """The bounds, from the derivatives in the middles."""
 
-    def curvature(self) -> Curvature:
+    def curvature(self, stiff: Array) -> Curvature:
         """All of them."""
         every = np.array(self.moving, int)
         width, columns = self.width[:, every], np.abs(self.bodies.columns[every])
+        X = np.linalg.inv(self.M + stiff)
+        size = np.abs(X)
         M, g = self.largest(*self.of_mass()), self.largest(*self.of_gravity())
-        C0, C1, C2 = self.of_coriolis()
-        C1 = C1 + np.einsum("kr,kijl->kijl", width, C2)[:, None]
-        C0 = C0 + np.einsum("kr,krijl->kijl", width, C1)
-        found = self.first_order(M), self.second_order(M), C0, C1, C2, self.first_order(g), self.second_order(g)
-        return Curvature(*((1 + SLACK) * one for one in found), np.broadcast_to(columns, (len(width), *columns.shape)))
+        M2, (slopes, C2) = self.second_order(M), self.of_coriolis()
+        slope = self.first_order({(k,): self.of_M((k,), self.first) for k in self.moving}, self.M)
+        beyond, twice = np.einsum("ks,krsij->krij", width, M2), np.einsum("ks,krsijl->krijl", width, C2)
+        M1, C1 = self.first_order(M, self.M), np.abs(slopes) + twice
+        once = np.einsum("kr,krijl->kijl", width, C1) + self.odd
+        found = (
+            *(M1, M2, np.abs(self.C) + once, C1, C2, self.second_order(g)),
+            np.abs(np.einsum("kia,kraj->krij", X, slope)) + np.einsum("kia,kraj->krij", size, beyond),
+            np.abs(np.einsum("kia,kajl->kijl", X, self.C)) + np.einsum("kia,kajl->kijl", size, once),
+            np.abs(np.einsum("kia,krajl->krijl", X, slopes)) + np.einsum("kia,krajl->krijl", size, twice),
+        )
+        return Curvature(
+            *((1 + SLACK) * one + SLACK for one in found), X, np.broadcast_to(columns, (len(width), *columns.shape))
+        )
 
-    def first_order(self, most: dict[tuple[int, ...], Array]) -> Array:
-        """(K, r, ...) of the first derivatives in a table of all."""
-        found = [most[(k,)] for k in self.moving]
-        return np.stack(found, axis=1) if found else np.zeros((len(self.q), 0, *most[()].shape[1:]))
+    def first_order(self, table: dict[tuple[int, ...], Array], like: Array) -> Array:
+        """(K, r, ...) of the first derivatives in a table of arrays like another one."""
+        found = [table[(k,)] for k in self.moving]
+        return np.stack(found, axis=1) if found else np.zeros((len(self.q), 0, *like.shape[1:]))
 
-    def second_order(self, most: dict[tuple[int, ...], Array]) -> Array:
+    def second_order(self, table: dict[tuple[int, ...], Array]) -> Array:
         """(K, r, r, ...) of the second ones."""
-        rows = [[most[tuple(sorted((k, m)))] for m in self.moving] for k in self.moving]
+        rows = [[table[tuple(sorted((k, m)))] for m in self.moving] for k in self.moving]
         if not rows:
-            return np.zeros((len(self.q), 0, 0, *most[()].shape[1:]))
+            return np.zeros((len(self.q), 0, 0, *table[()].shape[1:]))
         return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
 
     @property
     def grown(self) -> Array:
         """(K, p) largest length of the motion along a velocity, anywhere."""
         return np.asarray(self.sizes + np.einsum("kid,kd->ki", self.once, self.width))
+
+    @property
+    def odd(self) -> Array:
+        """(p, p, p) what wheels that are heavier on one side add to C."""
+        return np.sqrt(self.uneven_mass.diagonal())[:, None, None] * self.uneven_twice
 
     def of_mass(self) -> tuple[dict[tuple[int, ...], Array], Array]:
         """Derivatives of M in the middle, without sign, and bounds (K, p, p, J) of all of up to the fourth order."""
@@ -124,13 +152,19 @@ class Bends(Jets):
         pull = self.signs * self.pull
         return {K: np.abs(pull @ value) for K, value in self.first.items()}, self.pulls
 
-    def of_coriolis(self) -> tuple[Array, Array, Array]:
-        """C_ijk and its first derivatives in the middle, without sign, and a bound of all second ones."""
+    def of_coriolis(self) -> tuple[Array, Array]:
+        """First derivatives of C_ijk in the middle, (K, r, p, p, p), and bounds of its second ones anywhere."""
         first, W = self.first, self.W
-        by = [self.inner(first[(k,)], W[()]) + self.inner(first[()], W[(k,)]) for k in self.moving]
-        once, again = self.once.max(axis=2), self.again.max(axis=3)
-        twice = np.linalg.norm(W[()], axis=1) + np.einsum("kijd,kd->kij", self.again, self.width)
-        most = once[:, :, None, None] * (twice + 2 * again)[:, None] + self.grown[:, :, None, None] * again[:, None]
-        odd = np.sqrt(self.uneven_mass.diagonal())[:, None, None] * self.uneven_twice
-        C = np.abs(self.C) + odd
-        return C, np.abs(np.stack(by, axis=1)) if by else np.zeros((len(C), 0, *C.shape[1:])), most
+        by = {(k,): self.inner(first[(k,)], W[()]) + self.inner(first[()], W[(k,)]) for k in self.moving}
+        own = np.linalg.norm(W[()], axis=1) + np.einsum("kijd,kd->kij", self.again, self.width)
+        table = {(): self.C}
+
+        def meet(one: Array, other: Array) -> Array:
+            return one[:, :, None, None] * other[:, None]
+
+        for a in self.moving:
+            for b in (k for k in self.moving if k >= a):  # b is the outermost of the two
+                by_a, by_b = self.once[:, :, a], self.once[:, :, b]
+                found = meet(by_b, own) + meet(self.grown, self.again[..., b])
+                table[(a, b)] = found + meet(by_a, self.again[..., b]) + meet(by_b, self.again[..., a])
+        return self.first_order(by, self.C), self.second_order(table)

@@ -4,7 +4,8 @@ With y from the reference and u from the torque that acts on it, a period of `pe
 
     N da = u - dg - d(C nu) - D dnu - dM (a_r + da),      N = M_r + brakes h D
 
-Its part of first order is P and B; all else is at most what `curvature`, `errors_ahead` and the box say. Nothing is
+and, where the torque is that of the state, `N a = (k + C) s + M nudot_ref - dM (a - a_r) + errors`: gravity drops out.
+The part of first order is P and B; all else is at most what `curvature`, `errors_ahead` and the box say. Nothing is
 sampled, neither in the box nor along the reference.
 """
 
@@ -35,12 +36,14 @@ class Box:
     Attributes:
         y: (K, m) of the state.
         s: (K, p) of s.
-        torque: (K, p) of the torque that acts in a period, from that of a state, or from the reference's where commands
-            are late.
+        f: (K, p) of what the state adds to accelerations, without delay less what it adds to nudot_ref.
+        torque: (K, p) of the torque that acts in a period, from that of the state, or from the reference's where
+            commands are late.
     """
 
     y: Array
     s: Array
+    f: Array
     torque: Array
 
 
@@ -126,7 +129,7 @@ class Steps:
         nothing, rates = np.zeros((len(self.rows), self.size)), slice(at + n, None)
         command = self.course.command(nothing)
         (_, of_ref, _), (_, of_rate, _) = (stacked(one) for one in command)
-        self.S = of_ref.copy()
+        self.S, self.of_rate = of_ref.copy(), of_rate
         self.S[:, :, rates] -= np.eye(len(gain))
         seen = self.M @ of_rate
         self.answers = gain[:, None] * np.eye(len(gain)) - seen[:, :, rates]
@@ -137,6 +140,7 @@ class Steps:
         self.open[:, :, at : at + n] -= self.plant_by_q
         self.open[:, :, rates] -= self.by_nu + self.periods.damping
         self.open = self.N_inv @ self.open
+        self.noisy = self.most(np.abs(of_rate[:-1, :, rates]))
         box = np.zeros((len(self.rows) - 1, self.size + len(gain)))
         self.c, slope, _ = stacked(self.ahead(box, self.accelerations(box, np.zeros((len(box), len(gain))))))
         self.A, self.plant = slope[:, :, : self.size], slope[:, :, self.size :]
@@ -173,8 +177,12 @@ class Steps:
         return delayed(self.A[j], self.plant[j], self.T[j], self.late)[1]
 
     def sees(self, j: int) -> Array:
-        """(p, m + l) s of a state."""
-        return np.pad(self.S[j], ((0, 0), (0, self.late * len(self.S[j]))))
+        """(2 p, m + l) s of a state, and f of `Box`, to first order."""
+        p, late = len(self.S[j]), np.zeros((len(self.S[j]), self.late * len(self.S[j])))
+        if self.late:
+            late[:, :p] = self.N_inv[j]
+            return np.block([[self.S[j], 0 * late], [self.open[j], late]])
+        return np.concatenate((self.S[j], self.open[j] + self.N_inv[j] @ self.T[j] - self.of_rate[j]))
 
     # -- what is left out --
 
@@ -187,72 +195,70 @@ class Steps:
             q = self.signal("q_ref")
             low, high = (f.reduceat(q, self.at[:-1], axis=0) for f in (np.minimum, np.maximum))
             low, high = np.minimum(low, q[self.at[1:]]), np.maximum(high, q[self.at[1:]])
-            self._curvatures[size] = Curvature.of(self.bodies, (low + high) / 2, (high - low) / 2 + size)
+            stiff = self.periods.brakes * self.h * self.periods.damping
+            found = Curvature.of(self.bodies, (low + high) / 2, (high - low) / 2 + size, stiff)
+            self._curvatures[size] = found
+            self.moved = np.abs(self.N_inv[: len(self.of)] @ np.linalg.inv(found.X)[self.of])
         return self._curvatures[size].along(errors)
 
     def rest(self, box: Box, noise: Array) -> tuple[Array, Array] | None:
         """What is left out of torques (K, p) and of states (K, m) in every block; None for boxes without a bound.
 
+        Without delay the second one has all: what is left out of a torque acts in the same period, and most of it is
+        what the motion leaves out, too.
+
         Args:
             box: Of the errors.
             noise: (p,) of the velocities that the controller is told.
         """
-        periods, K, p = self.periods, len(self.at) - 1, len(noise)
-        joints = slice(periods.poses, periods.poses + periods.layout.arm)
-        if (bent := self.bent(box.y[:, joints])) is None:
+        periods, p, N = self.periods, len(noise), len(self.of)
+        if (bent := self.bent(box.y[:, periods.poses : -p])) is None:
             return None
-        nu_off, rates = box.y[:, -p:], slice(-p, None)
-        seen = box.y.copy()
-        seen[:, rates] += noise
-        course = self.course.at(slice(0, len(self.of)))
-        refs, ref_rates = (stacked(one) for one in course.command(seen[self.of]))
-        boxes = seen[self.of][:, None]
-        ref_off, rate_off = (self.most((np.abs(one[1]) * boxes).sum(axis=2) + one[2]) for one in (refs, ref_rates))
-        ref_rest, rate_rest = self.most(refs[2]), self.most(ref_rates[2])
-        nu, nudot, a = (self.most(np.abs(one[: len(self.of)])) for one in (course.nu, self.nudot, self.acceleration))
-        M = self.most(np.abs(self.M[: len(self.of)]))
-        torque = periods.gain * ref_rest + times(M, rate_rest) + times(bent.M1, rate_off) + times(bent.M2, nudot)
-        torque += twice(bent.C0, nu, ref_rest) + twice(bent.C1, nu, ref_off) + twice(bent.C1, nu_off, nu)
-        torque += twice(bent.C2, nu, nu) + twice(bent.C0, nu_off, ref_off) + bent.g2
-        forces = bent.g2 + twice(bent.C2, nu, nu) + twice(bent.C1, nu, nu_off) + twice(bent.C1, nu_off, nu)
-        forces += twice(bent.C0, nu_off, nu_off) + times(bent.M2, a)
-        acting = box.torque if self.late else box.torque + torque
-        off = self.accelerated(replaced(box, acting))
-        if (left := self.left(bent.M1, forces, off)) is None:
+        seen, rates = box.y.copy(), box.y[:, -p:]
+        seen[:, -p:] += noise
+        refs, accelerations = (stacked(one) for one in self.course.at(slice(0, N)).command(seen[self.of]))
+        nu, nudot, a, late, M, inverse = self.sizes
+        ref_rest, rate_rest = self.most(refs[2]), self.most(accelerations[2])
+        ref_off, rate_off = (self.off(one, seen) for one in (refs, accelerations))
+        asked = periods.gain * ref_rest + times(M, rate_rest)
+        torque = asked + times(bent.M1, rate_off) + times(bent.M2, nudot) + bent.g2
+        torque += twice(bent.C0, nu, ref_rest) + twice(bent.C1, nu, ref_off) + twice(bent.C1, rates, nu)
+        torque += twice(bent.C2, nu, nu) + twice(bent.C0, rates, ref_off)
+        if self.late:
+            forces = bent.g2 + twice(bent.C2, nu, nu) + times(bent.M2, a)
+            off = twice(bent.XC1, nu, rates) + twice(bent.XC1, rates, nu) + twice(bent.XC0, rates, rates)
+            off += times(bent.XM1, box.f)
+        else:
+            forces = asked + times(bent.M2, late)
+            told = rate_rest + self.noisy @ noise  # what nudot_ref asks for beside, which M of the place answers
+            off = times(bent.XM1, box.f + times(inverse, box.torque) + told)
+            off += twice(bent.XC1, nu, box.s) + twice(bent.XC0, rates, box.s) + twice(bent.XC0, nu + rates, ref_rest)
+        if (left := self.left(bent, off + times(bent.X, forces))) is None:
             return None
-        variables = np.concatenate((box.y, acting), axis=1)[self.of]
+        variables = np.concatenate((box.y, box.torque), axis=1)[self.of]
         rest = stacked(self.ahead(variables, self.accelerations(variables, left, closed=not self.late)))[2]
-        largest = 1 + np.abs(self.rows[:, periods.layout.where("pose_ref")]).max(initial=0.0) + np.abs(course.nu).max()
-        assert len(torque) == K
+        largest = 1 + np.abs(self.rows[:, periods.layout.where("pose_ref")]).max(initial=0.0) + nu.max()
         return torque, self.most(rest) + ROUNDING * largest
 
-    def accelerated(self, box: Box) -> Array:
-        """(N, p) what the box does to accelerations to first order, at most."""
-        N, (y, s) = len(self.of), (box.y[self.of], box.s[self.of])
-        slope = self.open[:N] + (0.0 if self.late else self.N_inv[:N] @ self.T[:N])
-        by_state = np.minimum(times(np.abs(slope), y), self.seen(slope, y, s))
-        return by_state + times(np.abs(self.N_inv[:N]), box.torque[self.of])
+    @cached_property
+    def sizes(self) -> tuple[Array, ...]:
+        """Largest of every block: nu, nudot_ref, accelerations, their difference, M, N^-1."""
+        late = self.nudot - self.acceleration
+        some = (self.course.nu, self.nudot, self.acceleration, late, self.M, self.N_inv)
+        return tuple(self.most(np.abs(one[: len(self.of)])) for one in some)
 
-    def seen(self, slope: Array, y: Array, s: Array) -> Array:
-        """`|slope y|` (N, k) at most, by bounds of s (N, p) in the place of the velocity errors."""
-        p = s.shape[1]
-        by_s = -slope[:, :, -p:]  # s = S y, and nu_ref does not depend on nu
-        by_y = slope + by_s @ self.S[: len(s)] * -1.0
-        return times(np.abs(by_y[:, :, :-p]), y[:, :-p]) + times(np.abs(by_s), s)
+    def off(self, functions: tuple[Array, Array, Array], box: Array) -> Array:
+        """(K, p) how far functions are from their values at 0 in boxes (K, m)."""
+        _, slope, rest = functions
+        return self.most(times(np.abs(slope), box[self.of]) + rest)
 
-    def left(self, M1: Array, forces: Array, off: Array) -> Array | None:
-        """(N, p) accelerations beyond the first order: `x = |N^-1| (forces + M1 (off + x))`, if that has a solution."""
-        inverse = np.abs(self.N_inv[: len(self.of)])
-        drive = times(inverse, forces[self.of] + times(M1[self.of], off)) + np.finfo(float).tiny
-        loop = np.eye(inverse.shape[1]) - inverse @ M1[self.of]
+    def left(self, bent: Bent, off: Array) -> Array | None:
+        """(N, p) accelerations beyond the first order: `x = |N^-1 / X| (off + XM1 x)`, if that has a solution."""
+        moved = self.moved
+        drive = times(moved, off[self.of]) + np.finfo(float).tiny
         with np.errstate(all="ignore"):
-            found = np.linalg.solve(loop, drive[..., None])[..., 0]
+            found = np.linalg.solve(np.eye(moved.shape[1]) - moved @ bent.XM1[self.of], drive[..., None])[..., 0]
         return found if (found > 0).all() else None
-
-
-def replaced(box: Box, torque: Array) -> Box:
-    """A box with another torque."""
-    return Box(box.y, box.s, torque)
 
 
 def times(A: Array, x: Array) -> Array:

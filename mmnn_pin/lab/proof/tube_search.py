@@ -75,12 +75,12 @@ class Search:
         return np.ravel([off[i] if i >= 0 else np.zeros(off.shape[1]) for i in range(j - self.late, j)])
 
     def response(self, first: int) -> Array:
-        """(N + 1, m + l + p) states and s from the run's state at block `first` on, nothing else; 0 before."""
+        """(N + 1, r) states, s and f from the run's state at block `first` on, nothing else; 0 before."""
         steps, m, start = self.steps, self.periods.size, self.starts[first]
         y = np.concatenate((self.reached[start], self.commanded(start)))
-        found = np.zeros((len(steps.rows), self.sums.m + self.sums.p))
+        found = np.zeros((len(steps.rows), self.sums.r))
         for j in range(start, len(steps.rows)):
-            found[j] = np.concatenate((y, steps.S[j] @ y[:m]))
+            found[j] = self.sums.rows(j) @ y
             if j < len(steps.c):
                 y = steps.P(j) @ y
                 y[:m] += steps.c[j]
@@ -107,29 +107,34 @@ class Search:
         return size[:, : self.sums.m], eps
 
     def judged(self, first: int, factor: float = 1.0) -> tuple[Array, Array, Array]:
-        """The tube with s behind it, (K, m + l + p), the errors of Psi, and all of the torques, (K, p) each."""
+        """The tube with s and f behind it, (K, r), the errors of Psi, and all of the torques, (K, p) each."""
         response, since = self.response(first), (np.arange(len(self.ends)) >= first)[:, None]
         m, told = self.periods.size, slice(0, self.periods.poses + self.periods.layout.arm)
         nothing = np.zeros((len(self.ends), self.sums.p))
         size = self.sums.largest(first, response, nothing, np.zeros((len(nothing), self.sums.m)))
         bent, rest, eps = nothing, np.zeros((len(nothing), m)), self.errors.eps(first, size[:, :m])
         for _ in range(ROUNDS):
-            errors = since * (factor * eps + self.force + self.noise + bent)
+            errors = since * (factor * eps + self.force + self.noise + (bent if self.late else 0.0))
             added = since * self.integrator
             added[:, :m] += since * rest
             size = self.sums.largest(first, response, errors, added)
             if not (size[:, told] < LOST).all():
                 break
-            torque = size[:, m : m + self.sums.p] if self.late else errors - since * bent
-            left = self.steps.rest(Box(size[:, :m], size[:, self.sums.m :], torque), self.told)
+            left = self.steps.rest(self.box(size, errors), self.told)
             if left is None:
                 break
             wider = self.errors.eps(first, size[:, :m])
             if all((now[first:] <= was[first:]).all() for now, was in ((left[0], bent), (left[1], rest), (wider, eps))):
-                return size, eps, errors
+                return size, eps, errors if self.late else errors + since * bent
             bent, rest = (np.where(now > was, AHEAD * now, was) for now, was in ((left[0], bent), (left[1], rest)))
             eps = np.where(wider > eps, AHEAD * wider, eps)
         return np.full_like(size, np.inf), eps, nothing
+
+    def box(self, size: Array, errors: Array) -> Box:
+        """A tube as `steps` takes it."""
+        m, n, p = self.periods.size, self.sums.m, self.sums.p
+        s, f = size[:, n : n + p], size[:, n + p :]
+        return Box(size[:, :m], s, f, size[:, m : m + p] if self.late else errors)
 
     def first(self, progress: Told) -> int:
         """The first block from which there is a tube, by bisection; their number where the last quarter has none."""
@@ -160,8 +165,6 @@ class Search:
         """(motors,) largest torque in a tube over the motors' limits; 0 without limits."""
         steps, (size, _, errors) = self.steps, self.judged(first)
         N, E_inv, m = len(steps.of), np.linalg.inv(self.periods.robot.E), self.periods.size
-        y, s = size[steps.of, :m], size[steps.of, self.sums.m :]
-        by_y = np.einsum("kij,kj->ki", np.abs(steps.T[:N]), y)
-        tau = np.minimum(by_y, steps.seen(steps.T[:N], y, s)) + errors[steps.of]
+        tau = np.einsum("kij,kj->ki", np.abs(steps.T[:N]), size[steps.of, :m]) + errors[steps.of]
         asked = np.abs(steps.torque[:N] @ E_inv.T) + tau @ np.abs(E_inv).T
         return np.asarray((asked[self.starts[first] :] / self.limits).max(axis=0))
