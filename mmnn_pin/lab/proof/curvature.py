@@ -25,7 +25,7 @@ class Curvature:
         M1, M2: (K, r, p, p), (K, r, r, p, p) of the first and second derivatives of M.
         C0, C1, C2: (K, p, p, p), (K, r, p, p, p), (K, r, r, p, p, p) of C_ijk, with `C(q, nu)_ik = sum_j C_ijk nu_j`,
             and of its derivatives.
-        g2: (K, r, r, p) of the second derivatives of gravity.
+        g1, g2: (K, r, p), (K, r, r, p) of the derivatives of gravity.
         XM1, XC0, XC1: As M1, C0, C1, of what they are times X: accelerations rather than forces.
         X: (K, p, p) the inverse of `M + stiff` in the middle.
         columns: (K, r, n) how far the arm's joints move them.
@@ -36,6 +36,7 @@ class Curvature:
     C0: Array
     C1: Array
     C2: Array
+    g1: Array
     g2: Array
     XM1: Array
     XC0: Array
@@ -50,16 +51,17 @@ class Curvature:
         parts = [Bends(bodies, q[at], half[at]).curvature(stiff) for at in places]
         return cls(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(cls)))
 
-    def along(self, moved: Array) -> Bent:
-        """What joints of the arm that move by at most (K, n) change."""
-        d = np.einsum("kra,ka->kr", self.columns, moved)
-        twice = np.einsum("kr,ks->krs", d, d) / 2
+    def along(self, moved: Array, other: Array | None = None) -> Bent:
+        """What joints of the arm that move by at most (K, n) change; with `other`, of the second order what both do."""
+        d, half = np.einsum("kra,ka->kr", self.columns, moved), 0.5 if other is None else 1.0
+        twice = half * np.einsum("kr,ks->krs", d, d if other is None else np.einsum("kra,ka->kr", self.columns, other))
         return Bent(
             M1=np.einsum("kr,krij->kij", d, self.M1),
             M2=np.einsum("krs,krsij->kij", twice, self.M2),
             C0=self.C0,
             C1=np.einsum("kr,krijl->kijl", d, self.C1),
             C2=np.einsum("krs,krsijl->kijl", twice, self.C2),
+            g1=np.einsum("kr,kri->ki", d, self.g1),
             g2=np.einsum("krs,krsi->ki", twice, self.g2),
             XM1=np.einsum("kr,krij->kij", d, self.XM1),
             XC0=self.XC0,
@@ -73,7 +75,7 @@ class Bent:
     """Largest changes of M (K, p, p), C (K, p, p, p) and gravity (K, p), and times X.
 
     Attributes:
-        M1, C1, XM1, XC1: All of the change.
+        M1, C1, g1, XM1, XC1: All of the change.
         M2, C2, g2: Beyond the first order.
         C0, XC0: (K, p, p, p) C itself.
         X: (K, p, p) without sign.
@@ -84,6 +86,7 @@ class Bent:
     C0: Array
     C1: Array
     C2: Array
+    g1: Array
     g2: Array
     XM1: Array
     XC0: Array
@@ -107,7 +110,7 @@ class Bends(Jets):
         M1, C1 = self.first_order(M, self.M), np.abs(slopes) + twice
         once = np.einsum("kr,krijl->kijl", width, C1) + self.odd
         found = (
-            *(M1, M2, np.abs(self.C) + once, C1, C2, self.second_order(g)),
+            *(M1, M2, np.abs(self.C) + once, C1, C2, self.first_order(g, self.gravity), self.second_order(g)),
             np.abs(np.einsum("kia,kraj->krij", X, slope)) + np.einsum("kia,kraj->krij", size, beyond),
             np.abs(np.einsum("kia,kajl->kijl", X, self.C)) + np.einsum("kia,kajl->kijl", size, once),
             np.abs(np.einsum("kia,krajl->krijl", X, slopes)) + np.einsum("kia,krajl->krijl", size, twice),

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -45,6 +46,20 @@ class Box:
     s: Array
     f: Array
     torque: Array
+
+
+class Rest(NamedTuple):
+    """What the first order leaves out in every block, at most.
+
+    Attributes:
+        torque: (K, p) of torques.
+        state: (K, m) of states after a period.
+        acceleration: (K, p) how far accelerations are from the reference's, all of it.
+    """
+
+    torque: Array
+    state: Array
+    acceleration: Array
 
 
 class Steps:
@@ -86,6 +101,11 @@ class Steps:
         self._along()
         self._linearise()
         self._curvatures: dict[float, Curvature] = {}
+
+    @property
+    def joints(self) -> slice:
+        """Of a state."""
+        return slice(self.periods.poses, self.periods.poses + self.periods.layout.arm)
 
     def signal(self, name: str) -> Array:
         """A signal of the run, (N + 1, size)."""
@@ -186,8 +206,12 @@ class Steps:
 
     # -- what is left out --
 
-    def bent(self, errors: Array) -> Bent | None:
-        """What joint errors (K, n) change of M, C and gravity in every block; None beyond the largest of `SIZES`."""
+    def bent(self, errors: Array, moved: Array | None = None, other: Array | None = None) -> Bent | None:
+        """What joint errors (K, n) change of M, C and gravity in every block; None beyond the largest of `SIZES`.
+
+        With `moved` (K, n): what that changes between two places within these errors; with `other`, of the second
+        order what both do together.
+        """
         size = next((one for one in SIZES if errors.max(initial=0.0) <= one), None)
         if size is None:
             return None
@@ -199,12 +223,12 @@ class Steps:
             found = Curvature.of(self.bodies, (low + high) / 2, (high - low) / 2 + size, stiff)
             self._curvatures[size] = found
             self.moved = np.abs(self.N_inv[: len(self.of)] @ np.linalg.inv(found.X)[self.of])
-        return self._curvatures[size].along(errors)
+        return self._curvatures[size].along(errors if moved is None else moved, other)
 
-    def rest(self, box: Box, noise: Array) -> tuple[Array, Array] | None:
-        """What is left out of torques (K, p) and of states (K, m) in every block; None for boxes without a bound.
+    def rest(self, box: Box, noise: Array) -> Rest | None:
+        """What is left out in every block; None for boxes without a bound.
 
-        Without delay the second one has all: what is left out of a torque acts in the same period, and most of it is
+        Without delay that of states has all: what is left out of a torque acts in the same period, and most of it is
         what the motion leaves out, too.
 
         Args:
@@ -212,7 +236,7 @@ class Steps:
             noise: (p,) of the velocities that the controller is told.
         """
         periods, p, N = self.periods, len(noise), len(self.of)
-        if (bent := self.bent(box.y[:, periods.poses : -p])) is None:
+        if (bent := self.bent(box.y[:, self.joints])) is None:
             return None
         seen, rates = box.y.copy(), box.y[:, -p:]
         seen[:, -p:] += noise
@@ -238,7 +262,8 @@ class Steps:
         variables = np.concatenate((box.y, box.torque), axis=1)[self.of]
         rest = stacked(self.ahead(variables, self.accelerations(variables, left, closed=not self.late)))[2]
         largest = 1 + np.abs(self.rows[:, periods.layout.where("pose_ref")]).max(initial=0.0) + nu.max()
-        return torque, self.most(rest) + ROUNDING * largest
+        off = box.f + self.most(left) + (0.0 if self.late else rate_off + times(inverse, box.torque))
+        return Rest(torque, self.most(rest) + ROUNDING * largest, off)
 
     @cached_property
     def sizes(self) -> tuple[Array, ...]:
@@ -246,6 +271,10 @@ class Steps:
         late = self.nudot - self.acceleration
         some = (self.course.nu, self.nudot, self.acceleration, late, self.M, self.N_inv)
         return tuple(self.most(np.abs(one[: len(self.of)])) for one in some)
+
+    def errors(self, box: Box) -> Array:
+        """(K, p) bounds of s in a box: what is linear, and what is left of the reference velocities."""
+        return box.s + self.most(stacked(self.course.at(slice(0, len(self.of))).command(box.y[self.of])[0])[2])
 
     def off(self, functions: tuple[Array, Array, Array], box: Array) -> Array:
         """(K, p) how far functions are from their values at 0 in boxes (K, m)."""

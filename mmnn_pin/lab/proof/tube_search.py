@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ...signals import Array, IntArray
+from .equations import Motions
 from .known import Errors, Observed, Proved
 from .periods import Periods
 from .steps import Box, Steps
@@ -60,7 +61,10 @@ class Search:
     def proved(self) -> Search:
         """The same with what is proved of the learner; errors as of `Proved`."""
         found = copy(self)
-        found.errors = Proved(self.periods, self.starts, self.ends, self.force)
+        steps, reached, p = self.steps, self.reached, self.sums.p
+        off = np.abs(np.diff(steps.course.nu + reached[:, -p:], axis=0) / steps.h - steps.acceleration[:-1])
+        run = Motions(steps.most(np.maximum(np.abs(reached[:-1]), np.abs(reached[1:]))), steps.most(off))
+        found.errors = Proved(steps, self.force, self.told, self.integrator[:, : self.periods.size], run)
         return found
 
     @cached_property
@@ -112,7 +116,8 @@ class Search:
         m, told = self.periods.size, slice(0, self.periods.poses + self.periods.layout.arm)
         nothing = np.zeros((len(self.ends), self.sums.p))
         size = self.sums.largest(first, response, nothing, np.zeros((len(nothing), self.sums.m)))
-        bent, rest, eps = nothing, np.zeros((len(nothing), m)), self.errors.eps(first, size[:, :m])
+        bent, rest = nothing, np.zeros((len(nothing), m))
+        eps = self.errors.eps(first, self.box(size, nothing), nothing)
         for _ in range(ROUNDS):
             errors = since * (factor * eps + self.force + self.noise + (bent if self.late else 0.0))
             added = since * self.integrator
@@ -120,10 +125,10 @@ class Search:
             size = self.sums.largest(first, response, errors, added)
             if not (size[:, told] < LOST).all():
                 break
-            left = self.steps.rest(self.box(size, errors), self.told)
-            if left is None:
+            box = self.box(size, errors)
+            if (left := self.steps.rest(box, self.told)) is None:
                 break
-            wider = self.errors.eps(first, size[:, :m])
+            wider = self.errors.eps(first, box, left.acceleration)
             if all((now[first:] <= was[first:]).all() for now, was in ((left[0], bent), (left[1], rest), (wider, eps))):
                 return size, eps, errors if self.late else errors + since * bent
             bent, rest = (np.where(now > was, AHEAD * now, was) for now, was in ((left[0], bent), (left[1], rest)))
