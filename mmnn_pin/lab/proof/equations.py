@@ -7,10 +7,12 @@ is known of the run, equation by equation; another motion differs from the run b
 
     products of d with what a period changes, and of deviations in the window of the mean, d's with others,
 
-which are at most T + h times their rates. Velocities that err by n give means that err by n; mean accelerations err by
-differences over h, which the low-pass behind sums up by parts:
+which are at most T + h times their rates. Accelerations that d makes and a slow factor X multiplies are summed up by
+parts in the low-pass behind, of w_0 = 1 - hold, so that not they count but the velocities d_nu that they add up to,
 
-    |sum_i w_i M_i (n_i+1 - n_i) / h| <= (2 w_0 |M| + largest change of M in a period) n / h,    w_0 = 1 - hold
+    |sum_i w_i X_i (d_nu,i+1 - d_nu,i) / h| <= (2 w_0 |X| / h + |X'|) |d_nu|
+
+Velocities that err by n give means that err by n, and accelerations in the same way.
 """
 
 from __future__ import annotations
@@ -22,10 +24,12 @@ import numpy as np
 from ...model.reduction import COULOMB_SPEED
 from ...signals import Array
 from ...torque.filtered import Filter
+from .curvature import Bent
 from .steps import Steps, times, twice
 from .taylor import stacked
 
 STEEPEST = 0.86  # of exp(-x^2)
+SPREAD = 0.75  # mean distance from its mean, of an age in the window: 2 / e of its deviation, with a period's 1 at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +61,7 @@ class Misfit:
         filter: The learner's.
         noise: (p,) of the velocities that it is told [m/s, rad/s].
         force: (p,) largest external force, and that of the run added [N, N m].
+        run: The run.
         otherwise: (K, m) what the plant does otherwise than `Periods.after` in a period.
     """
 
@@ -64,6 +69,7 @@ class Misfit:
     filter: Filter
     noise: Array
     force: Array
+    run: Motions
     otherwise: Array
 
     def apart(self, motions: Motions, off: Motions) -> Array:
@@ -79,31 +85,35 @@ class Misfit:
         v, a, dv, da = nu_ref + motions.y[:, -p:], a_ref + motions.acceleration, off.y[:, -p:], off.acceleration
         slip = self.otherwise[:, joints] / h
         speed, dspeed, de = (v + h * a)[:, base:] + slip, (dv + h * da)[:, base:] + slip, off.y[:, joints]
-        near = motions.y[:, joints]
-        moves = (de, h * speed, window * speed, h * dspeed, window * dspeed)
-        found = [steps.bent(near, one) for one in moves]
-        cross = steps.bent(near, window * (speed + dspeed), de + window * dspeed)
-        if cross is None or any(one is None for one in found):
-            return np.full_like(v, np.inf)
-        there, step, wide, dstep, dwide = (one for one in found if one is not None)
-        swing, wa, wda = motions.acceleration + window * self.jerk, window * a, window * da
+        own = a_ref + self.run.acceleration
+
+        def bent(*moved: Array) -> Bent:
+            return steps.bent(motions.y[:, joints], *moved) or steps.unbounded
+
+        there, step, wide, dstep, dwide = (bent(one) for one in (de, h * speed, window * speed, h * dspeed, window * dspeed))
+        cross, fast, turning = bent(window * (speed + dspeed), de + window * dspeed), bent(speed), bent(window * own[:, base:])
+        turned = bent(window * speed, speed)
+        rate, swing = 2 * (1 - self.filter.hold) / h * dv, motions.acceleration + window * self.jerk
+        wa, sway = window * a, np.minimum(window * da, dv)
         # mass and gravity: what a period and the window change, then how the window's deviations go together
-        result = times(dstep.M1 + cross.M2, a) + times(step.M1 + wide.M2 + wide.M1, da)
-        result += times(dwide.M1 + cross.M2, swing) + dstep.g1 + cross.g2
+        slow = (1 + SPREAD) * (turned.M2 + turning.M1)
+        result = times(dstep.M1 + cross.M2, a) + times(step.M1 + SPREAD * wide.M1, rate) + times(slow, dv)
+        result += times(5 * wide.M2 + 2 * window * turning.M1, da) + times(dwide.M1 + cross.M2, swing)
+        result += dstep.g1 + cross.g2
         # Coriolis terms: the same of three factors
-        both = [(dstep.C1 + cross.C2, v, v), (step.C1 + wide.C2, v, dv), (step.C1 + wide.C2, dv, v)]
-        for one in (v, wa), (wa, v):
-            both += [(dwide.C1 + cross.C2, *one)]
-        for one in (dv, wa), (v, wda), (wa, dv), (wda, v):
-            both += [(wide.C1, *one)]
-        for one in (v, h * a), (h * a, v), (wa, wa):
-            both += [(there.C1, *one)]
-        for one in (dv, h * a), (v, h * da), (h * a, dv), (h * da, v), (wa, wda), (wda, wa):
-            both += [(wide.C0, *one)]
+        either = [
+            *((dwide.C1 + cross.C2, v, wa), (step.C1 + wide.C2, v, dv), (wide.C1, dv, wa), (wide.C1, v, sway)),
+            *((there.C1, v, h * a), (wide.C0, dv, h * a), (wide.C0, v, h * rate)),
+            *((fast.C1, v, h * dv), (wide.C0, a, h * dv)),
+            *((wide.C0, window * own, window * rate), (fast.C1, window * own, window * dv)),
+            (wide.C0, 2 * window * (window * self.jerk + self.run.acceleration), sway),
+        ]
+        both = [(C, *pair) for C, x, y in either for pair in ((x, y), (y, x))]
+        both += [(dstep.C1 + cross.C2, v, v), (there.C1, wa, wa), (wide.C0, sway, sway)]
         result += np.sum([twice(*one) for one in both], axis=0)
         # the rest
         damping = np.abs(steps.periods.damping)
-        result += h * da @ damping + 2 * self.dry(motions.y, h * a + wa) + self.force
+        result += h * rate @ damping + 2 * self.dry(motions.y, h * a + wa) + self.force
         M = M + there.M1 + steps.periods.brakes * h * damping
         return result + 2 * times(M, self.otherwise[:, -p:]) / h
 

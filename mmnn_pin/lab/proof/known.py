@@ -102,7 +102,8 @@ class Proved:
         self.steps, self.periods, self.noise, self.learner = steps, periods, noise, subject.learner
         self.starts, self.ends = steps.at[:-1], steps.at[1:]
         self.a = self.learner.controller.law(self.learner.context).learner
-        self.misfit = Misfit(steps, self.a.filter, noise, force, otherwise)
+        pushed = np.abs(subject.hardware.push).max(axis=0)
+        self.misfit = Misfit(steps, self.a.filter, noise, force + pushed, run, otherwise)
         ideal = true_weights(subject, self.learner)
         if ideal is None:
             raise RecordingError("no bound of the learner's error", why="its robot has no true parameters")

@@ -272,6 +272,13 @@ class Steps:
         some = (self.course.nu, self.nudot, self.acceleration, late, self.M, self.N_inv)
         return tuple(self.most(np.abs(one[: len(self.of)])) for one in some)
 
+    @property
+    def unbounded(self) -> Bent:
+        """Changes of M, C and gravity without a bound."""
+        K, p = len(self.at) - 1, self.M.shape[1]
+        one, two, three = (np.full((K, *(p,) * order), np.inf) for order in (1, 2, 3))
+        return Bent(M1=two, M2=two, C0=three, C1=three, C2=three, g1=one, g2=one, XM1=two, XC0=three, XC1=three, X=two)
+
     def errors(self, box: Box) -> Array:
         """(K, p) bounds of s in a box: what is linear, and what is left of the reference velocities."""
         return box.s + self.most(stacked(self.course.at(slice(0, len(self.of))).command(box.y[self.of])[0])[2])

@@ -142,8 +142,8 @@ class Search:
         return Box(size[:, :m], s, f, size[:, m : m + p] if self.late else errors)
 
     def first(self, progress: Told) -> int:
-        """The first block from which there is a tube, by bisection; their number where the last quarter has none."""
-        low, high = 0, 3 * len(self.ends) // 4
+        """The first block from which there is a tube, by bisection; their number where the last tenth has none."""
+        low, high = 0, 9 * len(self.ends) // 10
         if self.exists(low):
             return low
         if not self.exists(high):
