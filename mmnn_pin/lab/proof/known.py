@@ -183,6 +183,19 @@ class Proved:
             found[b] = self.heard[b] + (now + told + self.unsaid) / self.a.gain
         return found
 
+    def blame(self, first: int, box: Box, acceleration: Array) -> str:
+        """What its equations err by most from a block on, and what to change; arguments as of `eps`."""
+        motions, off = Motions(box.y, acceleration).with_run(self.run, first)
+        parts = (self.heard * self.a.gain, self.misfit.noisy(motions), self.misfit.apart(motions, off))
+        sizes = [float(np.linalg.norm(one[first:].max(axis=0) / self.a.gain)) for one in parts]
+        largest, times = int(np.argmax(sizes)), max(sizes) / np.sqrt(self.a.noise)
+        words, change = (
+            ("what they erred by in the run, such as dry friction that turns within a period", "use a shorter period"),
+            ("noise of velocities", "use a smaller sensor.velocity_noise"),
+            ("accelerations of other motions in the tube", "run for longer, so that more is known"),
+        )[largest]
+        return f"its equations err most, by up to {times:.2g} of its setting noise, by {words}; {change}"
+
     def spread(self, first: int, boxes: Array) -> Array:
         """(K, p) the largest `sqrt(Phi_i P Phi_i')` by block, from block `first` on, in boxes (K, m)."""
         K, k = len(self.starts), self.ideal.size
@@ -216,7 +229,7 @@ class Proved:
         spread, s = self.spread(first, seen), self.steps.errors(box) + self.noise
         N = self.distances(first, s, spread, self.equations(first, box, acceleration))
         if not self.longest(first, float(N.max())) <= self.a.radius[0]:
-            return np.full_like(spread, np.inf)
+            return np.where(since, np.full_like(spread, np.inf), 0.0)
         return np.where(since, N[:, None] * spread + self.unsaid + self.misfit.misread(box.y), 0.0)
 
     def longest(self, first: int, N: float) -> float:
@@ -261,7 +274,7 @@ def unproved(periods: Periods, late: int = 0) -> str:
         return "it may find that its robot has changed, and forgets then; use alarm = 0"
     filter = law.law(learner.context).learner.filter
     if filter.motor.any() or abs(filter.late - late) > 1e-6:
-        return "its equations take another delay of commands than the loop's; state it as latency.stated"
+        return "its equations take another delay of commands than the loop's; run it again"
     return ""
 
 

@@ -52,6 +52,7 @@ class Tube:
             NaN for errors that are proved.
         integrator: (m + p,) what the plant does in a period otherwise than exact motion without dry friction's changes.
         late: Periods by which commands are late.
+        blame: What stands in the way of a proof where there is none: what errs most, and what to change.
         proof: The same with the errors of Psi that are proved of the learner in place of the run's; None for nothing.
         unproved: Why there is none.
     """
@@ -67,6 +68,7 @@ class Tube:
     bears: float
     integrator: Array
     late: int
+    blame: str = ""
     proof: Tube | None = None
     unproved: str = ""
 
@@ -93,6 +95,7 @@ class Tube:
             "psi_error_share": [finite(v) for v in self.share],
             "bears": finite(self.bears),
             "commands_late": self.late,
+            "in_the_way": self.blame,
             "proved": self.unproved if self.proof is None else self.proof.to_dict(),
         }
 
@@ -176,4 +179,5 @@ def tube_from(search: Search, progress: Told) -> Tube:
         bears=search.bears(begin) if isinstance(search.errors, Observed) else np.nan,
         integrator=search.integrator[begin],
         late=search.late,
+        blame="" if there else search.blame(begin),
     )

@@ -119,6 +119,8 @@ class Search:
         bent, rest = nothing, np.zeros((len(nothing), m))
         eps = self.errors.eps(first, self.box(size, nothing), nothing)
         for _ in range(ROUNDS):
+            if not np.isfinite(eps).all():
+                break
             errors = since * (factor * eps + self.force + self.noise + (bent if self.late else 0.0))
             added = since * self.integrator
             added[:, :m] += since * rest
@@ -134,6 +136,16 @@ class Search:
             bent, rest = (np.where(now > was, AHEAD * now, was) for now, was in ((left[0], bent), (left[1], rest)))
             eps = np.where(wider > eps, AHEAD * wider, eps)
         return np.full_like(size, np.inf), eps, nothing
+
+    def blame(self, first: int) -> str:
+        """What stands in the way of errors of Psi that are proved, from a block on, even of motions like the run."""
+        if not isinstance(self.errors, Proved):
+            return ""
+        nothing = np.zeros((len(self.ends), self.sums.p))
+        size = self.sums.largest(first, self.response(first), nothing, np.zeros((len(nothing), self.sums.m)))
+        box = self.box(size, self.noise)
+        left = self.steps.rest(box, self.told)
+        return self.errors.blame(first, box, nothing if left is None else left.acceleration)
 
     def box(self, size: Array, errors: Array) -> Box:
         """A tube as `steps` takes it."""
