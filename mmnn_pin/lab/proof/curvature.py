@@ -16,6 +16,8 @@ from ...signals import Array
 from .postures import CHUNK, SLACK, Jets
 from .screws import Bodies
 
+Table = dict[tuple[int, ...], Array]
+
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
@@ -115,16 +117,15 @@ class Bends(Jets):
             np.abs(np.einsum("kia,kajl->kijl", X, self.C)) + np.einsum("kia,kajl->kijl", size, once),
             np.abs(np.einsum("kia,krajl->krijl", X, slopes)) + np.einsum("kia,krajl->krijl", size, twice),
         )
-        return Curvature(
-            *((1 + SLACK) * one + SLACK for one in found), X, np.broadcast_to(columns, (len(width), *columns.shape))
-        )
+        columns = np.broadcast_to(columns, (len(width), *columns.shape))
+        return Curvature(*(*((1 + SLACK) * one + SLACK for one in found), X, columns))
 
-    def first_order(self, table: dict[tuple[int, ...], Array], like: Array) -> Array:
+    def first_order(self, table: Table, like: Array) -> Array:
         """(K, r, ...) of the first derivatives in a table of arrays like another one."""
         found = [table[(k,)] for k in self.moving]
         return np.stack(found, axis=1) if found else np.zeros((len(self.q), 0, *like.shape[1:]))
 
-    def second_order(self, table: dict[tuple[int, ...], Array]) -> Array:
+    def second_order(self, table: Table) -> Array:
         """(K, r, r, ...) of the second ones."""
         rows = [[table[tuple(sorted((k, m)))] for m in self.moving] for k in self.moving]
         if not rows:
@@ -141,16 +142,16 @@ class Bends(Jets):
         """(p, p, p) what wheels that are heavier on one side add to C."""
         return np.sqrt(self.uneven_mass.diagonal())[:, None, None] * self.uneven_twice
 
-    def of_mass(self) -> tuple[dict[tuple[int, ...], Array], Array]:
+    def of_mass(self) -> tuple[Table, Array]:
         """Derivatives of M in the middle, without sign, and bounds (K, p, p, J) of all of up to the fourth order."""
-        centre = {(): np.abs(self.M)}
+        centre: Table = {(): np.abs(self.M)}
         for some in self.orders[1:]:
             centre |= {K: np.abs(self.of_M(K, self.first)) for K in some}
         other = self.grown + 7 * self.once.max(axis=2)  # the other motion: as it is, or by the other three joints
         crude = self.once[:, :, None] * other[:, None, :, None]
         return centre, crude + crude.swapaxes(1, 2)
 
-    def of_gravity(self) -> tuple[dict[tuple[int, ...], Array], Array]:
+    def of_gravity(self) -> tuple[Table, Array]:
         """The same of gravity, (K, p) and (K, p, J)."""
         pull = self.signs * self.pull
         return {K: np.abs(pull @ value) for K, value in self.first.items()}, self.pulls
@@ -158,9 +159,9 @@ class Bends(Jets):
     def of_coriolis(self) -> tuple[Array, Array]:
         """First derivatives of C_ijk in the middle, (K, r, p, p, p), and bounds of its second ones anywhere."""
         first, W = self.first, self.W
-        by = {(k,): self.inner(first[(k,)], W[()]) + self.inner(first[()], W[(k,)]) for k in self.moving}
+        by: Table = {(k,): self.inner(first[(k,)], W[()]) + self.inner(first[()], W[(k,)]) for k in self.moving}
         own = np.linalg.norm(W[()], axis=1) + np.einsum("kijd,kd->kij", self.again, self.width)
-        table = {(): self.C}
+        table: Table = {(): self.C}
 
         def meet(one: Array, other: Array) -> Array:
             return one[:, :, None, None] * other[:, None]

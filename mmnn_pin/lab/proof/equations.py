@@ -90,8 +90,14 @@ class Misfit:
         def bent(*moved: Array) -> Bent:
             return steps.bent(motions.y[:, joints], *moved) or steps.unbounded
 
-        there, step, wide, dstep, dwide = (bent(one) for one in (de, h * speed, window * speed, h * dspeed, window * dspeed))
-        cross, fast, turning = bent(window * (speed + dspeed), de + window * dspeed), bent(speed), bent(window * own[:, base:])
+        there, step, wide, dstep, dwide = (
+            bent(one) for one in (de, h * speed, window * speed, h * dspeed, window * dspeed)
+        )
+        cross, fast, turning = (
+            bent(window * (speed + dspeed), de + window * dspeed),
+            bent(speed),
+            bent(window * own[:, base:]),
+        )
         turned = bent(window * speed, speed)
         rate, swing = 2 * (1 - self.filter.hold) / h * dv, motions.acceleration + window * self.jerk
         wa, sway = window * a, np.minimum(window * da, dv)

@@ -1,4 +1,4 @@
-"""The kinematic law and a period's way of the base as Taylor models in the errors: docs/explanation/theory.md, section 9.
+"""The kinematic law and a period's way of the base as Taylor models in the errors (theory.md, section 9).
 
 The variables are the state of `periods`: pose errors in the reference's frame, joint errors, velocity errors, all
 counted from the reference to the robot. Behind them may stand more, which these formulas do not read.
@@ -46,8 +46,10 @@ class Course:
 
     def at(self, places: slice) -> Course:
         """Some of the instants."""
-        signals = (one[places] for one in (self.v_ref, self.a_ref, self.qdot_ref, self.qddot_ref))
-        return Course(*signals, self.gains, self.K)
+        v_ref, a_ref, qdot_ref, qddot_ref = (
+            one[places] for one in (self.v_ref, self.a_ref, self.qdot_ref, self.qddot_ref)
+        )
+        return Course(v_ref, a_ref, qdot_ref, qddot_ref, self.gains, self.K)
 
     def command(self, box: Array) -> tuple[list[Taylor], list[Taylor]]:
         """nu_ref and nudot_ref, p each, for errors in boxes (N, m or more)."""

@@ -91,9 +91,7 @@ class Proved:
         RecordingError: The law is another one, or a condition fails; what to change.
     """
 
-    def __init__(
-        self, steps: Steps, force: Array, noise: Array, otherwise: Array, run: Motions
-    ) -> None:
+    def __init__(self, steps: Steps, force: Array, noise: Array, otherwise: Array, run: Motions) -> None:
         periods, subject = steps.periods, steps.periods.subject
         if why := unproved(periods, steps.late):
             raise RecordingError("no bound of the learner's error", why=why)
@@ -142,7 +140,7 @@ class Proved:
         self.heard[:] = 0.0
         for row, b in zip(self.periods.subject.truth(self.periods.subject.rows)[: len(of)], of, strict=True):
             stepper.step(row)
-            self._hear(b, stepper)
+            self._hear(int(b), stepper)
 
     def length(self, error: Array, P: Array) -> float:
         """N of an error of the weights (k,)."""

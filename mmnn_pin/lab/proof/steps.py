@@ -94,8 +94,8 @@ class Steps:
         self.h, self.rows, self.size = subject.timing.control_period, subject.rows, periods.size
         signals = (self.signal(name) for name in ("velocity_ref", "acceleration_ref", "qdot_ref", "qddot_ref"))
         nb = periods.layout.base
-        v_ref, a_ref, *arm = signals
-        self.course = Course(v_ref[:, :nb], a_ref[:, :nb], *arm, *periods.gains)
+        v_ref, a_ref, qdot_ref, qddot_ref = signals
+        self.course = Course(v_ref[:, :nb], a_ref[:, :nb], qdot_ref, qddot_ref, *periods.gains)
         self.at: IntArray = np.unique(np.linspace(0, len(self.rows) - 1, blocks + 1).astype(np.int64))
         self.of = np.repeat(np.arange(len(self.at) - 1), np.diff(self.at))
         self._along()
@@ -294,7 +294,7 @@ class Steps:
         drive = times(moved, off[self.of]) + np.finfo(float).tiny
         with np.errstate(all="ignore"):
             found = np.linalg.solve(np.eye(moved.shape[1]) - moved @ bent.XM1[self.of], drive[..., None])[..., 0]
-        return found if (found > 0).all() else None
+        return np.asarray(found) if (found > 0).all() else None
 
 
 def times(A: Array, x: Array) -> Array:

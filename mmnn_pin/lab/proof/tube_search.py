@@ -13,7 +13,6 @@ from .equations import Motions
 from .known import Errors, Observed, Proved
 from .periods import Periods
 from .steps import Box, Steps
-from .subject import Subject
 from .sums import Sums
 
 BLOCKS = 100  # of the run

@@ -163,7 +163,10 @@ def test_pushes_from_an_instant_on_take_the_learner_no_further_than_is_proved(no
     assert isinstance(proved, Proved)
     left = force.steps.rest(box, force.told)
     assert left is not None
-    bound, stepper = proved.equations(first, box, left.acceleration), Stepper(proved.learner, proved.learner.start.snapshot())
+    bound, stepper = (
+        proved.equations(first, box, left.acceleration),
+        Stepper(proved.learner, proved.learner.start.snapshot()),
+    )
     nearest = 0.0
     for j, row in enumerate(pushed.rows[:-1]):
         stepper.step(row)

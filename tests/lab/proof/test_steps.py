@@ -1,6 +1,8 @@
-"""The periods of a loop to first order, and the bound of what that leaves out (docs/explanation/theory.md, section 9)."""
+"""The periods of a loop to first order, and the bound of what that leaves out (theory.md, section 9)."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -111,7 +113,9 @@ def test_no_corner_of_a_box_leaves_out_more_than_its_bound(kind: str, late: int,
     noise, push = 0.1 * scale * rng.uniform(size=p), 0.05 * scale * periods.gain * rng.uniform(size=p)
     state = np.zeros((K, m + late * p))
     state[:, :m], state[:, m:] = y, np.tile(push, late)
-    sees = np.stack([steps.most(np.abs(np.array([steps.sees(j) for j in range(steps.at[-1])]) @ one)) for one in np.diag(state[0])])
+    sees = np.stack(
+        [steps.most(np.abs(np.array([steps.sees(j) for j in range(steps.at[-1])]) @ one)) for one in np.diag(state[0])]
+    )
     s, f = np.split(sees.sum(axis=0), 2, axis=1)
     answered = steps.most(np.abs(steps.answers[:-1]) @ noise)
     left = steps.rest(Box(y, s, f, np.tile(push, (K, 1)) + (0.0 if late else answered)), noise)
@@ -130,7 +134,9 @@ def test_no_corner_of_a_box_leaves_out_more_than_its_bound(kind: str, late: int,
         assert (missed <= 1.0).all()
         torque = steps.torque[j - late] + u if late else asked + u
         acted = u if late else u - steps.answers[j] @ n
-        first = steps.c[j] + (steps.A[j] @ at + steps.plant[j] @ acted if late else steps.P(j) @ at + steps.B(j) @ acted)
+        first = steps.c[j] + (
+            steps.A[j] @ at + steps.plant[j] @ acted if late else steps.P(j) @ at + steps.B(j) @ acted
+        )
         off = np.abs(periods.after(rows[j], rows[j + 1], at, torque) - first) / left.state[b]
         assert (off <= 1.0).all()
         nearest = np.maximum(nearest, (missed.max(), off.max()))
@@ -151,6 +157,6 @@ def test_one_step_of_the_plant_is_a_period() -> None:
         timing = Timing(0.05, 1e-3, 1e-3, integrator=integrator)
         periods = Periods(subject_of("differential", loop_of("differential", robot=robot, timing=timing).run()))
         rows, where = periods.subject.rows, periods.layout.where
-        for row, following in zip(rows, rows[1:], strict=False):
+        for row, following in pairwise(rows):
             y, then = (periods.state(r, r[where("position")], r[where("nu")]) for r in (row, following))
             np.testing.assert_allclose(periods.after(row, following, y, row[where("torque")]), then, atol=1e-13)

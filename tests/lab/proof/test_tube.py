@@ -123,7 +123,10 @@ def test_the_linear_loop_reaches_its_sums_and_never_more(search: Search) -> None
     for j in range(steps.at[last + 1] - 1, -1, -1):
         signs[j], Z = (np.sign(Z @ steps.B(j)), np.sign(Z)), Z @ steps.P(j)
     found = []
-    for chosen in (signs, *({j: (rng.choice((-1.0, 1.0), 4), rng.choice((-1.0, 1.0), m)) for j in signs} for _ in "abcde")):
+    for chosen in (
+        signs,
+        *({j: (rng.choice((-1.0, 1.0), 4), rng.choice((-1.0, 1.0), m)) for j in signs} for _ in "abcde"),
+    ):
         y = np.zeros(m)
         for j in range(steps.at[last + 1]):
             b = steps.of[j]

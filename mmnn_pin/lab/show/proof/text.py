@@ -374,8 +374,7 @@ def tube_sentence(tube: Tube) -> str:
         worst = tube.integrator[-len(tube.share) :].max()
         return (
             "Tube along this reference: NONE, and a better estimate of Psi gives none: within a period the "
-            f"simulated robot moved otherwise than it should without dry friction's changes, by up to {number(worst)} of a "
-            "velocity."
+            f"simulated robot moved otherwise than its dry friction at the sample says, by {number(worst)} of a velocity."
         )
     return (
         f"Tube along this reference: NONE: with the run's errors of Psi ({psi}{late}) nothing is bounded; "
@@ -390,7 +389,9 @@ def proved_sentence(tube: Tube) -> str:
         return f"That the errors of Psi stay the run's is not proved: {tube.unproved}."
     psi = f"{100 * proof.share.max():.3g} % of the largest Psi"
     if math.isinf(proof.start):
-        nothing = f"those that are, {psi}, leave nothing bounded" if math.isfinite(proof.share.max()) else "none are bounded"
+        nothing = (
+            f"those that are, {psi}, leave nothing bounded" if math.isfinite(proof.share.max()) else "none are bounded"
+        )
         return f"That the errors of Psi stay the run's is not proved: {nothing}; {proof.blame}."
     if not proof.exists:
         return f"With errors of Psi that are proved a motor may be asked for {proof.torque.max():.3g} times its limit."
