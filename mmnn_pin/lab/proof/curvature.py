@@ -118,7 +118,7 @@ class Bends(Jets):
             np.abs(np.einsum("kia,krajl->krijl", X, slopes)) + np.einsum("kia,krajl->krijl", size, twice),
         )
         columns = np.broadcast_to(columns, (len(width), *columns.shape))
-        return Curvature(*(*((1 + SLACK) * one + SLACK for one in found), X, columns))
+        return Curvature(*(*(np.asarray((1 + SLACK) * one + SLACK) for one in found), X, columns))
 
     def first_order(self, table: Table, like: Array) -> Array:
         """(K, r, ...) of the first derivatives in a table of arrays like another one."""

@@ -374,7 +374,7 @@ def tube_sentence(tube: Tube) -> str:
         worst = tube.integrator[-len(tube.share) :].max()
         return (
             "Tube along this reference: NONE, and a better estimate of Psi gives none: within a period the "
-            f"simulated robot moved otherwise than its dry friction at the sample says, by {number(worst)} of a velocity."
+            f"simulated robot moved otherwise than dry friction at its sample says, by {number(worst)} of a velocity."
         )
     return (
         f"Tube along this reference: NONE: with the run's errors of Psi ({psi}{late}) nothing is bounded; "
