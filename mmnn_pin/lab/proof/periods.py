@@ -23,8 +23,6 @@ from ...settings import Timing
 from ...signals import Array
 from .subject import Subject
 
-STEP = 1e-5  # by which slopes are taken [m, rad, m/s, rad/s]
-
 
 class Periods:
     """Single control periods of a run's loop, from anywhere, by Pinocchio; dry friction is left to the error of Psi."""
