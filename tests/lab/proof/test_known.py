@@ -140,7 +140,7 @@ def test_distance_and_spread_are_their_sums(proved: Proved) -> None:
 @compiled
 @pytest.mark.parametrize("noise", [0.0, 1e-5])
 def test_pushes_from_an_instant_on_take_the_learner_no_further_than_is_proved(noise: float) -> None:
-    """A run that is the same until then, noise that is another one after it: Psi, motion, equations within bounds."""
+    """A run that is the same until then, without and with noise: Psi, motion and equations stay within their bounds."""
     told = f"sensor.velocity_noise={noise}"
     search = Search(Periods(subject := Subject.of(run("kalman_regressor", told))), np.zeros(4))
     first = 9 * len(search.starts) // 10
