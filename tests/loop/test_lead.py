@@ -175,7 +175,7 @@ def test_known_age_of_measurements_no_longer_drives_a_robot_off_its_reference():
 @pytest.mark.compiled
 @pytest.mark.parametrize(("lead", "command"), [(False, 0.0), (True, 0.0), (True, 0.002)])
 def test_a_stepper_brings_its_measurements_up_by_their_age_as_a_loop_does(lead, command):
-    """From the simulated robot's true state 6 ms ago, with its time, to the torques of the loop; no delay counts twice."""
+    """From the true state 6 ms ago, with its time, to the torques of the loop: no delay counts twice."""
     h, old = 0.002, 0.006
     latency = Latency(sensing=old, command=command, predict=True)
     loop = loop_of("platform_arm", lead=lead, latency=latency, safety=Safety())

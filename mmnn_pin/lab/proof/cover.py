@@ -15,7 +15,7 @@ import numpy as np
 from ...loop.before_run import viscous_friction
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
-from ...signals import Array
+from ...signals import Array, IntArray
 from .postures import Postures, postures
 from .screws import Bodies
 
@@ -167,11 +167,7 @@ class Cover:
         while len(owner) < most and (bent := found.mass_off > BENT).any() and q.shape[1]:
             worst = np.argsort(-found.mass_off)[: min(int(bent.sum()), most - len(owner))]
             kept = np.setdiff1d(np.arange(len(owner)), worst)
-            middle, half, at = found.q[worst], found.half[worst].copy(), found.bend[worst].argmax(axis=1)
-            rows = np.arange(len(worst))
-            step, width = np.zeros_like(half), half[rows, at]
-            half[rows, at], step[rows, at] = (width + beyond) / 2, (width - beyond) / 2
-            cut = postures(bodies, np.concatenate((middle - step, middle + step)), np.concatenate((half, half)))
+            cut = postures(bodies, *halves(found.q[worst], found.half[worst], found.bend[worst].argmax(axis=1), beyond))
             owner = np.concatenate((owner[kept], owner[worst], owner[worst]))
             found = found.at(kept).joined(cut)
         nu, nu_off, nudot, nudot_off = (part[owner] for part in (nu, nu_off, nudot, nudot_off))
@@ -276,3 +272,20 @@ class Cover:
         """Smallest and largest eigenvalue of M."""
         values = np.linalg.eigvalsh(self.postures.M)
         return float((values[:, 0] * self.low).min()), float((values[:, -1] * self.high).max())
+
+
+def halves(middle: Array, half: Array, at: IntArray, beyond: float) -> tuple[Array, Array]:
+    """Middles and half-widths (2 N, n) of N boxes that are each cut in two along a joint, the lower ones first.
+
+    They overlap, so that all that is within `beyond` of a place stays in one box with it.
+
+    Args:
+        middle: (N, n) of the boxes.
+        half: (N, n) half-widths, at least `beyond`.
+        at: (N,) joints.
+        beyond: [rad or m].
+    """
+    rows, half, step = np.arange(len(middle)), half.copy(), np.zeros_like(half)
+    width = half[rows, at]
+    half[rows, at], step[rows, at] = (width + beyond) / 2, (width - beyond) / 2
+    return np.concatenate((middle - step, middle + step)), np.concatenate((half, half))

@@ -14,10 +14,11 @@ and from one sample to the next, whatever was measured,
 
 while P grows by nothing but the drift: `P <= P(t_0) + what has come back since`, as an equation's update of P is
 monotone in P and takes away. A cut (eta < 1) is counted as none. The projection keeps its hands off as long as
-`|W*| + |W~|`, in the metric of the prior, is within its bound, else nothing is said.
+`|W*| + |W~|`, in the metric of the prior, is within its bound, else nothing is said. s, Phi and e are those of the
+velocities that the learner is told.
 
-Of the equations' errors e are *sampled*: the largest in every block of the run, times `MORE`, and the external force.
-`allowed` says what the energy of the adaptive laws, which have no such covariance, leaves open.
+The equations' errors e are bounded for all motions in the tube (`equations`). Of the features Phi in the tube some are
+looked at. `allowed` says what the energy of the adaptive laws, which have no such covariance, leaves open.
 """
 
 from __future__ import annotations
@@ -32,21 +33,30 @@ from ...torque.adaptive import Adaptive
 from ...torque.concurrent import Concurrent
 from ...torque.kalman import Kalman
 from ...torque.pseudo_inertia import BODY, pseudo_inertias
+from .equations import Misfit, Motions
 from .learner import Stepper
-from .periods import STEP, Periods
+from .periods import Periods
+from .steps import Box, Steps
 from .truth import distances, metric, numbers_of, regressors, true_parameters, true_weights
 from .weights_part import LOST, step_again
 
-MORE = 1.5  # than the largest error of an equation, or change of the features, that was seen
+MORE = 1.5  # than the largest change of the features, or what the parameters do not say, that was seen
 LOOKS = 4  # at the features in every block
+FORGOTTEN = 36.0  # time constants after which a low-pass has forgotten all, to 2e-16
 INSTANTS, HALVINGS = 5, 20  # of a run, for what an energy allows; of a bisection
 
 
 class Errors(Protocol):
     """Bounds of the error of Psi along a tube."""
 
-    def eps(self, first: int, boxes: Array) -> Array:
-        """(K, p) by block, for motions whose states are in boxes (K, m) from block `first` on [N, N m]; 0 before."""
+    def eps(self, first: int, box: Box, acceleration: Array) -> Array:
+        """(K, p) by block, for motions that are in a box from block `first` on [N, N m]; 0 before.
+
+        Args:
+            first: The block.
+            box: Of the motions.
+            acceleration: (K, p) how far their accelerations are from the reference's.
+        """
 
 
 class Observed:
@@ -56,8 +66,8 @@ class Observed:
         later = np.maximum.accumulate(missed[::-1], axis=0)[::-1]
         self.largest = np.asarray(later[starts])
 
-    def eps(self, first: int, boxes: Array) -> Array:
-        """As of `Errors`; the boxes do not matter."""
+    def eps(self, first: int, box: Box, acceleration: Array) -> Array:
+        """As of `Errors`; the box does not matter."""
         return np.where((np.arange(len(self.largest)) >= first)[:, None], self.largest, 0.0)
 
 
@@ -65,55 +75,72 @@ class Proved:
     """What the law of a linear learner with a regressor says from its state at the beginning of any block.
 
     Args:
-        periods: The loop.
-        starts: (K,) first period of every block.
-        ends: (K,) first period after it.
+        steps: The loop.
         force: (p,) largest external force [N, N m].
+        noise: (p,) of the velocities that it is told.
+        otherwise: (K, m) what the plant does otherwise than `Periods.after` in a period.
+        run: The run as motions.
 
     Attributes:
         distance: (K,) N at the beginning of every block.
         P: (K, k, k) covariance then.
-        equations: (K, p) bounds of the equations' errors, over K [m/s, rad/s].
+        heard: (K, p) largest errors of the run's equations in a block, over K, by true velocities [m/s, rad/s].
         updates: (K,) of a block.
 
     Raises:
         RecordingError: The law is another one, or a condition fails; what to change.
     """
 
-    def __init__(self, periods: Periods, starts: IntArray, ends: IntArray, force: Array) -> None:
-        subject = periods.subject
-        if why := unproved(periods):
+    def __init__(self, steps: Steps, force: Array, noise: Array, otherwise: Array, run: Motions) -> None:
+        periods, subject = steps.periods, steps.periods.subject
+        if why := unproved(periods, steps.late):
             raise RecordingError("no bound of the learner's error", why=why)
         assert subject.learner is not None
-        self.periods, self.starts, self.ends, self.learner = periods, starts, ends, subject.learner
+        self.run = run
+        self.steps, self.periods, self.noise, self.learner = steps, periods, noise, subject.learner
+        self.starts, self.ends = steps.at[:-1], steps.at[1:]
         self.a = self.learner.controller.law(self.learner.context).learner
+        pushed = np.abs(subject.hardware.push).max(axis=0)
+        self.misfit = Misfit(steps, self.a.filter, noise, force + pushed, run, otherwise)
         ideal = true_weights(subject, self.learner)
         if ideal is None:
             raise RecordingError("no bound of the learner's error", why="its robot has no true parameters")
-        self.ideal, K = ideal.ravel(), len(starts)
+        self.ideal, K = ideal.ravel(), len(self.starts)
         self.prior = self.learner.start["prior"].copy()
         self.distance, self.P = np.zeros(K), np.zeros((K, self.ideal.size, self.ideal.size))
-        self.equations, self.updates, self.done = np.zeros((K, len(self.a.gain))), np.zeros(K, int), np.zeros(K, int)
+        self.heard, self.updates, self.done = np.zeros((K, len(self.a.gain))), np.zeros(K, int), np.zeros(K, int)
         missed = step_again(self.learner, subject.rows, self._before, self._after)
         if not missed <= LOST:
             raise RecordingError("no bound of the learner's error", why="stepped again it says another Psi_hat")
-        self.equations = MORE * self.equations + force / self.a.gain
+        if noise.any():
+            self._hear_truth()
         self._look()
 
     def _before(self, n: int, row: Array, stepper: Stepper) -> float:
-        b = int(np.searchsorted(self.starts, n))
+        b, state = int(np.searchsorted(self.starts, n)), stepper.state
         if b < len(self.starts) and self.starts[b] == n:
-            _, self.P[b] = self.learner.controller.knowledge(stepper.state)
-            self.distance[b] = self.length(self.ideal - stepper.state["W"][0], self.P[b])
-            self.done[b] = int(stepper.state["counts"][1])
-        return float(stepper.state["counts"][1])
+            _, self.P[b] = self.learner.controller.knowledge(state)
+            self.distance[b] = self.length(self.ideal - state["W"][0], self.P[b])
+            self.done[b] = int(state["counts"][1])
+        return float(state["counts"][1])
 
     def _after(self, n: int, row: Array, stepper: Stepper, counted: float) -> None:
-        state, b = stepper.state, min(int(np.searchsorted(self.starts, n, side="right")) - 1, len(self.starts) - 1)
-        if state["counts"][1] > counted:
-            error = np.abs(state["Y_f"] - state["Phi_f"] @ self.ideal) / self.a.gain
-            self.equations[b] = np.maximum(self.equations[b], error)
-            self.updates[b] += 1
+        b = min(int(np.searchsorted(self.starts, n, side="right")) - 1, len(self.starts) - 1)
+        self.updates[b] += int(stepper.state["counts"][1] > counted)
+        self._hear(b, stepper)
+
+    def _hear(self, b: int, stepper: Stepper) -> None:
+        state = stepper.state
+        error = np.abs(state["Y_f"] - state["Phi_f"] @ self.ideal) / self.a.gain
+        self.heard[b] = np.maximum(self.heard[b], error)
+
+    def _hear_truth(self) -> None:
+        """The errors of the equations as they were without noise."""
+        stepper, of = Stepper(self.learner, self.learner.start.snapshot()), self.steps.of
+        self.heard[:] = 0.0
+        for row, b in zip(self.periods.subject.truth(self.periods.subject.rows)[: len(of)], of, strict=True):
+            stepper.step(row)
+            self._hear(int(b), stepper)
 
     def length(self, error: Array, P: Array) -> float:
         """N of an error of the weights (k,)."""
@@ -122,30 +149,50 @@ class Proved:
         return float(np.sqrt(e @ np.linalg.solve(P[np.ix_(matters, matters)], e)))
 
     def _look(self) -> None:
-        """Features along the reference (K, LOOKS, p, k), how s answers a state, and what the parameters do not say."""
+        """Features along the reference (K, LOOKS, p, k), and what the parameters do not say."""
         periods, rest, rows = self.periods, np.zeros(self.periods.size), self.periods.subject.rows
         places = [np.linspace(a, b, LOOKS).astype(int) for a, b in zip(self.starts, self.ends, strict=True)]
-        self.Phi = np.array([[self.features(rows[j], rest)[0] for j in some] for some in places])
-        self.answers = np.array([self.slopes(rows[j]) for j in self.starts])
+        self.Phi = np.array([[self.features(rows[j], rest) for j in some] for some in places])
         left = []
         for j in self.starts:
             row, where = rows[j], periods.layout.where
             y = periods.state(row, row[where("position")], row[where("nu")])
-            left.append(np.abs(row[where("psi")] - self.features(row, y)[0] @ self.ideal))
+            left.append(np.abs(row[where("psi")] - self.features(row, y) @ self.ideal))
         self.unsaid = MORE * np.max(left, axis=0)
 
-    def features(self, row: Array, y: Array) -> tuple[Array, Array]:
-        """Phi (p, k) and s (p,) at a state."""
+    def features(self, row: Array, y: Array) -> Array:
+        """Phi (p, k) at a state."""
         where, (row, position, nu) = self.periods.layout.where, self.periods.seen(row, y)
-        nu_ref = row[where("nu_ref")]
-        regressor = self.learner.controller.regressor
-        return regressor.matrix(position, nu, nu_ref, row[where("nudot_ref")]), nu_ref - nu
+        nu_ref, nudot_ref = row[where("nu_ref")], row[where("nudot_ref")]
+        return np.asarray(self.learner.controller.regressor.matrix(position, nu, nu_ref, nudot_ref))
 
-    def slopes(self, row: Array) -> Array:
-        """(p, m) absolute slopes of s."""
-        every = STEP * np.eye(self.periods.size)
-        ends = [np.array([self.features(row, sign * y)[1] for y in every]) for sign in (1.0, -1.0)]
-        return np.asarray(np.abs(ends[0] - ends[1]).T / (2 * STEP))
+    def equations(self, first: int, box: Box, acceleration: Array) -> Array:
+        """(K, p) bounds of the equations' errors, over K, from block `first` on; arguments as of `eps`."""
+        motions, off = Motions(box.y, acceleration).with_run(self.run, first)
+        before = int(np.searchsorted(self.ends, self.starts[first] - FORGOTTEN * self.a.filter.lag))
+        single, noisy = (
+            np.maximum.accumulate(one[before:], axis=0)[first - before :]
+            for one in (self.misfit.apart(motions, off), self.misfit.noisy(motions))
+        )
+        found, now = np.zeros_like(acceleration), np.zeros(acceleration.shape[1])
+        for b, (apart, told) in enumerate(zip(single, noisy, strict=True), start=first):
+            kept = self.a.filter.hold ** int(self.ends[b] - self.starts[b])
+            now = kept * now + (1 - kept) * apart
+            found[b] = self.heard[b] + (now + told + self.unsaid) / self.a.gain
+        return found
+
+    def blame(self, first: int, box: Box, acceleration: Array) -> str:
+        """What its equations err by most from a block on, and what to change; arguments as of `eps`."""
+        motions, off = Motions(box.y, acceleration).with_run(self.run, first)
+        parts = (self.heard * self.a.gain, self.misfit.noisy(motions), self.misfit.apart(motions, off))
+        sizes = [float(np.linalg.norm(one[first:].max(axis=0) / self.a.gain)) for one in parts]
+        largest, times = int(np.argmax(sizes)), max(sizes) / np.sqrt(self.a.noise)
+        words, change = (
+            ("what they erred by in the run, such as dry friction that turns within a period", "use a shorter period"),
+            ("noise of velocities", "use a smaller sensor.velocity_noise"),
+            ("accelerations of other motions in the tube", "run for longer, so that more is known"),
+        )[largest]
+        return f"its equations err most, by up to {times:.2g} of its setting noise, by {words}; {change}"
 
     def spread(self, first: int, boxes: Array) -> Array:
         """(K, p) the largest `sqrt(Phi_i P Phi_i')` by block, from block `first` on, in boxes (K, m)."""
@@ -159,28 +206,29 @@ class Proved:
             P = self.P[first] + np.diag(came)
             along = roots(self.Phi[b], P).max(axis=0)
             y = boxes[b] * rng.choice((-1.0, 1.0), len(boxes[b]))
-            corner = roots(self.features(self.periods.subject.rows[self.starts[b]], y)[0], P)
+            corner = roots(self.features(self.periods.subject.rows[self.starts[b]], y), P)
             found[b] = along + MORE * np.maximum(corner - roots(self.Phi[b, 0], P), 0.0)
         return found
 
-    def distances(self, first: int, boxes: Array, spread: Array) -> Array:
-        """(K,) bounds of N by block, from block `first` on."""
+    def distances(self, first: int, s: Array, spread: Array, equations: Array) -> Array:
+        """(K,) bounds of N by block, from block `first` on, for bounds (K, p) of s and of the equations' errors."""
         N, found, steps = self.distance[first], np.zeros(len(self.starts)), self.a.answer[0] * self.a.interval
         for b in range(first, len(self.starts)):
-            s = MORE * self.answers[b] @ boxes[b]
-            moved, wrong = steps * float(s @ spread[b]), float((self.equations[b] ** 2).sum()) / self.a.noise
+            moved, wrong = steps * float(s[b] @ spread[b]), float((equations[b] ** 2).sum()) / self.a.noise
             for _ in range(self.updates[b] if self.a.learning else 0):
                 N = np.hypot(N + moved, np.sqrt(wrong))
             found[b] = N
         return found
 
-    def eps(self, first: int, boxes: Array) -> Array:
+    def eps(self, first: int, box: Box, acceleration: Array) -> Array:
         """As of `Errors`; inf where the projection of the weights may act."""
-        since, spread = (np.arange(len(self.starts)) >= first)[:, None], self.spread(first, boxes)
-        N = self.distances(first, boxes, spread)
+        since, seen = (np.arange(len(self.starts)) >= first)[:, None], box.y.copy()
+        seen[:, -len(self.noise) :] += self.noise
+        spread, s = self.spread(first, seen), self.steps.errors(box) + self.noise
+        N = self.distances(first, s, spread, self.equations(first, box, acceleration))
         if not self.longest(first, float(N.max())) <= self.a.radius[0]:
-            return np.full_like(spread, np.inf)
-        return np.where(since, N[:, None] * spread + self.unsaid, 0.0)
+            return np.where(since, np.full_like(spread, np.inf), 0.0)
+        return np.where(since, N[:, None] * spread + self.unsaid + self.misfit.misread(box.y), 0.0)
 
     def longest(self, first: int, N: float) -> float:
         """Bound of |W| in the metric of the prior, from a block on and for a bound N."""
@@ -201,8 +249,13 @@ def roots(Phi: Array, P: Array) -> Array:
     return np.sqrt(np.maximum(np.einsum("...ij,jk,...ik->...i", Phi, P, Phi), 0.0))
 
 
-def unproved(periods: Periods) -> str:
-    """Why nothing is proved of a learner's error of Psi, and what to change; empty where something is."""
+def unproved(periods: Periods, late: int = 0) -> str:
+    """Why nothing is proved of a learner's error of Psi, and what to change; empty where something is.
+
+    Args:
+        periods: The loop.
+        late: Periods by which commands are late.
+    """
     subject, learner = periods.subject, periods.subject.learner
     if learner is None:
         return "it learns nothing"
@@ -217,8 +270,9 @@ def unproved(periods: Periods) -> str:
         return "its weights are no parameters with a covariance that only drift raises; use kalman_regressor"
     if law.settings.alarm > 0:
         return "it may find that its robot has changed, and forgets then; use alarm = 0"
-    if subject.velocity_noise.any():
-        return "noise of velocities is in its equations, of which no bound is known; use exact velocities"
+    filter = law.law(learner.context).learner.filter
+    if filter.motor.any() or abs(filter.late - late) > 1e-6:
+        return "its equations take another delay of commands than the loop's; run it again"
     return ""
 
 

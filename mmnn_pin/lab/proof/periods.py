@@ -1,26 +1,27 @@
-"""Single control periods of a recorded loop, from any state, and the loop linearised along its reference.
+"""Single control periods of a recorded loop, from any state.
 
 The state y is how far the robot is from its reference: the pose in the reference's frame, the joints, the velocities.
-Under a torque that is held, M, C and gravity stay those of the period's beginning while viscous friction acts exactly
-(a matrix exponential), so that a period may be long for stiff friction. Dry friction is left to the error of Psi.
+Under a torque that is held, M, C, gravity and the heading are those of the period's beginning:
+
+    (M + brakes h D) a = tau - gravity - (C + D) nu        nu+ = nu + h a        moved = h (nu + moves h a)
+
+D is viscous friction. With one step of the plant per period, of Euler's kind, this is what the plant does; with several
+steps, or RK4, `brakes` and `moves` are the means of what they do. Dry friction is left to the error of Psi.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from ...kinematic import command
 from ...loop.before_run import viscous_friction
 from ...model.dynamics import Dynamics
 from ...sensing import exact
+from ...settings import Timing
 from ...signals import Array
 from .subject import Subject
-
-STEP = 1e-5  # by which slopes are taken [m, rad, m/s, rad/s]
 
 
 class Periods:
@@ -33,6 +34,7 @@ class Periods:
         self.damping, self.gain = viscous_friction(subject.robot), subject.signal("effective_gain")[0].copy()
         kinematic = subject.kinematic
         self.gains = kinematic.base_gains(self.layout.base), kinematic.arm_gains(self.layout)
+        self.moves, self.brakes = weights(subject.timing)
         self.poses, self.size = self.layout.pose, self.layout.pose + self.layout.arm + self.layout.dof
 
     def reference(self, row: Array) -> Array:
@@ -78,87 +80,29 @@ class Periods:
         return np.asarray(self.rough.friction(nu) - self.dynamics.friction(nu))
 
     def after(self, row: Array, following: Array, y: Array, tau: Array) -> Array:
-        """The state after a period under a held torque (p,): M, C and gravity of its beginning, friction exactly."""
-        position, nu = self.placed(row, y)
+        """The state after a period under a held torque (p,)."""
+        (position, nu), h, damping = self.placed(row, y), self.subject.timing.control_period, self.damping
         M, C = self.dynamics.mass_matrix(position), self.dynamics.coriolis_matrix(position, nu)
-        p, h = len(nu), self.subject.timing.control_period
-        rate = np.zeros((2 * p + 1, 2 * p + 1))
-        rate[:p, :p] = -np.linalg.solve(M, C + self.damping)
-        rate[:p, -1] = np.linalg.solve(M, tau - self.dynamics.gravity(position))
-        rate[p:-1, :p] = np.eye(p)
-        nu, moved, _ = np.split(expm(h * rate) @ np.concatenate((nu, np.zeros(p), [1.0])), (p, 2 * p))
-        position = position.copy()
+        force = tau - self.dynamics.gravity(position) - (C + damping) @ nu
+        nudot = np.linalg.solve(M + self.brakes * h * damping, force)
+        moved, position = h * (nu + self.moves * h * nudot), position.copy()
         if at := self.poses:
-            turn = moved[at - 1 if self.layout.base == at else 1]
+            turn = moved[self.layout.base - 1]
             way = moved[:2] if self.layout.base == at else np.array([moved[0], 0.0])
-            position[:at] += np.append((frame(position[2] + turn / 2) @ np.append(way, 0.0))[:2], turn)
+            position[:at] += np.append((frame(position[2] + (1 - self.moves) * turn) @ np.append(way, 0.0))[:2], turn)
         position[self.robot.arm_index] += moved[self.layout.base :]
-        return self.state(following, position, nu)
+        return self.state(following, position, nu + h * nudot)
+
+
+def weights(timing: Timing) -> tuple[float, float]:
+    """`moves` and `brakes` of a plant: how much of a period's acceleration counts in its mean velocity and friction."""
+    more = 1 / timing.steps_per_control
+    if timing.integrator not in ("semi_implicit_euler", "implicit_friction"):
+        return 0.5, 0.5
+    return (1 + more) / 2, (1 + more) / 2 if timing.integrator == "implicit_friction" else (1 - more) / 2
 
 
 def frame(phi: float) -> Array:
     """(3, 3) rotation of (x, y, phi) by a heading."""
     c, s = np.cos(phi), np.sin(phi)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-@dataclass(frozen=True, eq=False)
-class Linear:
-    """The loop linearised at K + 1 periods, straight lines between them; m states, l late torques, p velocities.
-
-    Attributes:
-        at: (K + 1,) the periods.
-        P: (K + 1, m + l, m + l) what a period does to a state, late torques behind it.
-        B: (K + 1, m + l, p) what an error of the torque does.
-        A: (K + 1, m, m) of the plant alone.
-        plant: (K + 1, m, p) of its torque.
-        T: (K + 1, p, m) torque of a state.
-        torque: (K + 1, p) without any error.
-        c: (K + 1, m) where a period without any error leads.
-    """
-
-    at: NDArray[np.int64]
-    P: Array
-    B: Array
-    A: Array
-    plant: Array
-    T: Array
-    torque: Array
-    c: Array
-
-    @classmethod
-    def of(cls, periods: Periods, late: int, blocks: int) -> Linear:
-        """By central differences."""
-        rows, m, p = periods.subject.rows, periods.size, periods.layout.dof
-        at = np.unique(np.linspace(0, len(rows) - 2, blocks + 1).astype(np.int64))
-        A, B, T = np.zeros((len(at), m, m)), np.zeros((len(at), m, p)), np.zeros((len(at), p, m))
-        torque, c, rest = np.zeros((len(at), p)), np.zeros((len(at), m)), np.zeros(m)
-        for b, j in enumerate(at):
-            row, following = rows[j], rows[j + 1]
-            torque[b] = periods.torque(row, rest)
-            c[b] = periods.after(row, following, rest, torque[b])
-            for i, y in enumerate(STEP * np.eye(m)):
-                ends = [periods.after(row, following, sign * y, torque[b]) for sign in (1.0, -1.0)]
-                A[b, :, i] = (ends[0] - ends[1]) / (2 * STEP)
-                T[b, :, i] = (periods.torque(row, y) - periods.torque(row, -y)) / (2 * STEP)
-            for i, tau in enumerate(np.diag(STEP * np.maximum(periods.gain, 1e-3))):
-                ends = [periods.after(row, following, rest, torque[b] + sign * tau) for sign in (1.0, -1.0)]
-                B[b, :, i] = (ends[0] - ends[1]) / (2 * tau[i])
-        return cls(at, *delayed(A, B, T, late), A, B, T, torque, c)
-
-    def between(self, b: int, j: int, *names: str) -> list[Array]:
-        """Some of the attributes at period j of block b."""
-        w = (j - self.at[b]) / (self.at[b + 1] - self.at[b])
-        return [(1 - w) * getattr(self, name)[b] + w * getattr(self, name)[b + 1] for name in names]
-
-
-def delayed(A: Array, B: Array, T: Array, late: int) -> tuple[Array, Array]:
-    """P and B of `Linear` with commands that take effect `late` periods after their sample."""
-    if not late:
-        return A + B @ T, B
-    K, m, p = B.shape
-    P, into = np.zeros((K, m + late * p, m + late * p)), np.zeros((K, m + late * p, p))
-    P[:, :m, :m], P[:, :m, m : m + p] = A, B
-    P[:, m:-p, m + p :] = np.eye((late - 1) * p)
-    P[:, -p:, :m], into[:, -p:] = T, np.eye(p)
-    return P, into

@@ -96,8 +96,8 @@ class Jets:
     """Derivatives of all transforms in the middles of N boxes, and the bounds that follow.
 
     Derivatives by joints K = (a, b, ...), from the base outwards, of `H R`, flat in e entries: `w[K]` (N, B, 4, 4) of
-    the transforms; `Z[K]` (N, e, p) of the motions along the normalised velocities; `W[K]` (N, e, p, p) of how they
-    change, along velocities in their own units.
+    the transforms; `first[K]` (N, e, p) of the motions along the velocities and `Z[K]` along the normalised ones;
+    `W[K]` (N, e, p, p) of how they change, along velocities in their own units.
 
     Args:
         bodies: The robot.
@@ -115,7 +115,7 @@ class Jets:
         self.riding = np.flatnonzero(bodies.base.any(axis=(1, 2))).tolist()  # velocities that move the base
         self.w: dict[tuple[int, ...], Array] = {}
         self.orders = [list(multisets(self.moving, order)) for order in range(ORDER + 1)]
-        first = {K: self._along(K) for some in self.orders for K in some}
+        self.first = first = {K: self._along(K) for some in self.orders for K in some}
         self.W = {K: self._twice(K) for some in self.orders[:2] for K in some}
         self.pull = (bodies.g[:, None] * bodies.roots[:, 3:]).ravel()  # g e4' R, (e,)
         start = first[()]
@@ -170,13 +170,13 @@ class Jets:
         found = (A * self.signs[:, None]).swapaxes(1, 2) @ B.reshape(*B.shape[:2], -1)
         return np.asarray(found.reshape(len(A), A.shape[2], *B.shape[2:]))
 
-    def of_M(self, K: tuple[int, ...]) -> Array:
-        """Derivative of the normalised mass matrix, (N, p, p)."""
-        found = np.zeros_like(self.M)
+    def of_M(self, K: tuple[int, ...], along: dict[tuple[int, ...], Array] | None = None) -> Array:
+        """Derivative of the mass matrix, (N, p, p), normalised unless other motions `along` are given."""
+        Z, found = along or self.Z, np.zeros_like(self.M)
         for bits in product((False, True), repeat=len(K) - 1):
             left = (K[0], *(k for k, bit in zip(K[1:], bits, strict=True) if bit))
             right = tuple(k for k, bit in zip(K[1:], bits, strict=True) if not bit)
-            found += self.inner(self.Z[left], self.Z[right])
+            found += self.inner(Z[left], Z[right])
         return found + found.swapaxes(1, 2)
 
     # -- bounds over the boxes --
@@ -224,6 +224,14 @@ class Jets:
         found = np.einsum("tj,uk,ntud->njkd", arm, arm, outer)
         found += np.einsum("j,nkd->njkd", turning, self.once)
         return found + np.einsum("njd,k->njkd", self.once - turning[:, None] * self.reach[:, None], turning)
+
+    @cached_property
+    def pulls(self) -> Array:
+        """(N, p, J) largest derivative of gravity by joints of which d is the outermost."""
+        carried = np.array([np.linalg.norm(self.pull.reshape(len(own), -1)[own]) for own in self.bodies.above.T])
+        heavy = self.reach * carried
+        turned = self.turning[:, None] * heavy[:, None]
+        return np.asarray(np.einsum("ti,ntd->nid", self.arm, heavy[:, self.further]) + turned)
 
     @cached_property
     def arm(self) -> Array:
@@ -311,10 +319,7 @@ class Jets:
         found = self.corners([pull @ self.Z[K] for K in self.orders[1]])
         for K, value in centre.items():
             found += self.weight(K) * value * (len(K) > 1)
-        carried = np.array([np.linalg.norm(self.pull.reshape(len(own), -1)[own]) for own in self.bodies.above.T])
-        heavy = (self.reach * carried)[:, self.further]
-        most = np.einsum("ti,ntd->nid", self.arm, heavy) + self.turning[:, None] * (self.reach * carried)[:, None]
-        crude, slope = np.linalg.norm(np.abs(self.L_inv) @ most, axis=1), np.zeros_like(self.half)
+        crude, slope = np.linalg.norm(np.abs(self.L_inv) @ self.pulls, axis=1), np.zeros_like(self.half)
         found += (crude * self.outermost(ORDER + 1)).sum(axis=1)
         for K, value in self.largest(centre, crude).items():
             if len(K) == 1:
@@ -356,12 +361,17 @@ class Jets:
     @cached_property
     def uneven(self) -> Array:
         """(N,) root of what wheels that are not alike all around take from or give to M, normalised."""
-        p, base = len(self.bodies.base), self.bodies.base
-        Mu = np.zeros((p, p))
+        found = self.L_inv @ self.uneven_mass @ self.L_inv.swapaxes(1, 2)
+        return np.asarray(np.sqrt(np.abs(np.linalg.eigvalsh(found)[:, -1])))
+
+    @cached_property
+    def uneven_mass(self) -> Array:
+        """(p, p) the same of M in its own units."""
+        found, base = np.zeros((len(self.bodies.base),) * 2), self.bodies.base
         for k, u in self.bodies.uneven:
             A = u * (base + np.multiply.outer(self.bodies.T[k], self.screws[0, k])) @ self.bodies.placements[k]
-            Mu += np.einsum("irc,jrc->ij", A, A)
-        return np.asarray(np.sqrt(np.abs(np.linalg.eigvalsh(self.L_inv @ Mu @ self.L_inv.swapaxes(1, 2))[:, -1])))
+            found += np.einsum("irc,jrc->ij", A, A)
+        return found
 
     @cached_property
     def uneven_twice(self) -> Array:

@@ -18,30 +18,21 @@ Bounds of remainders are *sampled*: the largest at random corners of the box in 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ...errors import InputError, RecordingError
 from ...settings import finite
-from ...signals import Array, IntArray
+from ...signals import Array
 from .certified_loop import push_bound
-from .known import Errors, Observed, Proved
-from .periods import Linear, Periods
+from .known import Observed
+from .periods import Periods
 from .subject import Subject
+from .tube_search import Search, Told
 
-BLOCKS = 100  # of the run
-OFTEN = 8  # in a block is the integrator looked at
-CORNERS = 3  # of the box, looked at in every block
-MORE = 1.5  # than the largest remainder that was seen
-ROUNDS, AHEAD = 10, 1.2  # of tube and remainder; times what was found is tried next
 SHORTEST, LATEST = 20, 4  # rows of a run; periods of delay, whose squares the memory grows with
-LOST = 2.0  # [m, rad] of error: no tube
-FACTORS = np.geomspace(1e-3, 1e3, 25)  # on the error of Psi, for how much is borne
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +43,8 @@ class Tube:
         start: Time from which on there is one [s]; inf for never, and then all else is of the second half of the run.
         time: (J,) ends of blocks of periods after that [s].
         names: Of the errors: along, across and turned from the reference, then the joints.
-        size: (J, m) largest magnitudes [m, rad].
-        reached: (J, m) magnitudes in the run.
+        size: (J, m) largest magnitudes in each block [m, rad].
+        reached: (J, m) those of the run.
         torque: (motors,) largest torque over the motor's limit; 0 for motors without one.
         eps: (p,) largest error of Psi that was counted with [N, N m].
         share: (p,) the same over the largest Psi of the run.
@@ -61,6 +52,7 @@ class Tube:
             NaN for errors that are proved.
         integrator: (m + p,) what the plant does in a period otherwise than exact motion without dry friction's changes.
         late: Periods by which commands are late.
+        blame: What stands in the way of a proof where there is none: what errs most, and what to change.
         proof: The same with the errors of Psi that are proved of the learner in place of the run's; None for nothing.
         unproved: Why there is none.
     """
@@ -76,6 +68,7 @@ class Tube:
     bears: float
     integrator: Array
     late: int
+    blame: str = ""
     proof: Tube | None = None
     unproved: str = ""
 
@@ -102,6 +95,7 @@ class Tube:
             "psi_error_share": [finite(v) for v in self.share],
             "bears": finite(self.bears),
             "commands_late": self.late,
+            "in_the_way": self.blame,
             "proved": self.unproved if self.proof is None else self.proof.to_dict(),
         }
 
@@ -137,9 +131,6 @@ def refusal(subject: Subject) -> str:
     return ""
 
 
-Told = Callable[[float], None]
-
-
 def tube_of(subject: Subject, disturbance: Array | None = None, progress: Told | None = None) -> Tube:
     """The tube of a run: from its start, for errors of Psi no larger than it had from then on.
 
@@ -159,218 +150,34 @@ def tube_of(subject: Subject, disturbance: Array | None = None, progress: Told |
         raise RecordingError("no tube", why=why, file=subject.recording.path)
     told = progress or (lambda share: None)
     with subject.recording.using("its loop"), np.errstate(all="ignore"):
-        found = search.tube(told)
+        found = tube_from(search, told)
         try:
-            proof = search.proved().tube(told)
+            proof = tube_from(search.proved(), told)
         except InputError as error:
             return replace(found, unproved=error.why or error.what)
     return replace(found, proof=proof)
 
 
-class Search:
-    """Tube and remainder made in turn.
-
-    Args:
-        periods: The loop.
-        force: (p,) largest external force [N, N m].
-
-    Attributes:
-        errors: What is counted with of Psi: those of the run, or those of `proved`.
-    """
-
-    def __init__(self, periods: Periods, force: Array) -> None:
-        subject = periods.subject
-        self.periods, self.force, self.limits = periods, force, subject.motor_limits
-        self.late = round(subject.latency.command / subject.timing.control_period)
-        self.noise = periods.gain * subject.velocity_noise
-        missed = np.abs(subject.signal("psi") - subject.signal("psi_hat"))
-        self.errors: Errors = Observed(missed, self.starts)
-
-    @cached_property
-    def linear(self) -> Linear:
-        """The loop along the reference."""
-        return Linear.of(self.periods, self.late, BLOCKS)
-
-    @property
-    def starts(self) -> IntArray:
-        """(K,) first period of every block."""
-        return self.linear.at[:-1]
-
-    @property
-    def ends(self) -> IntArray:
-        """(K,) first period after every block."""
-        return self.linear.at[1:]
-
-    def proved(self) -> Search:
-        """The same with what is proved of the learner; errors as of `Proved`."""
-        found = copy(self)
-        found.errors = Proved(self.periods, self.starts, self.ends, self.force)
-        return found
-
-    def response(self, first: int) -> Array:
-        """(K, m + l) the state at the end of every block from the run's at block `first`, nothing else; 0 before."""
-        lin, m, found = self.linear, self.periods.size, np.zeros((len(self.ends), self.linear.P.shape[1]))
-        y = np.zeros(lin.P.shape[1])
-        y[:m] = self.reached[first]
-        y[m:] = self.commanded(first)
-        for b in range(first, len(self.ends)):
-            for j in range(self.starts[b], self.ends[b]):
-                P, c = lin.between(b, j, "P", "c")
-                y = P @ y
-                y[:m] += c
-            found[b] = y
-        return found
-
-    @cached_property
-    def reached(self) -> Array:
-        """(K + 1, m) states of the run between the blocks."""
-        rows, where = self.periods.subject.rows, self.periods.layout.where
-        return np.array([self.periods.state(r, r[where("position")], r[where("nu")]) for r in rows[self.linear.at]])
-
-    def commanded(self, first: int) -> Array:
-        """(l,) torques on their way at the beginning of a block, less those without errors; none before the start."""
-        subject, j = self.periods.subject, int(self.linear.at[first])
-        tau = [
-            subject.signal("torque")[i] if i >= 0 else np.zeros(self.periods.layout.dof)
-            for i in range(j - self.late, j)
-        ]
-        return np.ravel([one - self.linear.torque[first] for one in tau])
-
-    @cached_property
-    def kernels(self) -> tuple[Array, Array]:
-        """What errors of the torque and remainders in a block add at most by the end of a block, per unit.
-
-        (K, m + l, K, p) and (K, m + l, K, m + l): by the end of the first index's block, in the third's.
-        """
-        lin, K, (_, m, p) = self.linear, len(self.ends), self.linear.B.shape
-        of_torque, of_rest = np.zeros((K, m, K, p)), np.zeros((K, m, K, m))
-        Z = np.zeros((K, m, m))
-        for b in range(K - 1, -1, -1):
-            Z[b] = np.eye(m)
-            for j in range(self.ends[b] - 1, self.starts[b] - 1, -1):
-                P, B = lin.between(b, j, "P", "B")
-                of_torque[b:, :, b] += np.abs(Z[b:] @ B)
-                of_rest[b:, :, b] += np.abs(Z[b:])
-                Z[b:] = Z[b:] @ P
-        return of_torque, of_rest
-
-    @cached_property
-    def integrator(self) -> Array:
-        """(K, m + l) what the plant's integrator does otherwise than the exact motion in a period, from a block on."""
-        subject, found = self.periods.subject, np.zeros((len(self.ends), self.linear.P.shape[1]))
-        where, force = self.periods.layout.where, subject.hardware.torque + subject.hardware.push
-        for b, (start, end) in enumerate(zip(self.starts, self.ends, strict=True)):
-            for j in range(start, end, max((end - start) // OFTEN, 1)):
-                row, following = subject.rows[j], subject.rows[j + 1]
-                y, then = (self.periods.state(r, r[where("position")], r[where("nu")]) for r in (row, following))
-                after = self.periods.after(row, following, y, force[j] - self.periods.dry(row[where("nu")]))
-                found[b, : len(y)] = np.maximum(found[b, : len(y)], np.abs(then - after))
-        return np.asarray(np.maximum.accumulate(found[::-1], axis=0)[::-1])
-
-    def sums(self, errors: Array, remainder: Array) -> Array:
-        """(K, m + l) what errors of the torque (K, p) and remainders (K, m + l) add at most by the end of a block."""
-        of_torque, of_rest = self.kernels
-        return np.asarray(np.einsum("imbp,bp->im", of_torque, errors) + np.einsum("imbn,bn->im", of_rest, remainder))
-
-    def remainder(self, first: int, size: Array) -> Array:
-        """(K, m + l) the largest remainder from a block on, at corners of the boxes of a tube (K, m + l)."""
-        lin, rows, rng = self.linear, self.periods.subject.rows, np.random.default_rng(0)
-        m, found, boxes = self.periods.size, np.zeros_like(size), self.boxes(first, size)
-        for b in range(first, len(self.ends)):
-            box = boxes[b]
-            for j in rng.integers(self.starts[b], self.ends[b], CORNERS):
-                y, sampled = (box * rng.choice((-1.0, 1.0), m) for _ in range(2))
-                sampled = sampled if self.late else y
-                P, A, plant, T, torque, c = lin.between(b, j, "P", "A", "plant", "T", "torque", "c")
-                tau = self.periods.torque(rows[j], sampled)
-                off = self.periods.after(rows[j], rows[j + 1], y, tau) - c
-                if self.late:
-                    off -= A @ y + plant @ (tau - torque)
-                    bent = np.abs(tau - torque - T @ sampled)
-                    found[b, -len(bent) :] = np.maximum(found[b, -len(bent) :], bent)
-                else:
-                    off -= P @ y
-                found[b, :m] = np.maximum(found[b, :m], np.abs(off))
-        return MORE * np.asarray(np.maximum.accumulate(found[::-1], axis=0)[::-1])
-
-    def boxes(self, first: int, size: Array) -> Array:
-        """(K, m) what a tube (K, m + l) is at most within every block from `first` on, 0 before."""
-        start = np.concatenate((np.abs(self.reached[first])[None], size[first:-1, : self.periods.size]))
-        return np.concatenate((np.zeros((first, start.shape[1])), np.maximum(start, size[first:, : start.shape[1]])))
-
-    def size(self, first: int, factor: float = 1.0) -> Array:
-        """(K, m + l) the tube from a block on for `factor` times the errors of Psi, 0 before; inf if there is none."""
-        return self.found(first, factor)[0]
-
-    def found(self, first: int, factor: float = 1.0) -> tuple[Array, Array]:
-        """The same, and the errors of Psi (K, p) that were counted with."""
-        response, since = np.abs(self.response(first)), (np.arange(len(self.ends)) >= first)[:, None]
-        remainder, eps = np.zeros_like(response), self.errors.eps(first, self.boxes(first, response))
-        for _ in range(ROUNDS):
-            errors = since * (factor * eps + self.force + self.noise)
-            size = response + since * self.sums(errors, since * self.integrator + remainder)
-            if not (size[:, : self.periods.poses + self.periods.layout.arm] < LOST).all():
-                break
-            rest, wider = self.remainder(first, size), self.errors.eps(first, self.boxes(first, size))
-            if (rest <= remainder).all() and (wider <= eps).all():
-                return size, eps
-            if (rest > remainder).any():
-                remainder = AHEAD * np.maximum(remainder, rest)
-            eps = np.where(wider > eps, AHEAD * wider, eps)
-        return np.full_like(response, np.inf), eps
-
-    def first(self, progress: Told) -> int:
-        """The first block from which there is a tube, by bisection; their number where the last quarter has none."""
-        low, high = 0, 3 * len(self.ends) // 4
-        if self.exists(low):
-            return low
-        if not self.exists(high):
-            return len(self.ends)
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (low, middle) if self.exists(middle) else (middle, high)
-            progress(1 - (high - low) / len(self.ends))
-        return high
-
-    def exists(self, first: int, factor: float = 1.0) -> bool:
-        """Whether there is a tube."""
-        return bool(np.isfinite(self.size(first, factor)).all())
-
-    def torques(self, first: int, size: Array, eps: Array) -> Array:
-        """(motors,) largest torque in a tube, for errors of Psi (K, p), over the motors' limits; 0 without limits."""
-        lin, m, robot = self.linear, self.periods.size, self.periods.robot
-        E_inv, since = np.linalg.inv(robot.E), slice(first, None)
-        tau = np.einsum("kpm,km->kp", np.abs(lin.T[1:]), size[:, :m]) + eps + self.noise
-        asked = np.abs(lin.torque[1:] @ E_inv.T) + tau @ np.abs(E_inv).T
-        return np.asarray((asked[since] / self.limits).max(axis=0))
-
-    def bears(self, first: int) -> float:
-        """Largest of `FACTORS` on the errors of Psi from a block on for which there is a tube; 0 for none."""
-        low, high = -1, len(FACTORS)
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (middle, high) if self.exists(first, float(FACTORS[middle])) else (low, middle)
-        return 0.0 if low < 0 else float(FACTORS[low]) if high < len(FACTORS) else np.inf
-
-    def tube(self, progress: Told) -> Tube:
-        """All of it."""
-        periods, first = self.periods, self.first(progress)
-        at, there, told = periods.poses, first < len(self.ends), slice(0, periods.poses + periods.layout.arm)
-        begin = first if there else len(self.ends) // 2
-        (size, errors), since = self.found(begin), slice(begin, None)
-        eps = errors.max(axis=0)
-        time = periods.subject.rows[self.linear.at][:, periods.layout.where("time")][:, 0]
-        largest = np.abs(periods.subject.signal("psi")).max(axis=0)
-        return Tube(
-            start=float(time[begin]) if there else np.inf,
-            time=time[1:][since],
-            names=(*("along", "across", "heading")[:at], *periods.robot.velocity_names[periods.layout.base :]),
-            size=size[since, told],
-            reached=np.abs(self.reached[1:][since, told]),
-            torque=self.torques(begin, size, errors) if there else np.zeros(0),
-            eps=eps,
-            share=eps / np.maximum(largest, 1e-300),
-            bears=self.bears(begin) if isinstance(self.errors, Observed) else np.nan,
-            integrator=self.integrator[begin],
-            late=self.late,
-        )
+def tube_from(search: Search, progress: Told) -> Tube:
+    """The tube of a search."""
+    periods, first, steps = search.periods, search.first(progress), search.steps
+    at, there, told = periods.poses, first < len(search.ends), slice(0, periods.poses + periods.layout.arm)
+    begin = first if there else len(search.ends) // 2
+    (size, errors), since = search.found(begin), slice(begin, None)
+    eps, reached = errors.max(axis=0), np.abs(search.reached[:, told])
+    time = periods.subject.signal("time")[:, 0]
+    largest = np.abs(periods.subject.signal("psi")).max(axis=0)
+    return Tube(
+        start=float(time[search.starts[begin]]) if there else np.inf,
+        time=time[search.ends[since]],
+        names=(*("along", "across", "heading")[:at], *periods.robot.velocity_names[periods.layout.base :]),
+        size=size[since, told],
+        reached=np.maximum(steps.most(reached[:-1]), reached[search.ends])[since],
+        torque=search.torques(begin) if there else np.zeros(0),
+        eps=eps,
+        share=eps / np.maximum(largest, 1e-300),
+        bears=search.bears(begin) if isinstance(search.errors, Observed) else np.nan,
+        integrator=search.integrator[begin],
+        late=search.late,
+        blame="" if there else search.blame(begin),
+    )

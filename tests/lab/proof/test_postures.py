@@ -15,7 +15,7 @@ from robots import fixed_arm, mobile_arm
 from mmnn_pin import load
 from mmnn_pin.errors import RobotError
 from mmnn_pin.lab.proof import postures
-from mmnn_pin.lab.proof.cover import ArmMetric, Cover
+from mmnn_pin.lab.proof.cover import ArmMetric, Cover, halves
 from mmnn_pin.lab.proof.postures import Jets, Postures, norm
 from mmnn_pin.lab.proof.screws import Bodies
 from mmnn_pin.model.dynamics import Dynamics
@@ -282,3 +282,24 @@ def test_what_has_no_bound_says_so() -> None:
     tilted.gravity = pin.Motion(np.array([1.0, 0, -9.7]), np.zeros(3))
     with pytest.raises(RobotError, match="gravity depends on the heading"):
         Bodies.of(replace(robot, model=tilted))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.1), st.integers(1, 4))
+def test_all_near_a_place_stays_with_it_in_one_box_however_boxes_are_cut(seed: int, beyond: float, n: int) -> None:
+    """Random boxes, cut at random: by brute force, a place of the first box less its margin has a box that holds it."""
+    rng = np.random.default_rng(seed)
+    first = rng.uniform(-1, 1, n), beyond + rng.uniform(0.01, 0.5, n)
+    middle, half = (one[None] for one in first)
+    for _ in range(12):
+        k, at = rng.integers(len(middle)), rng.integers(n, size=1)
+        cut = halves(middle[k : k + 1], half[k : k + 1], at, beyond)
+        low, high = cut[0] - cut[1], cut[0] + cut[1]
+        np.testing.assert_allclose(low.min(axis=0), middle[k] - half[k])  # together they are the box that was cut
+        np.testing.assert_allclose(high.max(axis=0), middle[k] + half[k])
+        assert (cut[1] <= half[k] * (1 + 1e-12)).all()
+        middle, half = (
+            np.concatenate((np.delete(old, k, 0), new)) for old, new in zip((middle, half), cut, strict=True)
+        )
+    for place in first[0] + (first[1] - beyond) * rng.uniform(-1, 1, (100, n)):
+        assert (np.abs(place - middle) + beyond <= half + 1e-12).all(axis=1).any()

@@ -9,16 +9,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from proofs import KINDS, SLOW, attacked, loop_of, subject_of
+from proofs import KINDS, SLOW, attacked, loop_of, subject_of, within
 from scipy.integrate import solve_ivp
 
 from mmnn_pin import Recording, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.proof.certified_run import prove
-from mmnn_pin.lab.proof.periods import Periods, delayed
+from mmnn_pin.lab.proof.periods import Periods
+from mmnn_pin.lab.proof.steps import delayed
 from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.lab.proof.tube import Search, refusal, tube_of
+from mmnn_pin.lab.proof.tube import refusal, tube_of
+from mmnn_pin.lab.proof.tube_search import Search
 from mmnn_pin.lab.show.proof.text import tube_sentence
 from mmnn_pin.loop.before_run import viscous_friction
 from mmnn_pin.model.dynamics import Dynamics
@@ -43,6 +45,11 @@ def learned() -> Recording:
 @pytest.fixture(scope="module")
 def search(learned: Recording) -> Search:
     return Search(Periods(Subject.of(learned)), np.zeros(4))
+
+
+@pytest.fixture(scope="module")
+def noisy() -> Search:
+    return Search(Periods(Subject.of(run("computed_torque", "sensor.velocity_noise=1e-4"))), np.zeros(4))
 
 
 # -- a period ----------------------------------------------------------------------------------------------------------
@@ -104,38 +111,44 @@ def test_states_and_places_are_each_other(kind: str) -> None:
 
 @compiled
 def test_the_linear_loop_reaches_its_sums_and_never_more(search: Search) -> None:
-    """With errors of the torque at their bounds, and the signs of what they do at the end; with random ones less."""
-    K, wanted, rng = len(search.ends), 4, np.random.default_rng(0)  # the second joint's error
-    eps, nothing = np.full((K, 4), 0.1), np.zeros((K, search.linear.P.shape[1]))
-    last = 5
-    bound = search.sums(eps, nothing)[last, wanted]
-    Z, signs = np.eye(search.linear.P.shape[1])[wanted], {}
-    for b in range(last, -1, -1):
-        for j in range(search.ends[b] - 1, search.starts[b] - 1, -1):
-            P, B = search.linear.between(b, j, "P", "B")
-            signs[j], Z = np.sign(Z @ B), Z @ P
+    """With errors of the torque at their bounds, and the signs of what they do at the end; with random ones less.
+
+    At the ends of blocks; and, in every period between, no sequence gets beyond the largest of the block.
+    """
+    steps, sums, wanted, rng = search.steps, search.sums, 4, np.random.default_rng(0)  # the second joint's error
+    K, m, last = sums.K, sums.m, 5
+    eps, rest = np.full((K, 4), 0.1), np.full((K, m), 1e-7)
+    bound, most = sums.ends(eps, rest), sums.largest(0, np.zeros((len(steps.rows), sums.r)), eps, rest)
+    Z, signs = np.eye(m)[wanted], {}
+    for j in range(steps.at[last + 1] - 1, -1, -1):
+        signs[j], Z = (np.sign(Z @ steps.B(j)), np.sign(Z)), Z @ steps.P(j)
     found = []
-    for choose in (lambda j: signs[j], *(lambda j: rng.choice((-1.0, 1.0), 4) for _ in range(5))):
-        y = np.zeros(search.linear.P.shape[1])
-        for b in range(last + 1):
-            for j in range(search.starts[b], search.ends[b]):
-                P, B = search.linear.between(b, j, "P", "B")
-                y = P @ y + B @ (eps[b] * choose(j))
+    for chosen in (
+        signs,
+        *({j: (rng.choice((-1.0, 1.0), 4), rng.choice((-1.0, 1.0), m)) for j in signs} for _ in "abcde"),
+    ):
+        y = np.zeros(m)
+        for j in range(steps.at[last + 1]):
+            b = steps.of[j]
+            assert (np.abs(sums.rows(j) @ y) <= most[b] * (1 + 1e-9)).all()
+            y = steps.P(j) @ y + steps.B(j) @ (eps[b] * chosen[j][0]) + rest[b] * chosen[j][1]
         found.append(abs(y[wanted]))
-    np.testing.assert_allclose(found[0], bound, rtol=1e-9)
-    assert max(found[1:]) < bound
+    np.testing.assert_allclose(found[0], bound[last, wanted], rtol=1e-9)
+    assert max(found[1:]) < bound[last, wanted]
+    assert (most[: last + 1] >= bound[: last + 1] * (1 - 1e-9)).all()
+    assert (most[5] < 3 * bound[5])[[3, 4]].all()
 
 
 def test_late_commands_take_effect_after_their_periods() -> None:
     """P with two periods of delay, multiplied out, against the plant with the torques of two periods before."""
     rng = np.random.default_rng(3)
     A, B, T = rng.standard_normal((4, 4)) / 3, rng.standard_normal((4, 2)), rng.standard_normal((2, 4)) / 3
-    P, into = delayed(A[None], B[None], T[None], 2)
+    P, into = delayed(A, B, T, 2)
     y = rng.standard_normal(4)
     x, sent = np.concatenate((y, np.zeros(4))), [np.zeros(2), np.zeros(2)]
     for _ in range(6):
         error = rng.standard_normal(2)
-        x = P[0] @ x + into[0] @ error
+        x = P @ x + into @ error
         sent.append(T @ y + error)
         y = A @ y + B @ sent[-3]
     np.testing.assert_allclose(x[:4], y, rtol=1e-12)
@@ -146,18 +159,29 @@ def test_late_commands_take_effect_after_their_periods() -> None:
 
 @compiled
 def test_a_search_finds_no_motion_that_leaves_it_and_some_that_come_near(search: Search) -> None:
-    """Over seconds, to its end, each error in turn; with four times the errors of Psi it does leave."""
+    """Over seconds, every period of them, each error in turn; with four times the errors of Psi it does leave."""
     first = search.first(lambda share: None)
     last, m = len(search.ends) - 1, search.periods.poses + 2
-    assert search.ends[last] - search.starts[first] >= 3000
-    (size, eps), nearest = search.found(first), np.zeros(m)
-    size = size[first:]
+    size, eps = search.found(first)
+    assert search.ends[last] - search.starts[first] >= 2000
     for wanted in range(m):
-        reached = np.abs(attacked(search, first, last, wanted, eps))
-        assert (reached[:, : search.periods.size] <= size[:, : search.periods.size]).all()
-        nearest[wanted] = reached[-1, wanted] / size[-1, wanted]
-    assert nearest.min() > 0.1  # within 10 times of the worst that is found
-    assert (np.abs(attacked(search, first, last, 4, 4.0 * eps))[:, 4] > size[:, 4]).any()
+        reached = attacked(search, first, last, wanted, eps)
+        assert within(search, first, reached, size)
+        assert abs(reached[-1, wanted]) > 0.1 * size[-1, wanted]  # within 10 times of the worst that is found
+    assert not within(search, first, attacked(search, first, last, 4, 4.0 * eps), size)
+
+
+@compiled
+def test_a_search_with_noise_finds_no_motion_that_leaves_it(noisy: Search) -> None:
+    """Velocities told with the worst errors; with four times their bound it does leave."""
+    first, last = 0, len(noisy.ends) - 1
+    size, eps = noisy.found(first)
+    assert np.isfinite(size).all() and noisy.told.min() > 0
+    for wanted in (1, 2, 4):
+        reached = attacked(noisy, first, last, wanted, eps)
+        assert within(noisy, first, reached, size)
+        assert abs(reached[-1, wanted]) > 0.3 * size[-1, wanted]
+    assert not within(noisy, first, attacked(noisy, first, last, 4, eps, noise=4.0), size)
 
 
 @compiled

@@ -374,8 +374,7 @@ def tube_sentence(tube: Tube) -> str:
         worst = tube.integrator[-len(tube.share) :].max()
         return (
             "Tube along this reference: NONE, and a better estimate of Psi gives none: within a period the "
-            f"simulated robot moved otherwise than exactly, by up to {number(worst)} of a velocity. Its integrator "
-            "does that, and dry friction that changes its sign."
+            f"simulated robot moved otherwise than dry friction at its sample says, by {number(worst)} of a velocity."
         )
     return (
         f"Tube along this reference: NONE: with the run's errors of Psi ({psi}{late}) nothing is bounded; "
@@ -390,13 +389,17 @@ def proved_sentence(tube: Tube) -> str:
         return f"That the errors of Psi stay the run's is not proved: {tube.unproved}."
     psi = f"{100 * proof.share.max():.3g} % of the largest Psi"
     if math.isinf(proof.start):
-        return f"That the errors of Psi stay the run's is not proved: those that are, {psi}, leave nothing bounded."
+        nothing = (
+            f"those that are, {psi}, leave nothing bounded" if math.isfinite(proof.share.max()) else "none are bounded"
+        )
+        return f"That the errors of Psi stay the run's is not proved: {nothing}; {proof.blame}."
     if not proof.exists:
         return f"With errors of Psi that are proved a motor may be asked for {proof.torque.max():.3g} times its limit."
     return (
         f"Proved from {proof.start:.3g} s on, for every motion in the tube: the learner's error of Psi is at most "
         f"{psi}, and these bounds hold. Assumed: the robot of the run, whose parameters say all of Psi but 1.5 times "
-        "what they left there, and exact velocities. Sampled: the equations' errors and the features in the tube."
+        "what they left there, and noise of velocities of at most 4 standard deviations. Sampled: the features in the "
+        "tube."
     )
 
 
