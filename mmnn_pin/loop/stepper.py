@@ -94,6 +94,8 @@ class Stepper:
             at most (`loop.lead.catch_up`); None for what a `Latency` says.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
         lead: Whether Psi_hat leads by half the period, the lag and what of the latency is not predicted (`loop.lead`).
+        filtered: By how much the filter of the velocities that are measured is late [s] (`Sensor.smoothing`); it bounds
+            the share of `adaptive`.
         observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
             base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
@@ -145,6 +147,7 @@ class Stepper:
         predict: bool | None = None,
         lag: Numbers = 0.0,
         lead: bool = False,
+        filtered: float = 0.0,
         observer: float = 0.0,
         interfaces: Mapping[str, str] | None = None,
         servo: Servo = Servo(),  # noqa: B008
@@ -159,6 +162,7 @@ class Stepper:
             why, fix = "the motors are real: something must stand before them", "give safety=Safety()"
             raise ConfigError("a stepper without a supervisor", why=why, fix=fix, key="safety")
         require_gain(setpoint_timeout, "setpoint_timeout")
+        require_gain(filtered, "filtered")
         known = Latency.of(latency, predict)
         timing = Timing(duration=period, control_period=period, plant_step=period)
         require_seed(seed)
@@ -167,7 +171,7 @@ class Stepper:
         controller = suited(controller, robot, lambda: Given(kinematic, period, known.total + known.margin, lag))
         setup = Outside(
             robot, controller, kinematic, safety, timing, nominal, seed, within_limits, sensor=sensor,
-            known=known, interfaces=dict(interfaces or {}), servo=servo, lead=lead, lag=lag,
+            known=known, interfaces=dict(interfaces or {}), servo=servo, lead=lead, lag=lag, filtered=filtered,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency, layout = period, check_gains, known.total, setup.layout
@@ -200,7 +204,7 @@ class Stepper:
         """
         said: dict[str, Any] = {name: getattr(loop, name) for name in ALIKE}
         said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag}
-        said |= {"latency": loop.latency}
+        said |= {"latency": loop.latency, "filtered": loop.smoothing}
         return cls(loop.robot, loop.controller, **(said | more))
 
     def step(
