@@ -19,7 +19,7 @@ from ..kinematic import Kinematic
 from ..model.robot import Robot
 from ..safety import Safety
 from ..sensing import Sensor
-from ..settings import Numbers, Timing, plain
+from ..settings import Numbers, Timing, plain, require_gain
 from ..signals import Array, Layout
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.learning_law import origin_of
@@ -204,6 +204,9 @@ class Outside:
     known: Latency = field(default_factory=Latency)
     lag: Numbers = 0.0
     filtered: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_gain(self.filtered, "filtered")
 
     @cached_property
     def layout(self) -> Layout:

@@ -90,12 +90,10 @@ class Stepper:
         within_limits: As in `Loop`.
         latency: Known delay from the measurement to the motors [s], which the gains have to bear; a `Latency` says how
             much of it is the measurement's. A number is the command's, or the measurement's where that is predicted.
-        predict: Whether a measurement is moved on as the reference has moved since it was `measured`, over its latency
-            at most (`loop.lead.catch_up`); None for what a `Latency` says.
+        predict: Whether a measurement moves on with the reference, over its latency at most; None as `Latency` says.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
         lead: Whether Psi_hat leads by half the period, the lag and what of the latency is not predicted (`loop.lead`).
-        filtered: By how much the filter of the velocities that are measured is late [s] (`Sensor.smoothing`); it bounds
-            the share of `adaptive`.
+        filtered: By how much the filter of measured velocities is late (`Sensor.smoothing`), for `adaptive` [s].
         observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
             base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
@@ -162,7 +160,6 @@ class Stepper:
             why, fix = "the motors are real: something must stand before them", "give safety=Safety()"
             raise ConfigError("a stepper without a supervisor", why=why, fix=fix, key="safety")
         require_gain(setpoint_timeout, "setpoint_timeout")
-        require_gain(filtered, "filtered")
         known = Latency.of(latency, predict)
         timing = Timing(duration=period, control_period=period, plant_step=period)
         require_seed(seed)
@@ -203,9 +200,8 @@ class Stepper:
             more: Arguments of `Stepper` that it does not say.
         """
         said: dict[str, Any] = {name: getattr(loop, name) for name in ALIKE}
-        said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag}
-        said |= {"latency": loop.latency, "filtered": loop.smoothing}
-        return cls(loop.robot, loop.controller, **(said | more))
+        said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag, "latency": loop.latency}
+        return cls(loop.robot, loop.controller, **(said | {"filtered": loop.smoothing} | more))
 
     def step(
         self,
