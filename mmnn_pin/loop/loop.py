@@ -257,6 +257,11 @@ class Loop:
         """What the controller is told of the latency."""
         return self.latency
 
+    @property
+    def smoothing(self) -> float:
+        """By how much the sensors' filter of velocities is late [s]."""
+        return self.sensor.smoothing(self.timing.measurement_period)
+
     def delay_margin(self) -> float:
         """Delay between measurement and torque at which the sampled loop turns unstable along the reference [s].
 

@@ -19,7 +19,7 @@ from ..kinematic import Kinematic
 from ..model.robot import Robot
 from ..safety import Safety
 from ..sensing import Sensor
-from ..settings import Numbers, Timing, plain
+from ..settings import Numbers, Timing, plain, require_gain
 from ..signals import Array, Layout
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.learning_law import origin_of
@@ -107,6 +107,10 @@ class Setup(Protocol):
     def known(self) -> Latency:
         """What the controller is told of it."""
 
+    @property
+    def smoothing(self) -> float:
+        """By how much the filter of the measured velocities is known to be late, see `Sensor.smoothing` [s]."""
+
     def streams(self) -> Streams:
         """Random generators of the sensors, of the disturbances and of the commands' delays."""
 
@@ -127,9 +131,7 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
         setup.layout,
         lag=setup.lags,
         way=setup.known.way(setup.timing),
-        unseen=setup.known.caught_up(setup.timing)
-        + setup.sensor.smoothing(setup.timing.measurement_period)
-        + setup.known.margin,
+        unseen=setup.known.caught_up(setup.timing) + setup.smoothing + setup.known.margin,
     )
 
 
@@ -201,6 +203,10 @@ class Outside:
     lead: bool = False
     known: Latency = field(default_factory=Latency)
     lag: Numbers = 0.0
+    filtered: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_gain(self.filtered, "filtered")
 
     @cached_property
     def layout(self) -> Layout:
@@ -216,6 +222,11 @@ class Outside:
     def lags(self) -> Array:
         """See `Setup.lags`."""
         return lags(self.robot, self.lag)
+
+    @property
+    def smoothing(self) -> float:
+        """See `Setup.smoothing`; an observer makes velocities of its own."""
+        return self.filtered if self.sensor.exact else self.sensor.smoothing(self.timing.measurement_period)
 
     def streams(self) -> Streams:
         """Random generators that nothing draws from."""

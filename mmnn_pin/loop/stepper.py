@@ -90,10 +90,10 @@ class Stepper:
         within_limits: As in `Loop`.
         latency: Known delay from the measurement to the motors [s], which the gains have to bear; a `Latency` says how
             much of it is the measurement's. A number is the command's, or the measurement's where that is predicted.
-        predict: Whether a measurement is moved on as the reference has moved since it was `measured`, over its latency
-            at most (`loop.lead.catch_up`); None for what a `Latency` says.
+        predict: Whether a measurement moves on with the reference, over its latency at most; None as `Latency` says.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
         lead: Whether Psi_hat leads by half the period, the lag and what of the latency is not predicted (`loop.lead`).
+        filtered: By how much the filter of measured velocities is late (`Sensor.smoothing`), for `adaptive` [s].
         observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
             base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
@@ -145,6 +145,7 @@ class Stepper:
         predict: bool | None = None,
         lag: Numbers = 0.0,
         lead: bool = False,
+        filtered: float = 0.0,
         observer: float = 0.0,
         interfaces: Mapping[str, str] | None = None,
         servo: Servo = Servo(),  # noqa: B008
@@ -167,7 +168,7 @@ class Stepper:
         controller = suited(controller, robot, lambda: Given(kinematic, period, known.total + known.margin, lag))
         setup = Outside(
             robot, controller, kinematic, safety, timing, nominal, seed, within_limits, sensor=sensor,
-            known=known, interfaces=dict(interfaces or {}), servo=servo, lead=lead, lag=lag,
+            known=known, interfaces=dict(interfaces or {}), servo=servo, lead=lead, lag=lag, filtered=filtered,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency, layout = period, check_gains, known.total, setup.layout
@@ -199,9 +200,8 @@ class Stepper:
             more: Arguments of `Stepper` that it does not say.
         """
         said: dict[str, Any] = {name: getattr(loop, name) for name in ALIKE}
-        said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag}
-        said |= {"latency": loop.latency}
-        return cls(loop.robot, loop.controller, **(said | more))
+        said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag, "latency": loop.latency}
+        return cls(loop.robot, loop.controller, **(said | {"filtered": loop.smoothing} | more))
 
     def step(
         self,

@@ -313,7 +313,7 @@ def heed(a: Linear, o: Parts) -> None:
     changed = o.counts[4] * T > QUIET and o.counts[2] > a.alarm
     o.counts[3] = 1.0 if changed else 0.0
     o.counts[4] = 0.0 if changed else o.counts[4] + 1.0
-    o.counts[5] = math.ceil(AFTER / T) if changed else max(0.0, o.counts[5] - 1.0)
+    o.counts[5] = AFTER / T if changed else max(0.0, o.counts[5] - 1.0)
     if changed:
         Phi_f[:] = 0.0
         Y_f[:] = 0.0

@@ -145,6 +145,9 @@ def test_a_run_ends_with_its_file_unless_the_user_says_how_long(tmp_path: Path) 
     assert load_experiment(own).time.duration == 2.5
     own.write_text(f'experiment = "track"\n[time]\nduration = 3.0\n[reference]\nfile = "{file}"\n')
     assert load_experiment(own).time.duration == 3.0
+    for time, seconds in (("", 2.5), ("[time]\ncontrol_period = 0.004\n", 2.5), ("[time]\nduration = 4.0\n", 4.0)):
+        own.write_text(f'robot = "platform_arm"\n[reference]\nfile = "{file}"\n{time}')  # on no other experiment
+        assert load_experiment(own).time.duration == seconds
     file.write_text(file.read_text() + "12.0,0.3\n")
     assert load_experiment("track", [given]).time.duration == 10.0  # it goes on, as a note says
 

@@ -76,7 +76,11 @@ def exported(tmp_path_factory):
 
 @needs_gcc
 @pytest.mark.parametrize(
-    "controller", first_of(("computed_torque", "two_layer", "adaptive_composite"), "two_layer", "adaptive_composite")
+    "controller",
+    first_of(
+        ("computed_torque", "two_layer", "adaptive_composite", "kalman_friction"),
+        *("two_layer", "adaptive_composite", "kalman_friction"),
+    ),
 )
 def test_the_self_test_has_the_bits_of_the_stepper(exported, controller):
     """`mmnn embed` itself compiles and runs it: torques and checksums of weights and supervisor at every sample."""

@@ -22,6 +22,7 @@ from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings, Estimate, adapt, share_of
@@ -533,6 +534,29 @@ def test_answers_that_do_not_show_yet_stay_below_the_feedback(period, way, unsee
     under_way = 1 + (way + unseen + max(lags)) / period  # samples until an answer shows
     assert share * under_way == pytest.approx(1.0) and 0 < share <= 1
     assert share_of(AdaptiveSettings(share=0.3), context) == 0.3
+
+
+@pytest.mark.parametrize(
+    "said",
+    ["", "sensor={velocity='observer',bandwidth=100}", "sensor={velocity='filtered',bandwidth=50}",
+     "sensor.velocity=difference", "sensor={velocity='model',bandwidth=60}", "latency={sensing=0.002,predict=true}",
+     "latency={command=0.004,margin=0.001}"],
+)  # fmt: skip
+def test_on_a_robot_the_share_is_that_of_the_simulation(said):
+    """Its drivers filter velocities as the experiment says: with the share of exact ones it rings there."""
+    experiment = load_experiment("track", [said] if said else [])
+    robot = experiment.load_robot()
+    loop = experiment.loop(robot, experiment.controller("adaptive", robot=robot))
+    share = loop.controller.law(loop.context()).learner.share
+    with Stepper.of(loop, safety=Safety(), check_gains=False) as stepper:
+        assert stepper.control.torque.learner.share == share
+    with Stepper.of(loop, safety=Safety(), check_gains=False, observer=80.0, latency=0.0) as own:
+        assert own.control.torque.learner.share == pytest.approx(0.001 / (0.001 + 0.003 + 1.1 / 80.0))
+
+
+def test_a_filter_is_not_late_by_less_than_nothing():
+    with pytest.raises(ConfigError, match="filtered"):
+        Stepper(ROBOT, PD(Feedback(30.0, 60.0, "inertia")), safety=Safety(), filtered=-0.01)
 
 
 @pytest.mark.parametrize("late", range(5))

@@ -34,13 +34,13 @@ def of_override(error: InputError, texts: Iterable[str]) -> InputError:
 
 
 def line_of(text: str, key: str) -> int | None:
-    """Line, counted from 1, of the entry or table that a key path names, or of the nearest one around it.
+    """Line, counted from 1, of the entry or table that a key path names, or the nearest around it, or the first within.
 
     Args:
         text: The file.
         key: Key path; quotes around its parts are left out, as in the errors of a config.
     """
-    best, line, table = 0, None, ""
+    best, line, within, table = 0, None, None, ""
     for number, text_line in enumerate(text.splitlines(), start=1):
         if header := HEADER.match(text_line):
             table = path = plain(header[1])
@@ -50,7 +50,9 @@ def line_of(text: str, key: str) -> int | None:
             continue
         if f"{key}.".startswith(f"{path}.") and len(path) > best:
             best, line = len(path), number
-    return line
+        elif path.startswith(f"{key}.") and within is None:
+            within = number
+    return line or within
 
 
 def plain(path: str) -> str:

@@ -373,15 +373,14 @@ def as_long_as_its_file(table: dict[str, Any], own: Mapping[str, Any]) -> None:
         table: The experiment, changed in place.
         own: What the user's own file says, empty without one.
     """
-    time, reference = (table.get(name) for name in ("time", "reference"))
+    time, reference = table.get("time", {}), table.get("reference")
     if not (isinstance(time, dict) and isinstance(reference, dict)) or not reference.get("file"):
         return
     if isinstance(said := own.get("time"), dict) and "duration" in said:
         return
     with suppress(InputError, TypeError, ValueError, ZeroDivisionError):  # told when the file is read
-        end, period = (
-            float(Columns.read(reference["file"])["t"][-1]),
-            time.get("control_period", Timing().control_period),
-        )
-        if 0 < end < time["duration"]:
-            time["duration"] = round(math.floor(end / period + 1e-6) * period, 9)
+        usual = Timing()
+        period, duration = time.get("control_period", usual.control_period), time.get("duration", usual.duration)
+        end = float(Columns.read(reference["file"])["t"][-1])
+        if 0 < end < duration:
+            table["time"] = time | {"duration": round(math.floor(end / period + 1e-6) * period, 9)}

@@ -172,8 +172,8 @@ def test_a_file_that_is_not_there_is_told(tmp_path: Path, capsys) -> None:
 
 def test_lines_are_found_in_every_way_of_writing_keys() -> None:
     text = 'a = 1\n[b."c.d"]\n# e = 3\ne.f = 4\n  [ g . "h" ]\n"i j" = [\n  1,\n]\n'
-    assert [line_of(text, key) for key in ("a", "b.c.d.e.f", "b.c.d.e.f.0", "b.c.d.x", "g.h.i j", "z")] == [
-        *(1, 4, 4, 2, 6, None)
+    assert [line_of(text, key) for key in ("a", "b.c.d.e.f", "b.c.d.e.f.0", "b.c.d.x", "g.h.i j", "g", "z")] == [
+        *(1, 4, 4, 2, 6, 5, None)
     ]
 
 
