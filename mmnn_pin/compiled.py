@@ -155,7 +155,8 @@ def cache_folder() -> Path | None:
     try:
         if not folder.exists():
             folder.mkdir(parents=True, exist_ok=True)
-            forget(cache_root())
+            with suppress(OSError):
+                forget(cache_root())
         os.utime(folder)  # used now
     except OSError:
         return None
@@ -166,7 +167,8 @@ def forget(root: Path) -> None:
     """Remove the code of other versions that nothing has used for `KEPT`: each takes up to 150 MB."""
     for folder in root.iterdir():
         with suppress(OSError):  # another process removes it, too
-            if re.fullmatch("[0-9a-f]{16}", folder.name) and time.time() - folder.stat().st_mtime > KEPT:
+            ours = re.fullmatch("[0-9a-f]{16}", folder.name) and any(folder.rglob("*.nbi"))
+            if ours and time.time() - folder.stat().st_mtime > KEPT:
                 rmtree(folder, ignore_errors=True)
 
 

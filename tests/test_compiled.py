@@ -416,13 +416,13 @@ def test_code_of_other_versions_that_nothing_uses_is_removed_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    old, used, foreign = (tmp_path / name for name in ("0" * 16, "1" * 16, "somebody_elses"))
-    for folder in (old, used, foreign):
+    old, used, foreign, alike = (tmp_path / name for name in ("0" * 16, "1" * 16, "somebody_elses", "2" * 16))
+    for folder in (old, used, foreign, alike):
         (folder / "deep").mkdir(parents=True)
-        (folder / "deep" / "code.nbc").write_bytes(b"code")
+        (folder / "deep" / ("notes.txt" if folder == alike else "code.nbi")).write_bytes(b"code")
         age = 2 * 86400.0 if folder == used else KEPT + 60.0
         os.utime(folder, (time.time() - age,) * 2)
     own = cache_folder.__wrapped__()  # as a new process has it
-    assert own is not None and set(tmp_path.iterdir()) == {own, used, foreign}
+    assert own is not None and set(tmp_path.iterdir()) == {own, used, foreign, alike}
     os.utime(own, (0.0, 0.0))
     assert cache_folder.__wrapped__() == own and time.time() - own.stat().st_mtime < 60.0

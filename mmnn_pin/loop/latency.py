@@ -15,6 +15,8 @@ from ..errors import ConfigError
 from ..settings import Settings, Timing, require_gain, require_gains
 from ..signals import EARLY, Array, IntArray
 
+LONGEST = 1.0  # latency that may be [s]
+
 
 class Latency(Settings, frozen=True):
     """How long a measurement and a command are under way between robot and controller.
@@ -28,7 +30,7 @@ class Latency(Settings, frozen=True):
             this needs a measurement at every control sample.
 
     Raises:
-        ConfigError: A number that is negative or not finite.
+        ConfigError: A number that is negative, not finite or above a second.
     """
 
     sensing: float = 0.0
@@ -39,6 +41,10 @@ class Latency(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         require_gains(self, "latency")
+        for name in ("sensing", "command", "jitter", "margin"):
+            if (value := getattr(self, name)) > LONGEST:
+                fix = f"give seconds, as {value / 1e3:g} for {value:g} ms"
+                raise ConfigError(f"{value:g} s", why="no loop bears that", fix=fix, key=f"latency.{name}")
 
     @classmethod
     def of(cls, latency: float | Latency, predict: bool | None) -> Latency:

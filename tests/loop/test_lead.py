@@ -388,3 +388,10 @@ def test_with_coarse_encoders_computed_torque_errs_by_less_than_a_third_of_a_ste
     run = replace(loop, timing=msgspec.structs.replace(loop.timing, duration=3.0)).run()
     rms = np.sqrt((run["true_e"][run.time > 1.0] ** 2).mean(axis=0))
     assert run.outcome.status == "completed" and (rms < 0.0015 / 3).all()
+
+
+@pytest.mark.parametrize("name", ["sensing", "command", "jitter", "margin"])
+def test_a_latency_in_milliseconds_is_refused_with_its_seconds(name):
+    with pytest.raises(ConfigError, match=rf"latency.{name}: error: 4 s: no loop bears that: give seconds, as 0.004"):
+        Latency(**{name: 4.0})
+    assert getattr(Latency(**{name: 0.004}), name) == 0.004
