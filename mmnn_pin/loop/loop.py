@@ -259,8 +259,9 @@ class Loop:
 
     @property
     def smoothing(self) -> float:
-        """By how much the sensors' filter of velocities is late [s]."""
-        return self.sensor.smoothing(self.timing.measurement_period)
+        """By how much the sensors' filter of velocities is late, and what a slow sensor says is held longer [s]."""
+        period = self.timing.measurement_period
+        return self.sensor.smoothing(period) + max(0.0, period - self.timing.control_period)
 
     def delay_margin(self) -> float:
         """Delay between measurement and torque at which the sampled loop turns unstable along the reference [s].

@@ -109,7 +109,7 @@ class Setup(Protocol):
 
     @property
     def smoothing(self) -> float:
-        """By how much the filter of the measured velocities is known to be late, see `Sensor.smoothing` [s]."""
+        """By how much measured velocities are known to be late: `Sensor.smoothing`, and a slow sensor's hold [s]."""
 
     def streams(self) -> Streams:
         """Random generators of the sensors, of the disturbances and of the commands' delays."""

@@ -635,6 +635,7 @@ def test_a_share_is_a_number_or_that_of_the_delays():
     # What is predicted of a measurement is the reference's motion, not what a torque did meanwhile.
     assert share("latency.sensing=0.006", "latency.predict=true") == pytest.approx(1 / 10)
     assert share("sensor.velocity=filtered", "sensor.bandwidth=50") == pytest.approx(1 / 24)  # 20 ms
+    assert share("time.sensor_period=0.004") == pytest.approx(1 / 7)  # held for 3 ms longer
 
 
 @pytest.mark.parametrize("predict", [False, True])
