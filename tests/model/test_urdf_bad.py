@@ -239,9 +239,12 @@ def test_entities_are_never_opened(tmp_path):
 
 
 def test_files_that_cannot_be_read(tmp_path):
-    with pytest.raises(RobotError, match="no such file"):
+    with pytest.raises(RobotError, match="no such file: name a URDF or xacro file; `mmnn list` has robots"):
         read(tmp_path / "none.urdf")
-    with pytest.raises(RobotError, match="is a folder"):
+    (tmp_path / "robot.urdf").write_text("<robot name='a'><link name='b'/></robot>")
+    with pytest.raises(RobotError, match=r"no such file: did you mean '.*/robot\.urdf'\?"):
+        read(tmp_path / "robto.urdf")
+    with pytest.raises(RobotError, match=r"is a folder, not a URDF file: did you mean '.*/robot\.urdf'\?"):
         read(tmp_path)
     with pytest.raises(RobotError, match=r"cannot be read \(Not a directory"):
         (tmp_path / "file").touch()

@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
+from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 
@@ -151,13 +153,24 @@ def audit_file(
     path = Path(path)
     data = content(path)
     if isinstance(data, str):
-        return None, settle([finding("file", 1, data)], path, strict)
+        return None, settle([finding("file", 1, data, fix=instead(path))], path, strict)
     if is_xacro(path, data):
         return audit_xacro(data, path, strict, package_dirs, xacro, without)
     if xacro or without:
         what = "arguments of xacro for a file with nothing to expand"
         raise ConfigError(what, why="nothing would use them", fix="leave them out", file=path)
     return audit_data(data, path, strict, package_dirs)
+
+
+def instead(path: Path) -> str:
+    """What else may be meant by a path that cannot be read."""
+    names: list[str] = []
+    with suppress(OSError, ValueError):
+        there = (path if path.is_dir() else path.parent).iterdir()
+        names = sorted(one.name for one in there if one.suffix in (".urdf", ".xacro"))
+    near = names if path.is_dir() else get_close_matches(path.name, names)
+    folder = path if path.is_dir() else path.parent
+    return f"did you mean '{folder / near[0]}'?" if near else "name a URDF or xacro file; `mmnn list` has robots"
 
 
 def content(path: Path) -> bytes | str:
