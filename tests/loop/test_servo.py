@@ -282,17 +282,18 @@ def test_gains_on_effort_are_to_blame_where_slower_servos_do_not_help():
 
 
 @needs_data
+@pytest.mark.compiled
 def test_tiago_at_50_hz_follows_once_the_advice_of_its_refusal_is_taken():
     motors = ",".join(f'{name}="velocity"' for name in load("tiago").actuator_names)
     keys = ['robot="tiago"', 'controllers=["pd"]', f"interfaces={{{motors}}}", "time.control_period=0.02"]
-    keys += ["time.duration=0.4" if config.DISABLE_JIT else "time.duration=4.0"]
+    keys += ["time.duration=4.0"]
     with pytest.raises(ConfigError, match="too fast") as refused:
         run_experiment(load_experiment("track", keys), "track")
     found = re.search(r"--set (servo\.bandwidth=[0-9.]+)", str(refused.value))
     assert found
     result = run_experiment(load_experiment("track", [*keys, found[1]]), "track")
     assert result.completed
-    errors = result["pd"].errors(start=0.0 if config.DISABLE_JIT else 2.0)
+    errors = result["pd"].errors(start=2.0)
     assert max(error.rms for error in errors.values()) < 0.05
 
 
