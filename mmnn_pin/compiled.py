@@ -167,8 +167,8 @@ def forget(root: Path) -> None:
     """Remove the code of other versions that nothing has used for `KEPT`: each takes up to 150 MB."""
     for folder in root.iterdir():
         with suppress(OSError):  # another process removes it, too
-            ours = re.fullmatch("[0-9a-f]{16}", folder.name) and any(folder.rglob("*.nbi"))
-            if ours and time.time() - folder.stat().st_mtime > KEPT:
+            unused = time.time() - folder.stat().st_mtime > KEPT
+            if unused and re.fullmatch("[0-9a-f]{16}", folder.name) and any(folder.rglob("*.nbi")):
                 rmtree(folder, ignore_errors=True)
 
 

@@ -92,8 +92,8 @@ class AdaptiveSettings(Settings, frozen=True):
         share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut. "delays"
             is `h / (h + d)` of the known delays d, so that the answers that do not show yet stay below the feedback:
             answers of every sample are an integral with the rate `share / h`, which bears a delay of `h / share` less
-            the hold h. d is the latency, that which is predicted included, `latency.margin`, the motors' lag and the
-            filter of velocities.
+            the hold h. d is the latency, that which is predicted included, `latency.margin`, the motors' lag, the
+            filter of velocities and what a slow sensor says is held longer.
         modification: "sigma" leaks always, "e" in proportion to |s|.
         bounds: The largest ratio of an estimate to its start, either way.
         heaviest: The largest ratio of an estimate to a body of `mass` and `size`, where it starts from these. Too light
@@ -406,16 +406,26 @@ class Adaptive(ParameterLearner):
 
     def most(self, period: float) -> Array:
         """Largest ratios of the bodies' estimates to their start at a control period [s], (bodies,)."""
-        own, K = self.settings, gains_of(self.regressor, self.feedback)
+        own = self.settings
         if self.informed:
             return np.full(len(self.regressor.bodies), float(own.bounds))
-        share = lightness(self.regressor, balls(self.regressor, own.mass, own.size), K, own.slowest)
+        share, slowness = self._weight
+        bound = own.slowest_learned * MEANT / period
+        bearable = np.divide(bound, slowness, out=np.full_like(slowness, np.inf), where=slowness > 0)
+        return np.maximum(1.0, np.minimum(np.minimum(own.bounds, own.heaviest / share), bearable))
+
+    @cached_property
+    def _weight(self) -> tuple[Array, Array]:
+        """Of every body of the prior, computed once: by how much it was made lighter, and how slow it makes a velocity.
+
+        The second is the inertia that a velocity feels of it over its gain [s], the largest; (bodies,) each.
+        """
+        own, K = self.settings, gains_of(self.regressor, self.feedback)
         prior = balls(self.regressor, own.mass, own.size)
+        share = lightness(self.regressor, prior, K, own.slowest)
         prior[: self.regressor.inertial] *= np.repeat(share, BODY)
         felt = inertia_of_bodies(self.regressor, prior)
-        bound = own.slowest_learned * MEANT / period
-        bearable = np.where(felt > 0, bound * K / np.where(felt > 0, felt, 1.0), np.inf).min(axis=1)
-        return np.maximum(1.0, np.minimum(np.minimum(own.bounds, own.heaviest / share), bearable))
+        return share, np.divide(felt, K, out=np.zeros_like(felt), where=felt > 0).max(axis=1)
 
     def counts(self) -> tuple[int, int, int]:
         """How many parameters are rotors, viscous and dry friction."""

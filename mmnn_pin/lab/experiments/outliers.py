@@ -99,13 +99,13 @@ def of_others(table: Mapping[str, Mapping[str, float]], name: str, key: str) -> 
 
 
 def chatter(run: Recording) -> dict[str, float]:
-    """What `fast` says of every motor's torque, after the first fifth of a run."""
+    """What `fast_share` says of every motor's torque, after the first fifth of a run."""
     torque, time = as_columns(run["motor_torque"])[len(run) // 5 :], run.time
-    share = fast(torque, (time[-1] - time[0]) / (len(run) - 1))
+    share = fast_share(torque, (time[-1] - time[0]) / (len(run) - 1))
     return dict(zip(run.labels("motor_torque"), share.tolist(), strict=True))
 
 
-def fast(torque: Array, period: float) -> Array:
+def fast_share(torque: Array, period: float) -> Array:
     """Share of the RMS of torques that is faster than `FAST`.
 
     A ring at 30 Hz changes a torque little from one sample to the next where samples are 1 ms apart, and shakes a motor

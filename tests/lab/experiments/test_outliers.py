@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin import load, load_experiment, run_experiment
-from mmnn_pin.lab.experiments.outliers import FAR, THROWN, chatter, far_peaks, fast, outliers
+from mmnn_pin.lab.experiments.outliers import FAR, THROWN, chatter, far_peaks, fast_share, outliers
 from mmnn_pin.lab.experiments.runner import sensor_notes
 from mmnn_pin.lab.show.comparison import notes
 from mmnn_pin.lab.show.report import result_of
@@ -50,7 +50,7 @@ def test_a_torque_of_two_sines_is_as_fast_as_the_faster_one(
     """In closed form, at 1 kHz and at 100 Hz."""
     time = np.arange(0.0, 10.0, 0.001 * every)
     torque = constant + np.sin(2 * np.pi * slow * time) + size * np.sin(2 * np.pi * quick * time)
-    (share,) = fast(torque[:, None], 0.001 * every)
+    (share,) = fast_share(torque[:, None], 0.001 * every)
     assert share == pytest.approx(size / np.sqrt(2 * constant**2 + 1 + size**2), abs=0.02)
 
 
