@@ -20,7 +20,7 @@ from mmnn_pin.loop.precompile import precompile
 
 from ..document import Clock
 from .document import DOCUMENT, DRAWN, summed
-from .search import SOON, TRIES, TUNINGS, Bench, Say, budget, keep, search, spaces, tuned
+from .search import SOON, TRIES, TUNINGS, Bench, Say, budget, keep, lines, search, spaces, tuned
 
 QUICK = (
     *("time.duration=1.6", "windows=[[0, 0.5], [0.8, 1.6]]", "time.control_period=0.0025", "time.plant_step=0.00125"),
@@ -39,11 +39,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--publish", action="store_true", help="renew docs/explanation/contest.md, its figures and the summary"
     )
     parser.add_argument("--tune", action="store_true", help="search the learners' settings, and stop")
-    parser.add_argument("--only", choices=TRIES, help="one of the searches; without it eight and payload")
+    parser.add_argument("--only", choices=TUNINGS, action="append", help="one of the searches; may be repeated")
     parser.add_argument("--learner", action="append", metavar="NAME", help="of this learner; may be repeated")
     parser.add_argument("--tries", type=int, metavar="N", help=f"sets of settings per learner ({each(TRIES)})")
     options = parser.parse_args(arguments)
-    known = {name for tuning in TRIES for name in spaces(tuning)}
+    known = {name for tuning in TUNINGS for name in spaces(tuning)}
     if unknown := sorted(set(options.learner or ()) - known):
         parser.error(f"nothing is searched for {', '.join(unknown)}; there is: {', '.join(sorted(known))}")
     if not options.tune and (options.only or options.learner):
@@ -51,10 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     precompile()
     clock = Clock()
     if options.tune:
-        for tuning in (options.only,) if options.only else TUNINGS:
-            tune(
-                tuning, options.learner or tuple(spaces(tuning)), options.tries or TRIES[tuning], options.out, clock.say
-            )
+        for tuning in options.only or TUNINGS:
+            learners = [name for name in spaces(tuning) if not options.learner or name in options.learner]
+            tune(tuning, learners, options.tries or TRIES[tuning], options.out, clock.say)
         return
     overrides, cases = (QUICK, ["eight", "rich"]) if options.quick else ((), [])
     summary = study(options.out, overrides, cases, options.force, clock)
@@ -74,6 +73,8 @@ def tune(tuning: str, learners: Sequence[str], tries: int, out: Path, say: Say) 
     for learner in learners:
         journal = out / "tuning" / f"{tuning}-{learner}.json"
         keep(tuning, learner, search(bench, learner, spaces(tuning)[learner], tries, say, journal))
+    for line in lines(tuning):
+        say(f"{tuning}: {line}")
 
 
 def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, clock: Clock) -> dict[str, Any]:

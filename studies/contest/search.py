@@ -4,10 +4,11 @@ What counts is the geometric mean, over the tuning tasks, of three errors over t
 training, on the held-out trajectories while learning, and there with the final weights held fixed; where the robot
 picks something up, of a fourth: in the first `SOON` seconds with it. The held-out trajectories are driven with it, too.
 
-There are three searches. `eight` searches the settings of every learner that its space names, on a robot that does not
-change; `payload` after it those that forget and follow, on one that picks something up. `outside` searches one set for
-all tasks outside of the learners' model class, each of them driven otherwise and with other seeds; a contest does not
-take what it found by itself. A search that was stopped goes on: what was tried is in a file, and is not run again.
+`eight` searches the settings of every learner that its space names, on a robot that does not change; `payload` after it
+those that forget and follow, on one that picks something up. Every task outside of the learners' model class has a
+search of its own name (`OUTSIDE`), driven otherwise and with other seeds. The contest's case of a search's name has
+what it found (`lines` says it as TOML; a test compares). A search that was stopped goes on: what was tried is in a
+file, and is not run again.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from mmnn_pin.errors import InputError
 from mmnn_pin.files import whole_file
 from mmnn_pin.lab.contest.task import Task, tasks_of
 from mmnn_pin.lab.contest.trial import TrialResult, nan, run_trial
-from mmnn_pin.lab.experiments.cases import with_case
+from mmnn_pin.lab.experiments.cases import chosen_cases, with_case
 from mmnn_pin.lab.experiments.config import load_experiment, override, value_at
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.study.factors import Factor
@@ -77,7 +78,10 @@ class Bench:
     @classmethod
     def made(cls, tuning: str, *overrides: str) -> Bench:
         """The tasks of a tuning experiment, with PD run on them."""
-        tasks = tuple(tasks_of(load_experiment(tuning_file(tuning), overrides), ("pd",)))
+        experiment = load_experiment(tuning_file(tuning), overrides)
+        if tuning in OUTSIDE:
+            experiment = chosen_cases(experiment, [tuning])
+        tasks = tuple(tasks_of(experiment, ("pd",)))
         return cls(tasks, {task.name: run_trial(task, "pd", None, None, quiet, False)[0] for task in tasks})
 
     def score(self, learner: str, settings: Mapping[str, Any]) -> float:
@@ -207,21 +211,26 @@ HERE = Path(__file__).parent
 SPACES, TUNED = HERE / "spaces.toml", HERE / "tuned.json"
 
 
-TUNINGS = ("eight", "payload")  # each also the case of the contest that takes what was found
+OUTSIDE = tuple(tomllib.loads((HERE / "tuning/outside.toml").read_text(encoding="utf-8"))["cases"])
 
 
-TRIES = {"eight": 28, "payload": 20, "outside": 20}  # sets of settings per learner
+TUNINGS = ("eight", "payload", *OUTSIDE)  # each also the case of the contest that takes what was found
+
+
+TRIES = {**dict.fromkeys(TUNINGS, 28), "payload": 20, "wheels": 12}  # sets of settings per learner
 
 
 def tuning_file(tuning: str) -> Path:
     """The experiment that a search runs."""
-    return HERE / "tuning" / f"{tuning}.toml"
+    return HERE / "tuning" / f"{'outside' if tuning in OUTSIDE else tuning}.toml"
 
 
 def spaces(tuning: str) -> dict[str, dict[str, Factor]]:
     """What is searched for each learner."""
     content = tomllib.loads(SPACES.read_text(encoding="utf-8"))
-    return msgspec.convert(content[tuning], dict[str, dict[str, Factor]])
+    found = msgspec.convert(content["outside" if tuning in OUTSIDE else tuning], dict[str, dict[str, Factor]])
+    own = load_experiment(tuning_file(tuning)).cases[tuning].set.get("controllers") if tuning in OUTSIDE else None
+    return {learner: space for learner, space in found.items() if own is None or learner in own}
 
 
 def tuned() -> dict[str, dict[str, Any]]:
@@ -241,3 +250,15 @@ def taken(tuning: str, learner: str) -> dict[str, Any]:
     """What the contest's case says of what was searched for a learner: key path to value."""
     table = json.loads(with_case(load_experiment("contest"), tuning).to_json())
     return {path: value_at(table, path) for path in tuned()[tuning][learner]["settings"]}
+
+
+def lines(tuning: str) -> list[str]:
+    """What was found, as the contest's case of that name says it in its table `set`, one line per learner."""
+    found = []
+    for one in tuned()[tuning].values():
+        tables: dict[str, list[str]] = {}
+        for path, value in one["settings"].items():
+            table, _, key = path.rpartition(".")
+            tables.setdefault(table, []).append(f"{key} = {json.dumps(value)}")
+        found += [f"{table} = {{ {', '.join(sorted(pairs))} }}" for table, pairs in tables.items()]
+    return sorted(found)
