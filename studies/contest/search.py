@@ -229,7 +229,7 @@ def spaces(tuning: str) -> dict[str, dict[str, Factor]]:
     """What is searched for each learner."""
     content = tomllib.loads(SPACES.read_text(encoding="utf-8"))
     found = msgspec.convert(content["outside" if tuning in OUTSIDE else tuning], dict[str, dict[str, Factor]])
-    own = load_experiment(tuning_file(tuning)).cases[tuning].set.get("controllers") if tuning in OUTSIDE else None
+    own = load_experiment(tuning_file(tuning)).cases[tuning].own.get("controllers") if tuning in OUTSIDE else None
     return {learner: space for learner, space in found.items() if own is None or learner in own}
 
 
