@@ -211,7 +211,12 @@ HERE = Path(__file__).parent
 SPACES, TUNED = HERE / "spaces.toml", HERE / "tuned.json"
 
 
-OUTSIDE = tuple(tomllib.loads((HERE / "tuning/outside.toml").read_text(encoding="utf-8"))["cases"])
+def told(file: Path) -> dict[str, Any]:
+    """What a TOML file says."""
+    return tomllib.loads(file.read_text(encoding="utf-8"))
+
+
+OUTSIDE = tuple(told(HERE / "tuning/outside.toml")["cases"])
 
 
 TUNINGS = ("eight", "payload", *OUTSIDE)  # each also the case of the contest that takes what was found
@@ -227,9 +232,8 @@ def tuning_file(tuning: str) -> Path:
 
 def spaces(tuning: str) -> dict[str, dict[str, Factor]]:
     """What is searched for each learner."""
-    content = tomllib.loads(SPACES.read_text(encoding="utf-8"))
-    found = msgspec.convert(content["outside" if tuning in OUTSIDE else tuning], dict[str, dict[str, Factor]])
-    own = load_experiment(tuning_file(tuning)).cases[tuning].own.get("controllers") if tuning in OUTSIDE else None
+    found = msgspec.convert(told(SPACES)["outside" if tuning in OUTSIDE else tuning], dict[str, dict[str, Factor]])
+    own = told(tuning_file(tuning))["cases"][tuning]["set"].get("controllers") if tuning in OUTSIDE else None
     return {learner: space for learner, space in found.items() if own is None or learner in own}
 
 
