@@ -86,6 +86,7 @@ def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool
         **summed(standing),
         "tuned": {tuning: {name: short(one) for name, one in tuned()[tuning].items()} for tuning in TUNINGS},
         "soon": SOON,
+        "tries": TRIES,
         "run": clock.facts(),
     }
 
