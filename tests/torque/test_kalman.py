@@ -313,7 +313,7 @@ def test_a_nominal_model_is_pinocchios(nudge):
 
 
 def half_a_second(at_once, **own):
-    """A learner after 0.5 s of signals that stand still, with an update in 10 ms or, after an alarm, at every sample."""
+    """A learner after 0.5 s of signals that stand still, with updates every 10 ms or, after an alarm, every 2 ms."""
     own = {"alarm": 3.0, "drift": 0.0, "change": 1e-9, "correction": 0.0, "noise": 1e6, "bound": 1e9} | own
     controller = Kalman(KalmanFrictionSettings(**own), machine_of(ROBOT), K, REGRESSOR)
     context = Context(LAYOUT, 0.002, 10, np.random.default_rng(3))
