@@ -249,7 +249,7 @@ def test_the_error_halves_with_the_step() -> None:
 
 @pytest.mark.parametrize("method", ["rk4", "semi_implicit_euler"])
 def test_wheels_of_a_turning_base_do_not_creep_sideways(method: str) -> None:
-    """MuJoCo alone leaves `Jdot v` out of what it asks of a contact; the creep is then speed times yaw rate times step."""
+    """MuJoCo alone leaves `Jdot v` out of what it asks of a contact: they creep by speed times yaw rate times step."""
     this = robot("platform_arm")
     plant = ContactPlant(this, DT, method, Contact(step=DT))
     plant.start(bent(this), np.array([0.8, 1.0, 0.0, 0.0]))
