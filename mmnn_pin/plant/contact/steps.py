@@ -1,8 +1,8 @@
 """Steps of MuJoCo's engine in which wheels roll while the base turns.
 
 MuJoCo asks of the velocity `J v` of a contact that it decay, `J vdot = -b J v`, and leaves out `Jdot v`: under a base
-that turns at w a wheel at speed u creeps sideways by `u w / b`, and 1/b is about a step. That is an error of first order
-in the pose, whatever the integrator. So `Jdot v` is taken from what contacts of wheels are asked (`efc_aref`).
+that turns at w a wheel at speed u creeps sideways by `u w / b`, and 1/b is about a step. That is an error of first
+order in the pose, whatever the integrator. So `Jdot v` is taken from what contacts of wheels are asked (`efc_aref`).
 
 MuJoCo's RK4 gives no place for that; ours evaluates friction anew in every stage, too.
 """
