@@ -166,8 +166,8 @@ class Kalman(CompiledController):
             noise=float(own.noise * own.noise),
             answer=own.tracking / (own.prior * own.prior) * (K if m > 1 else np.array([1 / K.max()])),
             share=SHARE,
-            drift=float(own.drift) * every * h,
-            change=own.change * every * h if isinstance(own, KalmanFrictionSettings) else 0.0,
+            drift=float(own.drift),
+            change=float(own.change) if isinstance(own, KalmanFrictionSettings) else 0.0,
             alarm=float(own.alarm),
             carrying=np.arange(0) if self.regressor is None or self.drawn else self.regressor.carrying,
             radius=own.bound * np.sqrt(k) * (K if m > 1 else np.ones(1)),
@@ -192,7 +192,7 @@ class Kalman(CompiledController):
         (rows, k, m), random, p = self.shape, self.random(), len(self.machine.velocities)
         drawn = (0, 0) if random is None else (random.units, random.inputs)
         moved = (2, rows * (self.beside - 1)) if self.beside else (0, 0)
-        own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (6,), "expected": (rows,), "level": (p,)}
+        own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (7,), "expected": (rows,), "level": (p,)}
         sizes = (k, 1, p, p) if self.beside else (0, 0, 0, 0)
         corrected = {name: (size,) for name, size in zip(Corrected._fields, sizes, strict=True)}
         return {**own, **parts(context, rows, k), "a": drawn, "b": drawn[:1], "moved": moved, **corrected}

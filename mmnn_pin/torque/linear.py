@@ -9,7 +9,9 @@ and what filtered torque says of them (`torque.filtered`),
 
 The second term is recursive least squares as a Kalman filter for weights that drift. Phi has p rows and W one column
 (a regressor, all velocities share theta), or Phi has one row and W a column per velocity (random features, P common).
-R is noise in velocity through the feedback gain, `(noise K_i)^2`, so that one number suits newtons and newton metres.
+R is noise in velocity through the feedback gain, `(noise K_i)^2 interval`, so that one number suits newtons and newton
+metres. An update counts the time since the last one, in all terms: an equation has the variance R over that time. Just
+after an alarm every sample is an update, which learns no faster than the law says, only with less delay.
 tau_i is such that s is answered at the rate `tracking` times the part of the prior variance that is left: with one row
 `tracking K_i / prior^2` on the scaled P, with p rows `tracking / (prior^2 max K)`.
 
@@ -64,11 +66,11 @@ class Linear(NamedTuple):
         learning: Off keeps the weights.
         every: Samples from one update to the next.
         interval: The same in seconds.
-        noise: Variance of an equation divided by K_i [m^2/s^2, rad^2/s^2].
+        noise: Variance of an equation that stands for one interval, divided by K_i [m^2/s^2, rad^2/s^2].
         answer: (m,) tau_i, of every column of W.
         share: Largest answer of an update to s, as a share of the feedback.
-        drift: Part of the prior variance that one update adds at its place.
-        change: Part of a constant's prior variance that every update adds; 0 where there are none.
+        drift: Part of the prior variance that comes back in a second [1/s].
+        change: Part of a constant's prior variance that comes back in a second [1/s]; 0 where there are none.
         alarm: How many times their level of the last seconds the squares of errors are where the robot has changed; 0
             for never.
         carrying: Places of what changes then most likely.
@@ -111,8 +113,8 @@ class Parts(NamedTuple):
         W: (m, k) weights, transposed: a column of W is a row here.
         U, D: (k, k), (k,) factors of P.
         prior: (k,) diagonal of P_0.
-        counts: (6,) samples, updates, mean square of errors of late over their levels, whether the robot has just
-            changed, samples since it last did, and how many more count as just after that.
+        counts: (7,) samples, updates, mean square of errors of late over their levels, whether the robot has just
+            changed, samples since it last did, how many more count as just after that, and samples since an update.
         expected: (rows,) variances of the last equations.
         level: (p,) squares of errors in the last seconds, over K.
         filtered: What the filter remembers.
@@ -187,6 +189,7 @@ def learn(
         follow_error(row, at, correction, a.gain, o.counts[5] > 0.0, o.corrected)
     f, now = a.filter, int(o.counts[0]) % a.every == 0 or o.counts[5] > 0.0
     o.counts[0] += 1.0
+    o.counts[6] += 1.0
     if now:
         track(row, at, a, o)
     counts = period(row, at, f, o.filtered)
@@ -202,10 +205,11 @@ def learn(
         low_pass(f, a.Phi, o.filtered)
         if a.alarm > 0.0:
             heed(a, o)
-        if now or o.counts[3] > 0.0:
+        if now:
             predict(a, o)
     if now:
         project(a, o)
+        o.counts[6] = 0.0
 
 
 @internal
@@ -258,12 +262,13 @@ def track(row: Array, at: IntArray, a: Linear, o: Parts) -> None:
         else:
             answer += a.answer[i] * s * s
     times(o.U, o.D, g, step)
-    answer = a.interval * dot(g, step, k) * (a.answer[0] if m == 1 else answer)
+    time = o.counts[6] * a.filter.h
+    answer = time * dot(g, step, k) * (a.answer[0] if m == 1 else answer)
     eta = a.share * feedback / answer if answer > a.share * feedback else 1.0
     if not (math.isfinite(answer) and math.isfinite(feedback)):
         return
     for c in range(m):
-        size = eta * a.interval * a.answer[c]
+        size = eta * time * a.answer[c]
         if m > 1:
             size *= z[c] if c < z.size else r[c - z.size]
         for j in range(k):
@@ -275,11 +280,12 @@ def predict(a: Linear, o: Parts) -> None:
     """The equations that filtered torque gives, one Kalman update each; then the drift."""
     m, k, rows = o.W.shape[0], o.D.size, a.Phi.shape[0]
     Phi_f, Y_f = o.filtered.Phi_f, o.filtered.Y_f
-    phi, f, b = a.work[0], a.work[1], a.work[2]
+    phi, f, b, time = a.work[0], a.work[1], a.work[2], o.counts[6] * a.filter.h
+    noise = a.noise * a.interval / time
     for i in range(rows):
         for j in range(k):
             phi[j] = Phi_f[i, j] / a.gain[i] if m == 1 else Phi_f[i, j]
-        alpha = measure(o.U, o.D, phi, a.noise, f, b)
+        alpha = measure(o.U, o.D, phi, noise, f, b)
         o.expected[i] = alpha
         if alpha == 0.0:
             continue
@@ -288,12 +294,10 @@ def predict(a: Linear, o: Parts) -> None:
             e = (e - dot(o.W[c], phi, k)) / alpha
             for j in range(k):
                 o.W[c, j] += e * b[j]
-    drift(a, o, int(o.counts[1]) % k, a.drift * k)
+    drift(a, o, int(o.counts[1]) % k, a.drift * time * k)
     o.counts[1] += 1.0
-    for j in range(a.carrying.size if o.counts[3] > 0.0 else 0):
-        drift(a, o, a.carrying[j], 1.0)
     for c in range(k - a.gain.size if a.change > 0.0 else k, k):
-        drift(a, o, c, a.change)
+        drift(a, o, c, a.change * time)
 
 
 @internal
@@ -317,6 +321,14 @@ def heed(a: Linear, o: Parts) -> None:
     if changed:
         Phi_f[:] = 0.0
         Y_f[:] = 0.0
+        forget_load(a, o)
+
+
+@internal
+def forget_load(a: Linear, o: Parts) -> None:
+    """Give what the robot carries its prior variance back."""
+    for j in range(a.carrying.size):
+        drift(a, o, a.carrying[j], 1.0)
 
 
 @internal

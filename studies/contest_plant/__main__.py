@@ -25,7 +25,7 @@ from ..contest.document import DOCUMENT, PLANT
 from ..document import DOCS
 from .drive import CHANGES, Errors, errors_of
 
-TASKS = ("eight", "friction", "lag", "late1", "drop")
+TASKS = ("eight", "friction", "lag", "late1", "late3", "drop")
 CONTROLLERS = (
     *("pd_gravity", "pid", "two_layer", "adaptive", "adaptive_composite", "concurrent", "kalman_regressor"),
     *("kalman_friction", "computed_torque"),

@@ -100,7 +100,7 @@ def test_features_pass_the_filter_of_the_torque() -> None:
 def relearned(alarm: float, jump: float = 5.0, period: float = 0.01) -> tuple[float, list[int]]:
     """Updates after which a parameter that has jumped stays known, and the updates at which a change was seen."""
     k, rng = 3, np.random.default_rng(0)
-    own = {"W": (1, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (6,), "expected": (1,), "level": (1,)}
+    own = {"W": (1, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (7,), "expected": (1,), "level": (1,)}
     state = ControllerState.of(
         **own, **parts(CONTEXT, 1, k), a=(0, 0), b=(0,), moved=(0, 0), w=(0,), when=(0,), asked=(0,), cut=(0,)
     )
@@ -118,6 +118,7 @@ def relearned(alarm: float, jump: float = 5.0, period: float = 0.01) -> tuple[fl
         if alarm:
             heed(a, o)
         seen += [n] * int(o.counts[3])
+        o.counts[6] = 1.0
         predict(a, o)
         if n >= 1000 and abs(o.W[0, 1] - true[1]) > 0.06 * abs(jump):
             found = n - 1000.0

@@ -39,6 +39,7 @@ from mmnn_pin.torque.kalman import Kalman, factors
 from mmnn_pin.torque.kalman_settings import (
     KalmanBilinearSettings,
     KalmanFeaturesSettings,
+    KalmanFrictionSettings,
     KalmanRegressorSettings,
     KalmanResidualSettings,
 )
@@ -311,6 +312,50 @@ def test_a_nominal_model_is_pinocchios(nudge):
         np.testing.assert_allclose(bench.step(), expected, rtol=1e-10, atol=1e-8)
 
 
+def half_a_second(at_once, **own):
+    """A learner after 0.5 s of signals that stand still, with updates every 10 ms or, after an alarm, every 2 ms."""
+    own = {"alarm": 3.0, "drift": 0.0, "change": 1e-9, "correction": 0.0, "noise": 1e6, "bound": 1e9} | own
+    controller = Kalman(KalmanFrictionSettings(**own), machine_of(ROBOT), K, REGRESSOR)
+    context = Context(LAYOUT, 0.002, 10, np.random.default_rng(3))
+    state, a = controller.init(context), controller.law(context).learner
+    bench, row = Bench("regressor"), LAYOUT.new_row()
+    bench.fill(np.random.default_rng(5))
+    row[:] = bench.row
+    state["D"] = 0.5 * state["prior"]
+    for n in range(251):
+        row[LAYOUT.where("time")] = 0.002 * n
+        if at_once:
+            state["counts"][4:6] = 0.0, 1000.0
+        estimate(row, LAYOUT.offsets, a, state.values)
+    assert state["counts"][1] > 200 if at_once else state["counts"][1] < 51
+    return controller, state
+
+
+def test_an_update_counts_the_time_since_the_last_one():
+    """Just after an alarm there are five times as many; what they answer s with, and what they forget, is the same."""
+    (_, slow), (_, fast) = half_a_second(False, tracking=0.01), half_a_second(True, tracking=0.01)
+    np.testing.assert_allclose(fast["W"], slow["W"], rtol=1e-6)
+    assert np.abs(slow["W"]).max() > 0.0
+    for forgets, part in (({"drift": 0.2}, slice(None)), ({"change": 0.2}, slice(-4, None))):
+        gained = []
+        for at_once in (False, True):
+            controller, state = half_a_second(at_once, tracking=0.0, **forgets)
+            prior, U = state["prior"], np.eye(controller.shape[1]) + np.tril(state["U"], -1).T
+            used = prior > 0
+            back = np.zeros(len(prior))
+            back[used] = np.diag((U * state["D"]) @ U.T)[used] / prior[used] - 0.5
+            gained.append(back[part].sum())
+        assert gained[1] == pytest.approx(gained[0], rel=0.25) and gained[0] > 0.05  # places that do not matter gain 0
+
+
+def test_equations_say_as_much_in_a_second_however_often_they_are_asked():
+    """(P^-1)' = Phi_f' R^-1 Phi_f, R of the time since the last update."""
+    found = [half_a_second(at_once, tracking=0.0, noise=0.2)[1]["D"] for at_once in (False, True)]
+    used = found[0] > 0
+    np.testing.assert_allclose(np.log(found[1][used]).sum(), np.log(found[0][used]).sum(), atol=0.1)
+    assert np.log(found[0][used] / half_a_second(False)[1]["D"][used]).sum() < -5.0
+
+
 @pytest.mark.compiled
 @settings(max_examples=20, deadline=None)
 @given(seeds, kinds)
@@ -344,6 +389,7 @@ def test_an_update_answers_at_most_its_share_of_the_feedback(kind):
     bench.a = bench.a._replace(learning=False)
     bench.fill(rng)
     before = bench.step()
+    bench.state["counts"][6] = 1.0
     track(bench.row, LAYOUT.offsets, bench.a, bench.o)
     s = np.concatenate((bench.row[LAYOUT.where("z")], bench.row[LAYOUT.where("r")]))
     assert s @ (bench.step() - before) == pytest.approx(0.2 * s @ (GAINS * s), rel=1e-6)
@@ -356,6 +402,7 @@ def test_s_is_answered_at_the_rate_that_is_set(kind):
     bench.a = bench.a._replace(learning=False, share=1e9)
     bench.fill(rng)
     before = bench.step()
+    bench.state["counts"][6] = 1.0
     track(bench.row, LAYOUT.offsets, bench.a, bench.o)
     s = np.concatenate((bench.row[LAYOUT.where("z")], bench.row[LAYOUT.where("r")]))
     answer = bench.a.Phi @ bench.P0 @ bench.a.Phi.T / 2.0**2

@@ -201,7 +201,7 @@ class Proved:
         done = self.done[first] if self.a.learning else 0
         for b in range(first, K):
             for _ in range(self.updates[b] if self.a.learning else 0):
-                came[done % k] += self.a.drift * k * self.prior[done % k]
+                came[done % k] += self.a.drift * self.a.interval * k * self.prior[done % k]
                 done += 1
             P = self.P[first] + np.diag(came)
             along = roots(self.Phi[b], P).max(axis=0)
@@ -241,7 +241,7 @@ class Proved:
     def returned(self, first: int) -> float:
         """The largest share of the prior variance that drifts back at a place, from a block on."""
         k, updates = self.ideal.size, self.updates[first:].sum() if self.a.learning else 0
-        return float(self.a.drift * k * -(-updates // k))
+        return float(self.a.drift * self.a.interval * k * -(-updates // k))
 
 
 def roots(Phi: Array, P: Array) -> Array:

@@ -12,10 +12,10 @@ to one size. What ideal weights leave is what no learning could explain there; o
 nothing.
 
 *A learner with a covariance* has the part `sum_i W~_i' P^-1 W~_i / (2 tau_i)`, with the ideal weights W* and P as it
-was at every sample (`torque.linear`). Once in an interval the weights move by `eta interval tau_i P Phi' s`, which
-takes `eta interval s' Phi W~` out: pull and cut. Then each equation `y = phi' W` of filtered torque is one Kalman
-update with the variance R. Let `e = y - phi' W*` be what it has wrong, `u = phi' W~` and `alpha = R + phi' P phi`. As
-the cost of least squares is the same before and after,
+was at every sample (`torque.linear`). At an update, t after the last one, the weights move by `eta t tau_i P Phi' s`,
+which takes `eta t s' Phi W~` out: pull and cut. Then each equation `y = phi' W` of filtered torque is one Kalman update
+with a variance R that goes with 1 / t. Let `e = y - phi' W*` be what it has wrong, `u = phi' W~` and `alpha = R + phi'
+P phi`. As the cost of least squares is the same before and after,
 
     W~' P^-1 W~ + e^2 / R = W~+' P+^-1 W~+ + (u + e)^2 / alpha,
 
@@ -63,7 +63,7 @@ from ...signals import Array, IntArray
 from ...torque.controller import ControllerState
 from ...torque.factored import measure
 from ...torque.learning_law import LearningLaw
-from ...torque.linear import Linear, Parts, predict, track
+from ...torque.linear import Linear, Parts, forget_load, predict, track
 from .excitation import along
 from .learner import Learner, Stepper
 from .subject import Subject
@@ -275,8 +275,12 @@ class Ledger:
         self.value = self.energy(learner.start.view(Parts))
 
     def keep(self, state: ControllerState) -> dict[str, Array]:
-        """The state before an update; of other samples the weights."""
-        return copies(state, *(LEARNED if int(state["counts"][0]) % self.a.every == 0 else ("W",)))
+        """The state before an update, or where an alarm may come; of other samples the weights."""
+        return copies(state, *(LEARNED if self.a.alarm > 0.0 or self.due(state["counts"]) else ("W",)))
+
+    def due(self, counts: Array) -> bool:
+        """Whether the next sample is an update."""
+        return int(counts[0]) % self.a.every == 0 or counts[5] > 0.0
 
     def take(self, row: Row) -> None:
         """Value, pull and terms of one row."""
@@ -289,31 +293,37 @@ class Ledger:
 
     def update(self, row: Row, o: Parts, pull: float) -> tuple[float, float, float, float]:
         """Cut, prediction, noise and memory of one update, over the whole of it; changes o."""
-        a, before, weighed = self.a, o.W.copy(), self.weighed(o)
-        a.Phi[:] = row.Phi
-        track(row.values, self.at, a, o)
-        cut = a.interval * pull - float((weighed * (o.W - before)).sum())
-        if row.state["counts"][1] == o.counts[1]:  # no control period to learn from
-            return cut, 0.0, 0.0, 0.0
+        a, before, cut, forgotten = self.a, o.W.copy(), 0.0, 0.0
+        o.counts[6] += 1.0
+        if self.due(o.counts):
+            weighed = self.weighed(o)
+            a.Phi[:] = row.Phi
+            track(row.values, self.at, a, o)
+            cut = o.counts[6] * self.h * pull - float((weighed * (o.W - before)).sum())
+        if row.state["counts"][3] > 0.0 and row.state["counts"][4] == 0.0:
+            forgotten = -self.energy(o)
+            forget_load(a, o)
+            forgotten += self.energy(o)
+        if row.state["counts"][1] == o.counts[1]:  # no update, or no control period to learn from
+            return cut, 0.0, 0.0, forgotten
         prediction, noise, known = self.measured(row, o)
-        o.counts[3] = row.state["counts"][3]
         predict(a, o)
-        return cut, prediction, noise, self.energy(o) - known
+        return cut, prediction, noise, forgotten + self.energy(o) - known
 
     def measured(self, row: Row, o: Parts) -> tuple[float, float, float]:
         """Prediction and noise of the equations of an update, and the part after them; o stays."""
         a, m = self.a, len(self.ideal)
         W, U, D = o.W.copy(), o.U.copy(), o.D.copy()
         Phi_f, Y_f, f, b = row.state["Phi_f"], row.state["Y_f"], np.zeros(D.size), np.zeros(D.size)
-        prediction = noise = 0.0
+        prediction, noise, R = 0.0, 0.0, a.noise * a.interval / (o.counts[6] * self.h)
         for i, features in enumerate(Phi_f):
             phi, y = (features / a.gain[i], Y_f[i : i + 1] / a.gain[i]) if m == 1 else (features.copy(), Y_f)
-            alpha = measure(U, D, phi, a.noise, f, b)
+            alpha = measure(U, D, phi, R, f, b)
             if alpha == 0.0:
                 continue
             u, e = (self.ideal - W) @ phi, y - self.ideal @ phi
             prediction -= float((u**2 / (2 * a.answer)).sum()) / alpha
-            noise += float(((e**2 * (alpha / a.noise - 1.0) - 2 * u * e) / (2 * a.answer)).sum()) / alpha
+            noise += float(((e**2 * (alpha / R - 1.0) - 2 * u * e) / (2 * a.answer)).sum()) / alpha
             W += np.outer((y - W @ phi) / alpha, b)
         return prediction, noise, self.energy(o._replace(W=W, U=U, D=D))
 

@@ -18,6 +18,7 @@ from ...model.tree.twin import terms_of
 from ...signals import Array, Layout
 from .. import NO_PUSH
 from .feet import Contact, feet_of
+from .steps import Steps
 from .tree import NO_FRICTION, BaseMotion, FreeBase, Friction, compile_tree, engine, on_base, tilt
 
 FALLEN = 0.5  # inclination at which the base counts as fallen over [rad]
@@ -94,7 +95,7 @@ class ContactPlant:
     Args:
         robot: The true robot, a differential drive or a fixed arm.
         dt: Step of the plant [s]; the engine takes as many equal ones as `contact.step` asks for.
-        method: "rk4", or MuJoCo's Euler with implicit friction for any other.
+        method: "rk4", or MuJoCo's Euler with implicit friction, of first order, for any other.
         contact: The floor.
 
     Attributes:
@@ -148,6 +149,7 @@ class ContactPlant:
         wheels = range(len(self.feet.wheels))
         self.pairs = [model.pair(f"wheel {i}").id for i in wheels]
         self.wheel_of = {model.geom(f"wheel {i}").id: i for i in wheels}
+        self.engine = Steps(model, frozenset(self.wheel_of), self.method)
         self._wrench = np.zeros(6)
 
     def start(self, position: Array, nu: Array) -> None:
@@ -176,6 +178,7 @@ class ContactPlant:
         for name in ("qpos", "qvel", "qacc_warmstart"):
             getattr(self.data, name)[:] = getattr(before, name)
         self.friction = Friction(robot, self.moving, self.at_v, self.model)
+        self.engine = Steps(self.model, frozenset(self.wheel_of), self.method)
         self._read()
         self.refresh()
 
@@ -190,13 +193,9 @@ class ContactPlant:
         data.ctrl[:] = self.to_motors @ (tau - pushed if pushes else tau)
         for _ in range(self.steps):
             turned = data.qpos[self.motor_q]
-            data.qfrc_applied[:] = 0.0
-            self.friction.apply(data, self.motion, self.hold[self.moving])
-            if pushes:
-                self._push(pushed)
             if self.contact.patches:
                 self._take_floor()
-            self.mj.mj_step(self.model, data)
+            self.engine.take(data, lambda: self._force(pushed if pushes else NO_PUSH))
             if self._is_lost():
                 return
             self._take_traction()
@@ -207,12 +206,16 @@ class ContactPlant:
             self.y[-1] += work - self.h * self.friction.power(data, self.motion)
         self._take_slip()
 
-    def _push(self, force: Array) -> None:
-        """Apply a generalized force on nu: at the control frame and on the joints of the arm."""
+    def _force(self, pushed: Array) -> None:
+        """Friction and a push on nu, at the control frame and on the joints of the arm, for MuJoCo's present state."""
         data, nb = self.data, self.robot.dimensions.base
-        data.qfrc_applied[self.arm_v] += force[nb:]
-        if self.motion is not None:
-            on_base(data, self.motion, float(force[0]), float(force[1]))
+        motion = None if self.base is None else self.base.motion(data.qpos[:7], data.qvel[:6])
+        data.qfrc_applied[:] = 0.0
+        self.friction.apply(data, motion, self.hold[self.moving])
+        if pushed.size:
+            data.qfrc_applied[self.arm_v] += pushed[nb:]
+            if motion is not None:
+                on_base(data, motion, float(pushed[0]), float(pushed[1]))
 
     def observe(self, row: Array, layout: Layout) -> None:
         """Write constraint residual, slip and traction into a row, and start anew with the largest traction."""

@@ -45,20 +45,26 @@ def task_named(name, *overrides):
     return tasks_of(chosen_cases(load_experiment("contest", overrides), [name]), ("pd",))[0]
 
 
-@pytest.mark.parametrize("name", ["friction", "lag", "late1", "late3", "drop", "arm7", "eight"])
+TASKS = ["friction", "lag", "late1", "late3", "drop", "arm7", "eight", "chapter4", "rig", "tiago", "velocity", "wheels"]
+
+
+@pytest.mark.parametrize("name", TASKS)
 def test_a_shorter_step_of_the_plant_changes_no_error(name):
-    """Half of it changes the oracle's errors with exact sensors by 10 um or urad, and 5 %, at most."""
+    """Half of it changes the oracle's errors with exact sensors by 2 um or urad, and 5 %, at most."""
+    if name == "wheels":
+        pytest.importorskip("mujoco")
     task = task_named(name)
     found = []
     for share in (1.0, 0.5):
         loop = task.training(task.controller("computed_torque"), 1)
         timing = msgspec.structs.replace(loop.timing, duration=3.0, plant_step=share * loop.timing.plant_step)
-        run = replace(loop, timing=timing, sensor=Sensor(), disturbances=()).run()
+        floor = msgspec.structs.replace(loop.contact, step=share * loop.contact.step)
+        run = replace(loop, timing=timing, contact=floor, sensor=Sensor(), disturbances=()).run()
         late = run.time > 2.0
         found.append(np.sqrt((run["true_e"][late] ** 2).mean(axis=0)))
         if "true_pose_error" in run:
             found[-1] = np.append(found[-1], np.sqrt((run["true_pose_error"][late][:, :2] ** 2).sum(axis=1).mean()))
-    assert np.abs(found[0] - found[1]).max() < 1e-5 + 0.05 * found[1].max()
+    assert (np.abs(found[0] - found[1]) < 2e-6 + 0.05 * found[1]).all()
 
 
 @settings(max_examples=50, deadline=None)

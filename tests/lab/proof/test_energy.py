@@ -123,10 +123,11 @@ def test_a_covariance_by_dense_matrices(name: str) -> None:
             assert not any(found.terms[term][n] for term in ("prediction", "noise", "memory"))
             continue
         count += 1
-        answer = a.interval * (a.answer * (g * (P @ g)).sum(axis=0)).sum()
+        time = a.interval if n else h  # since the last update
+        answer = time * (a.answer * (g * (P @ g)).sum(axis=0)).sum()
         eta = min(1.0, 0.2 * a.gain @ s[n] ** 2 / answer)
-        tracked = W + eta * a.interval * a.answer * (P @ g)
-        assert found.terms["cut"][n] * h == pytest.approx((1 - eta) * a.interval * pull, rel=1e-6, abs=1e-12)
+        tracked = W + eta * time * a.answer * (P @ g)
+        assert found.terms["cut"][n] * h == pytest.approx((1 - eta) * time * pull, rel=1e-6, abs=1e-12)
         V = value(P, W_true - tracked)
         exact, real = (P, tracked), (P, tracked)
         noise = prediction = 0.0

@@ -82,7 +82,7 @@ def test_no_rows_however_wrong_take_the_weights_further_or_the_covariance_above(
             assert (state["W"][0] == before).all() and (P_now == P).all()
             continue
         place = counted % k
-        P_most[place, place] += a.drift * k * proved.prior[place]
+        P_most[place, place] += a.drift * a.interval * k * proved.prior[place]
         e = (state["Y_f"] - state["Phi_f"] @ proved.ideal) / a.gain
         regressor = learner.controller.regressor
         position = np.concatenate((wrong[where("pose")], wrong[where("q")]))
@@ -131,7 +131,7 @@ def test_distance_and_spread_are_their_sums(proved: Proved) -> None:
     wanted = proved.distance[first] + a.answer[0] * a.interval * (n * (s * spread)[first:].sum(axis=1)).sum()
     np.testing.assert_allclose(proved.distances(first, s, spread, 0 * wrong)[-1], wanted, rtol=1e-12)
     at = np.bincount((proved.done[first] + np.arange(n.sum())) % proved.ideal.size, minlength=proved.ideal.size)
-    P = proved.P[first] + np.diag(at * a.drift * proved.ideal.size * proved.prior)
+    P = proved.P[first] + np.diag(at * a.drift * a.interval * proved.ideal.size * proved.prior)
     most = np.sqrt(np.einsum("nij,jk,nik->ni", proved.Phi[-1], P, proved.Phi[-1])).max(axis=0)
     np.testing.assert_allclose(spread[-1], most, rtol=1e-9)
     assert len(proved.periods.subject.rows) // a.every - 10 <= proved.updates.sum()  # the filter settles at first
