@@ -29,7 +29,8 @@ identity V' gains exactly `-sigma / gamma (D(P || P_hat) + D(P_hat || P_0) - D(P
 
 Sampling: within one sample the estimate answers s with the torque `h Y Gamma Y' s`, a feedback that is late. All rates
 of a sample are multiplied with `eta = min(1, share s' K s / (h s' Y Gamma Y' s))`, so that it stays below a share of
-the feedback proper: a normalisation (Ioannou and Sun 1996, Robust Adaptive Control) that is 1 for short samples. Where
+the feedback proper, for all velocities and for those of base and arm alone, as noise of a strong base would else let
+a light arm be answered with more: a normalisation (Ioannou and Sun 1996, Robust Adaptive Control) that is 1 for short samples. Where
 it is less, V' = -s' K s + (1 - eta) s' Y theta_tilde, and what holds are the bounds: clipping the eigenvalues of
 `P_0^-1/2 P_hat P_0^-1/2` is the projection in D, so it never raises D(P || P_hat) for a P within the bounds.
 """
@@ -229,8 +230,15 @@ def adapt(row: Array, at: IntArray, a: Adaptation, o: Estimate) -> None:
     row[at[WEIGHT_NORM]], row[at[WEIGHT_NORM] + 1] = norm(theta[:first]), norm(theta[first:])
     if not a.learning:
         return
-    answer = directions(theta, g, a.bodies)
     eta = a.tracking
+    if 0 < z.size < p:
+        eta = within_share(eta, theta, z, 0, a)
+        eta = within_share(eta, theta, r, z.size, a)
+        for j in range(k):
+            g[j] = 0.0
+            for i in range(p):
+                g[j] += Y[i, j] * (z[i] if i < z.size else r[i - z.size])
+    answer = directions(theta, g, a.bodies)
     if eta * answer > a.share * feedback:
         eta = a.share * feedback / answer
     move(theta, eta, a.sigma * math.sqrt(square) if a.by_error else a.sigma, a.bodies)
@@ -241,6 +249,20 @@ def adapt(row: Array, at: IntArray, a: Adaptation, o: Estimate) -> None:
                     for c in range(k):
                         o.gram[j, c] += Y[i, j] * Y[i, c]
     o.samples[0] += 1.0
+
+
+@internal
+def within_share(eta: float, theta: Array, s: Array, first: int, a: Adaptation) -> float:
+    """eta, or less, so that base or arm (velocities from `first` on, errors s) answer their share of their feedback."""
+    Y, g, feedback = a.known.Y, a.gradient, 0.0
+    for j in range(g.size):
+        g[j] = 0.0
+        for i in range(s.size):
+            g[j] += Y[first + i, j] * s[i]
+    for i in range(s.size):
+        feedback += a.gain[first + i] * s[i] * s[i]
+    answer = directions(theta, g, a.bodies)
+    return a.share * feedback / answer if eta * answer > a.share * feedback else eta
 
 
 @compiled

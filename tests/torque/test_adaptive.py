@@ -263,6 +263,24 @@ def test_a_sample_answers_at_most_its_share_of_the_feedback():
         assert s @ Y @ (bench.theta - before) == pytest.approx(share * feedback, rel=0.02)
 
 
+def test_errors_of_the_base_do_not_let_the_arm_be_answered_with_more():
+    """Of a sample's answer matrix, by one velocity after the other, the arm's part keeps to the arm's share alone."""
+    rng, h, share = np.random.default_rng(2), 2e-3, 0.1
+    Y, s = rng.standard_normal((4, REGRESSOR.size)), np.array([1e-1, 1e-1, 1e-4, 1e-4])
+    Y[:2] *= 1e-2
+    bench = Bench(h=h, share=share, bounds=1e6, heaviest=1e6, friction_bound=1e6, rate=1e3)
+    bench.theta[REGRESSOR.inertial :] = 50.0
+    before = bench.theta.copy()
+    A = np.array([y @ gain(bench).T @ Y.T for y in Y]) if directions(bench.theta, Y[0], bench.a.bodies) else None
+    feedback = K.vector(ROBOT.dimensions)
+    wished = h * s[2:] @ A[2:, 2:] @ s[2:]
+    allowed = share * s[2:] @ (feedback[2:] * s[2:])
+    assert wished > 2 * allowed and h * s @ A @ s < share * s @ (feedback * s)
+    bench.step(Y, s)
+    eta = s @ Y @ (bench.theta - before) / (h * s @ A @ s)
+    assert eta == pytest.approx(allowed / wished, rel=0.05)
+
+
 def test_a_start_from_a_robot_without_density_is_made_physical():
     rng = np.random.default_rng(0)
     guess, flat = positive(rng), np.diag([1.0, 2.0, 0.0, 3.0])
