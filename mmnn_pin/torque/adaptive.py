@@ -29,10 +29,11 @@ identity V' gains exactly `-sigma / gamma (D(P || P_hat) + D(P_hat || P_0) - D(P
 
 Sampling: within one sample the estimate answers s with the torque `h Y Gamma Y' s`, a feedback that is late. All rates
 of a sample are multiplied with `eta = min(1, share s' K s / (h s' Y Gamma Y' s))`, so that it stays below a share of
-the feedback proper, for all velocities and for those of base and arm alone, as noise of a strong base would else let
-a light arm be answered with more: a normalisation (Ioannou and Sun 1996, Robust Adaptive Control) that is 1 for short samples. Where
-it is less, V' = -s' K s + (1 - eta) s' Y theta_tilde, and what holds are the bounds: clipping the eigenvalues of
-`P_0^-1/2 P_hat P_0^-1/2` is the projection in D, so it never raises D(P || P_hat) for a P within the bounds.
+the feedback proper, the least eta of all velocities and of those of base and arm alone: else noise of a strong base
+lets a light arm be answered with more. It is a normalisation (Ioannou and Sun 1996, Robust Adaptive Control) that is 1
+for short samples. Where it is less, V' = -s' K s + (1 - eta) s' Y theta_tilde, and what holds are the bounds: clipping
+the eigenvalues of `P_0^-1/2 P_hat P_0^-1/2` is the projection in D, so it never raises D(P || P_hat) for a P within the
+bounds.
 """
 
 from __future__ import annotations
