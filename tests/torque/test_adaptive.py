@@ -254,12 +254,12 @@ def test_no_body_is_believed_to_be_heavier_than_ten_of_the_priors_however_light_
 @pytest.mark.parametrize("share", [0.1, 0.01])
 @pytest.mark.parametrize("sizes", [(1e-3, 1e-3), (1.0, 1e-4), (1e-5, 1e-2)])
 def test_a_sample_answers_at_most_its_share_of_the_feedback(share, sizes):
-    """All velocities, and those of base and arm alone: noise of a strong base lets no light arm be answered with more."""
+    """All velocities, and base and arm alone: noise of a strong base lets no light arm be answered with more."""
     rng, h, gains = np.random.default_rng(1), 2e-3, K.vector(ROBOT.dimensions)
     Y, s = 30 * rng.standard_normal((4, REGRESSOR.size)), rng.standard_normal(4) * np.repeat(sizes, 2)
     bench = Bench(h=h, share=share, bounds=1e6, heaviest=1e6, friction_bound=1e6)
     bench.theta[REGRESSOR.inertial :] = 50.0
-    before, A = bench.theta.copy(), h * Y @ gain(bench) @ Y.T
+    before, A = bench.theta.copy(), h * Y @ natural_gain(bench) @ Y.T
     parts = [np.isin(range(4), where) * s for where in (range(4), (0, 1), (2, 3))]
     eta = min(1.0, *(share * x @ (gains * x) / (x @ A @ x) for x in parts))
     bench.step(Y, s)
