@@ -213,35 +213,25 @@ def adapt(row: Array, at: IntArray, a: Adaptation, o: Estimate) -> None:
         a: The numbers of the law.
         o: What it remembers.
     """
-    Y, g = a.known.Y, a.gradient
+    Y = a.known.Y
     p, k = Y.shape
     theta, z, r = o.theta, row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
-    square, feedback, first = 0.0, 0.0, BODY * len(a.bodies.roots)
-    for j in range(k):
-        g[j] = 0.0
+    square, first = 0.0, BODY * len(a.bodies.roots)
     for i in range(p):
         s = z[i] if i < z.size else r[i - z.size]
         square += s * s
-        feedback += a.gain[i] * s * s
         psi_hat = 0.0
         for j in range(k):
             psi_hat += Y[i, j] * theta[j]
-            g[j] += Y[i, j] * s
         row[at[PSI_HAT] + i], row[at[EFFECTIVE_GAIN] + i] = psi_hat, a.gain[i]
     row[at[WEIGHT_NORM]], row[at[WEIGHT_NORM] + 1] = norm(theta[:first]), norm(theta[first:])
     if not a.learning:
         return
     eta = a.tracking
     if 0 < z.size < p:
-        eta = within_share(eta, theta, z, 0, a)
-        eta = within_share(eta, theta, r, z.size, a)
-        for j in range(k):
-            g[j] = 0.0
-            for i in range(p):
-                g[j] += Y[i, j] * (z[i] if i < z.size else r[i - z.size])
-    answer = directions(theta, g, a.bodies)
-    if eta * answer > a.share * feedback:
-        eta = a.share * feedback / answer
+        eta = within_share(eta, theta, z, r, 0, z.size, a)
+        eta = within_share(eta, theta, z, r, z.size, p, a)
+    eta = within_share(eta, theta, z, r, 0, p, a)
     move(theta, eta, a.sigma * math.sqrt(square) if a.by_error else a.sigma, a.bodies)
     if int(o.samples[0]) % a.stride == 0:
         for i in range(p):
@@ -253,15 +243,16 @@ def adapt(row: Array, at: IntArray, a: Adaptation, o: Estimate) -> None:
 
 
 @internal
-def within_share(eta: float, theta: Array, s: Array, first: int, a: Adaptation) -> float:
-    """eta, or less, so that base or arm (velocities from `first` on, errors s) answer their share of their feedback."""
+def within_share(eta: float, theta: Array, z: Array, r: Array, first: int, last: int, a: Adaptation) -> float:
+    """eta, or less, so that the velocities from `first` to `last` alone answer at most their share."""
     Y, g, feedback = a.known.Y, a.gradient, 0.0
     for j in range(g.size):
         g[j] = 0.0
-        for i in range(s.size):
-            g[j] += Y[first + i, j] * s[i]
-    for i in range(s.size):
-        feedback += a.gain[first + i] * s[i] * s[i]
+    for i in range(first, last):
+        s = z[i] if i < z.size else r[i - z.size]
+        feedback += a.gain[i] * s * s
+        for j in range(g.size):
+            g[j] += Y[i, j] * s
     answer = directions(theta, g, a.bodies)
     return a.share * feedback / answer if eta * answer > a.share * feedback else eta
 
