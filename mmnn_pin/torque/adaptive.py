@@ -30,10 +30,9 @@ identity V' gains exactly `-sigma / gamma (D(P || P_hat) + D(P_hat || P_0) - D(P
 Sampling: within one sample the estimate answers s with the torque `h Y Gamma Y' s`, a feedback that is late. All rates
 of a sample are multiplied with `eta = min(1, share s' K s / (h s' Y Gamma Y' s))`, so that it stays below a share of
 the feedback proper, the least eta of all velocities and of those of base and arm alone: else noise of a strong base
-lets a light arm be answered with more. It is a normalisation (Ioannou and Sun 1996, Robust Adaptive Control) that is 1
-for short samples. Where it is less, V' = -s' K s + (1 - eta) s' Y theta_tilde, and what holds are the bounds: clipping
-the eigenvalues of `P_0^-1/2 P_hat P_0^-1/2` is the projection in D, so it never raises D(P || P_hat) for a P within the
-bounds.
+lets a light arm be answered with more (Ioannou and Sun 1996, Robust Adaptive Control). Where it is less than 1,
+V' = -s' K s + (1 - eta) s' Y theta_tilde, and what holds are the bounds: clipping the eigenvalues of
+`P_0^-1/2 P_hat P_0^-1/2` is the projection in D: D(P || P_hat) never grows for a P within the bounds.
 """
 
 from __future__ import annotations
@@ -209,13 +208,12 @@ def adapt(row: Array, at: IntArray, a: Adaptation, o: Estimate) -> None:
 
     Args:
         row: (width,) row of signals; psi_hat, effective_gain and weight_norm are written.
-        at: Offsets of the signals.
-        a: The numbers of the law.
+        at, a: Offsets of the signals, the numbers of the law.
         o: What it remembers.
     """
-    Y = a.known.Y
+    Y, theta = a.known.Y, o.theta
     p, k = Y.shape
-    theta, z, r = o.theta, row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
+    z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     square, first = 0.0, BODY * len(a.bodies.roots)
     for i in range(p):
         s = z[i] if i < z.size else r[i - z.size]
