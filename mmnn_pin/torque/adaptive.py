@@ -208,13 +208,13 @@ def adapt(row: Array, at: IntArray, a: Adaptation, o: Estimate) -> None:
 
     Args:
         row: (width,) row of signals; psi_hat, effective_gain and weight_norm are written.
-        at, a: Offsets of the signals, the numbers of the law.
+        at: Offsets of the signals.
+        a: The numbers of the law.
         o: What it remembers.
     """
-    Y, theta = a.known.Y, o.theta
-    p, k = Y.shape
-    z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
+    Y, theta, (p, k) = a.known.Y, o.theta, a.known.Y.shape
     square, first = 0.0, BODY * len(a.bodies.roots)
+    z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     for i in range(p):
         s = z[i] if i < z.size else r[i - z.size]
         square += s * s
@@ -251,8 +251,8 @@ def within_share(eta: float, theta: Array, z: Array, r: Array, first: int, last:
         feedback += a.gain[i] * s * s
         for j in range(g.size):
             g[j] += Y[i, j] * s
-    answer = directions(theta, g, a.bodies)
-    return a.share * feedback / answer if eta * answer > a.share * feedback else eta
+    answer, most = directions(theta, g, a.bodies), a.share * feedback
+    return most / answer if eta * answer > most else eta
 
 
 @compiled
