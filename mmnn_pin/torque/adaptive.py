@@ -29,9 +29,10 @@ identity V' gains exactly `-sigma / gamma (D(P || P_hat) + D(P_hat || P_0) - D(P
 
 Sampling: within one sample the estimate answers s with the torque `h Y Gamma Y' s`, a feedback that is late. All rates
 of a sample are multiplied with `eta = min(1, share s' K s / (h s' Y Gamma Y' s))`, so that it stays below a share of
-the feedback proper: a normalisation (Ioannou and Sun 1996, Robust Adaptive Control) that is 1 for short samples. Where
-it is less, V' = -s' K s + (1 - eta) s' Y theta_tilde, and what holds are the bounds: clipping the eigenvalues of
-`P_0^-1/2 P_hat P_0^-1/2` is the projection in D, so it never raises D(P || P_hat) for a P within the bounds.
+the feedback proper, the least eta of all velocities and of those of base and arm alone: else noise of a strong base
+lets a light arm be answered with more (Ioannou and Sun 1996, Robust Adaptive Control). Where it is less than 1,
+V' = -s' K s + (1 - eta) s' Y theta_tilde, and what holds are the bounds: clipping the eigenvalues of
+`P_0^-1/2 P_hat P_0^-1/2` is the projection in D: D(P || P_hat) never grows for a P within the bounds.
 """
 
 from __future__ import annotations
@@ -211,28 +212,24 @@ def adapt(row: Array, at: IntArray, a: Adaptation, o: Estimate) -> None:
         a: The numbers of the law.
         o: What it remembers.
     """
-    Y, g = a.known.Y, a.gradient
-    p, k = Y.shape
-    theta, z, r = o.theta, row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
-    square, feedback, first = 0.0, 0.0, BODY * len(a.bodies.roots)
-    for j in range(k):
-        g[j] = 0.0
+    Y, theta, (p, k) = a.known.Y, o.theta, a.known.Y.shape
+    square, first = 0.0, BODY * len(a.bodies.roots)
+    z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     for i in range(p):
         s = z[i] if i < z.size else r[i - z.size]
         square += s * s
-        feedback += a.gain[i] * s * s
         psi_hat = 0.0
         for j in range(k):
             psi_hat += Y[i, j] * theta[j]
-            g[j] += Y[i, j] * s
         row[at[PSI_HAT] + i], row[at[EFFECTIVE_GAIN] + i] = psi_hat, a.gain[i]
     row[at[WEIGHT_NORM]], row[at[WEIGHT_NORM] + 1] = norm(theta[:first]), norm(theta[first:])
     if not a.learning:
         return
-    answer = directions(theta, g, a.bodies)
     eta = a.tracking
-    if eta * answer > a.share * feedback:
-        eta = a.share * feedback / answer
+    if 0 < z.size < p:
+        eta = within_share(eta, theta, z, r, 0, z.size, a)
+        eta = within_share(eta, theta, z, r, z.size, p, a)
+    eta = within_share(eta, theta, z, r, 0, p, a)
     move(theta, eta, a.sigma * math.sqrt(square) if a.by_error else a.sigma, a.bodies)
     if int(o.samples[0]) % a.stride == 0:
         for i in range(p):
@@ -241,6 +238,21 @@ def adapt(row: Array, at: IntArray, a: Adaptation, o: Estimate) -> None:
                     for c in range(k):
                         o.gram[j, c] += Y[i, j] * Y[i, c]
     o.samples[0] += 1.0
+
+
+@internal
+def within_share(eta: float, theta: Array, z: Array, r: Array, first: int, last: int, a: Adaptation) -> float:
+    """eta, or less, so that the velocities from `first` to `last` alone answer at most their share."""
+    Y, g, feedback = a.known.Y, a.gradient, 0.0
+    for j in range(g.size):
+        g[j] = 0.0
+    for i in range(first, last):
+        s = z[i] if i < z.size else r[i - z.size]
+        feedback += a.gain[i] * s * s
+        for j in range(g.size):
+            g[j] += Y[i, j] * s
+    answer, most = directions(theta, g, a.bodies), a.share * feedback
+    return most / answer if eta * answer > most else eta
 
 
 @compiled

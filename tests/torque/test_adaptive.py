@@ -251,16 +251,19 @@ def test_no_body_is_believed_to_be_heavier_than_ten_of_the_priors_however_light_
     np.testing.assert_array_equal(told.most(0.001), 100.0)
 
 
-def test_a_sample_answers_at_most_its_share_of_the_feedback():
-    rng, h = np.random.default_rng(1), 2e-3
-    Y, s = 100 * rng.standard_normal((4, REGRESSOR.size)), 1e-3 * rng.standard_normal(4)
-    for share in (0.1, 0.01):
-        bench = Bench(h=h, share=share, bounds=1e6, heaviest=1e6, friction_bound=1e6)
-        before = bench.theta.copy()
-        before[REGRESSOR.inertial :] = bench.theta[REGRESSOR.inertial :] = 50.0
-        bench.step(Y, s)
-        feedback = s @ (K.vector(ROBOT.dimensions) * s)
-        assert s @ Y @ (bench.theta - before) == pytest.approx(share * feedback, rel=0.02)
+@pytest.mark.parametrize("share", [0.1, 0.01])
+@pytest.mark.parametrize("sizes", [(1e-3, 1e-3), (1.0, 1e-4), (1e-5, 1e-2)])
+def test_a_sample_answers_at_most_its_share_of_the_feedback(share, sizes):
+    """All velocities, and base and arm alone: noise of a strong base lets no light arm be answered with more."""
+    rng, h, gains = np.random.default_rng(1), 2e-3, K.vector(ROBOT.dimensions)
+    Y, s = 30 * rng.standard_normal((4, REGRESSOR.size)), rng.standard_normal(4) * np.repeat(sizes, 2)
+    bench = Bench(h=h, share=share, bounds=1e6, heaviest=1e6, friction_bound=1e6)
+    bench.theta[REGRESSOR.inertial :] = 50.0
+    before, A = bench.theta.copy(), h * Y @ natural_gain(bench) @ Y.T
+    parts = [np.isin(range(4), where) * s for where in (range(4), (0, 1), (2, 3))]
+    eta = min(1.0, *(share * x @ (gains * x) / (x @ A @ x) for x in parts))
+    bench.step(Y, s)
+    assert eta < 0.5 and s @ Y @ (bench.theta - before) == pytest.approx(eta * s @ A @ s, rel=0.03)
 
 
 def test_a_start_from_a_robot_without_density_is_made_physical():
