@@ -32,6 +32,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...model.regressor import Regressor
+from ...model.tree.body import parameters
 from ...signals import Array, IntArray
 from ...torque.adaptive import Adaptive
 from ...torque.concurrent import Concurrent
@@ -48,7 +49,7 @@ from .weights_part import LOST, step_again
 
 WIDER, TINY = 0.6, 1e-12  # binary logarithm of how much wider a box is that features are looked at in; the least one
 FORGOTTEN = 36.0  # time constants after which a low-pass has forgotten all, to 2e-16
-CHECKED, ROUNDED = 100, 1e-9  # samples at which Psi is compared with what parameters say; share of its terms lost
+SEEN, ROUNDED = 100, 1e-9  # motions on which Psi is compared with what parameters say; share of its terms lost
 
 
 class Errors(Protocol):
@@ -110,7 +111,8 @@ class Proved:
         ideal = true_weights(subject, self.learner)
         if ideal is None:
             raise RecordingError("no bound of the learner's error", why="its robot has no true parameters")
-        self.ideal, K = ideal.ravel(), len(self.starts)
+        regressor = self.learner.controller.regressor
+        self.ideal, K = exactly(regressor, parameters(subject.robot), ideal.ravel()), len(self.starts)
         self.prior = self.learner.start["prior"].copy()
         self.distance, self.P = np.zeros(K), np.zeros((K, self.ideal.size, self.ideal.size))
         self.heard, self.updates, self.done = np.zeros((K, len(self.a.gain))), np.zeros(K, int), np.zeros(K, int)
@@ -119,10 +121,9 @@ class Proved:
             raise RecordingError("no bound of the learner's error", why="stepped again it says another Psi_hat")
         if noise.any():
             self._hear_truth()
-        law = self.learner.controller
-        self.features = Features(law.regressor, steps.course, steps.signal("q_ref"))
+        self.features = Features(regressor, steps.course, steps.signal("q_ref"))
         self.looks: dict[tuple[int, int], Look] = {}
-        self.unsaid = unsaid(periods, law.regressor, self.ideal)
+        self.unsaid = unsaid(periods, regressor, self.ideal)
 
     def _before(self, n: int, row: Array, stepper: Stepper) -> float:
         b, state = int(np.searchsorted(self.starts, n)), stepper.state
@@ -283,6 +284,18 @@ class Look:
         return np.asarray(np.sqrt(np.einsum("pyz,y,z->p", self.gram, y, y)) + roots(rest, np.abs(P)))
 
 
+def exactly(regressor: Regressor, theta: Array, ideal: Array) -> Array:
+    """Parameters (k,) next to ideal ones that say the same as theta on every motion, but for rounding.
+
+    Directions that change nothing are known from sums of squares to half the digits alone.
+    """
+    rng, p = np.random.default_rng(2), len(regressor.massless.nu)
+    Y = np.vstack([regressor.matrix(regressor.random_position(rng), *rng.standard_normal((3, p))) for _ in range(SEEN)])
+    scale = np.linalg.norm(Y, axis=0)
+    scale = 1 / np.where(scale > 0, scale, 1.0)
+    return np.asarray(ideal - scale * np.linalg.lstsq(Y * scale, Y @ (ideal - theta), rcond=ROUNDED)[0])
+
+
 def unsaid(periods: Periods, regressor: Regressor, ideal: Array) -> Array:
     """(p,) what parameters (k,) do not say of Psi, at most [N, N m]: friction above its dry level, and rounding.
 
@@ -292,7 +305,7 @@ def unsaid(periods: Periods, regressor: Regressor, ideal: Array) -> Array:
     robot, rng, psi = periods.robot, np.random.default_rng(1), np.zeros(len(periods.gain))
     most = np.abs(robot.T).T @ robot.dry[:, 1]
     size = np.zeros_like(most)
-    for row in periods.subject.rows[np.linspace(0, len(periods.subject.rows) - 1, CHECKED).astype(int)]:
+    for row in periods.subject.rows[np.linspace(0, len(periods.subject.rows) - 1, SEEN).astype(int)]:
         y = rng.standard_normal(periods.size)
         for state in (np.zeros_like(y), y):
             seen, position, nu = periods.seen(row, state)
@@ -301,10 +314,9 @@ def unsaid(periods: Periods, regressor: Regressor, ideal: Array) -> Array:
             periods.rough.refresh_psi(nu_ref, nudot_ref, psi)
             Y = regressor.matrix(position, nu, nu_ref, nudot_ref)
             here = np.abs(Y) @ np.abs(ideal)
-            if not (np.abs(psi - Y @ ideal) <= most + ROUNDED * here).all():
-                raise RecordingError(
-                    "no bound of the learner's error", why="its parameters do not say all of its robot"
-                )
+            if not (np.abs(psi - Y @ ideal) <= most + ROUNDED * here.max()).all():
+                why = "its parameters do not say all of its robot"
+                raise RecordingError("no bound of the learner's error", why=why)
             size = np.maximum(size, here)
     return np.asarray(most + ROUNDED * size)
 

@@ -143,7 +143,8 @@ class Matrices:
 
     def turned_back(self) -> Matrices:
         """Transposed."""
-        return Matrices(*(one.swapaxes(-1, -2) for one in (self.value, self.slope, self.rest)), self.box)
+        value, slope, rest = (one.swapaxes(-1, -2) for one in (self.value, self.slope, self.rest))
+        return Matrices(value, slope, rest, self.box)
 
     def times(self, factor: float) -> Matrices:
         """All times a number."""

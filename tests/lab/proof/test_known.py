@@ -299,6 +299,21 @@ def test_equations_of_another_delay_are_told(search: Search) -> None:
 
 
 @compiled
+@pytest.mark.parametrize("controller", ["kalman_regressor", "adaptive_composite", "concurrent"])
+def test_a_learner_of_late_commands_says_again_what_it_said(controller: str) -> None:
+    """Its torques are under way for a sample, in the replay as in the run."""
+    subject = Subject.of(run(controller, "latency.command=0.001", seconds=0.4))
+    learner = subject.learner
+    assert learner is not None and learner.context.way == 1e-3
+    stepper, learned = Stepper(learner, learner.start.snapshot()), 0.0
+    for row in subject.rows:
+        psi_hat = stepper.step(row)
+        learned = max(learned, float(np.abs(psi_hat).max()))
+        np.testing.assert_allclose(psi_hat, row[subject.layout.where("psi_hat")], atol=1e-9)
+    assert learned > 0.1
+
+
+@compiled
 def test_noise_that_leaves_nothing_proved_is_named_and_less_of_it_does_not() -> None:
     """The first thing that is in the way, and following what it says to change."""
     loud = tube_of(Subject.of(run("kalman_regressor", "sensor.velocity_noise=1e-3")))
