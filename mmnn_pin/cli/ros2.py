@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -208,7 +209,7 @@ def of_settings(experiment: Experiment) -> Iterator[None]:
         with experiment.in_its_keys():
             yield
     except ConfigError as error:
-        error.fix = error.fix.replace("--set ", "--set set.")
+        error.fix = re.sub(r"--set ('?)", r"--set \1set.", error.fix)
         raise
 
 
