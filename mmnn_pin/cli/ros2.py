@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from msgspec.structs import replace
 
 from ..errors import ConfigError, InputError
 from .options import examples, robots, shared
@@ -130,6 +131,7 @@ def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:
 
     def build() -> tuple[Experiment, Robot]:
         experiment = load_experiment(settings.experiment, [f'robot="{settings.robot}"', *times, *settings.changes])
+        experiment = replace(experiment, latency=settings.latency_of(experiment.latency))
         robot = experiment.load_robot()
         interfaces(robot, settings)
         return experiment, robot
@@ -185,8 +187,6 @@ def control(
     more: dict[str, Any] = {"limits": settings.limits, "setpoint_timeout": settings.setpoint_timeout}
     more |= {
         "interfaces": interfaces(robot, settings),
-        "latency": settings.latency,
-        "predict": settings.predict,
         "path": out,
         "force": force,
     }

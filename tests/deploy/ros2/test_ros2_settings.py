@@ -17,6 +17,7 @@ from mmnn_pin.cli.ros2 import asked
 from mmnn_pin.deploy.ros2.reading import line_of, load_settings
 from mmnn_pin.deploy.ros2.wiring import example, interfaces
 from mmnn_pin.errors import InputError
+from mmnn_pin.loop.latency import Latency
 from mmnn_pin.safety import Safety
 
 GOOD = SETTINGS.format(domain=3, reliability="reliable")
@@ -145,3 +146,22 @@ def test_gains_too_high_for_the_rate_are_refused_with_the_settings_that_cure_it(
     assert f"set.kinematic.K={loop.kinematic.K:.4g}" in changes
     with Stepper.of(loop, interfaces=interfaces(robot, settings), safety=Safety()) as stepper:
         assert stepper.delay_margin() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("said", "found"),
+    [
+        ("", Latency(sensing=0.004, command=0.001, margin=0.007, predict=True)),
+        ("latency = 0.006", Latency(sensing=0.006, margin=0.007, predict=True)),
+        ("latency = 0.006\npredict = false", Latency(command=0.006, margin=0.007)),
+        ("predict = false", Latency(sensing=0.004, command=0.001, margin=0.007)),
+    ],
+)
+def test_an_experiments_latency_keeps_what_the_settings_do_not_say(said: str, found: Latency, tmp_path: Path) -> None:
+    own = "latency = { sensing = 0.004, command = 0.001, margin = 0.007, predict = true }"
+    file = tmp_path / "robot.toml"
+    file.write_text(GOOD.replace("latency = 0.005", said, 1).replace("[set]", f"[set]\n{own}", 1))
+    experiment, robot = asked(load_settings(file, []), file)
+    assert experiment.latency == found
+    with Stepper.of(experiment.loop(robot, "pd"), safety=Safety(torque="urdf")) as stepper:
+        assert stepper.setup.known == found
