@@ -257,7 +257,11 @@ def prove(
     ),
 )
 @RUNS
-@click.option("--html", type=click.Path(path_type=Path), help="Write the page to this file and open nothing.")
+@click.option(
+    "--html",
+    type=click.Path(path_type=Path),
+    help="Write the page to this file and open nothing; missing folders are made.",
+)
 @FORCE
 @click.option("--fps", type=click.FloatRange(0.1, 1000), default=60, show_default=True, help="Frames kept per second.")
 @click.option(
