@@ -24,8 +24,10 @@ from typing import Any
 from .errors import ConfigError, InputError, RecordingError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+ELSEWHERE = "choose another place"
 CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 LONGEST, DEEPEST = 1_000_000, 32  # bytes of a TOML file; levels of its tables and lists
+TOML = "mend it: lines are key = value, texts stand in quotes, every bracket is closed"
 PART = r"(?:\"[^\"\n]*+\"|'[^'\n]*+'|[\w-]++)"  # of a key
 DEEP_KEY = re.compile(rf"(?:^|[\[{{,])[ \t]*+{PART}(?:[ \t]*+\.[ \t]*+{PART}){{{DEEPEST},}}", re.MULTILINE)
 DEEP = f"it is nested more than {DEEPEST} levels deep"
@@ -44,7 +46,7 @@ def way_out(error: Exception) -> str:
         return "make room on the disk, and give the same command again"
     if number in (errno.ENAMETOOLONG, errno.ELOOP):
         return "use a shorter name"
-    return "choose another place" if number in CLOSED else ""
+    return ELSEWHERE if number in CLOSED else ""
 
 
 # -- what is read ------------------------------------------------------------------------------------------------------
@@ -82,7 +84,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     except ValueError as error:
         line = re.search(r"at line (\d+)", str(error))
         number = int(line[1]) if line else None
-        raise ConfigError("not valid TOML", why=str(error), file=path, line=number) from error
+        raise ConfigError("not valid TOML", why=str(error), fix=TOML, file=path, line=number) from error
 
 
 def parsed_toml(text: str) -> dict[str, Any]:
@@ -225,7 +227,9 @@ def errors_of(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise RecordingError(f"cannot write the {what}", why=reason(error), fix=way_out(error), file=path) from error
+        raise RecordingError(
+            f"cannot write the {what}", why=reason(error), fix=way_out(error) or ELSEWHERE, file=path
+        ) from error
 
 
 @contextmanager

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from ..recording.recording import Recording
 
 RUNS = click.argument("runs", nargs=-1, required=True, metavar="RUN...", type=click.Path(path_type=Path))
+LARGE = 50_000_000  # bytes of an exported file from which it is told how to have less
 TO = ("csv", "npz", "parquet", "mcap")
 
 
@@ -256,7 +257,11 @@ def prove(
     ),
 )
 @RUNS
-@click.option("--html", type=click.Path(path_type=Path), help="Write the page to this file and open nothing.")
+@click.option(
+    "--html",
+    type=click.Path(path_type=Path),
+    help="Write the page to this file and open nothing; missing folders are made.",
+)
 @FORCE
 @click.option("--fps", type=click.FloatRange(0.1, 1000), default=60, show_default=True, help="Frames kept per second.")
 @click.option(
@@ -376,6 +381,7 @@ def report(
     short_help="Write recordings in the formats of other programs.",
     epilog=examples(
         "mmnn export runs/chapter4/two_layer.h5 --to csv",
+        "mmnn export runs/track/pd.h5 --to csv --rate 100 --signals pose,q,torque        a small table",
         "mmnn export runs/chapter4/two_layer.h5 --to mcap --out two_layer.mcap     for Foxglove, PlotJuggler",
         "mmnn export runs/chapter4 --to parquet --out tables                       every recording of a folder",
         "mmnn export runs/robustness --to csv                                      the rows of a study",
@@ -384,21 +390,35 @@ def report(
 @RUNS
 @click.option("--to", type=click.Choice(TO), required=True, help="The format.")
 @click.option("--out", type=click.Path(path_type=Path), help="A file, or a folder.  [default: beside the recording]")
+@click.option("--signals", metavar="NAME,...", help="Signals of a table beside the time.  [default: all]")
+@click.option("--rate", type=float, metavar="HZ", help="Rows per second at most, samples of the run.  [default: all]")
 @FORCE
 @shared
-def export(runs: tuple[Path, ...], to: str, out: Path | None, force: bool, as_json: bool) -> int:
+def export(
+    runs: tuple[Path, ...],
+    to: str,
+    out: Path | None,
+    signals: str | None,
+    rate: float | None,
+    force: bool,
+    as_json: bool,
+) -> int:
     """Write recordings as tables (csv, npz, parquet) or as MCAP. RUN is a recording, or a folder with recordings.
 
     RUN may also be one study, its folder or its database: its rows are written as csv or parquet.
     MCAP holds joint states, transforms, odometry and all signals as messages of ROS 2. Parquet and MCAP need
     `pip install 'mmnn_pin[export]'`.
     """
+    from ..lab.show.export import Part, export_study
     from ..lab.show.export import export as write
-    from ..lab.show.export import export_study
 
+    chosen = tuple(name.strip() for name in (signals or "").split(",") if name.strip())
     if (study := found_in(runs, "study")) is not None:
         from ..lab.study.results import load_results
 
+        if chosen or rate is not None:
+            fix = "leave out --signals and --rate"
+            raise ConfigError("a part of a study's rows", why="a run is one row", fix=fix, key="--signals")
         results = load_results(study)
         files = dict(zip([study], targets([results.path.with_stem(results.name)], out, to), strict=True))
         export_study(results, files[study], to, force=force)
@@ -407,12 +427,17 @@ def export(runs: tuple[Path, ...], to: str, out: Path | None, force: bool, as_js
         files = dict(zip(recordings, targets(list(recordings), out, to), strict=True))
         for file in files.values():
             require_free(file, force)
+        for recording in recordings.values():
+            Part.of(recording, chosen, rate)
         for run, recording in recordings.items():
-            write(recording, files[run], to, force=force)
+            write(recording, files[run], to, force=force, signals=chosen, rate=rate)
+    large = [file for file in files.values() if file.stat().st_size > LARGE]
+    sizes = ", ".join(f"{file.stat().st_size / 1e6:.0f} MB" for file in large)
+    note = f"\nnote: {sizes}; --rate 100 and --signals q,torque make smaller tables" if large and to != "mcap" else ""
     answer(
         as_json,
         lambda: {"to": to, "files": {str(run): str(file) for run, file in files.items()}},
-        lambda: wrote(files.values()),
+        lambda: wrote(files.values()) + note,
     )
     return DONE
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from msgspec.structs import replace
 
 from ..errors import ConfigError, InputError
 from .options import examples, robots, shared
@@ -129,6 +131,7 @@ def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:
 
     def build() -> tuple[Experiment, Robot]:
         experiment = load_experiment(settings.experiment, [f'robot="{settings.robot}"', *times, *settings.changes])
+        experiment = replace(experiment, latency=settings.latency_of(experiment.latency))
         robot = experiment.load_robot()
         interfaces(robot, settings)
         return experiment, robot
@@ -184,8 +187,6 @@ def control(
     more: dict[str, Any] = {"limits": settings.limits, "setpoint_timeout": settings.setpoint_timeout}
     more |= {
         "interfaces": interfaces(robot, settings),
-        "latency": settings.latency,
-        "predict": settings.predict,
         "path": out,
         "force": force,
     }
@@ -208,7 +209,7 @@ def of_settings(experiment: Experiment) -> Iterator[None]:
         with experiment.in_its_keys():
             yield
     except ConfigError as error:
-        error.fix = error.fix.replace("--set ", "--set set.")
+        error.fix = re.sub(r"--set ('?)", r"--set \1set.", error.fix)
         raise
 
 

@@ -41,9 +41,10 @@ from .lead import delays
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
 from .sample import Plan
-from .sampled import delay_margin, require_stable_gains
-from .servo import Servo, servo_gains
+from .sampled import delay_margin
+from .servo import Servo, linear_servos
 from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
+from .stable_gains import require_stable_gains
 from .suited import Given, suited, timing_for
 
 BLOCK = 250  # most samples that an engine hands over at a time
@@ -228,7 +229,7 @@ class Loop:
             block=max(1, min(BLOCK, round(self.weights_interval / self.timing.control_period))),
             latency=self.latency.total,
             lag=self.actuator.lag,
-            servo=servo_gains(self.robot, self.interfaces, self.servo),
+            servo=linear_servos(self.robot, self.interfaces, self.servo, True),
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
         )

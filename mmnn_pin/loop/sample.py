@@ -26,7 +26,7 @@ from ..torque.controller import CompiledController, Context, ControllerState, To
 from .controller import Torque
 from .hardware import Hardware, is_stopped, send
 from .lead import Lead, catch_up, reference_then
-from .servo import ServoGains, answered, ask
+from .servo import LinearServos, answered, ask
 
 TIME, POSITION, NU, POSE_REF, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
 ALPHA, Q_REF, TORQUE, MOTOR_TORQUE = (INDEX[n] for n in ("alpha", "q_ref", "torque", "motor_torque"))
@@ -152,7 +152,7 @@ class Plan:
     block: int = 1
     latency: float = 0.0
     lag: float | tuple[float, ...] = 0.0
-    servo: ServoGains | None = None
+    servo: LinearServos | None = None
     lead: Lead | None = None
     age: float = 0.0
 

@@ -17,17 +17,14 @@ at the nearest minimum of `1/2 (q_ref - q)' k K (q_ref - q) + U(q)`, with the st
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
 
 from ..compiled import one_thread
-from ..errors import ConfigError
 from ..model.base import BY_SIZE
 from ..model.dynamics import Dynamics
-from ..settings import Numbers
 from ..signals import Array, IntArray, Setpoint
 from ..torque.classical import Gravity, Integrator
 from ..torque.controller import CompiledController
@@ -35,14 +32,13 @@ from ..torque.learning_law import LearningLaw
 from ..torque.model_based import PD, ScheduledPD
 from .before_run import Start, lags, viscous_friction
 from .sample import Plan
+from .servo import LinearServos
 
 TOLERANCE = 1e-9
 TINY = 1e-5  # deviation by which a slope is taken, and by which what stands upright begins to fall [rad or m]
 WITHOUT_RATES = (Gravity, Integrator)  # their Psi_hat does not answer to nudot_ref, and the errors in it
 LARGEST = 700.0  # exponents up to here have an exponential
 FREQUENCIES, SLOWEST = 160, 0.05  # of the sweep, from this one on [rad/s]
-SHARES = np.geomspace(1.0, 0.01, 25)  # of the gains that are tried
-ROOM = 1.5  # times the bandwidth of servos that is advised, the loop holds, too
 
 
 @dataclass(frozen=True)
@@ -66,7 +62,14 @@ class SampledLoop:
 
 
 def sampled_loop(
-    M: Array, gains: Array, v_ref: Array, base_gains: Array, K: Array, h: float, friction: Array | None = None
+    M: Array,
+    gains: Array,
+    v_ref: Array,
+    base_gains: Array,
+    K: Array,
+    h: float,
+    friction: Array | None = None,
+    servos: LinearServos | None = None,
 ) -> SampledLoop:
     """Spectral radius of the held PD loop at one mass matrix and reference velocity.
 
@@ -78,14 +81,16 @@ def sampled_loop(
         K: (n,) gain of the filtered arm error [1/s].
         h: Control period [s].
         friction: Viscous friction on nu, (p,) or a matrix (p, p); None for none.
+        servos: Of servo rows, whose gains are 0; None for none.
     """
-    held = held_loop(M, v_ref, base_gains, K, h, friction)
+    held = held_loop(M, v_ref, base_gains, K, h, friction, servos=servos)
     if held is None:
         return SampledLoop(np.inf, 2.0 / (h * np.diag(np.linalg.inv(M))))
     radius = float(np.abs(np.linalg.eigvals(held.closed(gains))).max())
-    nu = slice(len(held.state) - len(M), len(held.state))
+    first = (3 if len(v_ref) else 0) + len(K)
+    nu = slice(first, first + len(M))
     limits = (1.0 + np.diag(held.state)[nu]) / np.diag(held.torque[nu])
-    return SampledLoop(radius, limits)
+    return SampledLoop(radius, limits if servos is None else np.where(servos.on > 0.0, np.inf, limits))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,23 +99,25 @@ class HeldLoop:
 
     Attributes:
         state: (k, k).
-        torque: (k, p): what a torque held over the period does.
+        torque: (k, p): what a torque held over the period does, on servo rows a velocity that is asked for.
         errors: (p, k): `[z; r]` of a deviation.
         inside: (p, k): `M nudot_ref` of a deviation, the feedback inside Psi.
+        asked: (p, k): velocities that servo rows are asked for in a deviation, 0 on the others.
     """
 
     state: Array
     torque: Array
     errors: Array
     inside: Array
+    asked: Array
 
     def closed(self, gains: Array) -> Array:
         """(k, k) with the torque `gains s`, gains (p,)."""
         return self.state + self.torque @ self.feedback(gains, False)
 
     def feedback(self, gains: Array, inside: bool) -> Array:
-        """(p, k) torque of a deviation: `gains s`, and `M nudot_ref` where it is added."""
-        return gains[:, None] * self.errors + (self.inside if inside else 0.0)
+        """(p, k) torque of a deviation: `gains s`, and `M nudot_ref` where it is added; on servo rows what is asked."""
+        return gains[:, None] * self.errors + self.asked + (self.inside if inside else 0.0)
 
     def radius(self, gains: Array, inside: bool) -> float:
         """Spectral radius of one period."""
@@ -152,11 +159,12 @@ def held_loop(
     friction: Array | None = None,
     lag: Array | None = None,
     stiffness: Array | None = None,
+    servos: LinearServos | None = None,
 ) -> HeldLoop | None:
     """The linearised loop over one period, arguments as in `sampled_loop`; None where it moves too fast to compute.
 
     With `lag` (p,), time constants of first-order motors, their torques are further states where it is not 0 [s];
-    `stiffness` (n, n) is the derivative of gravity by the joints [N m/rad].
+    `stiffness` (n, n) is the derivative of gravity by the joints [N m/rad]. `servos` hold velocities: see `behind`.
     """
     p, nb = len(M), len(v_ref)
     poses, n = (3 if nb else 0), len(M) - len(v_ref)
@@ -165,7 +173,7 @@ def held_loop(
     size = motion + len(lagging)
     A, B, errors = np.zeros((size, size)), np.zeros((size, p)), np.zeros((p, size))
     nu = slice(poses + n, motion)
-    B[nu] = M_inv = np.linalg.inv(M)
+    B[nu] = M_inv = np.asarray(np.linalg.inv(M), float)
     of_base = slice(poses + n, poses + n + nb)
     law = BY_SIZE[nb].linear_errors(v_ref, base_gains)
     A[:poses, :poses], A[:poses, of_base], errors[:nb, :poses] = law
@@ -186,30 +194,61 @@ def held_loop(
         A[nu, nu] = -M_inv @ (np.diag(friction) if np.ndim(friction) == 1 else friction)
     if stiffness is not None:
         A[nu, poses : poses + n] += M_inv[:, nb:] @ stiffness
+    if servos is not None:
+        A, B = behind(servos, A, B, M_inv, nu)
+    size = len(A)
     held = expm(np.block([[A, B], [np.zeros((p, size + p))]]) * h)
-    return HeldLoop(held[:size, :size], held[:size, size:], errors, M @ rates)
+    state, torque = held[:size, :size], held[:size, size:]
+    if servos is None:
+        return HeldLoop(state, torque, errors, M @ rates, np.zeros((p, size)))
+    return asking(servos, state, torque, errors, rates, M, nu, h)
 
 
-def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h: float) -> None:
-    """Refuse gains that make the sampled PD loop unstable.
+def behind(servos: LinearServos, A: Array, B: Array, M_inv: Array, nu: slice) -> tuple[Array, Array]:
+    """A and B of a loop whose servo rows take velocities u: the servos act all the time, not once in a period.
 
-    Raises:
-        ConfigError: With the spectral radius and the gains that are too high.
+    A robot's own: `nudot_s = b (u - nu_s)`, by torques that act on the effort rows, too. Simulated ones: by the torque
+    `E gain (w + stiffness x)` with `w = E'(u - nu)` and `xdot = w`; the x are further states.
     """
-    if verdict.stable:
-        return
-    over = [
-        f"{name}: {gain:.4g} (limit alone {limit:.4g})"
-        for name, gain, limit in zip(names, gains, verdict.gain_limits, strict=True)
-        if gain > 0.5 * limit
-    ]
-    raise ConfigError(
-        f"the sampled PD loop is unstable: spectral radius {verdict.radius:.4g} > 1, the torque held for {h:g} s",
-        why="gains near or above their limit, 2 / (h (M^-1)_ii) without friction: "
-        + ("; ".join(over) or "none, the kinematic gains"),
-        fix="lower the gains, leave them out and let suitable ones be chosen, or shorten the control or sensor period",
-        key="feedback",
-    )
+    asked, A, B = np.diag(servos.on), A.copy(), B.copy()
+    if not servos.simulated:
+        s = np.flatnonzero(servos.on)
+        target, by_command = np.zeros((len(s), len(A))), (servos.numbers[0, :, None] * asked)[s]
+        target[:, nu] = -by_command
+        pull = M_inv[:, s] @ np.linalg.inv(M_inv[np.ix_(s, s)])
+        A[nu] += pull @ (target - A[nu][s])
+        B[nu] += pull @ (by_command - B[nu][s])
+        return A, B
+    E, m = servos.E, len(servos.gain)
+    by_velocity, by_integral = (E * servos.gain) @ E.T, E * (servos.gain * servos.stiffness)
+    further = np.zeros((m, len(A)))
+    further[:, nu] = -E.T
+    A[:, nu] -= B @ by_velocity
+    whole = np.block([[A, B @ by_integral], [further, np.zeros((m, m))]])
+    return whole, np.vstack((B @ (np.eye(len(asked)) - asked + by_velocity @ asked), E.T @ asked))
+
+
+def asking(
+    servos: LinearServos, state: Array, torque: Array, errors: Array, rates: Array, M: Array, nu: slice, h: float
+) -> HeldLoop:
+    """The loop with the law of servo rows (`loop.servo`), whose integrals psi are its last states.
+
+    `u = nu_ref + nudot_ref / b + k s + psi`, `psi_next = psi = psi_last + h rate s`; on effort rows Psi has
+    `nudot_s = b (u - psi - nu)`.
+    """
+    on, (b, k, rate), size = servos.on, servos.numbers[:, :, None], len(state)
+    rows = np.flatnonzero(on)
+    p, n = len(on), len(rows)
+    s, nudot = np.zeros((p, size + n)), np.zeros((p, size + n))
+    s[:, : errors.shape[1]], nudot[:, : rates.shape[1]] = errors, rates
+    asked = (1.0 + k + h * rate) * s + nudot / b
+    asked[:, nu] += np.eye(p)
+    asked[rows, size:] = np.eye(n)
+    nudot += on[:, None] * b * (1.0 + k) * s
+    remembered = np.hstack((np.zeros((n, size)), np.eye(n))) + h * (rate * s)[rows]
+    state = np.vstack((np.hstack((state, np.zeros((size, n)))), remembered))
+    torque = np.vstack((torque, np.zeros((n, p))))
+    return HeldLoop(state, torque, s, (1.0 - on[:, None]) * (M @ nudot), on[:, None] * asked)
 
 
 def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | None]:
@@ -226,12 +265,12 @@ def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | N
         position, _ = Start().state(robot, plan.setpoints[i])
         v_ref = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
         loop = v_ref, plan.gains, plan.K, h, friction, lag
-        found.append(held_loop(dynamics.mass_matrix(position), *loop))
+        found.append(held_loop(dynamics.mass_matrix(position), *loop, servos=servo))
         if isinstance(plan.controller, PD | ScheduledPD):
             springs = (share * gains_of(plan))[robot.dimensions.base :] * plan.K
-            by_torque = np.ones(springs.size) if servo is None else servo.gains[robot.dimensions.base :] == 0.0
+            by_torque = np.ones(springs.size) if servo is None else servo.on[robot.dimensions.base :] == 0.0
             if (stiffness := sag(dynamics, position, springs, np.flatnonzero(by_torque))) is not None:
-                found.append(held_loop(dynamics.mass_matrix(position), *loop, stiffness))
+                found.append(held_loop(dynamics.mass_matrix(position), *loop, stiffness, servo))
     return found
 
 
@@ -280,9 +319,9 @@ def slowest(plan: Plan) -> float:
 
 
 def gains_of(plan: Plan) -> Array:
-    """Gains on s, (p,): the controller's, and on velocity interfaces what their servos amount to."""
+    """Gains of the controller on s, (p,); 0 on servo rows."""
     gains = plan.controller.feedback_gain(plan.layout)  # type: ignore[union-attr]
-    return gains if plan.servo is None else np.where(plan.servo.gains > 0.0, plan.servo.gains, gains)
+    return np.asarray(gains if plan.servo is None else (1.0 - plan.servo.on) * gains)
 
 
 def adds_inside(plan: Plan) -> bool:
@@ -302,20 +341,21 @@ def judges(plan: Plan) -> bool:
 
 
 @one_thread
-def delay_margin(plan: Plan, share: float = 1.0, places: int = 5) -> float:
+def delay_margin(plan: Plan, share: float = 1.0, places: int = 5, gains: Array | None = None) -> float:
     """Smallest delay between measurement and torque that makes the loop unstable along the setpoints [s].
 
     Args:
         plan: Of a loop or a stepper.
         share: Of the gains of the feedback.
         places: How many.
+        gains: (p,) in place of its own.
 
     Returns:
         NaN for a controller in plain Python, whose gains are not known.
     """
     if not judges(plan):
         return float("nan")
-    gains, h = share * gains_of(plan), slowest(plan)
+    gains, h = share * (gains_of(plan) if gains is None else gains), slowest(plan)
     return min(margin_at(held, gains, h, adds_inside(plan)) for held in linearised(plan, places, share))
 
 
@@ -326,97 +366,12 @@ def margin_at(held: HeldLoop | None, gains: Array, h: float, inside: bool) -> fl
     return min(held.margin(gains, h, part) for part in {False, inside})
 
 
-@one_thread
-def require_stable_gains(plan: Plan) -> None:
-    """Judge the sampled PD loop at ten places along the setpoints, and with the latency of the plan.
-
-    Raises:
-        ConfigError: It is unstable at one of them, with the numbers and the largest gain that stands, or the bandwidth
-            of slower servos that cure it.
-    """
-    if not judges(plan):
-        return
-    h = slowest(plan)
-    for verdict in verdicts(plan):
-        if not verdict.stable:
-            what = f"the sampled loop is unstable: spectral radius {verdict.radius:.4g} > 1, commands held for {h:g} s"
-            require_slow_servos(plan, what)
-        require_stable(verdict, gains_of(plan), plan.robot.velocity_names, h)
-    if plan.latency > 0.0:
-        require_margin(plan)
-
-
-def verdicts(plan: Plan) -> Iterator[SampledLoop]:
-    """The sampled PD loop at ten places along the setpoints."""
+def verdicts(plan: Plan, other: Array | None = None) -> Iterator[SampledLoop]:
+    """The sampled PD loop at ten places along the setpoints, with gains (p,) in place of its own."""
     robot, dynamics = plan.robot, Dynamics(plan.robot)
-    gains, friction, h = gains_of(plan), viscous_friction(robot), slowest(plan)
+    friction, h = viscous_friction(robot), slowest(plan)
+    gains = gains_of(plan) if other is None else other
     for i in np.unique(np.linspace(0, len(plan.setpoints) - 1, 10).astype(int)):
         position, _ = Start().state(robot, plan.setpoints[i])
         velocity = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
-        yield sampled_loop(dynamics.mass_matrix(position), gains, velocity, plan.gains, plan.K, h, friction)
-
-
-def require_slow_servos(plan: Plan, what: str) -> None:
-    """Refuse servos of velocity interfaces that are too fast for a loop, where slower ones cure it.
-
-    Args:
-        plan: Of the loop.
-        what: What is wrong with it.
-
-    Raises:
-        ConfigError: With the bandwidth that it bears with some room.
-    """
-    for share in SHARES[1:] if plan.servo is not None else ():
-        slower = plan.servo.times(float(share))  # type: ignore[union-attr]
-        if not holds(replace(plan, servo=slower.times(ROOM))):
-            continue
-        b, fast = (in_short(servo.bandwidth) for servo in (slower, plan.servo))  # type: ignore[union-attr]
-        why = f"servos with a bandwidth of {fast} 1/s on velocity interfaces are too fast for it"
-        fix = f"state slower ones, servo=Servo(bandwidth={b}), or shorten the control or sensor period"
-        raise ConfigError(what, why=why, fix=fix, key="servo.bandwidth")
-
-
-def in_short(numbers: Numbers) -> str:
-    """Numbers with two digits, as Python and TOML have them."""
-    short = [f"{number:.2g}" for number in np.atleast_1d(numbers)]
-    return f"[{', '.join(short)}]" if np.ndim(numbers) else short[0]
-
-
-def holds(plan: Plan) -> bool:
-    """Whether the sampled loop of a plan is stable, and bears its latency."""
-    return all(verdict.stable for verdict in verdicts(plan)) and (
-        plan.latency <= 0.0 or delay_margin(plan) > plan.latency
-    )
-
-
-def require_margin(plan: Plan) -> None:
-    """Refuse gains that do not bear the latency of a plan.
-
-    Raises:
-        ConfigError: They do not, with the largest share of them that does.
-    """
-    margin = delay_margin(plan)
-    if margin > plan.latency:
-        return
-    what = f"the loop does not bear a latency of {1e3 * plan.latency:.3g} ms"
-    require_slow_servos(plan, what)
-    share = largest_share(plan)
-    fix = "lower the gains of the kinematic layer, or shorten the latency"
-    if share > 0.0:
-        gains = share * gains_of(plan)
-        largest = ", ".join(f"{name} {gain:.4g}" for name, gain in zip(plan.robot.velocity_names, gains, strict=True))
-        fix = f"lower the feedback to {share:.4f} of it: {largest}; or shorten the latency"
-    why = f"its delay margin is {1e3 * margin:.3g} ms"
-    raise ConfigError(what, why=why, fix=fix, key="latency")
-
-
-def largest_share(plan: Plan) -> float:
-    """Largest share of the feedback that bears the latency of a plan, to 2 %; 0 where none does."""
-    for below, share in pairwise(SHARES):
-        if delay_margin(plan, float(share)) > plan.latency:
-            low, high = float(share), float(below)
-            while high > 1.02 * low:
-                middle = float(np.sqrt(low * high))
-                low, high = (middle, high) if delay_margin(plan, middle) > plan.latency else (low, middle)
-            return int(low * 1e4) / 1e4
-    return 0.0
+        yield sampled_loop(dynamics.mass_matrix(position), gains, velocity, plan.gains, plan.K, h, friction, plan.servo)

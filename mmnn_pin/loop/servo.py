@@ -28,7 +28,7 @@ import numpy as np
 from ..actuator import Drive
 from ..by_address import by_address
 from ..compiled import internal, linked
-from ..elementary.matrices import inverse, product, pseudo_inverse, solve
+from ..elementary.matrices import product, pseudo_inverse, solve
 from ..errors import ConfigError, UnknownName
 from ..model.robot import Robot
 from ..model.tree.twin import Twin
@@ -284,16 +284,27 @@ def velocity_servo(robot: Robot, servo: Servo, split: Split, dt: float, ring: Ar
         dt: Step of the plant [s].
         ring: (slots, motors) state, see `servo_slots`.
     """
+    on, gain, stiffness = servo_motors(robot, split.on, split.numbers[0])
+    E, limit = np.ascontiguousarray(robot.E), servo.strength * robot.effort_limits
+    return VelocityServo(dt, on, gain, stiffness, limit, E, split.command, ring)
+
+
+def servo_motors(robot: Robot, on: Array, bandwidth: Array) -> tuple[Array, Array, Array]:
+    """Which motors have a servo, its gain and its stiffness, (motors,) each, of `VelocityServo`.
+
+    Args:
+        robot: The robot.
+        on: (p,) which rows are servo rows.
+        bandwidth: (p,) of them [1/s].
+    """
     E = np.ascontiguousarray(robot.E)
     M = Twin(robot).mass_matrix(robot.neutral_position())
     inertia = 1.0 / np.diag(product(E.T, solve(M, E)))  # what a motor alone moves
     moves = np.abs(E) > 0.0
-    bandwidth = np.array([split.numbers[0][rows].min() for rows in moves.T])
-    on = (split.on @ moves > 0.0).astype(float)
+    b = np.array([bandwidth[rows].min() for rows in moves.T])
     back = pseudo_inverse(E)
     damping = np.diag(product(back, viscous_friction(robot), back.T))
-    gain, limit = bandwidth * inertia + TUNED * damping, servo.strength * robot.effort_limits
-    return VelocityServo(dt, on, gain, 0.25 * bandwidth, limit, E, split.command, ring)
+    return (on @ moves > 0.0).astype(float), b * inertia + TUNED * damping, 0.25 * b
 
 
 def servo_slots(servo: Servo, latency: float, dt: float) -> int:
@@ -301,33 +312,40 @@ def servo_slots(servo: Servo, latency: float, dt: float) -> int:
     return round((servo.delay + latency) / dt) + 2
 
 
-class ServoGains(NamedTuple):
-    """What servos amount to in the loop that is judged before a run.
+class LinearServos(NamedTuple):
+    """Servo rows in the linearised loop that is judged before a run.
 
     Attributes:
-        gains: (p,) on s: `b (1 + k) / (M^-1)_ii` on servo rows, 0 on the others.
-        bandwidth: b as it is stated [1/s].
+        law: As stated.
+        on: (p,) 1 on s, 0 on e.
+        numbers: (3, p) b, k, rate.
+        E: (p, m) of the m motors with a servo.
+        gain: (m,) as in `VelocityServo`.
+        stiffness: (m,) likewise [1/s].
+        simulated: Whether they are `VelocityServo`, else what the law takes them for, `nudot_s = b (u - nu_s)`.
     """
 
-    gains: Array
-    bandwidth: Numbers
-
-    def times(self, factor: float) -> ServoGains:
-        """Those of servos whose bandwidths are multiplied."""
-        b = self.bandwidth
-        return ServoGains(
-            factor * self.gains, factor * b if isinstance(b, int | float) else tuple(factor * one for one in b)
-        )
+    law: Servo
+    on: Array
+    numbers: Array
+    E: Array
+    gain: Array
+    stiffness: Array
+    simulated: bool
 
 
-def servo_gains(robot: Robot, given: Mapping[str, str] | None, servo: Servo) -> ServoGains | None:
-    """What the servos of a robot amount to; None where all rows take effort.
+def linear_servos(robot: Robot, given: Mapping[str, str] | None, law: Servo, simulated: bool) -> LinearServos | None:
+    """The servo rows of a robot; None where all rows take effort.
 
     Errors as of `interfaces_of` and `split_of`.
     """
     _, on = interfaces_of(robot, given)
-    if not on.any():
-        return None
-    b, k, _ = laws(robot, servo)
-    M_inv = inverse(Twin(robot).mass_matrix(robot.neutral_position()))
-    return ServoGains(np.asarray(on * b * (1.0 + k) / np.diag(M_inv), float), servo.bandwidth)
+    return servos_on(robot, on, law, simulated) if on.any() else None
+
+
+def servos_on(robot: Robot, on: Array, law: Servo, simulated: bool) -> LinearServos:
+    """The servos of these rows, (p,); errors as of `split_of`."""
+    numbers = laws(robot, law)
+    motors, gain, stiffness = servo_motors(robot, on, numbers[0])
+    there = motors > 0.0
+    return LinearServos(law, on, numbers, robot.E[:, there], gain[there], stiffness[there], simulated)

@@ -44,9 +44,10 @@ from .lead import Past, bring_up
 from .loop import Loop
 from .new_hardware import new_hardware
 from .sample import Control, Plan
-from .sampled import delay_margin, require_stable_gains
-from .servo import Command, Servo, interfaces_of, servo_gains
+from .sampled import delay_margin
+from .servo import Command, Servo, interfaces_of, linear_servos
 from .setup import Outside, believed_by, facts_of, new_lead
+from .stable_gains import require_stable_gains
 from .suited import Given, postures, suited
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
@@ -390,7 +391,7 @@ class Stepper:
         gains, K = setup.kinematic.base_gains(layout.base), setup.kinematic.arm_gains(layout)
         bounds, context = np.full(layout.dof, np.inf), setup.context()
         plan = Plan(robot, layout, setup.timing, setup.controller, context, believed, gains, K, bounds, places)
-        servo = servo_gains(robot, setup.interfaces, setup.servo)
+        servo = linear_servos(robot, setup.interfaces, setup.servo, False)
         plan = replace(plan, latency=self.latency, lag=setup.lag, servo=servo, lead=new_lead(setup))
         if self.check_gains:
             require_stable_gains(plan)

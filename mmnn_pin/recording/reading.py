@@ -30,6 +30,7 @@ DENSEST, ROOM = 64, 1 << 24
 MOST_MEMBERS, MOST_NAMES = 1000, 10_000
 END = ("outcome", "outcome_time", "outcome_signal", "outcome_message")
 NOT_FACTS = ("format", "format_version", "complete", *END)
+OURS = "name a file that `mmnn run` wrote"
 AGAIN = "take it from a copy, or run it again"
 
 
@@ -72,18 +73,18 @@ def open_run(path: Path) -> Iterator[h5py.File]:
         RecordingError: No such file, not HDF5, not a recording, or written by a newer mmnn_pin.
     """
     if not path.is_file():
-        raise RecordingError("no such recording", fix="name a file that `mmnn run` wrote", file=path)
+        raise RecordingError("no such recording", fix=OURS, file=path)
     try:
         endless = endless_heap(path)
     except OSError as error:
-        raise RecordingError("cannot read the recording", why=reason(error), file=path) from error
+        raise RecordingError("cannot read the recording", why=reason(error), fix=AGAIN, file=path) from error
     if endless:
         raise RecordingError("cannot read the recording", why="its texts are damaged", fix=AGAIN, file=path)
     try:
         file = h5py.File(path, "r", locking=False)
     except Exception as error:  # whatever a damaged file makes HDF5 raise
-        why = reason(error) if is_hdf5(path) else "it is not an HDF5 file"
-        raise RecordingError("cannot read the recording", why=why, file=path) from error
+        why, fix = (reason(error), AGAIN) if is_hdf5(path) else ("it is not an HDF5 file", OURS)
+        raise RecordingError("cannot read the recording", why=why, fix=fix, file=path) from error
     with file:
         with hdf5_errors(path):
             require_ours(file, path)

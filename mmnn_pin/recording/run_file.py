@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError
-from ..files import folders_for, reason, settle, way_out
+from ..files import ELSEWHERE, folders_for, reason, settle, way_out
 from ..signals import Array, Layout
 
 FORMAT = "mmnn_pin recording"
@@ -307,7 +307,9 @@ def _create(path: Path, before: Path | None, image: bytes) -> int:
             part.unlink(missing_ok=True)
             undo.pop_all()
     except (OSError, RuntimeError) as error:
-        raise RecordingError("cannot create the recording", why=reason(error), fix=way_out(error), file=path) from error
+        raise RecordingError(
+            "cannot create the recording", why=reason(error), fix=way_out(error) or ELSEWHERE, file=path
+        ) from error
     return lock
 
 

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 
+SECONDS = ("s", "sec", "seconds")
+MEASURED, SLOW = 100, 0.9  # rows of what is no list of waypoints; from this step on their times are hardly seconds [s]
 SEPARATORS = ",;\t"  # of cells; the one that the first line has most of
 
 
@@ -207,7 +209,10 @@ class Columns(Mapping[str, Array]):
         lines = [(number, row) for number, row in enumerate(rows[1:], 2) if any(row)]
         if not lines:
             raise TrajectoryError("no rows", fix="give a line of numbers per time", file=file, line=1)
-        return cls(file, heads, lines)
+        found = cls(file, heads, lines)
+        if "t" in heads:
+            found.require_seconds(rows[0][heads.index("t")].partition("[")[2].strip(" ]"))
+        return found
 
     def __getitem__(self, name: str) -> Array:
         if name not in self._heads:
@@ -233,6 +238,22 @@ class Columns(Mapping[str, Array]):
             raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=self.file, line=1)
         given = None if missing else np.stack([self[n] for n in names], axis=1)
         return table_of(self["t"], np.stack([self[n] for n in ("x", "y", "phi")], axis=1), given, nb)
+
+    def require_seconds(self, unit: str) -> None:
+        """Refuse times that another unit is written behind, or that look like milliseconds and have none.
+
+        Raises:
+            TrajectoryError: They are, with the unit that would be taken.
+        """
+        if unit and unit not in SECONDS:
+            fix = "give seconds, under the head t [s]"
+            raise TrajectoryError(f"times in [{unit}]", fix=fix, file=self.file, line=1)
+        step = float(np.median(np.diff(self["t"]))) if len(self._lines) >= MEASURED else 0.0
+        if not unit and step >= SLOW:
+            what, why = f"one row every {step:g} s", f"so many rows ({len(self._lines)}) look like milliseconds"
+            raise TrajectoryError(
+                what, why=why, fix="give seconds, or write t [s] in the first line", file=self.file, line=1
+            )
 
     def require_within(self, name: str, lower: float, upper: float) -> None:
         """Refuse a joint's positions beyond its limits.

@@ -6,9 +6,11 @@ A `SetpointSource` says at every sample where the robot should be. A `Trajectory
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from html import escape
 from pathlib import Path
 from typing import Protocol
@@ -46,6 +48,8 @@ class Watched(Protocol):
         """What writes `hand_ref` and `hand` into rows (k, width) of a robot's run."""
 
 
+POSITION_WORDS = {"position", "positions", "pos", "q", "angle", "joint", "measured", "actual"}
+NEARLY = 0.85  # ratio of `difflib` from which two names are taken for one with a slip
 STANDING = 5.0  # time of an arm's motion where no base says one [s]
 
 
@@ -209,6 +213,8 @@ class Trajectory:
             TrajectoryError: The file cannot be read, holds no motion of this robot, or one that it cannot follow; with
                 the file, and the line of what is no number or beyond a joint's limits.
             UnknownName: A column `position.NAME` or `velocity.NAME` of a joint that the arm does not have.
+
+        Columns of other names are left alone, but not one that looks like a joint which has none.
         """
         found, nb = Columns.read(file), robot.dimensions.base
         names = {name: f"position.{name}" for name in robot.joint_names}
@@ -218,6 +224,11 @@ class Trajectory:
                 raise UnknownName("joint", joint, names, file=file, key=head)
         columns = {name: at if at in found else name for name, at in names.items()}
         joints = {name: found[at] for name, at in columns.items() if at in found}
+        for head in found:
+            if head not in names and (near := [name for name in names if name not in joints and alike(head, name)]):
+                fix = f"name it {names[near[0]]}, or something that is no joint's"
+                why = f"it may be {near[0]}, which has no column"
+                raise TrajectoryError(f"nothing uses the column '{head}'", why=why, fix=fix, file=file, line=1)
         missing = [name for name in ("x", "y", "phi") if name not in found]
         moves = bool(nb) and not missing
         if nb and 0 < len(missing) < 3:
@@ -347,6 +358,15 @@ def joints_of(robot: Robot, given: ArrayLike | Mapping[str, ArrayLike]) -> dict[
         what = f"positions of shape {table.shape} for {len(names)} arm joints"
         raise TrajectoryError(what, fix=f"give (N, {len(names)}): {', '.join(names)}")
     return dict(zip(names, table.T, strict=True))
+
+
+def alike(head: str, joint: str) -> bool:
+    """Whether a column may be the position of a joint: the same words but for those of positions, or nearly."""
+    one, other = (re.findall(r"[a-z]+|[0-9]+", name.lower()) for name in (head, joint))
+    if [word for word in one if word not in POSITION_WORDS] == [word for word in other if word not in POSITION_WORDS]:
+        return True
+    numbers = [[word for word in words if word.isdigit()] for words in (one, other)]
+    return numbers[0] == numbers[1] and SequenceMatcher(None, head.lower(), joint.lower()).ratio() > NEARLY
 
 
 def require_joint(robot: Robot, name: str) -> None:

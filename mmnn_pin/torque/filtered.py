@@ -155,15 +155,13 @@ def parts(context: Context, rows: int, k: int) -> dict[str, tuple[int, ...]]:
 
 @compiled
 def remember(row: Array, at: IntArray, seen: Filtered) -> None:
-    """Keep the torque that is held from this sample on; call it when nothing changes it any more.
+    """Keep the torque that is held from this sample on; the last one that is kept in a sample counts.
 
     Args:
         row: (width,) row of signals.
         at: Offsets of the signals.
         seen: What the filter remembers.
     """
-    for j in range(len(seen.held) - 1, 0, -1):
-        copy_to(seen.held[j - 1], seen.held[j])
     copy_to(row[at[TORQUE] : at[TORQUE + 1]], seen.held[0])
 
 
@@ -221,6 +219,8 @@ def period(row: Array, at: IntArray, f: Filter, seen: Filtered) -> bool:
         given, before = asked - f.drag[i] * (seen.driven[i] - gave), drive[i] if follows else 0.0
         drive[i] = f.keep * before + (1.0 - f.keep) * given if follows else 0.0
         f.torque[i] = given - f.lag * (drive[i] - before)
+    for j in range(len(seen.held) - 1, 0, -1):
+        copy_to(seen.held[j - 1], seen.held[j])
     return follows and clock[1] > f.wait + 1.0
 
 

@@ -248,3 +248,33 @@ def test_a_trajectory_of_arrays_is_one_short_line_and_a_table_in_a_notebook() ->
     drawn = Trajectory(Line(0.3), (Sine(0.8, 4.0), Hold(0.8)))
     assert repr(drawn) == "<Trajectory: base Line; arm Sine, Hold; without an end>"
     assert "Sine(amplitude=0.8, period=4.0, offset=0.0, phase=0.0)" in drawn._repr_html_()
+
+
+def csv_of(file: Path, head: str, *columns: np.ndarray) -> Path:
+    file.write_text(
+        "\n".join([head, *(",".join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True))])
+    )
+    return file
+
+
+@pytest.mark.parametrize("name", ["arm1", "q.arm_1_joint", "arm_1_jiont", "ARM_1_JOINT", "arm_1 pos"])
+def test_a_column_that_looks_like_a_joint_without_one_is_refused_and_the_fix_works(name: str, tmp_path: Path) -> None:
+    file = csv_of(tmp_path / "a.csv", f"t,{name},arm_2_joint,effort.arm_1_joint,note", T, 0.1 * T, 0.2 * T, T, T)
+    with pytest.raises(TrajectoryError, match=r"a\.csv:1: error: nothing uses the column") as error:
+        Trajectory.from_csv(robot(), file)
+    file.write_text(file.read_text().replace(name, error.value.fix.split()[2].strip(","), 1))
+    np.testing.assert_allclose(drawn(Trajectory.from_csv(robot(), file), robot(), T).q[:, 0], 0.1 * T, atol=1e-6)
+
+
+def test_times_in_milliseconds_are_refused_but_not_those_that_say_seconds(tmp_path: Path) -> None:
+    columns = 1000.0 * T, 0.1 * T, 0.1 * T
+    file = csv_of(tmp_path / "a.csv", "t,arm_1_joint,arm_2_joint", *columns)
+    with pytest.raises(TrajectoryError, match=r"a\.csv:1: error: one row every 20 s: .* look like milliseconds"):
+        Trajectory.from_csv(robot(), file)
+    csv_of(file, "t [ms],arm_1_joint,arm_2_joint", *columns)
+    with pytest.raises(TrajectoryError, match=r"a\.csv:1: error: times in \[ms\]"):
+        Trajectory.from_csv(robot(), file)
+    csv_of(file, "t [s],arm_1_joint,arm_2_joint", *columns)
+    assert Trajectory.from_csv(robot(), file).duration == pytest.approx(4000.0)
+    csv_of(file, "t,arm_1_joint,arm_2_joint", *(column[::20] for column in columns))  # few rows: waypoints
+    assert Trajectory.from_csv(robot(), file).duration == pytest.approx(4000.0)

@@ -21,7 +21,9 @@ from mmnn_pin.loop import sampled
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.loop.sampled import HeldLoop, SampledLoop, require_stable, sampled_loop
+from mmnn_pin.loop.sampled import HeldLoop, SampledLoop, sampled_loop
+from mmnn_pin.loop.stable_gains import require_stable
+from mmnn_pin.loop.stepper import Stepper
 from mmnn_pin.loop.suited import Given, suited
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.dynamics import Dynamics
@@ -155,6 +157,31 @@ def test_refusal_tells_the_numbers() -> None:
     with pytest.raises(ConfigError, match="none, the kinematic gains"):
         require_stable(verdict, gains / 100, ("v", "w"), 0.01)
     require_stable(SampledLoop(1.0, gains), gains, ("v", "w"), 0.01)
+
+
+def numbers_of(text: str) -> Feedback:
+    """Gains that a refusal says."""
+    found = re.search(r"feedback=(Feedback\((?:[^()]|\([^()]*\))*\))", text)
+    assert found, text
+    made = eval(found[1], {"Feedback": Feedback})
+    assert isinstance(made, Feedback)
+    return made
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.floats(1.0, 1e5), st.floats(1.0, 1e4))
+def test_gains_that_a_refusal_says_hold(base: float, arm: float) -> None:
+    """As `Stepper` judges them, at ten postures; a gain that is not to blame stays."""
+    robot = load("platform_arm")
+    try:
+        Stepper(robot, PD(Feedback(base, arm)), period=H).finish()
+    except ConfigError as refused:
+        assert "mmnn inspect ROBOT --gains" in refused.fix
+        found = numbers_of(refused.fix)
+        Stepper(robot, PD(found), period=H).finish()
+        change = found.vector(robot.dimensions) / Feedback(base, arm).vector(robot.dimensions)
+        assert (change <= 1.0).all() if "lower them" in refused.fix else (change > 1.0).any()
+        assert "they are too low" not in refused.why or "change them" in refused.fix
 
 
 # --- the real loop

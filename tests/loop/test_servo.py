@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import fields, replace
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
@@ -12,7 +14,21 @@ from hypothesis import strategies as st
 from numba import config
 from scipy.integrate import solve_ivp
 
-from mmnn_pin import PD, Eight, Feedback, Loop, Sine, Stepper, Timing, Trajectory, compare, load, load_experiment
+from mmnn_pin import (
+    PD,
+    Eight,
+    Feedback,
+    Hold,
+    Line,
+    Loop,
+    Sine,
+    Stepper,
+    Timing,
+    Trajectory,
+    compare,
+    load,
+    load_experiment,
+)
 from mmnn_pin.actuator import Drive
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.kinematic import Kinematic
@@ -21,13 +37,14 @@ from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.ordinary import OrdinaryLoop
+from mmnn_pin.loop.sampled import verdicts
 from mmnn_pin.loop.servo import Servo, interfaces_of, servo_slots, split_of, velocity_servo
 from mmnn_pin.loop.suited import Given, suited
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robots import robot_data
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import exact
-from mmnn_pin.signals import Measurement, Setpoint
+from mmnn_pin.signals import INDEX, Measurement, Setpoint
 from mmnn_pin.torque.model_based import ComputedTorque
 
 needs_data = pytest.mark.skipif(robot_data() is None, reason="example-robot-data is not installed")
@@ -151,7 +168,7 @@ def test_both_engines_and_a_batch_give_the_same_bits():
     """Wheels by velocity, a joint by position, a jittery way, and a supervisor that trips in between."""
     interfaces, way = WHEELS | {ROBOT.joint_names[1]: "position"}, Latency(sensing=H, command=H, jitter=H)
     limits = Safety(joint_error=0.05)  # the start is off by more
-    late = {"interfaces": interfaces, "latency": way}  # one loop to compile
+    late = {"interfaces": interfaces, "latency": way, "check_gains": False}  # one loop to compile; it would ring soon
     loops = [
         made(duration=0.1, **late),
         made(duration=0.1, **late, safety=limits, start=Start(joint_offset=0.04)),
@@ -245,37 +262,134 @@ def test_names_say_which_rows_are_servo_rows():
         Servo(bandwidth=0.0)
 
 
-# -- servos that are too fast for the loop -----------------------------------------------------------------------------
+# -- the loop that is judged before a run ------------------------------------------------------------------------------
+
+EVERY = dict.fromkeys(ROBOT.actuator_names, "velocity")
+
+
+def standing(share, period, **more):
+    """Every motor by velocity, the arm still, a start off by little; gains of the kinematic layer times a share."""
+    kinematic = Kinematic(kx=3.0 * share, ky=16.0 * share, kth=8.0 * share, K=5.0 * share)
+    reference = Trajectory(Line(0.3), (Hold(0.4), Hold(0.4)))
+    start = Start(pose_offset=(-1e-6, 1e-6, 0.0), joint_offset=1e-6, moving=True)
+    timing = Timing(80 * period, period, 0.002, integrator="implicit_friction")
+    given = {"kinematic": kinematic, "timing": timing, "start": start, "interfaces": EVERY, "servo": Servo()} | more
+    return Loop(ROBOT, reference, PD(Feedback(100.0, 10.0)), check_gains=False, **given)
+
+
+def growth(errors):
+    """Of errors (samples, p) per sample, late in a run."""
+    size = np.linalg.norm(errors, axis=1)
+    n = len(size)
+    return (size[2 * n // 3 :].max() / size[n // 3 : 2 * n // 3].max()) ** (3 / n)
+
+
+def judged(plan):
+    return max(verdict.radius for verdict in verdicts(plan))
+
+
+def limit_of(made):
+    """The share of the gains at which a loop is judged to turn unstable."""
+    low, high = 0.05, 5.0
+    for _ in range(30):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if judged(made(middle)) <= 1.0 + 1e-9 else (low, middle)
+    return low
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(("period", "more"), [(0.1, {}), (0.2, {}), (0.1, {"servo": Servo(bandwidth=60.0, gain=0.5)})])
+def test_simulated_servos_ring_above_the_judged_limit_and_not_below(period, more):
+    share = limit_of(lambda share: standing(share, period, **more).plan())
+    calm, wild = (standing(f * share, period, **more) for f in (0.8, 1.25))
+    runs = [growth(np.hstack((run["z"], run["r"]))) for run in (calm.run(), wild.run())]
+    assert runs[0] < 1.0 < runs[1]
+    assert runs[1] == pytest.approx(judged(wild.plan()), rel=0.02) and judged(wild.plan()) > 1.01
+
+
+def on_lags(share, period, check=True, samples=120, b=30.0):
+    """Errors of a `Stepper` before servos that are lags, `nudot = b (u - nu)`, by DOP853; and the stepper."""
+    kinematic = Kinematic(kx=3.0 * share, ky=16.0 * share, kth=8.0 * share, K=5.0 * share)
+    given = {"kinematic": kinematic, "period": period, "interfaces": EVERY, "servo": Servo(bandwidth=b)}
+    stepper = Stepper(ROBOT, PD(), check_gains=check, **given)
+    state = np.array([-1e-6, 1e-6, 0.0, 0.4 - 1e-6, 0.4 - 1e-6, 0.5, 0.0, 0.0, 0.0])  # pose, q, nu
+    errors = []
+
+    def rate(_, y, u):
+        v = y[5]
+        return np.concatenate(([v * np.cos(y[2]), v * np.sin(y[2])], y[6:9], b * (u - y[5:])))
+
+    for k in range(samples):
+        one = Setpoint(np.array([0.5 * k * period, 0.0, 0.0]), np.array([0.5, 0.0]), np.zeros(2), np.full(2, 0.4),
+                       np.zeros(2), np.zeros(2))  # fmt: skip
+        measured = Measurement(state[:3].copy(), state[5:7].copy(), state[3:5].copy(), state[7:].copy())
+        command = stepper.step(k * period, measured, one)
+        errors.append(
+            np.concatenate((stepper.row[stepper.at[INDEX["z"]] :][:2], stepper.row[stepper.at[INDEX["r"]] :][:2]))
+        )
+        u = command.velocity.copy()
+        state = solve_ivp(rate, (0.0, period), state, "DOP853", args=(u,), rtol=1e-10, atol=1e-14).y[:, -1]
+    return np.array(errors), stepper
+
+
+@pytest.mark.parametrize("period", [0.1, 0.2])
+def test_servos_that_are_lags_ring_above_the_judged_limit_of_a_stepper_and_not_below(period):
+    def plan(share):
+        return on_lags(share, period, False, 0)[1].judged
+
+    share = limit_of(plan)
+    calm, wild = (on_lags(f * share, period, False)[0] for f in (0.8, 1.15))
+    assert growth(calm[20:]) < 1.0
+    assert growth(wild[20:]) == pytest.approx(judged(plan(1.15 * share)), rel=0.02)
+    assert on_lags(0.8 * share, period, True, 0)[1].delay_margin() > 0.0
+    with pytest.raises(ConfigError, match=r"kinematic: error: the sampled loop is unstable"):
+        on_lags(1.15 * share, period, True, 0)
+
+
+@pytest.mark.parametrize("bandwidth", [30.0, 100.0])
+def test_a_stepper_at_50_hz_takes_servos_as_fast_as_they_are(bandwidth):
+    errors, stepper = on_lags(1.0, 0.02, True, 150, bandwidth)
+    assert growth(errors) < 1.0 and stepper.delay_margin() > 0.02
 
 
 def advised(text):
-    """What a refusal says to write in Python for slower servos."""
-    found = re.search(r"servo=(Servo\(bandwidth=[^)]*\))", text)
+    """What a refusal says to give in Python."""
+    found = re.search(r"(kinematic|servo)=((?:Kinematic|Servo)\((?:[^()]|\([^()]*\))*\))", text)
     assert found, text
-    return eval(found[1], {"Servo": Servo})
+    return {found[1]: eval(found[2], {"Servo": Servo, "Kinematic": Kinematic})}
 
 
 @pytest.mark.parametrize("bandwidth", [30.0, (30.0, 30.0, 60.0, 60.0)])
-@pytest.mark.parametrize("period", [0.04, 0.1])
-def test_slower_servos_are_advised_where_they_help_and_then_the_loop_holds(period, bandwidth):
-    given = {"period": period, "interfaces": dict.fromkeys(ROBOT.actuator_names, "velocity")}
-    with pytest.raises(ConfigError, match=r"servo\.bandwidth: error: the sampled loop is unstable") as refused:
-        Stepper(ROBOT, PD(), servo=Servo(bandwidth=bandwidth), **given)
-    servo = advised(str(refused.value))
-    assert np.ndim(servo.bandwidth) == np.ndim(bandwidth) and np.max(servo.bandwidth) < 60.0
-    with Stepper(ROBOT, PD(), servo=servo, **given) as stepper:
-        assert stepper.delay_margin() > 0.1 * period
-
-
-def test_servos_that_do_not_bear_a_latency_are_told_to_be_slower():
-    given = {"period": 0.02, "interfaces": dict.fromkeys(ROBOT.actuator_names, "velocity"), "latency": 0.03}
-    with pytest.raises(ConfigError, match=r"does not bear a latency of 30 ms") as refused:
+def test_lower_gains_of_the_kinematic_layer_are_advised_and_then_the_loop_holds(bandwidth):
+    given = {"period": 0.4, "interfaces": EVERY, "servo": Servo(bandwidth=bandwidth)}
+    with pytest.raises(ConfigError, match=r"kinematic: error: the sampled loop is unstable") as refused:
         Stepper(ROBOT, PD(), **given)
-    with Stepper(ROBOT, PD(), servo=advised(str(refused.value)), **given) as stepper:
-        assert stepper.delay_margin() > 0.03
+    with Stepper(ROBOT, PD(), **given, **advised(str(refused.value))) as stepper:
+        assert stepper.delay_margin() > 0.1 * 0.4
 
 
-def test_gains_on_effort_are_to_blame_where_slower_servos_do_not_help():
+def test_a_law_that_answers_too_strongly_is_told_a_gain():
+    given = {"period": 0.1, "interfaces": EVERY}
+    with pytest.raises(ConfigError, match=r"servo\.gain: error: the sampled loop is unstable") as refused:
+        Stepper(ROBOT, PD(), servo=Servo(bandwidth=60.0, gain=2.0), **given)
+    servo = msgspec.structs.replace(advised(str(refused.value))["servo"], bandwidth=60.0)
+    Stepper(ROBOT, PD(), servo=servo, **given).__exit__(None, None, None)
+
+
+def test_gains_that_do_not_bear_a_latency_before_servos_are_told_lower_ones():
+    given = {"period": 0.02, "interfaces": EVERY, "latency": 0.3}
+    with pytest.raises(ConfigError, match=r"does not bear a latency of 300 ms") as refused:
+        Stepper(ROBOT, PD(), **given)
+    with Stepper(ROBOT, PD(), **given, **advised(str(refused.value))) as stepper:
+        assert stepper.delay_margin() > 0.3
+
+
+def test_a_servo_of_the_simulation_that_is_late_counts_like_a_latency():
+    with pytest.raises(ConfigError, match=r"does not bear a latency of 300 ms"):
+        replace(standing(1.0, 0.02, servo=Servo(delay=0.3)), check_gains=True).require_stable_gains()
+
+
+def test_gains_on_effort_are_to_blame_where_other_servos_do_not_help():
     stiff = PD(Feedback(20.0, 3000.0))
     with pytest.raises(ConfigError, match="feedback: error: the sampled PD loop is unstable"):
         Stepper(ROBOT, stiff, period=0.02, interfaces=WHEELS)
@@ -283,29 +397,29 @@ def test_gains_on_effort_are_to_blame_where_slower_servos_do_not_help():
 
 @needs_data
 @pytest.mark.compiled
-def test_tiago_at_50_hz_follows_once_the_advice_of_its_refusal_is_taken():
+def test_tiago_at_50_hz_follows_by_velocity_with_servos_as_they_are():
     motors = ",".join(f'{name}="velocity"' for name in load("tiago").actuator_names)
     keys = ['robot="tiago"', 'controllers=["pd"]', f"interfaces={{{motors}}}", "time.control_period=0.02"]
-    keys += ["time.duration=4.0"]
-    with pytest.raises(ConfigError, match="too fast") as refused:
-        run_experiment(load_experiment("track", keys), "track")
-    found = re.search(r"--set (servo\.bandwidth=[0-9.]+)", str(refused.value))
-    assert found
-    result = run_experiment(load_experiment("track", [*keys, found[1]]), "track")
+    result = run_experiment(load_experiment("track", [*keys, "time.duration=4.0"]), "track")
     assert result.completed
-    errors = result["pd"].errors(start=2.0)
-    assert max(error.rms for error in errors.values()) < 0.05
+    assert max(error.rms for error in result["pd"].errors(start=2.0).values()) < 0.05
+    with pytest.raises(ConfigError, match="too high for servos") as refused:
+        run_experiment(load_experiment("track", [*keys, "time.control_period=0.2"]), "track")
+    found = shlex.split(str(refused.value).partition("lower them, ")[2].partition(", or shorten")[0])[1::2]
+    assert len(found) == 4
+    load_experiment("track", [*keys, "time.control_period=0.2", *found])
+    experiment = load_experiment("track", [*keys, "time.control_period=0.2", *found])
+    experiment.loop(experiment.load_robot(), "pd").require_stable_gains()
 
 
 def test_a_comparison_in_python_is_told_its_own_key():
     path = Trajectory.of(ROBOT, base=Eight(3.0, 1.5, 20.0))
-    every = {"interfaces": dict.fromkeys(ROBOT.actuator_names, "velocity"), "time.control_period": 0.1}
-    every |= {"time.plant_step": 0.001}
-    with pytest.raises(ConfigError, match="too fast") as refused:
-        compare(ROBOT, path, ["pd"], duration=1.0, settings=every)
+    every = {"interfaces": EVERY, "time.control_period": 0.4, "time.plant_step": 0.001}
+    with pytest.raises(ConfigError, match="too high for servos") as refused:
+        compare(ROBOT, path, ["pd"], duration=2.0, settings=every)
     found = re.search(r"settings=(\{.*?\})", str(refused.value))
     assert found
-    assert compare(ROBOT, path, ["pd"], duration=1.0, settings=every | eval(found[1])).completed
+    assert compare(ROBOT, path, ["pd"], duration=2.0, settings=every | eval(found[1])).completed
 
 
 # -- controllers that cannot run on them -------------------------------------------------------------------------------

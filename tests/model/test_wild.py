@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,31 @@ def test_a_hub_is_no_wheel_where_the_mesh_of_the_tyre_is_missing():
     assert [w.radius for w in robot.base.wheels] == [0.05, 0.05] and "is what the file states" in codes(robot)[
         "base-stated"
     ]
+
+
+def test_a_radius_that_cannot_be_is_told_as_such_and_in_metres_it_can():
+    text = drive_of('<mesh filename="package://gone/tyre.stl"/>', 0.2, 0.05)
+    with pytest.raises(
+        ConfigError, match=r"radius: error: 98 m cannot be their radius: the wheels .* are 0\.\d+ m apart"
+    ) as error:
+        robot_of(text, radius=98.0)
+    (metres,) = re.findall(r"--radius ([\d.]+) if these are millimetres", error.value.fix)
+    assert [w.radius for w in robot_of(text, radius=float(metres)).base.wheels] == [0.098, 0.098]
+    with pytest.raises(ConfigError, match="cannot be their radius"):  # where shapes tell it, and where they are named
+        robot_of(drive_of(CYLINDER.format(r=0.05), 0.2, 0.05), radius=98.0)
+    with pytest.raises(ConfigError, match="cannot be their radius"):
+        robot_of(text, radius=98.0, wheels=("left", "right"))
+
+
+def test_a_package_folder_that_does_not_hold_the_meshes_is_acknowledged(tmp_path):
+    text = drive_of('<mesh filename="package://gone/tyre.stl"/>', 0.2, 0.05)
+    with pytest.raises(Undecided) as error:
+        robot_of(text, package_dirs=(str(tmp_path),))
+    assert f"--package-dir FOLDER where their meshes are (not in {tmp_path})" in error.value.fix
+    (tmp_path / "r.urdf").write_text(text)
+    robot = load(tmp_path / "r.urdf", package_dirs=(str(tmp_path),), radius=0.05)
+    (finding,) = (f for f in robot.findings if f.code == "mesh-missing")
+    assert finding.fix.endswith(f"--package-dir; {tmp_path} does not hold it")
 
 
 def star(

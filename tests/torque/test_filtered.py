@@ -94,6 +94,17 @@ def test_a_filter_ahead_of_the_features_bends_what_is_not_linear_and_a_fast_one_
     assert 1e-4 < fast < 0.35 * slow < 0.05
 
 
+def test_a_torque_that_is_kept_twice_in_a_sample_is_under_way_once():
+    """As where a supervisor, limits or a replay make another one of it: the last counts, those before stay theirs."""
+    bench, given = Bench(way=4e-3), []
+    for k in range(8):
+        ended = bench.take(np.zeros(2), np.zeros(4), np.full(4, -100.0))  # the law's, which is not what is sent
+        bench.row[LAYOUT.where("torque")] = k
+        remember(bench.row, LAYOUT.offsets, bench.seen)
+        given += [bench.f.torque.copy()] if ended else []
+    np.testing.assert_array_equal(given, np.arange(8 - len(given), 8)[:, None] - 3 + np.zeros(4))
+
+
 @settings(max_examples=20, deadline=None)
 @given(seeds, st.floats(0.5, 200.0), st.floats(5e-4, 2e-2))
 def test_the_filter_of_states_and_torque_is_scipys(seed, pole, h):

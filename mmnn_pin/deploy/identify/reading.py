@@ -287,7 +287,9 @@ def found_columns(header: Sequence[str], joints: Sequence[str], columns: Columns
             found[signal] = header.index(name)
         elif "{joint}" not in "".join(columns) and signal in columns:
             raise UnknownName("column", name, header, file=path, key=f"--columns {signal}")
-    for signal_of in (plain, lambda name: meant(name, joints)):  # a name of ours stands before what words may mean
+    bare = {name.lower(): f"position.{name}" for name in joints}  # as in a reference
+    by_words = plain, lambda name: meant(name, joints), lambda name: bare.get(plain(name).lower(), "")
+    for signal_of in by_words:  # a name of ours stands before what words may mean
         taken = dict(found)
         for i, name in enumerate(header):
             signal = signal_of(name)

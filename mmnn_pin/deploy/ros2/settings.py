@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from ...errors import ConfigError
+from ...loop.latency import Latency
 from ...reference.guide import Limits
 from ...settings import Settings, require_numbers
 
@@ -314,8 +315,9 @@ class Node(Settings, frozen=True):
         experiment: Experiment with gains, learners and the supervisor's limits, name or file.
         set: Its keys that are changed, tables in tables.
         rate: Control samples per second.
-        latency: Known delay from the measurement to the motors, which the gains have to bear [s].
-        predict: Whether measurements are moved on as the reference has moved since their stamps.
+        latency: Known delay from the measurement to the motors, which the gains have to bear [s]; None as the
+            experiment says.
+        predict: Whether measurements are moved on as the reference has moved since their stamps; None likewise.
         setpoint_timeout: Age of a velocity at which the base brakes [s].
         follow: "topics", or "experiment": its own motion, from where the robot stands.
         network: Where it speaks.
@@ -341,8 +343,8 @@ class Node(Settings, frozen=True):
     experiment: str = "track"
     set: dict[str, Any] = msgspec.field(default_factory=dict)
     rate: float = 200.0
-    latency: float = 0.0
-    predict: bool = False
+    latency: float | None = None
+    predict: bool | None = None
     setpoint_timeout: float = 0.5
     follow: Literal["topics", "experiment"] = "topics"
     network: Network = Network()
@@ -366,10 +368,17 @@ class Node(Settings, frozen=True):
         if not 1 <= self.rate <= 2000:
             raise ConfigError(f"{self.rate} /s", fix="use 1 to 2000", key="rate")
         for name in ("latency", "setpoint_timeout"):
-            if not 0 <= getattr(self, name) < 10:
+            if not 0 <= (getattr(self, name) or 0.0) < 10:
                 raise ConfigError(f"{getattr(self, name)} s", fix="use 0 to 10", key=name)
         if self.odometry.pose == "tf" and self.tf is None:
             raise ConfigError("poses by /tf without frames", fix="give a table [tf]", key="odometry.pose")
+
+    def latency_of(self, own: Latency) -> Latency:
+        """The latency of an experiment with what these settings say: its `margin` stays."""
+        predict = own.predict if self.predict is None else self.predict
+        if self.latency is None:
+            return msgspec.structs.replace(own, predict=predict)
+        return msgspec.structs.replace(Latency.of(self.latency, predict), margin=own.margin)
 
     @property
     def changes(self) -> list[str]:

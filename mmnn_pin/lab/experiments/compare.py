@@ -76,9 +76,10 @@ class Assembled(Experiment, frozen=True, kw_only=True):
         """A controller: the object of that name, or one of the package; errors as in `Experiment.controller`."""
         return self.own[name] if name in self.own else super().controller(name, gains, robot)
 
-    def setting(self, key: str, value: str) -> str:
-        """How Python sets one of its keys."""
-        return f'settings={{"{key}": {value}}}'
+    def setting(self, values: Mapping[str, str]) -> str:
+        """How Python sets some of its keys."""
+        pairs = ", ".join(f'"{key}": {value}' for key, value in values.items())
+        return f"settings={{{pairs}}}"
 
     def to_json(self) -> str:
         """Nothing: no file says what the objects are."""
@@ -89,7 +90,7 @@ def unlimited_notes(experiment: Experiment, robot: Robot) -> list[str]:
     """That motors give more than their limits, where the robot has some and the experiment keeps none."""
     if experiment.actuator.torque_limit is not None or not np.isfinite(robot.effort_limits).any():
         return []
-    key = experiment.setting("actuator.torque_limit", '"urdf"')
+    key = experiment.setting({"actuator.torque_limit": '"urdf"'})
     return [f"motors give whatever is asked, above the URDF's effort limits, too; {key} keeps to them"]
 
 

@@ -58,7 +58,7 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
         override(table, text)
     if any(text.startswith("reference.file") for text in texts) and "title" not in {text[:5] for text in texts}:
         table["title"] = f"The motion of {Path(str(table['reference']['file'])).name}"
-    own = read_toml(path)
+    own = from_its_folder(read_toml(path), path)
     if not any(text.startswith(("time.duration", "time=")) for text in texts):
         as_long_as_its_file(table, own if path.parent != FOLDER else {})
     with_starts(table, own, path, texts)
@@ -160,7 +160,7 @@ def complete(path: Path, before: tuple[Path, ...] = ()) -> dict[str, Any]:
         UnknownName: No such experiment.
         ConfigError: A file cannot be read, or starts from itself.
     """
-    table = read_toml(path)
+    table = from_its_folder(read_toml(path), path)
     name = table.pop("experiment", None)
     if name is None:
         return table
@@ -207,6 +207,16 @@ def beside(path: Path, name: Any) -> Path:
     """File of an experiment that a file names: a path from its folder, or as in `find`."""
     there = path.parent / str(name)
     return there if there.suffix == ".toml" and there.is_file() else find(str(name))
+
+
+def from_its_folder(table: dict[str, Any], path: Path) -> dict[str, Any]:
+    """What a file says, with the files that it names from its own folder: robots and motions that are there."""
+    reference = table.get("reference")
+    for where, key in ((table, "robot"), (reference, "file")):
+        name = where.get(key) if isinstance(where, dict) else None
+        if isinstance(name, str) and Path(name).suffix and (path.parent / name).is_file():
+            where[key] = str(path.parent / name)  # type: ignore[index]
+    return table
 
 
 def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

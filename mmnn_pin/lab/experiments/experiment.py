@@ -6,6 +6,7 @@ Its TOML has exactly these keys.
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache, partial
@@ -50,7 +51,7 @@ from .hand import hand_motion
 from .laws import resolved
 from .references import HeldOut, ReferenceTables
 
-BANDWIDTH = re.compile(r"servo=Servo\(bandwidth=([^)]*)\)")
+CALL = re.compile(r"(\w+)=[A-Z]\w*\(((?:[^()]|\([^()]*\))*)\)")  # an object as Python makes it, in a fix
 PLACES = 10  # along the reference at which inertias are looked at that scale bandwidths
 
 
@@ -374,17 +375,25 @@ class Experiment(LearnerTables, frozen=True):
             lead=self.lead,
         )
 
-    def setting(self, key: str, value: str) -> str:
-        """How whoever asked for this experiment sets one of its keys."""
-        return f"--set {key}={value}"
+    def setting(self, values: Mapping[str, str]) -> str:
+        """How whoever asked for this experiment sets some of its keys, their values as TOML has them."""
+        return " ".join(f"--set {shlex.quote(f'{key}={value}')}" for key, value in values.items())
 
     @contextmanager
     def in_its_keys(self) -> Iterator[None]:
-        """Errors of its loops within name the bandwidth of servos as this experiment takes it."""
+        """Errors of its loops within name gains and servos as this experiment takes them."""
+
+        def as_settings(found: re.Match[str]) -> str:
+            parts = re.findall(r"(\w+)=(\([^()]*\)|[^,]+)", found[2])
+            values = {f"{found[1]}.{name}": re.sub(r"\((.*)\)", r"[\1]", value) for name, value in parts}
+            if found[1] == "feedback" and self.feedback.scaling != "none":
+                values["feedback.scaling"] = '"none"'
+            return self.setting(values)
+
         try:
             yield
         except ConfigError as error:
-            error.fix = BANDWIDTH.sub(lambda found: self.setting("servo.bandwidth", found[1]), error.fix)
+            error.fix = CALL.sub(as_settings, error.fix)
             raise
 
     def to_json(self) -> str:

@@ -235,7 +235,8 @@ class ReferenceTables(Settings, frozen=True):
             Where it would need more, swings move to another posture and the whole reference slows down (`loop.suited`).
             0 for no limit.
         hand: Where the hand goes; base and arm follow from that, in place of the keys above.
-        file: A CSV file as for `Trajectory.from_csv`; its columns replace base and arm.
+        file: A CSV file as for `Trajectory.from_csv`; its columns replace base and arm. In an experiment's file it is
+            looked for from that file's folder, then from where you are; so is `robot`.
 
     Raises:
         ConfigError: A hand beside a path of the base, profiles of the arm or a file.
@@ -354,6 +355,12 @@ def make(kinds: dict[str, Any], table: dict[str, Any], key: str) -> Any:
     for argument in arguments:
         if argument not in known:
             raise UnknownName("key", argument, known, key=key)
+    needed = [
+        f.name for f in dataclasses.fields(kind) if f.init and f.default is f.default_factory is dataclasses.MISSING
+    ]
+    if missing := [name for name in needed if name not in arguments]:
+        what = f"without {', '.join(missing)}"
+        raise ConfigError(f"'{name}' {what}", fix=f"give {', '.join(needed)}", key=key)
     try:
         return msgspec.convert(arguments, kind)
     except msgspec.ValidationError as error:

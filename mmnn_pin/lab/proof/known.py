@@ -17,33 +17,39 @@ monotone in P and takes away. A cut (eta < 1) is counted as none. The projection
 `|W*| + |W~|`, in the metric of the prior, is within its bound, else nothing is said. s, Phi and e are those of the
 velocities that the learner is told.
 
-The equations' errors e are bounded for all motions in the tube (`equations`). Of the features Phi in the tube some are
-looked at. `allowed` says what the energy of the adaptive laws, which have no such covariance, leaves open.
+The equations' errors e are bounded for all motions in the tube (`equations`), and so are the features Phi (`features`):
+at every sample `|Phi_0 + sum_k y_k Phi_k + rest|`, in the metric of P, the first two by all signs of y, the rest by its
+entries. The parameters say all of Psi but what dry friction has more near a standstill (Stribeck) and what rounding
+loses. `energy` says what that of the adaptive laws, which have no such covariance, leaves open.
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from ...errors import RecordingError
+from ...model.regressor import Regressor
+from ...model.tree.body import parameters
 from ...signals import Array, IntArray
 from ...torque.adaptive import Adaptive
 from ...torque.concurrent import Concurrent
 from ...torque.kalman import Kalman
-from ...torque.pseudo_inertia import BODY, pseudo_inertias
+from .energy import allowed, patience
 from .equations import Misfit, Motions
+from .features import Features
 from .learner import Stepper
 from .periods import Periods
+from .postures import SLACK
 from .steps import Box, Steps
-from .truth import distances, metric, numbers_of, regressors, true_parameters, true_weights
+from .truth import true_weights
 from .weights_part import LOST, step_again
 
-MORE = 1.5  # than the largest change of the features, or what the parameters do not say, that was seen
-LOOKS = 4  # at the features in every block
+WIDER, TINY = 0.6, 1e-12  # binary logarithm of how much wider a box is that features are looked at in; the least one
 FORGOTTEN = 36.0  # time constants after which a low-pass has forgotten all, to 2e-16
-INSTANTS, HALVINGS = 5, 20  # of a run, for what an energy allows; of a bisection
+SEEN, ROUNDED = 100, 1e-9  # motions on which Psi is compared with what parameters say; share of its terms lost
 
 
 class Errors(Protocol):
@@ -105,7 +111,8 @@ class Proved:
         ideal = true_weights(subject, self.learner)
         if ideal is None:
             raise RecordingError("no bound of the learner's error", why="its robot has no true parameters")
-        self.ideal, K = ideal.ravel(), len(self.starts)
+        regressor = self.learner.controller.regressor
+        self.ideal, K = exactly(regressor, parameters(subject.robot), ideal.ravel()), len(self.starts)
         self.prior = self.learner.start["prior"].copy()
         self.distance, self.P = np.zeros(K), np.zeros((K, self.ideal.size, self.ideal.size))
         self.heard, self.updates, self.done = np.zeros((K, len(self.a.gain))), np.zeros(K, int), np.zeros(K, int)
@@ -114,7 +121,9 @@ class Proved:
             raise RecordingError("no bound of the learner's error", why="stepped again it says another Psi_hat")
         if noise.any():
             self._hear_truth()
-        self._look()
+        self.features = Features(regressor, steps.course, steps.signal("q_ref"))
+        self.looks: dict[tuple[int, int], Look] = {}
+        self.unsaid = unsaid(periods, regressor, self.ideal)
 
     def _before(self, n: int, row: Array, stepper: Stepper) -> float:
         b, state = int(np.searchsorted(self.starts, n)), stepper.state
@@ -148,23 +157,13 @@ class Proved:
         e = error[matters]
         return float(np.sqrt(e @ np.linalg.solve(P[np.ix_(matters, matters)], e)))
 
-    def _look(self) -> None:
-        """Features along the reference (K, LOOKS, p, k), and what the parameters do not say."""
-        periods, rest, rows = self.periods, np.zeros(self.periods.size), self.periods.subject.rows
-        places = [np.linspace(a, b, LOOKS).astype(int) for a, b in zip(self.starts, self.ends, strict=True)]
-        self.Phi = np.array([[self.features(rows[j], rest) for j in some] for some in places])
-        left = []
-        for j in self.starts:
-            row, where = rows[j], periods.layout.where
-            y = periods.state(row, row[where("position")], row[where("nu")])
-            left.append(np.abs(row[where("psi")] - self.features(row, y) @ self.ideal))
-        self.unsaid = MORE * np.max(left, axis=0)
-
-    def features(self, row: Array, y: Array) -> Array:
-        """Phi (p, k) at a state."""
-        where, (row, position, nu) = self.periods.layout.where, self.periods.seen(row, y)
-        nu_ref, nudot_ref = row[where("nu_ref")], row[where("nudot_ref")]
-        return np.asarray(self.learner.controller.regressor.matrix(position, nu, nu_ref, nudot_ref))
+    def look(self, first: int, b: int, box: Array, P: Array) -> Look:
+        """Features of block b in a box (m,), or one that is wider by up to `WIDER`, for P as from block `first` on."""
+        wide = np.exp2(np.ceil(np.log2(np.maximum(box, TINY)) / WIDER) * WIDER)
+        known = self.looks.get((first, b))
+        if known is None or (known.box != wide).any():
+            known = self.looks[first, b] = Look.of(self, b, wide, P)
+        return known
 
     def equations(self, first: int, box: Box, acceleration: Array) -> Array:
         """(K, p) bounds of the equations' errors, over K, from block `first` on; arguments as of `eps`."""
@@ -194,20 +193,22 @@ class Proved:
         )[largest]
         return f"its equations err most, by up to {times:.2g} of its setting noise, by {words}; {change}"
 
-    def spread(self, first: int, boxes: Array) -> Array:
-        """(K, p) the largest `sqrt(Phi_i P Phi_i')` by block, from block `first` on, in boxes (K, m)."""
-        K, k = len(self.starts), self.ideal.size
-        found, rng, came = np.zeros((K, len(self.a.gain))), np.random.default_rng(1), np.zeros(k)
+    def covariances(self, first: int) -> Array:
+        """(K, k, k) bounds of P by block, from block `first` on: what it was, and the drift since; 0 before."""
+        k, came, found = self.ideal.size, np.zeros(self.ideal.size), np.zeros((len(self.starts), *self.P.shape[1:]))
         done = self.done[first] if self.a.learning else 0
-        for b in range(first, K):
+        for b in range(first, len(found)):
             for _ in range(self.updates[b] if self.a.learning else 0):
                 came[done % k] += self.a.drift * self.a.interval * k * self.prior[done % k]
                 done += 1
-            P = self.P[first] + np.diag(came)
-            along = roots(self.Phi[b], P).max(axis=0)
-            y = boxes[b] * rng.choice((-1.0, 1.0), len(boxes[b]))
-            corner = roots(self.features(self.periods.subject.rows[self.starts[b]], y), P)
-            found[b] = along + MORE * np.maximum(corner - roots(self.Phi[b, 0], P), 0.0)
+            found[b] = self.P[first] + np.diag(came)
+        return found
+
+    def spread(self, first: int, boxes: Array) -> Array:
+        """(K, p) bounds of `sqrt(Phi_i P Phi_i')` by block, from block `first` on, in boxes (K, m)."""
+        found, P = np.zeros((len(boxes), len(self.noise))), self.covariances(first)
+        for b in range(first, len(boxes)):
+            found[b] = (1 + SLACK) * self.look(first, b, boxes[b], P[b]).spread(boxes[b], P[b])
         return found
 
     def distances(self, first: int, s: Array, spread: Array, equations: Array) -> Array:
@@ -224,11 +225,14 @@ class Proved:
         """As of `Errors`; inf where the projection of the weights may act."""
         since, seen = (np.arange(len(self.starts)) >= first)[:, None], box.y.copy()
         seen[:, -len(self.noise) :] += self.noise
-        spread, s = self.spread(first, seen), self.steps.errors(box) + self.noise
-        N = self.distances(first, s, spread, self.equations(first, box, acceleration))
-        if not self.longest(first, float(N.max())) <= self.a.radius[0]:
-            return np.where(since, np.full_like(spread, np.inf), 0.0)
-        return np.where(since, N[:, None] * spread + self.unsaid + self.misfit.misread(box.y), 0.0)
+        s, wrong, none = self.steps.errors(box) + self.noise, self.equations(first, box, acceleration), 0.0 * box.s
+        N = self.distances(first, s, none, wrong)  # what equations alone do, first: features take time
+        if self.longest(first, float(N.max())) <= self.a.radius[0]:
+            spread = self.spread(first, seen)
+            N = self.distances(first, s, spread, wrong)
+            if self.longest(first, float(N.max())) <= self.a.radius[0]:
+                return np.where(since, N[:, None] * spread + self.unsaid + self.misfit.misread(box.y), 0.0)
+        return np.where(since, np.full_like(none, np.inf), 0.0)
 
     def longest(self, first: int, N: float) -> float:
         """Bound of |W| in the metric of the prior, from a block on and for a bound N."""
@@ -242,6 +246,79 @@ class Proved:
         """The largest share of the prior variance that drifts back at a place, from a block on."""
         k, updates = self.ideal.size, self.updates[first:].sum() if self.a.learning else 0
         return float(self.a.drift * self.a.interval * k * -(-updates // k))
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """Features of a block of samples in a box.
+
+    Attributes:
+        box: (m,) of the errors that the learner sees.
+        gram: (p, 1 + m, 1 + m) largest `|a P b'|`, of the features at no error and their slopes.
+        rest: (p, k) of what is left, but for dry friction; for a smaller box it falls at least with its square.
+        features: Of the robot.
+        places: The samples.
+    """
+
+    box: Array
+    gram: Array
+    rest: Array
+    features: Features
+    places: slice
+
+    @classmethod
+    def of(cls, proved: Proved, b: int, box: Array, P: Array) -> Look:
+        """Of block b in a box (m,), for a covariance (k, k)."""
+        places = slice(int(proved.starts[b]), int(proved.ends[b]))
+        value, slope, left = proved.features.smooth(places, np.tile(box, (places.stop - places.start, 1)))
+        dry, _ = proved.features.dry(places, np.zeros(value.shape[:2]))
+        ways = np.concatenate(((value + dry)[None], slope)).transpose(1, 2, 0, 3)
+        gram = np.abs(ways @ P @ ways.swapaxes(-1, -2)).max(axis=0)
+        return cls(box, gram, left.max(axis=0), proved.features, places)
+
+    def spread(self, box: Array, P: Array) -> Array:
+        """(p,) bounds of `sqrt(Phi_i P Phi_i')` in a smaller box."""
+        y, p, N = np.concatenate(([1.0], box)), len(self.rest), self.places.stop - self.places.start
+        _, dry = self.features.dry(self.places, np.broadcast_to(box[-p:], (N, p)))
+        rest = float((box / self.box).max()) ** 2 * self.rest + dry.max(axis=0)
+        return np.asarray(np.sqrt(np.einsum("pyz,y,z->p", self.gram, y, y)) + roots(rest, np.abs(P)))
+
+
+def exactly(regressor: Regressor, theta: Array, ideal: Array) -> Array:
+    """Parameters (k,) next to ideal ones that say the same as theta on every motion, but for rounding.
+
+    Directions that change nothing are known from sums of squares to half the digits alone.
+    """
+    rng, p = np.random.default_rng(2), len(regressor.massless.nu)
+    Y = np.vstack([regressor.matrix(regressor.random_position(rng), *rng.standard_normal((3, p))) for _ in range(SEEN)])
+    scale = np.linalg.norm(Y, axis=0)
+    scale = 1 / np.where(scale > 0, scale, 1.0)
+    return np.asarray(ideal - scale * np.linalg.lstsq(Y * scale, Y @ (ideal - theta), rcond=ROUNDED)[0])
+
+
+def unsaid(periods: Periods, regressor: Regressor, ideal: Array) -> Array:
+    """(p,) what parameters (k,) do not say of Psi, at most [N, N m]: friction above its dry level, and rounding.
+
+    Raises:
+        RecordingError: They say another Psi than the robot's.
+    """
+    robot, rng, psi = periods.robot, np.random.default_rng(1), np.zeros(len(periods.gain))
+    most = np.abs(robot.T).T @ robot.dry[:, 1]
+    size = np.zeros_like(most)
+    for row in periods.subject.rows[np.linspace(0, len(periods.subject.rows) - 1, SEEN).astype(int)]:
+        y = rng.standard_normal(periods.size)
+        for state in (np.zeros_like(y), y):
+            seen, position, nu = periods.seen(row, state)
+            nu_ref, nudot_ref = (seen[periods.layout.where(name)] for name in ("nu_ref", "nudot_ref"))
+            periods.rough.refresh(position, nu)
+            periods.rough.refresh_psi(nu_ref, nudot_ref, psi)
+            Y = regressor.matrix(position, nu, nu_ref, nudot_ref)
+            here = np.abs(Y) @ np.abs(ideal)
+            if not (np.abs(psi - Y @ ideal) <= most + ROUNDED * here.max()).all():
+                why = "its parameters do not say all of its robot"
+                raise RecordingError("no bound of the learner's error", why=why)
+            size = np.maximum(size, here)
+    return np.asarray(most + ROUNDED * size)
 
 
 def roots(Phi: Array, P: Array) -> Array:
@@ -261,9 +338,10 @@ def unproved(periods: Periods, late: int = 0) -> str:
         return "it learns nothing"
     law = learner.controller
     if isinstance(law, Adaptive):
-        largest = np.abs(subject.signal("psi")).max(axis=0)
-        times = float((allowed(periods) / np.maximum(largest, 1e-300)).max())
-        return f"its energy, at the end of the run, allows errors of {times:.3g} times Psi; use kalman_regressor"
+        largest = np.maximum(np.abs(subject.signal("psi")).max(axis=0), 1e-300)
+        times, after = float((allowed(periods) / largest).max()), patience(periods, largest)
+        told = f"its energy, at the end of the run, allows errors of {times:.3g} times Psi"
+        return f"{told}, and of Psi itself after another {after:.2g} s of such motion; use kalman_regressor"
     if isinstance(law, Concurrent):
         return "its stack gives equations up for others, and with them what it knew here; use kalman_regressor"
     if not isinstance(law, Kalman) or law.knowledge(learner.start) is None:
@@ -274,41 +352,3 @@ def unproved(periods: Periods, late: int = 0) -> str:
     if filter.motor.any() or abs(filter.late - late) > 1e-6:
         return "its equations take another delay of commands than the loop's; run it again"
     return ""
-
-
-def allowed(periods: Periods) -> Array:
-    """(p,) how large an error of Psi the energy of an adaptive law at the end of its run allows [N, N m].
-
-    For every velocity there are parameters as far from the estimate, in V_theta, as the true ones are, with which Psi
-    differs by so much along the reference: on the ray `theta_hat + c Gamma Y_i'`, as far as V_theta lets c be. V falls
-    on every motion, so nothing less is proved of the law by it.
-    """
-    subject, learner = periods.subject, periods.subject.learner
-    assert learner is not None
-    bodies, end = numbers_of(learner)[0].bodies, learner.end["theta"]
-    energy = float(distances(bodies, true_parameters(subject, learner).theta, end[None])[0])
-    some = np.linspace(0, len(subject.rows) - 1, INSTANTS).astype(int)
-    Gamma, Y = metric(bodies, end), regressors(learner, subject.rows[some])
-    return np.asarray(np.max([[reach(bodies, end, Gamma @ y, energy) * (y @ Gamma @ y) for y in one] for one in Y], 0))
-
-
-def reach(bodies: Any, theta: Array, ray: Array, energy: float) -> float:
-    """The largest c, either way, for which `theta + c ray` is no further than an energy from theta."""
-    best = 0.0
-    for sign in (1.0, -1.0):
-        low, high = 0.0, 1.0
-        while near(bodies, theta, sign * high * ray, energy) and high < 1e12:
-            low, high = high, 2 * high
-        for _ in range(HALVINGS):
-            middle = (low + high) / 2
-            low, high = (middle, high) if near(bodies, theta, sign * middle * ray, energy) else (low, middle)
-        best = max(best, low)
-    return best
-
-
-def near(bodies: Any, theta: Array, step: Array, energy: float) -> bool:
-    """Whether parameters are those of bodies and within an energy of theta."""
-    inertial = pseudo_inertias((theta + step)[: BODY * len(bodies.roots)])
-    if any(np.linalg.eigvalsh(P)[0] <= 0 for P in inertial):
-        return False
-    return bool(distances(bodies, theta + step, theta[None])[0] <= energy)

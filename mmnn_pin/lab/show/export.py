@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ...errors import RecordingError, UnknownName
+from ...errors import ConfigError, RecordingError, UnknownName
 from ...files import whole_file
 from ...recording.recording import Recording, as_columns
 from ...signals import Array
@@ -47,11 +48,47 @@ class Column:
     values: Array | list[Any]
 
 
-def columns_of(recording: Recording) -> Iterator[Column]:
-    """All columns of all signals, the time first."""
-    for signal in recording:
+@dataclass(frozen=True)
+class Part:
+    """What of a recording is written.
+
+    Attributes:
+        signals: Names, with the time; all where there are none.
+        every: Every how manieth sample.
+    """
+
+    signals: tuple[str, ...]
+    every: int
+
+    @classmethod
+    def of(cls, recording: Recording, signals: Sequence[str], rate: float | None) -> Part:
+        """From names of signals, and how many rows per second there are at most [Hz].
+
+        Raises:
+            UnknownName: A signal that the recording does not have.
+            ConfigError: A rate that is not above 0.
+        """
+        for name in signals:
+            if name not in recording:
+                raise UnknownName("signal", name, list(recording), key="--signals")
+        if rate is None or len(recording) < 2:
+            return cls(named(recording, signals), 1)
+        if not rate > 0.0:
+            raise ConfigError(f"{rate:g} Hz", fix="give a rate above 0", key="--rate")
+        period = float(np.median(np.diff(recording.time)))
+        return cls(named(recording, signals), max(1, math.ceil(1.0 / (rate * period) - 1e-6)))
+
+
+def named(recording: Recording, signals: Sequence[str]) -> tuple[str, ...]:
+    """Signals in a recording's order, the time among them; all where none are named."""
+    return tuple(name for name in recording if not signals or name in {"time", *signals})
+
+
+def columns_of(recording: Recording, part: Part) -> Iterator[Column]:
+    """The columns of signals, the time first."""
+    for signal in part.signals:
         names, units = recording.column_names(signal), column_units(recording, signal)
-        for name, unit, values in zip(names, units, as_columns(recording[signal]).T, strict=True):
+        for name, unit, values in zip(names, units, as_columns(recording[signal])[:: part.every].T, strict=True):
             yield Column(name, unit, values)
 
 
@@ -66,9 +103,9 @@ def about(recording: Recording) -> dict[str, Any]:
     }
 
 
-def write_csv(recording: Recording, path: Path) -> None:
+def write_csv(recording: Recording, path: Path, part: Part) -> None:
     """One line of names with units, `z.v [m/s]`, then the numbers, written so that reading gives the same bits."""
-    columns = list(columns_of(recording))
+    columns = list(columns_of(recording, part))
     heads = [f"{column.name} [{column.unit}]" if column.unit else column.name for column in columns]
     write_rows(path, heads, np.column_stack([column.values for column in columns]).tolist())
 
@@ -81,10 +118,11 @@ def write_rows(path: Path, heads: Iterable[str], rows: Iterable[Sequence[Any]]) 
         writer.writerows(rows)
 
 
-def write_npz(recording: Recording, path: Path) -> None:
+def write_npz(recording: Recording, path: Path, part: Part) -> None:
     """Signals by name, `weights/NAME`, `final/NAME`, `step_time`, and `about`: JSON with labels, units and facts."""
-    arrays: dict[str, Any] = {name: recording[name] for name in recording} | {"step_time": recording.step_times}
-    labels = {name: {"labels": recording.labels(name), "units": column_units(recording, name)} for name in recording}
+    arrays: dict[str, Any] = {name: recording[name][:: part.every] for name in part.signals}
+    arrays["step_time"] = recording.step_times[:: part.every]
+    labels = {name: {"labels": recording.labels(name), "units": column_units(recording, name)} for name in part.signals}
     groups = {"weights": recording.weights, "final": recording.final}
     arrays |= {f"{group}/{name}": array for group, found in groups.items() for name, array in found.items()}
     arrays["about"] = np.array(json.dumps(about(recording) | {"signals": labels}))
@@ -92,9 +130,9 @@ def write_npz(recording: Recording, path: Path) -> None:
         np.savez_compressed(file, **arrays)
 
 
-def write_parquet(recording: Recording, path: Path) -> None:
+def write_parquet(recording: Recording, path: Path, part: Part) -> None:
     """The table; units in the metadata of its columns, facts in that of the file, under `mmnn_pin`."""
-    write_columns(path, columns_of(recording), about(recording))
+    write_columns(path, columns_of(recording, part), about(recording))
 
 
 def write_columns(path: Path, columns: Iterable[Column], facts: Mapping[str, Any]) -> None:
@@ -110,14 +148,17 @@ def write_columns(path: Path, columns: Iterable[Column], facts: Mapping[str, Any
     pyarrow.parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), path)
 
 
-def write_mcap(recording: Recording, path: Path) -> None:
-    """Messages of ROS 2, see `bag.write_bag`."""
+def write_mcap(recording: Recording, path: Path, part: Part) -> None:
+    """Messages of ROS 2, see `bag.write_bag`; all of them."""
     from .bag import write_bag
 
+    if part != Part(tuple(recording), 1):
+        why, fix = "its messages are whole samples", "leave out --signals and --rate, or write a table"
+        raise ConfigError("a part of a recording as MCAP", why=why, fix=fix, key="--to")
     write_bag(recording, path, about(recording))
 
 
-FORMATS: Mapping[str, Callable[[Recording, Path], None]] = {
+FORMATS: Mapping[str, Callable[[Recording, Path, Part], None]] = {
     "csv": write_csv,
     "npz": write_npz,
     "parquet": write_parquet,
@@ -125,22 +166,39 @@ FORMATS: Mapping[str, Callable[[Recording, Path], None]] = {
 }
 
 
-def export(recording: Recording, path: str | Path, to: str = "", *, force: bool = False) -> Path:
-    """Write a recording in another format, atomically.
+def export(
+    recording: Recording,
+    path: str | Path,
+    to: str = "",
+    *,
+    force: bool = False,
+    signals: Sequence[str] = (),
+    rate: float | None = None,
+) -> Path:
+    """Write a recording, or a part of it, in another format, atomically.
 
     Args:
         recording: The run.
         path: The file.
         to: One of `FORMATS`; by default what the file's name ends in.
         force: Replace an existing file.
+        signals: Those that a table has beside the time; none for all.
+        rate: Rows per second that a table has at most, samples of the run [Hz]; None for all.
 
     Raises:
-        UnknownName: No such format.
+        UnknownName: No such format, or no such signal.
+        ConfigError: A rate that is not above 0, a part as MCAP.
         RecordingError: The file exists or cannot be written; a package is missing; for MCAP a recording that does not
             hold its robot.
     """
-    path = Path(path)
-    return write_as(FORMATS, "format", recording, path, to or path.suffix[1:].lower(), force)
+    path, part = Path(path), Part.of(recording, signals, rate)
+    formats = {name: written(write, part) for name, write in FORMATS.items()}
+    return write_as(formats, "format", recording, path, to or path.suffix[1:].lower(), force)
+
+
+def written(write: Callable[[Recording, Path, Part], None], part: Part) -> Callable[[Recording, Path], None]:
+    """A format's writer of a part."""
+    return lambda recording, path: write(recording, path, part)
 
 
 def write_as(

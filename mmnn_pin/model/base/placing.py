@@ -125,6 +125,34 @@ def declared_wheel(rest: AtRest, name: str, candidates: Candidates, overrides: O
     return replace(candidate, radius=radius)
 
 
+def require_possible(overrides: Overrides, candidates: Candidates, named: list[Candidate]) -> None:
+    """Refuse a radius beyond the distance of wheels on one axle, or ten times that where a shape tells theirs.
+
+    Args:
+        overrides: What the user says.
+        candidates: What was found.
+        named: Wheels that the user names.
+
+    Raises:
+        ConfigError: They cannot, with the radius in millimetres if that may be meant.
+    """
+    radius = overrides.radius
+    if radius is None:
+        return
+    wheels = [*candidates.wheels, *candidates.near_misses, *named]
+    for i, one in enumerate(wheels):
+        for other in wheels[:i]:
+            apart = float(np.linalg.norm(one.centre - other.centre))
+            blind = math.isnan(one.radius) and math.isnan(other.radius)
+            if one.joint is not other.joint and coaxial(one, other) and radius >= (1.0 if blind else 10.0) * apart:
+                why = f"the wheels '{other.joint.name}' and '{one.joint.name}' are {apart:.3g} m apart"
+                metres = f"--radius {radius / 1000:g} if these are millimetres, else " * (
+                    1.0 <= radius < 1000.0 * apart
+                )
+                fix = f"give {metres}less than {apart:.3g} m, or leave it out"
+                raise ConfigError(f"{radius:g} m cannot be their radius", why=why, fix=fix, key="radius")
+
+
 def require_used(overrides: Overrides, base: Base) -> None:
     """Refuse what is said of wheels that the base does not have.
 

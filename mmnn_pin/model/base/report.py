@@ -345,8 +345,8 @@ def undecided(
     return error
 
 
-def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
-    """The error for what would be drive wheels but for one thing."""
+def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[str] = ()) -> Undecided:
+    """The error for what would be drive wheels but for one thing; `package_dirs` were given for meshes."""
     near_misses, fix = (
         candidates.near_misses,
         "--base holonomic drives it by forces on its frame; --base fixed parks it",
@@ -365,7 +365,10 @@ def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
         fix = "give --radius METRES, or make their shapes cylinders; --base fixed parks them"
         if any(c.shape == PARTIAL for c in near_misses):
             why = "meshes are missing, none is measured from what is left, and nothing tells where the floor is"
-            fix = "give --radius METRES, or --package-dir FOLDER where their meshes are; --base fixed parks them"
+            empty = f" (not in {' or '.join(package_dirs)})" if package_dirs else ""
+            fix = (
+                f"give --radius METRES, or --package-dir FOLDER where their meshes are{empty}; --base fixed parks them"
+            )
     elif min(c.centre[2] for c in near_misses) > height_at(rest, 0.5) and gap > min(c.radius for c in near_misses):
         why, fix = f"they {ends}, in its upper half", "turn it over if it stands on its head; --base fixed parks them"
     else:

@@ -42,7 +42,17 @@ from .machines import (
 )
 from .opinions import second_opinions, unasked
 from .overrides import Overrides
-from .placing import crossed, declared_wheel, in_order, mecanum, pushed, require_used, skidding, with_wheels
+from .placing import (
+    crossed,
+    declared_wheel,
+    in_order,
+    mecanum,
+    pushed,
+    require_possible,
+    require_used,
+    skidding,
+    with_wheels,
+)
 from .report import (
     BaseResult,
     Reading,
@@ -108,10 +118,13 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
     radius = overrides.radius or (radii[0].value if len(radii) == 1 else None)
     candidates = wheel_candidates(rest, radius, overrides.radius is not None)
     drives = candidates.wheels
+    named = [declared_wheel(rest, name, candidates, overrides) for name in overrides.wheels or ()]
+    if overrides.base != "fixed":
+        require_possible(overrides, candidates, named)
     if overrides.base == "fixed":
         found = BaseResult(parked([*candidates.wheels, *candidates.near_misses, *candidates.limited]))
     elif overrides.wheels is not None:
-        drives = [declared_wheel(rest, name, candidates, overrides) for name in overrides.wheels]
+        drives = named
         found = declared(rest, drives, [*candidates.wheels, *candidates.limited], overrides)
     elif overrides.base == "holonomic" and not plain(candidates.wheels):
         found = pushed(rest, candidates)
@@ -225,7 +238,7 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseRe
         and candidates.near_misses
         and not (rest.is_vertical(candidates.near_misses[0].joint) and machine(rest))
     ):
-        raise not_on_floor(rest, candidates)
+        raise not_on_floor(rest, candidates, overrides.package_dirs)
     if not wheels:
         return without_wheels(rest, overrides, candidates.floor)
     drives = plain(wheels)

@@ -390,13 +390,17 @@ def bad_meshes(root: etree._Element, urdf: Path, package_dirs: Sequence[str | Pa
         absent.setdefault(mesh.package, []).append(name)
     for name, mesh in found.items():
         if not mesh.package or absent[mesh.package][0] == name:
-            yield from mesh_finding(named[name], absent[mesh.package] if mesh.package else [name], mesh)
+            names = absent[mesh.package] if mesh.package else [name]
+            yield from mesh_finding(named[name], names, mesh, package_dirs)
 
 
-def mesh_finding(element: etree._Element, names: list[str], mesh: MeshFile) -> Iterator[Finding]:
+def mesh_finding(
+    element: etree._Element, names: list[str], mesh: MeshFile, package_dirs: Sequence[str | Path]
+) -> Iterator[Finding]:
     """What to say about one mesh, or about all meshes of one missing package."""
     what = f"mesh '{names[0]}'"
-    fix = "give the folder that holds the package with --package-dir"
+    given = f"; {' and '.join(map(str, package_dirs))} {'do' if len(package_dirs) > 1 else 'does'} not hold it"
+    fix = "give the folder that holds the package with --package-dir" + given * bool(package_dirs)
     if "://" in names[0] and not mesh.package and mesh.problem == "missing":
         fix = "is it in another copy of the package? " + fix
     if mesh.package:

@@ -64,6 +64,17 @@ MJCF = "convert it to URDF, e.g. with mjcf-urdf-simple-converter (PyPI)"
 
 SDF = "convert it to URDF, e.g. with sdf2urdf of pysdf, or give the URDF or xacro file that it was made from"
 
+# How files begin that are no text.
+PICTURES = {
+    b"\x89PNG": "a picture (PNG)",
+    b"\xff\xd8\xff": "a picture (JPEG)",
+    b"GIF8": "a picture (GIF)",
+    b"%PDF": "a PDF",
+    b"PK\x03\x04": "an archive (ZIP)",
+    b"\x1f\x8b": "an archive (gzip)",
+    b"\x89HDF": "an HDF5 file",
+}
+
 # What files with another root element are, and the way out.
 OTHER_FORMATS = {
     "mujoco": ("MJCF (MuJoCo)", MJCF),
@@ -204,6 +215,10 @@ def syntax_finding(data: bytes, reason: str, line: int) -> Finding:
     """Why the bytes are not XML: wrong encoding, cut off, or damaged."""
     if not data.strip():
         return finding("not-xml", 1, "the file is empty")
+    if kind := next((kind for start, kind in PICTURES.items() if data.startswith(start)), ""):
+        return finding(
+            "not-urdf", 1, f"this is {kind}, not a URDF", fix="name a URDF or xacro file; `mmnn list` has robots"
+        )
     if any(word in reason for word in ("encoding", "UTF")) or b"\x00" in data[:64]:
         line = undecodable_line(data) or line
         fix = 'save it as UTF-8, or declare its encoding: <?xml version="1.0" encoding="..."?>'

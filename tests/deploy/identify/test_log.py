@@ -66,6 +66,10 @@ def test_headers_with_other_words_are_understood(log: Log, arm: Robot, tmp_path:
     assert_same(read(table(log, words), tmp_path, arm), log)
 
 
+def test_bare_names_of_joints_are_their_positions_as_in_a_reference(log: Log, arm: Robot, tmp_path: Path) -> None:
+    assert_same(read(table(log, {f"position.{joint}": joint for joint in JOINTS}), tmp_path, arm), log)
+
+
 NUMBERED = {
     "from 1": ("t", "q_{}", "dq_{}", "tau_{}", 1),
     "from 0": ("time [s]", "q[{}]", "dq[{}]", "tau_J[{}]", 0),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from mmnn_pin.cli.ros2 import asked
 from mmnn_pin.deploy.ros2.reading import line_of, load_settings
 from mmnn_pin.deploy.ros2.wiring import example, interfaces
 from mmnn_pin.errors import InputError
+from mmnn_pin.loop.latency import Latency
 from mmnn_pin.safety import Safety
 
 GOOD = SETTINGS.format(domain=3, reliability="reliable")
@@ -127,18 +128,40 @@ def test_lines_of_keys() -> None:
     assert [line_of(text, key) for key in ("a", "b.c", "f.1.g", "f.1", "b.x", "h")] == [1, 3, 8, 7, 2, None]
 
 
-def test_servos_too_fast_for_the_rate_are_refused_with_the_setting_that_cures_it(tmp_path: Path, capsys: Any) -> None:
+def test_gains_too_high_for_the_rate_are_refused_with_the_settings_that_cure_it(tmp_path: Path, capsys: Any) -> None:
     pytest.importorskip("cyclonedds")
     file, out = tmp_path / "robot.toml", tmp_path / "run.h5"
     velocity = 'type = "Float64MultiArray"\ninterface = "velocity"'
-    file.write_text(GOOD.replace("rate = 100.0", "rate = 12.5").replace('type = "Float64MultiArray"', velocity))
+    text = GOOD.replace("rate = 100.0", "rate = 12.5").replace("K = 3.0", "K = 30.0", 1)
+    file.write_text(text.replace('type = "Float64MultiArray"', velocity))
     assert main(["ros2", str(file), "--out", str(out), "--seconds", "0.1"]) == 2
     line = capsys.readouterr().err.strip().splitlines()[-1]
-    assert line.startswith(f"{file}:") and "are too fast for it: state slower ones, --set set.servo.bandwidth=" in line
-    (change,) = re.findall(r"--set (set\.servo\.bandwidth=[\d.]+)", line)
-    settings = load_settings(file, [change])
+    assert (
+        line.startswith(f"{file}:") and "too high for servos with a bandwidth of 30 1/s: lower them, --set set." in line
+    )
+    changes = shlex.split(line.partition("lower them, ")[2].partition(", or shorten")[0])[1::2]
+    settings = load_settings(file, changes)
     experiment, robot = asked(settings, file)
     loop = experiment.loop(robot, experiment.controller("pd", robot=robot))
-    assert f"{loop.servo.bandwidth:g}" == change.partition("=")[2]
+    assert f"set.kinematic.K={loop.kinematic.K:.4g}" in changes
     with Stepper.of(loop, interfaces=interfaces(robot, settings), safety=Safety()) as stepper:
         assert stepper.delay_margin() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("said", "found"),
+    [
+        ("", Latency(sensing=0.004, command=0.001, margin=0.007, predict=True)),
+        ("latency = 0.006", Latency(sensing=0.006, margin=0.007, predict=True)),
+        ("latency = 0.006\npredict = false", Latency(command=0.006, margin=0.007)),
+        ("predict = false", Latency(sensing=0.004, command=0.001, margin=0.007)),
+    ],
+)
+def test_an_experiments_latency_keeps_what_the_settings_do_not_say(said: str, found: Latency, tmp_path: Path) -> None:
+    own = "latency = { sensing = 0.004, command = 0.001, margin = 0.007, predict = true }"
+    file = tmp_path / "robot.toml"
+    file.write_text(GOOD.replace("latency = 0.005", said, 1).replace("[set]", f"[set]\n{own}", 1))
+    experiment, robot = asked(load_settings(file, []), file)
+    assert experiment.latency == found
+    with Stepper.of(experiment.loop(robot, "pd"), safety=Safety(torque="urdf")) as stepper:
+        assert stepper.setup.known == found

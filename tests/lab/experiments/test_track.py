@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from mmnn_pin.loop.sampled import SampledLoop, sampled_loop
 from mmnn_pin.loop.suited import effective_inertia
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
+from mmnn_pin.model.robots import robot_data
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference import Hold
 from mmnn_pin.signals import Layout
@@ -31,6 +33,8 @@ from mmnn_pin.torque import law
 from mmnn_pin.torque.controller import Context, Feedback
 from mmnn_pin.torque.neural import Inputs, Neural, Robust
 from mmnn_pin.torque.two_layer import TwoLayer
+
+needs_data = pytest.mark.skipif(robot_data() is None, reason="example-robot-data is not installed")
 
 DURATION = 0.02 if config.DISABLE_JIT else 1.5
 CONTROLLERS = {"two_layer", "pd", "pd_gravity", "pid", "pd_effective", "computed_torque"}
@@ -274,3 +278,22 @@ def test_track_runs_on_tiago(capsys, tmp_path):
     if not config.DISABLE_JIT:
         error = {name: run["metrics"]["e.arm_7_joint.peak"] for name, run in found["runs"].items()}
         assert error["computed_torque"] < error["two_layer"] < 0.5 * min(error["pd"], error["pd_effective"])
+
+
+@pytest.mark.parametrize("more", [[], ['feedback.scaling="inertia"']])
+@pytest.mark.parametrize("robot", ["platform_arm", pytest.param("tiago", marks=needs_data)])
+def test_gains_that_are_too_high_are_told_settings_that_hold(robot: str, more: list[str]) -> None:
+    """The settings that the line says, read by a shell."""
+    keys = [
+        f'robot="{robot}"',
+        'controllers=["pd"]',
+        "time.control_period=0.01",
+        "feedback.base=3000",
+        "feedback.arm=800",
+    ]
+    with pytest.raises(ConfigError, match="the sampled PD loop is unstable") as refused:
+        run_experiment(load_experiment("track", keys + more), "track")
+    words = shlex.split(refused.value.fix.partition("lower them, ")[2].partition(", or leave them out")[0])
+    assert words[::2] == ["--set"] * (2 + len(more))
+    found = load_experiment("track", keys + more + words[1::2])
+    found.loop(found.load_robot(), "pd").require_stable_gains()

@@ -227,6 +227,45 @@ def test_a_search_for_the_worst_run_finds_none_that_leaves_the_region() -> None:
     assert found.nfev > 150 and 0.9 < -found.fun < 0.999  # it finds runs near the face, and all of them go inward
 
 
+def ending(place: np.ndarray, duration: float = 4.0) -> np.ndarray:
+    """Pose, arm and energy over the ultimate bound in a run's last half, pushed for seconds as 8 numbers say.
+
+    The network's place has whatever force it may give at most: as a push, of any sign and speed.
+    """
+    found, signs, speeds = certificate(), np.sign(place[:4]), 10.0 ** place[4:8]
+    gains, box, names = found.boxes.gains, found.bound.box, NAMES
+    most = 0.999 * signs * (FORCE + gains.network)
+    pushes = tuple(
+        Push(on=name, shape="sine", force=float(force), frequency=float(speed))
+        if speed > 0.03
+        else Push(on=name, shape="step", force=float(force))
+        for name, force, speed in zip(names, most, speeds, strict=True)
+    )
+    control = PD(Feedback(tuple(gains.lower[:2]), tuple(gains.lower[2:])))
+    run = loop_of(Start(moving=True), duration, controller=control, disturbances=pushes).run()
+    assert run.outcome.status == "completed"
+    subject = Subject.of(run)
+    sizes = sizes_of(replace(subject, rows=subject.rows[len(subject.rows) // 2 :: 10]), found.boxes.loop)
+    pairs = ((sizes.pose, box.pose), (sizes.arm, box.arm), (sizes.energy, box.energy))
+    return np.array([its.max() / most for its, most in pairs])
+
+
+@compiled_only
+def test_a_search_over_seconds_stays_in_the_ultimate_bound_and_comes_near_it_but_for_the_pose() -> None:
+    """Pose: one energy lets the heavy base have what the light joints need, so that its bound is far from a run's."""
+    reached = np.zeros(3)
+
+    def near(place: np.ndarray) -> float:
+        found = ending(place)
+        reached[:] = np.maximum(reached, found)
+        return -float(np.sum(found))
+
+    limits = [(-1.0, 1.0)] * 4 + [(-3.0, 1.0)] * 4
+    differential_evolution(near, limits, maxiter=2, popsize=2, seed=1, polish=False, tol=0)
+    assert (reached < 1.0).all() and (reached[1:] > 0.1).all()
+    assert reached[0] < 0.1  # else the theory's page says too little of it
+
+
 @compiled_only
 def test_the_search_finds_runs_that_leave_a_box_that_is_not_invariant() -> None:
     """Power: the region's box with a tenth of its energy for the same pose errors is left."""

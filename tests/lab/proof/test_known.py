@@ -6,20 +6,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from proofs import SLOW, attacked, within
+from proofs import KINDS, SLOW, attacked, loop_of, subject_of, within
+from scipy.linalg import expm
 
 from mmnn_pin import Recording, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.runner import run_experiment
-from mmnn_pin.lab.proof.known import Proved, allowed, reach, roots, unproved
+from mmnn_pin.lab.proof.energy import SAMPLES, allowed, patience, reach
+from mmnn_pin.lab.proof.known import Proved, roots, unproved, unsaid
 from mmnn_pin.lab.proof.learner import Stepper
 from mmnn_pin.lab.proof.periods import Periods
 from mmnn_pin.lab.proof.steps import Box
 from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.lab.proof.truth import distances, metric, numbers_of, true_parameters
+from mmnn_pin.lab.proof.truth import distances, metric, numbers_of, regressors, true_parameters
 from mmnn_pin.lab.proof.tube import tube_from, tube_of
 from mmnn_pin.lab.proof.tube_search import Search
 from mmnn_pin.lab.show.proof.text import proved_sentence
+from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import Array
 
 compiled = pytest.mark.skipif(SLOW, reason="thousands of periods, uncompiled")
@@ -100,16 +105,59 @@ def test_no_rows_however_wrong_take_the_weights_further_or_the_covariance_above(
 
 @compiled
 def test_the_features_are_those_of_the_learner(proved: Proved) -> None:
-    """At a state of the run, Phi W is the recorded Psi_hat."""
-    subject, where = proved.periods.subject, proved.periods.layout.where
+    """At a state of the run, Phi W is the recorded Psi_hat, but for the rest."""
+    subject, where, p = proved.periods.subject, proved.periods.layout.where, len(proved.noise)
     for b in (5, 50, 90):
-        row = subject.rows[proved.starts[b]]
+        j = int(proved.starts[b])
+        row, places = subject.rows[j], slice(j, j + 1)
         y = proved.periods.state(row, row[where("position")], row[where("nu")])
         stepper = Stepper(proved.learner, proved.learner.start.snapshot())
-        for one in subject.rows[: proved.starts[b]]:
+        for one in subject.rows[:j]:
             stepper.step(one)
-        Phi = proved.features(row, y)
-        np.testing.assert_allclose(Phi @ stepper.state["W"][0], row[where("psi_hat")], atol=1e-6)
+        value, slope, rest = proved.features.smooth(places, np.abs(y)[None])
+        dry, most = proved.features.dry(places, np.abs(y)[None, -p:])
+        W = stepper.state["W"][0]
+        off = np.abs((value[0] + dry[0] + np.einsum("z,zij->ij", y, slope[:, 0])) @ W - row[where("psi_hat")])
+        assert (off <= (rest[0] + most[0]) @ np.abs(W) + 1e-6).all()
+
+
+@compiled
+def test_features_on_motions_in_a_box_are_no_longer_than_is_proved(proved: Proved) -> None:
+    """In the metric of P, at corners and inside, at any sample of a block, with noise; and some come near."""
+    periods, rng, first, nearest = proved.periods, np.random.default_rng(5), 60, np.zeros(4)
+    boxes = np.tile([1e-3, 1e-3, 3e-3, 4e-3, 8e-3, 0.01, 0.02, 0.05, 0.1], (len(proved.starts), 1))
+    bound, P = proved.spread(first, boxes), proved.covariances(first)
+    for b in (60, 80, 99):
+        for _ in range(150):
+            j = int(rng.integers(proved.starts[b], proved.ends[b]))
+            y = boxes[b] * rng.choice((-1.0, 1.0), 9) * rng.choice((1.0, rng.uniform()))
+            row, position, nu = periods.seen(periods.subject.rows[j], y)
+            nu_ref, nudot_ref = (row[periods.layout.where(name)] for name in ("nu_ref", "nudot_ref"))
+            found = roots(proved.learner.controller.regressor.matrix(position, nu, nu_ref, nudot_ref), P[b])
+            assert (found <= bound[b]).all()
+            nearest = np.maximum(nearest, found / bound[b])
+    assert nearest.min() > 0.6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_parameters_do_not_say_is_what_dry_friction_has_more_near_a_standstill(kind: str) -> None:
+    """Nothing without it, on any motion; a robot whose other friction they do not say is refused."""
+    periods = Periods(subject_of(kind, loop_of(kind, duration=0.01).run()))
+    regressor, ideal = Regressor.of(periods.robot), parameters(periods.robot)
+    assert (unsaid(periods, regressor, ideal) < 1e-5).all()
+    rough = periods.robot.with_joint_friction(0.02, 0.5, 1.4)
+    periods.robot, periods.rough = rough, Dynamics(rough)
+    more, rng = unsaid(periods, regressor, parameters(rough)), np.random.default_rng(0)
+    nearest = 0.0
+    for _ in range(200):
+        nu = rng.uniform(-0.1, 0.1, len(more))
+        Y = regressor.matrix(rough.neutral_position(), nu, 0 * nu, 0 * nu)
+        off = np.abs(rough.friction(nu) - Y[:, regressor.inertial :] @ parameters(rough)[regressor.inertial :])
+        assert (off <= more).all()
+        nearest = max(nearest, float((off / more)[more > 0.1].max()))
+    assert nearest > 0.3
+    with pytest.raises(RecordingError, match="do not say all of its robot"):
+        unsaid(periods, regressor, 1.01 * parameters(rough))
 
 
 def still(search: Search) -> tuple[Box, Array]:
@@ -132,8 +180,12 @@ def test_distance_and_spread_are_their_sums(proved: Proved) -> None:
     np.testing.assert_allclose(proved.distances(first, s, spread, 0 * wrong)[-1], wanted, rtol=1e-12)
     at = np.bincount((proved.done[first] + np.arange(n.sum())) % proved.ideal.size, minlength=proved.ideal.size)
     P = proved.P[first] + np.diag(at * a.drift * a.interval * proved.ideal.size * proved.prior)
-    most = np.sqrt(np.einsum("nij,jk,nik->ni", proved.Phi[-1], P, proved.Phi[-1])).max(axis=0)
-    np.testing.assert_allclose(spread[-1], most, rtol=1e-9)
+    most, periods, rest = np.zeros(4), proved.periods, np.zeros(proved.periods.size)
+    for one in periods.subject.rows[proved.starts[-1] : proved.ends[-1]]:
+        row, position, nu = periods.seen(one, rest)
+        nu_ref, nudot_ref = (row[periods.layout.where(name)] for name in ("nu_ref", "nudot_ref"))
+        most = np.maximum(most, roots(proved.learner.controller.regressor.matrix(position, nu, nu_ref, nudot_ref), P))
+    np.testing.assert_allclose(spread[-1], most, rtol=1e-6)
     assert len(proved.periods.subject.rows) // a.every - 10 <= proved.updates.sum()  # the filter settles at first
 
 
@@ -247,6 +299,21 @@ def test_equations_of_another_delay_are_told(search: Search) -> None:
 
 
 @compiled
+@pytest.mark.parametrize("controller", ["kalman_regressor", "adaptive_composite", "concurrent"])
+def test_a_learner_of_late_commands_says_again_what_it_said(controller: str) -> None:
+    """Its torques are under way for a sample, in the replay as in the run."""
+    subject = Subject.of(run(controller, "latency.command=0.001", seconds=0.4))
+    learner = subject.learner
+    assert learner is not None and learner.context.way == 1e-3
+    stepper, learned = Stepper(learner, learner.start.snapshot()), 0.0
+    for row in subject.rows:
+        psi_hat = stepper.step(row)
+        learned = max(learned, float(np.abs(psi_hat).max()))
+        np.testing.assert_allclose(psi_hat, row[subject.layout.where("psi_hat")], atol=1e-9)
+    assert learned > 0.1
+
+
+@compiled
 def test_noise_that_leaves_nothing_proved_is_named_and_less_of_it_does_not() -> None:
     """The first thing that is in the way, and following what it says to change."""
     loud = tube_of(Subject.of(run("kalman_regressor", "sensor.velocity_noise=1e-3")))
@@ -264,12 +331,29 @@ def test_what_the_energy_of_an_adaptive_law_allows_is_no_bound_of_use() -> None:
     assert learner is not None
     times = allowed(periods) / np.abs(subject.signal("psi")).max(axis=0)
     assert times.min() > 3.0 and "use kalman_regressor" in unproved(periods)
+    assert_patience(periods, np.abs(subject.signal("psi")).max(axis=0))
     bodies, end = numbers_of(learner)[0].bodies, learner.end["theta"]
     energy = float(distances(bodies, true_parameters(subject, learner).theta, end[None])[0])
     ray = metric(bodies, end) @ np.ones(end.size)
     c = reach(bodies, end, ray, energy)
     near = min(abs(float(distances(bodies, end + sign * c * ray, end[None])[0]) / energy - 1) for sign in (1, -1))
     assert near < 1e-3 or reach(bodies, end, ray, 10 * energy) < 1.01 * c  # on its edge, or on that of bodies at all
+
+
+def assert_patience(periods: Periods, largest: Array) -> None:
+    """The time after which the averaged law leaves so much, by its flow, against scipy's matrix exponential."""
+    subject, learner = periods.subject, periods.subject.learner
+    assert learner is not None
+    (a, _), end = numbers_of(learner), learner.end["theta"]
+    energy = float(distances(a.bodies, true_parameters(subject, learner).theta, end[None])[0])
+    rows = subject.rows[np.linspace(0, len(subject.rows) - 1, SAMPLES).astype(int)]
+    Y, Gamma = regressors(learner, rows), metric(a.bodies, end)
+    H, time = a.tracking * np.einsum("nij,i,nik->jk", Y, 1 / a.gain, Y) / len(Y), patience(periods, largest)
+    assert 1.0 < time < np.inf
+    for T, holds in ((1.05 * time, True), (0.95 * time, False)):
+        flow = expm(-T * Gamma @ H)  # of theta~, whose ellipsoid V = theta~' Gamma^-1 theta~ / 2 it takes along
+        most = np.sqrt(2 * energy * np.einsum("nij,jk,nik->ni", Y, flow @ Gamma @ flow.T, Y)).max(axis=0)
+        assert (most <= largest).all() == holds
 
 
 @compiled

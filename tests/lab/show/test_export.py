@@ -161,6 +161,44 @@ def test_joints_and_pushed_bases_have_their_units() -> None:
     assert column_units(rec, "motor_torque") == ["N m"] * 4
 
 
+def test_a_part_has_some_signals_and_every_nth_sample(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The run has 500 samples per second: at most 100 rows per second are every fifth, at most 90 every sixth."""
+    rec = run()
+    for rate, every in ((100.0, 5), (90.0, 6), (1e6, 1)):
+        with export(rec, tmp_path / f"{every}.csv", signals=["q", "pose"], rate=rate).open(newline="") as file:
+            head, *rows = list(csv.reader(file))
+        assert [name.partition(".")[0].partition(" ")[0] for name in head] == ["time", *["pose"] * 3, *["q"] * 2]
+        wanted = np.column_stack([as_columns(rec[name])[::every] for name in ("time", "pose", "q")])
+        np.testing.assert_array_equal(np.array(rows, float), wanted)
+        with np.load(export(rec, tmp_path / f"{every}.npz", signals=["q", "pose"], rate=rate)) as arrays:
+            np.testing.assert_array_equal(arrays["q"], rec["q"][::every])
+            assert "torque" not in arrays and arrays["step_time"].size == len(rows)
+    short = ["--set", "time.duration=0.1", "--set", "plots=[]", "--controller", "pd", "--out", str(tmp_path / "a")]
+    assert main(["run", "chapter4", *short]) == 0
+    saved = str(tmp_path / "a/pd.h5")
+    for options, told in (
+        (["--signals", "q,torqe"], "--signals: error: unknown signal 'torqe': did you mean 'torque'?"),
+        (["--rate", "0"], "--rate: error: 0 Hz: give a rate above 0"),
+    ):
+        assert main(["export", saved, "--to", "csv", "--out", str(tmp_path / "b.csv"), *options]) == 2
+        assert told in capsys.readouterr().err and not (tmp_path / "b.csv").exists()
+    assert main(["export", saved, "--to", "mcap", "--out", str(tmp_path / "b.mcap"), "--rate", "5"]) == 2
+    assert "a part of a recording as MCAP" in capsys.readouterr().err
+
+
+def test_a_large_file_is_told_with_how_to_have_less(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = ["--set", "time.duration=0.1", "--set", "plots=[]", "--controller", "pd", "--out", str(tmp_path / "a")]
+    assert main(["run", "chapter4", *short]) == 0
+    saved = str(tmp_path / "a/pd.h5")
+    monkeypatch.setattr("mmnn_pin.cli.results.LARGE", 1000)
+    assert main(["export", saved, "--to", "csv"]) == 0
+    out = capsys.readouterr().out
+    assert "MB; --rate 100 and --signals q,torque make smaller tables" in out
+    assert main(["export", saved, "--to", "csv", "--force", "--rate", "100", "--signals", "q,torque"]) == 0
+
+
 @pytest.mark.parametrize("to", FORMATS)
 def test_a_diverged_run_can_be_exported(tmp_path: Path, to: str) -> None:
     def lose(table: np.ndarray, where) -> None:

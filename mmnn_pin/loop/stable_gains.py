@@ -1,0 +1,195 @@
+"""Refuses gains that make the sampled loop unstable, with numbers that hold (`loop.sampled` judges them)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+
+from ..compiled import one_thread
+from ..errors import ConfigError
+from ..model.base import BY_SIZE
+from ..settings import Numbers
+from ..signals import Array
+from .sample import Plan
+from .sampled import SampledLoop, delay_margin, gains_of, judges, slowest, verdicts
+from .servo import servos_on
+
+SHARES = np.geomspace(1.0, 0.01, 25)  # of the gains that are tried
+ROOM = 1.5  # times the gains that are advised, the loop holds, too
+LEAST = 0.2  # of that share, where gains are too low
+FASTER = (2.0, 4.0, 8.0, 16.0, 32.0)  # times the bandwidth of simulated servos
+
+
+@one_thread
+def require_stable_gains(plan: Plan) -> None:
+    """Judge the sampled PD loop at ten places along the setpoints, and with the latency of the plan.
+
+    Raises:
+        ConfigError: It is unstable at one of them, with the numbers and the largest gain that stands, or what cures the
+            servo rows.
+    """
+    if not judges(plan):
+        return
+    h, found = slowest(plan), list(verdicts(plan))
+    for verdict in found:
+        if not verdict.stable:
+            what = f"the sampled loop is unstable: spectral radius {verdict.radius:.4g} > 1, commands held for {h:g} s"
+            require_servo_rows(plan, what)
+            cure = cured(plan, np.min([each.gain_limits for each in found], axis=0))
+            require_stable(verdict, gains_of(plan), plan.robot.velocity_names, h, cure)
+    if known_delay(plan) > 0.0:
+        require_margin(plan)
+
+
+def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h: float, cure: str = "") -> None:
+    """Refuse gains that make the sampled PD loop unstable; `cure` says which do not.
+
+    Raises:
+        ConfigError: With the spectral radius and the gains that are too high.
+    """
+    if verdict.stable:
+        return
+    over = [
+        f"{name}: {gain:.4g} (limit alone {limit:.4g})"
+        for name, gain, limit in zip(names, gains, verdict.gain_limits, strict=True)
+        if gain > 0.5 * limit
+    ]
+    raise ConfigError(
+        f"the sampled PD loop is unstable: spectral radius {verdict.radius:.4g} > 1, the torque held for {h:g} s",
+        why="gains near or above their limit, 2 / (h (M^-1)_ii) without friction: "
+        + ("; ".join(over) or f"none, {'they are too low for ' * cure.startswith('change')}the kinematic gains"),
+        fix=(cure or "lower the gains, or ")
+        + "leave them out and let suitable ones be chosen (mmnn inspect ROBOT --gains prints "
+        "them), or shorten the control or sensor period",
+        key="feedback",
+    )
+
+
+def cured(plan: Plan, limits: Array) -> str:
+    """Gains that hold as a fix: each at most the same share of its limit; or, if need be, not far below that.
+
+    Args:
+        plan: Of the loop.
+        limits: (p,) `SampledLoop.gain_limits`, the smallest along the setpoints.
+
+    Returns:
+        Nothing where none is found.
+    """
+    own = gains_of(plan)
+    limits = np.where(np.isfinite(limits), limits, 0.0)
+    for word, least in (("lower", 0.0), ("change", LEAST)):
+        for share in SHARES[1:]:
+            gains = two_digits(np.clip(own, least * share * limits, share * limits))
+            if all(holds(plan, f * gains) for f in (1.0, ROOM)):
+                return f"{word} them, {in_a_call(gains, plan)}, or "
+    return ""
+
+
+def require_servo_rows(plan: Plan, what: str) -> None:
+    """Refuse a loop that other numbers of its servo rows cure: the kinematic layer's, or those of the servos' law.
+
+    Args:
+        plan: Of the loop.
+        what: What is wrong with it.
+
+    Raises:
+        ConfigError: With numbers that it bears with some room.
+    """
+    servos = plan.servo
+    if servos is None:
+        return
+    b, nb = in_short(servos.law.bandwidth), plan.robot.dimensions.base
+    for share in SHARES[1:]:
+        gains, K = two_digits(share * plan.gains), two_digits(share * plan.K)
+        if all(holds(replace(plan, gains=f * gains, K=f * K)) for f in (1.0, ROOM)):
+            names = BY_SIZE[nb].gain_names
+            base = zip(names, np.split(gains, len(names)), strict=True) if names else ()
+            values = [f"{name}={in_short(as_given(part))}" for name, part in (*base, *([("K", K)] if K.size else []))]
+            why = f"the gains of the kinematic layer are too high for servos with a bandwidth of {b} 1/s"
+            fix = f"lower them, kinematic=Kinematic({', '.join(values)}), or shorten the control or sensor period"
+            raise ConfigError(what, why=why, fix=fix, key="kinematic")
+    weak = f"simulated servos with a bandwidth of {b} 1/s are too slow for it"
+    tries = [("gain", factor, "the servos' law answers an error too strongly") for factor in (0.5, 0.2, 0.0)]
+    for name, factor, why in (*tries, *(("bandwidth", factor, weak) for factor in FASTER if servos.simulated)):
+        value = as_given(two_digits(factor * np.atleast_1d(getattr(servos.law, name))))
+        law = msgspec.structs.replace(servos.law, **{name: value})
+        if holds(replace(plan, servo=servos_on(plan.robot, servos.on, law, servos.simulated))):
+            fix = f"servo=Servo({name}={in_short(value)}), or shorten the control or sensor period"
+            raise ConfigError(what, why=why, fix=fix, key=f"servo.{name}")
+
+
+def require_margin(plan: Plan) -> None:
+    """Refuse gains that do not bear the latency of a plan.
+
+    Raises:
+        ConfigError: They do not, with the largest share of them that does.
+    """
+    margin, delay = delay_margin(plan), known_delay(plan)
+    if margin > delay:
+        return
+    what = f"the loop does not bear a latency of {1e3 * delay:.3g} ms"
+    require_servo_rows(plan, what)
+    share = largest_share(plan)
+    fix = "lower the gains of the kinematic layer, or shorten the latency"
+    if share > 0.0:
+        less = in_a_call(share * gains_of(plan), plan)
+        fix = f"lower the feedback to {share:.4f} of it, {less}, or shorten the latency"
+    why = f"its delay margin is {1e3 * margin:.3g} ms"
+    raise ConfigError(what, why=why, fix=fix, key="latency")
+
+
+def largest_share(plan: Plan) -> float:
+    """Largest share of the feedback that bears the latency of a plan, to 2 %; 0 where none does."""
+    delay = known_delay(plan)
+    for below, share in pairwise(SHARES):
+        if delay_margin(plan, float(share)) > delay:
+            low, high = float(share), float(below)
+            while high > 1.02 * low:
+                middle = float(np.sqrt(low * high))
+                low, high = (middle, high) if delay_margin(plan, middle) > delay else (low, middle)
+            return int(low * 1e4) / 1e4
+    return 0.0
+
+
+def holds(plan: Plan, gains: Array | None = None) -> bool:
+    """Whether the sampled loop of a plan is stable and bears its delay, with its own gains on s or with others (p,)."""
+    delay = known_delay(plan)
+    return all(verdict.stable for verdict in verdicts(plan, gains)) and (
+        delay <= 0.0 or delay_margin(plan, gains=gains) > delay
+    )
+
+
+def known_delay(plan: Plan) -> float:
+    """The latency, and what simulated servos add to it [s]."""
+    return plan.latency + (plan.servo.law.delay if plan.servo is not None and plan.servo.simulated else 0.0)
+
+
+def in_a_call(gains: Array, plan: Plan) -> str:
+    """Gains on s (p,) as a call in Python has them."""
+    nb, names = plan.robot.dimensions.base, ("base", "arm")
+    parts = [
+        f"{name}={in_short(as_given(part))}"
+        for name, part in zip(names, np.split(gains, [nb]), strict=True)
+        if part.size
+    ]
+    return f"feedback=Feedback({', '.join(parts)})"
+
+
+def in_short(numbers: Numbers) -> str:
+    """Numbers as a call in Python has them."""
+    short = [f"{number:.4g}" for number in np.atleast_1d(numbers)]
+    return f"({', '.join(short)})" if np.ndim(numbers) else short[0]
+
+
+def as_given(numbers: Array) -> float | tuple[float, ...]:
+    """One number where all are alike, as settings take them."""
+    return float(numbers[0]) if np.ptp(numbers) == 0.0 else tuple(numbers.tolist())
+
+
+def two_digits(numbers: Array) -> Array:
+    """Numbers with two digits, none of them larger than it was."""
+    ten = 10.0 ** (np.floor(np.log10(np.maximum(numbers, 1e-300))) - 1.0)
+    return np.asarray(np.floor(numbers / ten + 1e-9) * ten)
