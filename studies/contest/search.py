@@ -222,7 +222,7 @@ OUTSIDE = tuple(told(HERE / "tuning/outside.toml")["cases"])
 TUNINGS = ("eight", "payload", *OUTSIDE)  # each also the case of the contest that takes what was found
 
 
-TRIES = {"eight": 28, "payload": 20, **dict.fromkeys(OUTSIDE, 16), "wheels": 8}  # sets of settings per learner
+TRIES = {"eight": 28, "payload": 20, **dict.fromkeys(OUTSIDE, 16)}  # sets of settings per learner
 
 
 def tuning_file(tuning: str) -> Path:

@@ -18,6 +18,7 @@ from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import carrying
+from mmnn_pin.plant.contact.plant import SLIPPING
 from mmnn_pin.sensing import Sensor
 from studies.contest_plant.__main__ import CHANGES, published
 from studies.contest_plant.drive import Changes, errors_of, follow, new_stepper, rms, world_of
@@ -65,6 +66,16 @@ def test_a_shorter_step_of_the_plant_changes_no_error(name):
         if "true_pose_error" in run:
             found[-1] = np.append(found[-1], np.sqrt((run["true_pose_error"][late][:, :2] ** 2).sum(axis=1).mean()))
     assert (np.abs(found[0] - found[1]) < 2e-6 + 0.05 * found[1]).all()
+
+
+def test_on_the_held_out_motion_wheels_slip_and_the_robot_goes_on():
+    pytest.importorskip("mujoco")
+    task = task_named("wheels")
+    loop = task.held_out_loop(task.controller("computed_torque"), 1, "wide", True)
+    run = replace(loop, timing=msgspec.structs.replace(loop.timing, duration=4.0)).run()
+    assert run.outcome.status == "completed"
+    assert run["slip"].max() > SLIPPING
+    assert np.abs(run["true_pose_error"][-1][:2]).max() < 1e-3
 
 
 @settings(max_examples=50, deadline=None)
