@@ -224,11 +224,15 @@ def prove(
     """
     from ..lab.proof.balance import BUDGET
     from ..lab.proof.certified_run import prove as judge
+    from ..lab.proof.psi import how_to_know
+    from ..lab.proof.subject import Subject
     from ..lab.show.proof.figures import write_proof
     from ..lab.show.proof.text import render, render_certificate
 
     wanted, forces = numbers(region, "--region"), numbers(disturbance, "--disturbance")
     recording = one_run(run)
+    if recording.meta.get("law") and (how := how_to_know(Subject.of(recording))):
+        warn(how)
     compile_if_cold()
     with progress_bar() as show:
         found = judge(
