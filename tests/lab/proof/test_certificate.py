@@ -36,6 +36,7 @@ from mmnn_pin.torque.two_layer import TwoLayer
 
 compiled_only = pytest.mark.skipif(SLOW, reason="thousands of uncompiled steps")
 FORCE = np.array([4.0, 1.0, 0.3, 0.1])  # [N, N m] within which the pushes stay
+SETTLING = 10.0  # [s] after which errors from the region are in the ultimate bound; the pose decays at 0.4 1/s
 NAMES = certified_robot().velocity_names
 
 
@@ -199,9 +200,9 @@ def worst(sizes: Sizes, box: Box, first: int = 0) -> float:
 def test_no_run_from_random_places_leaves_the_region_and_all_end_up_in_the_bound() -> None:
     rng, region, bound = np.random.default_rng(0), certificate().region, certificate().bound
     weights = certificate().boxes.networks
-    for _ in range(10):
+    for _ in range(6):
         place = rng.uniform(-1, 1, 17) * np.array([3.0] * 9 + [1.0] * 8)
-        sizes = run_from(place, 2.5, region)
+        sizes = run_from(place, SETTLING, region)
         assert worst(sizes, region.box) <= 1.0
         assert sizes.inside(bound.box)[-len(sizes.time) // 4 :].all()
     run = loop_of(Start(), 0.5).run(plant_state=start_in(region, np.ones(9)))
