@@ -446,7 +446,7 @@ def test_the_command_tells_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 @compiled_only
 def test_a_region_and_forces_may_be_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The next box inside the one found is certified, not with a force beyond what it stands, nor a tiny box."""
+    """The box found is certified when it is asked for, not with a force beyond what it stands, nor a tiny box."""
     file = tmp_path / "run.h5"
     loop_of(Start((0.01, 0.01, 0.0), moving=True), 0.04).run(file)
 
@@ -455,7 +455,7 @@ def test_a_region_and_forces_may_be_asked_for(tmp_path: Path, capsys: pytest.Cap
         found: dict = json.loads(capsys.readouterr().out)["certificate"]
         return found
 
-    box = certify(certified_loop(Subject.of(Recording.open(file)))).faces[1].box
+    box = certify(certified_loop(Subject.of(Recording.open(file)))).region.box
     sizes = {name: getattr(box, name) for name in ("pose", "arm", "energy")}
     region = [f"--region={name}={value!r}" for name, value in sizes.items()]
     found = told(*region)
