@@ -54,7 +54,7 @@ JUDGES = (
     *("model.structure", "model.dynamics", "model.checks", "model.regressor", "model.tree.tree"),
     *("model.base.differential", "model.base.wheels", "model.base.understanding", "model.urdf.document"),
     *("model.base.holonomic", "model.urdf.mechanism", "plant.contact.tree", "torque.two_layer_composite"),
-    "loop.sampled",
+    *("loop.sampled", "loop.stable_gains"),
 )
 
 

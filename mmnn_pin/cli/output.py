@@ -337,3 +337,21 @@ def one_run(path: Path) -> Recording:
 def folders_of(path: Path) -> list[Path]:
     """Folders with recordings in a folder: the tasks of a contest, the cases of an experiment."""
     return sorted({file.parent for file in path.glob("*/*.h5")})
+
+
+def targets(runs: list[Path], out: Path | None, to: str) -> list[Path]:
+    """File for every recording: the one named, or one per recording in the folder named, or beside each.
+
+    Raises:
+        ConfigError: One file for several recordings.
+    """
+    if out is not None and (out.suffix and not out.is_dir()):
+        if len(runs) > 1:
+            raise ConfigError(f"one file for {len(runs)} recordings", fix="name a folder", file=out, key="--out")
+        return [out]
+    files = [(run.parent if out is None else out) / f"{run.stem}.{to}" for run in runs]
+    for i, file in enumerate(files):
+        if file in files[:i]:
+            why = f"{runs[files.index(file)]} and {runs[i]} have the same name"
+            raise ConfigError("two recordings for one file", why=why, fix="export them apart", file=file)
+    return files

@@ -28,6 +28,7 @@ from .output import (
     open_runs,
     progress_bar,
     proving,
+    targets,
     warn,
     wrote,
 )
@@ -224,11 +225,15 @@ def prove(
     """
     from ..lab.proof.balance import BUDGET
     from ..lab.proof.certified_run import prove as judge
+    from ..lab.proof.psi import how_to_know
+    from ..lab.proof.subject import Subject
     from ..lab.show.proof.figures import write_proof
     from ..lab.show.proof.text import render, render_certificate
 
     wanted, forces = numbers(region, "--region"), numbers(disturbance, "--disturbance")
     recording = one_run(run)
+    if recording.meta.get("law") and (how := how_to_know(Subject.of(recording))):
+        warn(how)
     compile_if_cold()
     with progress_bar() as show:
         found = judge(
@@ -440,21 +445,3 @@ def export(
         lambda: wrote(files.values()) + note,
     )
     return DONE
-
-
-def targets(runs: list[Path], out: Path | None, to: str) -> list[Path]:
-    """File for every recording: the one named, or one per recording in the folder named, or beside each.
-
-    Raises:
-        ConfigError: One file for several recordings.
-    """
-    if out is not None and (out.suffix and not out.is_dir()):
-        if len(runs) > 1:
-            raise ConfigError(f"one file for {len(runs)} recordings", fix="name a folder", file=out, key="--out")
-        return [out]
-    files = [(run.parent if out is None else out) / f"{run.stem}.{to}" for run in runs]
-    for i, file in enumerate(files):
-        if file in files[:i]:
-            why = f"{runs[files.index(file)]} and {runs[i]} have the same name"
-            raise ConfigError("two recordings for one file", why=why, fix="export them apart", file=file)
-    return files

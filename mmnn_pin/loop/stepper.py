@@ -178,8 +178,7 @@ class Stepper:
         self.received = row[layout.where("pose").start : layout.where("qdot").stop]
         self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
         self.torque, self.motor_torque = row[layout.where("torque")], row[layout.where("motor_torque")]
-        sizes = (layout.dof, layout.dof, layout.dof, layout.motors, layout.motors)
-        self.command = Command._make(np.full(size, np.nan) for size in sizes)
+        self.command = Command._make(np.full(size, np.nan) for size in [layout.dof] * 3 + [layout.motors] * 2)
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -106,3 +107,13 @@ def helped(command: str, capsys: pytest.CaptureFixture[str]) -> str:
     capsys.readouterr()
     assert main([command, "--help"]) == 0
     return capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("seconds", "there"), [(0.5, {"RMS 0-0.5 s"}), (3.0, {"RMS 0-2 s", "RMS 2-3 s"})])
+def test_windows_in_the_table_are_those_that_a_run_reaches(
+    seconds: float, there: set[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    short = [*SHORT[2:], "--set", f"time.duration={seconds}", "--out", str(tmp_path / "out")]
+    assert main(["run", "track", *short, "--set", "windows=[[0, 2], [2, 10]]"]) == 0
+    assert set(re.findall(r"RMS [\d.]+-[\d.]+ s", capsys.readouterr().out)) == there

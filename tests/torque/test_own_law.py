@@ -109,7 +109,8 @@ def test_the_example_is_run_judged_and_plotted_like_any_other(
     kinds = [kind for kind in LearningLaw.__subclasses__() if kind.__name__ == "LeastSquares"]
     for kind in kinds:
         kind.__name__ = "Forgotten"  # as in a fresh process
-    code, found, _ = told(capsys, "prove", file)
+    code, found, errors = told(capsys, "prove", file)
+    assert errors.startswith("warning: what the weights of LeastSquares know is judged with --law ")  # before it begins
     assert code == 0 and found["psi"]["online"]["base"] < 0.1 and found["psi"]["frozen"] == {}
     assert any(f"--law {EXAMPLE}" in remark for remark in found["remarks"])
     assert found["lyapunov"]["V"]["end"] >= 0 and found["equality"]["holds"]

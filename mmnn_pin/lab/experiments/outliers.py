@@ -18,6 +18,7 @@ from ...signals import Array
 ERRORS, POSITIONS = ("pose_error.", "z.", "e."), ("pose_error.", "e.")  # signals that runs are ranked by; of places
 FAR = 5.0  # times the median of the others, from which a run is told
 THROWN = 0.05  # least peak that is told [rad or m]
+SEEN = 1e-3  # least RMS error that a headline tells [rad or m]
 FAST = 10.0  # frequency above which a torque shakes its motor rather than moves it [Hz]
 CHATTER = 0.1  # share of the RMS of a motor's torque that is that fast, from which it is told
 
@@ -59,6 +60,28 @@ def far_peaks(errors: Mapping[str, Mapping[str, float]]) -> list[str]:
                 f"[rad or m]; by RMS errors it ranks before {' and '.join(behind)} all the same"
             )
     return found
+
+
+def farthest(errors: Mapping[str, Mapping[str, float]], name: str, window: str) -> tuple[str, float] | None:
+    """Where a run errs farthest above the others: of which pose or joint, how many times; None where nowhere far.
+
+    Args:
+        errors: Run to metric to its value [rad or m].
+        name: The run.
+        window: End of the names of RMS errors that count, as peaks do.
+    """
+    far = {
+        key: value / max(of_others(errors, name, key), 1e-12)
+        for key, value in errors[name].items()
+        if is_far(errors, name, key)
+        or (
+            key.startswith(POSITIONS) and key.endswith(window) and value > max(SEEN, FAR * of_others(errors, name, key))
+        )
+    }
+    if not far:
+        return None
+    worst = max(far, key=far.__getitem__)
+    return worst.partition(".")[2].removesuffix(".peak").removesuffix(window), far[worst]
 
 
 def is_far(errors: Mapping[str, Mapping[str, float]], name: str, key: str) -> bool:

@@ -14,6 +14,7 @@ from ...signals import Array
 from .bounds import PoseSet, WeightsBound, weights_bound
 from .certified_loop import CertifiedLoop, Condition, limits_in, limits_of_motors
 from .cover import Cover
+from .momentum import Momentum
 from .motion_bound import Drive, Gains, MotionBound, drive, motion_bound
 
 BoolArray = NDArray[np.bool_]
@@ -21,6 +22,7 @@ STRICT = 1.005  # a box is this much larger than the place where its error may s
 STEPS = 200
 SMALL = 1e-12  # of the region's energy: what is below is left to rounding
 SETTLED = 1e-3
+NEAR = 1.1  # times a box's pose errors: where those moved by the momentum of the base stay
 
 
 class Boxes:
@@ -90,6 +92,27 @@ class Boxes:
         speed = np.sqrt(2 * (box.energy if energy is None else energy) * driven) + away + G[1] * turning
         return float(speed / decay) if decay > 0 else np.inf
 
+    def pose_carried(self, box: Box, energy: float) -> float:
+        """Size that the pose error of motions in a box falls below [m], by the momentum of the base; inf for none.
+
+        Args:
+            box: The box.
+            energy: Of the errors in velocity from some time on [J].
+        """
+        pose, cover, (away, turning) = self.loop.pose, self.cover(box), self.loop.drift
+        s, wide = np.sqrt(2 * energy * cover.lightest), NEAR * box.pose
+        found = Momentum.of(cover, self.drive(box), energy, self.gains, s)
+        if found is None or not wide < pose.largest:
+            return np.inf
+        reach, decay, (x, phi) = pose.reach(wide), pose.decay(wide, float(s[1])), found.moved
+        G = pose.yaw_gain(reach.cosine)
+        shift = x + G * phi
+        if not (decay > 0 and box.pose + shift <= wide):
+            return np.inf
+        w = pose.turning + pose.fastest * reach.turn + s[1]
+        driven = np.hypot(found.drive[0] + pose.kx * x, G * (found.drive[1] + pose.fastest * pose.kth * phi))
+        return float((driven + w * x + pose.fastest * phi + away + G * turning) / decay + shift)
+
     def arm_stands(self, box: Box) -> float:
         """The same of the arm errors' size; inf where M has no bound for it, or without decay."""
         if not len(self.loop.K):
@@ -131,7 +154,7 @@ class Boxes:
         box, level = faces.box, faces.motion.level
         energy = min(box.energy, STRICT * level)
         share = float(np.sqrt(energy / box.energy))
-        pose = min(box.pose, STRICT * self.pose_stands(box, energy))
+        pose = min(box.pose, STRICT * self.pose_stands(box, energy), STRICT * self.pose_carried(box, energy))
         return Box(pose, min(box.arm, STRICT * share * faces.arm), energy)
 
     def descend(self) -> list[Faces]:

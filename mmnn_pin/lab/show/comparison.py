@@ -90,7 +90,7 @@ def tables_of(result: Result) -> Iterator[Table]:
         yield hand_table(result)
     yield comparison(result)
     if improvements := result.improvements():
-        yield improvement_table(improvements, result.experiment.windows[-1])
+        yield improvement_table(improvements, rms(*result.experiment.windows[-1], result.experiment.time.duration))
     if found := result.largest_errors():
         yield largest_table(found)
     if ranges := result.figure_ranges():
@@ -114,7 +114,7 @@ def notes_of(result: Result) -> tuple[str, ...]:
     if oracles:
         notes.append(f"{oracles[0]} knows the true model.")
     if any(name in MODELS for name in result.recordings):
-        notes.append("(share) in brackets: from a model, not learned.")
+        notes.append("A learned share in brackets is a model's, not learned.")
     if any(map(exceeded, limited(result))):
         enforced = result.experiment.actuator.torque_limit is not None
         then = "all that it gives" if enforced else "which this plant does not enforce"
@@ -125,13 +125,20 @@ def notes_of(result: Result) -> tuple[str, ...]:
 def error_rows(result: Result) -> Iterator[Row]:
     """Peak and RMS of every error; the best value of a row is marked."""
     recording = next(iter(result.recordings.values()))
-    statistics = {"peak": "peak"} | {f"rms_{a:g}_{b:g}": f"RMS {a:g}-{b:g} s" for a, b in result.experiment.windows}
+    windows, end = result.experiment.windows, result.experiment.time.duration
+    reached = {f"rms_{a:g}_{b:g}": rms(a, b, end) for a, b in windows if a < end}
+    statistics = {"peak": "peak"} | reached
     for name in (name for name in ERRORS if name in recording):
         for label, unit in zip(recording.labels(name), column_units(recording, name), strict=True):
             for key, words in statistics.items():
                 first = f"{TITLES[name]} {label} [{milli(unit)}]" if key == "peak" else ""
                 values = {c: 1e3 * m[f"{name}.{label}.{key}"] for c, m in result.metrics.items()}
                 yield row_of(first, words, *marked(values))
+
+
+def rms(start: float, stop: float, end: float) -> str:
+    """A window in words, as far as the runs go."""
+    return f"RMS {start:g}-{min(stop, end):g} s"
 
 
 def marked(values: dict[str, float]) -> list[Cell]:
@@ -241,7 +248,7 @@ def hand_table(result: Result) -> Table:
 # -- gain, learning, and the thesis's numbers --------------------------------------------------------------------------
 
 
-def improvement_table(improvements: Mapping[str, Mapping[str, Improvement]], window: tuple[float, float]) -> Table:
+def improvement_table(improvements: Mapping[str, Mapping[str, Improvement]], window: str) -> Table:
     """Per error and learner: the improvement over PD, in % of PD's RMS, and the shares of gain and of learning."""
     heads = [
         Column(head, group=learner, letters=NAME)
@@ -253,7 +260,7 @@ def improvement_table(improvements: Mapping[str, Mapping[str, Improvement]], win
         signal, _, label = key.partition(".")
         cells = (cell for of_learner in improvements.values() for cell in improvement_cells(of_learner[key]))
         rows.append(row_of(f"{TITLES[signal]} {label}", *cells))
-    first = Column(f"RMS {window[0]:g}-{window[1]:g} s,\n% of pd's", text=True)
+    first = Column(f"{window},\n% of pd's", text=True)
     return Table("Gain or learning", (first, *heads), tuple(rows), (ABOUT_SHARES,), gap=0)
 
 

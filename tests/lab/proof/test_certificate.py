@@ -24,16 +24,19 @@ from mmnn_pin.lab.proof.boxes import Box, Boxes, Faces
 from mmnn_pin.lab.proof.certificate import Certificate, certify
 from mmnn_pin.lab.proof.certified_loop import certified_loop, refusal
 from mmnn_pin.lab.proof.certified_run import Sizes, sizes_of
+from mmnn_pin.lab.proof.momentum import Momentum
 from mmnn_pin.lab.proof.motion_bound import drivers
 from mmnn_pin.lab.proof.rate import Rate, rate_of
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.loop.before_run import Start
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.safety import Safety
 from mmnn_pin.torque.two_layer import TwoLayer
 
 compiled_only = pytest.mark.skipif(SLOW, reason="thousands of uncompiled steps")
 FORCE = np.array([4.0, 1.0, 0.3, 0.1])  # [N, N m] within which the pushes stay
+SETTLING = 10.0  # [s] after which errors from the region are in the ultimate bound; the pose decays at 0.4 1/s
 NAMES = certified_robot().velocity_names
 
 
@@ -166,8 +169,6 @@ def start_in(region: Faces, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     position[:3] = -(c * error[0] - sine * error[1]), -(sine * error[0] + c * error[1]), phi
     position[robot.arm_index] = table.q_ref[0] - e
     position = robot.follow(position)
-    from mmnn_pin.model.dynamics import Dynamics
-
     L = np.linalg.cholesky(Dynamics(robot).mass_matrix(position))
     s = np.linalg.solve(L.T, s / max(np.linalg.norm(s), 1.0)) * np.sqrt(2 * box.energy) * 0.999
     k, v_ref, w_ref = loop.kinematic, *table.v_ref[0]
@@ -199,9 +200,9 @@ def worst(sizes: Sizes, box: Box, first: int = 0) -> float:
 def test_no_run_from_random_places_leaves_the_region_and_all_end_up_in_the_bound() -> None:
     rng, region, bound = np.random.default_rng(0), certificate().region, certificate().bound
     weights = certificate().boxes.networks
-    for _ in range(10):
+    for _ in range(6):
         place = rng.uniform(-1, 1, 17) * np.array([3.0] * 9 + [1.0] * 8)
-        sizes = run_from(place, 2.5, region)
+        sizes = run_from(place, SETTLING, region)
         assert worst(sizes, region.box) <= 1.0
         assert sizes.inside(bound.box)[-len(sizes.time) // 4 :].all()
     run = loop_of(Start(), 0.5).run(plant_state=start_in(region, np.ones(9)))
@@ -251,8 +252,7 @@ def ending(place: np.ndarray, duration: float = 4.0) -> np.ndarray:
 
 
 @compiled_only
-def test_a_search_over_seconds_stays_in_the_ultimate_bound_and_comes_near_it_but_for_the_pose() -> None:
-    """Pose: one energy lets the heavy base have what the light joints need, so that its bound is far from a run's."""
+def test_a_search_over_seconds_stays_in_the_ultimate_bound_and_comes_within_10_times_of_it() -> None:
     reached = np.zeros(3)
 
     def near(place: np.ndarray) -> float:
@@ -262,8 +262,35 @@ def test_a_search_over_seconds_stays_in_the_ultimate_bound_and_comes_near_it_but
 
     limits = [(-1.0, 1.0)] * 4 + [(-3.0, 1.0)] * 4
     differential_evolution(near, limits, maxiter=2, popsize=2, seed=1, polish=False, tol=0)
-    assert (reached < 1.0).all() and (reached[1:] > 0.1).all()
-    assert reached[0] < 0.1  # else the theory's page says too little of it
+    assert (reached < 1.0).all() and (reached > 0.1).all()
+
+
+@compiled_only
+def test_the_pose_moved_by_the_momentum_of_the_base_is_driven_as_little_as_is_said() -> None:
+    """`z + d/dt (M s) / k` of pushed runs in the ultimate bound, by differences, with M of Pinocchio."""
+    found, rng, nearest = certificate(), np.random.default_rng(4), np.zeros(2)
+    loop, bound = found.boxes.loop, found.bound
+    drive, gains = found.boxes.drive(bound.box), found.boxes.gains
+    most = Momentum.of(found.boxes.cover(bound.box), drive, bound.box.energy, gains, bound.velocity)
+    assert most is not None
+    dynamics = Dynamics(loop.robot)
+    for _ in range(3):
+        place = rng.uniform(-1, 1, 17) * np.array([0.01] * 9 + [1.0] * 8)
+        signs, speeds = place[9:13], 30.0 ** place[13:17]
+        pushes = tuple(
+            Push(on=name, shape="sine", force=float(0.999 * np.sign(sign) * force), frequency=float(speed))
+            for name, sign, force, speed in zip(NAMES, signs, FORCE, speeds, strict=True)
+        )
+        subject = Subject.of(loop_of(Start(moving=True), 1.0, disturbances=pushes).run())
+        assert sizes_of(subject, loop).inside(bound.box).all()
+        momentum = np.array(
+            [dynamics.mass_matrix(q)[:2] @ s for q, s in zip(subject.signal("position"), subject.s, strict=True)]
+        )
+        z = (subject.s[1:, :2] + subject.s[:-1, :2]) / 2
+        driven = np.abs(z + np.diff(momentum, axis=0) / (PERIOD * gains.lower[:2]))
+        assert (driven <= most.drive).all() and (np.abs(momentum) / gains.lower[:2] <= most.moved).all()
+        nearest = np.maximum(nearest, driven.max(axis=0) / most.drive)
+    assert nearest.min() > 0.1
 
 
 @compiled_only
@@ -419,7 +446,7 @@ def test_the_command_tells_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 @compiled_only
 def test_a_region_and_forces_may_be_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The next box inside the one found is certified, not with a force beyond what it stands, nor a tiny box."""
+    """The box found is certified when it is asked for, not with a force beyond what it stands, nor a tiny box."""
     file = tmp_path / "run.h5"
     loop_of(Start((0.01, 0.01, 0.0), moving=True), 0.04).run(file)
 
@@ -428,7 +455,7 @@ def test_a_region_and_forces_may_be_asked_for(tmp_path: Path, capsys: pytest.Cap
         found: dict = json.loads(capsys.readouterr().out)["certificate"]
         return found
 
-    box = certify(certified_loop(Subject.of(Recording.open(file)))).faces[1].box
+    box = certify(certified_loop(Subject.of(Recording.open(file)))).region.box
     sizes = {name: getattr(box, name) for name in ("pose", "arm", "energy")}
     region = [f"--region={name}={value!r}" for name, value in sizes.items()]
     found = told(*region)

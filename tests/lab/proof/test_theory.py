@@ -526,6 +526,7 @@ def test_the_document_names_only_tests_that_exist() -> None:
         "test_certified_period.py",
         "test_postures.py",
         "test_certified_arms.py",
+        "test_features.py",
         "test_known.py",
         "test_tube.py",
         "test_steps.py",

@@ -237,6 +237,22 @@ def test_the_headline_compares_with_the_best_of_what_learns_nothing() -> None:
     assert plain.headline.endswith("92 % smaller than those of pd, the next best.")
 
 
+def test_the_headline_says_where_the_winner_errs_far_more() -> None:
+    """It wins by its mean, with a joint 40 times worse than under the others."""
+    robot = load("platform_arm")
+
+    def joint(table: np.ndarray, where) -> None:
+        of_size(0.0001)(table, where)
+        for name in ("e", "true_e"):
+            table[:, where(name)][:, 1] = 0.16
+
+    runs = {name: recorded(robot, name, change=of_size(0.004)) for name in ("pd", "pd_gravity", "pid")}
+    found = verdict(result_of({"two_layer": recorded(robot, "two_layer", change=joint), **runs})).headline
+    assert found.startswith("two_layer tracks best of 4") and "; but arm_2_joint errs 40 times as much as" in found
+    even = verdict(result_of({"two_layer": recorded(robot, "two_layer", change=of_size(0.0001)), **runs})).headline
+    assert "; but" not in even
+
+
 def test_a_curve_that_lies_on_another_is_told() -> None:
     robot = load("platform_arm")
     sizes = {"pd": 0.1, "pd_gravity": 0.1, "pid": 0.2}

@@ -12,6 +12,7 @@ import numpy as np
 from ....recording.metrics import halves
 from ....recording.recording import Recording
 from ...experiments.controllers import LEARNERS, ORACLES, PLAIN, effective
+from ...experiments.outliers import farthest, shown
 from ...experiments.result import Improvement, Result, unfair
 from ...proof.balance import TOLERANCE
 from ...proof.proof import Proof, proofs_with
@@ -70,7 +71,9 @@ def headline(result: Result) -> str:
     errors = (than if second == base else f"{than} and {ahead}") if than else ahead
     missing = second in others and rivals_missing(result)  # PD alone is easily beaten
     without = f"; {' and '.join(missing)} did not run" if missing else ""
-    told = f"{errors.rstrip(',')}{without}"
+    far = farthest({name: result.metrics[name] for name in judged}, best, window(result))
+    but = f"; but {far[0]} errs {shown(far[1])} times as much as in the others" if far else ""
+    told = f"{errors.rstrip(',')}{but}{without}"
     return f"{best} tracks best of {len(judged)}: in {when(result)} its RMS errors are on average {told}."
 
 
