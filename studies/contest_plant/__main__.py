@@ -48,15 +48,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.held_out and options.publish:
         parser.error("--publish keeps all held-out trajectories, not one: leave --held-out out")
     tasks = tasks_of(chosen_cases(load_experiment("contest"), options.task or TASKS), ("pd",))
+    for task in tasks:
+        if options.held_out not in ("", *task.held_out):
+            parser.error(f"--held-out {options.held_out}: {task.name} has {', '.join(task.held_out)}")
     for change in options.change or ("contest",):
         for task in tasks:
             rows = []
             for name in options.controller or CONTROLLERS:
                 seeds = task.seeds[: options.seeds]
-                errors = Errors.middle(
-                    [errors_of(task, name, CHANGES[change], seed, options.held_out) for seed in seeds]
-                )
-                known = published(task.name, name)
+                runs = [errors_of(task, name, CHANGES[change], seed, options.held_out) for seed in seeds]
+                errors, known = Errors.middle(runs), published(task.name, name)
                 rows.append(row_of(name, *cells(errors, known.training if options.held_out else known)))
                 if options.publish:
                     keep(change, task.name, name, errors)
