@@ -25,7 +25,10 @@ from ..contest.document import DOCUMENT, PLANT
 from ..document import DOCS
 from .drive import CHANGES, Errors, errors_of
 
-TASKS = ("eight", "friction", "lag", "late1", "late3", "drop")
+TASKS = (
+    *("eight", "payload", "friction", "lag", "late1", "late3"),
+    *("encoders", "observed", "wheels", "drop"),
+)
 CONTROLLERS = (
     *("pd_gravity", "pid", "two_layer", "adaptive", "adaptive_composite", "concurrent", "kalman_regressor"),
     *("kalman_friction", "computed_torque"),
@@ -38,17 +41,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--task", action="append", choices=TASKS, help="may be repeated (all)")
     parser.add_argument("--controller", action="append", metavar="NAME", help="may be repeated (nine)")
     parser.add_argument("--change", action="append", choices=CHANGES, help="may be repeated (contest)")
+    parser.add_argument("--held-out", default="", metavar="NAME", help="on it alone, as on 'tight' of the eights (all)")
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="of each, medians count (1)")
     parser.add_argument("--publish", action="store_true", help="keep what was found, for docs/explanation/contest.md")
     options = parser.parse_args(arguments)
+    if options.held_out and options.publish:
+        parser.error("--publish keeps all held-out trajectories, not one: leave --held-out out")
     tasks = tasks_of(chosen_cases(load_experiment("contest"), options.task or TASKS), ("pd",))
+    for task in tasks:
+        if options.held_out not in ("", *task.held_out):
+            parser.error(f"--held-out {options.held_out}: {task.name} has {', '.join(task.held_out)}")
     for change in options.change or ("contest",):
         for task in tasks:
             rows = []
             for name in options.controller or CONTROLLERS:
                 seeds = task.seeds[: options.seeds]
-                errors = Errors.middle([errors_of(task, name, CHANGES[change], seed) for seed in seeds])
-                rows.append(row_of(name, *cells(errors, published(task.name, name))))
+                runs = [errors_of(task, name, CHANGES[change], seed, options.held_out) for seed in seeds]
+                errors, known = Errors.middle(runs), published(task.name, name)
+                rows.append(row_of(name, *cells(errors, known.training if options.held_out else known)))
                 if options.publish:
                     keep(change, task.name, name, errors)
             heads = Column(text=True), *(Column(*head) for head in HEADS)

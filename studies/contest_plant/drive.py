@@ -31,6 +31,7 @@ from .plant import (
     inverse,
     read,
 )
+from .sensors import Sensors
 
 SETTLED = 0.5  # of a held-out run that does not count [s]
 LARGE = 3.0  # error at which a run is lost [m or rad]
@@ -96,14 +97,19 @@ class Errors:
     frozen_arm: float
     frozen_fvu: float
 
+    @property
+    def training(self) -> Errors:
+        """Those of the training alone, nan for the others."""
+        return Errors(self.base, self.arm, *[math.nan] * 5)
+
     @classmethod
     def middle(cls, runs: list[Errors]) -> Errors:
         """Median of each."""
         return cls(*(median(getattr(run, name) for run in runs) for name in cls.__dataclass_fields__))
 
 
-def errors_of(task: Task, name: str, changes: Changes, seed: int) -> Errors:
-    """One controller, trained on a task, then held out."""
+def errors_of(task: Task, name: str, changes: Changes, seed: int, only: str = "") -> Errors:
+    """One controller, trained on a task, then held out: on all trajectories, or on the one that is named."""
     experiment, controller = task.experiment, task.controller(name)
     body, world = read(changes.masses, changes.lengths), world_of(task, changes)
     stepper = new_stepper(task, controller, seed)
@@ -117,7 +123,8 @@ def errors_of(task: Task, name: str, changes: Changes, seed: int) -> Errors:
     state = stepper.snapshot()
     carried = world._replace(load=world.load * [1, 1, 0, 1] if world.load[3] > length else np.zeros(4))
     found: dict[str, list[Array]] = {"learning": [], "frozen": []}
-    for i, held in enumerate(task.held_out.values()):
+    judging = {name: held for name, held in task.held_out.items() if only in ("", name)}
+    for i, held in enumerate(judging.values()):
         for how in found:
             judged = controller if how == "learning" else frozen(controller)
             if judged is None:
@@ -127,7 +134,7 @@ def errors_of(task: Task, name: str, changes: Changes, seed: int) -> Errors:
             run = follow(again, task, body, carried, held.trajectory, held.duration, rng, True, changes.noise)
             found[how].append(rms(run, SETTLED, held.duration))
     squares = [np.sqrt(np.mean(np.square(each), axis=0)) if each else np.full(2, np.nan) for each in found.values()]
-    known = max(unexplained(task, controller, seed, state, body, carried, held) for held in task.held_out.values())
+    known = max(unexplained(task, controller, seed, state, body, carried, held) for held in judging.values())
     return Errors(*trained, *squares[0], *squares[1], known)
 
 
@@ -148,15 +155,17 @@ def world_of(task: Task, changes: Changes) -> World:
         gap=gap,
         lag=changes.lag * float(motors.lag),  # type: ignore[arg-type]
         ripple=changes.ripple,
+        gain=np.ones(4) * motors.torque_gain,
         limited=motors.torque_limit == "urdf",
         load=np.array(held, float),
     )
 
 
-def new_stepper(task: Task, controller: Any, seed: int, state: Any = None) -> Stepper:
-    """A controller on a robot, with what the task says of gains, delay and lead."""
+def new_stepper(task: Task, controller: Any, seed: int, state: Any = None, **more: Any) -> Stepper:
+    """A controller on a robot, with what the task says of gains, delay, lead and observer, but for what is given."""
     loop = task.training(controller, seed)
-    return Stepper.of(loop, safety=Safety(), state=state, check_gains=False)
+    poles = loop.sensor.bandwidth if loop.sensor.velocity == "model" else 0.0
+    return Stepper.of(loop, **({"safety": Safety(), "state": state, "check_gains": False, "observer": poles} | more))
 
 
 def follow(
@@ -181,7 +190,7 @@ def follow(
     times = np.arange(round(duration / h)) * h
     table = trajectory.table(times, task.robot.dimensions)
     state = start_of(task, table[0], moving)
-    sensors, seen = noise * spread(task), list[Array]()
+    sensors, seen = Sensors.of(task, body, noise, rng), list[Array]()
     found = np.full((len(times), 3), np.inf)
     found[:, 0] = times
     for k, time in enumerate(times):
@@ -190,8 +199,7 @@ def follow(
         if not error.max() < LARGE:
             break
         found[k, 1:] = error
-        truth = np.concatenate((state[POSE : POSE + 3], state[NU : NU + 2], state[Q : Q + 2], state[NU + 2 : NU + 4]))
-        seen.append(truth + sensors * rng.standard_normal(9))
+        seen.append(sensors.read(state))
         now = seen[max(k - wait, 0)]
         setpoint = Setpoint.side_by_side(table[k], task.robot.dimensions)
         measurement = Measurement(now[:3], now[3:5], now[5:7], now[7:])
@@ -214,13 +222,6 @@ def start_of(task: Task, row: Array, moving: bool) -> Array:
     return state
 
 
-def spread(task: Task) -> Array:
-    """Standard deviations of pose, base velocity, joints and their rates (9,), as the task says."""
-    sensor = task.experiment.sensor
-    rates = np.broadcast_to(np.array(sensor.velocity_noise, float), 4)
-    return np.array([*sensor.pose_noise, *rates[:2], sensor.noise, sensor.noise, *rates[2:]], float)
-
-
 def rms(run: Array, start: float, stop: float) -> Array:
     """RMS error of the base [mm] and of the arm [mrad] in a window."""
     counts = (run[:, 0] >= start - 1e-9) & (run[:, 0] < stop - 1e-9)
@@ -228,11 +229,14 @@ def rms(run: Array, start: float, stop: float) -> Array:
 
 
 def unexplained(task: Task, controller: Any, seed: int, state: Any, body: Body, world: World, held: Any) -> float:
-    """FVU of the worst component, weights held, on a robot that is exactly on the reference."""
+    """FVU of the worst component, weights held, on a robot that is exactly on the reference and measured exactly.
+
+    It judges what the weights say, before the motors' limits take of it.
+    """
     judged = frozen(controller)
     if judged is None:
         return math.nan
-    stepper = new_stepper(task, judged, seed, state)
+    stepper = new_stepper(task, judged, seed, state, within_limits=False, observer=0.0)
     h, layout = task.experiment.time.control_period, stepper.setup.layout
     times = np.arange(round(held.duration / h)) * h
     table = held.trajectory.table(times, task.robot.dimensions)

@@ -63,6 +63,7 @@ class World(NamedTuple):
         gap: Of the joints' gears [rad]; rotor's inertia, stiffness and damping of the flanks.
         lag: Of the motors [s].
         ripple: Share of a torque that comes and goes six times a turn.
+        gain: (4,) torque that a motor gives over that which it is asked.
         limited: Whether motors give no more than their limits.
         load: Point mass on the second link: mass, distance from its joint, from when, until when.
     """
@@ -74,6 +75,7 @@ class World(NamedTuple):
     gap: Array
     lag: float
     ripple: float
+    gain: Array
     limited: bool
     load: Array
 
@@ -224,6 +226,7 @@ def to_motors(body: Body) -> Array:
 @njit
 def motor(body: Body, world: World, state: Array, j: int, u: float, angle: float, dt: float) -> float:
     """Torque that motor j gives for a command u, its rotor at an angle [N m]."""
+    u *= world.gain[j]
     if world.limited:
         u = min(max(u, -body.limits[j]), body.limits[j])
     if world.lag > 0.0:

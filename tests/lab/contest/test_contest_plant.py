@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from test_sensing import measured
 
 from mmnn_pin import load
 from mmnn_pin.lab.contest.task import tasks_of
@@ -21,7 +22,7 @@ from mmnn_pin.model.robot import carrying
 from mmnn_pin.plant.contact.plant import SLIPPING
 from mmnn_pin.sensing import Sensor
 from studies.contest_plant.__main__ import CHANGES, published
-from studies.contest_plant.drive import Changes, errors_of, follow, new_stepper, rms, world_of
+from studies.contest_plant.drive import Changes, errors_of, follow, new_stepper, rms, unexplained, world_of
 from studies.contest_plant.plant import (
     LUGRE,
     NU,
@@ -30,12 +31,15 @@ from studies.contest_plant.plant import (
     STATES,
     STEP,
     STICK,
+    TURNED,
     Q,
     advance,
     equations,
     inverse,
     read,
+    to_motors,
 )
+from studies.contest_plant.sensors import Sensors
 
 pytestmark = pytest.mark.lab
 SHORT = ("time.duration=3.0", "windows=[[0.0, 1.0], [2.0, 3.0]]")
@@ -130,15 +134,58 @@ def test_a_wheel_that_resists_stops_the_base_for_good():
     assert state[POSE] > 0.01
 
 
-def test_on_it_pd_errs_as_on_the_packages_plant():
-    """Of the noise, which is drawn otherwise, PD's errors hardly depend."""
+@pytest.mark.parametrize("gain", [0.97, (0.5, 0.7, 1.1, 0.9)])
+def test_weak_motors_are_motors_that_are_asked_for_less(gain):
+    world, command = world_of(task_named("lag"), Changes()), np.array([4.0, 6.0, 3.0, -2.0])
+    weak, plain = np.zeros((2, STATES))
+    advance(read(), world._replace(gain=gain * np.ones(4)), weak, command, 0.0, 1000, STEP)
+    advance(read(), world, plain, gain * command, 0.0, 1000, STEP)
+    assert np.array_equal(weak, plain)
+    assert plain[POSE] > 1e-3
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**31), st.sampled_from([0.0, 0.0015, 0.02]))
+def test_encoders_read_as_those_of_the_package(seed, step):
+    """Along any motion, whose wheels turn as the base rolls."""
+    task = task_named("encoders", f"cases.encoders.set.sensor.resolution={step}")
+    body, h, nu = read(), task.experiment.time.control_period, np.random.default_rng(seed).normal(size=(50, 4))
+    states = np.zeros((50, STATES))
+    states[:, NU : NU + 4] = nu
+    states[:, TURNED : TURNED + 2] = h * np.cumsum(nu, axis=0) @ to_motors(body)[:2].T
+    states[:, Q : Q + 2] = h * np.cumsum(nu[:, 2:], axis=0)
+    sensors = Sensors.of(task, body, 1.0, np.random.default_rng(0))
+    ours = np.array([sensors.read(state) for state in states])
+    position = np.tile(task.robot.neutral_position(), (50, 1))
+    for wheel, j in zip(task.robot.base.wheels, (0, 1), strict=True):
+        position[:, task.robot.position_names.index(wheel.joint)] = states[:, TURNED + j]
+    position[:, task.robot.arm_index] = states[:, Q : Q + 2]
+    theirs = measured(task.experiment.sensor, position, nu, task.robot, h)
+    assert np.allclose(ours[:, 3:], np.hstack([theirs[name] for name in ("velocity", "q", "qdot")]), atol=1e-9)
+
+
+def test_what_motors_cannot_give_is_no_lack_of_knowledge():
+    """The true model explains everything, also where Psi is beyond the motors (payload on the tight eight)."""
     task = task_named("eight")
+    model = task.robot.model.copy()
+    model.effortLimit = 0.2 * model.effortLimit
+    task, controller = replace(task, robot=replace(task.robot, model=model)), task.controller("computed_torque")
+    known, world = task.held_out["tight"], world_of(task, Changes())
+    assert unexplained(task, controller, 1, None, read(), world, known) < 1e-6
+    state = new_stepper(task, controller, 1).snapshot()
+    assert unexplained(task, task.controller("pd"), 1, state, read(), world, known) > 0.1
+
+
+@pytest.mark.parametrize("name", ["eight", "encoders", "observed", "wheels"])
+def test_on_it_pd_errs_as_on_the_packages_plant(name):
+    """Of the noise, which is drawn otherwise, and of the floor, which no wheel slips on, PD's errors hardly depend."""
+    task = task_named(name)
     controller = task.controller("pd")
     path = task.experiment.trajectory_of(task.robot)
     rng, world = np.random.default_rng(0), world_of(task, Changes())
     run = follow(new_stepper(task, controller, 1), task, read(), world, path, 6.0, rng, False, 1.0)
     loop = task.training(controller, 1)
-    theirs = replace(loop, timing=msgspec.structs.replace(loop.timing, duration=6.0)).run()
+    theirs = replace(loop, timing=msgspec.structs.replace(loop.timing, duration=6.0), plant="ideal").run()
     late = theirs.time >= 2.0
     base = np.sqrt((theirs["true_pose_error"][late][:, :2] ** 2).sum(axis=1).mean())
     arm = np.sqrt((theirs["true_e"][late] ** 2).mean())
