@@ -27,7 +27,7 @@ from .drive import CHANGES, Errors, errors_of
 
 TASKS = (
     *("eight", "payload", "friction", "lag", "late1", "late3"),
-    *("encoders", "observed", "wheels", "drop"),
+    *("encoders", "observed", "drop"),
 )
 CONTROLLERS = (
     *("pd_gravity", "pid", "two_layer", "adaptive", "adaptive_composite", "concurrent", "kalman_regressor"),
