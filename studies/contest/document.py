@@ -35,6 +35,7 @@ def render(summary: dict[str, Any]) -> str:
     templates.filters |= {"middle": middle}
     templates.globals |= {"middle_axis": axis_at, "unexcited": unexcited, "far_shown": FAR}
     templates.globals |= {"lost_from": lost_from, "plain": PLAIN, "best_plain": best_plain, "changes": CHANGES}
+    templates.globals["first_on"] = first_on
     return filled(templates, "contest.md.j2", summary | {"plant": kept(PLANT)})
 
 
@@ -66,6 +67,15 @@ def axis_at(ratios: dict[str, float], place: int) -> str:
 def best_plain(far: dict[str, dict[str, float | str]], task: str) -> float:
     """How far the best of PD, PD with gravity and PID is from the least error of a task."""
     return min(float(far[name][task]) for name in PLAIN if task in far.get(name, ()))
+
+
+def first_on(far: dict[str, dict[str, float | str]], name: str) -> tuple[list[str], list[str]]:
+    """The tasks of a controller: those where no other one is nearer to the best, and the rest."""
+    found: tuple[list[str], list[str]] = [], []
+    for task, value in far[name].items():
+        least = min(float(other[task]) for other in far.values() if task in other)
+        found[float(value) > least].append(task)
+    return found
 
 
 def lost_from(late: dict[str, Any]) -> dict[str, list[str]]:

@@ -75,6 +75,11 @@ def test_the_best_plain_controller_is_that_of_those_that_ran():
     assert document.best_plain(far, "a") == 8.0 and document.best_plain(far, "b") == 5.0
 
 
+def test_a_controller_is_first_where_no_other_one_is_nearer_to_the_best():
+    far = {"a": {"x": 1.1, "y": 2.0, "z": "inf"}, "b": {"x": 1.2, "y": 1.5, "z": "inf"}, "c": {"y": 1.0}}
+    assert document.first_on(far, "a") == (["x", "z"], ["y"]) and document.first_on(far, "c") == (["y"], [])
+
+
 @pytest.mark.parametrize("tuning", TUNINGS)
 def test_the_contest_has_what_the_search_found(tuning):
     """In the case of the search's name; the document says the same."""
