@@ -1,8 +1,8 @@
 """A seeded search for each learner's settings, the same number of tries for all, on trajectories of its own.
 
 What counts is the geometric mean, over the tuning tasks, of three errors over those of PD: in the last window of the
-training, on the held-out trajectories while learning, and there with the final weights held fixed; where the robot
-picks something up, of a fourth: in the first `SOON` seconds with it. The held-out trajectories are driven with it, too.
+training, on the held-out trajectories while learning, and (but for `PLAIN`) there with the final weights held fixed;
+where the robot picks something up, of a fourth: in the first `SOON` seconds with it. The held-out trajectories are driven with it, too.
 
 `eight` searches the settings of every learner that its space names, on a robot that does not change; `payload` after it
 those that forget and follow, on one that picks something up. Every task outside of the learners' model class has a
@@ -38,6 +38,9 @@ SEED = 20100
 
 
 SOON = 2.0  # after a pick-up [s]
+
+
+PLAIN = ("pid", "disturbance_observer")  # what they hold says nothing of another motion: not judged frozen
 
 
 LOST = 1e3  # error over PD's that a lost run counts for
@@ -94,7 +97,8 @@ class Bench:
                 return LOST
             rows, _ = run_trial(changed, learner, None, None, quiet, False)
             for row, pd in zip(rows, self.pd[task.name], strict=True):
-                logs += [math.log(ratio) for ratio in ratios(row, pd, task.contest.window)]
+                ways = ("learning",) if learner in PLAIN else ("learning", "frozen")
+                logs += [math.log(ratio) for ratio in ratios(row, pd, task.contest.window, ways)]
         return math.exp(float(np.mean(logs)))
 
 
@@ -114,22 +118,25 @@ def changed_by(experiment: Experiment, settings: Mapping[str, Any]) -> Experimen
     return msgspec.convert(table, Experiment)
 
 
-def ratios(row: TrialResult, pd: TrialResult, window: float) -> list[float]:
+def ratios(
+    row: TrialResult, pd: TrialResult, window: float, held_out: tuple[str, ...] = ("learning", "frozen")
+) -> list[float]:
     """A row's errors over PD's, `LOST` for what was lost.
 
     Args:
         row: The run.
         pd: PD's on the same task with the same seed.
         window: Length of the windows of their curves [s].
+        held_out: How the weights are there.
 
     Returns:
-        In training, held out, held out with fixed weights; where something is picked up also soon after that.
+        In training, held out in each of these ways; where something is picked up also soon after that.
     """
-    count = 3 + (row.since > 0)
+    count = 1 + len(held_out) + (row.since > 0)
     if not row.completed or not nan(row.torque) < TORQUE:
         return [LOST] * count
     found = [relative(row.rms, pd.rms)]
-    for how in ("learning", "frozen"):
+    for how in held_out:
         each = [relative(row.held_out[name][how].rms, ways[how].rms) for name, ways in pd.held_out.items()]
         found.append(math.sqrt(sum(value**2 for value in each) / len(each)))
     if row.since > 0:
