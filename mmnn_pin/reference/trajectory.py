@@ -224,8 +224,9 @@ class Trajectory:
                 raise UnknownName("joint", joint, names, file=file, key=head)
         columns = {name: at if at in found else name for name, at in names.items()}
         joints = {name: found[at] for name, at in columns.items() if at in found}
+        used = {*names, *columns.values(), *(f"velocity.{name}" for name in joints)}
         for head in found:
-            if head not in names and (near := [name for name in names if name not in joints and alike(head, name)]):
+            if head not in used and (near := [name for name in names if name not in joints and alike(head, name)]):
                 fix = f"name it {names[near[0]]}, or something that is no joint's"
                 why = f"it may be {near[0]}, which has no column"
                 raise TrajectoryError(f"nothing uses the column '{head}'", why=why, fix=fix, file=file, line=1)
@@ -365,8 +366,8 @@ def alike(head: str, joint: str) -> bool:
     one, other = (re.findall(r"[a-z]+|[0-9]+", name.lower()) for name in (head, joint))
     if [word for word in one if word not in POSITION_WORDS] == [word for word in other if word not in POSITION_WORDS]:
         return True
-    numbers = [[word for word in words if word.isdigit()] for words in (one, other)]
-    return numbers[0] == numbers[1] and SequenceMatcher(None, head.lower(), joint.lower()).ratio() > NEARLY
+    fixed = [[word for word in words if word.isdigit() or len(word) == 1] for words in (one, other)]
+    return fixed[0] == fixed[1] and SequenceMatcher(None, head.lower(), joint.lower()).ratio() > NEARLY
 
 
 def require_joint(robot: Robot, name: str) -> None:

@@ -194,7 +194,7 @@ def learn(
         track(row, at, a, o)
     counts = period(row, at, f, o.filtered)
     if o.filtered.clock[1] <= 1.0:
-        o.counts[4], o.counts[5] = 0.0, 0.0
+        o.counts[3], o.counts[4], o.counts[5] = 0.0, 0.0, 0.0
     if friction is not None:
         follow(f, o.filtered, o.moved, a.Phi)
     if counts:

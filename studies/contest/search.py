@@ -2,7 +2,8 @@
 
 What counts is the geometric mean, over the tuning tasks, of three errors over those of PD: in the last window of the
 training, on the held-out trajectories while learning, and (but for `PLAIN`) there with the final weights held fixed;
-where the robot picks something up, of a fourth: in the first `SOON` seconds with it. The held-out trajectories are driven with it, too.
+where the robot picks something up, of a fourth: in the first `SOON` seconds with it. The held-out trajectories are
+driven with it, too.
 
 `eight` searches the settings of every learner that its space names, on a robot that does not change; `payload` after it
 those that forget and follow, on one that picks something up. Every task outside of the learners' model class has a

@@ -95,7 +95,7 @@ def wheels_of(robot: Robot, logs: Sequence[Log]) -> Wheels:
 
 
 def rows_of(log: Log) -> slice:
-    """Every so manieth row, `ROWS` at most."""
+    """Every n-th row, `ROWS` at most."""
     return slice(None, None, max(1, len(log.time) // ROWS))
 
 

@@ -18,14 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...model.regressor import BODY, Regressor
-from ...model.tree.motion import BASE, LINK, NUMBER, PRISMATIC
+from ...model.tree.motion import BASE, NUMBER, PRISMATIC
 from ...signals import Array
 from .errors_ahead import Course
 from .screws import PLANAR, placement
 from .taylor import Matrices, Taylor, stacked
 
 ROWS, COLUMNS = (3, 0, 1, 2, 0, 0, 0, 1, 1, 2), (3, 3, 3, 3, 0, 1, 2, 1, 2, 2)  # of a body's numbers in P
-WIDER = 2.0  # than the box that is asked for is the one that a rest is made for
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,5 +163,5 @@ def of_body(moves: Matrices, asked: Matrices) -> tuple[Array, Array, Array]:
         found[..., [r == c for r, c in zip(ROWS, COLUMNS, strict=True)]] /= 2
         return np.asarray(found)
 
-    assert Q.value.shape[-1] == 4 and len(ROWS) == BODY and LINK.parent == 0
+    assert Q.value.shape[-1] == 4 and len(ROWS) == BODY
     return numbers(Q.value), numbers(Q.slope), numbers(Q.rest)

@@ -341,7 +341,9 @@ def unproved(periods: Periods, late: int = 0) -> str:
         largest = np.maximum(np.abs(subject.signal("psi")).max(axis=0), 1e-300)
         times, after = float((allowed(periods) / largest).max()), patience(periods, largest)
         told = f"its energy, at the end of the run, allows errors of {times:.3g} times Psi"
-        return f"{told}, and of Psi itself after another {after:.2g} s of such motion; use kalman_regressor"
+        if np.isfinite(after):
+            told += f"; on average, which proves nothing, of Psi itself after another {after:.2g} s of such motion"
+        return f"{told}; use kalman_regressor"
     if isinstance(law, Concurrent):
         return "its stack gives equations up for others, and with them what it knew here; use kalman_regressor"
     if not isinstance(law, Kalman) or law.knowledge(learner.start) is None:

@@ -12,7 +12,7 @@ sum over time of absolute values, which sequences of signs reach. The remainder 
 takes up, and the tube made anew, until neither grows: then, by induction over the periods, no motion leaves it. Nothing
 is asked of a Lyapunov function: the reference may begin at rest, friction may be stiff, commands may be late.
 
-Bounds of remainders hold everywhere in the box (`steps`, `features`): nothing is sampled.
+Bounds of remainders hold everywhere in the box (`steps`, `features`): nothing is sampled but the size of rounding.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class Part:
 
     Attributes:
         signals: Names, with the time; all where there are none.
-        every: Every how manieth sample.
+        every: n, of which every n-th sample is kept.
     """
 
     signals: tuple[str, ...]

@@ -178,7 +178,7 @@ def test_what_motors_cannot_give_is_no_lack_of_knowledge():
 
 @pytest.mark.parametrize("name", ["eight", "encoders", "observed", "wheels"])
 def test_on_it_pd_errs_as_on_the_packages_plant(name):
-    """Of the noise, which is drawn otherwise, and of the floor, which no wheel slips on, PD's errors hardly depend."""
+    """PD's errors hardly depend on the noise, which is drawn otherwise, and no wheel of it slips."""
     task = task_named(name)
     controller = task.controller("pd")
     path = task.experiment.trajectory_of(task.robot)

@@ -398,7 +398,7 @@ def proved_sentence(tube: Tube) -> str:
     return (
         f"Proved from {proof.start:.3g} s on, for every motion in the tube: the learner's error of Psi is at most "
         f"{psi}, and these bounds hold. Assumed: the robot of the run, and noise of velocities of at most 4 standard "
-        "deviations. Nothing is sampled."
+        "deviations. Nothing is sampled but the size of rounding."
     )
 
 
