@@ -66,7 +66,7 @@ LATER = {  # told when the tasks are made, still before anything is run
     "windows=[]": "windows: error: no windows: the errors count in the last",
     f"held_out.mine={{duration=0.5, {CIRCLE}}}": "held_out.mine.duration: error: 0.5 s: the first 0.5 s do not count",
     f"held_out.mine={{{CIRCLE}}}": "held_out.mine.arm: error: 0 profiles for 2 arm joints: add one [[held",
-    "held_out.mine={base={type='circle', speed=1.0}}": "held_out.mine.base: error: the key 'radius' is missing",
+    "held_out.mine={base={type='circle', speed=1.0}}": "held_out.mine.base: error: 'circle' without radius",
 }
 
 

@@ -230,7 +230,7 @@ def estimate_part(
     estimate, s = found.theta[at], subject.s[at]
     g = np.einsum("npk,np->nk", found.Y, s)
     pull = (g * (theta - estimate))[:, learned].sum(axis=1)  # s' Y theta_tilde of what is learned
-    eta = shares_of_update(a, estimate, g, (s**2 @ a.gain), h)
+    eta = shares_of_update(a, estimate, found.Y, s, subject.signal("z").shape[1], h)
     leak = leakage_of(a, theta, estimate, s) if a.learning else np.zeros(len(at))
     prediction, noise = steps[:, at] / h
     terms = {"leakage": leak, "cut": (a.tracking - eta) * pull, "prediction": prediction, "noise": noise}
@@ -286,20 +286,34 @@ def bodies(a: Bodies) -> list[slice]:
     return [slice(BODY * b, BODY * b + BODY) for b in range(len(a.roots))]
 
 
-def shares_of_update(a: Adaptation, estimate: Array, g: Array, feedback: Array, h: float) -> Array:
-    """Eta, (N,): with which factor each sample moves, for gradients `Y' s` (N, k) and `s' K s` (N,)."""
-    m = a.bodies
+def shares_of_update(a: Adaptation, estimate: Array, Y: Array, s: Array, base: int, h: float) -> Array:
+    """Eta, (N,): with which factor each sample moves; base, arm and all of them answer within their share.
+
+    Args:
+        a: The numbers of the law.
+        estimate: (N, k) of the samples.
+        Y: (N, p, k) regressors.
+        s: (N, p) errors.
+        base: How many velocities are the base's.
+        h: Control period [s].
+    """
+    p, eta = s.shape[1], np.full(len(s), a.tracking)
+    for part in (slice(0, base), slice(base, p), slice(0, p)) if 0 < base < p else (slice(0, p),):
+        answer = h * lengths(a.bodies, estimate, np.einsum("npk,np->nk", Y[:, part], s[:, part]))
+        most = a.share * (s[:, part] ** 2 @ a.gain[part])
+        eta = np.where(eta * answer > most, most / np.where(answer > 0, answer, 1.0), eta)
+    return eta
+
+
+def lengths(m: Bodies, estimate: Array, g: Array) -> Array:
+    """`g' Gamma g` of gradients (N, k), (N,)."""
     if m.known.size:
-        answer = h * np.array([one @ metric(m, theta) @ one for one, theta in zip(g, estimate, strict=True)])
-        most = a.share * feedback
-        return np.where(a.tracking * answer > most, most / np.where(answer > 0, answer, 1.0), a.tracking)
-    answer = (m.rates * g[:, BODY * len(m.roots) :] ** 2).sum(axis=1)
+        return np.array([one @ metric(m, theta) @ one for one, theta in zip(g, estimate, strict=True)])
+    found = (m.rates * g[:, BODY * len(m.roots) :] ** 2).sum(axis=1)
     for gamma, here in zip(m.gamma, bodies(m), strict=True):
         PL = matrices(estimate[:, here]) @ matrices(g[:, here], 0.5)
-        answer += gamma * np.einsum("nij,nji->n", PL, PL)
-    answer *= h
-    most = a.share * feedback
-    return np.where(a.tracking * answer > most, most / np.where(answer > 0, answer, 1.0), a.tracking)
+        found += gamma * np.einsum("nij,nji->n", PL, PL)
+    return np.asarray(found)
 
 
 def leakage_of(a: Adaptation, theta: Array, estimate: Array, s: Array) -> Array:

@@ -89,8 +89,9 @@ def tables_of(result: Result) -> Iterator[Table]:
     if any(result.hand.values()):
         yield hand_table(result)
     yield comparison(result)
-    if improvements := result.improvements():
-        yield improvement_table(improvements, rms(*result.experiment.windows[-1], result.experiment.time.duration))
+    improvements, end = result.improvements(), result.experiment.time.duration
+    if improvements and result.experiment.windows[-1][0] < end:
+        yield improvement_table(improvements, rms(*result.experiment.windows[-1], end))
     if found := result.largest_errors():
         yield largest_table(found)
     if ranges := result.figure_ranges():
