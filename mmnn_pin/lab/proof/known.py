@@ -342,7 +342,7 @@ def unproved(periods: Periods, late: int = 0) -> str:
         times, after = float((allowed(periods) / largest).max()), patience(periods, largest)
         told = f"its energy, at the end of the run, allows errors of {times:.3g} times Psi"
         if np.isfinite(after):
-            told += f"; on average, which proves nothing, of Psi itself after another {after:.2g} s of such motion"
+            told += f"; on average, which proves nothing, of Psi itself after another {after:.3g} s of such motion"
         return f"{told}; use kalman_regressor"
     if isinstance(law, Concurrent):
         return "its stack gives equations up for others, and with them what it knew here; use kalman_regressor"
