@@ -35,7 +35,7 @@ def render(summary: dict[str, Any]) -> str:
     templates.filters |= {"middle": middle}
     templates.globals |= {"middle_axis": axis_at, "unexcited": unexcited, "far_shown": FAR}
     templates.globals |= {"lost_from": lost_from, "plain": PLAIN, "best_plain": best_plain, "changes": CHANGES}
-    templates.globals["first_on"] = first_on
+    templates.globals |= {"first_on": first_on, "worse_than_pd": worse_than_pd}
     return filled(templates, "contest.md.j2", summary | {"plant": kept(PLANT)})
 
 
@@ -75,6 +75,18 @@ def first_on(far: dict[str, dict[str, float | str]], name: str) -> tuple[list[st
     for task, value in far[name].items():
         least = min(float(other[task]) for other in far.values() if task in other)
         found[float(value) > least].append(task)
+    return found
+
+
+def worse_than_pd(tasks: dict[str, Any], learners: list[str]) -> dict[str, list[str]]:
+    """Learner to the tasks where an error, in training or held out while learning, is above PD's by 5 %."""
+    found: dict[str, list[str]] = {}
+    for task, about in tasks.items():
+        pd = about["rows"]["pd"]
+        for name in (name for name in learners if name in about["rows"]):
+            pairs = [(about["rows"][name][key], pd[key]) for key in ("base", "arm", "held_base", "held_arm")]
+            if any(one and other and float(one[1]) > 1.05 * float(other[1]) for one, other in pairs):
+                found.setdefault(name, []).append(task)
     return found
 
 

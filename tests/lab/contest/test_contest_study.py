@@ -80,6 +80,17 @@ def test_a_controller_is_first_where_no_other_one_is_nearer_to_the_best():
     assert document.first_on(far, "a") == (["x", "z"], ["y"]) and document.first_on(far, "c") == (["y"], [])
 
 
+def test_who_is_worse_than_pd_is_named_with_the_task():
+    def about(a, b):
+        return {"rows": {"pd": row(1.0, 2.0), "x": row(a, b), "y": row(0.5, 0.5)}}
+
+    def row(base, arm):
+        return {"base": [0.0, base, 9.0], "arm": [0.0, arm, 9.0], "held_base": None, "held_arm": None}
+
+    tasks = {"one": about(1.04, 2.0), "two": about(0.5, 2.2), "three": about(2.0, "inf")}
+    assert document.worse_than_pd(tasks, ["x", "y", "z"]) == {"x": ["two", "three"]}
+
+
 @pytest.mark.parametrize("tuning", TUNINGS)
 def test_the_contest_has_what_the_search_found(tuning):
     """In the case of the search's name; the document says the same."""
