@@ -38,7 +38,7 @@ from ..signals import INDEX, Array, IntArray, Layout
 from .adaptive import AdaptiveSettings
 from .controller import Context, ControllerState, Law
 from .filtered import Filter, Filtered, low_pass, new_filter, parts, period, remember
-from .history import Scratch, Stack, consider, estimate_of, scratch
+from .history import HALF, Scratch, Stack, consider, estimate_of, scratch
 from .history import shapes as stack_shapes
 from .law import KERNELS, Kernels, constant_gain
 from .prior import ParameterLearner, prior_of, require_one_start, scales, sizes_of, within_prior
@@ -329,7 +329,7 @@ class Concurrent(ParameterLearner):
             y=np.zeros(p),
             gradient=np.zeros(k),
             target=np.zeros(k),
-            scratch=scratch(p, k),
+            scratch=scratch(own.entries, p, k),
             layout=layout_of(Recalled, self.shapes(context)),
         )
         return Law(constant_gain(K), history)
@@ -344,6 +344,7 @@ class Concurrent(ParameterLearner):
         """The estimate at its start, and an empty stack."""
         state = super().init(context)
         state["L"] = state["P"] = np.eye(self.dimension)
+        state["F"] = HALF * np.eye(self.dimension)
         state["born"] = -1.0
         return state
 

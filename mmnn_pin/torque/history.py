@@ -17,6 +17,11 @@ C and an entry i
 
 with G_i+ from after C was added. Every replacement adds at least `growth` and log det L is bounded, so there are
 finitely many of them, unless entries have a lifetime.
+
+A replacement may still give up what alone told of some direction. So there is a floor F that L never goes below, unless
+entries have a lifetime: it begins at half the prior and goes half the way to L whenever L is `ABOVE` times as large, as
+a mean over all directions. F only grows, so that from any instant on P is at most F^-1 of that instant: what is known
+stays known, but for a factor (`lab.proof.known_laws`).
 """
 
 from __future__ import annotations
@@ -31,6 +36,9 @@ from ..elementary import log
 from ..parts import Cube, Matrix, Vector
 from ..signals import Array
 
+ABOVE = 4.0  # mean ratio of the information to its floor, at which the floor rises
+HALF = 0.5  # of the prior, where the floor begins; of the way to L
+
 
 class Stack(NamedTuple):
     """A history stack, all of it views into a controller's state.
@@ -42,6 +50,7 @@ class Stack(NamedTuple):
         L: (k, k) information matrix.
         P: (k, k) its inverse.
         G: (N, p, p) `Phi_i P Phi_i'`.
+        F: (k, k) what L stays above.
         b: (k,) `sum Phi_i' y_i`.
         used: (2,) entries that are used, and changes.
     """
@@ -52,32 +61,35 @@ class Stack(NamedTuple):
     L: Matrix
     P: Matrix
     G: Cube
+    F: Matrix
     b: Vector
     used: Vector
 
 
 class Scratch(NamedTuple):
-    """Room to work in: PU (k, p), S (p, p), C (p, p), X (p, p), factor (k, k), column (k,)."""
+    """Room to work in: PU (k, p), S (p, p), C (p, p), X (p, p), factor (k, k), rest (k, k), column (k,), loss (N,)."""
 
     PU: Array
     S: Array
     C: Array
     X: Array
     factor: Array
+    rest: Array
     column: Array
+    loss: Array
 
 
 def shapes(entries: int, p: int, k: int) -> dict[str, tuple[int, ...]]:
     """Names and shapes of what a stack remembers, to be parts of a `ControllerState`."""
     return {
         "Phi": (entries, p, k), "y": (entries, p), "born": (entries,), "L": (k, k), "P": (k, k), "G": (entries, p, p),
-        "b": (k,), "used": (2,),
+        "F": (k, k), "b": (k,), "used": (2,),
     }  # fmt: skip
 
 
-def scratch(p: int, k: int) -> Scratch:
+def scratch(entries: int, p: int, k: int) -> Scratch:
     """Room to work in."""
-    return Scratch(*(np.zeros(shape) for shape in ((k, p), (p, p), (p, p), (p, p), (k, k), (k,))))
+    return Scratch(*(np.zeros(shape) for shape in ((k, p), (p, p), (p, p), (p, p), (k, k), (k, k), (k,), (entries,))))
 
 
 @internal
@@ -96,8 +108,7 @@ def consider(s: Stack, w: Scratch, Phi: Array, y: Array, time: float, growth: fl
     Returns:
         Whether the stack has changed.
     """
-    N, used = len(s.born), int(s.used[0])
-    changed = False
+    used, changed = int(s.used[0]), False
     for i in range(used):
         if has_entry(s, i) and time - s.born[i] > lifetime:
             put(s, w, i, Phi, y, 0.0)
@@ -107,22 +118,79 @@ def consider(s: Stack, w: Scratch, Phi: Array, y: Array, time: float, growth: fl
     gain = log_det_with(w, 1.0)
     if gain < growth:
         return changed
-    place, best = -1, -math.inf
-    for i in range(used):
-        loss = 0.0
-        if has_entry(s, i):
-            removed(s, w, i)
-            loss = log_det(w.X, w.C)
-        if loss > best:
-            place, best = i, loss
-    if used < N and best < 0.0:
-        place, best = used, 0.0
-        s.used[0] += 1.0
-    if gain + best < growth:
+    place = place_for(s, w, Phi, growth - gain, lifetime)
+    if place < 0:
         return changed
+    s.used[0] = max(s.used[0], place + 1.0)
     put(s, w, place, Phi, y, 1.0)
     s.born[place] = time
+    if lifetime == math.inf:
+        raise_floor(s, w)
     return True
+
+
+@internal
+def place_for(s: Stack, w: Scratch, Phi: Array, least: float, lifetime: float) -> int:
+    """Where an equation goes that w.PU and w.S belong to: the entry that is missed least, a free place before it.
+
+    Args:
+        s: The stack.
+        w: Room to work in.
+        Phi: (p, k) the equation.
+        least: What log det L may lose, at most, < 0.
+        lifetime: Of an entry; without end no direction may be lost.
+
+    Returns:
+        The place; -1 for none.
+    """
+    N, used = len(s.born), int(s.used[0])
+    for i in range(used):
+        w.loss[i] = 0.0
+        if has_entry(s, i):
+            removed(s, w, i)
+            w.loss[i] = log_det(w.X, w.C)
+    for _ in range(used):
+        place, best = -1, -math.inf
+        for i in range(used):
+            if w.loss[i] > best:
+                place, best = i, w.loss[i]
+        if place < 0 or (used < N and best < 0.0) or best < least:
+            break
+        if best == 0.0 or lifetime < math.inf or above_floor(s, w, Phi, place):
+            return place
+        w.loss[place] = -math.inf
+    return used if used < N else -1
+
+
+@internal
+def above_floor(s: Stack, w: Scratch, Phi: Array, place: int) -> bool:
+    """Whether L stays above its floor where an equation replaces an entry."""
+    (p, k), old = Phi.shape, s.Phi[place]
+    for j in range(k):
+        for c in range(k):
+            total = s.L[j, c] - s.F[j, c]
+            for i in range(p):
+                total += Phi[i, j] * Phi[i, c] - old[i, j] * old[i, c]
+            w.rest[j, c] = total
+    return factored(w.rest, w.factor)
+
+
+@internal
+def raise_floor(s: Stack, w: Scratch) -> None:
+    """Put the floor halfway to L where L is `ABOVE` times as large, as a mean over all directions."""
+    k = len(s.L)
+    for j in range(k):
+        for c in range(k):
+            w.rest[j, c] = s.L[j, c]
+    above = log_det(w.rest, w.factor)
+    for j in range(k):
+        for c in range(k):
+            w.rest[j, c] = s.F[j, c]
+    above -= log_det(w.rest, w.factor)
+    if above > k * math.log(ABOVE):
+        for j in range(k):
+            for c in range(k):
+                s.F[j, c] += HALF * (s.L[j, c] - s.F[j, c])
 
 
 @compiled

@@ -119,7 +119,7 @@ class Misfit:
         result += np.sum([twice(*one) for one in both], axis=0)
         # the rest
         damping = np.abs(steps.periods.damping)
-        result += h * rate @ damping + 2 * self.dry(motions.y, h * a + wa) + self.force
+        result += h * rate @ damping + 2 * dry(steps, motions.y, h * a + wa) + self.force
         M = M + there.M1 + steps.periods.brakes * h * damping
         return result + 2 * times(M, self.otherwise[:, -p:]) / h
 
@@ -135,7 +135,7 @@ class Misfit:
         if there is None or step is None:
             return np.full_like(n, np.inf)
         found = twice(step.C0, v, n) + twice(step.C0, n, v) + twice(step.C0, n, n)
-        found += n @ np.abs(steps.periods.damping) + self.dry(motions.y, n)
+        found += n @ np.abs(steps.periods.damping) + dry(steps, motions.y, n)
         return found + times(2 * (1 - self.filter.hold) * (M + there.M1) + step.M1, n) / h
 
     @property
@@ -143,24 +143,26 @@ class Misfit:
         """(K, p) how fast the reference's accelerations change."""
         return self.steps.most(np.abs(np.diff(self.steps.acceleration, axis=0))) / self.steps.h
 
-    def misread(self, y: Array) -> Array:
-        """(K, p) how far Psi of the velocities that are told is from that of the true ones [N, N m]."""
-        steps, n = self.steps, np.broadcast_to(self.noise, (len(y), len(self.noise)))
-        if not self.noise.any():
-            return np.zeros_like(n)
-        refs = stacked(steps.course.at(slice(0, len(steps.of))).command(y[steps.of])[0])
-        nu_ref, bent = steps.sizes[0] + steps.off(refs, y), steps.bent(y[:, steps.joints])
-        if bent is None:
-            return np.full_like(n, np.inf)
-        return twice(bent.C0, n, nu_ref) + n @ np.abs(steps.periods.damping) + self.dry(y, n)
 
-    def dry(self, y: Array, off: Array) -> Array:
-        """(K, p) how much dry friction may change where velocities do by (K, p) [N, N m]."""
-        robot, nu_ref = self.steps.periods.robot, self.steps.course.nu[: len(self.steps.of)]
-        T, (coulomb, more, stribeck) = np.abs(robot.T), robot.dry.T
-        change = off @ T.T
-        speed = -self.steps.most(-np.abs(nu_ref @ robot.T.T)) - y[:, -off.shape[1] :] @ T.T - change
-        steep = np.cosh(np.clip(speed / COULOMB_SPEED, 0.0, 300.0)) ** -2.0 / COULOMB_SPEED
-        level = (coulomb + more) * np.minimum(2.0, steep * change)
-        bends = more * np.minimum(1.0, STEEPEST * change / np.where(more > 0, stribeck, 1.0))
-        return np.asarray((level + bends) @ T)
+def misread(steps: Steps, noise: Array, y: Array) -> Array:
+    """(K, p) how far Psi of velocities that are told with noise (p,) is from that of the true ones [N, N m]."""
+    n = np.broadcast_to(noise, (len(y), len(noise)))
+    if not noise.any():
+        return np.zeros_like(n)
+    refs = stacked(steps.course.at(slice(0, len(steps.of))).command(y[steps.of])[0])
+    nu_ref, bent = steps.sizes[0] + steps.off(refs, y), steps.bent(y[:, steps.joints])
+    if bent is None:
+        return np.full_like(n, np.inf)
+    return twice(bent.C0, n, nu_ref) + n @ np.abs(steps.periods.damping) + dry(steps, y, n)
+
+
+def dry(steps: Steps, y: Array, off: Array) -> Array:
+    """(K, p) how much dry friction may change where velocities do by (K, p) [N, N m]."""
+    robot, nu_ref = steps.periods.robot, steps.course.nu[: len(steps.of)]
+    T, (coulomb, more, stribeck) = np.abs(robot.T), robot.dry.T
+    change = off @ T.T
+    speed = -steps.most(-np.abs(nu_ref @ robot.T.T)) - y[:, -off.shape[1] :] @ T.T - change
+    steep = np.cosh(np.clip(speed / COULOMB_SPEED, 0.0, 300.0)) ** -2.0 / COULOMB_SPEED
+    level = (coulomb + more) * np.minimum(2.0, steep * change)
+    bends = more * np.minimum(1.0, STEEPEST * change / np.where(more > 0, stribeck, 1.0))
+    return np.asarray((level + bends) @ T)

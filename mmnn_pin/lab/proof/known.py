@@ -1,26 +1,18 @@
 """How far Psi_hat can be from Psi on every motion in a tube, from an instant on: docs/explanation/theory.md, section 9.
 
-`Observed` takes the errors of the run: nothing is proved of what the learner does on another motion. `Proved` takes the
-law of `torque.linear` with a regressor. With the true parameters W*, `W~ = W* - W` and N = |W~| in the metric P^-1,
+`Observed` takes the errors of the run: nothing is proved of what the learner does on another motion. `Proved` takes a
+law with a regressor that keeps what it knows as a covariance P (`known_laws`). With the true parameters W*,
+`W~ = W* - W` and N = |W~| in the metric P^-1,
 
     |Psi~_i| <= N sqrt(Phi_i P Phi_i') + what the parameters do not say of Psi
 
-and from one sample to the next, whatever was measured,
-
-    an update along s   W+ = W + eta tau T P Phi' s     N+  <= N + tau T sum_i |s_i| sqrt(Phi_i P Phi_i')
-    an equation         y = phi' W* + e, variance R     N+^2 = N^2 + e^2 / R - (u + e)^2 / alpha <= N^2 + e^2 / R
-    drift               P grows                         N+  <= N
-    no update at all                                    N, P stay
-
-while P grows by nothing but the drift: `P <= P(t_0) + what has come back since`, as an equation's update of P is
-monotone in P and takes away. A cut (eta < 1) is counted as none. The projection keeps its hands off as long as
-`|W*| + |W~|`, in the metric of the prior, is within its bound, else nothing is said. s, Phi and e are those of the
-velocities that the learner is told.
+The projection keeps its hands off as long as `|W*| + |W~|`, in the metric of the prior, is within its bound, else
+nothing is said. s, Phi and e are those of the velocities that the learner is told.
 
 The equations' errors e are bounded for all motions in the tube (`equations`), and so are the features Phi (`features`):
 at every sample `|Phi_0 + sum_k y_k Phi_k + rest|`, in the metric of P, the first two by all signs of y, the rest by its
 entries. The parameters say all of Psi but what dry friction has more near a standstill (Stribeck) and what rounding
-loses. `energy` says what that of the adaptive laws, which have no such covariance, leaves open.
+loses.
 """
 
 from __future__ import annotations
@@ -32,19 +24,14 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...model.regressor import Regressor
-from ...model.tree.body import parameters
 from ...signals import Array, IntArray
-from ...torque.adaptive import Adaptive
-from ...torque.concurrent import Concurrent
-from ...torque.kalman import Kalman
-from .energy import allowed, patience
-from .equations import Misfit, Motions
+from ...torque.controller import ControllerState
+from .equations import Misfit, Motions, misread
 from .features import Features
 from .learner import Stepper
 from .periods import Periods
 from .postures import SLACK
 from .steps import Box, Steps
-from .truth import true_weights
 from .weights_part import LOST, step_again
 
 WIDER, TINY = 0.6, 1e-12  # binary logarithm of how much wider a box is that features are looked at in; the least one
@@ -53,7 +40,13 @@ SEEN, ROUNDED = 100, 1e-9  # motions on which Psi is compared with what paramete
 
 
 class Errors(Protocol):
-    """Bounds of the error of Psi along a tube."""
+    """Bounds of the error of Psi along a tube.
+
+    Attributes:
+        note: What else is to be said of them; ends with a blank.
+    """
+
+    note: str
 
     def eps(self, first: int, box: Box, acceleration: Array) -> Array:
         """(K, p) by block, for motions that are in a box from block `first` on [N, N m]; 0 before.
@@ -64,9 +57,14 @@ class Errors(Protocol):
             acceleration: (K, p) how far their accelerations are from the reference's.
         """
 
+    def blame(self, first: int, box: Box, acceleration: Array) -> str:
+        """What they err by most from a block on, and what to change; arguments as of `eps`."""
+
 
 class Observed:
     """The errors of the run from every block on; args: `missed` (N, p), and `starts` (K,) of the blocks."""
+
+    note = ""
 
     def __init__(self, missed: Array, starts: IntArray) -> None:
         later = np.maximum.accumulate(missed[::-1], axis=0)[::-1]
@@ -76,9 +74,13 @@ class Observed:
         """As of `Errors`; the box does not matter."""
         return np.where((np.arange(len(self.largest)) >= first)[:, None], self.largest, 0.0)
 
+    def blame(self, first: int, box: Box, acceleration: Array) -> str:
+        """Nothing: they are the run's."""
+        return ""
+
 
 class Proved:
-    """What the law of a linear learner with a regressor says from its state at the beginning of any block.
+    """What a learner with a regressor says from its state at the beginning of any block; the law's own in subclasses.
 
     Args:
         steps: The loop.
@@ -88,19 +90,25 @@ class Proved:
         run: The run as motions.
 
     Attributes:
+        ideal: True weights W*.
+        basis: (k0, k) what the weights are of the parameters.
         distance: (K,) N at the beginning of every block.
         P: (K, k, k) covariance then.
         heard: (K, p) largest errors of the run's equations in a block, over K, by true velocities [m/s, rad/s].
         updates: (K,) of a block.
 
     Raises:
-        RecordingError: The law is another one, or a condition fails; what to change.
+        RecordingError: A condition fails; what to change.
     """
+
+    note = ""
+    ideal: Array
+    basis: Array
+    variance: float  # of an equation over K [m^2/s^2, rad^2/s^2]
+    radius: float  # bound on |W| in the metric of the prior
 
     def __init__(self, steps: Steps, force: Array, noise: Array, otherwise: Array, run: Motions) -> None:
         periods, subject = steps.periods, steps.periods.subject
-        if why := unproved(periods, steps.late):
-            raise RecordingError("no bound of the learner's error", why=why)
         assert subject.learner is not None
         self.run = run
         self.steps, self.periods, self.noise, self.learner = steps, periods, noise, subject.learner
@@ -108,54 +116,77 @@ class Proved:
         self.a = self.learner.controller.law(self.learner.context).learner
         pushed = np.abs(subject.hardware.push).max(axis=0)
         self.misfit = Misfit(steps, self.a.filter, noise, force + pushed, run, otherwise)
-        ideal = true_weights(subject, self.learner)
-        if ideal is None:
-            raise RecordingError("no bound of the learner's error", why="its robot has no true parameters")
-        regressor = self.learner.controller.regressor
-        self.ideal, K = exactly(regressor, parameters(subject.robot), ideal.ravel()), len(self.starts)
-        self.prior = self.learner.start["prior"].copy()
+        regressor, K = self.learner.controller.regressor, len(self.starts)
+        theta = self.take(regressor)
         self.distance, self.P = np.zeros(K), np.zeros((K, self.ideal.size, self.ideal.size))
-        self.heard, self.updates, self.done = np.zeros((K, len(self.a.gain))), np.zeros(K, int), np.zeros(K, int)
-        missed = step_again(self.learner, subject.rows, self._before, self._after)
+        self.heard, self.updates = np.zeros((K, len(self.a.gain))), np.zeros(K, int)
+        missed = step_again(self.learner, subject.rows, self.before, self.after)
         if not missed <= LOST:
             raise RecordingError("no bound of the learner's error", why="stepped again it says another Psi_hat")
         if noise.any():
-            self._hear_truth()
+            self.hear_truth()
         self.features = Features(regressor, steps.course, steps.signal("q_ref"))
         self.looks: dict[tuple[int, int], Look] = {}
-        self.unsaid = unsaid(periods, regressor, self.ideal)
+        self.unsaid = unsaid(periods, regressor, theta)
 
-    def _before(self, n: int, row: Array, stepper: Stepper) -> float:
+    # -- what a law says of itself --
+
+    def take(self, regressor: Regressor) -> Array:
+        """Set ideal, basis, variance and radius.
+
+        Returns:
+            The parameters (k0,) that the ideal weights say.
+        """
+        raise NotImplementedError
+
+    def begin(self, b: int, state: ControllerState) -> None:
+        """Take distance and P at the beginning of a block."""
+        raise NotImplementedError
+
+    def count(self, state: ControllerState) -> float:
+        """A number that every update raises."""
+        raise NotImplementedError
+
+    def covariances(self, first: int) -> Array:
+        """(K, k, k) bounds of P by block, from block `first` on; 0 before."""
+        raise NotImplementedError
+
+    def distances(self, first: int, s: Array, spread: Array, equations: Array) -> Array:
+        """(K,) bounds of N by block, from block `first` on, for bounds (K, p) of s and of the equations' errors."""
+        raise NotImplementedError
+
+    def longest(self, first: int, N: float) -> float:
+        """Bound of |W| in the metric of the prior, from a block on and for a bound N."""
+        raise NotImplementedError
+
+    # -- what follows --
+
+    def before(self, n: int, row: Array, stepper: Stepper) -> float:
+        """Before a row of the run."""
         b, state = int(np.searchsorted(self.starts, n)), stepper.state
         if b < len(self.starts) and self.starts[b] == n:
-            _, self.P[b] = self.learner.controller.knowledge(state)
-            self.distance[b] = self.length(self.ideal - state["W"][0], self.P[b])
-            self.done[b] = int(state["counts"][1])
-        return float(state["counts"][1])
+            self.begin(b, state)
+        return self.count(state)
 
-    def _after(self, n: int, row: Array, stepper: Stepper, counted: float) -> None:
+    def after(self, n: int, row: Array, stepper: Stepper, counted: float) -> None:
+        """After it."""
         b = min(int(np.searchsorted(self.starts, n, side="right")) - 1, len(self.starts) - 1)
-        self.updates[b] += int(stepper.state["counts"][1] > counted)
-        self._hear(b, stepper)
+        self.updates[b] += int(self.count(stepper.state) > counted)
+        self.hear(b, stepper)
 
-    def _hear(self, b: int, stepper: Stepper) -> None:
+    def hear(self, b: int, stepper: Stepper) -> None:
+        """Take the errors of a sample's equations."""
         state = stepper.state
         error = np.abs(state["Y_f"] - state["Phi_f"] @ self.ideal) / self.a.gain
         self.heard[b] = np.maximum(self.heard[b], error)
 
-    def _hear_truth(self) -> None:
+    def hear_truth(self) -> None:
         """The errors of the equations as they were without noise."""
         stepper, of = Stepper(self.learner, self.learner.start.snapshot()), self.steps.of
         self.heard[:] = 0.0
         for row, b in zip(self.periods.subject.truth(self.periods.subject.rows)[: len(of)], of, strict=True):
             stepper.step(row)
-            self._hear(int(b), stepper)
-
-    def length(self, error: Array, P: Array) -> float:
-        """N of an error of the weights (k,)."""
-        matters = self.prior > 0.0
-        e = error[matters]
-        return float(np.sqrt(e @ np.linalg.solve(P[np.ix_(matters, matters)], e)))
+            self.hear(int(b), stepper)
 
     def look(self, first: int, b: int, box: Array, P: Array) -> Look:
         """Features of block b in a box (m,), or one that is wider by up to `WIDER`, for P as from block `first` on."""
@@ -185,7 +216,7 @@ class Proved:
         motions, off = Motions(box.y, acceleration).with_run(self.run, first)
         parts = (self.heard * self.a.gain, self.misfit.noisy(motions), self.misfit.apart(motions, off))
         sizes = [float(np.linalg.norm(one[first:].max(axis=0) / self.a.gain)) for one in parts]
-        largest, times = int(np.argmax(sizes)), max(sizes) / np.sqrt(self.a.noise)
+        largest, times = int(np.argmax(sizes)), max(sizes) / np.sqrt(self.variance)
         words, change = (
             ("what they erred by in the run, such as dry friction that turns within a period", "use a shorter period"),
             ("noise of velocities", "use a smaller sensor.velocity_noise"),
@@ -193,32 +224,11 @@ class Proved:
         )[largest]
         return f"its equations err most, by up to {times:.2g} of its setting noise, by {words}; {change}"
 
-    def covariances(self, first: int) -> Array:
-        """(K, k, k) bounds of P by block, from block `first` on: what it was, and the drift since; 0 before."""
-        k, came, found = self.ideal.size, np.zeros(self.ideal.size), np.zeros((len(self.starts), *self.P.shape[1:]))
-        done = self.done[first] if self.a.learning else 0
-        for b in range(first, len(found)):
-            for _ in range(self.updates[b] if self.a.learning else 0):
-                came[done % k] += self.a.drift * self.a.interval * k * self.prior[done % k]
-                done += 1
-            found[b] = self.P[first] + np.diag(came)
-        return found
-
     def spread(self, first: int, boxes: Array) -> Array:
         """(K, p) bounds of `sqrt(Phi_i P Phi_i')` by block, from block `first` on, in boxes (K, m)."""
-        found, P = np.zeros((len(boxes), len(self.noise))), self.covariances(first)
+        found, P = np.zeros((len(boxes), len(self.noise))), self.basis @ self.covariances(first) @ self.basis.T
         for b in range(first, len(boxes)):
             found[b] = (1 + SLACK) * self.look(first, b, boxes[b], P[b]).spread(boxes[b], P[b])
-        return found
-
-    def distances(self, first: int, s: Array, spread: Array, equations: Array) -> Array:
-        """(K,) bounds of N by block, from block `first` on, for bounds (K, p) of s and of the equations' errors."""
-        N, found, steps = self.distance[first], np.zeros(len(self.starts)), self.a.answer[0] * self.a.interval
-        for b in range(first, len(self.starts)):
-            moved, wrong = steps * float(s[b] @ spread[b]), float((equations[b] ** 2).sum()) / self.a.noise
-            for _ in range(self.updates[b] if self.a.learning else 0):
-                N = np.hypot(N + moved, np.sqrt(wrong))
-            found[b] = N
         return found
 
     def eps(self, first: int, box: Box, acceleration: Array) -> Array:
@@ -227,25 +237,12 @@ class Proved:
         seen[:, -len(self.noise) :] += self.noise
         s, wrong, none = self.steps.errors(box) + self.noise, self.equations(first, box, acceleration), 0.0 * box.s
         N = self.distances(first, s, none, wrong)  # what equations alone do, first: features take time
-        if self.longest(first, float(N.max())) <= self.a.radius[0]:
+        if self.longest(first, float(N.max())) <= self.radius:
             spread = self.spread(first, seen)
             N = self.distances(first, s, spread, wrong)
-            if self.longest(first, float(N.max())) <= self.a.radius[0]:
-                return np.where(since, N[:, None] * spread + self.unsaid + self.misfit.misread(box.y), 0.0)
+            if self.longest(first, float(N.max())) <= self.radius:
+                return np.where(since, N[:, None] * spread + self.unsaid + misread(self.steps, self.noise, box.y), 0.0)
         return np.where(since, np.full_like(none, np.inf), 0.0)
-
-    def longest(self, first: int, N: float) -> float:
-        """Bound of |W| in the metric of the prior, from a block on and for a bound N."""
-        matters = self.prior > 0.0
-        size = np.sqrt(self.prior[matters])
-        P = self.P[first][np.ix_(matters, matters)] / np.outer(size, size) + np.eye(len(size)) * self.returned(first)
-        most = min(np.linalg.eigvalsh(P)[-1], float(len(size)))  # the diagonal is at most the prior's
-        return float(np.linalg.norm(self.ideal[matters] / size) + np.sqrt(most) * N)
-
-    def returned(self, first: int) -> float:
-        """The largest share of the prior variance that drifts back at a place, from a block on."""
-        k, updates = self.ideal.size, self.updates[first:].sum() if self.a.learning else 0
-        return float(self.a.drift * self.a.interval * k * -(-updates // k))
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,16 +281,18 @@ class Look:
         return np.asarray(np.sqrt(np.einsum("pyz,y,z->p", self.gram, y, y)) + roots(rest, np.abs(P)))
 
 
-def exactly(regressor: Regressor, theta: Array, ideal: Array) -> Array:
-    """Parameters (k,) next to ideal ones that say the same as theta on every motion, but for rounding.
+def exactly(regressor: Regressor, theta: Array, ideal: Array, start: Array, basis: Array) -> Array:
+    """Weights (k,) next to ideal ones so that `start + basis W` says what theta says, on every motion but for rounding.
 
     Directions that change nothing are known from sums of squares to half the digits alone.
     """
     rng, p = np.random.default_rng(2), len(regressor.massless.nu)
     Y = np.vstack([regressor.matrix(regressor.random_position(rng), *rng.standard_normal((3, p))) for _ in range(SEEN)])
-    scale = np.linalg.norm(Y, axis=0)
+    Phi = Y @ basis
+    scale = np.linalg.norm(Phi, axis=0)
     scale = 1 / np.where(scale > 0, scale, 1.0)
-    return np.asarray(ideal - scale * np.linalg.lstsq(Y * scale, Y @ (ideal - theta), rcond=ROUNDED)[0])
+    off = Y @ (start + basis @ ideal - theta)
+    return np.asarray(ideal - scale * np.linalg.lstsq(Phi * scale, off, rcond=ROUNDED)[0])
 
 
 def unsaid(periods: Periods, regressor: Regressor, ideal: Array) -> Array:
@@ -324,33 +323,3 @@ def unsaid(periods: Periods, regressor: Regressor, ideal: Array) -> Array:
 def roots(Phi: Array, P: Array) -> Array:
     """`sqrt(Phi_i P Phi_i')` of features (..., p, k)."""
     return np.sqrt(np.maximum(np.einsum("...ij,jk,...ik->...i", Phi, P, Phi), 0.0))
-
-
-def unproved(periods: Periods, late: int = 0) -> str:
-    """Why nothing is proved of a learner's error of Psi, and what to change; empty where something is.
-
-    Args:
-        periods: The loop.
-        late: Periods by which commands are late.
-    """
-    subject, learner = periods.subject, periods.subject.learner
-    if learner is None:
-        return "it learns nothing"
-    law = learner.controller
-    if isinstance(law, Adaptive):
-        largest = np.maximum(np.abs(subject.signal("psi")).max(axis=0), 1e-300)
-        times, after = float((allowed(periods) / largest).max()), patience(periods, largest)
-        told = f"its energy, at the end of the run, allows errors of {times:.3g} times Psi"
-        if np.isfinite(after):
-            told += f"; on average, which proves nothing, of Psi itself after another {after:.3g} s of such motion"
-        return f"{told}; use kalman_regressor"
-    if isinstance(law, Concurrent):
-        return "its stack gives equations up for others, and with them what it knew here; use kalman_regressor"
-    if not isinstance(law, Kalman) or law.knowledge(learner.start) is None:
-        return "its weights are no parameters with a covariance that only drift raises; use kalman_regressor"
-    if law.settings.alarm > 0:
-        return "it may find that its robot has changed, and forgets then; use alarm = 0"
-    filter = law.law(learner.context).learner.filter
-    if filter.motor.any() or abs(filter.late - late) > 1e-6:
-        return "its equations take another delay of commands than the loop's; run it again"
-    return ""

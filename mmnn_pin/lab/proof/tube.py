@@ -52,6 +52,7 @@ class Tube:
         integrator: (m + p,) what the plant does in a period otherwise than exact motion without dry friction's changes.
         late: Periods by which commands are late.
         blame: What stands in the way of a proof where there is none: what errs most, and what to change.
+        note: What else is to be said of the errors of Psi that were counted with.
         proof: The same with the errors of Psi that are proved of the learner in place of the run's; None for nothing.
         unproved: Why there is none.
     """
@@ -68,6 +69,7 @@ class Tube:
     integrator: Array
     late: int
     blame: str = ""
+    note: str = ""
     proof: Tube | None = None
     unproved: str = ""
 
@@ -179,4 +181,5 @@ def tube_from(search: Search, progress: Told) -> Tube:
         integrator=search.integrator[begin],
         late=search.late,
         blame="" if there else search.blame(begin),
+        note=search.errors.note,
     )

@@ -10,7 +10,8 @@ import numpy as np
 
 from ...signals import Array, IntArray
 from .equations import Motions
-from .known import Errors, Observed, Proved
+from .known import Errors, Observed
+from .known_laws import proved
 from .periods import Periods
 from .steps import Box, Steps
 from .sums import Sums
@@ -58,12 +59,12 @@ class Search:
         return self.steps.at[1:]
 
     def proved(self) -> Search:
-        """The same with what is proved of the learner; errors as of `Proved`."""
+        """The same with what is proved of the learner; errors as of `known_laws.proved`."""
         found = copy(self)
         steps, reached, p = self.steps, self.reached, self.sums.p
         off = np.abs(np.diff(steps.course.nu + reached[:, -p:], axis=0) / steps.h - steps.acceleration[:-1])
         run = Motions(steps.most(np.maximum(np.abs(reached[:-1]), np.abs(reached[1:]))), steps.most(off))
-        found.errors = Proved(steps, self.force, self.told, self.integrator[:, : self.periods.size], run)
+        found.errors = proved(steps, self.force, self.told, self.integrator[:, : self.periods.size], run)
         return found
 
     @cached_property
@@ -138,7 +139,7 @@ class Search:
 
     def blame(self, first: int) -> str:
         """What stands in the way of errors of Psi that are proved, from a block on, even of motions like the run."""
-        if not isinstance(self.errors, Proved):
+        if isinstance(self.errors, Observed):
             return ""
         nothing = np.zeros((len(self.ends), self.sums.p))
         size = self.sums.largest(first, self.response(first), nothing, np.zeros((len(nothing), self.sums.m)))
