@@ -116,16 +116,17 @@ class Proved:
         self.prior = self.learner.start["prior"].copy()
         self.distance, self.P = np.zeros(K), np.zeros((K, self.ideal.size, self.ideal.size))
         self.heard, self.updates, self.done = np.zeros((K, len(self.a.gain))), np.zeros(K, int), np.zeros(K, int)
-        missed = step_again(self.learner, subject.rows, self._before, self._after)
+        missed = step_again(self.learner, subject.rows, self.begin, self.follow)
         if not missed <= LOST:
             raise RecordingError("no bound of the learner's error", why="stepped again it says another Psi_hat")
         if noise.any():
-            self._hear_truth()
+            self.hear_truth()
         self.features = Features(regressor, steps.course, steps.signal("q_ref"))
         self.looks: dict[tuple[int, int], Look] = {}
         self.unsaid = unsaid(periods, regressor, self.ideal)
 
-    def _before(self, n: int, row: Array, stepper: Stepper) -> float:
+    def begin(self, n: int, row: Array, stepper: Stepper) -> float:
+        """Before a sample: what its block begins with, where it is the first of one; updates until now."""
         b, state = int(np.searchsorted(self.starts, n)), stepper.state
         if b < len(self.starts) and self.starts[b] == n:
             _, self.P[b] = self.learner.controller.knowledge(state)
@@ -133,23 +134,25 @@ class Proved:
             self.done[b] = int(state["counts"][1])
         return float(state["counts"][1])
 
-    def _after(self, n: int, row: Array, stepper: Stepper, counted: float) -> None:
+    def follow(self, n: int, row: Array, stepper: Stepper, counted: float) -> None:
+        """After a sample: whether it was an update, and what the equations have wrong."""
         b = min(int(np.searchsorted(self.starts, n, side="right")) - 1, len(self.starts) - 1)
         self.updates[b] += int(stepper.state["counts"][1] > counted)
-        self._hear(b, stepper)
+        self.hear(b, stepper)
 
-    def _hear(self, b: int, stepper: Stepper) -> None:
+    def hear(self, b: int, stepper: Stepper) -> None:
+        """The errors of the equations as they are now, into block b."""
         state = stepper.state
         error = np.abs(state["Y_f"] - state["Phi_f"] @ self.ideal) / self.a.gain
         self.heard[b] = np.maximum(self.heard[b], error)
 
-    def _hear_truth(self) -> None:
+    def hear_truth(self) -> None:
         """The errors of the equations as they were without noise."""
         stepper, of = Stepper(self.learner, self.learner.start.snapshot()), self.steps.of
         self.heard[:] = 0.0
         for row, b in zip(self.periods.subject.truth(self.periods.subject.rows)[: len(of)], of, strict=True):
             stepper.step(row)
-            self._hear(int(b), stepper)
+            self.hear(int(b), stepper)
 
     def length(self, error: Array, P: Array) -> float:
         """N of an error of the weights (k,)."""
