@@ -26,7 +26,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # for editors and type checkers; a test holds it against _HOME
+if TYPE_CHECKING:  # for editors and type checkers; a test holds it against HOME
     from .deploy.embed import embed
     from .deploy.identify.identification import identify
     from .errors import InputError
@@ -51,7 +51,7 @@ if TYPE_CHECKING:  # for editors and type checkers; a test holds it against _HOM
 
 __version__ = "0.3.0"
 
-_HOME = {
+HOME = {
     "model.loading": ("load",),
     "model.robot": ("Robot",),
     "model.checks.properties": ("check",),
@@ -74,7 +74,7 @@ _HOME = {
     "deploy.embed": ("embed",),
     "errors": ("InputError",),
 }
-_WHERE = {name: module for module, names in _HOME.items() for name in names}
+WHERE = {name: module for module, names in HOME.items() for name in names}
 
 __all__ = [
     "PD",
@@ -109,9 +109,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _WHERE:
+    if name not in WHERE:
         raise AttributeError(f"module 'mmnn_pin' has no attribute '{name}'")
-    return getattr(import_module(f"mmnn_pin.{_WHERE[name]}"), name)
+    return getattr(import_module(f"mmnn_pin.{WHERE[name]}"), name)
 
 
 def __dir__() -> list[str]:

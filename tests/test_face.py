@@ -51,7 +51,7 @@ def test_editors_see_what_is_loaded():
     """A lazily loaded name is imported for type checkers from the module that gives it."""
     (block,) = (node for node in ast.parse(FACE.read_text()).body if isinstance(node, ast.If))
     seen = {alias.name: node.module for node in block.body for alias in node.names}
-    assert seen == {name: module for module, names in mmnn_pin._HOME.items() for name in names}
+    assert seen == {name: module for module, names in mmnn_pin.HOME.items() for name in names}
     assert set(seen) == set(mmnn_pin.__all__)
     assert all(inspect.getdoc(getattr(mmnn_pin, name)) for name in seen)
 

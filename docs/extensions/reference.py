@@ -255,7 +255,7 @@ def documented(module: str, name: str) -> str:
 def api_page() -> Iterator[str]:
     """The public names."""
     groups: dict[str, list[str]] = {title: [] for title in FLOORS.values()}
-    for name, module in mmnn_pin._WHERE.items():
+    for name, module in mmnn_pin.WHERE.items():
         groups[FLOORS[module.partition(".")[0]]].append(name)
     yield "# Python\n"
     yield "All that `from mmnn_pin import ...` has. Units are SI, angles in radians; shapes are those of one sample."
@@ -271,7 +271,7 @@ def more_page() -> Iterator[str]:
     yield "What [the public face](python.md) leaves out: `from mmnn_pin.reference.wishes import BaseVelocity`.\n"
     for module, names in MORE.items():
         yield f"## mmnn_pin.{module}\n"
-        own = [name for name in names if name not in mmnn_pin._WHERE]
+        own = [name for name in names if name not in mmnn_pin.WHERE]
         yield from (documented(f"mmnn_pin.{module}", name) for name in own)
 
 

@@ -28,7 +28,8 @@ from ..recording.recording import Outcome, Recording
 from ..signals import Array
 from ..torque.controller import CompiledController
 from .controller import with_findings
-from .forking import FORK, Flag, end_with, forks, no_interruption
+from .forking import FORK, Flag, end_with, forks
+from .interruption import no_interruption
 from .loop import Loop
 from .setup import Sink
 from .side_by_side import LANES, WARM, WORTH, Lanes, forms_of

@@ -204,7 +204,7 @@ class Torque:
                 raise blamed(error, self.python) from error
             return
         if self.lead is not None:
-            self._estimate_ahead(self.lead)
+            self.estimate_ahead(self.lead)
         if self.model is not None:
             self._model_psi(self.model, self.row)
         if self.learner is not None:
@@ -214,7 +214,7 @@ class Torque:
         law.step(self.row, self.at, self.law.numbers, self.state.values, self.limits, self.ahead)
         self.keep()
 
-    def _estimate_ahead(self, lead: Lead) -> None:
+    def estimate_ahead(self, lead: Lead) -> None:
         """What model and learner say where the torque acts, into the row there: a learner says first, then learns."""
         if self.model is not None:
             self._model_psi(self.model, lead.ahead.row)

@@ -17,6 +17,7 @@ from ..recording.recording import Outcome
 from ..safety import HAS_TRIPPED, TRIPPED, remarks, trip_of
 from ..signals import SIGNALS, Array, Layout
 from .compiled import CompiledLoop
+from .interruption import no_interruption
 from .ordinary import OrdinaryLoop
 from .setup import Setup, Sink
 
@@ -70,9 +71,10 @@ def to_the_end(
                 bad = yield k, min(k + len(engine.rows), (k // every + 1) * every, samples)
             except (Exception, KeyboardInterrupt) as error:
                 failure = error
-            done = int(engine.counter[0])
-            sink.append_block(engine.rows[:done], engine.step_times[:done])
-            k += done
+            with no_interruption():  # rows and time told agree
+                done = int(engine.counter[0])
+                sink.append_block(engine.rows[:done], engine.step_times[:done])
+                k += done
             if failure is not None:
                 raise failure
             if bad == TRIPPED:

@@ -13,8 +13,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -79,32 +78,6 @@ class Flag:
     def is_set(self) -> bool:
         """Whether it was told."""
         return self.shared[0] == 1
-
-
-@contextmanager
-def no_interruption() -> Iterator[list[int]]:
-    """Ctrl-C is noted in a list, and comes at the end; the third one comes at once.
-
-    In the midst of forking it would leave processes that nobody ends; in `concurrent.futures.wait`, locks that nobody
-    gives back. A signal that is blocked would reach a thread of BLAS, and Python all the same.
-    """
-    pressed: list[int] = []
-    if threading.current_thread() is not threading.main_thread():  # it does not come here
-        yield pressed
-        return
-
-    def note(number: int, _: object) -> None:
-        pressed.append(number)
-        if len(pressed) > 2:
-            raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield pressed
-    finally:
-        signal.signal(signal.SIGINT, before)
-        if pressed:
-            signal.raise_signal(signal.SIGINT)
 
 
 def end_with(parent: int) -> None:

@@ -253,14 +253,15 @@ class Eight(BasePath):
     def sample(self, t: ArrayLike) -> BaseSamples:
         """See `BasePath.sample`."""
         progress = start_up(times(t), 2 * np.pi / self.period, self.ramp)
-        return driven(t, progress, self._curve(progress.s))
+        return driven(t, progress, self.curve(progress.s))
 
     @property
     def span(self) -> float:
         """What one lap adds to its parameter."""
         return float(np.copysign(2 * np.pi, self.period))
 
-    def _curve(self, s: Array) -> Curve:
+    def curve(self, s: Array) -> Curve:
+        """The geometry at s (k,)."""
         a, b = self.length / 2, self.width / 2
         (c, sine), (c2, sine2) = cos_sin(s), cos_sin(2 * s)
         x1, x2, x3 = a * c, -a * sine, -a * c
@@ -273,8 +274,7 @@ class Eight(BasePath):
         phi = atan2(x1, -y1) - np.pi / 2
         x0, y0, phi0 = self.start
         turn = phi0 - atan2(2 * b, a)
-        x, y = a * sine, b * sine2
-        c, sine = cos_sin(turn)
+        x, y, (c, sine) = a * sine, b * sine2, cos_sin(turn)
         return Curve(x0 + c * x - sine * y, y0 + sine * x + c * y, phi + turn, g, dg, k, dk)
 
 
@@ -392,17 +392,17 @@ class Waypoints(BasePath):
         """See `BasePath.sample`."""
         t = times(t)
         progress = there_and_stop(t, abs(self.speed), self.ramp, self.length)
-        return driven(t, progress, self._curve(progress.s))
+        return driven(t, progress, self.curve(progress.s))
 
-    def _curve(self, s: Array) -> Curve:
+    def curve(self, s: Array) -> Curve:
+        """The geometry at s (k,)."""
         p = self._pieces
         i = np.searchsorted(p.s, s, side="right") - 1
         length, turn = p.length[i], p.turn[i]
         u = np.clip((s - p.s[i]) / length, 0, 1)
         (x, y), (c, s1) = turned(bend(u, turn), p.heading[i]), cos_sin(2 * np.pi * u)
         heading = p.heading[i] + turn * (u - s1 / (2 * np.pi))
-        k = turn / length * (1 - c)
-        dk = turn / length**2 * 2 * np.pi * s1
+        k, dk = turn / length * (1 - c), turn / length**2 * 2 * np.pi * s1
         forward = np.sign(self.speed)
         phi = heading if forward > 0 else heading + np.pi
         return Curve(p.x[i] + length * x, p.y[i] + length * y, phi, np.full_like(s, forward), 0, k, dk)

@@ -130,9 +130,10 @@ class Smoothed(BasePath):
         t = times(t)
         moving = np.where(t < self.span, 1.0, 0.0)
         progress = Progress(np.minimum(t, self.span), moving, np.zeros_like(t))
-        return driven(t, progress, self._curve(progress.s))
+        return driven(t, progress, self.curve(progress.s))
 
-    def _curve(self, s: Array) -> Curve:
+    def curve(self, s: Array) -> Curve:
+        """The geometry at s (k,)."""
         from scipy.interpolate import splev  # slow to import, seldom needed
 
         spline, u, headings = self._spline
@@ -219,9 +220,9 @@ class Timed(BasePath):
         span = self.path.span
         s = np.linspace(0.0, abs(span), POINTS)
         forward = np.sign(span)
-        length = float(np.mean(np.abs(self.path._curve(forward * s).g + 0.0 * s)) * abs(span))
+        length = float(np.mean(np.abs(self.path.curve(forward * s).g + 0.0 * s)) * abs(span))
         s = np.linspace(0.0, abs(span), max(POINTS, math.ceil(length / APART)))
-        curve, zero = self.path._curve(forward * s), np.zeros_like(s)
+        curve, zero = self.path.curve(forward * s), np.zeros_like(s)
         g, k, dg, dk = forward * (curve.g + zero), forward * (curve.k + zero), curve.dg + zero, curve.dk + zero
         tiny = 1e-9
         speeds = [(g, self.speed), (k, self.yaw_rate)]
@@ -267,7 +268,7 @@ class Timed(BasePath):
         at = np.where(there, s[-1], np.clip(s[i] + speed * since + u[i] * since**2 / 2, 0.0, s[-1]))
         forward = np.sign(self.path.span)
         progress = Progress(forward * at, forward * ds, forward * np.where(there, 0.0, u[i]))
-        return driven(t, progress, self.path._curve(progress.s))
+        return driven(t, progress, self.path.curve(progress.s))
 
 
 def largest(bounds: Bounds, step: float, after: float) -> float:

@@ -139,7 +139,7 @@ class Sensor(Settings, frozen=True):
         joints = joints.reshape(-1, COLUMNS)
         wire = Reading(np.zeros(layout.full), np.zeros(p), clock, joints, np.zeros(size), received, acceleration, bias)
         spread = np.array(one_or_each(self.velocity_noise, p, "velocity", "sensor.velocity_noise"))
-        derivative, turns = self._derivative(period), np.ascontiguousarray(robot.T[wheels, : layout.base])
+        derivative, turns = self.derivative(period), np.ascontiguousarray(robot.T[wheels, : layout.base])
         effects = (
             Encoders(
                 np.array([*wheels, *robot.arm_index], np.int64),
@@ -186,7 +186,7 @@ class Sensor(Settings, frozen=True):
             raise ConfigError(f"'{robot.name}' has no wheels with encoders", why="forces drive it", fix=fix, key=key)
         return wheels
 
-    def _derivative(self, period: float) -> tuple[float, float, float]:
+    def derivative(self, period: float) -> tuple[float, float, float]:
         """Coefficients of the rates, see `Rates`: of a filter, or alpha, beta / period, gamma / period^2."""
         if self.velocity == "filtered":
             return self.bandwidth * period / (1.0 + self.bandwidth * period), 0.0, 0.0

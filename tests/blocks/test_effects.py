@@ -239,7 +239,7 @@ def test_rates_are_a_filter_or_an_observer_of_the_readings(observer):
 
 def observing(bandwidth, h, wheels=0):
     """The observer on a model as a sensor of that bandwidth makes it, its three poles at exp(-bandwidth h)."""
-    coefficients = Sensor(velocity="model", bandwidth=bandwidth)._derivative(h)
+    coefficients = Sensor(velocity="model", bandwidth=bandwidth).derivative(h)
     return Rates(True, h, *coefficients, np.ones((wheels, 1)))
 
 
@@ -269,7 +269,7 @@ def test_the_observer_on_a_model_learns_what_it_was_not_told(told):
 
 def largest_eigenvalue(gain, ratio, bandwidth, h=0.001, rate=7.0):
     """Of a kilogram under a held force `-gain (v + rate x)` by the observer, which takes its mass for `ratio`."""
-    alpha, beta, gamma = Sensor(velocity="model", bandwidth=bandwidth)._derivative(h)
+    alpha, beta, gamma = Sensor(velocity="model", bandwidth=bandwidth).derivative(h)
 
     def step(z):
         q, v, x, r, b, a = z

@@ -105,7 +105,7 @@ def test_points_of_a_planner_are_smoothed_and_timed(length, bent, tail_first, se
     points = np.stack([along, 0.3 * bent * along**2], axis=1) + noise
     smooth = Smoothed(points, 3.0 if tail_first else 0.1)
     s, h = np.linspace(0.05, 0.95, 41) * smooth.span, 1e-6
-    here, before, after = (smooth._curve(s + d) for d in (0.0, -h, h))
+    here, before, after = (smooth.curve(s + d) for d in (0.0, -h, h))
     for one, rate in (("x", here.g * np.cos(here.phi)), ("y", here.g * np.sin(here.phi)), ("phi", here.k)):
         assert (getattr(after, one) - getattr(before, one)) / (2 * h) == pytest.approx(rate, abs=1e-5)
     for one, rate in (("g", here.dg), ("k", here.dk)):

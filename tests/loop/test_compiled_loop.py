@@ -276,6 +276,27 @@ def test_ctrl_c_keeps_whole_samples(engine):
         np.testing.assert_array_equal(run[name][: len(short)], short[name])
 
 
+class Pressing:
+    """A sink that counts rows, and in which Ctrl-C is pressed just when it has taken some."""
+
+    rows = 0
+
+    def append_block(self, rows, step_times):
+        self.rows += len(rows)
+        signal.raise_signal(signal.SIGINT)
+
+    def weights(self, time, arrays):
+        pass
+
+
+@pytest.mark.parametrize("engine", ["ordinary", "compiled"])
+def test_ctrl_c_between_rows_and_their_count_comes_when_they_are_counted(engine):
+    blocks, sink = loop(weights_interval=0.02, engine=engine), Pressing()
+    outcome = blocks.stream(blocks.engine_at(), sink)
+    assert outcome.status == "interrupted" and "Ctrl-C" in outcome.message
+    assert sink.rows == 5 and outcome.time == pytest.approx(0.004 * sink.rows)
+
+
 @pytest.mark.parametrize("engines", [("compiled", "ordinary"), ("ordinary", "compiled"), ("compiled", "compiled")])
 @pytest.mark.parametrize("name", ["two_layer per sample", "scheduled", "computed_torque"])
 def test_one_engine_resumes_what_the_other_began(engines, name):

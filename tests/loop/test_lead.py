@@ -225,7 +225,7 @@ def test_to_look_ahead_changes_nothing_that_a_controller_remembers(name):
     weights = {key: np.array(values) for key, values in loop.controller.weights(state).items()}
     kept = {key: state[key].copy() for key in state.shapes}
     look_ahead(row, plan.layout.offsets, plan.setpoints[-2], plan.lead.ahead)
-    torque._estimate_ahead(plan.lead)
+    torque.estimate_ahead(plan.lead)
     step(plan.lead.ahead.row, torque.at, plan.lead.ahead.law, state.values, None, None)
     for key, values in loop.controller.weights(state).items():
         np.testing.assert_array_equal(values, weights[key])

@@ -243,8 +243,8 @@ def test_a_robot_of_which_only_masses_are_new_is_compared_too(monkeypatch):
     model.jointPlacements[4] = model.jointPlacements[4] * pin.SE3.Random()  # hangs together otherwise
     flatten(model, T)
     assert asked == [5, 5]
-    usual = tree_module._moments
-    monkeypatch.setattr(tree_module, "_moments", lambda inertia: usual(inertia) * (1 + 1e-6))
+    usual = tree_module.moments_of
+    monkeypatch.setattr(tree_module, "moments_of", lambda inertia: usual(inertia) * (1 + 1e-6))
     with pytest.raises(RobotError, match="differ from Pinocchio's"):
         flatten(model, T)
 

@@ -348,6 +348,17 @@ def test_an_update_counts_the_time_since_the_last_one():
         assert gained[1] == pytest.approx(gained[0], rel=0.25) and gained[0] > 0.05  # places that do not matter gain 0
 
 
+@pytest.mark.parametrize("late", [0.0, 0.3])
+def test_after_a_gap_in_time_an_alarm_is_forgotten(late):
+    """The robot may be another one: a change is neither told again, nor learned from at every sample."""
+    controller, state = half_a_second(False)
+    row, a = LAYOUT.new_row(), controller.law(Context(LAYOUT, 0.002, 10)).learner
+    row[LAYOUT.where("time")] = 0.002 * 251 + late
+    state["counts"][3:6] = 1.0, 2000.0, 100.0
+    estimate(row, LAYOUT.offsets, a, state.values)
+    assert state["counts"][3:6].tolist() == ([0.0, 0.0, 0.0] if late else [0.0, 2001.0, 99.0])
+
+
 def test_equations_say_as_much_in_a_second_however_often_they_are_asked():
     """(P^-1)' = Phi_f' R^-1 Phi_f, R of the time since the last update."""
     found = [half_a_second(at_once, tracking=0.0, noise=0.2)[1]["D"] for at_once in (False, True)]

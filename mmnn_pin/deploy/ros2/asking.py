@@ -77,7 +77,7 @@ class Asking:
         if self.action is not None:
             found += self.action.poll(clock, reference, measured, stopped)
         found += self.planner.poll()
-        found += self._placed_anew(clock.now)
+        found += self.placed_anew(clock.now)
         return tuple(found)
 
     def _base_velocity(self, inlet: Inlet, message: Any, clock: Clock) -> list[Wish]:
@@ -138,7 +138,7 @@ class Asking:
         found = self.tree.between(odom, frame)
         return None if found is None else found[0]
 
-    def _placed_anew(self, now: float) -> list[Wish]:
+    def placed_anew(self, now: float) -> list[Wish]:
         """The path where the map's correction has moved it to."""
         if self.route is None or self.settings.tf is None:
             return []

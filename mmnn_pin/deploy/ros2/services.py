@@ -177,7 +177,7 @@ class Services:
                         packet, sender = self.socket.recvfrom(65536)
                     except OSError:
                         break
-                    self._receive(packet, sender, now)
+                    self.receive(packet, sender, now)
             if now - announced > ANNOUNCE:
                 announced = now
                 self._announce()
@@ -201,7 +201,7 @@ class Services:
             for i in range(self.network.participants):
                 self._put(packet, (address, first + 2 * i))
 
-    def _receive(self, packet: bytes, sender: Address, now: float) -> None:
+    def receive(self, packet: bytes, sender: Address, now: float) -> None:
         """Read one packet; one that is torn is dropped from where it is torn."""
         if sender[0] not in self.addresses:
             self.foreign += 1

@@ -176,7 +176,7 @@ class Motion:
         self.k, self.view["torque"][:] = k, hardware.torque[k] + hardware.push[k]
         self.dynamics = self.subject.dynamics(float(self.rows[k][0]))
         before = self._energy(0.0, start)
-        flow = self._flow(0.0, start)
+        flow = self.flow(0.0, start)
         tolerance = np.full(start.size, 1e-12)
         tolerance[-2:] = 1e-9 * (before + abs(flow) * self.h) + 1e-30, np.inf
         solver = DOP853(self._derivative, 0.0, start, self.h, rtol=1e-10, atol=tolerance, first_step=self.h)
@@ -214,14 +214,14 @@ class Motion:
         """`s' M s / 2` at a time within the period [J]."""
         return 0.5 * quadratic(self.dynamics.M, self._evaluate(t, y))
 
-    def _flow(self, t: float, y: Array) -> float:
+    def flow(self, t: float, y: Array) -> float:
         """`s' (Psi - tau)` at a time within the period [W]."""
         s, view = self._evaluate(t, y), self.view
         self.dynamics.refresh_psi(view["nu_ref"], view["nudot_ref"], view["psi"])
         return float(s @ (view["psi"] - view["torque"]))
 
     def _derivative(self, t: float, y: Array) -> Array:
-        flow, d, out = self._flow(t, y), self.dynamics, np.empty(y.size)
+        flow, d, out = self.flow(t, y), self.dynamics, np.empty(y.size)
         position_rate(y[self.position], y[self.nu], d.v, self.layout.base, out[self.position])
         out[self.nu] = np.linalg.solve(d.M, self.view["torque"] - d.h)
         if self.layout.base:

@@ -54,11 +54,11 @@ class Features:
         rates = [Taylor.variable(first + i, box, course.qdot_ref[:, i]) for i in range(len(course.K))]
         nu = [*course.velocity(box), *rates]
         q = [Taylor.variable(course.poses + i, box, self.q_ref[places, i]) for i in range(len(course.K))]
-        bodies = [of_body(*pair) for pair in self._bodies(box, q, nu, nu_ref, nudot_ref)]
-        some = [*bodies, self._joints(box, nu, nudot_ref)]
+        bodies = [of_body(*pair) for pair in self.bodies(box, q, nu, nu_ref, nudot_ref)]
+        some = [*bodies, self.joints(box, nu, nudot_ref)]
         return tuple(np.concatenate([one[i] for one in some], axis=-1) for i in range(3))  # type: ignore[return-value]
 
-    def _bodies(
+    def bodies(
         self, box: Array, q: list[Taylor], nu: list[Taylor], nu_ref: list[Taylor], nudot_ref: list[Taylor]
     ) -> list[tuple[Matrices, Matrices]]:
         """Of every body its motions along the velocities (N, p, 4, 4) and what is asked of its acceleration."""
@@ -80,7 +80,7 @@ class Features:
         for i in range(BASE.w + 1, len(tree.links)):
             parent, kind, at, _, _ = tree.links[i].tolist()
             H, screws, twist, ref, asked = parts[max(parent, BASE.w)]
-            H = H @ (none + placement(tree.numbers[i])) @ self._moved(box, q, kind, at)
+            H = H @ (none + placement(tree.numbers[i])) @ self.moved(box, q, kind, at)
             S = screw(H, kind == PRISMATIC)
             x, y, a = (
                 sum((one * T[i, j] for j, one in enumerate(some)), 0.0 * some[0]) for some in (nu, nu_ref, nudot_ref)
@@ -93,7 +93,7 @@ class Features:
             for H, screws, _, _, asked in (parts[i] for i in range(known.first, len(tree.links)))
         ]
 
-    def _moved(self, box: Array, q: list[Taylor], kind: int, at: int) -> Matrices:
+    def moved(self, box: Array, q: list[Taylor], kind: int, at: int) -> Matrices:
         """What a joint does to what it carries."""
         known, found = self.regressor.massless, Matrices.zero(box)
         here = sum((one * known.arm[at, j] for j, one in enumerate(q)), Taylor.constant(known.offset[at], box))
@@ -105,7 +105,7 @@ class Features:
         c, s = here.turned()
         return found + np.diag((0.0, 0.0, 1.0, 1.0)) + Matrices.of(c, turns) + Matrices.of(s, across)
 
-    def _joints(self, box: Array, nu: list[Taylor], nudot_ref: list[Taylor]) -> tuple[Array, Array, Array]:
+    def joints(self, box: Array, nu: list[Taylor], nudot_ref: list[Taylor]) -> tuple[Array, Array, Array]:
         """Columns of rotors, viscous friction, and zeros for the dry one."""
         known, (N, z) = self.regressor.massless, box.shape
         count, p, k = len(known.joints), len(nu), self.regressor.size - self.regressor.inertial
@@ -150,13 +150,13 @@ def screw(H: Matrices, slides: bool) -> Matrices:
     if slides:
         return H @ H.like(along)  # the axis in the place of the origin
     R = H @ H.like(np.diag((1.0, 1.0, 1.0, 0.0)))
-    W = R @ H.like(turn) @ R.turned_back()  # w x
+    W = R @ H.like(turn) @ R.transposed()  # w x
     return W - W @ H @ H.like(np.diag((0.0, 0.0, 0.0, 1.0)))
 
 
 def of_body(moves: Matrices, asked: Matrices) -> tuple[Array, Array, Array]:
     """Ten columns: value (N, p, 10), slope (z, N, p, 10), rest (N, p, 10)."""
-    Q = moves.turned_back() @ asked
+    Q = moves.transposed() @ asked
 
     def numbers(one: Array) -> Array:
         found = one[..., ROWS, COLUMNS] + one[..., COLUMNS, ROWS]

@@ -300,7 +300,7 @@ class Ledger:
             a.Phi[:] = row.Phi
             track(row.values, self.at, a, o)
             cut = o.counts[6] * self.h * pull - float((weighed * (o.W - before)).sum())
-        if row.state["counts"][3] > 0.0 and row.state["counts"][4] == 0.0:
+        if row.state["counts"][3] > 0.0:
             forgotten = -self.energy(o)
             forget_load(a, o)
             forgotten += self.energy(o)

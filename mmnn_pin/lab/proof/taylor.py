@@ -141,8 +141,8 @@ class Matrices:
         wide = self.box.T.reshape(len(self.slope), -1, *(1,) * (self.value.ndim - 1))
         return np.asarray((np.abs(self.slope) * wide).sum(axis=0) + self.rest)
 
-    def turned_back(self) -> Matrices:
-        """Transposed."""
+    def transposed(self) -> Matrices:
+        """(N, ..., b, a)."""
         value, slope, rest = (one.swapaxes(-1, -2) for one in (self.value, self.slope, self.rest))
         return Matrices(value, slope, rest, self.box)
 

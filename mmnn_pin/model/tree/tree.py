@@ -203,7 +203,7 @@ def _lump(model: pin.Model, joints: _Joints) -> list[_Body]:
     for parent, kind, velocity, placement in carried.bodies:
         bodies.append(_Body(bodies[parent] if parent >= 0 else None, kind, velocity, placement))
     for j, (body, at) in enumerate(carried.links[1:], start=1):
-        bodies[body].moments += product(at, _moments(model.inertias[j]), at.T)
+        bodies[body].moments += product(at, moments_of(model.inertias[j]), at.T)
     return bodies
 
 
@@ -290,7 +290,7 @@ def _displaced(kind: int, axis: Array, q: float) -> Array:
     return _homogeneous(np.eye(3), axis * q)
 
 
-def _moments(inertia: pin.Inertia) -> Array:
+def moments_of(inertia: pin.Inertia) -> Array:
     """`int (x, 1)(x, 1)' dm` of a body, shape (4, 4)."""
     m, c = inertia.mass, np.append(inertia.lever, 1.0)
     moments = m * np.outer(c, c)

@@ -120,7 +120,7 @@ class ContactPlant:
         self.mj.set_mju_user_warning(lambda text: None)  # it would print, and write a file
         self.steps = math.ceil(dt / self.contact.step - 1e-9)
         self.feet, self.h = feet_of(robot), dt / self.steps
-        self.model = compile_tree(robot, self.feet, self.contact, self.h, method)
+        self.model = compile_tree(robot, self.feet, self.contact, self.h)
         self.data, self.dynamics = self.mj.MjData(self.model), terms_of(robot)
         nv, p, wheels = robot.dimensions.full, robot.dimensions.dof, len(self.feet.wheels)
         self.y = np.zeros(nv + p + 1)
@@ -173,7 +173,7 @@ class ContactPlant:
     def carry(self, robot: Robot) -> None:
         """Go on with a robot that carries more."""
         before, self.robot = self.data, robot
-        self.model = compile_tree(robot, self.feet, self.contact, self.h, self.method)
+        self.model = compile_tree(robot, self.feet, self.contact, self.h)
         self.data, self.dynamics = self.mj.MjData(self.model), terms_of(robot)
         for name in ("qpos", "qvel", "qacc_warmstart"):
             getattr(self.data, name)[:] = getattr(before, name)

@@ -47,7 +47,7 @@ def engine() -> Any:
     return mujoco
 
 
-def compile_tree(robot: Robot, feet: Feet, contact: Contact, dt: float, integrator: str) -> Any:
+def compile_tree(robot: Robot, feet: Feet, contact: Contact, dt: float) -> Any:
     """MuJoCo's model (`mjModel`) of a robot on the floor.
 
     Args:
@@ -55,7 +55,6 @@ def compile_tree(robot: Robot, feet: Feet, contact: Contact, dt: float, integrat
         feet: What touches the floor.
         contact: Friction and stiffness.
         dt: Step of the engine [s].
-        integrator: "rk4", or Euler with implicit damping for any other.
 
     Raises:
         ConfigError: MuJoCo is not installed.
@@ -63,7 +62,7 @@ def compile_tree(robot: Robot, feet: Feet, contact: Contact, dt: float, integrat
     """
     mj = engine()
     spec = mj.MjSpec()
-    set_options(mj, spec, robot, dt, integrator)
+    set_options(mj, spec, robot, dt)
     bodies = add_bodies(mj, spec, robot)
     add_motors(mj, spec, robot)
     add_ties(mj, spec, robot)
@@ -76,11 +75,10 @@ def compile_tree(robot: Robot, feet: Feet, contact: Contact, dt: float, integrat
         raise RobotError(f"MuJoCo refuses '{robot.name}'", why=why, fix=fix, file=robot.path) from None
 
 
-def set_options(mj: Any, spec: Any, robot: Robot, dt: float, integrator: str) -> None:
+def set_options(mj: Any, spec: Any, robot: Robot, dt: float) -> None:
     """Step, gravity and solver; an unstable run must not restart by itself."""
     option = spec.option
     option.timestep, option.gravity = dt, np.array(robot.model.gravity.linear)
-    option.integrator = mj.mjtIntegrator.mjINT_RK4 if integrator == "rk4" else mj.mjtIntegrator.mjINT_EULER
     option.solver, option.cone = mj.mjtSolver.mjSOL_NEWTON, mj.mjtCone.mjCONE_ELLIPTIC
     option.impratio, option.tolerance, option.iterations = 10.0, 1e-12, 100
     option.disableflags = int(mj.mjtDisableBit.mjDSBL_AUTORESET)

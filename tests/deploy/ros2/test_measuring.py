@@ -295,7 +295,7 @@ def test_a_correction_of_the_map_does_not_jerk_the_robot() -> None:
     for k in range(1200):
         if k == 300:
             tree.take(msg.TFMessage([transform("map", "odom", -0.2, -0.3, 0.1)]), 3.0)
-        wishes += asking._placed_anew(0.01 * k)
+        wishes += asking.placed_anew(0.01 * k)
         follower.step(0.01 * k, 0.01, here, tuple(wishes), [follower.check(wish) for wish in wishes])
         wishes = []
         seen.append(follower.now.copy())

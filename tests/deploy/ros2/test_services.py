@@ -74,7 +74,7 @@ def test_a_client_of_cyclone_is_answered_in_order(services: Services) -> None:
 
 def test_torn_and_foreign_packets_are_counted_and_do_nothing(services: Services) -> None:
     rng, here = np.random.default_rng(3), ("127.0.0.1", 4000)
-    services._receive(b"RTPS" + bytes(40), ("10.0.0.9", 4000), 0.0)
+    services.receive(b"RTPS" + bytes(40), ("10.0.0.9", 4000), 0.0)
     assert services.foreign == 1 and not services.peers
     head = b"RTPS\2\3\1\x0f" + bytes(range(12))
     whole = head + data_of(b"\0\0\x10\4", b"\0\0\x11\3", 1, b"\0\1\0\0" + bytes(30), b"")
@@ -83,7 +83,7 @@ def test_torn_and_foreign_packets_are_counted_and_do_nothing(services: Services)
         for at in rng.integers(20, max(len(packet), 21), 4):
             if at < len(packet):
                 packet[at] = rng.integers(256)
-        services._receive(bytes(packet[: int(rng.integers(0, len(packet) + 1))]), here, 0.0)
+        services.receive(bytes(packet[: int(rng.integers(0, len(packet) + 1))]), here, 0.0)
     assert services.malformed > 100 and not services.peers and not services.take()
     assert len(services.sources) == 0 and services.thread.is_alive()
 

@@ -40,7 +40,7 @@ def test_the_equality_holds_over_every_period(run: tuple[str, Subject]) -> None:
 def test_a_trial_step_that_overflows_is_made_shorter(run: tuple[str, Subject], monkeypatch: pytest.MonkeyPatch) -> None:
     """A stiff arm leaves all numbers within one trial step: the solver has to take a shorter one, not to stop."""
     _, subject = run
-    as_it_is, flow = balance(subject, budget=0), module.Motion._flow
+    as_it_is, flow = balance(subject, budget=0), module.Motion.flow
     broken: list[float] = []
 
     def overflows(self: module.Motion, t: float, y: np.ndarray) -> float:
@@ -49,7 +49,7 @@ def test_a_trial_step_that_overflows_is_made_shorter(run: tuple[str, Subject], m
             return 1e200
         return flow(self, t, y)
 
-    monkeypatch.setattr(module.Motion, "_flow", overflows)
+    monkeypatch.setattr(module.Motion, "flow", overflows)
     found = balance(subject, budget=0)
     assert len(broken) == 5 and found.holds
     np.testing.assert_allclose(found.work, as_it_is.work, rtol=1e-9)

@@ -89,8 +89,38 @@ def test_what_an_update_does_to_the_distance_by_sympy() -> None:
 @slow
 @pytest.mark.parametrize("name", COVARIANCE)
 def test_a_covariance_by_dense_matrices(name: str) -> None:
-    """Value from the inverse of P; prediction from updates with exact equations; noise from what the real ones add."""
-    proof = proof_of(name)
+    assert updates_by_dense_matrices(proof_of(name), range(100)) >= 5
+
+
+@slow
+@pytest.mark.parametrize("interval", [0.002, 0.01])
+def test_a_covariance_by_dense_matrices_when_a_load_was_picked_up(interval: float) -> None:
+    """The alarm comes with an update of its own, and between two; just after it every sample is one."""
+    load = 'disturbances=[{type="payload",mass=3.0,start=2.2,at=[0.3,0.05,0.02]}]'
+    often = f"kalman.regressor.interval={interval}"
+    proof = proof_of("kalman_regressor", load, "kalman.regressor.alarm=3.0", "time.duration=2.4", often)
+    alarm, every = alarms(proof)
+    assert len(alarm) == 1 and 1100 <= alarm[0] < 1150 and (alarm[0] % every == 0) == (interval == 0.002)
+    assert updates_by_dense_matrices(proof, range(alarm[0] - 10, alarm[0] + 10)) >= 11
+
+
+def alarms(proof: Proof) -> tuple[list[int], int]:
+    """Rows at which a learner heard an alarm, and samples between its updates otherwise."""
+    learner = proof.subject.learner
+    assert learner is not None
+    stepper, found = Stepper(learner, learner.start.snapshot()), []
+    for n, row in enumerate(proof.subject.rows):
+        stepper.step(row)
+        found += [n] if stepper.state["counts"][3] > 0 else []
+    return found, learner.controller.law(learner.context).learner.every
+
+
+def updates_by_dense_matrices(proof: Proof, rows: range) -> int:
+    """Value from the inverse of P; prediction from updates with exact equations; noise from what the real ones add.
+
+    Returns:
+        How many of the rows, whose terms are all as told, have an update.
+    """
     subject, learner, W_true = proof.subject, proof.subject.learner, proof.ideal.W
     assert learner is not None
     a, h = learner.controller.law(learner.context).learner, learner.context.control_period
@@ -109,9 +139,12 @@ def test_a_covariance_by_dense_matrices(name: str) -> None:
         U = np.tril(state["U"], -1).T + np.eye(len(state["D"]))
         return U @ np.diag(state["D"]) @ U.T
 
-    for n, row in enumerate(subject.rows[:100]):
-        P, W = dense(stepper.state), stepper.state["W"].T.copy()
-        update = int(stepper.state["counts"][0]) % a.every == 0
+    for n, row in enumerate(subject.rows[: rows.stop]):
+        P, W, counts = dense(stepper.state), stepper.state["W"].T.copy(), stepper.state["counts"].copy()
+        update = int(counts[0]) % a.every == 0 or counts[5] > 0
+        if n < rows.start:
+            stepper.step(row)
+            continue
         still.step(row)
         Phi = still.torque.features()
         stepper.step(row)
@@ -119,23 +152,29 @@ def test_a_covariance_by_dense_matrices(name: str) -> None:
         g = Phi.T @ s[n][:, None] if m == 1 else np.outer(Phi[0], s[n])
         pull = (g * (W_true - W)).sum()
         assert found.terms["remainder"][n] == pytest.approx(error[n] - pull, rel=1e-6, abs=1e-9 * abs(pull))
+        told = P.copy()  # with what an alarm gives back
+        if stepper.state["counts"][3] > 0:
+            np.fill_diagonal(told, np.where(np.isin(np.arange(len(P)), a.carrying), learner.start["prior"], np.diag(P)))
         if not update or stepper.state["counts"][1] == 0:
-            assert not any(found.terms[term][n] for term in ("prediction", "noise", "memory"))
+            assert not any(found.terms[term][n] for term in ("prediction", "noise"))
+            assert update or found.terms["cut"][n] == 0
+            back = value(told, W_true - W) - value(P, W_true - W)
+            assert found.terms["memory"][n] * h == pytest.approx(back, rel=1e-6)
             continue
         count += 1
-        time = a.interval if n else h  # since the last update
+        time = h * (counts[6] + 1)  # since the last update
         answer = time * (a.answer * (g * (P @ g)).sum(axis=0)).sum()
         eta = min(1.0, 0.2 * a.gain @ s[n] ** 2 / answer)
         tracked = W + eta * time * a.answer * (P @ g)
         assert found.terms["cut"][n] * h == pytest.approx((1 - eta) * time * pull, rel=1e-6, abs=1e-12)
-        V = value(P, W_true - tracked)
-        exact, real = (P, tracked), (P, tracked)
+        V, back = value(P, W_true - tracked), value(told, W_true - tracked) - value(P, W_true - tracked)
+        exact, real, R = (told, tracked), (told, tracked), a.noise * a.interval / time
         noise = prediction = 0.0
         for i, features in enumerate(stepper.state["Phi_f"]):
             phi = features / a.gain[i] if m == 1 else features
             y = stepper.state["Y_f"][i : i + 1] / a.gain[i] if m == 1 else stepper.state["Y_f"]
             P, at = real
-            K, left = P @ phi / (a.noise + phi @ P @ phi), P - np.outer(P @ phi, phi @ P) / (a.noise + phi @ P @ phi)
+            K, left = P @ phi / (R + phi @ P @ phi), P - np.outer(P @ phi, phi @ P) / (R + phi @ P @ phi)
             exact = (left, at + np.outer(K, phi @ W_true - phi @ at))
             real = (left, at + np.outer(K, y - phi @ at))
             before, best, after = value(P, W_true - at), value(left, W_true - exact[1]), value(left, W_true - real[1])
@@ -145,9 +184,9 @@ def test_a_covariance_by_dense_matrices(name: str) -> None:
         assert found.terms["noise"][n] * h == pytest.approx(noise, rel=1e-5, abs=1e-9 * scale)
         end = value(dense(stepper.state), W_true - stepper.state["W"].T)
         drift = end - value(real[0], W_true - real[1])
-        assert found.terms["memory"][n] * h == pytest.approx(drift, rel=1e-4, abs=1e-9 * scale)
-        assert prediction <= 0 and drift <= 1e-9 * scale
-    assert count >= 5
+        assert found.terms["memory"][n] * h == pytest.approx(back + drift, rel=1e-4, abs=1e-9 * scale)
+        assert prediction <= 0 and drift <= 1e-9 * scale and back <= 1e-9 * scale
+    return count
 
 
 # -- a stack --
