@@ -17,7 +17,7 @@ from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.concurrent import ConcurrentSettings, estimate, into_ball
 from mmnn_pin.torque.controller import ControllerState
-from mmnn_pin.torque.history import Stack, consider, estimate_of, scratch, shapes
+from mmnn_pin.torque.history import ABOVE, HALF, Stack, consider, estimate_of, scratch, shapes
 from mmnn_pin.torque.law import limit, motor_limits
 
 seeds = st.integers(0, 2**32 - 1)
@@ -34,8 +34,8 @@ class Book:
     def __init__(self, entries=N, growth=0.05, lifetime=np.inf):
         state = ControllerState.of(**shapes(entries, P, K))
         state["L"] = state["P"] = np.eye(K)
-        state["born"] = -1.0
-        self.s, self.w = state.view(Stack), scratch(P, K)
+        state["born"], state["F"] = -1.0, HALF * np.eye(K)
+        self.s, self.w = state.view(Stack), scratch(entries, P, K)
         self.growth, self.lifetime, self.time = growth, lifetime, 0.0
 
     def take(self, Phi, y):
@@ -74,14 +74,17 @@ def test_the_stack_is_what_its_entries_say(seed, size):
 @settings(max_examples=25, deadline=None)
 @given(seeds)
 def test_an_exchange_is_the_one_that_determinants_choose(seed):
-    """By brute force: log det L of every exchange, one after the other."""
+    """By brute force: log det L of every exchange that keeps all eigenvalues of L - F above 0, one after the other."""
     book, rng = Book(), np.random.default_rng(seed)
     for _ in range(30):
         Phi, y = drawn(rng)
         before, kept = book.worth(), book.s.Phi.copy()
         full = book.s.used[0] == N
         options = [[*kept[:i], Phi, *kept[i + 1 :]] for i in range(N)] if full else [[*kept, Phi]]
-        best = max(book.worth(option) for option in options)
+        left = [(np.linalg.eigvalsh(np.eye(K) + sum(A.T @ A for A in o) - book.s.F)[0], o) for o in options]
+        if min(abs(least) for least, _ in left) < 1e-9:
+            continue
+        best = max((book.worth(option) for least, option in left if least > 0), default=-np.inf)
         changed = book.take(Phi, y)
         if abs(best - before - book.growth) > 1e-9:
             assert changed == (best - before > book.growth)
@@ -89,6 +92,38 @@ def test_an_exchange_is_the_one_that_determinants_choose(seed):
             assert book.worth() == pytest.approx(best, abs=1e-9)
         else:
             np.testing.assert_array_equal(book.s.Phi, kept)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds, st.sampled_from([0.1, 1.0, 100.0]))
+def test_what_is_known_stays_known_whatever_is_exchanged(seed, size):
+    """The floor only rises, L stays above it, so P below the inverse of every earlier floor, which follows L."""
+    book, rng = Book(), np.random.default_rng(seed)
+    floors = []
+    for n in range(60):
+        direction = rng.standard_normal(K) if n < 30 else np.eye(K)[n % 2]  # then two directions alone
+        book.take(size * rng.standard_normal((P, 1)) * direction, rng.standard_normal(P))
+        F, scale = book.s.F.copy(), np.linalg.norm(book.s.L)
+        assert np.linalg.eigvalsh(book.s.L - F)[0] > -1e-9 * scale
+        for earlier in floors:
+            assert np.linalg.eigvalsh(F - earlier)[0] > -1e-9 * scale
+            assert np.linalg.eigvalsh(np.linalg.inv(earlier) - book.s.P)[0] > -1e-9
+        floors.append(F)
+        assert book.worth() - np.linalg.slogdet(F)[1] <= K * np.log(ABOVE) + 1e-6
+
+
+def test_without_a_floor_an_exchange_gives_up_what_alone_told_of_a_direction():
+    """A weak equation of one direction beside strong ones of all others: log det L prefers to lose it, the floor not."""
+    weak, strong = np.zeros((P, K)), 30.0 * np.eye(K)
+    weak[0, 0] = 2.0
+    for lifetime, kept in ((np.inf, True), (1e9, False)):
+        book = Book(entries=3, growth=0.01, lifetime=lifetime)
+        for Phi in (weak, strong[1:3], strong[3:5], 40.0 * np.eye(K)[1:3], 40.0 * np.eye(K)[3:5]):
+            book.take(Phi, np.zeros(P))
+        for angle in np.linspace(0.1, 1.5, 20):
+            both = np.cos(angle) * np.eye(K)[1:3] + np.sin(angle) * np.eye(K)[3:5]
+            book.take(80.0 * both, np.zeros(P))
+        assert (book.s.L[0, 0] > 1.0 + 1e-9) == kept
 
 
 def test_bounded_equations_are_exchanged_finitely_often():
@@ -222,7 +257,7 @@ def test_knowledge_outlasts_the_excitation():
             theta = state["theta"] if name == "adaptive" else loop.controller.theta(state)
             errors.append((theta - truth) @ gram @ (theta - truth) / (truth @ gram @ truth))
         found[name] = (*errors, run.outcome.message)
-    assert found["concurrent"][0] < 3e-3 and found["concurrent"][1] < 1.5 * found["concurrent"][0]
+    assert found["concurrent"][0] < 3e-4 and found["concurrent"][1] < 3e-4
     assert found["adaptive"][1] > 10 * found["concurrent"][1] and found["adaptive"][1] > 2 * found["adaptive"][0]
     assert "not excited" not in found["concurrent"][2]
     alone = made("concurrent", *CIRCLE, duration=12.0).run().outcome
@@ -238,7 +273,7 @@ def test_with_a_lifetime_a_payload_is_learned():
         run = loop.run()
         late = run.time > 20.0
         errors[lifetime] = np.mean((run["psi"] - run["psi_hat"])[late] ** 2, axis=0)
-    assert errors[6.0][2] < 0.05 * errors[0.0][2] and errors[6.0][3] < errors[0.0][3]
+    assert errors[6.0][2] < 0.01 * errors[0.0][2] and (errors[6.0][:3] < 0.3 * errors[0.0][:3]).all()
 
 
 def test_a_gain_of_0_is_refused_before_anything_is_computed_from_it():

@@ -13,7 +13,8 @@ from mmnn_pin import Recording, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.proof.energy import SAMPLES, allowed, patience, reach
-from mmnn_pin.lab.proof.known import Proved, roots, unproved, unsaid
+from mmnn_pin.lab.proof.known import roots, unsaid
+from mmnn_pin.lab.proof.known_laws import ProvedKalman, unproved
 from mmnn_pin.lab.proof.learner import Stepper
 from mmnn_pin.lab.proof.periods import Periods
 from mmnn_pin.lab.proof.steps import Box
@@ -44,9 +45,9 @@ def search() -> Search:
 
 
 @pytest.fixture(scope="module")
-def proved(search: Search) -> Proved:
+def proved(search: Search) -> ProvedKalman:
     found = search.proved().errors
-    assert isinstance(found, Proved)
+    assert isinstance(found, ProvedKalman)
     return found
 
 
@@ -65,7 +66,7 @@ def test_an_equation_adds_no_more_than_its_error() -> None:
 
 
 @compiled
-def test_no_rows_however_wrong_take_the_weights_further_or_the_covariance_above(proved: Proved) -> None:
+def test_no_rows_however_wrong_take_the_weights_further_or_the_covariance_above(proved: ProvedKalman) -> None:
     """The learner itself, stepped over rows that are no motion: N and P stay below what their recursions say."""
     learner, rng = proved.learner, np.random.default_rng(1)
     first, where = 60, learner.context.layout.where
@@ -104,7 +105,7 @@ def test_no_rows_however_wrong_take_the_weights_further_or_the_covariance_above(
 
 
 @compiled
-def test_the_features_are_those_of_the_learner(proved: Proved) -> None:
+def test_the_features_are_those_of_the_learner(proved: ProvedKalman) -> None:
     """At a state of the run, Phi W is the recorded Psi_hat, but for the rest."""
     subject, where, p = proved.periods.subject, proved.periods.layout.where, len(proved.noise)
     for b in (5, 50, 90):
@@ -122,7 +123,7 @@ def test_the_features_are_those_of_the_learner(proved: Proved) -> None:
 
 
 @compiled
-def test_features_on_motions_in_a_box_are_no_longer_than_is_proved(proved: Proved) -> None:
+def test_features_on_motions_in_a_box_are_no_longer_than_is_proved(proved: ProvedKalman) -> None:
     """In the metric of P, at corners and inside, at any sample of a block, with noise; and some come near."""
     periods, rng, first, nearest = proved.periods, np.random.default_rng(5), 60, np.zeros(4)
     boxes = np.tile([1e-3, 1e-3, 3e-3, 4e-3, 8e-3, 0.01, 0.02, 0.05, 0.1], (len(proved.starts), 1))
@@ -167,7 +168,7 @@ def still(search: Search) -> tuple[Box, Array]:
 
 
 @compiled
-def test_distance_and_spread_are_their_sums(proved: Proved) -> None:
+def test_distance_and_spread_are_their_sums(proved: ProvedKalman) -> None:
     """N with nothing but equations, and with nothing but s; P with as much drift as the updates since bring."""
     first, K, a = 50, len(proved.starts), proved.a
     boxes = np.zeros((K, proved.periods.size))
@@ -212,7 +213,7 @@ def test_pushes_from_an_instant_on_take_the_learner_no_further_than_is_proved(no
     for b in range(first, len(search.ends)):
         assert (missed[search.starts[b] : search.ends[b]].max(axis=0) <= eps[b]).all()
     proved, box = force.errors, force.box(size, errors)
-    assert isinstance(proved, Proved)
+    assert isinstance(proved, ProvedKalman)
     left = force.steps.rest(box, force.told)
     assert left is not None
     bound, stepper = (
@@ -238,7 +239,7 @@ def test_equations_of_attacked_motions_err_no_more_than_is_proved(search: Search
     size, eps, errors = proved.judged(first)
     known, box, rows = proved.errors, proved.box(size, errors), search.periods.subject.rows
     left = proved.steps.rest(box, proved.told)
-    assert isinstance(known, Proved) and left is not None
+    assert isinstance(known, ProvedKalman) and left is not None
     bound, start = known.equations(first, box, left.acceleration), search.starts[first]
     states = attacked(search, first, len(search.ends) - 1, wanted, eps)
     stepper, worst = Stepper(known.learner, known.learner.start.snapshot()), np.zeros(4)
@@ -330,7 +331,7 @@ def test_what_the_energy_of_an_adaptive_law_allows_is_no_bound_of_use() -> None:
     periods, learner = Periods(subject), subject.learner
     assert learner is not None
     times = allowed(periods) / np.abs(subject.signal("psi")).max(axis=0)
-    assert times.min() > 3.0 and "use kalman_regressor" in unproved(periods)
+    assert times.min() > 3.0 and unproved(periods) == ""
     assert_patience(periods, np.abs(subject.signal("psi")).max(axis=0))
     bodies, end = numbers_of(learner)[0].bodies, learner.end["theta"]
     energy = float(distances(bodies, true_parameters(subject, learner).theta, end[None])[0])
@@ -361,7 +362,7 @@ def assert_patience(periods: Periods, largest: Array) -> None:
     ("controller", "settings", "why"),
     [
         ("pd", (), "learns nothing"),
-        ("concurrent", (), "gives equations up"),
+        ("concurrent", ("concurrent.lifetime=9.0",), "use lifetime = 0"),
         ("kalman_bilinear", (), "no parameters"),
         ("kalman_regressor", ("kalman.regressor.alarm=3.0",), "use alarm = 0"),
     ],

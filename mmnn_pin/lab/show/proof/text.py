@@ -397,8 +397,8 @@ def proved_sentence(tube: Tube) -> str:
         return f"With errors of Psi that are proved a motor may be asked for {proof.torque.max():.3g} times its limit."
     return (
         f"Proved from {proof.start:.3g} s on, for every motion in the tube: the learner's error of Psi is at most "
-        f"{psi}, and these bounds hold. {proof.note}Assumed: the robot of the run, and noise of velocities of at most 4 "
-        "standard deviations. Nothing is sampled but the size of rounding."
+        f"{psi}, and these bounds hold. {proof.note}Assumed: the robot of the run, and noise of velocities "
+        "of at most 4 standard deviations. Nothing is sampled but the size of rounding."
     )
 
 
