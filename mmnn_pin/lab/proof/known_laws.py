@@ -36,7 +36,7 @@ from .confined import Confined
 from .equations import Motions
 from .known import Errors, Proved, exactly
 from .periods import Periods
-from .steps import Steps
+from .steps import Box, Steps
 from .truth import true_weights
 
 
@@ -173,6 +173,17 @@ class ProvedConcurrent(Proved):
                 N += share * (stack - N)
             found[b] = max(most, N) + moved
         return found
+
+    def blame(self, first: int, box: Box, acceleration: Array) -> str:
+        """As of `Proved`; the prior, where that lets it err by more than its equations."""
+        none, prior = np.zeros_like(acceleration), float(np.sqrt(self.ideal @ self.P[first] @ self.ideal))
+        most = float(self.distances(first, none, none, self.equations(first, box, acceleration))[first:].max())
+        if most > 2 * prior:
+            return super().blame(first, box, acceleration)
+        return (
+            "its stack tells too little against its prior; use a smaller concurrent.noise, as far as that of velocities "
+            "permits, more concurrent.entries, or run for longer"
+        )
 
     def longest(self, first: int, N: float) -> float:
         """As of `Proved`; what the stack says is no further off than N, or than its own errors, as P is at most 1."""
