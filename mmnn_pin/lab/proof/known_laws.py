@@ -181,8 +181,8 @@ class ProvedConcurrent(Proved):
         if most > 2 * prior:
             return super().blame(first, box, acceleration)
         return (
-            "its stack tells too little against its prior; use a smaller concurrent.noise, as far as that of velocities "
-            "permits, more concurrent.entries, or run for longer"
+            "its stack tells too little against its prior; use a smaller concurrent.noise, as far as velocities "
+            "permit, more concurrent.entries, or run for longer"
         )
 
     def longest(self, first: int, N: float) -> float:

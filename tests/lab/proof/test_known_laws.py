@@ -50,7 +50,7 @@ def proved(search: Search) -> ProvedConcurrent:
 
 @compiled
 def test_no_rows_however_wrong_take_a_concurrent_estimate_further(proved: ProvedConcurrent) -> None:
-    """The learner itself, stepped over rows that are no motion: its distance and P stay below what is proved of them."""
+    """The learner itself, stepped over rows that are no motion: distance and P stay below their bounds."""
     learner, rng, first, where = proved.learner, np.random.default_rng(1), 60, proved.periods.layout.where
     rows, at, regressor, robot = proved.periods.subject.rows, int(proved.starts[60]), None, proved.periods.robot
     stepper = Stepper(learner, learner.start.snapshot())
@@ -87,7 +87,7 @@ def test_no_rows_however_wrong_take_a_concurrent_estimate_further(proved: Proved
 
 @compiled
 def test_a_concurrent_distance_is_its_recursion(proved: ProvedConcurrent) -> None:
-    """Without s and with exact equations it goes to what the prior and the stack have wrong; what comes adds its own."""
+    """Without s and with exact equations it goes to what prior and stack have wrong; what comes adds its own."""
     first, K, a = 50, len(proved.starts), proved.a
     none, share = np.zeros((K, 4)), 1.0 - np.exp(-a.rate * a.every * a.h)
     stack = np.sqrt(proved.ideal @ proved.P[first] @ proved.ideal) + np.sqrt(proved.errors[first].sum())
