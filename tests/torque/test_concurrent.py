@@ -113,7 +113,7 @@ def test_what_is_known_stays_known_whatever_is_exchanged(seed, size):
 
 
 def test_without_a_floor_an_exchange_gives_up_what_alone_told_of_a_direction():
-    """A weak equation of one direction beside strong ones of others: log det L prefers to lose it, the floor does not."""
+    """A weak equation of one direction beside strong ones of others: log det L would lose it, the floor does not."""
     weak, strong = np.zeros((P, K)), 30.0 * np.eye(K)
     weak[0, 0] = 2.0
     for lifetime, kept in ((np.inf, True), (1e9, False)):
