@@ -187,7 +187,7 @@ def raise_floor(s: Stack, w: Scratch) -> None:
         for c in range(k):
             w.rest[j, c] = s.F[j, c]
     above -= log_det(w.rest, w.factor)
-    if above > k * math.log(ABOVE):
+    if above > k * log(ABOVE):
         for j in range(k):
             for c in range(k):
                 s.F[j, c] += HALF * (s.L[j, c] - s.F[j, c])
