@@ -184,8 +184,9 @@ class Kalman(CompiledController):
         own = self.settings
         if not isinstance(own, KalmanFrictionSettings) or own.correction == 0.0:
             return None
-        K = self.feedback.vector(context.layout)
-        return new_correction(context, K, self.typical(), own.correction, own.leakage, own.desired)
+        K, c = self.feedback.vector(context.layout), own.correction
+        c = 0.5 / (context.control_period + context.late) if c == "delays" else c
+        return new_correction(context, K, self.typical(), c, own.leakage, own.desired)
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """Weights and covariance, what the filter remembers, what was drawn."""
