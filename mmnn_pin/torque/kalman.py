@@ -42,7 +42,7 @@ from .random_features import BILINEAR, GENERIC, Random, at_rest, fill, new_rando
 
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
 SAMPLES = 300  # of random motion
-CONFIRMED = 20.0  # times `Context.unseen` that the low-pass of `kalman_friction` lasts, at least
+CONFIRMED = 25.0  # times `Context.unseen` that the low-pass of `kalman_friction` lasts, at least
 
 
 @dataclass(frozen=True, eq=False)

@@ -182,7 +182,7 @@ def test_alone_it_bears_twice_the_delay_that_is_known(period: float, way: float,
 @given(unseen=st.floats(0.0, 0.1))
 def test_its_low_pass_lasts_longer_than_velocities_repeat_what_it_believes(unseen: float) -> None:
     pole = -math.log(told(H, 0.0, unseen, 0.0).filter.hold) / H
-    assert pole == pytest.approx(min(7.0, 0.05 / unseen) if unseen > 0.0 else 7.0)
+    assert pole == pytest.approx(min(7.0, 0.04 / unseen) if unseen > 0.0 else 7.0)
 
 
 @pytest.mark.parametrize("base", [2, 3])
