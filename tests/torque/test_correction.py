@@ -329,7 +329,7 @@ def test_where_a_wheel_cannot_help_the_pose_comes_first(monkeypatch: pytest.Monk
 
 @pytest.mark.compiled
 def test_a_learner_built_again_from_its_recording_has_the_same_numbers() -> None:
-    run = loop("latency={sensing=0.004,predict=true}", "kinematic.ky=25.0")
+    run = loop("latency={sensing=0.002,predict=true}", "kinematic.ky=25.0")
     learner = recorded_learner(run.run(), run.robot)
     assert learner is not None
     made, again = (law.learner for law in (run.controller.law(run.context()), learner.controller.law(learner.context)))
