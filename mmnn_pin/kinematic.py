@@ -115,6 +115,13 @@ class Kinematic(Settings, frozen=True):
         names = BY_SIZE[base].gain_names
         return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
+    def pose_weights(self, base: int) -> Array | None:
+        """What the squares of the errors of a base's velocities count in its pose error, (base,); None for all alike.
+
+        They are second derivatives of the Lyapunov function of the pose error (`Base.pose_weights`).
+        """
+        return BY_SIZE[base].pose_weights(self.base_gains(base))
+
     def arm_gains(self, layout: Dimensions) -> Array:
         """K for every joint, shape (n,).
 

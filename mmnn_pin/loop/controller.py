@@ -106,6 +106,7 @@ def context_of(
     lag: Array | None = None,
     way: float = 0.0,
     unseen: float = 0.0,
+    pose_weights: Array | None = None,
 ) -> Context:
     """What a controller is told before a run of a robot; how it moves only where a learning law asks for it.
 
@@ -120,13 +121,14 @@ def context_of(
         lag: (p,) known time constants of the motors, seen from the velocities; None for none [s].
         way: See `Context.way` [s].
         unseen: See `Context.unseen` [s].
+        pose_weights: See `Context.pose_weights`.
     """
     told = isinstance(controller, LearningLaw) and controller.knows_motion
     kept = controller.within_limits if within_limits is None else within_limits
     limits = motor_limits(robot.E, robot.effort_limits) if kept else None
     motion = regressor_of(robot) if told else None
     layout = layout or Layout.of(robot.dimensions)
-    return Context(layout, period, samples, rng, motion, limits, lag, way, unseen)
+    return Context(layout, period, samples, rng, motion, limits, lag, way, unseen, pose_weights)
 
 
 def regressor_of(robot: Robot) -> Regressor:

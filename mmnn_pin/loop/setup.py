@@ -131,8 +131,14 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
         setup.layout,
         lag=setup.lags,
         way=setup.known.way(setup.timing),
-        unseen=setup.known.caught_up(setup.timing) + setup.smoothing + setup.known.margin,
+        unseen=unseen_by(setup),
+        pose_weights=setup.kinematic.pose_weights(setup.robot.dimensions.base),
     )
+
+
+def unseen_by(setup: Setup) -> float:
+    """See `Context.unseen` [s]."""
+    return setup.known.caught_up(setup.timing) + setup.smoothing + setup.known.margin
 
 
 def lead_signals(setup: Setup) -> int:
@@ -176,6 +182,7 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
     hardware |= {"lead": setup.delays.tolist()} if setup.layout.lead else {}
     hardware |= {"lag": setup.lags.tolist()} if setup.lags.any() else {}
     hardware |= {"way": way} if (way := setup.known.way(setup.timing)) else {}
+    hardware |= {"unseen": unseen_by(setup)}
     hardware |= {} if setup.safety is None else {"safety": plain(setup.safety)}
     hardware |= {"disturbances": plain(setup.disturbances)} if setup.disturbances else {}
     return setup.robot.facts() | own | believed | hardware

@@ -271,9 +271,7 @@ def share_of(settings: AdaptiveSettings, context: Context) -> float:
     """Largest answer of a sample to s, as a share of the feedback."""
     if settings.share != "delays":
         return float(settings.share)
-    slow = 0.0 if context.lag is None else float(context.lag.max(initial=0.0))
-    late = max(0.0, context.way) + context.unseen + slow
-    return context.control_period / (context.control_period + late)
+    return context.control_period / (context.control_period + context.late)
 
 
 @dataclass(frozen=True, eq=False)

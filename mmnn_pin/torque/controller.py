@@ -42,6 +42,7 @@ class Context:
         lag: (p,) known time constants of the motors, seen from the velocities [s]; None for none.
         way: Known time from the command of a torque to the measurement that shows it, less what is predicted [s].
         unseen: Further time until velocities show it: prediction, `sensing.Sensor.smoothing`, `latency.margin` [s].
+        pose_weights: (nb,) what the squares of the base's velocity errors count in its pose error; None for all alike.
     """
 
     layout: Layout
@@ -53,6 +54,13 @@ class Context:
     lag: Array | None = None
     way: float = 0.0
     unseen: float = 0.0
+    pose_weights: Array | None = None
+
+    @property
+    def late(self) -> float:
+        """All known delays from a torque to the velocities that show it, its hold left out [s]."""
+        slow = 0.0 if self.lag is None else float(self.lag.max(initial=0.0))
+        return max(0.0, self.way) + self.unseen + slow
 
 
 @dataclass

@@ -18,7 +18,10 @@ correction never is more than a feedback of p c / leakage times K, all p velocit
 less. A sample's answer to s is cut at a share of the feedback.
 
 Where the motors' limits cut Psi_hat by some d (p,), w does not learn against them: of s only what is orthogonal to d
-counts, `s - K^-1 d (d's) / (d' K^-1 d)` for d's > 0. For one motor that is the error without its speed.
+counts, `s - A d (d's) / (d' A d)` for d's > 0. For one motor that is the error without its speed; what is left in the
+end goes with A d. A is K^-1, and for the base's velocities the inverse of their `pose_weights`, of the same size: the
+other wheel then helps the forward speed more than the turning, as the pose error does, where an error of w counts 1/ky
+of one of v.
 """
 
 from __future__ import annotations
@@ -62,6 +65,7 @@ class Correction(NamedTuple):
         nudot: (p,) room to work in.
         F: (p, k) room to work in.
         g: (k,) room to work in.
+        A: (p,) how an error that the motors cannot help is shared.
     """
 
     h: float
@@ -75,6 +79,7 @@ class Correction(NamedTuple):
     nudot: Array
     F: Array
     g: Array
+    A: Array
 
 
 class Corrected(NamedTuple):
@@ -122,7 +127,16 @@ def new_correction(context: Context, K: Array, typical: Array, c: float, leakage
         nudot=np.zeros(p),
         F=np.zeros((p, k)),
         g=np.zeros(k),
+        A=shared(K, context.pose_weights),
     )
+
+
+def shared(K: Array, weights: Array | None) -> Array:
+    """A (p,) from gains K (p,) and `pose_weights` (nb,), with which the mean of K A is 1 for the base, too."""
+    A = 1.0 / K
+    if weights is not None and weights.size:
+        A[: weights.size] = weights.size / (K[: weights.size] / weights).sum() / weights
+    return A
 
 
 @internal
@@ -189,10 +203,10 @@ def follow_error(row: Array, at: IntArray, c: Correction, gain: Array, changed: 
         o.asked[i] = row[at[PSI_HAT] + i]
         feedback += gain[i] * s[i] * s[i]
         against += o.cut[i] * s[i]
-        size += o.cut[i] * o.cut[i] / gain[i]
+        size += o.cut[i] * o.cut[i] * c.A[i]
     for i in range(gain.size):
         if against > 0.0 and size > 0.0:
-            s[i] -= against / size * o.cut[i] / gain[i]
+            s[i] -= against / size * o.cut[i] * c.A[i]
         for j in range(k):
             g[j] += c.F[i, j] * s[i]
     for j in range(k):

@@ -42,6 +42,7 @@ from .random_features import BILINEAR, GENERIC, Random, at_rest, fill, new_rando
 
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
 SAMPLES = 300  # of random motion
+CONFIRMED = 25.0  # times `Context.unseen` that the low-pass of `kalman_friction` lasts, at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +159,7 @@ class Kalman(CompiledController):
             random=self.random(),
             friction=friction() if self.beside else None,
             correction=self.correction(context),
-            filter=new_filter(context, own.pole, own.state_pole),
+            filter=new_filter(context, self.pole(context), own.state_pole),
             gain=K,
             learning=self.learning,
             every=every,
@@ -179,13 +180,21 @@ class Kalman(CompiledController):
         )
         return Law(constant_gain(K), linear)
 
+    def pole(self, context: Context) -> float:
+        """Of the low-pass on features and filtered torque [1/s]; see `KalmanFrictionSettings`."""
+        own = self.settings
+        if isinstance(own, KalmanFrictionSettings) and context.unseen > 0.0:
+            return min(own.pole, 1.0 / (CONFIRMED * context.unseen))
+        return own.pole
+
     def correction(self, context: Context) -> Correction | None:
         """What follows the tracking error, with room of its own to work in; None for the others."""
         own = self.settings
         if not isinstance(own, KalmanFrictionSettings) or own.correction == 0.0:
             return None
-        K = self.feedback.vector(context.layout)
-        return new_correction(context, K, self.typical(), own.correction, own.leakage, own.desired)
+        K, c = self.feedback.vector(context.layout), own.correction
+        c = 0.5 / (context.control_period + context.late) if c == "delays" else c
+        return new_correction(context, K, self.typical(), c, own.leakage, own.desired)
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """Weights and covariance, what the filter remembers, what was drawn."""

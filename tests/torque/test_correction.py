@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning import SHORT, assert_engines_agree, assert_it_resumes, made
 from scipy.linalg import null_space
 
 from mmnn_pin import Feedback, Loop, load, load_experiment
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.experiments.controllers import machine_of
+from mmnn_pin.lab.proof.learner import recorded_learner
+from mmnn_pin.model.base import BY_SIZE
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
@@ -34,11 +38,12 @@ from mmnn_pin.torque.correction import (
 )
 from mmnn_pin.torque.kalman import Kalman
 from mmnn_pin.torque.kalman_settings import KalmanFrictionSettings
+from mmnn_pin.torque.linear import Linear
 
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
 REGRESSOR, TRUE, LAYOUT, K = Regressor.of(ROBOT), parameters(ROBOT), Layout.of(ROBOT.dimensions), Feedback(500.0, 30.0)
 GAINS, AT, H, ROOM = K.vector(LAYOUT), LAYOUT.offsets, 0.002, 5
-seeds = st.integers(0, 2**32 - 1)
+seeds, delays = st.integers(0, 2**32 - 1), st.just(0.0) | st.floats(1e-4, 0.03)
 
 
 @cache
@@ -47,9 +52,11 @@ def typical() -> Array:
     return Kalman(KalmanFrictionSettings(), machine_of(ROBOT), K, REGRESSOR).typical()
 
 
-def new(correction: float = 20.0, leakage: float = 20.0, part: float = 0.5) -> tuple[Correction, Corrected]:
+def new(
+    correction: float = 20.0, leakage: float = 20.0, part: float = 0.5, weights: Array | None = None
+) -> tuple[Correction, Corrected]:
     """A correction of the thesis's robot, and what it remembers."""
-    c = new_correction(Context(LAYOUT, H, 1), GAINS, typical(), correction, leakage, part)
+    c = new_correction(Context(LAYOUT, H, 1, pose_weights=weights), GAINS, typical(), correction, leakage, part)
     return c, Corrected(np.zeros(len(c.rate)), np.zeros(1), *np.zeros((2, len(GAINS))))
 
 
@@ -150,6 +157,46 @@ def test_it_is_passive_and_bounded_by_its_gain_whatever_comes(
     assert (o.w[~live] == 0.0).all()
 
 
+def told(period: float, way: float, unseen: float, lag: float) -> Linear:
+    """The numbers of the learner with its defaults where these delays are known."""
+    context = Context(LAYOUT, period, 1, lag=np.full(len(GAINS), lag), way=way, unseen=unseen)
+    learner: Linear = Kalman(KalmanFrictionSettings(), machine_of(ROBOT), K, REGRESSOR).law(context).learner
+    return learner
+
+
+@settings(max_examples=25)
+@given(period=st.floats(5e-4, 0.01), way=delays, unseen=delays, lag=delays)
+def test_alone_it_bears_twice_the_delay_that_is_known(period: float, way: float, unseen: float, lag: float) -> None:
+    """An integral whose answers show twice the known delays later: what it remembers dies out without a feedback."""
+    correction = told(period, way, unseen, lag).correction
+    assert correction is not None
+    late = math.ceil(2.0 * (way + unseen + lag) / period)
+    integral = np.eye(late + 1, k=-1)
+    integral[0, 0] += 1.0
+    integral[0, late] -= correction.top * period
+    assert np.abs(np.linalg.eigvals(integral)).max() < 1.0
+    assert correction.top * 2.0 * (period + way + unseen + lag) == pytest.approx(1.0)
+
+
+@settings(max_examples=25)
+@given(unseen=st.floats(0.0, 0.1))
+def test_its_low_pass_lasts_longer_than_velocities_repeat_what_it_believes(unseen: float) -> None:
+    pole = -math.log(told(H, 0.0, unseen, 0.0).filter.hold) / H
+    assert pole == pytest.approx(min(7.0, 0.04 / unseen) if unseen > 0.0 else 7.0)
+
+
+@pytest.mark.parametrize("base", [2, 3])
+def test_errors_of_velocities_count_as_the_energy_of_the_pose_grows(base: int) -> None:
+    """Second differences of that energy along what each velocity drives."""
+    gains, kind, tiny = Kinematic(ky=9.0), BY_SIZE[base], 1e-3
+    columns = np.arange(3) if base == 3 else [0, 2]
+    still = np.zeros((base, base))
+    energy = kind.pose_energy(tiny * np.eye(3)[columns], still, still, gains.base_gains(base))
+    assert energy is not None
+    assert gains.pose_weights(base) == pytest.approx(2.0 * energy.value / tiny**2, rel=1e-6)
+    assert Kinematic(ky=0.0).pose_weights(2) is None
+
+
 @given(seed=seeds, size=st.sampled_from([1e-6, 1e-2, 1.0]))
 def test_every_velocity_answers_alike_however_slow_the_reference_is(seed: int, size: float) -> None:
     c, _ = new(correction=3.0)
@@ -157,19 +204,23 @@ def test_every_velocity_answers_alike_however_slow_the_reference_is(seed: int, s
     assert np.diag(c.F @ np.diag(c.rate) @ c.F.T) == pytest.approx(3.0 * GAINS, rel=1e-9)
 
 
+@pytest.mark.parametrize("ky", [None, 0.5, 64.0])
 @given(seed=seeds, motor=st.integers(0, 3), part=st.sampled_from([1e-6, 1.0, 1e6]))
-def test_against_a_motor_at_its_limit_nothing_is_learned(seed: int, motor: int, part: float) -> None:
-    """The error that counts is the nearest one, measured by K, in which that motor's speed has none."""
+def test_against_a_motor_at_its_limit_nothing_is_learned(seed: int, motor: int, part: float, ky: float | None) -> None:
+    """The error that counts is the nearest one, measured by A^-1, in which that motor's speed has none."""
     rng = np.random.default_rng(seed)
-    row = motion(rng, H, 0.1)
-    s, column = of(row, "z", "r"), ROBOT.E[:, motor]
+    row, weights = motion(rng, H, 0.1), None if ky is None else np.array([1.0, 1.0 / ky])
+    s, column, metric = of(row, "z", "r"), ROBOT.E[:, motor], GAINS.copy()
+    if weights is not None:
+        metric[:2] = weights * (GAINS[:2] / weights).sum() / 2
+        assert (GAINS / metric)[:2].mean() == pytest.approx(1.0)
     for sign in (1.0, -1.0):
-        c, o = new()
+        c, o = new(weights=weights)
         o.when[0], o.cut[:] = 0.0, sign * part * column * np.sign(column @ s)
         looked(row, c)
         follow_error(row, AT, c, GAINS, False, o)
-        free = null_space(column[None] / np.sqrt(GAINS))  # of the errors times sqrt(K)
-        counted = (free @ free.T @ (np.sqrt(GAINS) * s)) / np.sqrt(GAINS) if sign > 0.0 else s
+        free = null_space(column[None] / np.sqrt(metric))  # of the errors times its root
+        counted = (free @ free.T @ (np.sqrt(metric) * s)) / np.sqrt(metric) if sign > 0.0 else s
         step = c.rate * (c.F.T @ counted)
         assert o.w == pytest.approx(
             min(1.0, np.abs(o.w).max() / np.abs(H * step).max()) * H * step, rel=1e-6, abs=1e-12
@@ -262,6 +313,28 @@ def test_it_helps_also_where_the_motors_give_all_they_can() -> None:
         error[said] = np.sqrt((run["true_pose_error"][run["time"].ravel() > 5.0, :2] ** 2).mean())
     with_one, without = error.values()
     assert with_one < without
+
+
+@pytest.mark.compiled
+def test_where_a_wheel_cannot_help_the_pose_comes_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same eight with a missing torque shared as K says, and as errors of velocities count in the pose."""
+    eight = 'reference.base={type="eight",length=1.5,width=0.75,period=3.2,ramp=1.0}'
+    error = []
+    for weights in (Kinematic.pose_weights, lambda self, base: None):
+        monkeypatch.setattr(Kinematic, "pose_weights", weights)
+        run = loop(eight).run()
+        error.append(np.sqrt((run["true_pose_error"][run["time"].ravel() > 5.0] ** 2).mean(axis=0)))
+    assert (error[0][:2] < 0.8 * error[1][:2]).all() and error[0][2] < 1.1 * error[1][2]
+
+
+@pytest.mark.compiled
+def test_a_learner_built_again_from_its_recording_has_the_same_numbers() -> None:
+    run = loop("latency={sensing=0.002,predict=true}", "kinematic.ky=25.0")
+    learner = recorded_learner(run.run(), run.robot)
+    assert learner is not None
+    made, again = (law.learner for law in (run.controller.law(run.context()), learner.controller.law(learner.context)))
+    assert made.filter.hold == again.filter.hold and made.correction.top == again.correction.top
+    np.testing.assert_array_equal(made.correction.A, again.correction.A)
 
 
 @pytest.mark.compiled

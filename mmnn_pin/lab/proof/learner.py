@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from ...errors import RecordingError
+from ...kinematic import Kinematic
 from ...loop.controller import Torque, context_of
 from ...model.base.overrides import Overrides
 from ...model.robot import Robot
@@ -185,9 +186,15 @@ def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
     with recording.using("how long its torques were under way"):
         lag = np.array(recording.meta.get("lag", np.zeros(robot.dimensions.dof)), float).reshape(robot.dimensions.dof)
         way = float(recording.meta.get("way", 0.0))
-        if not all(0.0 <= each <= LONGEST for each in (*lag, way)):
-            raise ValueError(f"{lag} and {way} s")
-    context = context_of(controller, robot, period, len(recording), rng, kept, lag=lag, way=way)
+        unseen = float(recording.meta.get("unseen", 0.0))
+        if not all(0.0 <= each <= LONGEST for each in (*lag, way, unseen)):
+            raise ValueError(f"{lag}, {way} and {unseen} s")
+    with recording.using("the gains of its kinematic layer"):
+        gains = msgspec.convert(recording.meta.get("kinematic", {}), Kinematic)
+    weights = gains.pose_weights(robot.dimensions.base)
+    context = context_of(
+        controller, robot, period, len(recording), rng, kept, lag=lag, way=way, unseen=unseen, pose_weights=weights
+    )
     with recording.using("what it tells of its controller"):
         start = controller.init(context)
     snapshots = recording.weights

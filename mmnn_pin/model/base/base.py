@@ -149,6 +149,15 @@ class Base:
         raise NotImplementedError
 
     @staticmethod
+    def pose_weights(gains: Array) -> Array | None:
+        """Second derivatives of `pose_energy` along what each velocity drives, at no error, (nb,); None without one.
+
+        Args:
+            gains: Those of the law.
+        """
+        raise NotImplementedError
+
+    @staticmethod
     def largest_gain(gains: Array, speed: float) -> float:
         """Largest factor from a pose error to the command at a reference speed [m/s]."""
         raise NotImplementedError
@@ -234,6 +243,11 @@ class Fixed(Base):
     def pose_energy(error: Array, z: Array, v_ref: Array, gains: Array) -> PoseEnergy | None:
         """See `Base.pose_energy`: there is no pose."""
         return PoseEnergy(*np.zeros((3, len(z))))
+
+    @staticmethod
+    def pose_weights(gains: Array) -> Array | None:
+        """See `Base.pose_weights`: there is no pose."""
+        return np.zeros(0)
 
     @staticmethod
     def largest_gain(gains: Array, speed: float) -> float:

@@ -47,6 +47,11 @@ class DifferentialDrive(Base):
         return PoseEnergy((ex**2 + ey**2) / 2 + (1 - cosine) / ky, decay, ex * z[:, 0] + turning * z[:, 1])
 
     @staticmethod
+    def pose_weights(gains: Array) -> Array | None:
+        """See `Base.pose_weights`."""
+        return np.array([1.0, 1.0 / gains[1]]) if gains[1] > 0 else None
+
+    @staticmethod
     def largest_gain(gains: Array, speed: float) -> float:
         """See `Base.largest_gain`."""
         return float(max(gains[0], gains[2] * speed))

@@ -44,6 +44,11 @@ class Holonomic(Base):
         return PoseEnergy((ex**2 + ey**2) / 2 + 1 - cosine, decay, ex * z[:, 0] + ey * z[:, 1] + sine * z[:, 2])
 
     @staticmethod
+    def pose_weights(gains: Array) -> Array | None:
+        """See `Base.pose_weights`."""
+        return np.ones(3)
+
+    @staticmethod
     def largest_gain(gains: Array, speed: float) -> float:
         """See `Base.largest_gain`."""
         return float(max(gains))
