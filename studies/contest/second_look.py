@@ -11,7 +11,6 @@ comes to them as it starts.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -117,14 +116,14 @@ def taken(others: Mapping[str, Scores], learner: str, tries: Tries, say: Say) ->
     scores = [score for _, score in tries]
     order = sorted(range(len(tries)), key=lambda k: scores[k])
     looked: dict[int, dict[str, float]] = {}
-    for k in dict.fromkeys([*order[:LOOKS], 0]):
-        looked[k] = {name: other.score(learner, tries[k][0]) for name, other in others.items()}
-        words = ", ".join(f"{name} {score / scores[k]:.3g}" for name, score in looked[k].items())
-        say(f"{learner}: second look at {scores[k]:.4f}, times {words}")
+    for k in order[:LOOKS]:
+        looked[k] = look(others, learner, tries[k], say)
         if holds(scores[k], looked[k]):
             chosen = k
             break
     else:
+        if 0 not in looked:
+            looked[0] = look(others, learner, tries[0], say)
         chosen = min(looked, key=lambda k: max(scores[k], *looked[k].values()))
     return {
         "own": scores[0],
@@ -135,3 +134,12 @@ def taken(others: Mapping[str, Scores], learner: str, tries: Tries, say: Say) ->
         "tries": len(tries),
         "scores": scores,
     }
+
+
+def look(others: Mapping[str, Scores], learner: str, one: tuple[dict[str, Any], float], say: Say) -> dict[str, float]:
+    """The scores of a try on the robots of the second look."""
+    settings, score = one
+    again = {name: other.score(learner, settings) for name, other in others.items()}
+    words = ", ".join(f"{name} {value / score:.3g}" for name, value in again.items())
+    say(f"{learner}: second look at {score:.4f}, times {words}")
+    return again
