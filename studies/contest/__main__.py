@@ -22,7 +22,7 @@ from mmnn_pin.loop.precompile import precompile
 from ..document import Clock
 from .document import DOCUMENT, DRAWN, summed
 from .search import SOON, TRIES, TUNED, TUNINGS, Bench, Say, Tries, budget, keep, lines, search, spaces, tuned
-from .second_look import LIMIT, LOOKS, NOISE, benches, taken
+from .second_look import benches, taken
 
 QUICK = (
     *("time.duration=1.6", "windows=[[0, 0.5], [0.8, 1.6]]", "time.control_period=0.0025", "time.plant_step=0.00125"),
@@ -123,15 +123,16 @@ def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool
         **summed(standing),
         "tuned": {tuning: {name: short(one) for name, one in tuned()[tuning].items()} for tuning in TUNINGS},
         "soon": SOON,
-        "second_look": {"looks": LOOKS, "limit": LIMIT, "noise": NOISE},
         "tries": TRIES,
         "run": clock.facts(),
     }
 
 
 def short(found: dict[str, Any]) -> dict[str, Any]:
-    """A search without the scores of all its tries and of the second look."""
-    return {key: value for key, value in found.items() if key not in ("scores", "looked")}
+    """A search with the best score in place of those of all its tries and of the second look."""
+    return {key: value for key, value in found.items() if key not in ("scores", "looked")} | {
+        "best": min(found["scores"])
+    }
 
 
 def made(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, say: Say) -> Standing:

@@ -91,6 +91,11 @@ def test_who_is_worse_than_pd_is_named_with_the_task():
     assert document.worse_than_pd(tasks, ["x", "y", "z"]) == {"x": ["two", "three"]}
 
 
+def test_searches_whose_best_try_did_not_hold_are_named():
+    searches = {"a": {"x": {"score": 0.2, "best": 0.1}, "y": {"score": 0.1, "best": 0.1}}, "b": {"x": {"score": 0.2}}}
+    assert document.passed_over(searches) == ["`x` on a"]
+
+
 @pytest.mark.parametrize("tuning", TUNINGS)
 def test_the_contest_has_what_the_search_found(tuning):
     """In the case of the search's name; the document says the same."""
