@@ -56,7 +56,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.tune:
         for tuning in options.only or TUNINGS:
             learners = [name for name in spaces(tuning) if not options.learner or name in options.learner]
-            tune(tuning, learners, options.tries or TRIES[tuning], options.out, clock.say, options.again)
+            try:
+                tune(tuning, learners, options.tries or TRIES[tuning], options.out, clock.say, options.again)
+            except StudyError as error:
+                parser.exit(2, f"{error}\n")
         return
     overrides, cases = (QUICK, ["eight", "rich"]) if options.quick else ((), [])
     summary = study(options.out, overrides, cases, options.force, clock)
