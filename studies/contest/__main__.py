@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from mmnn_pin.errors import StudyError
 from mmnn_pin.lab.contest.contest import run_contest
 from mmnn_pin.lab.contest.standing import Standing
 from mmnn_pin.lab.experiments.cases import chosen_cases
@@ -20,7 +21,8 @@ from mmnn_pin.loop.precompile import precompile
 
 from ..document import Clock
 from .document import DOCUMENT, DRAWN, summed
-from .search import SOON, TRIES, TUNINGS, Bench, Say, budget, keep, lines, search, spaces, tuned
+from .search import SOON, TRIES, TUNED, TUNINGS, Bench, Say, Tries, budget, keep, lines, search, spaces, tuned
+from .second_look import benches, taken
 
 QUICK = (
     *("time.duration=1.6", "windows=[[0, 0.5], [0.8, 1.6]]", "time.control_period=0.0025", "time.plant_step=0.00125"),
@@ -42,18 +44,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", choices=TUNINGS, action="append", help="one of the searches; may be repeated")
     parser.add_argument("--learner", action="append", metavar="NAME", help="of this learner; may be repeated")
     parser.add_argument("--tries", type=int, metavar="N", help=f"sets of settings per learner ({each(TRIES)})")
+    parser.add_argument("--again", action="store_true", help="only the second look, at the tries that are kept")
     options = parser.parse_args(arguments)
     known = {name for tuning in TUNINGS for name in spaces(tuning)}
     if unknown := sorted(set(options.learner or ()) - known):
         parser.error(f"nothing is searched for {', '.join(unknown)}; there is: {', '.join(sorted(known))}")
-    if not options.tune and (options.only or options.learner):
-        parser.error("--only and --learner go with --tune")
+    if not options.tune and (options.only or options.learner or options.again):
+        parser.error("--only, --learner and --again go with --tune")
     precompile()
     clock = Clock()
     if options.tune:
         for tuning in options.only or TUNINGS:
             learners = [name for name in spaces(tuning) if not options.learner or name in options.learner]
-            tune(tuning, learners, options.tries or TRIES[tuning], options.out, clock.say)
+            try:
+                tune(tuning, learners, options.tries or TRIES[tuning], options.out, clock.say, options.again)
+            except StudyError as error:
+                parser.exit(2, f"{error}\n")
         return
     overrides, cases = (QUICK, ["eight", "rich"]) if options.quick else ((), [])
     summary = study(options.out, overrides, cases, options.force, clock)
@@ -65,16 +71,50 @@ def each(numbers: dict[str, int]) -> str:
     return ", ".join(f"{name} {number}" for name, number in numbers.items())
 
 
-def tune(tuning: str, learners: Sequence[str], tries: int, out: Path, say: Say) -> None:
-    """Search for some learners; each is kept as it is done, and what was tried in a folder: run it again to go on."""
+def tune(tuning: str, learners: Sequence[str], tries: int, out: Path, say: Say, again: bool = False) -> None:
+    """Search for some learners; each is kept as it is done, and what was tried in a folder: run it again to go on.
+
+    Args:
+        tuning: Which search.
+        learners: Whose settings.
+        tries: How many sets for each.
+        out: For the folder.
+        say: Told what happens.
+        again: Take the scores that are kept; the best is run once more.
+
+    Raises:
+        StudyError: A score that is kept is not that of today's code and spaces.
+    """
     bench = Bench.made(tuning)
     say(f"{tuning}: {budget(bench, len(learners), tries)}")
+    others = benches(bench)
     (out / "tuning").mkdir(parents=True, exist_ok=True)
     for learner in learners:
-        journal = out / "tuning" / f"{tuning}-{learner}.json"
-        keep(tuning, learner, search(bench, learner, spaces(tuning)[learner], tries, say, journal))
+        journal = None if again else out / "tuning" / f"{tuning}-{learner}.json"
+        scores = tuned()[tuning].get(learner, {}).get("scores", []) if again else []
+        found = search(bench, learner, spaces(tuning)[learner], tries, say, journal, scores)
+        if again:
+            require_today(bench, tuning, learner, found)
+        keep(tuning, learner, taken(others, learner, found, say))
     for line in lines(tuning):
         say(f"{tuning}: {line}")
+
+
+def require_today(bench: Bench, tuning: str, learner: str, found: Tries) -> None:
+    """Refuse scores that are kept of other code or spaces, by running the best once more.
+
+    Raises:
+        StudyError: It has another score.
+    """
+    settings, score = min(found, key=lambda one: one[1])
+    now = bench.score(learner, settings)
+    if now != score:
+        raise StudyError(
+            f"{tuning}: {learner}: the best score that is kept is {score:.6g}, today's {now:.6g}",
+            why="code or spaces changed since",
+            fix=f"search anew, without --again: --tune --only {tuning} --learner {learner}",
+            file=TUNED,
+        )
 
 
 def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, clock: Clock) -> dict[str, Any]:
@@ -92,8 +132,10 @@ def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool
 
 
 def short(found: dict[str, Any]) -> dict[str, Any]:
-    """A search without the scores of all its tries."""
-    return {key: value for key, value in found.items() if key != "scores"}
+    """A search with the best score in place of those of all its tries and of the second look."""
+    return {key: value for key, value in found.items() if key not in ("scores", "looked")} | {
+        "best": min(found["scores"])
+    }
 
 
 def made(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, say: Say) -> Standing:

@@ -35,7 +35,7 @@ def render(summary: dict[str, Any]) -> str:
     templates.filters |= {"middle": middle}
     templates.globals |= {"middle_axis": axis_at, "unexcited": unexcited, "far_shown": FAR}
     templates.globals |= {"lost_from": lost_from, "plain": PLAIN, "best_plain": best_plain, "changes": CHANGES}
-    templates.globals |= {"first_on": first_on, "worse_than_pd": worse_than_pd}
+    templates.globals |= {"first_on": first_on, "worse_than_pd": worse_than_pd, "passed_over": passed_over}
     return filled(templates, "contest.md.j2", summary | {"plant": kept(PLANT)})
 
 
@@ -88,6 +88,16 @@ def worse_than_pd(tasks: dict[str, Any], learners: list[str]) -> dict[str, list[
             if any(one and other and float(one[1]) > 1.05 * float(other[1]) for one, other in pairs):
                 found.setdefault(name, []).append(task)
     return found
+
+
+def passed_over(searches: dict[str, Any]) -> list[str]:
+    """Searches whose best try did not hold in the second look, by the names of search and learner."""
+    return [
+        f"`{learner}` on {tuning}"
+        for tuning, learners in searches.items()
+        for learner, found in learners.items()
+        if found["score"] > found.get("best", found["score"])
+    ]
 
 
 def lost_from(late: dict[str, Any]) -> dict[str, list[str]]:

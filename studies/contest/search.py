@@ -10,6 +10,8 @@ those that forget and follow, on one that picks something up. Every task outside
 search of its own name (`OUTSIDE`), driven otherwise and with other seeds. The contest's case of a search's name has
 what it found (`lines` says it as TOML; a test compares). A search that was stopped goes on: what was tried is in a
 file, and is not run again.
+
+The best of what was tried is looked at a second time before it is taken (`second_look`).
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -74,10 +76,12 @@ class Bench:
     Attributes:
         tasks: The tasks, their experiments without changes.
         pd: Task to PD's rows.
+        limits: Whether a run that comes to the motors' limits counts as lost.
     """
 
     tasks: tuple[Task, ...]
     pd: dict[str, list[TrialResult]]
+    limits: bool = True
 
     @classmethod
     def made(cls, tuning: str, *overrides: str) -> Bench:
@@ -85,8 +89,13 @@ class Bench:
         experiment = load_experiment(tuning_file(tuning), overrides)
         if tuning in OUTSIDE:
             experiment = chosen_cases(experiment, [tuning])
-        tasks = tuple(tasks_of(experiment, ("pd",)))
-        return cls(tasks, {task.name: run_trial(task, "pd", None, None, quiet, False)[0] for task in tasks})
+        return cls.of(tuple(tasks_of(experiment, ("pd",))))
+
+    @classmethod
+    def of(cls, tasks: tuple[Task, ...], limits: bool = True) -> Bench:
+        """Tasks, with PD run on them."""
+        pd = {task.name: run_trial(task, "pd", None, None, quiet, False)[0] for task in tasks}
+        return cls(tasks, pd, limits)
 
     def score(self, learner: str, settings: Mapping[str, Any]) -> float:
         """Geometric mean of a learner's errors over PD's, see the top of this module."""
@@ -99,7 +108,7 @@ class Bench:
             rows, _ = run_trial(changed, learner, None, None, quiet, False)
             for row, pd in zip(rows, self.pd[task.name], strict=True):
                 ways = ("learning",) if learner in PLAIN else ("learning", "frozen")
-                logs += [math.log(ratio) for ratio in ratios(row, pd, task.contest.window, ways)]
+                logs += [math.log(ratio) for ratio in ratios(row, pd, task.contest.window, ways, self.limits)]
         return math.exp(float(np.mean(logs)))
 
 
@@ -120,7 +129,11 @@ def changed_by(experiment: Experiment, settings: Mapping[str, Any]) -> Experimen
 
 
 def ratios(
-    row: TrialResult, pd: TrialResult, window: float, held_out: tuple[str, ...] = ("learning", "frozen")
+    row: TrialResult,
+    pd: TrialResult,
+    window: float,
+    held_out: tuple[str, ...] = ("learning", "frozen"),
+    limits: bool = True,
 ) -> list[float]:
     """A row's errors over PD's, `LOST` for what was lost.
 
@@ -129,12 +142,13 @@ def ratios(
         pd: PD's on the same task with the same seed.
         window: Length of the windows of their curves [s].
         held_out: How the weights are there.
+        limits: Whether a run that comes to the motors' limits counts as lost.
 
     Returns:
         In training, held out in each of these ways; where something is picked up also soon after that.
     """
     count = 1 + len(held_out) + (row.since > 0)
-    if not row.completed or not nan(row.torque) < TORQUE:
+    if not row.completed or (limits and not nan(row.torque) < TORQUE):
         return [LOST] * count
     found = [relative(row.rms, pd.rms)]
     for how in held_out:
@@ -163,21 +177,31 @@ def relative(errors: Mapping[str, float | None], pd: Mapping[str, float | None])
     return math.sqrt(sum(squares) / len(squares))
 
 
+Tries = list[tuple[dict[str, Any], float]]  # settings and their score
+
+
 def search(
-    bench: Bench, learner: str, factors: dict[str, Factor], tries: int, say: Say, journal: Path | None = None
-) -> dict[str, Any]:
+    bench: Bench,
+    learner: str,
+    factors: dict[str, Factor],
+    tries: int,
+    say: Say,
+    journal: Path | None = None,
+    scores: Sequence[float] = (),
+) -> Tries:
     """Look for a learner's settings.
 
     Args:
         bench: Where they are tried.
         learner: Whose.
         factors: What is searched.
-        tries: How many sets, the experiment's own first.
+        tries: How many sets, the experiment's own first, where they are within the bounds.
         say: Told the best so far.
         journal: File of the scores so far, which are taken from there; None keeps none.
+        scores: Of the first sets, known from an earlier search of the same code in the same space: not run again.
 
     Returns:
-        The best settings with their score, the score of the experiment's own, and all scores.
+        All sets in the order in which they were tried.
     """
     optuna = imported()
     optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -186,24 +210,23 @@ def search(
     own = own_gains(factors, table)
     if own is not None:
         trials.enqueue_trial(own)
-    best: dict[str, Any] = {"score": math.inf, "settings": {}}
-    scores = []
+    found: Tries = []
     done = json.loads(journal.read_text(encoding="utf-8")) if journal is not None and journal.exists() else []
     for k in range(tries):
         trial = trials.ask()
         drawn = {name: suggested(trial, name, factor) for name, factor in factors.items()}
         settings = {path: rounded(value) for path, value in settings_of(drawn, factors, table).items()}
-        known = next((score for score in done[k : k + 1] if score[0] == settings), None)
-        scores.append(known[1] if known else bench.score(learner, settings))
-        if journal is not None and known is None:
-            done = [*done[:k], [settings, scores[-1]]]
+        known = [score for kept, score in done[k : k + 1] if kept == settings] or list(scores[k : k + 1])
+        score = known[0] if known else bench.score(learner, settings)
+        found.append((settings, score))
+        if journal is not None and not known:
+            done = [list(one) for one in found]
             with whole_file(journal, "search") as part:
                 part.write_text(json.dumps(done) + "\n", encoding="utf-8")
-        trials.tell(trial, math.log(scores[-1]))
-        if scores[-1] < best["score"]:
-            best = {"score": scores[-1], "settings": settings}
-        say(f"{learner}: {k + 1} of {tries}, {scores[-1]:.4f}, best {best['score']:.4f}")
-    return {"own": scores[0] if own is not None else None, **best, "tries": tries, "scores": scores}
+        trials.tell(trial, math.log(score))
+        if not known:
+            say(f"{learner}: {k + 1} of {tries}, {score:.4f}, best {min(one[1] for one in found):.4f}")
+    return found
 
 
 def rounded(value: Any) -> Any:

@@ -91,6 +91,11 @@ def test_who_is_worse_than_pd_is_named_with_the_task():
     assert document.worse_than_pd(tasks, ["x", "y", "z"]) == {"x": ["two", "three"]}
 
 
+def test_searches_whose_best_try_did_not_hold_are_named():
+    searches = {"a": {"x": {"score": 0.2, "best": 0.1}, "y": {"score": 0.1, "best": 0.1}}, "b": {"x": {"score": 0.2}}}
+    assert document.passed_over(searches) == ["`x` on a"]
+
+
 @pytest.mark.parametrize("tuning", TUNINGS)
 def test_the_contest_has_what_the_search_found(tuning):
     """In the case of the search's name; the document says the same."""
@@ -100,7 +105,7 @@ def test_the_contest_has_what_the_search_found(tuning):
         assert set(found["settings"]) == {
             path for name, f in spaces(tuning)[learner].items() for path in f.keys or [name]
         }
-        assert found["score"] == min(found["scores"]) and found["own"] == found["scores"][0]
+        assert found["score"] == found["scores"][found["taken"]] and found["own"] == found["scores"][0]
 
 
 def test_all_learners_have_as_many_tries():
@@ -174,6 +179,10 @@ def test_a_search_that_was_stopped_goes_on_and_ends_as_one_that_was_not(tmp_path
     changed[2][0]["adaptive.rate"] = 1.0
     journal.write_text(json.dumps(changed))
     assert search.search(Counting(), "adaptive", space, 6, quiet, journal) == whole and len(run) > 12
+    before = len(run)
+    scores = [score for _, score in whole]
+    assert search.search(Counting(), "adaptive", space, 6, quiet, scores=scores) == whole and len(run) == before
+    assert search.search(Counting(), "adaptive", space, 6, quiet, scores=scores[:4]) == whole and len(run) == before + 2
 
 
 def test_the_two_searches_have_nothing_in_common():
@@ -235,9 +244,9 @@ def test_with_a_load_the_first_seconds_count_too(loaded, monkeypatch):
 def test_a_search_is_the_same_again_and_starts_from_its_own(bench):
     space = spaces("eight")["adaptive"]
     first, second = (search.search(bench, "adaptive", space, 3, lambda text: None) for _ in range(2))
-    assert first == second and len(first["scores"]) == 3
-    assert first["own"] == first["scores"][0] == pytest.approx(bench.score("adaptive", {}))
-    assert bench.score("adaptive", first["settings"]) == first["score"]
+    assert first == second and len(first) == 3
+    assert first[0][1] == pytest.approx(bench.score("adaptive", {}))
+    assert all(bench.score("adaptive", settings) == score for settings, score in first)
 
 
 @pytest.mark.long
