@@ -389,7 +389,8 @@ class Stepper:
         places = postures(robot)
         gains, K = setup.kinematic.base_gains(layout.base), setup.kinematic.arm_gains(layout)
         bounds, context = np.full(layout.dof, np.inf), setup.context()
-        plan = Plan(robot, setup.true, layout, setup.timing, setup.controller, context, believed, gains, K, bounds, places)
+        blocks = setup.timing, setup.controller, context, believed, gains, K, bounds, places
+        plan = Plan(robot, setup.true, layout, *blocks)
         servo = linear_servos(robot, setup.interfaces, setup.servo, False)
         plan = replace(plan, latency=self.latency, lag=setup.lag, servo=servo, lead=new_lead(setup))
         if self.check_gains:

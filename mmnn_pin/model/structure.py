@@ -222,8 +222,8 @@ class Structure:
             model.jointPlacements[j].translation += (new.radius - old.radius) * parent[2]
         rows = {name: i for i, name in enumerate(self.full_velocity_names) if i >= base.root_size}
         T = motion_map(base, rows, self.arm)
-        maps = {"T": T, "A": constraint_rows(base, rows, self.arm), "E": product(T.T, self.E_full)}
-        return replace(self, model=model, base=base, **{name: read_only(array) for name, array in maps.items()})
+        T, A, E = map(read_only, (T, constraint_rows(base, rows, self.arm), product(T.T, self.E_full)))
+        return replace(self, model=model, base=base, T=T, A=A, E=E)
 
     def with_armature(self, inertia: ArrayLike) -> Self:
         """The same robot with the rotors of its arm's motors, seen through their gears; a URDF does not know them.

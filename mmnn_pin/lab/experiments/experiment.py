@@ -137,8 +137,8 @@ class Experiment(LearnerTables, frozen=True):
         robot: Bundled name or path.
         overrides: What is said about the robot, as in the file beside its URDF.
         masses: Factor on the true robot's inertias, one for all or one per joint with a body (`Robot.with_masses`).
-        radii: Factor on the true radii of the drive wheels, one for all or one per wheel's joint. The true robot rolls on
-            them; controllers and what is measured by wheels take those of the file (`Robot.with_radii`).
+        radii: Factor on the true radii of the drive wheels, one for all or one per wheel's joint: the true robot rolls
+            on them, controllers and what is measured by wheels take those of the file (`Robot.with_radii`).
         controllers: Controllers to run, names of `CONTROLLERS` or of `laws`; `FILE.py:Class` for a class of a user.
         seed: The one seed.
         windows: Intervals for the RMS errors [s]; an interval that a run does not reach has no errors, and a note says
