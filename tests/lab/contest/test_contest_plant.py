@@ -183,7 +183,8 @@ def test_on_it_pd_errs_as_on_the_packages_plant(name):
     controller = task.controller("pd")
     path = task.experiment.trajectory_of(task.robot)
     rng, world = np.random.default_rng(0), world_of(task, Changes())
-    run = follow(new_stepper(task, controller, 1), task, read(), world, path, 6.0, rng, False, 1.0)
+    body = read(radii=task.experiment.radii)
+    run = follow(new_stepper(task, controller, 1), task, body, world, path, 6.0, rng, False, 1.0)
     loop = task.training(controller, 1)
     theirs = replace(loop, timing=msgspec.structs.replace(loop.timing, duration=6.0), plant="ideal").run()
     late = theirs.time >= 2.0
