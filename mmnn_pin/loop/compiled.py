@@ -125,7 +125,7 @@ class CompiledLoop:
         self.split = None if hardware is None else hardware.split
         self.ahead = None if plan.lead is None else plan.lead.ahead
         self.later = None if plan.lead is None else plan.lead.learner
-        self.true = new_machine(plan.robot, plan.loaded, position, nu)
+        self.true = new_machine(plan.true, plan.loaded, position, nu)
         uses_model = plan.controller.uses_model
         nominal = plan.believed if uses_model else plan.robot
         self.nominal = new_machine(nominal, None, nominal.neutral_position(), np.zeros(layout.dof))
@@ -138,7 +138,7 @@ class CompiledLoop:
                 per_measurement=timing.steps_per_measurement,
                 method=METHODS[timing.integrator],
                 uses_model=uses_model,
-                start_energy=start_energy(plan.robot, self.true),
+                start_energy=start_energy(plan.true, self.true),
                 age=plan.age,
             ),
             at=layout.offsets,

@@ -56,7 +56,7 @@ class Loop:
     """A closed loop, ready to run.
 
     Args:
-        robot: The true robot, simulated by the plant.
+        robot: The true robot, simulated by the plant, but for the radii of its wheels.
         trajectory: What it should do.
         controller: A controller of this package or a `TorqueController` of your own; gains that you do not give suit
             the robot (`loop.suited`), with the delay margin that the latency asks for.
@@ -82,6 +82,8 @@ class Loop:
         servo: The servos behind velocity and position interfaces.
         lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag, see
             `loop.lead`.
+        radii: True radii of the drive wheels over the robot's, one factor for all or one per wheel's joint: the plant
+            rolls on them, while controller, motors' commands and what is measured by wheels take the robot's.
 
     >>> robot = load("platform_arm")
     >>> path = Trajectory.of(robot, base=Line(speed=0.3), arm={"arm_1_joint": Sine(0.5, period=4.0)})
@@ -113,6 +115,7 @@ class Loop:
     interfaces: Mapping[str, str] = field(default_factory=dict)
     servo: Servo = field(default_factory=Servo)
     lead: bool = False
+    radii: float | Mapping[str, float] = 1.0
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -126,10 +129,15 @@ class Loop:
         object.__setattr__(self, "controller", made)
 
     @cached_property
+    def true(self) -> Robot:
+        """The true robot; errors as of `Robot.with_radii`."""
+        return self.robot if self.radii == 1.0 else self.robot.with_radii(self.radii)
+
+    @cached_property
     def layout(self) -> Layout:
         """Where the signals stand in a row, with those that plant, motors, supervisor and disturbances add."""
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
-        more = self.latency.total > 0.0 or bool(self.interfaces)
+        more = self.latency.total > 0.0 or bool(self.interfaces) or self.true is not self.robot
         hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances) or more)
         hands = 0 if self.trajectory.watched is None else len(self.trajectory.watched.frames)
         return Layout.of(self.robot.dimensions, wheels, hardware, lead_signals(self), hands)
@@ -215,6 +223,7 @@ class Loop:
         """
         return Plan(
             robot=self.robot,
+            true=self.true,
             layout=self.layout,
             timing=self.timing,
             controller=self.controller,
@@ -306,7 +315,7 @@ class Loop:
         if load is None:
             return None
         try:
-            return carrying(self.robot, load.mass, load.joint, load.at)
+            return carrying(self.true, load.mass, load.joint, load.at)
         except InputError as error:
             error.key = f"{key}.{error.key}"
             raise
@@ -328,7 +337,8 @@ class Loop:
         floor = {"contact": plain(self.contact)} if self.plant == "contact" else {}
         watched = self.trajectory.watched
         hands = {} if watched is None else {"hands": dict(watched.frames)}
-        return facts_of(self, self.seed) | {"plant": self.plant} | floor | hands
+        radii = {} if self.true is self.robot else {"radii": plain(self.radii)}
+        return facts_of(self, self.seed) | {"plant": self.plant} | floor | hands | radii
 
     @property
     def samples_between_weights(self) -> int:

@@ -45,7 +45,8 @@ def new_hardware(
         ConfigError: Settings that do not fit the robot; a state of wrong shape or not finite.
         UnknownName: A joint that does not exist.
     """
-    robot, layout, timing, events = loop.robot, loop.layout, loop.timing, loop.disturbances
+    robot, true, layout = loop.robot, loop.true, loop.layout
+    timing, events = loop.timing, loop.disturbances
     if not layout.hardware and given is None and loop.sensor == Sensor():
         return None  # nothing to judge
     disturbance.require_long_enough(events, timing.plant_step)
@@ -55,7 +56,7 @@ def new_hardware(
     sensor = late(loop)
     is_exact = sensor.exact and not (faults.any() or len(frozen) or len(geared))
     states = np.zeros((layout.motors, motor.STATES))
-    states[:, motor.ROTOR_SPEED] = product(robot.E.T, nu)
+    states[:, motor.ROTOR_SPEED] = product(true.E.T, nu)
     sensed = sensor.init(robot, faults)
     _, on = interfaces_of(robot, loop.interfaces)
     under_way = np.zeros((loop.latency.slots(timing), layout.motors))
@@ -64,7 +65,9 @@ def new_hardware(
     parts = (sensed, states, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof), under_way)
     parts = (*parts, np.zeros(state_size(on, layout.arm)), np.zeros((slots, layout.motors)))
     values, (sensed, states, guard, held, sent, under_way, rows, ring) = flat(parts)
-    motors = loop.actuator.motors(robot, timing.plant_step, dead, states)
+    motors = loop.actuator.motors(true, timing.plant_step, dead, states)
+    if true is not robot:
+        motors = motors._replace(imperfect=True)
     require_read_encoders(loop)
     if is_exact and not layout.hardware:
         if given is not None:
@@ -99,7 +102,7 @@ def new_hardware(
         ),
         motors=motors,
         world=world_of(loop, gust_rng),
-        E=np.ascontiguousarray(robot.E),
+        E=np.ascontiguousarray(true.E),
         tau=np.zeros(layout.dof),
         state=values,
         split=split,

@@ -144,7 +144,7 @@ class OrdinaryLoop:
         if shift[1] != now:
             before, carries = self.energy(), shift[1] == 1.0
             if now == 1.0 or carries:
-                self.plant.carry(loaded if now == 1.0 else self.plan.robot)
+                self.plant.carry(loaded if now == 1.0 else self.plan.true)
                 gain = self.energy() - before if now == 1.0 else before - self.energy()
                 shift[0] += gain if now == 1.0 else -gain
             shift[1] = now
@@ -166,5 +166,5 @@ def plant_of(plan: Plan) -> Plant:
     """The plant that a loop asks for; errors as in `OrdinaryLoop`."""
     timing = plan.timing
     if plan.contact is not None:
-        return ContactPlant(plan.robot, timing.plant_step, timing.integrator, plan.contact)
-    return IdealPlant(plan.robot, timing.plant_step, timing.integrator)
+        return ContactPlant(plan.true, timing.plant_step, timing.integrator, plan.contact)
+    return IdealPlant(plan.true, timing.plant_step, timing.integrator)

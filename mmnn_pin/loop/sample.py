@@ -117,7 +117,8 @@ class Plan:
     """What an engine needs of a loop, looked up and checked.
 
     Attributes:
-        robot: The true robot.
+        robot: The robot, as all but its plant take it.
+        true: The true robot, which may roll on wheels of other radii.
         layout: Where the signals stand in a row.
         timing: Periods.
         controller: The controller.
@@ -138,6 +139,7 @@ class Plan:
     """
 
     robot: Robot
+    true: Robot
     layout: Layout
     timing: Timing
     controller: TorqueController | CompiledController

@@ -37,7 +37,11 @@ class Setup(Protocol):
 
     @property
     def robot(self) -> Robot:
-        """The true robot."""
+        """The robot, as controller and sensors take it."""
+
+    @property
+    def true(self) -> Robot:
+        """The true robot, which may roll on wheels of other radii."""
 
     @property
     def layout(self) -> Layout:
@@ -219,6 +223,11 @@ class Outside:
     def layout(self) -> Layout:
         """Where the signals stand in a row."""
         return Layout.of(self.robot.dimensions, 0, 1, lead_signals(self))
+
+    @property
+    def true(self) -> Robot:
+        """See `Setup.true`; nobody knows better."""
+        return self.robot
 
     @property
     def delays(self) -> Array:

@@ -386,10 +386,10 @@ class Stepper:
         """Wire controller and supervisor to the row; nothing changes where that fails."""
         robot, layout, believed = setup.robot, setup.layout, believed_by(setup)
         require_nominal(believed, robot)
-        places = postures(robot)
         gains, K = setup.kinematic.base_gains(layout.base), setup.kinematic.arm_gains(layout)
         bounds, context = np.full(layout.dof, np.inf), setup.context()
-        plan = Plan(robot, layout, setup.timing, setup.controller, context, believed, gains, K, bounds, places)
+        blocks = setup.timing, setup.controller, context, believed, gains, K, bounds, postures(robot)
+        plan = Plan(robot, setup.true, layout, *blocks)
         servo = linear_servos(robot, setup.interfaces, setup.servo, False)
         plan = replace(plan, latency=self.latency, lag=setup.lag, servo=servo, lead=new_lead(setup))
         if self.check_gains:

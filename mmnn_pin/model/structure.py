@@ -21,6 +21,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from ..elementary.matrices import product
 from ..errors import ConfigError, UnknownName
 from ..settings import one_or_each
 from ..settings.arguments import require_types
@@ -28,6 +29,7 @@ from ..signals import Array, Dimensions
 from .arm import Arm
 from .base.base import Base
 from .base.overrides import Overrides
+from .maps import constraint_rows, motion_map
 from .urdf.finding import Finding
 from .urdf.packages import environment
 
@@ -190,6 +192,38 @@ class Structure:
             scale_body(model, names[name], factor)
         masses = {**self.masses, **{name: self.masses.get(name, 1.0) * factor for name, factor in table.items()}}
         return replace(self, model=model, masses=masses)
+
+    def with_radii(self, factors: float | Mapping[str, float]) -> Self:
+        """The same robot on drive wheels of other radii, its hubs as much higher, so that it stands as before.
+
+        Args:
+            factors: One factor for all drive wheels, or a factor per joint of one.
+
+        Raises:
+            ConfigError: A factor that is not positive and finite, no drive wheels, or a side whose wheels turn alike
+                with several.
+            UnknownName: A joint that is not a drive wheel's.
+        """
+        wheels = tuple(wheel.joint for wheel in self.base.wheels)
+        table = dict(factors) if isinstance(factors, Mapping) else dict.fromkeys(wheels, factors)
+        if factors != 1.0 and not wheels:
+            raise ConfigError(f"'{self.name}' has no drive wheels", fix="leave it out", key="radii")
+        for name, factor in table.items():
+            if name not in wheels:
+                raise UnknownName("drive wheel", name, wheels, key="radii")
+            if not (np.isfinite(factor) and factor > 0):
+                raise ConfigError(f"factor {factor} for '{name}'", fix="give a finite number > 0", key="radii")
+        base, model = self.base.with_radii({name: table.get(name, 1.0) for name in wheels}), self.model.copy()
+        data = model.createData()
+        pin.forwardKinematics(model, data, self.configuration(self.rest))
+        for old, new in zip(self.base.wheels, base.wheels, strict=True):
+            j = model.getJointId(old.joint)
+            parent = data.oMi[model.parents[j]].rotation
+            model.jointPlacements[j].translation += (new.radius - old.radius) * parent[2]
+        rows = {name: i for i, name in enumerate(self.full_velocity_names) if i >= base.root_size}
+        T = motion_map(base, rows, self.arm)
+        T, A, E = map(read_only, (T, constraint_rows(base, rows, self.arm), product(T.T, self.E_full)))
+        return replace(self, model=model, base=base, T=T, A=A, E=E)
 
     def with_armature(self, inertia: ArrayLike) -> Self:
         """The same robot with the rotors of its arm's motors, seen through their gears; a URDF does not know them.

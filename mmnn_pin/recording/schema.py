@@ -45,6 +45,7 @@ class Facts(msgspec.Struct, frozen=True):
     joint_friction: dict[str, float | tuple[float, ...]] = {}
     hands: dict[str, bool] = {}
     mass_factors: dict[str, float] = {}
+    radii: float | dict[str, float] = 1.0
     versions: dict[str, str] = {}
     interfaces: dict[str, str] = {}
     law: dict[str, str] = {}

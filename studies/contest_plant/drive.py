@@ -111,7 +111,7 @@ class Errors:
 def errors_of(task: Task, name: str, changes: Changes, seed: int, only: str = "") -> Errors:
     """One controller, trained on a task, then held out: on all trajectories, or on the one that is named."""
     experiment, controller = task.experiment, task.controller(name)
-    body, world = read(changes.masses, changes.lengths), world_of(task, changes)
+    body, world = read(changes.masses, changes.lengths, task.experiment.radii), world_of(task, changes)  # type: ignore[arg-type]
     stepper = new_stepper(task, controller, seed)
     window = experiment.windows[-1]
     rng = np.random.default_rng([seed, 0])
@@ -190,7 +190,7 @@ def follow(
     times = np.arange(round(duration / h)) * h
     table = trajectory.table(times, task.robot.dimensions)
     state = start_of(task, table[0], moving)
-    sensors, seen = Sensors.of(task, body, noise, rng), list[Array]()
+    sensors, seen = Sensors.of(task, read(), noise, rng), list[Array]()
     found = np.full((len(times), 3), np.inf)
     found[:, 0] = times
     for k, time in enumerate(times):

@@ -80,8 +80,8 @@ class World(NamedTuple):
     load: Array
 
 
-def read(masses: float = 1.0, lengths: float = 1.0) -> Body:
-    """The platform as its URDF says: masses and inertias but the wheels', and the arm's lengths, times factors."""
+def read(masses: float = 1.0, lengths: float = 1.0, radii: float = 1.0) -> Body:
+    """The platform as its URDF says: masses and inertias but the wheels', lengths of the arm, radii, times factors."""
     root = ET.parse(URDF).getroot()
     link = {one.attrib["name"]: one.find("inertial") for one in root.iter("link")}
     joint = {one.attrib["name"]: one for one in root.iter("joint")}
@@ -98,7 +98,7 @@ def read(masses: float = 1.0, lengths: float = 1.0) -> Body:
     names = "wheel_left_joint", "wheel_right_joint", "arm_1_joint", "arm_2_joint"
     limits = [float(joint[name].find("limit").attrib["effort"]) for name in names]  # type: ignore[union-attr]
     radius, half_track = place(joint["base_joint"])[2], place(joint["wheel_left_joint"])[1]
-    wheel = [mass("wheel_left"), inertia("wheel_left", "izz"), inertia("wheel_left", "iyy"), radius, half_track]
+    wheel = [mass("wheel_left"), inertia("wheel_left", "izz"), inertia("wheel_left", "iyy"), radii * radius, half_track]
     links = "arm_1", "arm_2"
     arm = [[masses * mass(name), masses * inertia(name, "izz"), lengths * place(link[name])[0]] for name in links]
     base = np.array([masses * mass("base_link"), masses * inertia("base_link", "izz")])

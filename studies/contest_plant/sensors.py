@@ -33,7 +33,7 @@ class Sensors:
 
     @classmethod
     def of(cls, task: Task, body: Body, noise: float, rng: np.random.Generator) -> Sensors:
-        """Those of a task, with so many times its noise; an observer on a model is the controller's, not a sensor."""
+        """Those of a task, with so many times its noise, of a body as told; an observer is the controller's."""
         sensor, h = task.experiment.sensor, task.experiment.time.control_period
         rates = np.ones(4) * sensor.velocity_noise
         spread = noise * np.array([*sensor.pose_noise, *rates[:2], sensor.noise, sensor.noise, *rates[2:]], float)

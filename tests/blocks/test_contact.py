@@ -260,9 +260,10 @@ def test_wheels_of_a_turning_base_do_not_creep_sideways(method: str) -> None:
     assert np.abs(plant.across @ plant.velocity).max() < 0.02 * DT * v * w
 
 
-def test_rolling_is_that_of_the_ideal_plant_to_second_order() -> None:
+@pytest.mark.parametrize("radii", [1.0, 1.03, {"wheel_left_joint": 0.95, "wheel_right_joint": 1.04}])
+def test_rolling_is_that_of_the_ideal_plant_to_second_order(radii: float | dict[str, float]) -> None:
     """Both by RK4 on the same torques; where wheels creep they are 0.6 mm apart."""
-    this = robot("platform_arm")
+    this = robot("platform_arm").with_radii(radii)
     plants = IdealPlant(this, DT), ContactPlant(this, DT, "rk4", Contact(step=DT))
     for plant in plants:
         plant.start(bent(this), np.array([0.8, 1.0, 0.5, -0.5]))

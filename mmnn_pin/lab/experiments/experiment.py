@@ -137,6 +137,8 @@ class Experiment(LearnerTables, frozen=True):
         robot: Bundled name or path.
         overrides: What is said about the robot, as in the file beside its URDF.
         masses: Factor on the true robot's inertias, one for all or one per joint with a body (`Robot.with_masses`).
+        radii: Factor on the true radii of the drive wheels, one for all or one per wheel's joint: the true robot rolls
+            on them, controllers and what is measured by wheels take those of the file (`Robot.with_radii`).
         controllers: Controllers to run, names of `CONTROLLERS` or of `laws`; `FILE.py:Class` for a class of a user.
         seed: The one seed.
         windows: Intervals for the RMS errors [s]; an interval that a run does not reach has no errors, and a note says
@@ -187,6 +189,7 @@ class Experiment(LearnerTables, frozen=True):
     variant: str = ""
     overrides: Overrides = Overrides()
     masses: float | dict[str, float] = 1.0
+    radii: float | dict[str, float] = 1.0
     controllers: tuple[str, ...] = DEFAULT
     seed: int = 0
     windows: tuple[tuple[float, float], ...] = ((0.0, 1.0), (1.0, 5.0))
@@ -373,6 +376,7 @@ class Experiment(LearnerTables, frozen=True):
             interfaces=self.interfaces,
             servo=self.servo,
             lead=self.lead,
+            radii=self.radii,
         )
 
     def setting(self, values: Mapping[str, str]) -> str:

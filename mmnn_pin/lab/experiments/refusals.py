@@ -17,7 +17,7 @@ from .config import beside, find, find_variant
 from .experiment import Experiment
 from .origins import line_of, of_override
 
-SIZED = ("feedback", "friction", "masses", "sensor", "actuator", "interfaces")  # may hold lists of joints
+SIZED = ("feedback", "friction", "masses", "radii", "sensor", "actuator", "interfaces")  # may hold lists of joints
 OF_POSE = "sensor.pose_noise"
 LENGTHS = re.compile(r"^\d+ (?:numbers|profiles|arm profiles|bodies) .*?\d+ ")  # begins what is said of a wrong length
 ANY = "track"  # drives any robot

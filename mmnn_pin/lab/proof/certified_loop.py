@@ -252,6 +252,8 @@ def refusal(subject: Subject) -> str:
         return "it takes the true pose and joint angles at every control sample; these sensors err or are slower"
     if subject.latency.sensing > 0:
         return "its measurements are late; only a delay of the commands is covered: latency.command in its place"
+    if subject.rolls_otherwise:
+        return "its wheels have other radii than its controller takes"
     if subject.motors_lag:
         return "its motors do not give what they are asked for, by more than a limit of torque"
     if any(event["type"] != "push" for event in meta.get("disturbances", ())):

@@ -41,6 +41,7 @@ class Subject:
     Attributes:
         recording: The run.
         robot: Its true robot.
+        told: The same with the wheels' radii that the controller takes.
         kinematic: Gains of its kinematic layer.
         timing: Its periods.
         rows: (N, width) its signals as rows; those up to the first that is not finite.
@@ -48,6 +49,7 @@ class Subject:
 
     recording: Recording
     robot: Robot
+    told: Robot
     kinematic: Kinematic
     timing: Timing
     rows: Array
@@ -68,7 +70,9 @@ class Subject:
                 why="without it there is no model to compare with",
                 file=recording.path,
             )
-        robot = recorded_robot(recording)
+        told = recorded_robot(recording)
+        with recording.using("what it tells of its wheels' radii"):
+            robot = told.with_radii(recording.meta["radii"]) if "radii" in recording.meta else told
         for key, what in (("kinematic", "gains of its kinematic layer"), ("time", "periods")):
             if key not in recording.meta:
                 raise RecordingError(
@@ -91,7 +95,7 @@ class Subject:
             )
         kinematic, timing = recording.fact("kinematic", Kinematic), recording.fact("time", Timing)
         require_periods(recording, timing, rows[:, Layout.of(robot.dimensions).where("time")][:, 0])
-        return cls(recording, robot, kinematic, timing, rows)
+        return cls(recording, robot, told, kinematic, timing, rows)
 
     @property
     def layout(self) -> Layout:
@@ -143,6 +147,11 @@ class Subject:
         return bool(msgspec.structs.replace(motors, torque_limit=None) != Actuator())
 
     @property
+    def rolls_otherwise(self) -> bool:
+        """Whether its wheels have other radii than the controller takes."""
+        return self.robot is not self.told
+
+    @property
     def motor_limits(self) -> Array:
         """(motors,) largest torques of its motors, inf where there is no limit [N m or N]."""
         if "actuator" not in self.recording.meta:
@@ -160,7 +169,7 @@ class Subject:
     @cached_property
     def learner(self) -> Learner | None:
         """The learner, or None where the controller of the run has none; errors as in `recorded_learner`."""
-        return recorded_learner(self.recording, self.robot)
+        return recorded_learner(self.recording, self.told)
 
     @property
     def networks(self) -> Networks | None:
@@ -271,13 +280,14 @@ class Hardware:
         """From a recording."""
         with recording.using("its attribute 'disturbances'"):
             events = msgspec.convert(recording.meta.get("disturbances", ()), tuple[Disturbance, ...])
-        driven = "actuator" in recording.meta or has(events, DeadMotor)
+        imperfect = "actuator" in recording.meta or has(events, DeadMotor)
         rows, p = len(recording), robot.dimensions.dof
         torque, push = recording["torque"].reshape(rows, p), np.zeros((rows, p))
-        if driven:
+        driven = False
+        if imperfect or "radii" in recording.meta:
             applied = recording["applied"].reshape(rows, -1) @ robot.E.T
-            driven = not np.allclose(applied, torque, rtol=1e-9, atol=1e-9 * np.abs(torque).max(initial=0.0))
-            torque = applied if driven else torque
+            other = not np.allclose(applied, torque, rtol=1e-9, atol=1e-9 * np.abs(torque).max(initial=0.0))
+            driven, torque = imperfect and other, applied if other else torque
         if "disturbance" in recording:
             push = recording["disturbance"].reshape(rows, p)
         _, load = payload(events)

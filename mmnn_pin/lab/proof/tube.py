@@ -106,6 +106,8 @@ def refusal(subject: Subject) -> str:
     meta = subject.recording.meta
     if subject.plant != "ideal" or subject.timing.integrator == "stick":
         return "wheels may slip, or friction stick, in its plant"
+    if subject.rolls_otherwise:
+        return "its wheels have other radii than its controller takes"
     if subject.motors_lag:
         return "its motors have more than a limit of torque"
     if any(event["type"] != "push" for event in meta.get("disturbances", ())):

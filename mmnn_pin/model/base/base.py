@@ -17,9 +17,10 @@ mecanum wheel's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -166,6 +167,10 @@ class Base:
     def per_velocity(cls, speed: float, yaw_rate: float) -> list[float]:
         """A number for translation and one for turning as one for every base velocity."""
         return [yaw_rate if name == "w" else speed for name in cls.velocity_names]
+
+    def with_radii(self, factors: Mapping[str, float]) -> Self:
+        """The same base on wheels whose radii are other by a factor, every wheel's by its joint."""
+        return replace(self, wheels=tuple(replace(w, radius=w.radius * factors[w.joint]) for w in self.wheels))
 
     # -- its maps -----------------------------------------------------------------------------------------------------
 

@@ -18,13 +18,15 @@ experiment).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Self
 
 import numpy as np
 
 from ...elementary import arrays, hypot
 from ...elementary.matrices import product, pseudo_inverse
+from ...errors import ConfigError
 from ...signals import Array
 from .base import Wheel
 from .differential import DifferentialDrive
@@ -42,6 +44,19 @@ class SkidSteer(DifferentialDrive):
     def rolling(self) -> tuple[Wheel, ...]:
         """The wheels at half the effective track, where they would roll as they do."""
         return tuple(replace(w, y=math.copysign(self.track / 2, w.y)) for w in self.wheels)
+
+    def with_radii(self, factors: Mapping[str, float]) -> Self:
+        """See `Base.with_radii`.
+
+        Raises:
+            ConfigError: Wheels of one side get different factors.
+        """
+        for side in (1.0, -1.0):
+            found = {w.joint: factors[w.joint] for w in self.wheels if w.y * side > 0}
+            if len(set(found.values())) > 1:
+                what, why = f"{found}", "the wheels of a side turn alike, and would not roll"
+                raise ConfigError(what, why=why, fix="give all wheels of a side the same factor", key="radii")
+        return super().with_radii(factors)
 
 
 def loads(wheels: Sequence[Wheel], mass: float, centre: Array) -> Array:

@@ -260,7 +260,8 @@ class Friction:
         self.damping, self.dry = (robot.damping + viscous)[moving], robot.dry[moving]
         self.base = robot.viscous[: robot.dimensions.base]
         self.held = False
-        self.has_coulomb, self.on_base = bool(self.dry[:, 0].any()), bool(self.base.any())
+        self.has_coulomb, self.has_breakaway = self.dry[:, :2].any(axis=0).tolist()
+        self.on_base = bool(self.base.any())
         model.dof_damping[at] = self.damping
 
     def apply(self, data: Any, motion: BaseMotion | None, hold: Array) -> None:
@@ -269,7 +270,9 @@ class Friction:
             self.held = bool(hold.any())
             v = data.qvel[self.at]
             slow = np.abs(v) < 1e-6 * COULOMB_SPEED
-            level = hold + self.dry[:, 0] + self.dry[:, 1] * arrays.exp(-((v / self.dry[:, 2]) ** 2))
+            level = hold + self.dry[:, 0]
+            if self.has_breakaway:
+                level = level + self.dry[:, 1] * arrays.exp(-((v / self.dry[:, 2]) ** 2))
             ratio = arrays.tanh(v / COULOMB_SPEED) / np.where(slow, 1.0, v)
             self.model.dof_damping[self.at] = self.damping + level * np.where(slow, 1 / COULOMB_SPEED, ratio)
         if self.on_base and motion is not None:

@@ -78,8 +78,8 @@ def test_on_the_held_out_motion_wheels_slip_and_the_robot_goes_on():
     loop = task.held_out_loop(task.controller("computed_torque"), 1, "wide", True)
     run = replace(loop, timing=msgspec.structs.replace(loop.timing, duration=4.0)).run()
     assert run.outcome.status == "completed"
-    assert run["slip"].max() > SLIPPING
-    assert np.abs(run["true_pose_error"][-1][:2]).max() < 1e-3
+    assert run["slip"][run.time > 1.0].max() > SLIPPING
+    assert np.abs(run["true_pose_error"][-1][:2]).max() < 0.03 * 1.4 / 3.0  # a velocity of 1.4 m/s by radii 3 % off, kx
 
 
 @settings(max_examples=50, deadline=None)
@@ -183,7 +183,8 @@ def test_on_it_pd_errs_as_on_the_packages_plant(name):
     controller = task.controller("pd")
     path = task.experiment.trajectory_of(task.robot)
     rng, world = np.random.default_rng(0), world_of(task, Changes())
-    run = follow(new_stepper(task, controller, 1), task, read(), world, path, 6.0, rng, False, 1.0)
+    body = read(radii=task.experiment.radii)
+    run = follow(new_stepper(task, controller, 1), task, body, world, path, 6.0, rng, False, 1.0)
     loop = task.training(controller, 1)
     theirs = replace(loop, timing=msgspec.structs.replace(loop.timing, duration=6.0), plant="ideal").run()
     late = theirs.time >= 2.0
