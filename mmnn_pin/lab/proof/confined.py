@@ -17,9 +17,10 @@ from functools import cached_property
 
 import numpy as np
 
+from ...errors import RecordingError
 from ...model.tree.body import parameters
 from ...signals import Array
-from ...torque.pseudo_inertia import BODY
+from ...torque.pseudo_inertia import BODY, pseudo_inertias
 from .energy import allowed, patience
 from .equations import misread
 from .features import Features
@@ -27,6 +28,8 @@ from .known import TINY, WIDER, unsaid
 from .postures import SLACK
 from .steps import Box, Steps
 from .truth import matrices, numbers_of
+
+BEGUN = 1e-9  # relative, by which an estimate may begin beyond its bounds
 
 
 class Confined:
@@ -37,7 +40,7 @@ class Confined:
         noise: (p,) of the velocities that it is told.
 
     Raises:
-        RecordingError: The parameters of its robot do not say its Psi.
+        RecordingError: The parameters of its robot do not say its Psi, or it did not begin within its bounds.
     """
 
     note = "It is what the bounds of its estimate allow, and does not fall as it learns. "
@@ -48,9 +51,24 @@ class Confined:
         self.steps, self.noise = steps, noise
         self.a, self.regressor = numbers_of(subject.learner)[0], subject.learner.controller.regressor
         self.start, self.truth = subject.learner.start["theta"], parameters(subject.robot)
+        self.require_within()
         self.features = Features(self.regressor, steps.course, steps.signal("q_ref"))
         self.rests: dict[int, tuple[Array, Array]] = {}
         self.unsaid = unsaid(steps.periods, self.regressor, self.truth)
+
+    def require_within(self) -> None:
+        """An estimate that was handed over from another run may be beyond the bounds, or drawn to another start."""
+        m, first = self.a.bodies, BODY * len(self.a.bodies.roots)
+        theta, rest = pseudo_inertias(self.start[:first]), self.start[first:]
+        Q = m.inverses @ theta @ m.inverses.swapaxes(-1, -2)
+        values, low, high = np.linalg.eigvalsh(Q), m.least * (1 - BEGUN), m.most[:, None] * (1 + BEGUN)
+        sound = (values >= low).all() and (values <= high).all() and (rest >= 0).all() and (rest <= m.top).all()
+        if self.a.sigma > 0:
+            bodies = np.abs(values - 1).max(axis=1)[m.gamma == 0.0]
+            sound = sound and (bodies <= BEGUN).all() and (rest == m.start)[m.rates == 0.0].all()
+        if self.a.learning and not sound:
+            why = "its estimate did not begin within its bounds; run it from its own start"
+            raise RecordingError("no bound of the learner's error", why=why)
 
     def extremes(self, Y: Array) -> tuple[Array, Array]:
         """Least and largest `Y (theta_hat - theta)` of rows (..., k), (...,) each, and of nothing else at once."""

@@ -32,10 +32,11 @@ from .learner import Stepper
 from .periods import Periods
 from .postures import SLACK
 from .steps import Box, Steps
-from .weights_part import LOST, step_again
+from .weights_part import step_again
 
 WIDER, TINY = 0.6, 1e-12  # binary logarithm of how much wider a box is that features are looked at in; the least one
 FORGOTTEN = 36.0  # time constants after which a low-pass has forgotten all, to 2e-16
+SAME = 1e-6  # relative difference of Psi_hat up to which a learner that is stepped again is the one that ran
 SEEN, ROUNDED = 100, 1e-9  # motions on which Psi is compared with what parameters say; share of its terms lost
 
 
@@ -121,7 +122,7 @@ class Proved:
         self.distance, self.P = np.zeros(K), np.zeros((K, self.ideal.size, self.ideal.size))
         self.heard, self.updates = np.zeros((K, len(self.a.gain))), np.zeros(K, int)
         missed = step_again(self.learner, subject.rows, self.before, self.after)
-        if not missed <= LOST:
+        if not missed <= SAME:
             raise RecordingError("no bound of the learner's error", why="stepped again it says another Psi_hat")
         if noise.any():
             self.hear_truth()

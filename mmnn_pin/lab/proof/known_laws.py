@@ -159,21 +159,23 @@ class ProvedConcurrent(Proved):
         """(K,) bounds of N by block, from block `first` on, for bounds (K, p) of s and of the equations' errors."""
         N, found, a = self.distance[first], np.zeros(len(self.starts)), self.a
         share = 1.0 - np.exp(-a.rate * a.every * a.h) if a.learning else 0.0
-        tracking = a.tracking * a.h * a.every if a.learning else 0.0
         prior, worst, taken = float(np.sqrt(self.ideal @ self.P[first] @ self.ideal)), 0.0, 0
-        for b in range(first, len(self.starts)):
-            moved = tracking * float(s[b] @ spread[b])
+        for b, moved in enumerate(self.moves(first, s, spread)[first:], start=first):
             worst = max(worst, float((equations[b] ** 2).sum()) / self.variance)
             taken += int(self.updates[b])
             more = np.sort(np.maximum(worst - self.errors[first], 0.0))[::-1][:taken].sum()
-            stack, most = prior + float(np.sqrt(self.errors[first].sum() + more)), N
+            own, most = float(np.sqrt(self.errors[first].sum() + more)), N
+            if not np.linalg.norm(self.ideal) + own <= self.radius:  # what the stack says may be cut
+                found[b:] = np.inf
+                break
             for _ in range(int(self.updates[b])):
                 N += moved
                 most = max(most, N)
-                N += share * (stack - N)
+                N += share * (prior + own - N)
             found[b] = max(most, N) + moved
         return found
 
+<<<<<<< HEAD
     def blame(self, first: int, box: Box, acceleration: Array) -> str:
         """As of `Proved`; the prior, where that lets it err by more than its equations."""
         none, prior = np.zeros_like(acceleration), float(np.sqrt(self.ideal @ self.P[first] @ self.ideal))
@@ -184,9 +186,17 @@ class ProvedConcurrent(Proved):
             "its stack tells too little against its prior; use a smaller concurrent.noise, as far as velocities "
             "permit, more concurrent.entries, or run for longer"
         )
+=======
+    def moves(self, first: int, s: Array, spread: Array) -> Array:
+        """(K,) how far s moves the estimate from an update up to a sample of a block, the next update included."""
+        a = self.a
+        each = a.tracking * a.h * a.every * (s * spread).sum(axis=1) * a.learning
+        since = np.searchsorted(self.starts, self.starts - a.every + 1, side="right") - 1  # some may lie blocks before
+        return np.array([each[max(one, first) : b + 1].max(initial=0.0) for b, one in enumerate(since)])
+>>>>>>> w-review
 
     def longest(self, first: int, N: float) -> float:
-        """As of `Proved`; what the stack says is no further off than N, or than its own errors, as P is at most 1."""
+        """As of `Proved`; of what the stack says, `|w_L| <= |w*| + |e|` as P is at most 1, it is in `distances`."""
         return float(np.linalg.norm(self.ideal) + N * np.sqrt(max(1.0, np.linalg.eigvalsh(self.P[first])[-1])))
 
 
