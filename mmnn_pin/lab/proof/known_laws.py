@@ -175,7 +175,6 @@ class ProvedConcurrent(Proved):
             found[b] = max(most, N) + moved
         return found
 
-<<<<<<< HEAD
     def blame(self, first: int, box: Box, acceleration: Array) -> str:
         """As of `Proved`; the prior, where that lets it err by more than its equations."""
         none, prior = np.zeros_like(acceleration), float(np.sqrt(self.ideal @ self.P[first] @ self.ideal))
@@ -186,14 +185,13 @@ class ProvedConcurrent(Proved):
             "its stack tells too little against its prior; use a smaller concurrent.noise, as far as velocities "
             "permit, more concurrent.entries, or run for longer"
         )
-=======
+
     def moves(self, first: int, s: Array, spread: Array) -> Array:
         """(K,) how far s moves the estimate from an update up to a sample of a block, the next update included."""
         a = self.a
         each = a.tracking * a.h * a.every * (s * spread).sum(axis=1) * a.learning
         since = np.searchsorted(self.starts, self.starts - a.every + 1, side="right") - 1  # some may lie blocks before
         return np.array([each[max(one, first) : b + 1].max(initial=0.0) for b, one in enumerate(since)])
->>>>>>> w-review
 
     def longest(self, first: int, N: float) -> float:
         """As of `Proved`; of what the stack says, `|w_L| <= |w*| + |e|` as P is at most 1, it is in `distances`."""

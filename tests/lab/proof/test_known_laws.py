@@ -320,3 +320,12 @@ def test_wide_bounds_are_told_and_what_is_printed_helps(controller: str) -> None
     assert "its bounds let Psi err by" in text and "adaptive.viscous = 0" in text and not loose.exists(50)
     close = searched(controller, *NARROW, *TOLD, seconds=1.0).proved()
     assert close.exists(0)
+
+
+@compiled
+def test_a_stack_that_tells_too_little_is_told_and_what_is_printed_helps(search: Search) -> None:
+    """With its defaults nothing is bounded; with what the message says there is a tube."""
+    loose = searched("concurrent", seconds=6.0).proved()
+    text = loose.blame(90)
+    assert "smaller concurrent.noise" in text and "more concurrent.entries" in text and not loose.exists(90)
+    assert search.proved().exists(90)
