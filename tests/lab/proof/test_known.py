@@ -315,6 +315,17 @@ def test_a_learner_of_late_commands_says_again_what_it_said(controller: str) -> 
 
 
 @compiled
+def test_an_adaptive_learner_says_again_what_it_said_under_a_margin_of_delay() -> None:
+    """Its share of the feedback follows delays that the recording tells: `latency.margin` among them."""
+    subject = Subject.of(run("adaptive", "latency.margin=0.003", "adaptive.share=delays", seconds=0.4))
+    assert subject.learner is not None and subject.learner.context.unseen == pytest.approx(0.003)
+    stepper = Stepper(subject.learner, subject.learner.start.snapshot())
+    for row in subject.rows:
+        psi_hat = stepper.step(row)
+        np.testing.assert_allclose(psi_hat, row[subject.layout.where("psi_hat")], atol=1e-9)
+
+
+@compiled
 def test_noise_that_leaves_nothing_proved_is_named_and_less_of_it_does_not() -> None:
     """The first thing that is in the way, and following what it says to change."""
     loud = tube_of(Subject.of(run("kalman_regressor", "sensor.velocity_noise=1e-3")))
