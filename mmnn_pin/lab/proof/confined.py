@@ -144,7 +144,7 @@ class Confined:
         if np.isfinite(after):
             why.append(f"on average, which proves nothing, by Psi itself after another {after:.3g} s of such motion")
         change = ["begin near the robot, within narrow bounds: adaptive.initial = nominal or adaptive.start, and a "
-                  f"smaller adaptive.bounds than {1 / m.least:.3g}"]  # fmt: skip
+                  "small adaptive.bounds, such as 1.03"]  # fmt: skip
         if (m.rates > 0).any() and (self.furthest[first_rest:] > 0).any():
             change.append("friction that is told and not learned: adaptive.viscous = 0, adaptive.coulomb = 0")
         return f"{', '.join(why)}; {'; '.join(change)}"

@@ -128,6 +128,7 @@ class ProvedConcurrent(Proved):
 
     Attributes:
         errors: (K, N) squares of the errors of the stack's places at the beginning of a block.
+        rounding: How far w_L is from what the stack's entries say, at most in the run, in the metric F.
     """
 
     def take(self, regressor: Regressor) -> Array:
@@ -135,13 +136,17 @@ class ProvedConcurrent(Proved):
         law, self.radius = self.learner.controller, float(self.a.radius)
         self.variance, self.basis, start = float(law.settings.noise**2), law.basis, law.start()
         self.ideal = exactly(regressor, parameters(self.periods.robot), true_of(self.periods), start, self.basis)
-        self.errors = np.zeros((len(self.starts), law.settings.entries))
+        self.errors, self.rounding = np.zeros((len(self.starts), law.settings.entries)), 0.0
         return np.asarray(start + self.basis @ self.ideal)
 
     def begin(self, b: int, state: ControllerState) -> None:
         """As of `Proved`."""
         floor, error = state["F"], self.ideal - state["w"]
         self.P[b], self.distance[b] = np.linalg.inv(floor), np.sqrt(error @ floor @ error)
+        rows, right = state["Phi"].reshape(-1, error.size), state["y"].ravel()
+        w = np.linalg.lstsq(np.vstack((np.eye(error.size), rows)), np.append(0 * error, right), rcond=None)[0]
+        lost = w - state["P"] @ state["b"]
+        self.rounding = max(self.rounding, float(np.sqrt(lost @ floor @ lost)))
         off = (state["y"] - state["Phi"] @ self.ideal) ** 2
         self.errors[b] = np.where(state["born"] >= 0, off.sum(axis=1), 0.0)
 
@@ -164,7 +169,7 @@ class ProvedConcurrent(Proved):
             worst = max(worst, float((equations[b] ** 2).sum()) / self.variance)
             taken += int(self.updates[b])
             more = np.sort(np.maximum(worst - self.errors[first], 0.0))[::-1][:taken].sum()
-            own, most = float(np.sqrt(self.errors[first].sum() + more)), N
+            own, most = float(np.sqrt(self.errors[first].sum() + more)) + self.rounding, N
             if not np.linalg.norm(self.ideal) + own <= self.radius:  # what the stack says may be cut
                 found[b:] = np.inf
                 break

@@ -92,7 +92,9 @@ def test_a_concurrent_distance_is_its_recursion(proved: ProvedConcurrent) -> Non
     """Without s and with exact equations it goes to what prior and stack have wrong; what comes adds its own."""
     first, K, a = 50, len(proved.starts), proved.a
     none, share = np.zeros((K, 4)), 1.0 - np.exp(-a.rate * a.every * a.h)
-    stack = np.sqrt(proved.ideal @ proved.P[first] @ proved.ideal) + np.sqrt(proved.errors[first].sum())
+    stack = (
+        np.sqrt(proved.ideal @ proved.P[first] @ proved.ideal) + np.sqrt(proved.errors[first].sum()) + proved.rounding
+    )
     n = proved.updates[first:].sum()
     wanted = stack + (proved.distance[first] - stack) * (1 - share) ** (n - proved.updates[-1])
     found = proved.distances(first, none, none, none)
@@ -114,7 +116,9 @@ def test_a_concurrent_distance_counts_what_moved_it_in_the_block_before(proved: 
     s, share = none.copy(), 1.0 - np.exp(-a.rate * a.every * a.h)
     s[first] = 1.0
     found, N = proved.distances(first, s, np.ones((K, 4)), none), proved.distance[first]
-    stack = np.sqrt(proved.ideal @ proved.P[first] @ proved.ideal) + np.sqrt(proved.errors[first].sum())
+    stack = (
+        np.sqrt(proved.ideal @ proved.P[first] @ proved.ideal) + np.sqrt(proved.errors[first].sum()) + proved.rounding
+    )
     for n in range(proved.starts[first], proved.ends[first + 3]):
         b = int(np.searchsorted(proved.starts, n, side="right")) - 1
         assert found[b] * (1 + 1e-12) >= N
@@ -151,9 +155,11 @@ def test_what_is_proved_of_a_concurrent_learner_falls_and_gives_a_tube(search: S
 
 
 @compiled
+@pytest.mark.parametrize("noise", [0.0, 1e-5])
 @pytest.mark.parametrize(("controller", "told"), [("concurrent", STACK), ("adaptive", (*NARROW, *TOLD))])
-def test_pushes_take_no_learner_further_than_is_proved(controller: str, told: tuple[str, ...]) -> None:
-    """A run that is the same until then: Psi and motion stay within their bounds."""
+def test_pushes_take_no_learner_further_than_is_proved(controller: str, told: tuple[str, ...], noise: float) -> None:
+    """A run that is the same until then, without and with noise: Psi and motion stay within their bounds."""
+    told = (*told, f"sensor.velocity_noise={noise}")
     search = searched(controller, *told, seconds=5.0)
     first = 9 * len(search.starts) // 10
     n, h = search.starts[first], search.periods.subject.timing.control_period
@@ -330,3 +336,44 @@ def test_a_stack_that_tells_too_little_is_told_and_what_is_printed_helps(search:
     text = loose.blame(90)
     assert "smaller concurrent.noise" in text and "more concurrent.entries" in text and not loose.exists(90)
     assert search.proved().exists(90)
+
+
+@compiled
+def test_rounding_of_the_stack_is_small_and_counted(proved: ProvedConcurrent) -> None:
+    assert 0.0 < proved.rounding < 1e-5
+    none, before = np.zeros((len(proved.starts), 4)), proved.rounding
+    found = proved.distances(50, none, none, none)[-1]
+    proved.rounding = 1.0
+    try:
+        assert proved.distances(50, none, none, none)[-1] > found + 0.1
+    finally:
+        proved.rounding = before
+
+
+@compiled
+def test_the_rest_of_a_smaller_box_is_no_larger_than_is_said(confined: Confined) -> None:
+    """Scaled from a wider box, against the Taylor models of the box itself, and not far above it."""
+    rng, ratios = np.random.default_rng(4), []
+    for b in (10, 50):
+        wide = 10.0 ** rng.uniform(-3, -1, confined.steps.size)
+        for share in (1.0, 0.5, 0.1):
+            places, box = confined.places(b, share * wide)
+            confined.rests[b] = wide, confined.features.smooth(*confined.places(b, wide))[2].max(axis=0)
+            said = (share**2) * confined.rests[b][1]
+            true = confined.features.smooth(places, box)[2].max(axis=0)
+            confined.rests.clear()
+            assert (true <= said * (1 + 1e-9)).all() and (true <= confined.rest(b, share * wide) * (1 + 1e-9)).all()
+            ratios.append(float(true.max() / confined.rest(b, share * wide).max()))
+    assert max(ratios) > 0.1
+
+
+@compiled
+def test_the_rest_is_scaled_from_the_box_that_it_was_taken_in(confined: Confined) -> None:
+    """Boxes between two of the widths that are kept share one Taylor model; each has its own square."""
+    wide = np.full(confined.steps.size, 2.0**-4.2)
+    confined.rests.clear()
+    whole = confined.rest(30, wide)
+    half = confined.rest(30, 0.75 * wide)
+    assert (half <= whole).all()
+    np.testing.assert_allclose(half, 0.75**2 * whole, rtol=1e-9)
+    confined.rests.clear()
