@@ -31,6 +31,7 @@ from ..compiled import internal, linked
 from ..elementary import exp
 from ..elementary.matrices import cholesky, product, solve, svd, triangle
 from ..elementary.normals import standard_normal
+from ..errors import ConfigError
 from ..model.regressor import Massless, measured, regress
 from ..parts import Vector, layout_of, views
 from ..settings import Settings, require_at_most, require_numbers
@@ -66,6 +67,8 @@ class ConcurrentSettings(Settings, frozen=True):
         growth: Least gain of log det of the information for which an entry is replaced.
         lifetime: Of an entry [s]; 0 for ever. With a lifetime the learner forgets what is not excited again, and learns
             a robot that has changed.
+        floor: Whether no exchange takes what is known below a floor, which only rises: then `mmnn prove --tube` proves
+            that it stays known. It learns more slowly, on robots of many joints much more. Without a lifetime only.
         pole: Of the low-pass of regressor and torque [1/s].
         every: Time between two candidates [s].
         spread: Standard deviation of the prior, in sizes of the typical robot; of friction in `FRICTION` c_j.
@@ -84,6 +87,7 @@ class ConcurrentSettings(Settings, frozen=True):
     noise: float = 0.005
     growth: float = 0.05
     lifetime: float = 0.0
+    floor: bool = False
     pole: float = 3.0
     every: float = 0.02
     spread: float = 1.0
@@ -94,6 +98,9 @@ class ConcurrentSettings(Settings, frozen=True):
         require_numbers(self, "concurrent", ("entries", "noise", "growth", "every", "spread"))
         require_one_start(self, "concurrent")
         require_at_most(self, "concurrent", {"entries": MOST})
+        if self.floor and self.lifetime > 0:
+            why = "entries end after their lifetime, whatever they tell"
+            raise ConfigError("true", why=why, fix="use concurrent.lifetime = 0", key="concurrent.floor")
 
 
 @by_address
@@ -116,6 +123,7 @@ class History(NamedTuple):
         radius: Bound on |w|.
         growth: Least gain of log det L of a replacement.
         lifetime: Of an entry [s].
+        floor: Whether the stack has one.
         Phi: (p, k) room to work in.
         psi0: (p,) room to work in.
         y: (p,) room to work in.
@@ -139,6 +147,7 @@ class History(NamedTuple):
     radius: float
     growth: float
     lifetime: float
+    floor: bool
     Phi: Array
     psi0: Array
     y: Array
@@ -193,7 +202,7 @@ def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
             a.y[i] = a.precision[i] * seen.Y_f[i]
             for j in range(k):
                 a.Phi[i, j] = a.precision[i] * seen.Phi_f[i, j]
-        consider(o.stack, a.scratch, a.Phi, a.y, row[at[TIME]], a.growth, a.lifetime)
+        consider(o.stack, a.scratch, a.Phi, a.y, row[at[TIME]], a.growth, a.lifetime, a.floor)
         estimate_of(o.stack, a.target)
         into_ball(a.target, a.radius)
         share = 1.0 - exp(-a.rate * a.every * a.h)
@@ -324,6 +333,7 @@ class Concurrent(ParameterLearner):
             radius=RADIUS * float(np.sqrt(k)),
             growth=float(own.growth),
             lifetime=float(own.lifetime) if own.lifetime else np.inf,
+            floor=own.floor,
             Phi=np.zeros((p, k)),
             psi0=np.zeros(p),
             y=np.zeros(p),

@@ -18,8 +18,8 @@ C and an entry i
 with G_i+ from after C was added. Every replacement adds at least `growth` and log det L is bounded, so there are
 finitely many of them, unless entries have a lifetime.
 
-A replacement may still give up what alone told of some direction. So there is a floor F that L never goes below, unless
-entries have a lifetime: it begins at half the prior and goes half the way to L whenever L is `ABOVE` times as large, as
+A replacement may still give up what alone told of some direction. Where that is not wanted there is a floor F that L
+never goes below: it begins at half the prior and goes half the way to L whenever L is `ABOVE` times as large, as
 a mean over all directions. F only grows, so that from any instant on P is at most F^-1 of that instant: what is known
 stays known, but for a factor (`lab.proof.known_laws`).
 """
@@ -93,7 +93,9 @@ def scratch(entries: int, p: int, k: int) -> Scratch:
 
 
 @internal
-def consider(s: Stack, w: Scratch, Phi: Array, y: Array, time: float, growth: float, lifetime: float) -> bool:
+def consider(
+    s: Stack, w: Scratch, Phi: Array, y: Array, time: float, growth: float, lifetime: float, floor: bool
+) -> bool:
     """Put an equation into the stack where it is worth it; drop one whose time is over.
 
     Args:
@@ -104,6 +106,7 @@ def consider(s: Stack, w: Scratch, Phi: Array, y: Array, time: float, growth: fl
         time: The present [s].
         growth: Least gain of log det L, > 0.
         lifetime: Of an entry [s]; inf for ever.
+        floor: Whether L stays above one; for entries without a lifetime.
 
     Returns:
         Whether the stack has changed.
@@ -118,19 +121,19 @@ def consider(s: Stack, w: Scratch, Phi: Array, y: Array, time: float, growth: fl
     gain = log_det_with(w, 1.0)
     if gain < growth:
         return changed
-    place = place_for(s, w, Phi, growth - gain, lifetime)
+    place = place_for(s, w, Phi, growth - gain, floor)
     if place < 0:
         return changed
     s.used[0] = max(s.used[0], place + 1.0)
     put(s, w, place, Phi, y, 1.0)
     s.born[place] = time
-    if lifetime == math.inf:
+    if floor:
         raise_floor(s, w)
     return True
 
 
 @internal
-def place_for(s: Stack, w: Scratch, Phi: Array, least: float, lifetime: float) -> int:
+def place_for(s: Stack, w: Scratch, Phi: Array, least: float, floor: bool) -> int:
     """Where an equation goes that w.PU and w.S belong to: the entry that is missed least, a free place before it.
 
     Args:
@@ -138,7 +141,7 @@ def place_for(s: Stack, w: Scratch, Phi: Array, least: float, lifetime: float) -
         w: Room to work in.
         Phi: (p, k) the equation.
         least: What log det L may lose, at most, < 0.
-        lifetime: Of an entry; without end no direction may be lost.
+        floor: Whether L stays above its floor.
 
     Returns:
         The place; -1 for none.
@@ -156,7 +159,7 @@ def place_for(s: Stack, w: Scratch, Phi: Array, least: float, lifetime: float) -
                 place, best = i, w.loss[i]
         if place < 0 or (used < N and best < 0.0) or best < least:
             break
-        if best == 0.0 or lifetime < math.inf or above_floor(s, w, Phi, place):
+        if best == 0.0 or not floor or above_floor(s, w, Phi, place):
             return place
         w.loss[place] = -math.inf
     return used if used < N else -1

@@ -230,8 +230,8 @@ def unproved(periods: Periods, late: int = 0) -> str:
     if isinstance(law, Adaptive):
         return ""
     if isinstance(law, Concurrent):
-        if law.settings.lifetime > 0:
-            return "entries of its stack end, and with them what they told; use lifetime = 0"
+        if not law.settings.floor:
+            return "an exchange of its stack may give up what alone tells of a direction; use concurrent.floor = true"
     elif not isinstance(law, Kalman) or law.knowledge(learner.start) is None:
         return "its weights are no parameters with a covariance that only drift raises; use kalman_regressor"
     elif law.settings.alarm > 0:

@@ -373,7 +373,7 @@ def assert_patience(periods: Periods, largest: Array) -> None:
     ("controller", "settings", "why"),
     [
         ("pd", (), "learns nothing"),
-        ("concurrent", ("concurrent.lifetime=9.0",), "use lifetime = 0"),
+        ("concurrent", (), "use concurrent.floor = true"),
         ("kalman_bilinear", (), "no parameters"),
         ("kalman_regressor", ("kalman.regressor.alarm=3.0",), "use alarm = 0"),
     ],

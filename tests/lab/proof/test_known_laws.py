@@ -27,7 +27,7 @@ from mmnn_pin.signals import Array
 from mmnn_pin.torque.pseudo_inertia import BODY, pseudo_inertias, vector_of
 
 compiled = pytest.mark.skipif(SLOW, reason="thousands of periods, uncompiled")
-STACK = ("concurrent.noise=3e-4", "concurrent.entries=120")
+STACK = ("concurrent.floor=true", "concurrent.noise=3e-4", "concurrent.entries=120")
 NARROW = ("adaptive.initial=nominal", "nominal.masses=0.99", "adaptive.bounds=1.03")
 TOLD = ("adaptive.viscous=0.0", "adaptive.coulomb=0.0")
 PUSH = 0.01  # [N]
@@ -332,7 +332,7 @@ def test_wide_bounds_are_told_and_what_is_printed_helps(controller: str) -> None
 @compiled
 def test_a_stack_that_tells_too_little_is_told_and_what_is_printed_helps(search: Search) -> None:
     """With its defaults nothing is bounded; with what the message says there is a tube."""
-    loose = searched("concurrent", seconds=6.0).proved()
+    loose = searched("concurrent", "concurrent.floor=true", seconds=6.0).proved()
     text = loose.blame(90)
     assert "smaller concurrent.noise" in text and "more concurrent.entries" in text and not loose.exists(90)
     assert search.proved().exists(90)
