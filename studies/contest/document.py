@@ -90,14 +90,14 @@ def worse_than_pd(tasks: dict[str, Any], learners: list[str]) -> dict[str, list[
     return found
 
 
-def passed_over(searches: dict[str, Any]) -> list[str]:
-    """Searches whose best try did not hold in the second look, by the names of search and learner."""
-    return [
-        f"`{learner}` on {tuning}"
-        for tuning, learners in searches.items()
-        for learner, found in learners.items()
-        if found["score"] > found.get("best", found["score"])
-    ]
+def passed_over(searches: dict[str, Any]) -> dict[str, list[str]]:
+    """The searches of every learner whose best try did not hold in the second look."""
+    found: dict[str, list[str]] = {}
+    for tuning, learners in searches.items():
+        for learner, one in learners.items():
+            if one["score"] > one.get("best", one["score"]):
+                found.setdefault(learner, []).append(tuning)
+    return found
 
 
 def lost_from(late: dict[str, Any]) -> dict[str, list[str]]:

@@ -93,7 +93,7 @@ def test_who_is_worse_than_pd_is_named_with_the_task():
 
 def test_searches_whose_best_try_did_not_hold_are_named():
     searches = {"a": {"x": {"score": 0.2, "best": 0.1}, "y": {"score": 0.1, "best": 0.1}}, "b": {"x": {"score": 0.2}}}
-    assert document.passed_over(searches) == ["`x` on a"]
+    assert document.passed_over(searches) == {"x": ["a"]}
 
 
 @pytest.mark.parametrize("tuning", TUNINGS)
