@@ -14,6 +14,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
 from typing import Any, Self
 
@@ -187,7 +188,7 @@ class Structure:
         for name, factor in table.items():
             if name not in names:
                 raise UnknownName("body", name, names)
-            if not (np.isfinite(factor) and factor > 0):
+            if not (isinstance(factor, Real) and np.isfinite(factor) and factor > 0) or isinstance(factor, bool):
                 raise ConfigError(f"factor {factor} for the mass at '{name}'", fix="give a finite number > 0")
             scale_body(model, names[name], factor)
         masses = {**self.masses, **{name: self.masses.get(name, 1.0) * factor for name, factor in table.items()}}
@@ -206,12 +207,12 @@ class Structure:
         """
         wheels = tuple(wheel.joint for wheel in self.base.wheels)
         table = dict(factors) if isinstance(factors, Mapping) else dict.fromkeys(wheels, factors)
-        if factors != 1.0 and not wheels:
+        if not (wheels or (isinstance(factors, Real) and factors == 1.0)):
             raise ConfigError(f"'{self.name}' has no drive wheels", fix="leave it out", key="radii")
         for name, factor in table.items():
             if name not in wheels:
                 raise UnknownName("drive wheel", name, wheels, key="radii")
-            if not (np.isfinite(factor) and factor > 0):
+            if not (isinstance(factor, Real) and np.isfinite(factor) and factor > 0) or isinstance(factor, bool):
                 raise ConfigError(f"factor {factor} for '{name}'", fix="give a finite number > 0", key="radii")
         base, model = self.base.with_radii({name: table.get(name, 1.0) for name in wheels}), self.model.copy()
         data = model.createData()

@@ -163,3 +163,9 @@ def test_the_command_line_refuses_them_in_a_line_and_writes_nothing(tmp_path, ca
     arguments = ["run", "track", "--controller", "pd", "--out", str(tmp_path / "out"), "--set"]
     assert main([*arguments, "radii={wheel=1.03}"]) == 2
     assert "--set radii" in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("factors", ["x", None, [1, 1], np.ones(2), True, {"wheel_left_joint": None}])
+def test_a_factor_that_is_no_number_is_refused_in_python(factors: object) -> None:
+    with pytest.raises(ConfigError, match="give a finite number > 0"):
+        load("platform_arm").with_radii(factors)  # type: ignore[arg-type]

@@ -143,8 +143,8 @@ class Confined:
         why.append(f"its energy, at the end of the run, by {energy:.3g} times")
         if np.isfinite(after):
             why.append(f"on average, which proves nothing, by Psi itself after another {after:.3g} s of such motion")
-        change = ["begin near the robot, within narrow bounds: adaptive.initial = nominal or adaptive.start, and a "
-                  "small adaptive.bounds, such as 1.03"]  # fmt: skip
+        change = ["begin near the robot (adaptive.initial = nominal with nominal.masses within some percent of 1, or "
+                  "adaptive.start), within narrow bounds, such as adaptive.bounds = 1.03"]  # fmt: skip
         if (m.rates > 0).any() and (self.furthest[first_rest:] > 0).any():
             change.append("friction that is told and not learned: adaptive.viscous = 0, adaptive.coulomb = 0")
         return f"{', '.join(why)}; {'; '.join(change)}"

@@ -387,7 +387,8 @@ def proved_sentence(tube: Tube) -> str:
     proof = tube.proof
     if proof is None:
         return f"That the errors of Psi stay the run's is not proved: {tube.unproved}."
-    psi = f"{100 * proof.share.max():.3g} % of the largest Psi"
+    most = float(proof.share.max())
+    psi = f"{most:.3g} times the largest Psi" if most > 10 else f"{100 * most:.3g} % of the largest Psi"
     if math.isinf(proof.start):
         nothing = (
             f"those that are, {psi}, leave nothing bounded" if math.isfinite(proof.share.max()) else "none are bounded"
