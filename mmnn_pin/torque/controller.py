@@ -59,8 +59,7 @@ class Context:
     @property
     def late(self) -> float:
         """All known delays from a torque to the velocities that show it, its hold left out [s]."""
-        slow = 0.0 if self.lag is None else float(self.lag.max(initial=0.0))
-        return max(0.0, self.way) + self.unseen + slow
+        return max(0.0, self.way) + self.unseen + (0.0 if self.lag is None else float(self.lag.max(initial=0.0)))
 
 
 @dataclass
@@ -138,8 +137,8 @@ class Machine(NamedTuple):
 
     def strength(self, K: Array) -> float:
         """What the motors of the arm can give over its gains, the median of the joints [rad/s]; 0 without limits."""
-        known = self.effort.size and np.isfinite(self.effort).all()
-        return float(np.median(self.effort / K[-self.effort.size :])) if known else 0.0
+        n = self.effort.size
+        return float(np.median(self.effort / K[-n:])) if n and np.isfinite(self.effort).all() else 0.0
 
 
 class Told(Protocol):
@@ -173,7 +172,7 @@ class Feedback(Settings, frozen=True):
         base: k1, one number or one per base velocity [N s/m, N m s; 1/s when scaled]; None for what suits the robot.
         arm: k2, one number or one per joint [N m s or N s/m; 1/s when scaled]; None for what suits the robot.
         scaling: "none" takes the numbers as they are. "inertia" takes them as bandwidths and multiplies each with the
-            effective inertia of its velocity, `1 / (M^-1)_ii` (see `scaled`). `loop.suited` does so for what is None.
+            effective inertia of its velocity, `1 / (M^-1)_ii`. `loop.suited` does so for what is None.
 
     Raises:
         ConfigError: A gain is negative or not finite.
@@ -216,8 +215,7 @@ class Feedback(Settings, frozen=True):
             value = getattr(self, part)
             numbers = one_or_each(share * each if value is None else value, len(own), "velocity", f"feedback.{part}")
             parts.append(numbers * (1.0 if value is not None and self.scaling == "none" else np.array(own)))
-        base, arm = (tuple(part.tolist()) if size else None for part, size in zip(parts, sizes, strict=True))
-        return Feedback(base, arm)
+        return Feedback(*(tuple(part.tolist()) if size else None for part, size in zip(parts, sizes, strict=True)))
 
     def vector(self, layout: Dimensions) -> Array:
         """Gains of all p velocities.
@@ -244,7 +242,7 @@ class Given:
         learning: Whether it learns.
         told: What it is told of the robot.
         inertia: (p,) effective inertias that networks are scaled by; None for the thesis's form.
-        networks: What the thesis's networks are given beside: robust, inputs, rates, leakage, update, projection.
+        networks: Of the thesis's networks beside: robust, inputs, rates, leakage, update, projection.
         gains: (samples, p) gains of a PD at an effective gain.
     """
 
@@ -264,8 +262,7 @@ class Controller(ABC):
     Attributes:
         name: Name in tables, plots and recordings.
         notes: Things the user should be told before a run.
-        within_limits: Whether Psi_hat is kept within what the feedback leaves of the motors' limits, unless the loop
-            says (see `torque.law`); off for the thesis's laws.
+        within_limits: Whether Psi_hat stays within what the feedback leaves of the motors' limits (`torque.law`).
         lyapunov_part: Name of the weights' part of its Lyapunov function (`lab.proof.proof`); None for none.
     """
 
@@ -293,8 +290,7 @@ class Controller(ABC):
     def learning_gain(self, state: Any, context: Context) -> ArrayLike | None:
         """Gamma where the law follows s by `W' = Gamma Phi' s + ...`, if it has features Phi; None for another law.
 
-        One number, (k,) for a diagonal or (k, k), positive definite; a sample changes W by the control period times W'.
-        With it `mmnn prove` has the weights' part of the Lyapunov function.
+        One number, (k,) for a diagonal or (k, k), positive definite; W' is per second. `mmnn prove` needs it for V.
         """
         return None
 
@@ -343,8 +339,8 @@ class TorqueController(Controller):
     ) -> Array | tuple[Array, Array]:
         """Generalized torque of this sample, (p,) [N, N m for the base; N m or N for the arm].
 
-        Or the torque and what of it is an estimate of Psi, (p,), which is recorded, so that it can be judged. The
-        records are views that change at the next sample: copy what you keep. `state` is what `init` returned.
+        Or that and what of it is an estimate of Psi, (p,), to be recorded and judged. What it is given are views that
+        change at the next sample: copy what you keep. `state` is what `init` returned.
         """
 
 
@@ -371,12 +367,9 @@ class CompiledController(Controller):
 
     @classmethod
     def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
-        """The controller of a recording; None where its `facts` do not tell enough.
+        """The controller of a recording by its name in the experiment; None where its facts do not tell enough.
 
-        Args:
-            name: Its name in the experiment.
-            facts: What `facts` told, perhaps that of an older version.
-            told: What it is told of the recorded robot.
+        `facts` may be those of an older version, and `told` is of the recorded robot.
         """
         names = ("feedback", "settings", "learning")
         return cls(**read_facts(cls, facts, *names)) if set(names) <= set(facts) else None
@@ -438,8 +431,7 @@ def read_facts(kind: type[Any], facts: Mapping[str, Any], *names: str) -> dict[s
     Raises:
         msgspec.ValidationError: Settings of another version.
     """
-    hints = get_type_hints(kind)
-    return {name: msgspec.convert(facts[name], hints[name]) for name in names}
+    return {name: msgspec.convert(facts[name], get_type_hints(kind)[name]) for name in names}
 
 
 def per_velocity(base: Numbers, arm: Numbers, layout: Dimensions, key: str) -> Array:

@@ -221,7 +221,7 @@ def test_what_the_limits_take_is_a_term_of_v(tmp_path, which):
     loop = loop_of("differential", learner("differential", which), duration=DURATION, within_limits=True)
     run = replace(loop, robot=replace(loop.robot, effort_limits=np.full(loop.robot.dimensions.motors, 0.3)))
     run.run(tmp_path / "run.h5")
-    subject = replace(Subject.of(Recording.open(tmp_path / "run.h5")), robot=run.robot)
+    subject = replace(Subject.of(Recording.open(tmp_path / "run.h5")), robot=run.robot, told=run.robot)
     one = subject.networks
     assert one is not None and one.context.limits is not None
     rows, every = subject.rows, np.arange(len(subject.rows))
