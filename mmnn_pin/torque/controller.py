@@ -200,13 +200,12 @@ class Feedback(Settings, frozen=True):
     def scaled(self, layout: Dimensions, inertia: Array, share: float = 1.0) -> Feedback:
         """The feedback with its bandwidths turned into gains; itself when there is nothing to turn.
 
-        Every velocity alone then has the bandwidth asked for, a joint of grams like a base of a hundred kilograms, and
-        the sampled loop is stable for any M while `bandwidth h p < 2`. What is None has `BANDWIDTHS`.
+        Every velocity alone then has its bandwidth; the sampled loop is stable for any M while `bandwidth h p < 2`.
 
         Args:
             layout: Sizes.
             inertia: (p,) effective inertias [kg, kg m^2].
-            share: Of `BANDWIDTHS`, in place of what is None.
+            share: Of `BANDWIDTHS`, which what is None has.
         """
         if self.complete(layout):
             return self
@@ -215,7 +214,8 @@ class Feedback(Settings, frozen=True):
             value = getattr(self, part)
             numbers = one_or_each(share * each if value is None else value, len(own), "velocity", f"feedback.{part}")
             parts.append(numbers * (1.0 if value is not None and self.scaling == "none" else np.array(own)))
-        return Feedback(*(tuple(part.tolist()) if size else None for part, size in zip(parts, sizes, strict=True)))
+        base, arm = (tuple(part.tolist()) if size else None for part, size in zip(parts, sizes, strict=True))
+        return Feedback(base, arm)
 
     def vector(self, layout: Dimensions) -> Array:
         """Gains of all p velocities.
