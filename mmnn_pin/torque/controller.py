@@ -205,7 +205,7 @@ class Feedback(Settings, frozen=True):
         Args:
             layout: Sizes.
             inertia: (p,) effective inertias [kg, kg m^2].
-            share: Of `BANDWIDTHS`, which what is None has.
+            share: Of `BANDWIDTHS`, for what is None.
         """
         if self.complete(layout):
             return self
@@ -262,7 +262,7 @@ class Controller(ABC):
     Attributes:
         name: Name in tables, plots and recordings.
         notes: Things the user should be told before a run.
-        within_limits: Whether Psi_hat stays within what the feedback leaves of the motors' limits (`torque.law`).
+        within_limits: Whether Psi_hat stays within what the feedback leaves of the motors, unless the loop says.
         lyapunov_part: Name of the weights' part of its Lyapunov function (`lab.proof.proof`); None for none.
     """
 
@@ -339,8 +339,7 @@ class TorqueController(Controller):
     ) -> Array | tuple[Array, Array]:
         """Generalized torque of this sample, (p,) [N, N m for the base; N m or N for the arm].
 
-        Or that and what of it is an estimate of Psi, (p,), to be recorded and judged. What it is given are views that
-        change at the next sample: copy what you keep. `state` is what `init` returned.
+        Or the torque and what of it is an estimate of Psi, (p,), to be judged. Views change: copy what you keep.
         """
 
 
@@ -431,7 +430,8 @@ def read_facts(kind: type[Any], facts: Mapping[str, Any], *names: str) -> dict[s
     Raises:
         msgspec.ValidationError: Settings of another version.
     """
-    return {name: msgspec.convert(facts[name], get_type_hints(kind)[name]) for name in names}
+    hints = get_type_hints(kind)
+    return {name: msgspec.convert(facts[name], hints[name]) for name in names}
 
 
 def per_velocity(base: Numbers, arm: Numbers, layout: Dimensions, key: str) -> Array:

@@ -74,7 +74,7 @@ class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
     """`kalman_friction`: the regressor, friction features learned offline, a constant per velocity, and a correction.
 
     Velocities that are predicted, or observed on the learner's own estimate, say for `Context.unseen` what it believes
-    already. Its low-pass lasts at least 25 times that, whatever `pole` says.
+    already. Its low-pass lasts at least 25 times that, `latency.margin` included, whatever `pole` says.
 
     Args:
         friction: Standard deviation of what the features say before anything is learned, over K [m/s, rad/s].

@@ -190,28 +190,41 @@ def test_distance_and_spread_are_their_sums(proved: ProvedKalman) -> None:
     assert len(proved.periods.subject.rows) // a.every - 10 <= proved.updates.sum()  # the filter settles at first
 
 
-@compiled
-@pytest.mark.parametrize("noise", [0.0, 1e-5])
-def test_pushes_from_an_instant_on_take_the_learner_no_further_than_is_proved(noise: float) -> None:
-    """A run that is the same until then, without and with noise: Psi, motion and equations stay within their bounds."""
-    told = f"sensor.velocity_noise={noise}"
-    search = Search(Periods(subject := Subject.of(run("kalman_regressor", told))), np.zeros(4))
-    first = 9 * len(search.starts) // 10
-    n, h = search.starts[first], search.periods.subject.timing.control_period
+def assert_pushed_within(
+    search: Search, controller: str, *told: str, seconds: float = SECONDS
+) -> tuple[int, Subject, Search]:
+    """A run that is the same until it is pushed: Psi and motion stay within what is proved from that block on.
+
+    Returns:
+        The block, the pushed run, and what is proved for such pushes.
+    """
+    subject, first = search.periods.subject, 9 * len(search.starts) // 10
+    n, h = search.starts[first], subject.timing.control_period
     on = {"v": PUSH, "arm_1_joint": -PUSH / 20}
     events = ", ".join(
         f"{{type='push', on='{name}', shape='step', force={f}, start={n * h:.6g}}}" for name, f in on.items()
     )
-    pushed = Subject.of(run("kalman_regressor", told, f"disturbances=[{events}]"))
+    pushed = Subject.of(run(controller, *told, f"disturbances=[{events}]", seconds=seconds))
     assert (pushed.rows[:n] == subject.rows[:n]).all() and (pushed.rows[n + 5] != subject.rows[n + 5]).any()
     force = Search(search.periods, np.array([PUSH, 0.0, PUSH / 20, 0.0])).proved()
-    size, eps, errors = force.judged(first)
+    size, eps, _ = force.judged(first)
     assert np.isfinite(size).all()
     missed, where = np.abs(pushed.signal("psi") - pushed.signal("psi_hat")), search.periods.layout.where
     states = np.array([search.periods.state(r, r[where("position")], r[where("nu")]) for r in pushed.rows[n:]])
     assert within(search, first, states, size)
     for b in range(first, len(search.ends)):
         assert (missed[search.starts[b] : search.ends[b]].max(axis=0) <= eps[b]).all()
+    return first, pushed, force
+
+
+@compiled
+@pytest.mark.parametrize("noise", [0.0, 1e-5])
+def test_pushes_from_an_instant_on_take_the_learner_no_further_than_is_proved(noise: float) -> None:
+    """A run that is the same until then, without and with noise: Psi, motion and equations stay within their bounds."""
+    told = f"sensor.velocity_noise={noise}"
+    search = Search(Periods(Subject.of(run("kalman_regressor", told))), np.zeros(4))
+    first, pushed, force = assert_pushed_within(search, "kalman_regressor", told)
+    n, (size, _, errors) = search.starts[first], force.judged(first)
     proved, box = force.errors, force.box(size, errors)
     assert isinstance(proved, ProvedKalman)
     left = force.steps.rest(box, force.told)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from proofs import SLOW, attacked, within
-from test_known import run, still
+from test_known import assert_pushed_within, run, still
 
 from mmnn_pin import load_experiment
 from mmnn_pin.errors import RecordingError
@@ -30,7 +30,6 @@ compiled = pytest.mark.skipif(SLOW, reason="thousands of periods, uncompiled")
 STACK = ("concurrent.floor=true", "concurrent.noise=3e-4", "concurrent.entries=120")
 NARROW = ("adaptive.initial=nominal", "nominal.masses=0.99", "adaptive.bounds=1.03")
 TOLD = ("adaptive.viscous=0.0", "adaptive.coulomb=0.0")
-PUSH = 0.01  # [N]
 
 
 def searched(controller: str, *told: str, seconds: float = 4.0) -> Search:
@@ -54,7 +53,7 @@ def proved(search: Search) -> ProvedConcurrent:
 def test_no_rows_however_wrong_take_a_concurrent_estimate_further(proved: ProvedConcurrent) -> None:
     """The learner itself, stepped over rows that are no motion: distance and P stay below their bounds."""
     learner, rng, first, where = proved.learner, np.random.default_rng(1), 60, proved.periods.layout.where
-    rows, at, regressor, robot = proved.periods.subject.rows, int(proved.starts[60]), None, proved.periods.robot
+    rows, at, robot = proved.periods.subject.rows, int(proved.starts[60]), proved.periods.robot
     stepper = Stepper(learner, learner.start.snapshot())
     for row in rows[:at]:
         stepper.step(row)
@@ -160,24 +159,7 @@ def test_what_is_proved_of_a_concurrent_learner_falls_and_gives_a_tube(search: S
 def test_pushes_take_no_learner_further_than_is_proved(controller: str, told: tuple[str, ...], noise: float) -> None:
     """A run that is the same until then, without and with noise: Psi and motion stay within their bounds."""
     told = (*told, f"sensor.velocity_noise={noise}")
-    search = searched(controller, *told, seconds=5.0)
-    first = 9 * len(search.starts) // 10
-    n, h = search.starts[first], search.periods.subject.timing.control_period
-    on = {"v": PUSH, "arm_1_joint": -PUSH / 20}
-    events = ", ".join(
-        f"{{type='push', on='{name}', shape='step', force={f}, start={n * h:.6g}}}" for name, f in on.items()
-    )
-    pushed = Subject.of(run(controller, *told, f"disturbances=[{events}]", seconds=5.0))
-    assert (pushed.rows[:n] == search.periods.subject.rows[:n]).all()
-    assert (pushed.rows[n + 5] != search.periods.subject.rows[n + 5]).any()
-    force = Search(search.periods, np.array([PUSH, 0.0, PUSH / 20, 0.0])).proved()
-    size, eps, _ = force.judged(first)
-    assert np.isfinite(size).all()
-    missed, where = np.abs(pushed.signal("psi") - pushed.signal("psi_hat")), search.periods.layout.where
-    states = np.array([search.periods.state(r, r[where("position")], r[where("nu")]) for r in pushed.rows[n:]])
-    assert within(search, first, states, size)
-    for b in range(first, len(search.ends)):
-        assert (missed[search.starts[b] : search.ends[b]].max(axis=0) <= eps[b]).all()
+    assert_pushed_within(searched(controller, *told, seconds=5.0), controller, *told, seconds=5.0)
 
 
 @pytest.fixture(scope="module")
