@@ -184,3 +184,12 @@ def test_sigmoids_have_the_bits_of_exp(numbers):
     y = np.zeros_like(x)
     elementary.sigmoids(x, y)
     assert np.array_equal(y, [1.0 / (1.0 + elementary.exp(-one)) for one in numbers], equal_nan=True)
+
+
+@given(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4))
+def test_the_nearest_turn_is_within_half_a_turn_and_differs_by_whole_ones(angle: float, near: float) -> None:
+    found = elementary.nearest_turn(angle, near)
+    assert abs(found - near) <= np.pi + 1e-9
+    turns = (angle - found) / (2 * np.pi)
+    assert abs(turns - round(turns)) < 1e-9
+    assert found == angle or abs(angle - near) > np.pi - 1e-9

@@ -21,8 +21,11 @@ Special values are those of IEEE 754 and C99's Annex F; nothing is raised. With 
 as plain Python and gives the same bits.
 """
 
-from .angles import atan, atan2, cos, cos_sin, sin, tan
+from .angles import atan, atan2, cos, cos_sin, nearest_turn, sin, tan
 from .exponentials import exp, expm1, log, sigmoids, tanh
 from .two_doubles import hypot, pow
 
-__all__ = ["atan", "atan2", "cos", "cos_sin", "exp", "expm1", "hypot", "log", "pow", "sigmoids", "sin", "tan", "tanh"]
+__all__ = [
+    "atan", "atan2", "cos", "cos_sin", "exp", "expm1", "hypot", "log", "nearest_turn", "pow", "sigmoids", "sin", "tan",
+    "tanh",
+]  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..compiled import compiled
@@ -44,6 +46,7 @@ TWO_OVER_PI = np.array(
     dtype=np.int64,
 )  # fmt: skip
 WORD = 0xFFFFFF
+TURN = 6.28318530717958623200e00  # 2 pi
 
 
 @compiled
@@ -281,3 +284,10 @@ def atan2(y: float, x: float) -> float:
             z = atan(a / b)
             angle = PI - (z - PI_LO) if left else z
     return -angle if below else angle
+
+
+@compiled
+def nearest_turn(angle: float, near: float) -> float:
+    """An angle moved by whole turns to within half a turn of another one [rad]; unchanged where it is so already."""
+    turns = math.floor((angle - near) / TURN + 0.5)
+    return angle - turns * TURN if turns != 0.0 else angle
