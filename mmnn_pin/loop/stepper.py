@@ -26,7 +26,7 @@ from ..model.robot import Robot
 from ..recording.recorder import Recorder
 from ..recording.recording import Outcome, Recording, Status
 from ..reference.follower import LARGEST, Follower, require_shapes
-from ..reference.guide import Limits
+from ..reference.limits import Limits
 from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
 from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
@@ -195,12 +195,15 @@ class Stepper:
     def of(cls, loop: Loop, **more: Any) -> Self:
         """The stepper of a loop's robot, controller, gains and supervisor; what the loop simulates is left out.
 
+        Full samples are followed as they come, as the loop does, unless `limits` are given.
+
         Args:
             loop: The closed loop.
             more: Arguments of `Stepper` that it does not say.
         """
         said: dict[str, Any] = {name: getattr(loop, name) for name in ALIKE}
         said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag, "latency": loop.latency}
+        said |= {"limits": Limits(samples="exact")}
         return cls(loop.robot, loop.controller, **(said | {"filtered": loop.smoothing} | more))
 
     def step(

@@ -14,12 +14,28 @@ from ..errors import ConfigError
 from ..model.robot import Robot
 from ..settings.arguments import is_numeric, shortly
 from ..signals import Array, Setpoint
-from .guide import ARM, BASE, HOLD, PLANNED, SAMPLE, VELOCITY, Limits, advance, join, new_guide, stand
+from .goal import Reach
+from .guide import (
+    ARM,
+    BASE,
+    HOLD,
+    PLANNED,
+    SAMPLE,
+    VELOCITY,
+    Limits,
+    advance,
+    drive,
+    is_home,
+    leave_home,
+    new_guide,
+    stand,
+    take_sample,
+)
 from .hand import FollowHand, HandCourse
-from .wishes import BaseVelocity, Course, JointGoal, Motion, Reach, Stand, Wish
+from .motion import require_within
+from .wishes import BaseVelocity, Course, JointGoal, Motion, Stand, Wish
 
 LARGEST = 1e9  # a number beyond this is none [SI units]
-LEAST_FADE = 0.1  # shortest time in which a motion handed in takes over [s]
 
 
 class Follower:
@@ -40,10 +56,16 @@ class Follower:
     """
 
     def __init__(self, robot: Robot, limits: Limits, timeout: float) -> None:
-        self.dimensions, self.timeout, self.guide = robot.dimensions, timeout, new_guide(robot, limits)
+        self.dimensions, self.timeout, self.names = robot.dimensions, timeout, robot.joint_names
+        self.guide = new_guide(robot, limits)
         self.now, self.q = self.guide.now, robot.dimensions.pose + 2 * robot.dimensions.base
+        self.sample = np.zeros(self.now.size)
+        self.parts_of_sample = tuple(
+            getattr(Setpoint.side_by_side(self.sample, robot.dimensions), name) for name in Setpoint.__slots__
+        )
         self.wanted = Setpoint.side_by_side(self.guide.wanted, robot.dimensions)
         self.courses: list[Course | None] = [None, None]
+        self.over = [False, False]
         self.begun, self.renewed = [0.0, 0.0], [-math.inf, -math.inf]
         self.stands, self.paused, self.losses = False, math.nan, 0
         self.measured = np.zeros(robot.dimensions.pose + robot.dimensions.base + 2 * robot.dimensions.arm)
@@ -68,17 +90,20 @@ class Follower:
                         "a setpoint that is not finite", fix="give finite numbers", key=f"setpoint.{name}"
                     )
         elif isinstance(wish, BaseVelocity):
-            velocity = np.asarray(wish.velocity, float)
+            given = wish.velocity if is_numeric(wish.velocity) else np.zeros(0)
+            velocity = np.asarray(given, float)
             if velocity.shape != (d.base,) or not d.base or not np.isfinite(velocity).all():
                 fix = f"give {d.base} finite numbers" if d.base else "leave it out: this robot has no base"
-                raise ConfigError(f"a base velocity {velocity.tolist()}", fix=fix, key="setpoint.velocity")
+                raise ConfigError(f"a base velocity {shortly(wish.velocity)}", fix=fix, key="setpoint.velocity")
         elif isinstance(wish, JointGoal):
-            start = self.now[self.q :].reshape(3, d.arm)
-            return Reach(wish, start, self.guide.arm, self.guide.ends, self.q)
+            return Reach(wish, self.now[self.q :].reshape(3, d.arm), self.guide)
         elif isinstance(wish, Motion):
             if wish.dimensions != d:
                 raise ConfigError("a motion of another robot", fix="make it by the stepper's `plan`", key="setpoint")
-            return wish.placed(self.now[: d.pose])
+            motion = wish.placed(self.now[: d.pose], self.now[d.pose : d.pose + d.base])
+            motion = motion.turned(self.now, self.guide.turn)
+            require_within(motion, self.guide, self.names, self.now[self.q : self.q + d.arm])
+            return motion
         elif isinstance(wish, FollowHand):
             if wish.body.robot.dimensions != d:
                 raise ConfigError("a hand of another robot", fix="make its body of this robot", key="setpoint")
@@ -118,54 +143,61 @@ class Follower:
         """Hold; wishes are not followed, and motions wait."""
         if math.isnan(self.paused):
             self.paused = time
-            self.guide.aim[:], self.guide.kind[:] = self.now, HOLD
+            self.guide.kind[:] = HOLD
 
     def resume(self, time: float) -> None:
-        """Go on with the motions that wait, joined without a jump."""
+        """Go on with the motions that wait."""
         if not math.isnan(self.paused):
             waited, self.paused = time - self.paused, math.nan
-            for part in (BASE, ARM):
+            for part, course in enumerate(self.courses):
                 self.begun[part] += waited
-                self._join(part, time, 0.0)
+                if course is not None:
+                    self._go_after(part, course)
 
     def rehearse(self, measured: Array) -> None:
         """Call, and so compile, all that a sample calls; it leaves no trace."""
         stand(measured, self.guide)
-        for part in (BASE, ARM):
-            join(part, 0.0, LEAST_FADE, self.guide)
+        take_sample(self.now, self.guide)
         advance(measured, 0.0, self.guide)
-        for array in (self.guide.now, self.guide.aim, self.guide.wanted, self.guide.clock):
-            array[:] = 0.0
+        if self.dimensions.base:
+            drive(np.zeros(self.dimensions.base), self.guide)
+        for part in (BASE, ARM):
+            leave_home(part, self.guide)
+            is_home(part, self.guide)
+        for array in (self.guide.now, self.guide.wanted, self.guide.pace, self.guide.kind, self.guide.home):
+            array[:] = 0
 
     def _follow(self, wish: Wish, course: Course | None, time: float, dt: float) -> None:
         """Follow a wish from this sample on."""
-        guide = self.guide
         if isinstance(wish, Setpoint):
-            for name in wish.__slots__:
-                getattr(self.wanted, name)[:] = getattr(wish, name)
+            for name, mine in zip(wish.__slots__, self.parts_of_sample, strict=True):
+                mine[:] = getattr(wish, name)
             self.courses[:], self.renewed[:] = (None, None), (time, time)
-            guide.kind[:], guide.fresh[:], guide.clock[:] = SAMPLE, 1, 0.0
+            take_sample(self.sample, self.guide)
         elif isinstance(wish, BaseVelocity):
             self._leave(BASE)
-            np.clip(wish.velocity, -guide.base[0], guide.base[0], out=self.wanted.velocity)
-            guide.kind[BASE], self.renewed[BASE] = VELOCITY, time
+            drive(np.asarray(wish.velocity, float), self.guide)
+            self.renewed[BASE] = time
         elif course is not None:
             for part in course.parts:
-                self._leave(part)
-                planned_here = isinstance(course, Reach)  # from the last reference, which is dt old
-                self.courses[part], self.begun[part] = course, time - (dt if planned_here else 0.0)
-                self._join(part, time, dt)
+                # what is made here begins with the last reference, which is dt old
+                self.courses[part], self.begun[part] = course, time - (0.0 if isinstance(course, Motion) else dt)
+                self._go_after(part, course)
         elif isinstance(wish, Stand):
             for part in wish.parts:
                 self._leave(part)
 
-    def _join(self, part: int, time: float, dt: float) -> None:
-        """Begin to follow the course of a part at its sample of a time; dt is how old the reference is."""
-        course = self.courses[part]
-        if course is not None:
-            course.write(time - self.begun[part], self.guide.wanted)
-            join(part, dt, LEAST_FADE, self.guide)
-            self.guide.kind[part] = PLANNED
+    def _go_after(self, part: int, course: Course) -> None:
+        """Let the reference go after the samples of a course."""
+        self.guide.kind[part], self.over[part] = PLANNED, False
+        leave_home(part, self.guide)
+        if part == ARM:
+            guide, q = self.guide, self.now[self.q :].reshape(3, -1)
+            np.maximum(guide.bend, course.bends, out=guide.bend)
+            stop = q[0] + 0.5 * q[1] * np.abs(q[1]) / guide.arm[1]
+            least, most = course.places
+            np.clip(np.minimum(least, np.minimum(q[0], stop)), *guide.ends, out=guide.span[0])
+            np.clip(np.maximum(most, np.maximum(q[0], stop)), *guide.ends, out=guide.span[1])
 
     def _go_on(self, part: int, time: float) -> None:
         """The wanted sample of a part that follows a course; hold where a course is over, or a wish was not renewed."""
@@ -173,13 +205,13 @@ class Follower:
         if kind in (SAMPLE, VELOCITY) and time - self.renewed[part] > self.timeout:
             self._leave(part)
             self.losses += 1
-        elif course is not None and not course.write(time - self.begun[part], self.guide.wanted):
-            self._leave(part)
+        elif course is not None:
+            was_over, self.over[part] = self.over[part], not course.write(time - self.begun[part], self.guide.wanted)
+            if self.over[part] and (not course.ends_at_rest or (was_over and is_home(part, self.guide))):
+                self._leave(part)
 
     def _leave(self, part: int) -> None:
         """Hold, from the reference as it is."""
-        at = slice(0, self.q) if part == BASE else slice(self.q, None)
-        self.guide.aim[at] = self.guide.now[at]
         self.courses[part], self.guide.kind[part] = None, HOLD
 
 

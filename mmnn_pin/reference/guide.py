@@ -1,18 +1,24 @@
-"""Setpoints made while the robot runs, from wishes that come one by one: the reference goes on without a jump.
+"""Setpoints made while the robot runs, from wishes that come one by one: within limits, and where they were asked.
 
     wish of the base ─┐
-    wish of the arm  ─┴─▶ [advance] ─▶ braking before the joints' ends ─▶ setpoint of this sample
+    wish of the arm  ─┴─▶ [advance] ─▶ setpoint of this sample
 
 Base and arm each follow a wish of a kind:
 
-- `HOLD`: brake within the acceleration limits, then stand. A base that rolls keeps the sideways error that it has then.
-- `VELOCITY` (base): a velocity within the limits. The reference pose is the measured pose: pose errors are zero.
-- `SAMPLE`: full samples, as they are. One that does not come is made from the last by its own velocity.
-- `PLANNED`: samples of a motion known ahead, joined to what the reference did before by a polynomial of degree five
-  that fades: pose, velocities and the joints' accelerations do not jump.
+- `HOLD`: brake within the accelerations, then stand. A joint beyond its end is led back to it.
+- `VELOCITY` (base): a velocity; (v, w) change together, so that a curvature stays one. The reference pose is the
+  measured pose: pose errors are zero.
+- `SAMPLE`: full samples. One that does not come is made from the last by its own velocity.
+- `PLANNED`: samples of a motion known ahead.
 
-A reference of a joint that could not stop before the joint's end brakes along `sqrt(2 a d)`, whatever is wished, and
-catches up when the wish is back inside. All of it is compiled arithmetic on arrays; nothing is allocated.
+The last two are targets that move. A reference that has reached its target is the target, bit for bit (it is *home*),
+until a sample jumps beyond what its own rates explain, or asks for more than the limits. Else it goes after it in the
+shortest time within the limits: what it is beside it is brought to rest at 0 as if the target went on with its present
+velocity, so that the reference is never pushed harder than its own limit. A joint brakes in time before it leaves its
+ends, or the places of the motion that it follows by more than what braking needs.
+
+All of it is compiled arithmetic on arrays (`braking` has the closed forms, exact for any time between two samples);
+nothing is allocated.
 """
 
 from __future__ import annotations
@@ -22,76 +28,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compiled import compiled, copy_to, spliced
-from ..elementary import cos_sin
+from ..compiled import compiled, copy_to
+from ..elementary import cos_sin, hypot, nearest_turn
 from ..errors import ConfigError
-from ..model.base import BY_SIZE
 from ..model.robot import Robot, speed_limits
-from ..model.robot import limits as limits_of
-from ..settings import Numbers, Settings, one_or_each, require_numbers
-from ..signals import Array, Dimensions, IntArray
+from ..signals import Array, IntArray
+from .braking import brought_home, in_one_step, led
+from .limits import Limits
 
 HOLD, VELOCITY, SAMPLE, PLANNED = range(4)
 BASE, ARM = 0, 1  # parts
-DURATION, ELAPSED = 0, 1  # of a part's blend [s]
-# The fading polynomial from value 1, rate 1, half acceleration 1: coefficients of u^3, u^4, u^5.
-FADE = ((-10.0, 15.0, -6.0), (-6.0, 8.0, -3.0), (-3.0, 3.0, -1.0))
-PEAK_RATE, PEAK_ACCELERATION = 1.875, 5.7735  # of it, from value 1 [1/T, 1/T^2]
-
-
-class Limits(Settings, frozen=True):
-    """Limits of a reference that is made while the robot runs.
-
-    Args:
-        speed: Largest speed of the base [m/s].
-        yaw_rate: Largest yaw rate [rad/s].
-        acceleration: Of the base [m/s^2].
-        yaw_acceleration: [rad/s^2].
-        joint_speed: One number or one per joint [rad/s or m/s]; "urdf" for the velocity limits of the URDF, 1 where it
-            states none.
-        joint_acceleration: One number or one per joint [rad/s^2 or m/s^2].
-        joint_jerk: Of motions to a goal, one number or one per joint [rad/s^3 or m/s^3].
-        joint_margin: Distance from the joints' ends that is kept [rad or m].
-
-    Raises:
-        ConfigError: A number that is not positive and finite.
-    """
-
-    speed: float = 1.0
-    yaw_rate: float = 1.5
-    acceleration: float = 1.0
-    yaw_acceleration: float = 2.0
-    joint_speed: str | Numbers = "urdf"
-    joint_acceleration: Numbers = 5.0
-    joint_jerk: Numbers = 50.0
-    joint_margin: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_numbers(self, "limits", set(self.__struct_fields__) - {"joint_margin"})
-        if isinstance(self.joint_speed, str) and self.joint_speed != "urdf":
-            fix = 'give numbers, or "urdf"'
-            raise ConfigError(f"'{self.joint_speed}'", fix=fix, key="limits.joint_speed")
-
-    def of_base(self, dimensions: Dimensions) -> Array:
-        """Speeds and accelerations of the base's velocities, (2, nb)."""
-        per_velocity = BY_SIZE[dimensions.base].per_velocity
-        return np.array(
-            [per_velocity(self.speed, self.yaw_rate), per_velocity(self.acceleration, self.yaw_acceleration)], float
-        ).reshape(2, dimensions.base)
-
-    def of_arm(self, robot: Robot) -> Array:
-        """Speed, acceleration and jerk of the joints, (3, n).
-
-        Raises:
-            ConfigError: Neither one number nor as many as joints.
-        """
-        n = robot.dimensions.arm
-        urdf = speed_limits(robot)[robot.dimensions.motors - n :]
-        speed = limits_of(self.joint_speed, np.where(np.isfinite(urdf), urdf, 1.0), "joint", "limits.joint_speed")  # type: ignore[arg-type]
-        rest = [
-            one_or_each(getattr(self, f"joint_{k}"), n, "joint", f"limits.joint_{k}") for k in ("acceleration", "jerk")
-        ]
-        return np.array([speed, *rest]).reshape(3, n)
+OWN = 1.5  # times the acceleration that a sample states: a change of its velocity within that is its own
+ROUNDING = 1e-9
+AT_REST = 1e-6  # rate of a target that stands [rad/s or m/s]
+NEAR = 1e-6  # beyond a joint's end that is none [rad or m]
 
 
 class Guide(NamedTuple):
@@ -100,30 +50,36 @@ class Guide(NamedTuple):
     A setpoint is flat: pose, velocity, acceleration of the base, q, qdot, qddot of the arm side by side.
 
     Attributes:
-        base: (2, nb) largest speeds and accelerations of the base.
-        arm: (3, n) largest speeds, accelerations and jerks of the joints.
+        base: (3, nb) largest speeds and accelerations of the base, see `Limits.of_base`.
+        wheels: (m, nb) speeds of the wheels by those of the base, over their limits.
+        arm: (4, n) limits of the joints, see `Limits.of_arm`.
         ends: (2, n) where the joints' reference must stay [rad or m].
+        turn: (n,) 1 for a joint without ends, for which a whole turn is none.
+        exact: (1,) 1 where full samples are taken as they are.
         kind: (2,) what base and arm follow.
         fresh: (2,) 1 where a full sample has just come.
         wanted: (w,) the wish: a full sample, or the velocity of the base.
         now: (w,) the reference.
-        aim: (w,) the reference before the joints' braking.
-        blend: (3 + nb + n, 6) fading polynomials over u in 0 ... 1 of pose, velocity and joints.
-        clock: (2, 2) duration of the blends of base and arm, and the time since they began [s].
-        held: (n,) 1 where a joint is kept from its end.
+        pace: (pose,) rate of the reference's pose in the world [m/s, m/s, rad/s].
+        home: (1 + n,) 1 where the base, and every joint, is on its target.
+        bend: (n,) largest acceleration with which a joint goes after its target.
+        span: (2, n) where it stays meanwhile: between its ends, and where the motion that it follows is.
     """
 
     base: Array
+    wheels: Array
     arm: Array
     ends: Array
+    turn: IntArray
+    exact: IntArray
     kind: IntArray
     fresh: IntArray
     wanted: Array
     now: Array
-    aim: Array
-    blend: Array
-    clock: Array
-    held: IntArray
+    pace: Array
+    home: IntArray
+    bend: Array
+    span: Array
 
 
 def new_guide(robot: Robot, limits: Limits) -> Guide:
@@ -133,25 +89,32 @@ def new_guide(robot: Robot, limits: Limits) -> Guide:
         ConfigError: Not one limit per joint; ends that leave a joint no room.
     """
     d = robot.dimensions
-    width = d.pose + 2 * d.base + 3 * d.arm
+    width, wheels = d.pose + 2 * d.base + 3 * d.arm, d.motors - d.arm
     margin = limits.joint_margin
     ends = np.array([robot.lower[robot.arm_index] + margin, robot.upper[robot.arm_index] - margin]).reshape(2, d.arm)
     if not (ends[0] < ends[1]).all():
         fix = "use a smaller limits.joint_margin"
         raise ConfigError(f"{margin:g} from both ends leaves a joint no room", fix=fix, key="limits.joint_margin")
+    rows, speeds, arm = robot.E.T[:wheels, : d.base], speed_limits(robot)[:wheels], limits.of_arm(robot)
     return Guide(
         base=limits.of_base(d),
-        arm=limits.of_arm(robot),
+        wheels=np.ascontiguousarray((rows / speeds[:, None])[np.isfinite(speeds)]),
+        arm=arm,
         ends=ends,
+        turn=robot.is_continuous[robot.arm_index].astype(np.int64),
+        exact=np.array([limits.samples == "exact"], np.int64),
         kind=np.zeros(2, np.int64),
         fresh=np.zeros(2, np.int64),
         wanted=np.zeros(width),
         now=np.zeros(width),
-        aim=np.zeros(width),
-        blend=np.zeros((d.pose + d.base + d.arm, 6)),
-        clock=np.zeros((2, 2)),
-        held=np.zeros(d.arm, np.int64),
+        pace=np.zeros(d.pose),
+        home=np.zeros(1 + d.arm, np.int64),
+        bend=arm[1].copy(),
+        span=ends.copy(),
     )
+
+
+# -- what is followed from now on --------------------------------------------------------------------------------------
 
 
 @compiled
@@ -167,117 +130,65 @@ def stand(measured: Array, guide: Guide) -> None:
     now[:] = 0.0
     copy_to(measured[: pose + nb], now[: pose + nb])
     copy_to(measured[pose + nb :], now[q : q + 2 * n])
-    copy_to(now, guide.aim)
     copy_to(now, guide.wanted)
-    guide.kind[:], guide.fresh[:], guide.clock[:], guide.held[:] = HOLD, 0, 0.0, 0
-
-
-@spliced
-def roll(pose: Array, velocity: Array, dt: float) -> None:
-    """Move a pose (3,) on by a velocity in its own frame, by the middle of the step."""
-    w = velocity[velocity.size - 1]
-    middle = pose[2] + 0.5 * w * dt
-    c, s = cos_sin(middle)
-    sideways = velocity[1] if velocity.size == 3 else 0.0
-    pose[0] += (c * velocity[0] - s * sideways) * dt
-    pose[1] += (s * velocity[0] + c * sideways) * dt
-    pose[2] += w * dt
-
-
-@spliced
-def ramp(velocity: Array, goal: Array, most: Array, dt: float, acceleration: Array) -> None:
-    """Move velocities towards a goal (k,) within accelerations (k,)."""
-    for i in range(velocity.size):
-        step = most[i] * dt
-        a = min(max(goal[i] - velocity[i], -step), step)
-        acceleration[i] = a / dt if dt > 0.0 else 0.0
-        velocity[i] += a
-
-
-@compiled
-def coast(sample: Array, nb: int, n: int, dt: float) -> None:
-    """Move a sample on by its own velocities; base and arm alike."""
-    pose = 3 if nb else 0
-    q = pose + 2 * nb
+    guide.kind[:], guide.fresh[:], guide.home[:] = HOLD, 0, 0
     if nb:
-        roll(sample[:3], sample[3 : 3 + nb], dt)
-        sample[3 + nb : q] = 0.0
-    for i in range(n):
-        sample[q + i] += sample[q + n + i] * dt
-        sample[q + 2 * n + i] = 0.0
+        in_the_world(now, nb, guide.pace)
 
 
 @compiled
-def join(part: int, dt: float, least: float, guide: Guide) -> None:
-    """Begin to follow the wanted samples of a part: what the reference is ahead of them now fades.
+def drive(velocity: Array, guide: Guide) -> None:
+    """Let the base follow a velocity (nb,), scaled as a whole to what base and wheels can do."""
+    wanted = guide.wanted[3 : 3 + velocity.size]
+    copy_to(velocity, wanted)
+    share = within_reach(wanted, guide)
+    for i in range(wanted.size):
+        wanted[i] *= share
+    guide.kind[BASE] = VELOCITY
 
-    It takes as long as keeps the fading within half of the limits; where nothing is ahead there is nothing to fade.
 
-    Args:
-        part: `BASE` or `ARM`.
-        dt: Time since the reference was made [s].
-        least: Shortest time of fading [s].
-        guide: The guide; its `wanted` is the first sample.
-    """
-    nb, n = guide.base.shape[1], guide.arm.shape[1]
-    pose, now, wanted, blend = 3 if nb else 0, guide.now, guide.wanted, guide.blend
-    q, longest = pose + 2 * nb, 0.0
-    if part == BASE and nb == 0:
-        return
+@compiled
+def take_sample(sample: Array, guide: Guide) -> None:
+    """Let base and arm follow full samples, of which this is one; angles by the turn nearest to the reference."""
+    nb, n, wanted, now = guide.base.shape[1], guide.arm.shape[1], guide.wanted, guide.now
+    q = (3 if nb else 0) + 2 * nb
+    copy_to(sample, wanted)
+    if nb:
+        wanted[2] = nearest_turn(wanted[2], now[2])
+    for i in range(n):
+        if guide.turn[i] > 0:
+            wanted[q + i] = nearest_turn(wanted[q + i], now[q + i])
+    for part in range(2):
+        if guide.kind[part] != SAMPLE:
+            leave_home(part, guide)
+        guide.kind[part], guide.fresh[part] = SAMPLE, 1
+
+
+@compiled
+def leave_home(part: int, guide: Guide) -> None:
+    """The reference of a part has another target, which it goes after within the accelerations of what is made here."""
+    n = guide.arm.shape[1]
     if part == BASE:
-        roll(now[:3], now[pose : pose + nb], dt)
-        for i in range(3):
-            shift = now[i] - wanted[i]
-            if i == 2:
-                shift = math.pi - (math.pi - shift) % (2.0 * math.pi)
-            blend[i, 0] = shift
-            speed, most = guide.base[0, nb - 1 if i == 2 else 0], guide.base[1, nb - 1 if i == 2 else 0]
-            longest = max(longest, fading(shift, 0.0, speed, most))
-        for i in range(nb):
-            gap = now[pose + i] + now[pose + nb + i] * dt - wanted[pose + i]
-            blend[3 + i, 0], blend[3 + i, 1] = gap, now[pose + nb + i] - wanted[pose + nb + i]
-            longest = max(longest, 2.0 * PEAK_RATE * abs(gap) / guide.base[1, i])
-        ahead(now, wanted, nb, blend)
+        guide.home[0] = 0
     else:
-        for i in range(n):
-            at = pose + nb + i
-            bends, rates = now[q + 2 * n + i], now[q + n + i]
-            gap = now[q + i] + dt * (rates + 0.5 * dt * bends) - wanted[q + i]
-            lead = rates + dt * bends - wanted[q + n + i]
-            blend[at, 0], blend[at, 1], blend[at, 2] = gap, lead, 0.5 * (bends - wanted[q + 2 * n + i])
-            longest = max(longest, fading(gap, lead, guide.arm[0, i], guide.arm[1, i]))
-            longest = max(longest, 4.0 * abs(2.0 * blend[at, 2]) / guide.arm[2, i])
-    T = max(longest, least) if longest > 0.0 else 0.0
-    first, last = (0, pose + nb) if part == BASE else (pose + nb, pose + nb + n)
-    for k in range(first, last):
-        blend[k, 1] *= T
-        blend[k, 2] *= T * T
-        for j in range(3):
-            blend[k, 3 + j] = blend[k, 0] * FADE[0][j] + blend[k, 1] * FADE[1][j] + blend[k, 2] * FADE[2][j]
-    guide.clock[part, DURATION], guide.clock[part, ELAPSED] = T, 0.0
+        guide.home[1:] = 0
+        copy_to(guide.arm[1, :n], guide.bend)
+        for i in range(2):
+            copy_to(guide.ends[i], guide.span[i])
 
 
-@spliced
-def ahead(now: Array, wanted: Array, nb: int, blend: Array) -> None:
-    """Rate of the pose in the world by which the reference is ahead of the wanted one, into the blend."""
-    for i in range(3):
-        blend[i, 1], blend[i, 2] = 0.0, 0.0
-    for sign, sample in ((1.0, now), (-1.0, wanted)):
-        c, s = cos_sin(sample[2])
-        sideways = sample[4] if nb == 3 else 0.0
-        blend[0, 1] += sign * (c * sample[3] - s * sideways)
-        blend[1, 1] += sign * (s * sample[3] + c * sideways)
-        blend[2, 1] += sign * sample[3 + nb - 1]
-    for i in range(nb):
-        blend[3 + i, 2] = 0.0
+@compiled
+def is_home(part: int, guide: Guide) -> bool:
+    """Whether the reference of a part is its target."""
+    if part == BASE:
+        return guide.home[0] > 0
+    away = 0
+    for i in range(guide.arm.shape[1]):
+        away += 1 - guide.home[1 + i]
+    return away == 0
 
 
-@spliced
-def fading(gap: float, rate: float, speed: float, most: float) -> float:
-    """Time in which a gap and its rate fade within half of a speed and an acceleration [s]."""
-    by_speed = 2.0 * PEAK_RATE * abs(gap) / speed
-    by_acceleration = math.sqrt(2.0 * PEAK_ACCELERATION * abs(gap) / most)
-    return max(max(by_speed, by_acceleration), 8.0 * abs(rate) / most)
+# -- the reference of a sample -----------------------------------------------------------------------------------------
 
 
 @compiled
@@ -290,112 +201,221 @@ def advance(measured: Array, dt: float, guide: Guide) -> None:
         guide: The guide.
     """
     nb, n = guide.base.shape[1], guide.arm.shape[1]
-    pose, aim, wanted = 3 if nb else 0, guide.aim, guide.wanted
-    q = pose + 2 * nb
-    for part in range(2):
-        if guide.kind[part] == SAMPLE and guide.fresh[part] == 0:
-            if part == BASE:
-                coast(wanted[:q], nb, 0, dt)
-            else:
-                coast(wanted[q:], 0, n, dt)
-        guide.fresh[part] = 0
     if nb:
-        kind, velocity, acceleration = guide.kind[BASE], aim[pose : pose + nb], aim[pose + nb : q]
-        if kind >= SAMPLE:
-            copy_to(wanted[:q], aim[:q])
-            faded(BASE, dt, guide)
+        if guide.kind[BASE] >= SAMPLE:
+            follow_pose(dt, guide)
         else:
-            if kind != VELOCITY:
-                wanted[pose : pose + nb] = 0.0
-            ramp(velocity, wanted[pose : pose + nb], guide.base[1], dt, acceleration)
-            if kind == VELOCITY:
-                copy_to(measured[:3], aim[:3])
-            else:
-                roll(aim[:3], velocity, dt)
-    if guide.kind[ARM] >= SAMPLE:
-        copy_to(wanted[q:], aim[q:])
-        faded(ARM, dt, guide)
-    else:
-        for i in range(n):
-            before = aim[q + n + i]
-            step = guide.arm[1, i] * dt
-            after = before - min(max(before, -step), step)
-            aim[q + 2 * n + i] = (after - before) / dt if dt > 0.0 else 0.0
-            aim[q + n + i] = after
-            aim[q + i] += 0.5 * (before + after) * dt
-    copy_to(aim[:q], guide.now[:q])
+            ramp(measured, dt, guide)
     for i in range(n):
-        keep_inside(i, q, dt, guide)
-
-
-@spliced
-def faded(part: int, dt: float, guide: Guide) -> None:
-    """Add to a part of `guide.aim` what still fades."""
-    T = guide.clock[part, DURATION]
-    if T > 0.0:
-        nb, n, aim = guide.base.shape[1], guide.arm.shape[1], guide.aim
-        pose = 3 if nb else 0
-        u = guide.clock[part, ELAPSED] / T
-        guide.clock[part, ELAPSED] += dt
-        if u >= 1.0:
-            guide.clock[part, DURATION] = 0.0
-        elif part == BASE:
-            for i in range(3):
-                aim[i] += value(guide.blend[i], u)
-            for i in range(nb):
-                aim[pose + i] += value(guide.blend[3 + i], u)
-                aim[pose + nb + i] += rate(guide.blend[3 + i], u) / T
+        if guide.kind[ARM] >= SAMPLE:
+            follow_joint(i, dt, guide)
         else:
-            for i in range(n):
-                row, at = guide.blend[pose + nb + i], pose + 2 * nb + i
-                aim[at] += value(row, u)
-                aim[at + n] += rate(row, u) / T
-                aim[at + 2 * n] += bend(row, u) / (T * T)
-
-
-@spliced
-def value(c: Array, u: float) -> float:
-    """A polynomial of degree five, coefficients from the lowest."""
-    return c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))))
-
-
-@spliced
-def rate(c: Array, u: float) -> float:
-    """Its derivative."""
-    return c[1] + u * (2.0 * c[2] + u * (3.0 * c[3] + u * (4.0 * c[4] + u * 5.0 * c[5])))
-
-
-@spliced
-def bend(c: Array, u: float) -> float:
-    """Its second derivative."""
-    return 2.0 * c[2] + u * (6.0 * c[3] + u * (12.0 * c[4] + u * 20.0 * c[5]))
+            brake_joint(i, dt, guide)
+    guide.fresh[:] = 0
 
 
 @compiled
-def keep_inside(i: int, q: int, dt: float, guide: Guide) -> None:
-    """The reference of a joint: the aim where it can stop before the joint's end, else braking, else catching up."""
-    n, aim, now = guide.arm.shape[1], guide.aim, guide.now
-    low, high, a = guide.ends[0, i], guide.ends[1, i], guide.arm[1, i]
-    goal, speed, place, before = aim[q + i], aim[q + n + i], now[q + i], now[q + n + i]
-    up = math.sqrt(2.0 * a * max(high - goal, 0.0))
-    down = -math.sqrt(2.0 * a * max(goal - low, 0.0))
-    fine = low <= goal <= high and down <= speed <= up
-    gap = goal - place
-    if fine and guide.held[i] == 1 and abs(gap) <= a * dt * dt and abs(speed - before) <= a * dt:
-        guide.held[i] = 0
-    if fine and guide.held[i] == 0:
+def ramp(measured: Array, dt: float, guide: Guide) -> None:
+    """Base velocities change together towards the wanted ones, 0 in `HOLD`, as fast as the accelerations allow."""
+    nb, now, share = guide.base.shape[1], guide.now, 1.0
+    velocity, is_led = now[3 : 3 + nb], guide.kind[BASE] == VELOCITY
+    for i in range(nb):
+        change = (guide.wanted[3 + i] if is_led else 0.0) - velocity[i]
+        if abs(change) > guide.base[1, i] * dt:
+            share = min(share, guide.base[1, i] * dt / abs(change))
+    middle = now[3 : 3 + 2 * nb]
+    for i in range(nb):
+        goal, before = guide.wanted[3 + i] if is_led else 0.0, velocity[i]
+        velocity[i] = goal if share >= 1.0 else before + share * (goal - before)
+        middle[nb + i] = 0.5 * (before + velocity[i])  # rolled by, then it is the acceleration
+    if is_led:
+        copy_to(measured[:3], now[:3])
+    else:
+        roll(now[:3], middle[nb:], dt)
+    for i in range(nb):
+        middle[nb + i] = 2.0 * (velocity[i] - middle[nb + i]) / dt if dt > 0.0 else 0.0
+    in_the_world(now, nb, guide.pace)
+
+
+@compiled
+def roll(pose: Array, velocity: Array, dt: float) -> None:
+    """Move a pose (3,) on by a velocity in its own frame, by the middle of the step."""
+    w = velocity[velocity.size - 1]
+    middle = pose[2] + 0.5 * w * dt
+    c, s = cos_sin(middle)
+    sideways = velocity[1] if velocity.size == 3 else 0.0
+    pose[0] += (c * velocity[0] - s * sideways) * dt
+    pose[1] += (s * velocity[0] + c * sideways) * dt
+    pose[2] += w * dt
+
+
+@compiled
+def in_the_world(sample: Array, nb: int, rates: Array) -> None:
+    """Rates of the pose (3,) of a sample, by its heading and base velocity."""
+    c, s = cos_sin(sample[2])
+    sideways = sample[4] if nb == 3 else 0.0
+    rates[0], rates[1] = c * sample[3] - s * sideways, s * sample[3] + c * sideways
+    rates[2] = sample[2 + nb]
+
+
+@compiled
+def within_reach(velocity: Array, guide: Guide) -> float:
+    """By what a base velocity (nb,) has to be multiplied so that base and wheels reach it; at most 1."""
+    nb, over = velocity.size, 1.0
+    for i in range(nb):
+        over = max(over, abs(velocity[i]) / guide.base[0, i])
+    if nb == 3:
+        over = max(over, hypot(velocity[0], velocity[1]) / guide.base[0, 0])
+    for j in range(guide.wheels.shape[0]):
+        speed = 0.0
+        for i in range(nb):
+            speed += guide.wheels[j, i] * velocity[i]
+        over = max(over, abs(speed))
+    return 1.0 / over
+
+
+@compiled
+def brake_joint(i: int, dt: float, guide: Guide) -> None:
+    """A joint that holds: to where it stops within its acceleration, inside its ends."""
+    n, now = guide.arm.shape[1], guide.now
+    q, a = now.size - 3 * n + i, guide.arm[1, i]
+    place, rate = now[q], now[q + n]
+    goal = min(max(place + 0.5 * rate * abs(rate) / a, guide.ends[0, i]), guide.ends[1, i])
+    now[q], now[q + n] = led(place, rate, goal, guide.ends[0, i], guide.ends[1, i], a, guide.arm[0, i], dt)
+    now[q + 2 * n] = (now[q + n] - rate) / dt if dt > 0.0 else 0.0
+
+
+@compiled
+def follow_joint(i: int, dt: float, guide: Guide) -> None:
+    """A joint that follows samples or a motion: on its target where it can be, else after it."""
+    n, now, wanted = guide.arm.shape[1], guide.now, guide.wanted
+    q, low, high, fastest = now.size - 3 * n + i, guide.ends[0, i], guide.ends[1, i], guide.arm[0, i]
+    sampled, fresh, a = guide.kind[ARM] == SAMPLE, guide.fresh[ARM] > 0, guide.bend[i]
+    if sampled and not fresh:
+        wanted[q] += wanted[q + n] * dt
+        wanted[q + 2 * n] = 0.0
+    to, speed, place, rate = wanted[q], wanted[q + n], now[q], now[q + n]
+    most, stays = a, guide.home[1 + i] > 0
+    if sampled:
+        own = max(a, OWN * max(abs(wanted[q + 2 * n]), abs(now[q + 2 * n])))
+        most = min(own, guide.arm[3, i]) if stays else a
+        exact = guide.exact[0] > 0
+        room = NEAR + (high - to if speed > 0.0 else to - low)
+        fits = low - NEAR <= to <= high + NEAR and speed * speed <= 2.0 * guide.arm[1, i] * room
+        fits = fits and (exact or abs(speed) <= fastest * (1.0 + 1e-9))
+        stays = fits and (exact or (stays and not fresh) or in_one_step(place, rate, to, speed, most, dt))
+    else:
+        stays = stays or in_one_step(place, rate, to, speed, most, dt)
+        stays = stays and (low - NEAR <= to <= high + NEAR or not low <= place <= high)  # from outside it may come in
+    if stays:
+        guide.home[1 + i] = 1
         for k in range(3):
-            now[q + k * n + i] = aim[q + k * n + i]
+            now[q + k * n] = wanted[q + k * n]
         return
-    guide.held[i] = 1
-    if dt <= 0.0:
-        return
-    wish = speed + math.copysign(min(abs(gap) / dt, math.sqrt(a * abs(gap))), gap)
-    wish = min(max(wish, before - a * dt), before + a * dt)
-    # the fastest from which it still stops: v dt + v^2 / (2 a) = distance
-    up = a * (math.sqrt(dt * dt + 2.0 * max(high - place, 0.0) / a) - dt)
-    down = -a * (math.sqrt(dt * dt + 2.0 * max(place - low, 0.0) / a) - dt)
-    after = min(max(wish, down), up)
-    now[q + i] = place + after * dt
-    now[q + n + i] = after
-    now[q + 2 * n + i] = (after - before) / dt
+    guide.home[1 + i] = 0
+    ahead, lead = place - (to - speed * dt), rate - speed
+    free = fastest - (abs(speed) if ahead * speed < 0.0 else 0.0)
+    ahead, lead = brought_home(ahead, lead, a, max(free, 0.0), dt)
+    after, most = speed + lead, max(fastest, abs(rate) - a * dt)
+    then = to + ahead
+    if abs(after) > most:
+        after = math.copysign(most, after)
+        then = place + 0.5 * (rate + after) * dt
+    low, high = guide.span[0, i], guide.span[1, i]
+    if then > high or (after > 0.0 and after * after > 2.0 * a * (high - then)):
+        then, after = led(place, rate, high, low, high, a, fastest, dt)
+    elif then < low or (after < 0.0 and after * after > 2.0 * a * (then - low)):
+        then, after = led(place, rate, low, low, high, a, fastest, dt)
+    now[q], now[q + n] = then, after
+    now[q + 2 * n] = (after - rate) / dt if dt > 0.0 else 0.0
+
+
+@compiled
+def follow_pose(dt: float, guide: Guide) -> None:
+    """A base that follows samples or a motion: on its target where it can be, else beside it, coming nearer."""
+    nb, now, wanted = guide.base.shape[1], guide.now, guide.wanted
+    sampled, fresh = guide.kind[BASE] == SAMPLE, guide.fresh[BASE] > 0
+    velocity, before = wanted[3 : 3 + nb], now[3 + nb : 3 + 2 * nb]
+    if sampled and not fresh:
+        roll(wanted[:3], velocity, dt)
+        wanted[3 + nb : 3 + 2 * nb] = 0.0
+    stays, exact = guide.home[0] > 0, sampled and guide.exact[0] > 0
+    if sampled:
+        fits = exact or within_reach(velocity, guide) >= 1.0 - ROUNDING
+        stays = fits and (exact or (stays and not fresh) or is_next(dt, guide))
+    else:
+        stays = stays or is_next(dt, guide)
+    if not stays:
+        stays = come_nearer(dt, guide)
+    guide.home[0] = 1 if stays else 0
+    if stays:
+        copy_to(wanted[: 3 + 2 * nb], now[: 3 + 2 * nb])
+        in_the_world(wanted, nb, guide.pace)
+    else:
+        for i in range(nb):
+            before[i] = before[i] / dt if dt > 0.0 else 0.0
+
+
+@compiled
+def is_next(dt: float, guide: Guide) -> bool:
+    """Whether the wanted base sample can follow on the reference within the accelerations that a sample may bring."""
+    nb, now, wanted, is_one = guide.base.shape[1], guide.now, guide.wanted, True
+    c, s = cos_sin(0.5 * (now[2] + wanted[2]))
+    x, y = wanted[0] - now[0], wanted[1] - now[1]
+    along, across, about = c * x + s * y, c * y - s * x, wanted[2] - now[2]
+    for i in range(nb):
+        here, then = now[3 + i], wanted[3 + i]
+        own = max(guide.base[1, i], OWN * max(abs(wanted[3 + nb + i]), abs(now[3 + nb + i])))
+        bend = min(own, guide.base[2, i]) if guide.home[0] > 0 else guide.base[1, i]
+        moved = about if i == nb - 1 else along if i == 0 else across
+        is_one = is_one and in_one_step(0.0, here, moved, then, bend, dt)
+    return is_one and (nb == 3 or abs(across) <= 0.5 * guide.base[1, 0] * dt * dt + ROUNDING)
+
+
+@compiled
+def come_nearer(dt: float, guide: Guide) -> bool:
+    """Bring what the reference's pose is beside the wanted one to rest at 0; true where it is there.
+
+    The acceleration's place in the reference takes the change of the velocity.
+    """
+    nb, now, wanted, pace, is_there = guide.base.shape[1], guide.now, guide.wanted, guide.pace, True
+    x, y, phi = now[0], now[1], now[2]
+    c, s = cos_sin(wanted[2])
+    dx, dy = now[0] - wanted[0], now[1] - wanted[1]
+    for i in range(3):  # along the wanted heading, across it, and about
+        speed, ahead, rate, at = wanted[3], c * dx + s * dy, c * pace[0] + s * pace[1], 0
+        if i == 1:
+            speed, ahead, rate = wanted[4] if nb == 3 else 0.0, c * dy - s * dx, c * pace[1] - s * pace[0]
+        elif i == 2:
+            speed, ahead, rate, at = wanted[2 + nb], now[2] - wanted[2], pace[2], nb - 1
+        ahead += speed * dt
+        free = guide.base[0, at] - (abs(speed) if ahead * speed < 0.0 else 0.0)
+        ahead, lead = brought_home(ahead, rate - speed, guide.base[1, at], max(free, 0.0), dt)
+        is_there = is_there and ahead == 0.0 and lead == 0.0
+        if i == 0:
+            along, faster = ahead, lead
+        elif i == 1:
+            across, aside = ahead, lead
+        else:
+            about, turning = ahead, lead
+    sideways = wanted[4] if nb == 3 else 0.0
+    now[0], now[1], now[2] = wanted[0] + c * along - s * across, wanted[1] + s * along + c * across, wanted[2] + about
+    faster, aside = wanted[3] + faster, sideways + aside
+    pace[0], pace[1], pace[2] = c * faster - s * aside, s * faster + c * aside, wanted[2 + nb] + turning
+    c, s = cos_sin(now[2])
+    change = now[3 + nb : 3 + 2 * nb]
+    for i in range(nb):
+        after = pace[2]
+        if i < nb - 1:
+            after = c * pace[0] + s * pace[1] if i == 0 else c * pace[1] - s * pace[0]
+        change[i], now[3 + i] = after - now[3 + i], after
+    share = within_reach(now[3 : 3 + nb], guide)
+    if share < 1.0:  # no faster than it can: it stays behind
+        for i in range(nb):
+            change[i] -= (1.0 - share) * now[3 + i]
+            now[3 + i] *= share
+        now[0], now[1], now[2] = x, y, phi
+        roll(now[:3], now[3 : 3 + nb], dt)
+        in_the_world(now, nb, pace)
+        return False
+    return is_there

@@ -27,7 +27,7 @@ from ..errors import TrajectoryError
 from ..model.robot import Robot, speed_limits
 from ..settings.arguments import is_numeric
 from ..signals import Array
-from .guide import Limits
+from .limits import Limits
 from .path import (
     BasePath,
     BaseSamples,
@@ -206,7 +206,7 @@ class Timed(BasePath):
             for row, fastest in zip(rows, speeds, strict=False)
             if np.isfinite(fastest) and fastest > 0
         )
-        of = limits.speed, limits.yaw_rate, limits.acceleration, limits.yaw_acceleration
+        of = limits.speed, limits.yaw_rate, *limits.accelerations
         return cls(path, *of, lateral, wheels)
 
     @property

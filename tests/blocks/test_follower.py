@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 from mmnn_pin import Circle, Line, Sine, Trajectory, load
 from mmnn_pin.errors import ConfigError, TrajectoryError
+from mmnn_pin.reference.braking import brought_home
 from mmnn_pin.reference.follower import Follower
 from mmnn_pin.reference.guide import ARM, BASE, Limits
 from mmnn_pin.reference.wishes import HOLD, BaseVelocity, JointGoal, Motion
@@ -67,10 +68,11 @@ def test_it_brakes_from_where_it_is_along_the_path_of_a_rolling_base(v, w, qdot)
     """Against the unicycle under the same deceleration, integrated by DOP853."""
     run = Run((v, w), qdot=(qdot, 0.0))
     table = run.steps(round(1.2 / H))
-    speed = lambda v, a, t: np.sign(v) * max(0.0, abs(v) - a * t)  # noqa: E731
+    rest = max(abs(v) / 1.0, abs(w) / 2.0)  # v and w come to rest together: the curvature stays
 
     def rate(t, pose):
-        forward, turn = speed(v, 1.0, t), speed(w, 2.0, t)
+        share = max(0.0, 1.0 - t / rest) if rest else 0.0
+        forward, turn = share * v, share * w
         return [forward * np.cos(pose[2]), forward * np.sin(pose[2]), turn]
 
     end = solve_ivp(rate, (0.0, 1.2), np.zeros(3), "DOP853", rtol=1e-10, atol=1e-10).y[:, -1]
@@ -96,7 +98,8 @@ def test_a_velocity_is_ramped_within_its_limits_and_leaves_no_pose_error(wishes)
     assert (np.abs(table.velocity) <= [1.0, 1.5]).all()
     for _ in range(2000):
         run.step(BaseVelocity(wishes[-1]), measured)
-    np.testing.assert_allclose(run.now.velocity, np.clip(wishes[-1], (-1.0, -1.5), (1.0, 1.5)), atol=1e-12)
+    share = 1.0 / max(1.0, *np.abs(wishes[-1]) / (1.0, 1.5))  # both alike: a curvature stays one
+    np.testing.assert_allclose(run.now.velocity, share * np.array(wishes[-1]), atol=1e-12)
 
 
 @pytest.mark.parametrize("wish", [BaseVelocity((0.4, 0.2)), "sample"])
@@ -104,8 +107,12 @@ def test_what_is_not_renewed_in_time_ends_in_a_stop_that_is_counted(wish):
     run = Run(timeout=0.1)
     if wish == "sample":
         wish = Setpoint(np.zeros(3), np.array([0.4, 0.2]), np.zeros(2), np.zeros(2), np.array([0.5, 0.0]), np.zeros(2))
-    for _ in range(300):
+    for _ in range(1500):
         run.step(wish)
+        if isinstance(wish, Setpoint):
+            c, s = np.cos(wish.pose[2] + 0.1 * H), np.sin(wish.pose[2] + 0.1 * H)
+            wish.q[0] += 0.5 * H
+            wish.pose[:] += 0.4 * H * np.array([c, s, 0.5])
     last, moving = run.now.velocity.copy(), run.k
     table = run.steps(500)
     np.testing.assert_allclose(table.velocity[moving + round(0.1 / H) - 2], last, atol=1e-12)  # it goes on meanwhile
@@ -114,7 +121,7 @@ def test_what_is_not_renewed_in_time_ends_in_a_stop_that_is_counted(wish):
 
 
 def test_a_sample_that_does_not_come_is_made_from_the_last():
-    run, pose = Run(), np.array([1.0, 2.0, 0.3])
+    run, pose = Run(limits=Limits(samples="exact")), np.array([1.0, 2.0, 0.3])
     sample = Setpoint(pose, np.array([0.5, 0.0]), np.ones(2), np.zeros(2), np.array([0.5, -0.25]), np.ones(2))
     run.step(sample)
     for name in Setpoint.__slots__:
@@ -143,33 +150,31 @@ def test_a_motion_takes_over_without_a_jump_and_is_then_the_motion_itself(v, w, 
         steps = np.abs(np.diff(getattr(table, part)[first - 1 :], axis=0))
         assert steps.max() <= most * H, (part, steps.max() / H)
     rates = np.diff(table.q[first:], axis=0) / H
-    np.testing.assert_allclose(rates, 0.5 * (table.qdot[first:-1] + table.qdot[first + 1 :]), atol=60 * H**2 * 10)
+    np.testing.assert_allclose(rates, 0.5 * (table.qdot[first:-1] + table.qdot[first + 1 :]), atol=5.0 * H)
     asked = Setpoint.side_by_side(motion.table, D)
     for part in ("pose", "velocity", "acceleration", "q", "qdot", "qddot"):
         np.testing.assert_array_equal(getattr(table, part)[-1], getattr(asked, part)[3499])
 
 
 @settings(**SMALL)
-@given(st.floats(-1, 1), st.floats(-2, 2), st.floats(-5, 5))
-def test_the_fading_polynomial_is_the_one_that_six_conditions_give(gap, rate, bend):
-    from mmnn_pin.reference.guide import join
-
-    run = Run(q=(gap, 0.0), qdot=(rate, 0.0))
-    guide = run.follower.guide
-    run.now.qddot[0], guide.wanted[:] = bend, 0.0
-    join(ARM, 0.0, 0.1, guide)
-    T = guide.clock[ARM, 0]
-    rows, wanted = [], [gap, rate * T, bend * T * T, 0.0, 0.0, 0.0]
-    for u in (0.0, 1.0):
-        rows += [[u**k for k in range(6)], [k * u ** max(k - 1, 0) for k in range(6)]]
-        rows += [[k * (k - 1) * u ** max(k - 2, 0) for k in range(6)]]
-    found = np.linalg.solve(np.array(rows), wanted)
-    np.testing.assert_allclose(guide.blend[5], found, atol=1e-9 * max(1.0, np.abs(found).max()))
+@given(st.floats(-1, 1), st.floats(-3, 3), st.floats(0.5, 10.0), st.floats(0.3, 2.0), st.floats(0.0, 2.0))
+def test_the_shortest_way_to_rest_is_that_of_another_solver(gap, rate, most, fastest, dt):
+    """Against ruckig with a jerk that is as good as none."""
+    ruckig = pytest.importorskip("ruckig")
+    asked, found = ruckig.InputParameter(1), ruckig.Trajectory(1)
+    asked.current_position, asked.current_velocity, asked.current_acceleration = [gap], [rate], [0.0]
+    asked.target_position = [0.0]
+    asked.max_velocity, asked.max_acceleration, asked.max_jerk = [fastest], [most], [1e7]
+    ruckig.Ruckig(1).calculate(asked, found)
+    place, speed, _ = (value[0] for value in found.at_time(dt)[:3])
+    np.testing.assert_allclose(brought_home(gap, rate, most, fastest, dt), (place, speed), atol=2e-3)
+    one, two = brought_home(gap, rate, most, fastest, 0.3 * dt), brought_home(gap, rate, most, fastest, dt)
+    np.testing.assert_allclose(brought_home(*one, most, fastest, 0.7 * dt), two, atol=1e-7)  # steps of any size
 
 
 def test_a_path_from_here_begins_at_the_reference_pose_and_ends_in_a_stop():
     run = Run((0.5, 0.5))
-    run.steps(200)
+    run.steps(300)
     before = run.now.pose.copy()
     motion = Motion.of(Trajectory(Line(0.3, (5.0, 6.0, 1.0)), ()), 1.0, H, D, from_here=True)
     table = run.steps(200, motion)
@@ -262,7 +267,7 @@ def test_a_reference_that_can_stop_in_time_is_left_as_it_is_and_caught_up_with()
         run.step(asked(k * H))
     q, wished = run.table().q[:, 0], 0.9 * np.sin(np.arange(run.k) * H)
     inside = np.abs(wished - 0.05) < 0.25
-    assert (q[inside] == wished[inside]).mean() > 0.9
+    assert (q[inside] == wished[inside]).mean() > 0.8
     assert q.max() == pytest.approx(0.6, abs=1e-3) and q.min() == pytest.approx(-0.5, abs=1e-3)
 
 

@@ -20,7 +20,6 @@ from mmnn_pin.errors import ConfigError, RobotError, TrajectoryError, UnknownNam
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.reference import check_followable
 from mmnn_pin.reference.follower import Follower
-from mmnn_pin.reference.guide import Limits
 from mmnn_pin.reference.hand import (
     Capsule,
     FollowHand,
@@ -38,6 +37,7 @@ from mmnn_pin.reference.hand.capsules import Pairs, nearest
 from mmnn_pin.reference.hand.chain import chain_of, gradient, hands_of, move, poses
 from mmnn_pin.reference.hand.path import HandPath
 from mmnn_pin.reference.hand.tasks import TARGET
+from mmnn_pin.reference.limits import Limits
 from mmnn_pin.signals import Setpoint
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD

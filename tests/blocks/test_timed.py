@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mmnn_pin import load
 from mmnn_pin.errors import TrajectoryError
 from mmnn_pin.reference import Circle, Eight, Smoothed, Timed, Trajectory, Waypoints
-from mmnn_pin.reference.guide import Limits
+from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import Motion
 
 POINTS = ((0.0, 0.0), (3.0, 0.0), (3.0, 2.5), (6.0, 4.0))

@@ -18,7 +18,7 @@ from ...loop.sample import Control
 from ...loop.servo import Split
 from ...loop.stepper import Stepper
 from ...reference.follower import LARGEST
-from ...reference.guide import ARM, BASE, HOLD, SAMPLE, VELOCITY, Guide, advance, stand
+from ...reference.guide import ARM, BASE, HOLD, SAMPLE, VELOCITY, Guide, advance, drive, stand, take_sample
 from ...safety import HAS_TRIPPED, Supervisor, accept, has_ended, press, release
 from ...safety.supervisor import GOOD, HEARD
 from ...signals import Array, IntArray
@@ -182,41 +182,24 @@ def follow(b: Board, time: float, wish: int) -> None:
     nb = guide.base.shape[1]
     pose = 3 if nb else 0
     if wish == FOLLOW_SAMPLE:
-        copy_to(b.asked, guide.wanted)
-        guide.kind[:] = SAMPLE
-        guide.fresh[:] = 1
-        guide.clock[:] = 0.0
+        take_sample(b.asked, guide)
         clock[RENEWED + BASE], clock[RENEWED + ARM] = time, time
     elif wish == FOLLOW_VELOCITY:
-        leave(b, BASE)
-        for i in range(nb):
-            guide.wanted[pose + i] = min(max(b.asked[pose + i], -guide.base[0, i]), guide.base[0, i])
-        guide.kind[BASE] = VELOCITY
+        drive(b.asked[pose : pose + nb], guide)
         clock[RENEWED + BASE] = time
     elif wish == STAND:
-        leave(b, BASE)
-        leave(b, ARM)
+        guide.kind[:] = HOLD
     for part in range(2):
         kind = guide.kind[part]
         if kind in (SAMPLE, VELOCITY) and time - clock[RENEWED + part] > b.timeout:
-            leave(b, part)
+            guide.kind[part] = HOLD
             b.losses[0] += 1.0
-
-
-def leave(b: Board, part: int) -> None:
-    """Base or arm holds, from the reference as it is; `Follower._leave`."""
-    nb = b.guide.base.shape[1]
-    q = (3 if nb else 0) + 2 * nb
-    first, last = (0, q) if part == BASE else (q, b.guide.aim.size)
-    copy_to(b.guide.now[first:last], b.guide.aim[first:last])
-    b.guide.kind[part] = HOLD
 
 
 def pause(b: Board) -> None:
     """Brake and hold; setpoints are not followed until `resume`; `Stepper.pause`."""
     if b.clock[PAUSED] == 0.0:
-        leave(b, BASE)
-        leave(b, ARM)
+        b.guide.kind[:] = HOLD
         b.clock[PAUSED] = 1.0
 
 

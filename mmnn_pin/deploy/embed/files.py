@@ -93,7 +93,6 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
         program.written.add(name)
     program.memory(b.motor_velocity, "motor_velocity")
     way = stepper.hardware.way
-    program.dropped.add(program.memory(b.guide.clock, "guide_clock").name)  # nothing fades without motions
     program.dropped |= {"motor_states", "sent"}  # what only simulated motors and lines read
     program.dropped |= {program.memory(part, "unread").name for part in (way.totals.force, way.shorted)}
     if b.control.torque.lead is None:

@@ -15,14 +15,15 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...elementary import atan2
-from ...errors import MmnnError, TrajectoryError
+from ...elementary import atan2, nearest_turn
+from ...errors import ConfigError, MmnnError, TrajectoryError
 from ...model.base.holonomic import moves_sideways
 from ...model.robot import Robot
 from ...reference import Holonomic, Smoothed, Timed, Trajectory
-from ...reference.guide import ARM, BASE, Limits
+from ...reference.guide import ARM, BASE, Guide, Limits, new_guide
+from ...reference.motion import require_within, slopes
 from ...reference.wishes import Motion, Stand, Wish
-from ...signals import Array, Setpoint
+from ...signals import Array
 from . import messages as msg
 from .sensing import Planar, seconds
 from .settings import Route
@@ -55,20 +56,20 @@ class Arm:
     Attributes:
         robot: The robot.
         names: Its joints as the planner calls them.
-        speed: (n,) their largest speeds.
+        guide: Ends and limits of the joints.
         period: Between two samples [s].
     """
 
     robot: Robot
     names: tuple[str, ...]
-    speed: Array
+    guide: Guide
     period: float
 
     @classmethod
     def of(cls, robot: Robot, names: dict[str, str], limits: Limits, period: float) -> Arm:
         """Of a robot, with the names that the planner has for its joints."""
         called = tuple(names.get(name, name) for name in robot.joint_names)
-        return cls(robot, called, limits.of_arm(robot)[0], period)
+        return cls(robot, called, new_guide(robot, limits), period)
 
     def motion(self, message: msg.JointTrajectory, now: ArrayLike, since: float = 0.0) -> Motion | Stand:
         """The motion that a message asks for; standing where it has no points.
@@ -88,19 +89,25 @@ class Arm:
         if since >= at[-1]:
             raise Refused(f"it was over {since - at[-1]:.3g} s ago", OLD_STAMP)
         at = at - min(since, 0.0)
-        parts = []
+        rest, parts = np.clip(start[0], *self.guide.ends), list[Array]()
         for i, name in enumerate(("positions", "velocities", "accelerations")):
             given = [list(getattr(point, name)) for point in message.points]
             if i and not any(given):
                 break
-            parts.append(self._filled(given, name, columns, start[0] if i == 0 else np.zeros(len(self.names))))
+            parts.append(self._filled(given, name, columns, rest if i == 0 else np.zeros(len(self.names))))
         if len(parts) > 1 and np.abs(parts[1][-1]).max(initial=0.0) > AT_REST:
             raise Refused("its last point is not at rest")
+        for i in np.flatnonzero(self.guide.turn).tolist():  # as a whole, to begin at the nearest turn
+            parts[0][:, i] += nearest_turn(parts[0][0, i], start[0, i]) - parts[0][0, i]
         if at[0] > 0.0:
-            at, parts = np.append(0.0, at), [np.vstack([start[i], part]) for i, part in enumerate(parts)]
+            at, first = np.append(0.0, at), (start[0], start[1], np.zeros(len(self.names)))
+            parts = [np.vstack([first[i], part]) for i, part in enumerate(parts)]
+            rates = slopes(at, parts[0], start[1])
+            parts = [parts[0], rates] if len(parts) == 1 else parts
+            parts[1][0] = rates[0]
         if len(at) < 2:
             raise Refused("one point at time 0", INVALID_GOAL)
-        return self._within(self._made(at, parts), max(since, 0.0))
+        return self._within(self._made(at, parts), max(since, 0.0), start[0])
 
     def _columns(self, message: msg.JointTrajectory) -> Array:
         """Places of its joints in ours."""
@@ -134,19 +141,12 @@ class Arm:
         except TrajectoryError as error:
             raise Refused(error.what) from error
 
-    def _within(self, motion: Motion, elapsed: float) -> Motion:
-        """The rest of a motion whose joints keep to their ends and speeds."""
-        d = self.robot.dimensions
-        setpoints = Setpoint.side_by_side(motion.table, d)
-        low, high = self.robot.lower[self.robot.arm_index] - 1e-6, self.robot.upper[self.robot.arm_index] + 1e-6
-        for i, name in enumerate(self.names):
-            q, fastest = setpoints.q[:, i], np.abs(setpoints.qdot[:, i]).max()
-            if q.min() < low[i] or q.max() > high[i]:
-                raise Refused(
-                    f"{name} from {q.min():.4g} to {q.max():.4g}: its ends are {low[i]:.4g} and {high[i]:.4g}"
-                )
-            if fastest > 1.01 * self.speed[i]:
-                raise Refused(f"{name} at {fastest:.4g} /s: its limit is {self.speed[i]:.4g} /s (limits.joint_speed)")
+    def _within(self, motion: Motion, elapsed: float, start: Array) -> Motion:
+        """The rest of a motion whose joints keep to their ends and limits."""
+        try:
+            require_within(motion, self.guide, self.names, start)
+        except ConfigError as error:
+            raise Refused(f"{error.what}: {error.why} ({error.fix})") from error
         return rest_of(motion, elapsed)
 
 
@@ -210,7 +210,7 @@ def base_motion(message: msg.Path, route: Route, limits: Limits, robot: Robot, p
     if not (np.abs(points) < 1e6).all():
         raise Refused("poses that are not finite")
     slower = msgspec.structs.replace(
-        limits, speed=min(route.speed, limits.speed), acceleration=min(route.acceleration, limits.acceleration)
+        limits, speed=min(route.speed, limits.speed), acceleration=min(route.acceleration, limits.accelerations[0])
     )
     try:
         first = message.poses[0].pose.orientation

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import ConfigError
 from ...loop.latency import Latency
-from ...reference.guide import Limits
+from ...reference.limits import Limits
 from ...settings import Settings, require_numbers
 
 NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")

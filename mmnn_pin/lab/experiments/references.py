@@ -28,7 +28,6 @@ from ...reference import (
     Trajectory,
     Waypoints,
 )
-from ...reference.guide import Limits
 from ...reference.hand import (
     Capsule,
     HandCircle,
@@ -45,6 +44,7 @@ from ...reference.hand import (
     plan,
 )
 from ...reference.joint import JointProfile
+from ...reference.limits import Limits
 from ...reference.samples import Columns
 from ...reference.trajectory import still
 from ...settings import Settings, Timing, require_gain

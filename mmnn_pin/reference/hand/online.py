@@ -59,9 +59,15 @@ class HandCourse:
         self.rows = placed(wish.samples, place[9:].copy(), axes, place[:9].reshape(3, 3).copy()).flat
         self.targets = np.array([body.target_here(i) for i in range(len(body.tasks))])
         self.elapsed, self.place = 0.0, np.zeros(SIZE)
+        self.places, self.bends = np.array([[-np.inf], [np.inf]]).repeat(d.arm, axis=1), np.zeros(d.arm)
         self.position, self.nu = np.zeros(d.full), np.zeros(d.dof)
         self.two, self.J = np.zeros((2, 6)), np.zeros((6, d.dof))
         self._solve()
+
+    @property
+    def ends_at_rest(self) -> bool:
+        """It ends with what the reference does then."""
+        return False
 
     def write(self, elapsed: float, wanted: Array) -> bool:
         """See `Course.write`."""

@@ -21,7 +21,7 @@ from ...model.reduction import as_measured
 from ...model.robot import Robot
 from ...settings import one_or_each
 from ...signals import Array
-from ..guide import Limits
+from ..limits import Limits
 from .capsules import Capsule, Pairs
 from .chain import SIZE, chain_of, gradient, hands_of, move
 from .tasks import (
