@@ -32,6 +32,8 @@ WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
     ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
     ("skid_steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
 )
+MOVED = re.compile(r"joint|wheel", re.IGNORECASE)  # tags of plugins that name what they drive
+READS = re.compile(r"state[_-]?publisher|force[_-]?torque|ft[_-]?sensor", re.IGNORECASE)  # plugins that drive nothing
 LONGEST, YAMLS = 1_000_000, 40  # bytes of a controllers' file, files looked at beside a robot's
 NO_FRICTION, GRIP = 1e-3, 0.2  # friction coefficients below the first slide, above the second hold
 
@@ -320,14 +322,22 @@ def siblings(folder: Path) -> list[Path]:
 
 def motors_named(rest: AtRest) -> dict[str, str]:
     """Joints that plugins, `ros2_control` commands or transmissions drive, each with where it stands."""
-    root, found = rest.document.root, {}
-    for element in root.iterfind("transmission/joint"):
-        found[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
+    root, found = rest.document.root, dict[str, str]()
+    for element in root.iterfind("transmission//*"):
+        tag = str(element.tag).lower()
+        if "joint" in tag and not tag.startswith("passive"):  # PR2's have flexJoint, gap_joint, passive_joint
+            found[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
     for element in root.iterfind("ros2_control/joint"):
         if element.find("command_interface") is not None:
             found[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
     for element in root.iterfind("gazebo//*"):
-        text = (element.text or "").strip()
-        if text in rest.document.joints and "joint" in str(element.tag).lower():
-            found[text] = f"<{element.tag}> (line {element.sourceline})"
+        if MOVED.search(str(element.tag)) and not reads_only(element):
+            for name in re.split(r"[\s,]+", element.text or ""):
+                found[name] = f"<{element.tag}> (line {element.sourceline})"
     return {name: where for name, where in found.items() if name in rest.document.joints}
+
+
+def reads_only(element: etree._Element) -> bool:
+    """Whether what names a joint in a gazebo tag is a sensor, or a plugin that publishes its state."""
+    above = list(element.iterancestors("sensor", "plugin"))
+    return any(e.tag == "sensor" or READS.search(f"{e.get('filename')} {e.get('name')}") for e in above)

@@ -14,7 +14,7 @@ import numpy as np
 from ...elementary import cos
 from ...errors import RobotError
 from ...signals import Array
-from ..arm import Arm
+from ..arm import WHY, Arm
 from ..urdf.document import Joint
 from ..urdf.finding import AuditError, Finding, one_line
 from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
@@ -67,6 +67,7 @@ CODES = {
     "base-welded": "warning",
     # the arm and the rest
     "arm-locked": "note",
+    "arm-passive": "warning",
     "arm-weak": "warning",
     "no-friction": "note",
     "welded": "warning",
@@ -206,6 +207,10 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
             text = f"locked: {', '.join(names[:MOST_NAMES])}{more}"
             fix = "--free JOINT lets one move, --free all every one"
             notes.append(note(rest, "arm-locked", names[0], text, reason, fix, "arm"))
+        if reason == WHY["passive"]:
+            text = f"locked, since they have no motor: {', '.join(names)}"
+            fix = f"--free {names[0]} if it has one, or state it: a <command_interface> or a <transmission>"
+            notes.append(note(rest, "arm-passive", names[0], text, reason, fix, "arm"))
     return notes
 
 

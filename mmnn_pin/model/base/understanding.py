@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...errors import RobotError
 from ..urdf.document import Joint
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
@@ -132,6 +133,7 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
         found = decide(rest, candidates, overrides)
     found = with_strays(rest, found, overrides)
     require_drive(rest, found.base, overrides)
+    require_motors(rest, found.base, overrides)
     require_used(overrides, found.base)
     welds = welded_note(rest, welded_cylinders(rest, candidates.floor)) if found.base.wheels else []
     notes = [
@@ -199,6 +201,21 @@ def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
         why = "no joint could be a wheel, and a plugin drives a base"
         rolls = Reading("holonomic", driving, ("no wheel can turn in this file",))
         raise undecided(rest, [], [rolls, Reading("fixed", ("no wheel is found",), driving)], why, UNDRIVEN)
+
+
+def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
+    """Refuse a differential drive of whose wheels the file drives one alone, unless the user names them.
+
+    Raises:
+        RobotError: It does.
+    """
+    motors, names = motors_named(rest), [wheel.joint for wheel in base.wheels]
+    idle = [name for name in names if name not in motors]
+    if base.kind == "differential_drive" and overrides.wheels is None and len(idle) == 1:
+        driven = next(name for name in names if name not in idle)
+        what, why = f"nothing drives the wheel '{idle[0]}'", f"'{driven}' has a motor: {motors[driven]}"
+        fix = f"state its motor likewise, or --wheels {','.join(names)} if it has one"
+        raise RobotError(what, why=why, fix=fix, file=rest.document.path, line=rest.document.joints[idle[0]].line)
 
 
 def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
