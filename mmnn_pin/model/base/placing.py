@@ -10,13 +10,13 @@ import numpy as np
 
 from ...elementary import atan2, cos_sin, hypot
 from ...elementary.matrices import product
-from ...errors import ConfigError, UnknownName
+from ...errors import ConfigError, RobotError, UnknownName
 from ...signals import Array
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .differential import DifferentialDrive
-from .evidence import evidence, stated_rollers
+from .evidence import evidence, motors_named, stated_rollers
 from .holonomic import Holonomic
 from .machines import MOST_PER_SIDE
 from .overrides import Overrides
@@ -153,6 +153,21 @@ def require_possible(overrides: Overrides, candidates: Candidates, named: list[C
                 raise ConfigError(f"{radius:g} m cannot be their radius", why=why, fix=fix, key="radius")
 
 
+def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
+    """Refuse a differential drive of whose wheels the file drives one alone, unless the user names them.
+
+    Raises:
+        RobotError: It does.
+    """
+    motors, names = motors_named(rest), [wheel.joint for wheel in base.wheels]
+    idle = [name for name in names if name not in motors]
+    if base.kind == "differential_drive" and overrides.wheels is None and len(idle) == 1:
+        driven = next(name for name in names if name not in idle)
+        what, why = f"nothing drives the wheel '{idle[0]}'", f"'{driven}' has a motor: {motors[driven]}"
+        fix = f"state its motor likewise, or --wheels {','.join(names)} if it has one"
+        raise RobotError(what, why=why, fix=fix, file=rest.document.path, line=rest.document.joints[idle[0]].line)
+
+
 def require_used(overrides: Overrides, base: Base) -> None:
     """Refuse what is said of wheels that the base does not have.
 
@@ -166,6 +181,20 @@ def require_used(overrides: Overrides, base: Base) -> None:
         if ignored and getattr(overrides, key) is not None:
             what = f"a {key} for a base '{base.kind}'" + ("" if base.wheels else " without drive wheels")
             raise ConfigError(what, why="nothing would use it", fix="leave it out, or say what the base is", key=key)
+
+
+def with_own_radii(base: Base, overrides: Overrides) -> Base:
+    """The base on wheels of which the user states single radii.
+
+    Raises:
+        UnknownName: One that is no drive wheel.
+        ConfigError: Several for wheels of a side that turn alike.
+    """
+    radii = {wheel.joint: wheel.radius for wheel in base.wheels}
+    for name in overrides.radius_of:
+        if name not in radii:
+            raise UnknownName("drive wheel", name, radii, key="wheel_radii")
+    return base.with_radii({name: overrides.radius_of.get(name, own) / own for name, own in radii.items()})
 
 
 # -- the control frame -------------------------------------------------------------------------------------------------

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -83,10 +84,12 @@ class BaseResult:
     Attributes:
         base: The base.
         findings: Warnings and notes.
+        taken: What the robot's own controllers correct of its geometry, keys of `Overrides`.
     """
 
     base: Base
     findings: tuple[Finding, ...] = ()
+    taken: dict[str, Any] = field(default_factory=dict)
 
 
 # -- notes -------------------------------------------------------------------------------------------------------------

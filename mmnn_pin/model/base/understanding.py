@@ -9,15 +9,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 
-from ...errors import RobotError
 from ..urdf.document import Joint
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Fixed
+from .calibration import calibration
+from .controllers import RADII
 from .evidence import (
-    RADII,
     evidence,
     follows_on_its_side,
     motors_named,
@@ -49,9 +50,11 @@ from .placing import (
     in_order,
     mecanum,
     pushed,
+    require_motors,
     require_possible,
     require_used,
     skidding,
+    with_own_radii,
     with_wheels,
 )
 from .report import (
@@ -115,8 +118,17 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
         ConfigError: Wheels that do not suit the base.
     """
     overrides = overrides or Overrides()
-    radii = stated(rest, overrides.controllers_file, RADII)
-    radius = overrides.radius or (radii[0].value if len(radii) == 1 else None)
+    found = understood(rest, overrides)
+    taken, findings = calibration(rest, found.base, overrides)
+    if taken:
+        found = understood(rest, msgspec.structs.replace(overrides, **taken))
+    return replace(found, findings=(*found.findings, *findings), taken=taken)
+
+
+def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
+    """The base by its geometry, by what the file says, and by what the user says; errors of `find_base`."""
+    radii = {one.nominal for one in stated(rest, overrides.controllers_file, RADII)}
+    radius = overrides.radius or (min(radii) if len(radii) == 1 else None)
     candidates = wheel_candidates(rest, radius, overrides.radius is not None)
     drives = candidates.wheels
     named = [declared_wheel(rest, name, candidates, overrides) for name in overrides.wheels or ()]
@@ -132,6 +144,7 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
     else:
         found = decide(rest, candidates, overrides)
     found = with_strays(rest, found, overrides)
+    found = replace(found, base=with_own_radii(found.base, overrides))
     require_drive(rest, found.base, overrides)
     require_motors(rest, found.base, overrides)
     require_used(overrides, found.base)
@@ -201,21 +214,6 @@ def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
         why = "no joint could be a wheel, and a plugin drives a base"
         rolls = Reading("holonomic", driving, ("no wheel can turn in this file",))
         raise undecided(rest, [], [rolls, Reading("fixed", ("no wheel is found",), driving)], why, UNDRIVEN)
-
-
-def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
-    """Refuse a differential drive of whose wheels the file drives one alone, unless the user names them.
-
-    Raises:
-        RobotError: It does.
-    """
-    motors, names = motors_named(rest), [wheel.joint for wheel in base.wheels]
-    idle = [name for name in names if name not in motors]
-    if base.kind == "differential_drive" and overrides.wheels is None and len(idle) == 1:
-        driven = next(name for name in names if name not in idle)
-        what, why = f"nothing drives the wheel '{idle[0]}'", f"'{driven}' has a motor: {motors[driven]}"
-        fix = f"state its motor likewise, or --wheels {','.join(names)} if it has one"
-        raise RobotError(what, why=why, fix=fix, file=rest.document.path, line=rest.document.joints[idle[0]].line)
 
 
 def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
