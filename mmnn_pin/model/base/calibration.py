@@ -33,7 +33,7 @@ from .controllers import (
     tables_of,
 )
 from .opinions import apart
-from .overrides import Overrides
+from .overrides import LARGEST, SMALLEST, Overrides
 from .report import note
 
 
@@ -93,8 +93,10 @@ def words_of(file: str) -> set[str]:
 
 
 def agreed(found: list[Stated]) -> Stated | None:
-    """The one length that is stated, None where there is none or several."""
-    return found[0] if len({round(one.value, 9) for one in found if one.value > 0.0}) == 1 else None
+    """The one length that is stated, best with multipliers; None where none is, several, or one that no robot has."""
+    same = len({round(one.value, 6) for one in found}) == 1
+    one = max(found, key=lambda one: one.value != one.nominal, default=None)
+    return one if one and same and SMALLEST <= one.value <= LARGEST else None
 
 
 def corrects(one: Stated, measured: float) -> bool:
@@ -136,8 +138,8 @@ def contradictions(rest: AtRest, base: Base, files: list[str]) -> Iterator[Findi
 def turned(rest: AtRest, base: Base, table: Table, file: str) -> Iterator[Finding]:
     """Wheels that a differential drive's controller takes for the other side's, or rolls backward."""
     for side in SIDES:
-        key = f"{side}_wheel_names"
-        names = table[key].items if key in table else ()
+        key = next((k for k in (f"{side}_wheel_names", f"{side}_wheel") if k in table), "")  # the latter in ROS 1
+        names = table[key].items if key else ()
         sign = math.copysign(1.0, math.prod(multipliers(table, "wheel_radius", side).values()))
         for wheel in (w for w in base.wheels if w.joint in names):
             where = f"{key} ({file}, line {table[key].line})"

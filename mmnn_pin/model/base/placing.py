@@ -188,13 +188,12 @@ def with_own_radii(base: Base, overrides: Overrides) -> Base:
 
     Raises:
         UnknownName: One that is no drive wheel.
-        ConfigError: Several for wheels of a side that turn alike.
     """
-    radii = {wheel.joint: wheel.radius for wheel in base.wheels}
-    for name in overrides.radius_of:
-        if name not in radii:
-            raise UnknownName("drive wheel", name, radii, key="wheel_radii")
-    return base.with_radii({name: overrides.radius_of.get(name, own) / own for name, own in radii.items()})
+    own, names = overrides.radius_of, [wheel.joint for wheel in base.wheels]
+    for name in own:
+        if name not in names:
+            raise UnknownName("drive wheel", name, names, key="wheel_radii")
+    return replace(base, wheels=tuple(replace(w, radius=own.get(w.joint, w.radius)) for w in base.wheels))
 
 
 # -- the control frame -------------------------------------------------------------------------------------------------
@@ -216,7 +215,7 @@ def frame_of(
     placed.sort(key=lambda w: (-round(w.x, 6) * in_rows, -w.y))  # front to rear, left before right
     track = max(w.y for w in placed) - min(w.y for w in placed)
     if overrides.track is not None and track > 0 and kind is not SkidSteer:
-        placed = [replace(w, y=w.y * overrides.track / track) for w in placed]
+        placed = [replace(w, y=w.y * (overrides.track / track)) for w in placed]
         track = overrides.track
     suspensions = [j.name for c in drives for j in rest.document.moving_ancestors(c.joint.child)[1:]]
     others = [c for c in wheels if c.joint not in [d.joint for d in drives]]

@@ -121,6 +121,20 @@ def test_four_wheels_that_skid_on_any_effective_track(signs, radii, wide, track,
     judge_diff_drive(on_wheels(wheels, base="skid_steer", track=track), v, w)
 
 
+def test_wheels_that_follow_others_are_not_commanded():
+    places = {"fl": (0.25, 0.2), "fr": (0.25, -0.2), "rl": (-0.25, 0.2), "rr": (-0.25, -0.2)}
+    text = on_wheels({name: (*at, 0.1, (0, 1, 0)) for name, at in places.items()}, base="skid_steer").urdf
+    for slave, master in (("rl", "fl"), ("rr", "fr")):
+        head, tag, tail = text.partition(f'<joint name="{slave}"')
+        text = head + tag + tail.replace("</joint>", f'<mimic joint="{master}"/></joint>', 1)
+    robot = robot_of(text, base="skid_steer")
+    p = printed(robot, "diff_drive")
+    assert (p["left_wheel_names"], p["right_wheel_names"]) == (["fl"], ["fr"])
+    nu = np.array([0.3, -1.0, *[0.0] * robot.dimensions.arm])
+    own = dict(zip(robot.full_velocity_names, robot.T @ nu, strict=True))
+    assert diff_drive_rates(p, 0.3, -1.0) == pytest.approx({name: own[name] for name in ("fl", "fr")})
+
+
 def test_a_side_that_turns_against_itself_is_refused_with_the_joint_to_turn():
     wheels = {
         f"{end}{side}": (x, y, 0.1, (0, sign, 0))

@@ -15,6 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_drivers import diff_drive_rates, on_wheels, ours, printed
 
+from mmnn_pin.deploy.ros2.settings import Node, Output
+from mmnn_pin.deploy.ros2.wiring import controllers
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.model import Robot
 from mmnn_pin.model.loading import load
@@ -89,6 +91,11 @@ def test_a_file_beside_counts_where_it_names_the_wheels(tmp_path):
     assert [w.radius for w in robot.base.wheels] == pytest.approx([0.1, 0.098])
     told = stated(robot)
     assert len(told) == 2 and "wheel_separation_multiplier 1.1" in told[0] and "--track 0.4" in told[0]
+    drive, arm = Output("/drive/cmd_vel", type="TwistStamped"), Output("/arm/commands", joints=robot.joint_names)
+    ours = file.with_name("a.yaml")  # what we print for it, beside it
+    ours.write_text(controllers(robot, Node("r", (drive, arm))))
+    np.testing.assert_allclose(load(urdf).T, robot.T, rtol=1e-8)
+    ours.unlink()
     again = load(urdf, track=0.4, radius=0.1)  # as it says
     assert again.base.track == 0.4 and {w.radius for w in again.base.wheels} == {0.1} and stated(again) == []
     file.write_text(text.replace("[r]", "[other]"))  # another robot's
@@ -120,6 +127,8 @@ def test_what_contradicts_the_urdf_is_told_and_not_taken(tmp_path):
     assert "write right_wheel_radius_multiplier: 1.0" in backward[0]
     swapped = told_of(tmp_path, yaml_of(RIGHT, LEFT)[0])
     assert len(swapped) == 2 and "names 'r', which is on the other side" in swapped[0]
+    ros_1 = yaml_of(RIGHT, LEFT)[0].replace("_wheel_names", "_wheel").replace("  ros__parameters:\n", "")
+    assert len(told_of(tmp_path, ros_1)) == 2
     steers = told_of(tmp_path, yaml_of(kind="ackermann_steering_controller/AckermannSteeringController")[0])
     assert len(steers) == 1 and "'ackermann_steering_controller' (line 3), which steers its wheels" in steers[0]
 
