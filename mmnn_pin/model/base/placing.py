@@ -173,7 +173,12 @@ def require_used(overrides: Overrides, base: Base) -> None:
 
     Raises:
         ConfigError: It would be ignored.
+        UnknownName: The radius of a joint that is no drive wheel.
     """
+    names = [wheel.joint for wheel in base.wheels]
+    for name in overrides.radius_of:
+        if name not in names:
+            raise UnknownName("drive wheel", name, names, key="wheel_radii")
     unused = {"radius": not base.wheels, "track": len(base.wheels) < 2, "roller": base.kind != "holonomic"}
     unused["mu"] = base.kind != "skid_steer"
     unused["roller"] |= not base.wheels
@@ -183,19 +188,6 @@ def require_used(overrides: Overrides, base: Base) -> None:
             raise ConfigError(what, why="nothing would use it", fix="leave it out, or say what the base is", key=key)
 
 
-def with_own_radii(base: Base, overrides: Overrides) -> Base:
-    """The base on wheels of which the user states single radii.
-
-    Raises:
-        UnknownName: One that is no drive wheel.
-    """
-    own, names = overrides.radius_of, [wheel.joint for wheel in base.wheels]
-    for name in own:
-        if name not in names:
-            raise UnknownName("drive wheel", name, names, key="wheel_radii")
-    return replace(base, wheels=tuple(replace(w, radius=own.get(w.joint, w.radius)) for w in base.wheels))
-
-
 # -- the control frame -------------------------------------------------------------------------------------------------
 
 
@@ -203,7 +195,8 @@ def frame_of(
     rest: AtRest, drives: list[Candidate], wheels: list[Candidate], kind: type[Base], overrides: Overrides
 ) -> Base:
     """Control frame, wheels, casters and suspensions; forward is the rolling direction nearer the root's x."""
-    drives = [replace(c, radius=overrides.radius or c.radius) for c in drives]
+    own = overrides.radius_of
+    drives = [replace(c, radius=own.get(c.joint.name, overrides.radius or c.radius)) for c in drives]
     alike = all(parallel(drives[0], c) for c in drives[1:])
     forward = rolling(drives[0]) if alike else np.array([1.0, 0.0])
     backward = forward[0] < -1e-6 or (abs(forward[0]) <= 1e-6 and forward[1] < 0)  # axle along x: y is as near

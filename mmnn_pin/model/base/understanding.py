@@ -54,7 +54,6 @@ from .placing import (
     require_possible,
     require_used,
     skidding,
-    with_own_radii,
     with_wheels,
 )
 from .report import (
@@ -144,7 +143,6 @@ def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
     else:
         found = decide(rest, candidates, overrides)
     found = with_strays(rest, found, overrides)
-    found = replace(found, base=with_own_radii(found.base, overrides))
     require_drive(rest, found.base, overrides)
     require_motors(rest, found.base, overrides)
     require_used(overrides, found.base)
