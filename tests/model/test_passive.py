@@ -15,6 +15,7 @@ from drives import Drive, joint, link, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_arm import chain, mimic, two_armed
+from test_base import three
 
 from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.model import Robot
@@ -116,10 +117,20 @@ def test_a_locked_linkage_is_the_reduced_model_of_pinocchio():
 
 
 def test_a_drive_wheel_without_a_motor_is_refused_and_the_way_out_is_one():
-    with pytest.raises(RobotError, match=r"nothing drives the wheel 'wr'.*'wl' has a motor.*--wheels wl,wr"):
+    with pytest.raises(RobotError, match=r"nothing drives the wheel\(s\) wr: .*'wl' has a motor.*--wheels wl,wr"):
         robot(commanded("wl"))
     assert robot(commanded("wl"), wheels=("wl", "wr")).actuator_names[:2] == ("wl", "wr")
     assert robot(commanded("wl") + commanded("wr")).actuator_names[:2] == ("wl", "wr")
+
+
+def test_every_wheel_of_a_holonomic_base_needs_a_motor():
+    text = three((0.0, 2.0, 4.2)).replace("</robot>", f"{commanded('w0')}{commanded('w2')}</robot>")
+    with pytest.raises(
+        RobotError, match=r"drives the wheel\(s\) w1: 'w.' has a motor.*--wheels (w\d,w\d,w\d)"
+    ) as error:
+        robot_of(text)
+    names = tuple(error.value.fix.split("--wheels ")[1].split()[0].split(","))
+    assert set(robot_of(text, wheels=names).actuator_names) >= {"w0", "w1", "w2"}
 
 
 def test_a_joint_that_has_a_motor_cannot_be_freed():

@@ -16,7 +16,7 @@ from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .differential import DifferentialDrive
-from .evidence import evidence, motors_named, stated_rollers
+from .evidence import evidence, motors_named, plugins, stated_rollers
 from .holonomic import Holonomic
 from .machines import MOST_PER_SIDE
 from .overrides import Overrides
@@ -154,18 +154,23 @@ def require_possible(overrides: Overrides, candidates: Candidates, named: list[C
 
 
 def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
-    """Refuse a differential drive of whose wheels the file drives one alone, unless the user names them.
+    """Refuse a base that needs all its wheels, of which the file drives some, unless the user names them.
+
+    A skid-steer base's others turn along (`understanding`); a plugin may move the base as a whole.
 
     Raises:
         RobotError: It does.
     """
     motors, names = motors_named(rest), [wheel.joint for wheel in base.wheels]
     idle = [name for name in names if name not in motors]
-    if base.kind == "differential_drive" and overrides.wheels is None and len(idle) == 1:
-        driven = next(name for name in names if name not in idle)
-        what, why = f"nothing drives the wheel '{idle[0]}'", f"'{driven}' has a motor: {motors[driven]}"
-        fix = f"state its motor likewise, or --wheels {','.join(names)} if it has one"
-        raise RobotError(what, why=why, fix=fix, file=rest.document.path, line=rest.document.joints[idle[0]].line)
+    if base.kind == "skid_steer" or overrides.wheels is not None or not 0 < len(idle) < len(names):
+        return
+    if base.kind == "holonomic" and any(piece.meaning == "holonomic" for piece in plugins(rest)):
+        return
+    driven = next(name for name in names if name not in idle)
+    what, why = f"nothing drives the wheel(s) {', '.join(idle)}", f"'{driven}' has a motor: {motors[driven]}"
+    fix = f"state theirs likewise, or --wheels {','.join(names)} if they have motors"
+    raise RobotError(what, why=why, fix=fix, file=rest.document.path, line=rest.document.joints[idle[0]].line)
 
 
 def require_used(overrides: Overrides, base: Base) -> None:
