@@ -203,8 +203,8 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option("--out", type=click.Path(path_type=Path), help="Folder for the database.  [default: runs/STUDY]"),
 )
 OVERRIDES = (
-    "base", "wheels", "radius", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro", "without",
-    "controllers_file", "mu", "strict",
+    "base", "wheels", "radius", "wheel_radii", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro",
+    "without", "controllers_file", "mu", "strict",
 )  # fmt: skip
 OPTION_OF = {"package_dirs": "package_dir", "controllers_file": "controllers"}  # where the option has another name
 ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
@@ -213,6 +213,7 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     ),
     click.option("--wheels", metavar="LEFT,RIGHT", help="Joints of the drive wheels, separated by commas."),
     click.option("--radius", type=float, metavar="M", help="Radius of the drive wheels."),
+    click.option("--wheel-radii", metavar="JOINT=M", multiple=True, help="Radius of one drive wheel; repeatable."),
     click.option(
         "--track",
         type=float,
@@ -230,7 +231,7 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
         "--controllers",
         "controllers_file",
         metavar="FILE",
-        help="YAML file of its controllers: evidence, radius and track.",
+        help="YAML file of its controllers: evidence, radius and track, multipliers.",
     ),
     click.option(
         "--mu", type=float, metavar="MU", help="Friction under the wheels of a skid-steer base.  [default: 1]"

@@ -4,8 +4,9 @@ By default the arm is every joint that moves by itself and is no part of the bas
 short branches of the tree of joints. A branch is a joint beside another one on the same body (one that moves by
 itself, or follows it), and what it carries. It is short when it reaches less than a third as far as the robot's
 longest chain, and is either a head (fewer than four joints in a row) or sits at the end of an arm (three joints or
-more lead to it). Second arms reach as far as the first, so they stay. What the user locks, frees, or names as the
-arm's tip counts more.
+more lead to it). Second arms reach as far as the first, so they stay. Where the file says what drives some joints of
+the arm, by transmissions, command interfaces or plugins, the others have no motor: they are locked, too. What the user
+locks, frees, or names as the arm's tip counts more.
 
 A mimic joint is a slave: its position is `multiplier q + offset` of its master's, its rate `multiplier qdot`.
 Pinocchio builds it as a joint of its own (its algorithms refuse its mimic joint); here T gives it its master's row
@@ -20,6 +21,7 @@ from dataclasses import dataclass
 
 from ..errors import ConfigError, RobotError, UnknownName
 from .base.base import Base
+from .base.evidence import motors_named
 from .base.overrides import Overrides
 from .base.wheels import alike_on_root, is_low
 from .urdf.document import Document, Joint
@@ -37,6 +39,7 @@ WHY = {
     "user": "locked as you said",
     "tip": "it does not lead to the arm's tip",
     "short": "taken as a head or finger: a short branch",
+    "passive": "no transmission, command interface or plugin drives them, as it does other joints",
     "rigid": "taken as a rigid joint: its limits are one value",
     "button": "taken as a button or bumper: it slides by two centimetres at most and carries no joint",
 }
@@ -144,7 +147,7 @@ def unwanted(
         UnknownName: The tip is no link.
         ConfigError: No joint leads to it, or a joint is freed that is not locked.
     """
-    rigid = dict.fromkeys(stiff, WHY["rigid"])
+    rigid = dict.fromkeys(passive(rest, own, slaves), WHY["passive"]) | dict.fromkeys(stiff, WHY["rigid"])
     own = [name for name in own if name not in rigid or freed(name, overrides)]
     if overrides.arm_tip is not None:
         if overrides.arm_tip not in rest.document.links:
@@ -167,6 +170,16 @@ def unwanted(
     if idle:
         raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
     return {name: why for name, why in still.items() if not freed(name, overrides)}
+
+
+def passive(rest: AtRest, own: list[str], slaves: dict[str, Slave]) -> list[str]:
+    """Joints without a motor in a file that names the motors of others.
+
+    None where it names at most those of heads and fingers: then the arm's own are said elsewhere.
+    """
+    driven = {slaves[name].master if name in slaves else name for name in motors_named(rest)}
+    main = set(own).difference(short_branches(rest, set(own), slaves))
+    return [name for name in own if name not in driven] if main & driven else []
 
 
 def is_button(rest: AtRest, name: str) -> bool:

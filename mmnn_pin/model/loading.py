@@ -62,6 +62,7 @@ def load(
     base: str | None = None,
     wheels: Sequence[str] | None = None,
     radius: float | None = None,
+    wheel_radii: Sequence[str] = (),
     track: float | None = None,
     roller: float | None = None,
     lock: Sequence[str] = (),
@@ -81,6 +82,7 @@ def load(
         base: `differential_drive`, `skid_steer`, `holonomic` or `fixed`.
         wheels: Joints of the drive wheels; left, right for a differential drive.
         radius: Radius of the drive wheels [m].
+        wheel_radii: Radius of single drive wheels, `joint=radius` [m].
         track: Lateral distance of the drive wheels [m]; of a skid-steer base the effective one.
         roller: Angle of the rollers of a holonomic base [rad], see `Overrides`.
         lock: Joints that stand still: `joint` where it rests, or `joint=position` [rad or m].
@@ -106,6 +108,7 @@ def load(
         base=base,
         wheels=None if wheels is None else tuple(wheels),
         radius=radius,
+        wheel_radii=tuple(wheel_radii),
         track=track,
         roller=roller,
         lock=tuple(lock),
@@ -158,7 +161,7 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
     require_sane(document, model, set(arm.locked))
     notes = (*arm_notes(rest, arm), *weld_notes(rest, welds), *printed_notes(rest, printed))
     findings = (*settle(audited, found.findings, overrides.strict), *notes)
-    said = settled(overrides, found.base)
+    said = settled(msgspec.structs.replace(overrides, **found.taken), found.base)
     robot = replace(assemble(document, found.base, arm, model), findings=findings, overrides=said)
     require_finite(document, robot)
     held = Dynamics(robot).gravity(robot.neutral_position())[robot.dimensions.base :]
@@ -175,7 +178,8 @@ def settled(overrides: Overrides, base: Base) -> Overrides:
     found: dict[str, Any] = {"base": base.kind, "controllers_file": None}
     if base.wheels:
         found |= {"wheels": tuple(wheel.joint for wheel in base.wheels), "track": base.track}
-        found["radius"] = base.wheels[0].radius if len({wheel.radius for wheel in base.wheels}) == 1 else None
+        alike = len({wheel.radius for wheel in base.wheels}) == 1 and not overrides.wheel_radii
+        found["radius"] = base.wheels[0].radius if alike else overrides.radius
     return msgspec.structs.replace(overrides, **found)
 
 

@@ -59,6 +59,9 @@ SUSPECT = {
     "joint in a joint": ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><joint/>', "warning", 15, "misplaced-tag",
                          "<joint> in <joint>"),
     "undeclared prefix": (*end('<sensor:camera name="c"/>'), "warning", 19, "namespace", "unknown extension"),
+    "loop in gazebo": (*end('<gazebo><joint name="c" type="ball"><parent>rod</parent><child>stand</child></joint>'
+                            "</gazebo>"), "warning", 19, "gazebo-loop",
+                       "joint 'c' closes a loop: it holds 'stand' to 'rod'"),
     "triangle": ('izz="0.01"', 'izz="0.3"', "strict", 4, "inertia-triangle",
                  "joint 'hinge' moves violates.*0.1, 0.1, 0.3"),
     "triangle of a weld": (*end(LINK.replace('izz="1"', 'izz="50"') + joint("w", "rod", "tip", "fixed")),

@@ -331,7 +331,8 @@ def test_interfaces_are_those_of_the_tags():
         '<transmission name="t"><joint name="shoulder"><hardwareInterface>hardware_interface/PositionJointInterface'
         "</hardwareInterface></joint></transmission>"
     )
-    found = interfaces_of(robot_of(four(more=control), base="holonomic"))
+    wheels = ("fl", "fr", "rl", "rr")  # three of them without a motor, unless they are named
+    found = interfaces_of(robot_of(four(more=control), base="holonomic", wheels=wheels))
     assert found["interfaces_offered"]["elbow"] == ["effort", "position"] and found["interfaces_offered"]["fr"] == []
     used = {"fl": "velocity", "fr": "effort", "rl": "effort", "rr": "effort", "shoulder": "position", "elbow": "effort"}
     assert found["interfaces"] == used

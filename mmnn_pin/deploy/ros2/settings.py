@@ -232,7 +232,7 @@ class Output(Settings, frozen=True):
     Args:
         topic: Its topic.
         type: "Float64MultiArray" of group and forward command controllers, "JointTrajectory" (one point) of
-            `joint_trajectory_controller`, "TwistStamped" or "Twist" of `diff_drive_controller`.
+            `joint_trajectory_controller`, "TwistStamped" or "Twist" of a base's (`diff_drive_controller`).
         joints: In the order in which the controller lists them, as the robot calls them; none for a twist.
         interface: What it takes: "effort", "velocity" or "position".
         frame: `frame_id` of a stamped twist.

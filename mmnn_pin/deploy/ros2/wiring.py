@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from pinocchio import BODY
@@ -9,7 +10,8 @@ from pinocchio import BODY
 from ...errors import ConfigError, UnknownName
 from ...model.inspection import interfaces_of
 from ...model.robot import Robot
-from .settings import TRAJECTORY, TWIST_STAMPED, Network, Node
+from .drivers import DIFF_DRIVE, driver_of
+from .settings import TRAJECTORY, TWIST_STAMPED, Network, Node, Output
 
 EXAMPLE = """# {name} as a node of a ROS 2 graph: mmnn ros2 THIS_FILE. See `mmnn ros2 --help`, `mmnn docs how-to/ros2`.
 # Topics without a leading / get network.namespace.
@@ -61,9 +63,9 @@ rate = 10.0
 {commands}"""
 BASE = """
 [odometry]
-topic = "/diff_drive_controller/odom"
+topic = "/{driver}/{odometry}"
 age = 0.2
-at = [0.0, 0.0, 0.0]          # diff_drive_controller tells of the middle of the drive axle, whatever its frame's name;
+at = [0.0, 0.0, 0.0]          # {driver} tells of the middle of the wheels, whatever its frame's name;
                               # leave it out where the URDF says how the message's child frame lies
 
 [velocity]                    # geometry_msgs/Twist of a joystick or a navigation stack
@@ -79,7 +81,7 @@ speed = 0.3
 # odom = "odom"
 """
 WHEELS = """[[commands]]
-topic = "/diff_drive_controller/cmd_vel"
+topic = "/{driver}/{takes}"
 type = "TwistStamped"
 
 """
@@ -91,11 +93,9 @@ joints = [{joints}]
 """
 
 
-GROUPS = {
-    "effort": "effort_controllers/JointGroupEffortController",
-    "velocity": "velocity_controllers/JointGroupVelocityController",
-    "position": "position_controllers/JointGroupPositionController",
-}
+INTERFACES = ("effort", "velocity", "position")
+GROUP = "forward_command_controller/ForwardCommandController"
+TRAJECTORIES = "joint_trajectory_controller/JointTrajectoryController"
 
 
 class Row(NamedTuple):
@@ -187,60 +187,81 @@ def rows(robot: Robot, settings: Node) -> list[Row]:
 def controllers(robot: Robot, settings: Node) -> str:
     """The YAML of `ros2_control` for the controllers that take the commands of a file of settings.
 
-    Topics are `CONTROLLER/commands`, `CONTROLLER/cmd_vel` or `CONTROLLER/joint_trajectory`, as the controllers of
-    `ros2_controllers` name them.
+    Topics are `CONTROLLER/commands`, `CONTROLLER/cmd_vel` and so on, as `ros2_controllers` name them.
 
     Raises:
-        ConfigError: A topic of another name, a base that `diff_drive_controller` does not drive.
+        ConfigError: A topic of another name, a base that no controller's formula rolls.
     """
     interfaces(robot, settings)
     kinds, parts = {"joint_state_broadcaster": "joint_state_broadcaster/JointStateBroadcaster"}, list[str]()
     for i, output in enumerate(settings.commands):
-        kind, ending = ("diff_drive_controller/DiffDriveController", "cmd_vel") if output.is_twist else (
-            ("joint_trajectory_controller/JointTrajectoryController", "joint_trajectory")
-            if output.type == TRAJECTORY
-            else (GROUPS[output.interface], "commands")
-        )  # fmt: skip
+        kind, ending, told = parameters(robot, settings, i, output)
         node, _, last = resolved(settings.network, output.topic).rpartition("/")
         if last != ending or not node:
             fix = f'use topic = "/NAME/{ending}", NAME being the controller\'s'
             raise ConfigError(f"no controller takes '{output.topic}'", fix=fix, key=f"commands.{i}.topic")
         name = node.rpartition("/")[2]
         kinds[name] = kind
-        told = drive_parameters(robot, settings, i) if output.is_twist else {"joints": list(output.joints)}
-        told |= {"command_interfaces": [output.interface], "state_interfaces": ["position", "velocity"]} if (
-            output.type == TRAJECTORY
-        ) else {}  # fmt: skip
         key = name if node == f"/{name}" else node
-        parts += [f"{key}:", "  ros__parameters:", *(f"    {k}: {flow(v)}" for k, v in told.items())]
+        parts += [f"{key}:", "  ros__parameters:", *lines(told, 4)]
     head = ["controller_manager:", "  ros__parameters:", f"    update_rate: {round(settings.rate)}"]
     head += [f"    {name}: {{type: {kind}}}" for name, kind in kinds.items()]
     return "\n".join([*head, *parts]) + "\n"
 
 
-def drive_parameters(robot: Robot, settings: Node, i: int) -> dict[str, Any]:
-    """Parameters of `diff_drive_controller` for a robot's base, which command number i drives.
+def parameters(robot: Robot, settings: Node, i: int, output: Output) -> tuple[str, str, dict[str, Any]]:
+    """Class, last part of the topic and parameters of the controller that takes command number i.
 
     Raises:
-        ConfigError: It does not turn by two sides of wheels.
+        ConfigError: A base that no controller's formula rolls.
     """
-    output, wheels, theirs = settings.commands[i], robot.base.wheels, settings.joint_states.names
-    if robot.dimensions.base != 2 or output.type != TWIST_STAMPED:
-        why = "it takes a TwistStamped, for a base whose wheels roll ahead"
-        fix = "write its YAML by hand, as its own page says"
-        raise ConfigError("this is not diff_drive_controller's", why=why, fix=fix, key=f"commands.{i}.type")
-    sides = [[theirs.get(w.joint, w.joint) for w in wheels if sign * w.y > 0.0] for sign in (1, -1)]
+    if output.is_twist:
+        return drive_parameters(robot, settings, i)
+    joints = {"joints": list(output.joints)}
+    if output.type == TRAJECTORY:
+        told = {"command_interfaces": [output.interface], "state_interfaces": ["position", "velocity"]}
+        return TRAJECTORIES, "joint_trajectory", joints | told
+    return GROUP, "commands", joints | {"interface_name": output.interface}
+
+
+def drive_parameters(robot: Robot, settings: Node, i: int) -> tuple[str, str, dict[str, Any]]:
+    """Class, last part of the topic and parameters of the controller for a robot's base, which command number i drives.
+
+    Raises:
+        ConfigError: None takes these commands, or none rolls its wheels.
+    """
+    driver, theirs = driver_of(robot.base), settings.joint_states.names
+    if driver is None or settings.commands[i].type != TWIST_STAMPED:
+        why, fix = "they take a TwistStamped, for a base on wheels", "write its YAML by hand, as its own page says"
+        raise ConfigError("no controller of ros2_controllers takes this", why=why, fix=fix, key=f"commands.{i}.type")
+    driven = [
+        replace(w, joint=theirs.get(w.joint, w.joint)) for w in robot.base.wheels if w.joint in robot.actuator_names
+    ]
+    try:
+        told = driver.geometry(robot.base, driven)
+    except ConfigError as error:
+        error.what, error.key = f"{driver.name}: {error.what}", f"commands.{i}.type"
+        raise
     root = next(frame.name for frame in robot.model.frames if frame.type == BODY and frame.parentJoint == 1)
-    return {
-        "left_wheel_names": sides[0], "right_wheel_names": sides[1],
-        "wheel_separation": round(float(robot.base.track), 6), "wheel_radius": round(float(wheels[0].radius), 6),
-        "cmd_vel_timeout": settings.setpoint_timeout, "publish_rate": float(settings.rate),
-        "velocity_rolling_window_size": 1, "odom_frame_id": "odom", "base_frame_id": root,
-    }  # fmt: skip
+    told |= {driver.timeout: settings.setpoint_timeout}
+    if driver is DIFF_DRIVE:  # its 10 make velocities late; until kilted it publishes less often than it is updated
+        told |= {"publish_rate": float(settings.rate), "velocity_rolling_window_size": 1}
+    return driver.kind, driver.takes, told | {"odom_frame_id": "odom", "base_frame_id": root}
+
+
+def lines(table: dict[str, Any], indent: int) -> list[str]:
+    """A table in YAML, one key a line, tables in it indented further."""
+    found = list[str]()
+    for key, value in table.items():
+        inner = lines(value, indent + 2) if isinstance(value, dict) else []
+        found += [f"{' ' * indent}{key}:{'' if inner else f' {flow(value)}'}", *inner]
+    return found
 
 
 def flow(value: Any) -> str:
     """A value in YAML."""
+    if isinstance(value, float):
+        value = round(value, 9) + 0.0  # no -0
     return f"[{', '.join(value)}]" if isinstance(value, list) else str(value)
 
 
@@ -256,10 +277,12 @@ def example(robot: Robot, name: str) -> str:
         robot: The robot.
         name: As the user named it.
     """
-    has_base, offered = bool(robot.dimensions.base), interfaces_of(robot)["interfaces"]
-    tables = [WHEELS] if has_base else []
-    for interface in GROUPS:
+    driver, offered = driver_of(robot.base) or DIFF_DRIVE, interfaces_of(robot)["interfaces"]
+    names = {"driver": driver.name, "takes": driver.takes, "odometry": driver.tells}
+    tables = [WHEELS.format(**names)] if robot.dimensions.base else []
+    for interface in INTERFACES:
         joints = ", ".join(f'"{joint}"' for joint in robot.joint_names if offered[joint] == interface)
         tables += [ARM.format(interface=interface, joints=joints)] if joints else []
     commands = "\n".join(table.strip() + "\n" for table in tables)
-    return EXAMPLE.format(name=robot.name, robot=name, odometry=BASE if has_base else "", commands=commands)
+    odometry = BASE.format(**names) if robot.dimensions.base else ""
+    return EXAMPLE.format(name=robot.name, robot=name, odometry=odometry, commands=commands)

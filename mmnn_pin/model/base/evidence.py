@@ -8,23 +8,21 @@ piece says. Plugins and a controllers' file also state a radius and a track: sec
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from lxml import etree
 
-from mmnn_pin.errors import ConfigError
 from mmnn_pin.signals import Array
 
 from ...elementary import atan2
-from ..urdf.packages import package_of
 from ..urdf.shapes import HORIZONTAL, AtRest
 from ..urdf.xml import number_problem
+from .controllers import Stated, in_yaml, lines_of
 from .wheels import Candidate
 
 Meaning = Literal["holonomic", "skid_steer"]
@@ -32,7 +30,8 @@ WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
     ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
     ("skid_steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
 )
-LONGEST, YAMLS = 1_000_000, 40  # bytes of a controllers' file, files looked at beside a robot's
+MOVED = re.compile(r"joint|wheel", re.IGNORECASE)  # tags of plugins that name what they drive
+READS = re.compile(r"state[_-]?publisher|force[_-]?torque|ft[_-]?sensor", re.IGNORECASE)  # plugins that drive nothing
 NO_FRICTION, GRIP = 1e-3, 0.2  # friction coefficients below the first slide, above the second hold
 
 
@@ -131,25 +130,6 @@ def controllers_in(file: str | None) -> Iterator[Evidence]:
         for meaning, pattern in WORDS:
             if "type" in line and (hit := pattern.search(line)):
                 yield Evidence(meaning, f"{Path(file or '').name} names '{hit[0]}' (line {number})", 1)
-
-
-def lines_of(file: str | None) -> list[tuple[int, str]]:
-    """Lines of a controllers' file without comments, numbered from 1; none without a file.
-
-    Raises:
-        ConfigError: It cannot be read.
-    """
-    if file is None:
-        return []
-    try:
-        if os.path.getsize(file) > LONGEST:
-            raise ValueError(f"it has more than {LONGEST // 1000} kB")
-        text = Path(file).read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        fix = "name the YAML file of the robot's controllers"
-        why = getattr(error, "strerror", None) or str(error)
-        raise ConfigError("cannot be read", why=why, fix=fix, file=file, key="controllers_file") from None
-    return [(number, line.partition("#")[0]) for number, line in enumerate(text.splitlines(), 1)]
 
 
 def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -256,23 +236,6 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
 # -- what is stated beside the geometry --------------------------------------------------------------------------------
 
 
-class Stated(NamedTuple):
-    """A length of the base that a file states.
-
-    Attributes:
-        value: [m].
-        text: Where it stands.
-    """
-
-    value: float
-    text: str
-
-
-# Names of plugins and controllers for a length, and the factor to it.
-TRACKS = {"wheel_separation": 1.0, "wheelSeparation": 1.0, "track_width": 1.0, "wheel_separation_y": 1.0}
-RADII = {"wheel_radius": 1.0, "wheelRadius": 1.0, "wheel_diameter": 0.5, "wheelDiameter": 0.5}
-
-
 def stated(rest: AtRest, controllers: str | None, names: dict[str, float]) -> list[Stated]:
     """What the file's plugins and the controllers' file state under some names, each value once.
 
@@ -283,51 +246,29 @@ def stated(rest: AtRest, controllers: str | None, names: dict[str, float]) -> li
     for element in rest.document.root.iterfind("gazebo//*"):
         if element.tag in names and not number_problem(text := (element.text or "").strip(), 1):
             value = float(text) * names[element.tag]
-            found.append(Stated(value, f"<{element.tag}> (line {element.sourceline})"))
+            found.append(Stated(value, f"<{element.tag}> (line {element.sourceline})", value))
     found += in_yaml(controllers, names)
-    return list({round(one.value, 9): one for one in reversed(found) if one.value > 0}.values())[::-1]
-
-
-def in_yaml(file: str | None, names: dict[str, float]) -> Iterator[Stated]:
-    """What a controllers' file states under some names.
-
-    Raises:
-        ConfigError: It cannot be read.
-    """
-    for number, line in lines_of(file):
-        key, colon, text = (part.strip().strip("'\"") for part in line.partition(":"))
-        if colon and key in names and text and not number_problem(text, 1):
-            yield Stated(float(text) * names[key], f"{key} ({Path(file or '').name}, line {number})")
-
-
-def beside(rest: AtRest) -> list[Path]:
-    """YAML files of the package that a robot's file is in, and of those beside it that have its name."""
-    own = Path(package_of(str(rest.document.path.parent.absolute())))
-    stem = re.sub(r"_?(description|model|urdf)$", "", own.name)
-    folders = [own, *(f for f in siblings(own) if stem and f.name.startswith(stem) and f != own)]
-    files = [
-        file for folder in folders for place in ("", "config", "params") for file in (folder / place).glob("*.y*ml")
-    ]
-    return [file for file in files[:YAMLS] if file.stat().st_size < LONGEST]
-
-
-def siblings(folder: Path) -> list[Path]:
-    """Packages in the folder that holds one, none where it is no package."""
-    if not (folder / "package.xml").is_file():
-        return []
-    return sorted(file.parent for file in folder.parent.glob("*/package.xml"))
+    return list({(round(one.value, 9), one.side): one for one in reversed(found) if one.value > 0}.values())[::-1]
 
 
 def motors_named(rest: AtRest) -> dict[str, str]:
     """Joints that plugins, `ros2_control` commands or transmissions drive, each with where it stands."""
-    root, found = rest.document.root, {}
-    for element in root.iterfind("transmission/joint"):
-        found[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
+    root, found = rest.document.root, dict[str, str]()
+    for element in root.iterfind("transmission//*"):
+        tag = str(element.tag).lower()
+        if "joint" in tag and not tag.startswith("passive"):  # PR2's have flexJoint, gap_joint, passive_joint
+            found[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
     for element in root.iterfind("ros2_control/joint"):
         if element.find("command_interface") is not None:
             found[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
     for element in root.iterfind("gazebo//*"):
-        text = (element.text or "").strip()
-        if text in rest.document.joints and "joint" in str(element.tag).lower():
-            found[text] = f"<{element.tag}> (line {element.sourceline})"
+        if MOVED.search(str(element.tag)) and not reads_only(element):
+            for name in re.split(r"[\s,]+", element.text or ""):
+                found[name] = f"<{element.tag}> (line {element.sourceline})"
     return {name: where for name, where in found.items() if name in rest.document.joints}
+
+
+def reads_only(element: etree._Element) -> bool:
+    """Whether what names a joint in a gazebo tag is a sensor, or a plugin that publishes its state."""
+    above = list(element.iterancestors("sensor", "plugin"))
+    return any(e.tag == "sensor" or READS.search(f"{e.get('filename')} {e.get('name')}") for e in above)

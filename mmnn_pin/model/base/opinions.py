@@ -1,4 +1,7 @@
-"""What else speaks of radius, track and sides than geometry: other shapes, joints, plugins, controllers' files."""
+"""What else speaks of radius, track and sides than geometry: other shapes, joints, plugins, controllers' files.
+
+They are told, and the geometry is taken; what is taken of a controllers' file is in `calibration`.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,8 @@ from ...elementary import cos, sin
 from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base
-from .evidence import RADII, TRACKS, beside, in_yaml, stated
+from .controllers import RADII, TRACKS, beside, in_yaml
+from .evidence import stated
 from .overrides import Overrides
 from .report import note
 from .wheels import STATED, UNSEEN, Candidate
@@ -61,9 +65,14 @@ def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overr
                 text = f"the radius {used:.4g} m of {', '.join(blind)} is what the file states: {opinion.text}"
                 why, fix = "no shape of them can be read whole", "--radius, or --package-dir where their meshes are"
                 yield note(rest, "base-stated", first, text, why, fix)
-            elif apart(opinion.value, used):
+            elif apart(opinion.value, used if not opinion.side else side_radius(base, opinion.side)):
                 text = f"{opinion.text} states a {name} of {opinion.value:.4g} m, its geometry {used:.4g} m"
                 yield note(rest, "base-stated", first, text, "taken is the geometry", f"--{name} {opinion.value:.6g}")
+
+
+def side_radius(base: Base, side: str) -> float:
+    """Radius of the drive wheels on a side, "left" or "right" [m]."""
+    return float(np.median([w.radius for w in base.wheels if (w.y > 0.0) == (side == "left")]))
 
 
 def shape_opinions(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Finding]:
@@ -114,7 +123,8 @@ def unasked(rest: AtRest, base: Base, overrides: Overrides) -> Iterator[Finding]
     files = beside(rest)
     for name, used, names in (("track", base.track, TRACKS), ("radius", base.wheels[0].radius, RADII)):
         found = [(file, one) for file in files for one in in_yaml(str(file), names)]
-        if getattr(overrides, name) is None and found and all(apart(one.value, used) for _, one in found):
+        known = getattr(overrides, name) is not None or (name == "radius" and overrides.wheel_radii)
+        if not known and found and all(apart(one.value, used) for _, one in found):
             file, one = found[0]
             text = f"{file} states a {name} of {one.value:.4g} m, the geometry has {used:.4g} m"
             fix = f"--controllers {file} where it is this robot's, --{name} {one.value:.6g} to use it"

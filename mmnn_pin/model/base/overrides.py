@@ -42,6 +42,7 @@ class Overrides(Settings, frozen=True):
         base: Kind of the base, one of `KINDS`.
         wheels: Joints of the drive wheels; left, right for a differential drive.
         radius: Radius of the drive wheels [m].
+        wheel_radii: Radius of single drive wheels, `joint=radius` [m]; they count more than `radius`.
         track: Lateral distance of the drive wheels [m]; of a skid-steer base the effective one.
         roller: Angle of the rollers from the rolling direction [rad]: 0 for omni wheels; for mecanum wheels that of
             the front right one on the floor, pi/4 by default, negative for wheels mounted the other way round.
@@ -52,13 +53,15 @@ class Overrides(Settings, frozen=True):
         xacro: Arguments of a xacro file, `NAME:=VALUE`.
         without: Macros of a xacro file to leave out, because a package is missing.
         strict: Whether impossible inertias and implausible sizes are errors.
-        controllers_file: YAML file of the robot's controllers: evidence of its kind, and opinions on radius and track.
+        controllers_file: YAML file of the robot's controllers: evidence of its kind, what corrects radius and track,
+            and opinions on them.
         mu: Friction coefficient between the floor and the wheels of a skid-steer base.
     """
 
     base: str | None = None
     wheels: tuple[str, ...] | None = None
     radius: float | None = None
+    wheel_radii: tuple[str, ...] = ()
     track: float | None = None
     roller: float | None = None
     lock: tuple[str, ...] = ()
@@ -74,11 +77,14 @@ class Overrides(Settings, frozen=True):
     def __post_init__(self) -> None:
         if self.base is not None and self.base not in KINDS:
             raise UnknownName("base", self.base, KINDS, key="base")
-        for key in ("radius", "track"):
-            value = getattr(self, key)
+        for key, value in (
+            ("radius", self.radius),
+            ("track", self.track),
+            *(("wheel_radii", r) for r in self.radius_of.values()),
+        ):
             if value is not None and not SMALLEST <= value <= LARGEST:
                 fix = f"give metres, from {SMALLEST:g} to {LARGEST:g}"
-                raise ConfigError(f"{value} cannot be a {key}", fix=fix, key=key)
+                raise ConfigError(f"{value} cannot be a {'track' if key == 'track' else 'radius'}", fix=fix, key=key)
         if self.mu is not None and not 0 < self.mu <= LARGEST_MU:
             raise ConfigError(
                 f"{self.mu} cannot be a friction coefficient", fix="give one above 0, such as 0.6", key="mu"
@@ -108,6 +114,24 @@ class Overrides(Settings, frozen=True):
             except ValueError:
                 fix = "write joint=position in rad or m"
                 raise ConfigError(f"'{value}' is no position to lock '{name}' at", fix=fix, key="lock") from None
+        return table
+
+    @property
+    def radius_of(self) -> dict[str, float]:
+        """Radius of every wheel in `wheel_radii` [m].
+
+        Raises:
+            ConfigError: No joint, or a radius that is not a finite number.
+        """
+        table: dict[str, float] = {}
+        for text in self.wheel_radii:
+            name, _, value = text.rpartition("=")
+            try:
+                table[name] = finite(value)
+            except ValueError:
+                name = ""
+            if not name:
+                raise ConfigError(f"'{text}' is no radius of a wheel", fix="write joint=radius in m", key="wheel_radii")
         return table
 
     def over(self, other: Overrides) -> Overrides:

@@ -10,13 +10,13 @@ import numpy as np
 
 from ...elementary import atan2, cos_sin, hypot
 from ...elementary.matrices import product
-from ...errors import ConfigError, UnknownName
+from ...errors import ConfigError, RobotError, UnknownName
 from ...signals import Array
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .differential import DifferentialDrive
-from .evidence import evidence, stated_rollers
+from .evidence import evidence, motors_named, plugins, stated_rollers
 from .holonomic import Holonomic
 from .machines import MOST_PER_SIDE
 from .overrides import Overrides
@@ -153,12 +153,37 @@ def require_possible(overrides: Overrides, candidates: Candidates, named: list[C
                 raise ConfigError(f"{radius:g} m cannot be their radius", why=why, fix=fix, key="radius")
 
 
+def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
+    """Refuse a base that needs all its wheels, of which the file drives some, unless the user names them.
+
+    A skid-steer base's others turn along (`understanding`); a plugin may move the base as a whole.
+
+    Raises:
+        RobotError: It does.
+    """
+    motors, names = motors_named(rest), [wheel.joint for wheel in base.wheels]
+    idle = [name for name in names if name not in motors]
+    if base.kind == "skid_steer" or overrides.wheels is not None or not 0 < len(idle) < len(names):
+        return
+    if base.kind == "holonomic" and any(piece.meaning == "holonomic" for piece in plugins(rest)):
+        return
+    driven = next(name for name in names if name not in idle)
+    what, why = f"nothing drives the wheel(s) {', '.join(idle)}", f"'{driven}' has a motor: {motors[driven]}"
+    fix = f"state theirs likewise, or --wheels {','.join(names)} if they have motors"
+    raise RobotError(what, why=why, fix=fix, file=rest.document.path, line=rest.document.joints[idle[0]].line)
+
+
 def require_used(overrides: Overrides, base: Base) -> None:
     """Refuse what is said of wheels that the base does not have.
 
     Raises:
         ConfigError: It would be ignored.
+        UnknownName: The radius of a joint that is no drive wheel.
     """
+    names = [wheel.joint for wheel in base.wheels]
+    for name in overrides.radius_of:
+        if name not in names:
+            raise UnknownName("drive wheel", name, names, key="wheel_radii")
     unused = {"radius": not base.wheels, "track": len(base.wheels) < 2, "roller": base.kind != "holonomic"}
     unused["mu"] = base.kind != "skid_steer"
     unused["roller"] |= not base.wheels
@@ -175,7 +200,8 @@ def frame_of(
     rest: AtRest, drives: list[Candidate], wheels: list[Candidate], kind: type[Base], overrides: Overrides
 ) -> Base:
     """Control frame, wheels, casters and suspensions; forward is the rolling direction nearer the root's x."""
-    drives = [replace(c, radius=overrides.radius or c.radius) for c in drives]
+    own = overrides.radius_of
+    drives = [replace(c, radius=own.get(c.joint.name, overrides.radius or c.radius)) for c in drives]
     alike = all(parallel(drives[0], c) for c in drives[1:])
     forward = rolling(drives[0]) if alike else np.array([1.0, 0.0])
     backward = forward[0] < -1e-6 or (abs(forward[0]) <= 1e-6 and forward[1] < 0)  # axle along x: y is as near
@@ -187,7 +213,7 @@ def frame_of(
     placed.sort(key=lambda w: (-round(w.x, 6) * in_rows, -w.y))  # front to rear, left before right
     track = max(w.y for w in placed) - min(w.y for w in placed)
     if overrides.track is not None and track > 0 and kind is not SkidSteer:
-        placed = [replace(w, y=w.y * overrides.track / track) for w in placed]
+        placed = [replace(w, y=w.y * (overrides.track / track)) for w in placed]
         track = overrides.track
     suspensions = [j.name for c in drives for j in rest.document.moving_ancestors(c.joint.child)[1:]]
     others = [c for c in wheels if c.joint not in [d.joint for d in drives]]

@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from ...elementary import cos
 from ...errors import RobotError
 from ...signals import Array
-from ..arm import Arm
+from ..arm import WHY, Arm
 from ..urdf.document import Joint
 from ..urdf.finding import AuditError, Finding, one_line
 from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
@@ -67,6 +68,7 @@ CODES = {
     "base-welded": "warning",
     # the arm and the rest
     "arm-locked": "note",
+    "arm-passive": "warning",
     "arm-weak": "warning",
     "no-friction": "note",
     "welded": "warning",
@@ -82,10 +84,12 @@ class BaseResult:
     Attributes:
         base: The base.
         findings: Warnings and notes.
+        taken: What the robot's own controllers correct of its geometry, keys of `Overrides`.
     """
 
     base: Base
     findings: tuple[Finding, ...] = ()
+    taken: dict[str, Any] = field(default_factory=dict)
 
 
 # -- notes -------------------------------------------------------------------------------------------------------------
@@ -206,6 +210,10 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
             text = f"locked: {', '.join(names[:MOST_NAMES])}{more}"
             fix = "--free JOINT lets one move, --free all every one"
             notes.append(note(rest, "arm-locked", names[0], text, reason, fix, "arm"))
+        if reason == WHY["passive"]:
+            text = f"locked, since they have no motor: {', '.join(names)}"
+            fix = f"--free {names[0]} if it has one, or state it: a <command_interface> or a <transmission>"
+            notes.append(note(rest, "arm-passive", names[0], text, reason, fix, "arm"))
     return notes
 
 

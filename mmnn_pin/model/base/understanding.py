@@ -9,14 +9,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 
 from ..urdf.document import Joint
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Fixed
+from .calibration import calibration
+from .controllers import RADII
 from .evidence import (
-    RADII,
     evidence,
     follows_on_its_side,
     motors_named,
@@ -48,6 +50,7 @@ from .placing import (
     in_order,
     mecanum,
     pushed,
+    require_motors,
     require_possible,
     require_used,
     skidding,
@@ -114,8 +117,17 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
         ConfigError: Wheels that do not suit the base.
     """
     overrides = overrides or Overrides()
-    radii = stated(rest, overrides.controllers_file, RADII)
-    radius = overrides.radius or (radii[0].value if len(radii) == 1 else None)
+    found = understood(rest, overrides)
+    taken, findings = calibration(rest, found.base, overrides)
+    if taken:
+        found = understood(rest, msgspec.structs.replace(overrides, **taken))
+    return replace(found, findings=(*found.findings, *findings), taken=taken)
+
+
+def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
+    """The base by its geometry, by what the file says, and by what the user says; errors of `find_base`."""
+    radii = {one.nominal for one in stated(rest, overrides.controllers_file, RADII)}
+    radius = overrides.radius or (min(radii) if len(radii) == 1 else None)
     candidates = wheel_candidates(rest, radius, overrides.radius is not None)
     drives = candidates.wheels
     named = [declared_wheel(rest, name, candidates, overrides) for name in overrides.wheels or ()]
@@ -132,6 +144,7 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
         found = decide(rest, candidates, overrides)
     found = with_strays(rest, found, overrides)
     require_drive(rest, found.base, overrides)
+    require_motors(rest, found.base, overrides)
     require_used(overrides, found.base)
     welds = welded_note(rest, welded_cylinders(rest, candidates.floor)) if found.base.wheels else []
     notes = [

@@ -52,6 +52,7 @@ CODES = {
     "two-parents": "error",
     "two-roots": "error",
     "loop": "error",
+    "gazebo-loop": "warning",
     # joints
     "joint-type": "error",
     "zero-axis": "error",

@@ -112,6 +112,19 @@ def bad_tree(root: etree._Element) -> Iterator[Finding]:
         yield finding("loop", at, what, "a URDF is a tree", "open the loop", "")
 
 
+def gazebo_loops(root: etree._Element) -> Iterator[Finding]:
+    """Joints in `<gazebo>` between links that already hang in the tree: a simulator closes a loop, URDF cannot."""
+    links = {link.get("name", "") for link in root.iterchildren("link")}
+    for joint in root.iterfind("gazebo//joint"):
+        ends = [joint.find(tag) for tag in ("parent", "child")]
+        above, below = ("" if e is None else e.get("link", e.text or "").strip().rpartition("::")[2] for e in ends)
+        if above in links and below in links:
+            what = f"joint '{joint.get('name')}' closes a loop: it holds '{below}' to '{above}'"
+            why = "a URDF is a tree: the loop is taken as open, nothing of this joint is in the model"
+            fix = "lock the joints of one branch (--lock JOINT), or let them <mimic> those of the other"
+            yield finding("gazebo-loop", joint, what, why, fix)
+
+
 def end_of(joint: etree._Element, tag: str) -> str:
     """Name of a joint's parent or child link, empty when it has none."""
     end = joint.find(tag)

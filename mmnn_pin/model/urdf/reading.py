@@ -31,6 +31,7 @@ from .mechanism import (
     bad_names,
     bad_tree,
     degrees,
+    gazebo_loops,
     millimetres,
     no_inertials,
     too_large,
@@ -246,7 +247,7 @@ def audit(tree: Tree, path: Path, package_dirs: Sequence[str | Path] = ()) -> li
     findings = [*turned, *unsound, *bad_joints(root), *bad_mimics(root)]
     findings += [found for check in ELEMENT_CHECKS for found in check(elements)]
     if not unsound:  # bodies can be judged only in a sound tree
-        findings += [*bad_bodies(tree), *no_inertials(tree)]
+        findings += [*bad_bodies(tree), *no_inertials(tree), *gazebo_loops(root)]
     return [*findings, *bad_meshes(root, path, package_dirs)]
 
 

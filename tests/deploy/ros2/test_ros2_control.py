@@ -1,8 +1,9 @@
 """The YAML for ros2_control, against what its controllers declare.
 
-Facts are those of the repositories ros-controls/ros2_controllers, branches jazzy (ed360c97) and kilted (0f8eb14e), and
-ros-controls/ros2_control (9ffbf97f, cbe7d2c3): names and types of parameters in `*/src/*_parameter*.yaml`, classes in
-`*_plugin*.xml`, topics in the controllers' sources. Both branches agree on them.
+Facts are those of the repositories ros-controls/ros2_controllers, branches jazzy (ed360c97), kilted (0f8eb14e) and
+master (94e74de, 6.9.0), and ros-controls/ros2_control (9ffbf97f, cbe7d2c3): names and types of parameters in
+`*/src/*_parameter*.yaml`, classes in `*_plugin*.xml`, topics in the controllers' sources. They agree, but that master
+has no `publish_rate` (it always publishes) and no group controllers of one interface any more.
 """
 
 from __future__ import annotations
@@ -29,15 +30,23 @@ DIFF_DRIVE = {
     "position_feedback": bool, "enable_odom_tf": bool, "cmd_vel_timeout": float, "publish_limited_velocity": bool,
     "velocity_rolling_window_size": int, "publish_rate": float,
 }  # fmt: skip
+MECANUM = {
+    **{f"{end}_{side}_wheel_command_joint_name": str for end in ("front", "rear") for side in ("left", "right")},
+    "reference_timeout": float, "kinematics": dict, "odom_frame_id": str, "base_frame_id": str,
+}  # fmt: skip
+OMNI = {
+    "wheel_names": STRINGS, "wheel_offset": float, "robot_radius": float, "wheel_radius": float,
+    "cmd_vel_timeout": float, "odom_frame_id": str, "base_frame_id": str,
+}  # fmt: skip
 GROUP = {"joints": STRINGS, "interface_name": str}
 TRAJECTORY = {"joints": STRINGS, "command_joints": STRINGS, "command_interfaces": STRINGS, "state_interfaces": STRINGS}
 STATES = {"use_local_topics": bool, "joints": STRINGS, "extra_joints": STRINGS, "interfaces": STRINGS, "frame_id": str}
 CLASSES: dict[str, tuple[dict[str, Any], str]] = {  # their parameters, and the topic that they take
     "joint_state_broadcaster/JointStateBroadcaster": (STATES, ""),
     "diff_drive_controller/DiffDriveController": (DIFF_DRIVE, "cmd_vel"),
-    "effort_controllers/JointGroupEffortController": (GROUP, "commands"),
-    "velocity_controllers/JointGroupVelocityController": (GROUP, "commands"),
-    "position_controllers/JointGroupPositionController": (GROUP, "commands"),
+    "mecanum_drive_controller/MecanumDriveController": (MECANUM, "reference"),
+    "omni_wheel_drive_controller/OmniWheelDriveController": (OMNI, "cmd_vel"),
+    "forward_command_controller/ForwardCommandController": (GROUP, "commands"),
     "joint_trajectory_controller/JointTrajectoryController": (TRAJECTORY, "joint_trajectory"),
 }
 FILE = """robot = "{robot}"
@@ -117,7 +126,8 @@ def test_namespaces_names_and_every_interface(tmp_path: Path, capsys: Any) -> No
     assert code == 0, text
     found = judged(text)
     assert found["diff_drive_controller/DiffDriveController"]["key"] == "/robot_1/base"
-    assert found["velocity_controllers/JointGroupVelocityController"]["joints"] == ["shoulder"]
+    group = found["forward_command_controller/ForwardCommandController"]
+    assert group["joints"] == ["shoulder"] and group["interface_name"] == "velocity"
     trajectory = found["joint_trajectory_controller/JointTrajectoryController"]
     assert trajectory["command_interfaces"] == ["position"] and trajectory["key"] == "second"
 
@@ -126,7 +136,7 @@ def test_namespaces_names_and_every_interface(tmp_path: Path, capsys: Any) -> No
     ("good", "bad", "why"),
     [
         ('"/first/commands"', '"/first/efforts"', "11:commands.1.topic: error: no controller takes '/first/efforts'"),
-        ('"TwistStamped"', '"Twist"', "9:commands.0.type: error: this is not diff_drive_controller's"),
+        ('"TwistStamped"', '"Twist"', "9:commands.0.type: error: no controller of ros2_controllers takes this"),
     ],
 )
 def test_what_no_controller_takes_is_one_line(tmp_path: Path, capsys: Any, good: str, bad: str, why: str) -> None:
