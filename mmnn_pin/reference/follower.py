@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from ..elementary import nearest_turn
 from ..errors import ConfigError
 from ..model.robot import Robot
 from ..settings.arguments import is_numeric, shortly
@@ -32,7 +33,7 @@ from .guide import (
     take_sample,
 )
 from .hand import FollowHand, HandCourse
-from .motion import require_within
+from .motion import between, require_within
 from .wishes import BaseVelocity, Course, JointGoal, Motion, Stand, Wish
 
 LARGEST = 1e9  # a number beyond this is none [SI units]
@@ -164,6 +165,8 @@ class Follower:
         for part in (BASE, ARM):
             leave_home(part, self.guide)
             is_home(part, self.guide)
+        between(self.sample, self.sample, 0.0, 1.0, self.dimensions.base, self.sample)
+        nearest_turn(0.0, 0.0)
         for array in (self.guide.now, self.guide.wanted, self.guide.pace, self.guide.kind, self.guide.home):
             array[:] = 0
 

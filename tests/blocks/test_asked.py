@@ -17,7 +17,8 @@ from test_holonomic import mecanum
 from mmnn_pin import load
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.reference.follower import Follower
-from mmnn_pin.reference.guide import ARM, Limits
+from mmnn_pin.reference.guide import ARM
+from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import HOLD, BaseVelocity, JointGoal, Motion
 from mmnn_pin.signals import Setpoint
 

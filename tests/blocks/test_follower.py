@@ -14,7 +14,8 @@ from mmnn_pin import Circle, Line, Sine, Trajectory, load
 from mmnn_pin.errors import ConfigError, TrajectoryError
 from mmnn_pin.reference.braking import brought_home
 from mmnn_pin.reference.follower import Follower
-from mmnn_pin.reference.guide import ARM, BASE, Limits
+from mmnn_pin.reference.guide import ARM, BASE
+from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import HOLD, BaseVelocity, JointGoal, Motion
 from mmnn_pin.signals import Dimensions, Setpoint
 

@@ -20,7 +20,8 @@ from ...errors import ConfigError, MmnnError, TrajectoryError
 from ...model.base.holonomic import moves_sideways
 from ...model.robot import Robot
 from ...reference import Holonomic, Smoothed, Timed, Trajectory
-from ...reference.guide import ARM, BASE, Guide, Limits, new_guide
+from ...reference.guide import ARM, BASE, Guide, new_guide
+from ...reference.limits import Limits
 from ...reference.motion import require_within, slopes
 from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array

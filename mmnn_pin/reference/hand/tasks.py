@@ -33,7 +33,8 @@ from ...model.robot import Robot, speed_limits
 from ...model.robot import limits as limits_of
 from ...settings import Numbers, Settings, one_or_each
 from ...signals import Array
-from ..limits import Limits, new_guide
+from ..guide import new_guide
+from ..limits import Limits
 
 # Places in a target: position, velocity, acceleration, rotation row by row, angular velocity, its derivative.
 P, V, A, R, W, WDOT, TARGET = 0, 3, 6, 9, 18, 21, 24

@@ -23,7 +23,8 @@ from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.urdf.reading import parse
 from mmnn_pin.reference.follower import Follower
-from mmnn_pin.reference.guide import ARM, BASE, Limits
+from mmnn_pin.reference.guide import ARM, BASE
+from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import Stand
 
 ROBOT = load("platform_arm")
