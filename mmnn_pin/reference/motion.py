@@ -263,7 +263,7 @@ def require_within(motion: Motion, guide: Guide, names: Sequence[str], start: Ar
         motion: The motion.
         guide: With the limits.
         names: Of the joints.
-        start: (n,) where the joints' reference is; from outside of an end they may come in.
+        start: (n,) where the joints' reference is. What begins outside of an end may come in.
 
     Raises:
         ConfigError: The joint or the velocity that is, and by how much.
@@ -271,10 +271,11 @@ def require_within(motion: Motion, guide: Guide, names: Sequence[str], start: Ar
     d = motion.dimensions
     setpoints, nb = Setpoint.side_by_side(motion.table, d), d.base
     if ARM in motion.parts:
-        low, high = np.minimum(guide.ends[0], start) - NEAR, np.maximum(guide.ends[1], start) + NEAR
+        away = np.maximum(guide.ends[0] - setpoints.q, setpoints.q - guide.ends[1])  # turns have no ends
+        away = np.maximum(away - np.maximum(guide.ends[0] - start, start - guide.ends[1]).clip(0.0) - NEAR, 0.0)
         least, largest = motion.places
         for i, name in enumerate(names):
-            if least[i] < low[i] or largest[i] > high[i]:
+            if away[-1, i] > 0.0 or (np.diff(away[:, i]) > 0.0).any():
                 what, why = f"{name} from {least[i]:.4g} to {largest[i]:.4g}", "its ends are {:.4g} and {:.4g}"
                 fix = "move it between them"
                 raise ConfigError(what, why=why.format(*guide.ends[:, i]), fix=fix, key="setpoint")
