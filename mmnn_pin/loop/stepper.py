@@ -30,7 +30,7 @@ from ..reference.guide import Limits
 from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
 from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
-from ..safety.supervisor import GOOD, HEARD
+from ..safety.supervisor import GOOD, HEARD, PERIOD
 from ..sensing import Sensor, observe
 from ..settings import Numbers, Timing, require_gain
 from ..settings.arguments import checked
@@ -45,10 +45,12 @@ from .loop import Loop
 from .new_hardware import new_hardware
 from .sample import Control, Plan
 from .sampled import delay_margin
-from .servo import Command, Servo, interfaces_of, linear_servos
+from .servo import Command, Servo, interfaces_of, limit_commands
+from .servo_model import linear_servos
 from .setup import Outside, believed_by, facts_of, new_lead
 from .stable_gains import require_stable_gains
 from .suited import Given, postures, suited
+from .suited_safety import suited_safety
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
 UNKNOWN = (
@@ -62,6 +64,7 @@ ALIKE = (
     "kinematic", "safety", "nominal", "seed", "within_limits", "check_gains", "weights_interval", "interfaces", "servo",
     "lead",
 )  # fmt: skip
+SLOW = 1.5  # times its period that a stepper's samples are apart when it is said
 MOST_TOLD = 20  # trips that a recording tells of
 
 
@@ -114,6 +117,7 @@ class Stepper:
         state: What the controller has learned.
         time: Of the last sample [s].
         step_time: Wall-clock time that the last step took [s].
+        is_late: Whether it has been stepped more slowly than its period says, by far.
 
     Raises:
         ConfigError: No supervisor, gains that are unstable when sampled, numbers out of range, or a state of another
@@ -173,6 +177,7 @@ class Stepper:
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency, layout = period, check_gains, known.total, setup.layout
+        self.safety, self.limits = safety, limits
         self.follower, self.at = Follower(robot, limits, setpoint_timeout), layout.offsets
         row = self.row = layout.new_row()
         self.received = row[layout.where("pose").start : layout.where("qdot").stop]
@@ -182,12 +187,13 @@ class Stepper:
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()
+        self.is_late = False
         self.every, self.weighed = samples_between(weights_interval, period), -1
         now = self.follower.now
         self.past, self.before = Past.of(known.caught_up(timing), period, now), now.copy()
         self._equip(setup, state_from(controller, setup.context(), state))
         self._rehearse()
-        facts = facts_of(setup, seed) | {"loop": "outside"}
+        facts = facts_of(self.setup, seed) | {"loop": "outside"}
         self.recorder = Recorder(layout, facts | dict(meta or {}), path, force, KNOWN)
         self._weigh(0)
 
@@ -247,6 +253,9 @@ class Stepper:
         self.control.step(time, self.follower.now, before=self.before if self.k >= 0 else None)
         self.before[:] = self.follower.now
         self._command()
+        if supervisor.state[PERIOD] > SLOW * self.period and not self.is_late:
+            self.is_late = True
+            self._tell(f"stepped every {1e3 * supervisor.state[PERIOD]:.3g} ms, its period is {1e3 * self.period:.3g} ms")
         self.time, self.k, self.step_time = time, self.k + 1, perf_counter() - began
         return self.command
 
@@ -395,8 +404,13 @@ class Stepper:
         plan = replace(plan, latency=self.latency, lag=setup.lag, servo=servo, lead=new_lead(setup))
         if self.check_gains:
             require_stable_gains(plan)
+        base, arm = self.limits.of_base(layout), self.limits.of_arm(robot)
+        setup = replace(setup, safety=suited_safety(self.safety, plan, arm[0]))
         hardware = new_hardware(setup, np.zeros(layout.dof), state, hardware_state)
         assert hardware is not None
+        if hardware.split is not None:
+            limits = np.concatenate((base, arm[:2]), axis=1)
+            limit_commands(hardware.split, limits[0], limits[1], self.latency)
         control = Control(plan, self.row, state, hardware)
         self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan
 

@@ -23,12 +23,13 @@ TIMEOUT, RAMP, STOP_TIME, TORQUE_TIME, POSITION, HEADING, WEIGHTS, HOLD_RATE, H 
 SETTLE, REST, SHORT, FRESH, SLOWEST, NUMBERS = range(9, 15)
 # Numbers of the state.
 HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, HELD, REFUSED, ACTED = range(13)
-ARRIVED, BLIND, GIVEN_UP, SAMPLED, PERIOD, LAST_PERIOD, MARKS = range(13, 20)
+ARRIVED, BLIND, GIVEN_UP, SAMPLED, PERIOD, LAST_PERIOD, STEADY, MARKS = range(13, 21)
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
 OVER_WHEEL, JUMPED, TOO_SLOW = range(10, 13)
 
+BORNE = 0.3  # of the slowest period: gains of a stop are lowered in proportion where samples are farther apart
 SAMPLES = 20.0  # over which the control period is averaged, those far back less
 GAP = 4.0  # times the slowest period: a longer pause counts as this
 PLAUSIBLE = 2.0  # times its limit: a velocity beyond this brakes as this
@@ -174,11 +175,11 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
 def check_period(time: float, state: Array, numbers: Array) -> None:
     """Trip on a control period that is too long on average; a pause that stays alone does not count."""
     if state[PERIOD] == 0.0:
-        state[PERIOD], state[LAST_PERIOD] = numbers[H], numbers[H]
+        state[PERIOD] = state[LAST_PERIOD] = state[STEADY] = numbers[H]
     else:
         period = time - state[SAMPLED]
-        steady = min(period, state[LAST_PERIOD], GAP * numbers[SLOWEST])
-        state[PERIOD] += (steady - state[PERIOD]) / SAMPLES
+        state[STEADY] = min(period, state[LAST_PERIOD], GAP * numbers[SLOWEST])
+        state[PERIOD] += (state[STEADY] - state[PERIOD]) / SAMPLES
         state[LAST_PERIOD] = period
     state[SAMPLED] = time
     if state[PERIOD] > numbers[SLOWEST]:
@@ -270,16 +271,17 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
             stale[i] = supervisor.last[i] if state[CODE] == LOST and time == state[TIME] else 0.0
             supervisor.began[i] = abs(row[at[VELOCITY] + i] if i < p - n else row[at[QDOT] + i - (p - n)])
     lose(row, at, supervisor)
+    slow = min(1.0, BORNE * numbers[SLOWEST] / state[STEADY])
     fade = max(0.0, numbers[RAMP] - (time - state[TIME])) / (numbers[RAMP] + numbers[H])
     for i in range(p - n):
         brake = 0.0 if numbers[SHORT] > 0.0 else -supervisor.gains[i] * plausible(row[at[VELOCITY] + i], i, supervisor)
-        tau[i] = (fade * stale[i] + brake) * trust(i, supervisor)
+        tau[i] = (fade * stale[i] + slow * brake) * trust(i, supervisor)
     for i in range(n):
         e, j = place[i] - row[at[Q] + i], p - n + i
         if supervisor.above[supervisor.above.size - n + i] == 0.0 or e * supervisor.integral[i] < 0.0:
             supervisor.integral[i] += numbers[H] * numbers[HOLD_RATE] * e
-        hold = supervisor.K[i] * (e + supervisor.integral[i]) - plausible(row[at[QDOT] + i], j, supervisor)
-        tau[j] = (fade * stale[j] + supervisor.gains[j] * hold) * trust(j, supervisor)
+        hold = slow * supervisor.K[i] * (e + supervisor.integral[i]) - plausible(row[at[QDOT] + i], j, supervisor)
+        tau[j] = (fade * stale[j] + slow * supervisor.gains[j] * hold) * trust(j, supervisor)
 
 
 @internal

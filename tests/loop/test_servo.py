@@ -38,7 +38,8 @@ from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.ordinary import OrdinaryLoop
 from mmnn_pin.loop.sampled import verdicts
-from mmnn_pin.loop.servo import Servo, interfaces_of, servo_slots, split_of, velocity_servo
+from mmnn_pin.loop.servo import Servo, interfaces_of, split_of
+from mmnn_pin.loop.servo_model import servo_slots, velocity_servo
 from mmnn_pin.loop.suited import Given, suited
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robots import robot_data
