@@ -4,7 +4,7 @@
 - A joint is lost `REACH` off its reference, plus what its load needs: under a feedback k s it hangs `load / (k K)` below,
   by a servo it is late by the latency.
 - A jump is more than `JUMP` beyond what the speed explains.
-- A control period is too long where the sampled loop turns unstable.
+- A control period is too long where the sampled loop is unstable by far.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TURN, SLIDE = 10.0, 2.0  # speed of a joint where the URDF states none [rad/s, m
 REACH, REACH_SLIDE = 0.2, 0.1  # [rad, m]
 JUMP, JUMP_SLIDE = 0.1, 0.05  # [rad, m]
 LONGEST = 64.0  # times the control period that is tried
-LEAST = 1.25  # times the control period that is always borne
+ROOM = 1.25  # times the longest stable period that is borne: joints have friction that no URDF states
 HALVINGS = 7
 
 
@@ -80,7 +80,7 @@ def loads_of(plan: Plan, speed: Array) -> Array:
 
 @one_thread
 def longest_period(plan: Plan) -> float:
-    """Longest control period at which the sampled loop is stable, less what its latency takes [s]; inf for any."""
+    """`ROOM` times the longest period at which the sampled loop is stable, less what latency takes [s]; inf for any."""
     robot, dynamics, friction = plan.robot, Dynamics(plan.robot), viscous_friction(plan.robot)
     gains, places = gains_of(plan), []
     for setpoint in plan.setpoints:
@@ -102,4 +102,4 @@ def longest_period(plan: Plan) -> float:
     for _ in range(HALVINGS):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if bears(middle * period) else (low, middle)
-    return max(LEAST * period, low * period - 2.0 * plan.latency)
+    return ROOM * max(period, low * period - 2.0 * plan.latency)

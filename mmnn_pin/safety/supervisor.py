@@ -29,7 +29,7 @@ TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
 OVER_WHEEL, JUMPED, TOO_SLOW = range(10, 13)
 
-BORNE = 0.3  # of the slowest period: gains of a stop are lowered in proportion where samples are farther apart
+BORNE = 0.3  # of the slowest period: where samples are farther apart the gains of a stop are lowered in proportion
 SAMPLES = 20.0  # over which the control period is averaged, those far back less
 GAP = 4.0  # times the slowest period: a longer pause counts as this
 PLAUSIBLE = 2.0  # times its limit: a velocity beyond this brakes as this
@@ -280,7 +280,8 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
         e, j = place[i] - row[at[Q] + i], p - n + i
         if supervisor.above[supervisor.above.size - n + i] == 0.0 or e * supervisor.integral[i] < 0.0:
             supervisor.integral[i] += numbers[H] * numbers[HOLD_RATE] * e
-        hold = slow * supervisor.K[i] * (e + supervisor.integral[i]) - plausible(row[at[QDOT] + i], j, supervisor)
+        K = supervisor.K[i] if slow == 1.0 else min(supervisor.K[i], BORNE / state[STEADY])
+        hold = K * (e + supervisor.integral[i]) - plausible(row[at[QDOT] + i], j, supervisor)
         tau[j] = (fade * stale[j] + slow * supervisor.gains[j] * hold) * trust(j, supervisor)
 
 
