@@ -405,7 +405,7 @@ class Stepper:
         if self.check_gains:
             require_stable_gains(plan)
         base, arm = self.limits.of_base(layout), self.limits.of_arm(robot)
-        setup = replace(setup, safety=suited_safety(self.safety, plan, arm[0]))
+        setup = replace(setup, safety=suited_safety(self.safety, plan, arm[:2]))
         hardware = new_hardware(setup, np.zeros(layout.dof), state, hardware_state)
         assert hardware is not None
         if hardware.split is not None:

@@ -32,15 +32,15 @@ ROOM = 1.25  # times the longest stable period that is borne: joints have fricti
 HALVINGS = 7
 
 
-def suited_safety(given: Safety, plan: Plan, speed: Array) -> Safety:
+def suited_safety(given: Safety, plan: Plan, references: Array) -> Safety:
     """What is given, and limits that suit the robot where nothing is.
 
     Args:
         given: The supervisor's limits.
         plan: Of the stepper, with postures as setpoints.
-        speed: (n,) of the references of the joints [rad/s or m/s].
+        references: (2, n) speeds and accelerations of the joints' references.
     """
-    robot = plan.robot
+    robot, (speed, acceleration) = plan.robot, references
     urdf, wheels, turns = speed_limits(robot), robot.dimensions.motors - robot.dimensions.arm, revolute(robot)
     turns = turns[robot.arm_index]
     fastest = np.where(np.isfinite(urdf[wheels:]), urdf[wheels:], np.maximum(np.where(turns, TURN, SLIDE), speed))
@@ -50,28 +50,30 @@ def suited_safety(given: Safety, plan: Plan, speed: Array) -> Safety:
         "jump": tuple(np.where(turns, JUMP, JUMP_SLIDE).tolist()),
     }
     if judges(plan):
-        error = np.where(turns, REACH, REACH_SLIDE) + loads_of(plan, np.minimum(fastest, speed))
+        error = np.where(turns, REACH, REACH_SLIDE) + loads_of(plan, np.minimum(fastest, speed), acceleration)
         longest = longest_period(plan)
         found |= {"joint_error": tuple(error.tolist()), "slowest": longest if math.isfinite(longest) else None}
     return msgspec.structs.replace(given, **{name: value for name, value in found.items() if getattr(given, name) is None})
 
 
-def loads_of(plan: Plan, speed: Array) -> Array:
+def loads_of(plan: Plan, speed: Array, acceleration: Array) -> Array:
     """How far joints are off their references under what they carry, and for the time that a command takes, (n,).
 
     Args:
         plan: Of the stepper.
         speed: (n,) of the references [rad/s or m/s].
+        acceleration: (n,) of the references [rad/s^2 or m/s^2].
     """
     robot, nb = plan.robot, plan.robot.dimensions.base
     dynamics, arm = Dynamics(robot), robot.arm_index
     load = np.zeros(robot.dimensions.arm)
     for setpoint in plan.setpoints:
         position, _ = Start().state(robot, setpoint)
-        dynamics.mass_matrix(position)
-        load = np.maximum(load, np.abs(dynamics.gravity(position)[nb:]))
+        inertia = np.diag(dynamics.mass_matrix(position))[nb:]
+        load = np.maximum(load, np.abs(dynamics.gravity(position)[nb:]) + inertia * acceleration)
     friction = np.asarray(viscous_friction(robot))
     load += robot.coulomb[arm] + np.diag(friction)[nb:] * speed
+    load = np.minimum(load, robot.effort_limits[robot.dimensions.motors - load.size :])
     springs = gains_of(plan)[nb:] * plan.K
     held = np.divide(load, springs, out=np.zeros_like(load), where=springs > 0.0)
     late = speed * (plan.latency + plan.timing.control_period)
