@@ -6,8 +6,8 @@
 
 so that `ds/dt = -b (1 + k) s - b psi - rest`: the integral psi, in units of velocity, takes the rest.
 
-**Limits.** u stays within the speeds of the joints, and of a base within those of its wheels, v and w scaled together so
-that the curvature stays. While u is limited psi does not grow in its direction, and it is never more than a share of
+**Limits.** u stays within the speeds of the joints, and of a base within those of its wheels, v and w scaled together:
+the curvature stays. While u is limited psi does not grow in its direction, and it is never more than a share of
 nu_ref and a little. A joint that takes positions is sent u, integrated, between the joint's ends and at most
 `speed (1/b + latency + h)` ahead of where it is measured: there a servo that is as fast as it can be has it.
 
@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import compiled, internal, linked
+from ..compiled import compiled, linked
 from ..errors import ConfigError, UnknownName
 from ..model.robot import Robot, speed_limits
 from ..settings import Numbers, Settings, one_or_each, require_numbers
@@ -181,13 +181,30 @@ def split_of(
     nb, urdf = p - n, speed_limits(robot)
     wheels = urdf.size - n
     speed = np.concatenate((np.full(nb, np.inf), urdf[wheels:]))
-    floor = np.array([BASE_FLOOR] * nb + [ARM_FLOOR * (limit if np.isfinite(limit) else 1.0) for limit in urdf[wheels:]])
+    floor = np.array(
+        [BASE_FLOOR] * nb + [ARM_FLOOR * (limit if np.isfinite(limit) else 1.0) for limit in urdf[wheels:]]
+    )
     placed = np.array([kind == POSITION for kind in kinds[nb:]], bool)
     ends = np.array([np.where(placed, robot.lower[arm], -np.inf), np.where(placed, robot.upper[arm], np.inf)])
+    integral, command, place, begun = np.split(state, (p, 2 * p, 2 * p + n))
     split = Split(
-        on, numbers, period, np.ascontiguousarray(robot.E), urdf[:wheels], speed, np.full(p, BRAKING), floor, ends,
-        np.where(placed, 0.0, np.inf), np.zeros(p), *np.split(state, (p, 2 * p, 2 * p + n))[:3], np.zeros(p), state[-1:],
-    )  # fmt: skip
+        on=on,
+        numbers=numbers,
+        h=period,
+        E=np.ascontiguousarray(robot.E),
+        wheel=urdf[:wheels],
+        speed=speed,
+        braking=np.full(p, BRAKING),
+        floor=floor,
+        ends=ends,
+        ahead=np.where(placed, 0.0, np.inf),
+        growth=np.zeros(p),
+        integral=integral,
+        command=command,
+        place=place,
+        kept=np.zeros(p),
+        begun=begun,
+    )
     limit_commands(split, speed, split.braking, latency)
     return split
 

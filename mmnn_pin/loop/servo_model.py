@@ -1,5 +1,6 @@
-"""What stands for a robot's servos: in a simulation a torque within limits, with a bandwidth and a delay; before a run
-the same, or what the law of `servo` takes them for, in the linearised loop that is judged.
+"""What stands for a robot's servos: a torque within limits, with a bandwidth and a delay.
+
+Before a run it is that, or what the law of `servo` takes servos for, in the linearised loop that is judged.
 """
 
 from __future__ import annotations

@@ -34,30 +34,23 @@ from ..safety.supervisor import GOOD, HEARD, PERIOD
 from ..sensing import Sensor, observe
 from ..settings import Numbers, Timing, require_gain
 from ..settings.arguments import checked
-from ..signals import SIGNALS, Array, Measurement, Setpoint
+from ..signals import Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
-from .before_run import require_nominal, require_seed, samples_between
+from .before_run import require_seed, samples_between
 from .controller import state_from, with_findings
 from .latency import Latency
 from .lead import Past, bring_up
 from .loop import Loop
 from .new_hardware import new_hardware
-from .sample import Control, Plan
+from .sample import Control
 from .sampled import delay_margin
 from .servo import Command, Servo, interfaces_of, limit_commands
-from .servo_model import linear_servos
-from .setup import Outside, believed_by, facts_of, new_lead
+from .setup import KNOWN, Outside, facts_of, plan_outside
 from .stable_gains import require_stable_gains
-from .suited import Given, postures, suited
+from .suited import Given, suited
 from .suited_safety import suited_safety
 
-# What only a simulated plant knows; a recording from outside does not have these signals.
-UNKNOWN = (
-    "position", "nu", "true_pose_error", "true_z", "true_e", "psi", "applied", "disturbance",
-    "energy", "work", "energy_residual",
-)  # fmt: skip
-KNOWN = [name for name, *_ in SIGNALS if name not in UNKNOWN]
 MEASURED = ("pose", "velocity", "q", "qdot")
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
 ALIKE = (
@@ -110,7 +103,7 @@ class Stepper:
         weights_interval: Time between two records of the weights [s].
 
     Attributes:
-        row: (width,) all signals of the last sample; those of `UNKNOWN` mean nothing.
+        row: (width,) all signals of the last sample; those of `setup.UNKNOWN` mean nothing.
         measured: The last good measurement, views into the row.
         setpoint: The setpoint of the last sample, views.
         command: What the last step returned.
@@ -253,9 +246,9 @@ class Stepper:
         self.control.step(time, self.follower.now, before=self.before if self.k >= 0 else None)
         self.before[:] = self.follower.now
         self._command()
-        if supervisor.state[PERIOD] > SLOW * self.period and not self.is_late:
+        if (mean := supervisor.state[PERIOD]) > SLOW * self.period and not self.is_late:
             self.is_late = True
-            self._tell(f"stepped every {1e3 * supervisor.state[PERIOD]:.3g} ms, its period is {1e3 * self.period:.3g} ms")
+            self._tell(f"stepped every {1e3 * mean:.3g} ms, its period is {1e3 * self.period:.3g} ms")
         self.time, self.k, self.step_time = time, self.k + 1, perf_counter() - began
         return self.command
 
@@ -394,22 +387,14 @@ class Stepper:
 
     def _equip(self, setup: Outside, state: Any, hardware_state: Array | None = None) -> None:
         """Wire controller and supervisor to the row; nothing changes where that fails."""
-        robot, layout, believed = setup.robot, setup.layout, believed_by(setup)
-        require_nominal(believed, robot)
-        gains, K = setup.kinematic.base_gains(layout.base), setup.kinematic.arm_gains(layout)
-        bounds, context = np.full(layout.dof, np.inf), setup.context()
-        blocks = setup.timing, setup.controller, context, believed, gains, K, bounds, postures(robot)
-        plan = Plan(robot, setup.true, layout, *blocks)
-        servo = linear_servos(robot, setup.interfaces, setup.servo, False)
-        plan = replace(plan, latency=self.latency, lag=setup.lag, servo=servo, lead=new_lead(setup))
+        robot, layout, plan = setup.robot, setup.layout, plan_outside(setup)
         if self.check_gains:
             require_stable_gains(plan)
-        base, arm = self.limits.of_base(layout), self.limits.of_arm(robot)
-        setup = replace(setup, safety=suited_safety(self.safety, plan, arm[:2]))
+        limits = np.concatenate((self.limits.of_base(layout), self.limits.of_arm(robot)[:2]), axis=1)
+        setup = replace(setup, safety=suited_safety(self.safety, plan, limits))
         hardware = new_hardware(setup, np.zeros(layout.dof), state, hardware_state)
         assert hardware is not None
         if hardware.split is not None:
-            limits = np.concatenate((base, arm[:2]), axis=1)
             limit_commands(hardware.split, limits[0], limits[1], self.latency)
         control = Control(plan, self.row, state, hardware)
         self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan

@@ -1,8 +1,8 @@
 """The limits of a supervisor on a robot where none are given, by its URDF and its gains.
 
 - A joint or a drive wheel is too fast at `OVER` times the URDF's speed, or at a speed that no arm has.
-- A joint is lost `REACH` off its reference, plus what its load needs: under a feedback k s it hangs `load / (k K)` below,
-  by a servo it is late by the latency.
+- A joint is lost `REACH` off its reference, plus what its load needs: under a feedback k s it hangs `load / (k K)`
+  below, by a servo it is late by the latency.
 - A jump is more than `JUMP` beyond what the speed explains.
 - A control period is too long where the sampled loop is unstable by far.
 """
@@ -38,9 +38,9 @@ def suited_safety(given: Safety, plan: Plan, references: Array) -> Safety:
     Args:
         given: The supervisor's limits.
         plan: Of the stepper, with postures as setpoints.
-        references: (2, n) speeds and accelerations of the joints' references.
+        references: (2, p) largest speeds and accelerations of the references.
     """
-    robot, (speed, acceleration) = plan.robot, references
+    robot, (speed, acceleration) = plan.robot, references[:, plan.robot.dimensions.base :]
     urdf, wheels, turns = speed_limits(robot), robot.dimensions.motors - robot.dimensions.arm, revolute(robot)
     turns = turns[robot.arm_index]
     fastest = np.where(np.isfinite(urdf[wheels:]), urdf[wheels:], np.maximum(np.where(turns, TURN, SLIDE), speed))
@@ -53,7 +53,9 @@ def suited_safety(given: Safety, plan: Plan, references: Array) -> Safety:
         error = np.where(turns, REACH, REACH_SLIDE) + loads_of(plan, np.minimum(fastest, speed), acceleration)
         longest = longest_period(plan)
         found |= {"joint_error": tuple(error.tolist()), "slowest": longest if math.isfinite(longest) else None}
-    return msgspec.structs.replace(given, **{name: value for name, value in found.items() if getattr(given, name) is None})
+    return msgspec.structs.replace(
+        given, **{name: value for name, value in found.items() if getattr(given, name) is None}
+    )
 
 
 def loads_of(plan: Plan, speed: Array, acceleration: Array) -> Array:

@@ -34,7 +34,9 @@ from .supervisor import (
 )
 
 POSE, QDOT = INDEX["pose"], INDEX["qdot"]
-NEAR = 0.01  # a joint this far beyond an end is there [rad]; farther, it is read a turn away if that is between its ends
+NEAR = (
+    0.01  # a joint this far beyond an end is there [rad]; farther, it is read a turn away if that is between its ends
+)
 MEMORY = 0.2  # over which positions and velocities are compared [s]
 
 
@@ -124,7 +126,7 @@ def go_on(measured: Array, time: float, now: float, supervisor: Supervisor) -> N
         q, qdot = first + i, first + n + i
         most = supervisor.fastest[i]
         if not math.isfinite(supervisor.speed[nb + i]):  # a joint that may be as fast as it likes
-            most = max(most, abs(measured[qdot]), abs(message[qdot]))
+            most = max(most, max(abs(measured[qdot]), abs(message[qdot])))
         before = min(max(message[qdot], -most), most)
         after = min(max(measured[qdot], -most), most)
         if supervisor.offset[i] != 0.0:
@@ -144,12 +146,12 @@ def go_on(measured: Array, time: float, now: float, supervisor: Supervisor) -> N
 def compare_base(measured: Array, dt: float, keep: float, nb: int, supervisor: Supervisor) -> None:
     """By how much the pose of the base has lately changed more than its velocities say."""
     message, drift = supervisor.message, supervisor.drift
-    cs = cos_sin(message[2])
+    c, s = cos_sin(message[2])
     x, y = measured[0] - message[0], measured[1] - message[1]
     for i in range(nb):
         step = measured[2] - message[2]
         if i == 0:
-            step = cs[0] * x + cs[1] * y
+            step = c * x + s * y
         elif i == 1 and nb == 3:
-            step = cs[0] * y - cs[1] * x
+            step = c * y - s * x
         drift[i] = keep * (drift[i] + step - 0.5 * dt * (message[3 + i] + measured[3 + i]))

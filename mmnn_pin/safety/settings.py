@@ -11,7 +11,7 @@ from ..elementary.matrices import pseudo_inverse
 from ..model.base import BY_SIZE
 from ..model.robot import Robot, limits, revolute, speed_limits
 from ..model.tree.twin import Twin
-from ..settings import Numbers, Settings, one_or_each, require_numbers
+from ..settings import Numbers, Settings, require_numbers
 from ..signals import Array, Dimensions, IntArray
 from .supervisor import (
     BAD,

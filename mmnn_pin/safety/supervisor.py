@@ -178,7 +178,7 @@ def check_period(time: float, state: Array, numbers: Array) -> None:
         state[PERIOD] = state[LAST_PERIOD] = state[STEADY] = numbers[H]
     else:
         period = time - state[SAMPLED]
-        state[STEADY] = min(period, state[LAST_PERIOD], GAP * numbers[SLOWEST])
+        state[STEADY] = min(period, min(state[LAST_PERIOD], GAP * numbers[SLOWEST]))
         state[PERIOD] += (state[STEADY] - state[PERIOD]) / SAMPLES
         state[LAST_PERIOD] = period
     state[SAMPLED] = time
@@ -295,12 +295,12 @@ def lose(row: Array, at: IntArray, supervisor: Supervisor) -> None:
         driven = speed > supervisor.most[i] and speed > FASTER * supervisor.began[i]
         if driven or abs(supervisor.drift[i]) > supervisor.contradiction[i]:
             lost[i] = 1.0
-    for j in range(supervisor.wheel.size if math.isfinite(supervisor.contradiction[0]) else 0):
+    for j in range(supervisor.wheel.size):
         turned = 0.0
         for i in range(nb):
             turned += abs(supervisor.E[i, j]) * supervisor.began[i]
         turning = abs(wheel_speed(row, at[VELOCITY], nb, j, supervisor.E))
-        if turning > supervisor.wheel[j] and turning > FASTER * turned:
+        if turning > supervisor.wheel[j] and turning > FASTER * turned and math.isfinite(supervisor.contradiction[0]):
             for i in range(nb):
                 lost[i] = 1.0
 

@@ -305,7 +305,7 @@ def test_simulated_servos_ring_above_the_judged_limit_and_not_below(period, more
     calm, wild = (standing(f * share, period, **more) for f in (0.8, 1.25))
     runs = [growth(np.hstack((run["z"], run["r"]))) for run in (calm.run(), wild.run())]
     assert runs[0] < 1.0 < runs[1]
-    assert runs[1] == pytest.approx(judged(wild.plan()), rel=0.02) and judged(wild.plan()) > 1.01
+    assert runs[1] == pytest.approx(judged(wild.plan()), rel=0.03) and judged(wild.plan()) > 1.01
 
 
 def on_lags(share, period, check=True, samples=70, b=30.0):
