@@ -424,7 +424,7 @@ class Stepper:
         elif not self.setup.sensor.exact:
             observe(self.hardware.sensors, self.measured.velocity, self.measured.q, self.received)
         when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
-        accept(self.row, self.at, when, when, True, supervisor)
+        accept(self.row, self.at, when, when, True, supervisor.door)
 
     def _tell(self, text: str) -> None:
         if text and len(self.told) < MOST_TOLD:
@@ -440,7 +440,7 @@ class Stepper:
         """Compile all that a step calls, and forget it."""
         kept = self.hardware.state.copy(), self.control.weights.copy()
         supervisor = self.hardware.way.supervisor
-        accept(self.row, self.at, 0.0, 0.0, True, supervisor)
+        accept(self.row, self.at, 0.0, 0.0, True, supervisor.door)
         self.follower.rehearse(self.received)
         if isinstance(self.setup.controller, CompiledController | LearningLaw):
             self.control.step(0.0, self.follower.now)

@@ -38,6 +38,7 @@ from .supervisor import (
     TIME,
     TOO_SLOW,
     VALUE,
+    Door,
     Supervisor,
 )
 
@@ -160,12 +161,14 @@ class Safety(Settings, frozen=True):
         judged = self.jump not in (None, "none")
         contradiction = [*[BASE_CONTRADICTION if judged else math.inf] * layout.base, *jump]
         speed = np.array([*base, *joint_speed], float)
-        door = [wheel_speed, math.tau * turns, [robot.lower[arm], robot.upper[arm]], fastest, jump, contradiction]
-        most = np.where(np.isfinite(contradiction), speed, np.inf)
-        arrays = [numbers, torque, speed, gains, error, K, *door, most, robot.E, pseudo_inverse(robot.E)]
+        joints = [math.tau * turns, robot.lower[arm], robot.upper[arm], fastest, jump, np.isinf(joint_speed)]
+        rows = [contradiction, np.where(np.isfinite(contradiction), speed, np.inf)]
+        arrays = [numbers, torque, speed, gains, error, K, wheel_speed, robot.E, pseudo_inverse(robot.E)]
         fixed = [np.array(array, float, order="C") for array in arrays]
         places = np.zeros((0, 2), np.int64) if weights is None else weights
-        return Supervisor._make([True, *fixed, places, *views(new_state(layout) if values is None else values, layout)])
+        *state, sense = views(new_state(layout) if values is None else values, layout)
+        door = Door(np.array(joints, float), np.array(rows, float), state[2], state[1], sense)
+        return Supervisor._make([True, *fixed[:7], door, *fixed[7:], places, *state])
 
     def _calm_rate(self, robot: Robot, gains: Array) -> float:
         """`M qddot = g (K (e + I) - qdot)`, `Idot = rate e` is stable for `rate < g / M` (Routh); half at most."""
@@ -182,23 +185,25 @@ def some(value: float | str | None) -> float:
 def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
     """What stands in a run that nobody supervises; it has a state (`new_state`) all the same."""
     nothing, none = np.zeros(0), np.zeros((0, 0))
-    numbers: list[Any] = [False, *[nothing] * 8, none, *[nothing] * 4, none, none, np.zeros((0, 2), np.int64)]
-    return Supervisor._make([*numbers, *views(values, layout)])
+    *state, sense = views(values, layout)
+    numbers: list[Any] = [False, *[nothing] * 7, Door(none, none, state[2], state[1], sense), none, none]
+    return Supervisor._make([*numbers, np.zeros((0, 2), np.int64), *state])
 
 
 def new_state(layout: Dimensions, start: float = 0.0) -> Array:
     """State of a supervisor before its first measurement at a time [s]."""
     message = layout.pose + layout.base + 2 * layout.arm
-    values = np.zeros(MARKS + message + 5 * layout.dof + layout.motors + 3 * layout.arm)
+    values = np.zeros(MARKS + message + 6 * layout.dof + layout.motors + 2 * layout.arm)
     values[HEARD] = values[COMMANDED] = start
     values[BLIND] = -1.0
     return values
 
 
 def views(values: Array, layout: Dimensions) -> list[Array]:
-    """A supervisor's state and views of its parts, in the order of `Supervisor`."""
+    """A supervisor's state and views of its parts, in the order of `Supervisor`, and the sense of its door."""
     message, p, n = layout.pose + layout.base + 2 * layout.arm, layout.dof, layout.arm
-    return [values, *np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n, p, n, p, p]))]
+    *parts, sense = np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n, p]))
+    return [values, *parts, sense.reshape(4, p)]
 
 
 def trip_of(state: Array, robot: Robot) -> tuple[float, str, str]:

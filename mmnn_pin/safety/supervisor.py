@@ -24,6 +24,9 @@ SETTLE, REST, SHORT, FRESH, SLOWEST, NUMBERS = range(9, 15)
 # Numbers of the state.
 HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, HELD, REFUSED, ACTED = range(13)
 ARRIVED, BLIND, GIVEN_UP, SAMPLED, PERIOD, LAST_PERIOD, STEADY, MARKS = range(13, 21)
+TURN, LOWER, UPPER, EXPLAINS, JUMP, IS_FREE = range(6)  # of a door's joints
+CONTRADICTION, MOST = range(2)  # of its rows
+DRIFT, BEGAN, WITHOUT, OFFSET = range(4)  # of its sense
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
@@ -34,6 +37,28 @@ SAMPLES = 20.0  # over which the control period is averaged, those far back less
 GAP = 4.0  # times the slowest period: a longer pause counts as this
 PLAUSIBLE = 2.0  # times its limit: a velocity beyond this brakes as this
 FASTER = 1.25  # times its speed when a stop began, and beyond its limit: the stop drives it on
+
+
+@by_address
+class Door(NamedTuple):
+    """What measurements pass, as arrays: few, because a program of your own hands them over at every measurement.
+
+    Attributes:
+        joints: (6, n) of every joint: a whole turn, 0 for one that slides; its ends; the speed that explains how its
+            position changes; what of that no speed needs to explain; 1 where it may be as fast as it likes.
+        rows: (2, p) by how much position and velocity may contradict each other in a stop, and velocities beyond which
+            a stop drives on what it should brake.
+        message: The last good measurement: pose, velocity, q, qdot.
+        state: (MARKS,) single numbers, the supervisor's.
+        sense: (4, p) by how much positions have lately changed more than the velocities say; speeds at the beginning
+            of a stop; 1 where a stop does without feedback; jumps that were taken out of the joints' positions.
+    """
+
+    joints: Array
+    rows: Array
+    message: Array
+    state: Array
+    sense: Array
 
 
 @by_address
@@ -49,12 +74,7 @@ class Supervisor(NamedTuple):
         error: (n,) limits of the joints' errors.
         K: (n,) gain of the filtered arm error.
         wheel: (wheels,) speed limits of the drive wheels.
-        turn: (n,) a whole turn of every joint that turns, 0 for one that slides [rad].
-        ends: (2, n) lower and upper ends of the joints.
-        fastest: (n,) speed of a joint that explains how its position changes.
-        jump: (n,) what of a position's change no speed needs to explain.
-        contradiction: (p,) by how much positions and velocities may contradict each other in a stop.
-        most: (p,) velocities beyond which a stop drives on what it should brake.
+        door: What measurements pass.
         E, E_inv: (p, motors) torque on nu from motor torques, and back.
         weights: (k, 2) start and stop of every array of weights in the controller's state.
         values: State: all of the following.
@@ -65,10 +85,6 @@ class Supervisor(NamedTuple):
         place: (n,) where the joints are held.
         integral: (n,) of their errors.
         stale: (p,) the last command of a controller that fell silent.
-        offset: (n,) jumps that were taken out of the joints' positions.
-        drift: (p,) by how much positions have lately changed more than the velocities say.
-        began: (p,) speeds at the beginning of a stop.
-        lost: (p,) 1 where a stop does without feedback.
     """
 
     on: bool
@@ -79,12 +95,7 @@ class Supervisor(NamedTuple):
     error: Array
     K: Array
     wheel: Array
-    turn: Array
-    ends: Array
-    fastest: Array
-    jump: Array
-    contradiction: Array
-    most: Array
+    door: Door
     E: Array
     E_inv: Array
     weights: IntArray
@@ -96,10 +107,6 @@ class Supervisor(NamedTuple):
     place: Array
     integral: Array
     stale: Array
-    offset: Array
-    drift: Array
-    began: Array
-    lost: Array
 
 
 @linked
@@ -269,54 +276,56 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
             place[i], supervisor.integral[i] = row[at[Q] + i], 0.0
         for i in range(p):
             stale[i] = supervisor.last[i] if state[CODE] == LOST and time == state[TIME] else 0.0
-            supervisor.began[i] = abs(row[at[VELOCITY] + i] if i < p - n else row[at[QDOT] + i - (p - n)])
+            supervisor.door.sense[BEGAN, i] = abs(row[at[VELOCITY] + i] if i < p - n else row[at[QDOT] + i - (p - n)])
     lose(row, at, supervisor)
     slow = min(1.0, BORNE * numbers[SLOWEST] / state[STEADY])
     fade = max(0.0, numbers[RAMP] - (time - state[TIME])) / (numbers[RAMP] + numbers[H])
     for i in range(p - n):
-        brake = 0.0 if numbers[SHORT] > 0.0 else -supervisor.gains[i] * plausible(row[at[VELOCITY] + i], i, supervisor)
-        tau[i] = (fade * stale[i] + slow * brake) * trust(i, supervisor)
+        speed = plausible(row[at[VELOCITY] + i], i, supervisor.door)
+        brake = 0.0 if numbers[SHORT] > 0.0 else -supervisor.gains[i] * speed
+        tau[i] = (fade * stale[i] + slow * brake) * trust(i, supervisor.door)
     for i in range(n):
         e, j = place[i] - row[at[Q] + i], p - n + i
         if supervisor.above[supervisor.above.size - n + i] == 0.0 or e * supervisor.integral[i] < 0.0:
             supervisor.integral[i] += numbers[H] * numbers[HOLD_RATE] * e
         K = supervisor.K[i] if slow == 1.0 else min(supervisor.K[i], BORNE / state[STEADY])
-        hold = K * (e + supervisor.integral[i]) - plausible(row[at[QDOT] + i], j, supervisor)
-        tau[j] = (fade * stale[j] + slow * supervisor.gains[j] * hold) * trust(j, supervisor)
+        hold = K * (e + supervisor.integral[i]) - plausible(row[at[QDOT] + i], j, supervisor.door)
+        tau[j] = (fade * stale[j] + slow * supervisor.gains[j] * hold) * trust(j, supervisor.door)
 
 
 @internal
 def lose(row: Array, at: IntArray, supervisor: Supervisor) -> None:
     """Do without feedback where it drives the robot on, or where position and velocity contradict each other."""
-    lost, n = supervisor.lost, supervisor.place.size
-    nb = lost.size - n
-    for i in range(lost.size):
+    rows, sense, n = supervisor.door.rows, supervisor.door.sense, supervisor.place.size
+    nb = rows.shape[1] - n
+    for i in range(nb + n):
         speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
-        driven = speed > supervisor.most[i] and speed > FASTER * supervisor.began[i]
-        if driven or abs(supervisor.drift[i]) > supervisor.contradiction[i]:
-            lost[i] = 1.0
+        driven = speed > rows[MOST, i] and speed > FASTER * sense[BEGAN, i]
+        if driven or abs(sense[DRIFT, i]) > rows[CONTRADICTION, i]:
+            sense[WITHOUT, i] = 1.0
     for j in range(supervisor.wheel.size):
         turned = 0.0
         for i in range(nb):
-            turned += abs(supervisor.E[i, j]) * supervisor.began[i]
+            turned += abs(supervisor.E[i, j]) * sense[BEGAN, i]
         turning = abs(wheel_speed(row, at[VELOCITY], nb, j, supervisor.E))
-        if turning > supervisor.wheel[j] and turning > FASTER * turned and math.isfinite(supervisor.contradiction[0]):
+        driven = turning > supervisor.wheel[j] and turning > FASTER * turned
+        if driven and math.isfinite(rows[CONTRADICTION, 0]):
             for i in range(nb):
-                lost[i] = 1.0
+                sense[WITHOUT, i] = 1.0
 
 
 @compiled
-def trust(i: int, supervisor: Supervisor) -> float:
+def trust(i: int, door: Door) -> float:
     """Share of a velocity's feedback that is left: less, the more position and velocity contradict each other."""
-    if supervisor.lost[i] > 0.0:
+    if door.sense[WITHOUT, i] > 0.0:
         return 0.0
-    return max(0.0, 1.0 - abs(supervisor.drift[i]) / supervisor.contradiction[i])
+    return max(0.0, 1.0 - abs(door.sense[DRIFT, i]) / door.rows[CONTRADICTION, i])
 
 
 @compiled
-def plausible(velocity: float, i: int, supervisor: Supervisor) -> float:
+def plausible(velocity: float, i: int, door: Door) -> float:
     """A measured velocity, as far as it can be true."""
-    most = PLAUSIBLE * supervisor.most[i]
+    most = PLAUSIBLE * door.rows[MOST, i]
     return min(max(velocity, -most), most)
 
 

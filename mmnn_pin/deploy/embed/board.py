@@ -173,7 +173,7 @@ def take(b: Board, time: float, measured: float) -> None:
     if not fine:
         b.received[0] = math.nan
     when = min(measured, time)
-    accept(b.row, b.at, when, when, True, b.supervisor)
+    accept(b.row, b.at, when, when, True, b.supervisor.door)
 
 
 def follow(b: Board, time: float, wish: int) -> None:
