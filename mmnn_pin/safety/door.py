@@ -133,18 +133,18 @@ def go_on(measured: Array, time: float, now: float, door: Door) -> None:
         q, qdot, j, most = first + i, first + n + i, nb + i, joints[EXPLAINS, i]
         if joints[IS_FREE, i] > 0.0:
             most = max(most, max(abs(measured[qdot]), abs(message[qdot])))
-        before = min(max(message[qdot], -most), most)
-        after = min(max(measured[qdot], -most), most)
+        most *= PLAUSIBLE
+        before, after = min(max(message[qdot], -most), most), min(max(measured[qdot], -most), most)
         if sense[OFFSET, j] != 0.0:
             measured[q] += sense[OFFSET, j]
         if joints[TURN, i] > 0.0:
             measured[q] = nearest_turn(measured[q], message[q] + dt * before)
-        jump, explained = measured[q] - message[q], joints[JUMP, i] + PLAUSIBLE * most * dt
+        jump, explained = measured[q] - message[q], joints[JUMP, i] + most * dt
         if abs(jump) > explained:
             trip(now, JUMPED, i, abs(jump), explained, door.state)
             sense[OFFSET, j] -= jump
             measured[q] = message[q]
-        sense[DRIFT, j] = keep * (sense[DRIFT, j] + measured[q] - message[q] - 0.5 * dt * (before + after))
+        sense[DRIFT, j] = keep * (sense[DRIFT, j] + unexplained(measured[q] - message[q], dt * before, dt * after))
 
 
 @internal
@@ -159,4 +159,10 @@ def compare_base(measured: Array, dt: float, keep: float, nb: int, door: Door) -
             step = c * x + s * y
         elif i == 1 and nb == 3:
             step = c * y - s * x
-        sense[DRIFT, i] = keep * (sense[DRIFT, i] + step - 0.5 * dt * (message[3 + i] + measured[3 + i]))
+        sense[DRIFT, i] = keep * (sense[DRIFT, i] + unexplained(step, dt * message[3 + i], dt * measured[3 + i]))
+
+
+@compiled
+def unexplained(step: float, one: float, other: float) -> float:
+    """By how much a step is beyond those of the first and of the last velocity."""
+    return step - min(max(step, min(one, other)), max(one, other))

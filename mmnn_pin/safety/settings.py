@@ -77,7 +77,7 @@ class Safety(Settings, frozen=True):
         joint_error: Largest error of an arm joint, one number or one per joint [rad or m].
         jump: Largest change of a joint's measured position between two measurements that its speed does not explain,
             one number or one per joint [rad or m].
-        slowest: Longest control period on average over some 20 samples [s].
+        slowest: Longest control period on average over some 10 samples [s].
         weights: Largest Frobenius norm of every array of weights; larger ones are scaled back at every sample.
         timeout: Age of the measurement or of the command at which it trips [s]; that of ros2_controllers by default.
         ramp: Time in which torque goes to zero: all of it without measurements, the last command without commands [s].

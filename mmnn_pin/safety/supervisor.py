@@ -26,17 +26,17 @@ HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, HELD,
 ARRIVED, BLIND, GIVEN_UP, SAMPLED, PERIOD, LAST_PERIOD, STEADY, MARKS = range(13, 21)
 TURN, LOWER, UPPER, EXPLAINS, JUMP, IS_FREE = range(6)  # of a door's joints
 CONTRADICTION, MOST = range(2)  # of its rows
-DRIFT, BEGAN, WITHOUT, OFFSET = range(4)  # of its sense
+DRIFT, LEAST, WITHOUT, OFFSET = range(4)  # of its sense
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
 OVER_WHEEL, JUMPED, TOO_SLOW = range(10, 13)
 
 BORNE = 0.3  # of the slowest period: where samples are farther apart the gains of a stop are lowered in proportion
-SAMPLES = 20.0  # over which the control period is averaged, those far back less
+SAMPLES = 10.0  # over which the control period is averaged, those far back less
 GAP = 4.0  # times the slowest period: a longer pause counts as this
 PLAUSIBLE = 2.0  # times its limit: a velocity beyond this brakes as this
-FASTER = 1.25  # times its speed when a stop began, and beyond its limit: the stop drives it on
+FASTER, HALF = 1.25, 0.5  # times the least speed in a stop, times the limit: beyond both the stop drives it on
 
 
 @by_address
@@ -50,8 +50,8 @@ class Door(NamedTuple):
             a stop drives on what it should brake.
         message: The last good measurement: pose, velocity, q, qdot.
         state: (MARKS,) single numbers, the supervisor's.
-        sense: (4, p) by how much positions have lately changed more than the velocities say; speeds at the beginning
-            of a stop; 1 where a stop does without feedback; jumps that were taken out of the joints' positions.
+        sense: (4, p) by how much positions have lately changed more than the velocities say; least speeds since a
+            stop began; 1 where a stop does without feedback; jumps that were taken out of the joints' positions.
     """
 
     joints: Array
@@ -276,7 +276,7 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
             place[i], supervisor.integral[i] = row[at[Q] + i], 0.0
         for i in range(p):
             stale[i] = supervisor.last[i] if state[CODE] == LOST and time == state[TIME] else 0.0
-            supervisor.door.sense[BEGAN, i] = abs(row[at[VELOCITY] + i] if i < p - n else row[at[QDOT] + i - (p - n)])
+            supervisor.door.sense[LEAST, i] = abs(row[at[VELOCITY] + i] if i < p - n else row[at[QDOT] + i - (p - n)])
     lose(row, at, supervisor)
     slow = min(1.0, BORNE * numbers[SLOWEST] / state[STEADY])
     fade = max(0.0, numbers[RAMP] - (time - state[TIME])) / (numbers[RAMP] + numbers[H])
@@ -300,15 +300,16 @@ def lose(row: Array, at: IntArray, supervisor: Supervisor) -> None:
     nb = rows.shape[1] - n
     for i in range(nb + n):
         speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
-        driven = speed > rows[MOST, i] and speed > FASTER * sense[BEGAN, i]
+        sense[LEAST, i] = min(sense[LEAST, i], speed)
+        driven = speed > max(HALF * rows[MOST, i], FASTER * sense[LEAST, i])
         if driven or abs(sense[DRIFT, i]) > rows[CONTRADICTION, i]:
             sense[WITHOUT, i] = 1.0
     for j in range(supervisor.wheel.size):
         turned = 0.0
         for i in range(nb):
-            turned += abs(supervisor.E[i, j]) * sense[BEGAN, i]
+            turned += abs(supervisor.E[i, j]) * sense[LEAST, i]
         turning = abs(wheel_speed(row, at[VELOCITY], nb, j, supervisor.E))
-        driven = turning > supervisor.wheel[j] and turning > FASTER * turned
+        driven = turning > max(HALF * supervisor.wheel[j], FASTER * turned)
         if driven and math.isfinite(rows[CONTRADICTION, 0]):
             for i in range(nb):
                 sense[WITHOUT, i] = 1.0
