@@ -241,8 +241,8 @@ def test_a_linked_controller_pauses_as_the_stepper_and_refuses_other_gains(tmp_p
             for one in (linked, stepper):
                 if k in (20, 40):
                     one.pause() if k == 20 else one.resume()
-                one.step(k * 0.001, Measurement(np.zeros(3), np.zeros(2), np.zeros(2), np.zeros(2)),
-                         Setpoint.side_by_side(asked, d))  # fmt: skip
+                wanted = Setpoint.side_by_side(asked, d)
+                one.step(k * 0.001, Measurement(np.zeros(3), np.zeros(2), wanted.q + 0.01, np.zeros(2)), wanted)
             assert linked.row.tobytes() == stepper.row.tobytes(), k
         assert np.abs(stepper.torque).max() > 0
         with pytest.raises(ConfigError, match="export it anew"):
