@@ -25,7 +25,7 @@ from mmnn_pin.by_address import by_address
 from mmnn_pin.compiled import KEPT, MADE, OwnNames, by_type, cache_folder, compiled, internal, linked
 from mmnn_pin.loop.hardware import MotorSide
 from mmnn_pin.loop.latency import Transport
-from mmnn_pin.loop.servo import VelocityServo
+from mmnn_pin.loop.servo_model import VelocityServo
 from mmnn_pin.parts import Cube, Matrix, Vector, cube, layout_of, matrix, vector, views
 from mmnn_pin.sensing import FrozenEncoders
 from mmnn_pin.torque import CONTROLLERS
@@ -311,7 +311,7 @@ MODULE = """
 from mmnn_pin.compiled import MADE, OwnNames, by_type, compiled, internal, linked
 from mmnn_pin.loop.hardware import MotorSide
 from mmnn_pin.loop.latency import Transport
-from mmnn_pin.loop.servo import VelocityServo
+from mmnn_pin.loop.servo_model import VelocityServo
 from mmnn_pin.sensing import FrozenEncoders
 from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import CompiledController

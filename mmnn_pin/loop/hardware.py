@@ -249,7 +249,7 @@ def sense(
         measured = wire.clock[RECEIVED] * hardware.sensors.period
     supervisor = hardware.way.supervisor
     if supervisor.on:
-        safety.accept(row, at, measured, time, is_new, supervisor.message, supervisor.state)
+        safety.accept(row, at, measured, time, is_new, supervisor.door)
 
 
 @compiled

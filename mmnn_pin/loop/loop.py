@@ -42,7 +42,8 @@ from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
 from .sample import Plan
 from .sampled import delay_margin
-from .servo import Servo, linear_servos
+from .servo import Servo
+from .servo_model import linear_servos
 from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
 from .stable_gains import require_stable_gains
 from .suited import Given, suited, timing_for

@@ -23,7 +23,8 @@ from .before_run import Start
 from .hardware import Command, CommandLine, Expected, Hardware, MotorSide, Totals, Way, World
 from .latency import Transport
 from .lead import leads
-from .servo import interfaces_of, require_no_torque_regressor, servo_slots, split_of, state_size, velocity_servo
+from .servo import interfaces_of, require_no_torque_regressor, split_of, state_size
+from .servo_model import servo_slots, velocity_servo
 from .setup import Setup, believed_by
 from .suited import effective_inertia, postures
 
@@ -58,7 +59,7 @@ def new_hardware(
     states = np.zeros((layout.motors, motor.STATES))
     states[:, motor.ROTOR_SPEED] = product(true.E.T, nu)
     sensed = sensor.init(robot, faults)
-    _, on = interfaces_of(robot, loop.interfaces)
+    kinds, on = interfaces_of(robot, loop.interfaces)
     under_way = np.zeros((loop.latency.slots(timing), layout.motors))
     slots = servo_slots(loop.servo, loop.latency.command, timing.plant_step) if on.any() else 0
     parts: tuple[Array, ...]
@@ -77,7 +78,7 @@ def new_hardware(
     if len(under_way):
         way = Transport(timing.plant_step, loop.latency.in_force(timing, delay_rng), under_way)
         motors = motors._replace(imperfect=True, effects=(way, *motors.effects))
-    split = split_of(robot, on, loop.servo, timing.control_period, rows)
+    split = split_of(robot, kinds, loop.servo, timing.control_period, rows, loop.known.total)
     if split is not None:
         require_no_torque_regressor(loop.controller, loop.context())
         servos = velocity_servo(robot, loop.servo, split, timing.plant_step, ring)

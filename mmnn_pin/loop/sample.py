@@ -26,7 +26,8 @@ from ..torque.controller import CompiledController, Context, ControllerState, To
 from .controller import Torque
 from .hardware import Hardware, is_stopped, send
 from .lead import Lead, catch_up, reference_then
-from .servo import LinearServos, answered, ask
+from .servo import answered, ask
+from .servo_model import LinearServos
 
 TIME, POSITION, NU, POSE_REF, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
 ALPHA, Q_REF, TORQUE, MOTOR_TORQUE = (INDEX[n] for n in ("alpha", "q_ref", "torque", "motor_torque"))

@@ -32,7 +32,7 @@ from ..torque.learning_law import LearningLaw
 from ..torque.model_based import PD, ScheduledPD
 from .before_run import Start, lags, viscous_friction
 from .sample import Plan
-from .servo import LinearServos
+from .servo_model import LinearServos
 
 TOLERANCE = 1e-9
 TINY = 1e-5  # deviation by which a slope is taken, and by which what stands upright begins to fall [rad or m]

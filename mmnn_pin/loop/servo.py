@@ -6,6 +6,11 @@
 
 so that `ds/dt = -b (1 + k) s - b psi - rest`: the integral psi, in units of velocity, takes the rest.
 
+**Limits.** u stays within the speeds of the joints, and of a base within those of its wheels, v and w scaled together:
+the curvature stays. While u is limited psi does not grow in its direction, and it is never more than a share of
+nu_ref and a little. A joint that takes positions is sent u, integrated, between the joint's ends and at most
+`speed (1/b + latency + h)` ahead of where it is measured: there a servo that is as fast as it can be has it.
+
 **On e** the torque law is what it was, for the robot whose servo rows move by themselves. The signals that it reads say
 on s what the robot does, not what it should do: `nu_ref := nu_s` measured, `nudot_ref := b (u - psi - nu_s)` of the
 servo's model with the rest that psi has found, and `s := 0`. So Psi_e contains `M_es nudot_s + C_es nu_s`, an error
@@ -15,7 +20,7 @@ of s enters no torque and teaches nothing, and as before, with `M_ee' - 2 C_ee` 
 
 `ask` comes before the torque law, `answered` after it.
 
-In a simulation `VelocityServo` stands for the robot's servo: a torque within limits, with a bandwidth and a delay.
+`servo_model` has what stands for the robot's servos in a simulation, and before a run.
 """
 
 from __future__ import annotations
@@ -25,25 +30,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..actuator import Drive
 from ..by_address import by_address
-from ..compiled import internal, linked
-from ..elementary.matrices import product, pseudo_inverse, solve
+from ..compiled import compiled, linked
 from ..errors import ConfigError, UnknownName
-from ..model.robot import Robot
-from ..model.tree.twin import Twin
+from ..model.robot import Robot, speed_limits
 from ..settings import Numbers, Settings, one_or_each, require_numbers
 from ..signals import INDEX, Array, IntArray
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.law import KERNELS, nothing_to_keep
-from .before_run import viscous_friction
 
 EFFORT, VELOCITY, POSITION = "effort", "velocity", "position"
 NU_REF, NUDOT_REF, Z, R = (INDEX[name] for name in ("nu_ref", "nudot_ref", "z", "r"))
 MEASURED_BASE, MEASURED_ARM = INDEX["velocity"], INDEX["qdot"]
 PSI_HAT, PSI_APPLIED, TORQUE, Q = (INDEX[name] for name in ("psi_hat", "psi_applied", "torque", "q"))
-BRAKING = 2.0  # of a stop [m/s^2, rad/s^2]
-TUNED = 2.0  # times viscous friction that a servo's gain has beside its bandwidth
+BRAKING = 2.0  # of a stop, where no limit is known [m/s^2, rad/s^2]
+SHARE = 0.3  # of nu_ref that psi may be
+BASE_FLOOR, ARM_FLOOR = 0.02, 0.05  # that psi may be besides [m/s, rad/s], of a joint that share of its speed
 
 
 class Servo(Settings, frozen=True):
@@ -96,6 +98,14 @@ class Split(NamedTuple):
         on: (p,) 1 on s, 0 on e.
         numbers: (3, p) b, k, rate.
         h: Control period [s].
+        E: (p, motors) speeds of the motors are E' nu.
+        wheel: (wheels,) speed limits of the drive wheels.
+        speed: (p,) speed limits of the commands.
+        braking: (p,) by which commands brake in a stop [m/s^2 or rad/s^2].
+        floor: (p,) of psi's bound.
+        ends: (2, n) between which positions are sent, infinite for joints that take none [rad or m].
+        ahead: (n,) how far a position may be ahead of the measured one, likewise.
+        growth: (p,) of psi in the last sample.
         integral: (p,) psi.
         command: (p,) u of the last sample.
         place: (n,) positions by integration of u, for joints that take nothing else.
@@ -106,6 +116,14 @@ class Split(NamedTuple):
     on: Array
     numbers: Array
     h: float
+    E: Array
+    wheel: Array
+    speed: Array
+    braking: Array
+    floor: Array
+    ends: Array
+    ahead: Array
+    growth: Array
     integral: Array
     command: Array
     place: Array
@@ -140,24 +158,70 @@ def interfaces_of(robot: Robot, given: Mapping[str, str] | None) -> tuple[tuple[
     return kinds, np.array([float(kind != EFFORT) for kind in kinds])
 
 
-def split_of(robot: Robot, on: Array, servo: Servo, period: float, state: Array) -> Split | None:
+def split_of(
+    robot: Robot, kinds: tuple[str, ...], servo: Servo, period: float, state: Array, latency: float = 0.0
+) -> Split | None:
     """The servo rows of a robot; None where all rows take effort.
 
     Args:
         robot: The robot.
-        on: (p,) which rows, of `interfaces_of`.
+        kinds: Interface of every velocity, of `interfaces_of`.
         servo: Their law.
         period: Control period [s].
         state: (size,) what it remembers, see `state_size`.
+        latency: From the measurement to the servo [s].
 
     Raises:
         ConfigError: Neither one number nor one per velocity.
     """
+    on = np.array([float(kind != EFFORT) for kind in kinds])
     if not on.any():
         return None
-    p, numbers = on.size, laws(robot, servo)
-    integral, command, place, begun = np.split(state, (p, 2 * p, 2 * p + robot.dimensions.arm))
-    return Split(on, numbers, period, integral, command, place, np.zeros(p), begun)
+    p, n, arm, numbers = on.size, robot.dimensions.arm, robot.arm_index, laws(robot, servo)
+    nb, urdf = p - n, speed_limits(robot)
+    wheels = urdf.size - n
+    speed = np.concatenate((np.full(nb, np.inf), urdf[wheels:]))
+    floor = np.array(
+        [BASE_FLOOR] * nb + [ARM_FLOOR * (limit if np.isfinite(limit) else 1.0) for limit in urdf[wheels:]]
+    )
+    placed = np.array([kind == POSITION for kind in kinds[nb:]], bool)
+    ends = np.array([np.where(placed, robot.lower[arm], -np.inf), np.where(placed, robot.upper[arm], np.inf)])
+    integral, command, place, begun = np.split(state, (p, 2 * p, 2 * p + n))
+    split = Split(
+        on=on,
+        numbers=numbers,
+        h=period,
+        E=np.ascontiguousarray(robot.E),
+        wheel=urdf[:wheels],
+        speed=speed,
+        braking=np.full(p, BRAKING),
+        floor=floor,
+        ends=ends,
+        ahead=np.where(placed, 0.0, np.inf),
+        growth=np.zeros(p),
+        integral=integral,
+        command=command,
+        place=place,
+        kept=np.zeros(p),
+        begun=begun,
+    )
+    limit_commands(split, speed, split.braking, latency)
+    return split
+
+
+def limit_commands(split: Split, speed: Array, braking: Array, latency: float) -> None:
+    """Keep commands within further limits, in place.
+
+    Args:
+        split: The servo rows.
+        speed: (p,) largest commands.
+        braking: (p,) by which they brake in a stop [m/s^2 or rad/s^2].
+        latency: From the measurement to the servo [s].
+    """
+    nb = split.on.size - split.ahead.size
+    split.speed[:], split.braking[:] = np.minimum(split.speed, speed), braking
+    reach = split.speed[nb:] * (1.0 / split.numbers[0, nb:] + latency + split.h)
+    split.ahead[:] = np.where(np.isfinite(split.ahead), reach, np.inf)
 
 
 def laws(robot: Robot, servo: Servo) -> Array:
@@ -197,18 +261,61 @@ def ask(row: Array, at: IntArray, split: Split) -> None:
         if split.on[i] > 0.0:
             error = at[Z] + i if i < nb else at[R] + i - nb
             nu = row[at[MEASURED_BASE] + i] if i < nb else row[at[MEASURED_ARM] + i - nb]
-            b, k, rate = split.numbers[0, i], split.numbers[1, i], split.numbers[2, i]
-            s = row[at[NU_REF] + i] - nu
-            split.integral[i] += split.h * rate * s
-            split.command[i] = row[at[NU_REF] + i] + row[at[NUDOT_REF] + i] / b + k * s + split.integral[i]
+            b, k, rate, wanted = split.numbers[0, i], split.numbers[1, i], split.numbers[2, i], row[at[NU_REF] + i]
+            s = wanted - nu
+            before, most = split.integral[i], SHARE * abs(wanted) + split.floor[i]
+            split.integral[i] = min(max(before + split.h * rate * s, -most), most)
+            split.growth[i] = split.integral[i] - before
+            split.command[i] = wanted + row[at[NUDOT_REF] + i] / b + k * s + split.integral[i]
             split.kept[i], row[error] = row[error], 0.0
             row[at[NU_REF] + i] = nu
-            row[at[NUDOT_REF] + i] = b * (split.command[i] - split.integral[i] - nu)
+    share = share_of_base(nb, split)
+    for i in range(split.on.size):
+        if split.on[i] > 0.0:
+            u, limited = split.command[i], share < 1.0
+            if i < nb:
+                split.command[i] = share * u
+            else:
+                split.command[i] = min(max(u, -split.speed[i]), split.speed[i])
+                j = i - nb
+                sent = split.place[j] + split.h * split.command[i]
+                limited = split.command[i] != u or sent != within_reach(sent, row[at[Q] + j], j, split)
+            if limited and split.growth[i] * u > 0.0:
+                split.integral[i] -= split.growth[i]
+            nu = row[at[NU_REF] + i]
+            row[at[NUDOT_REF] + i] = split.numbers[0, i] * (split.command[i] - split.integral[i] - nu)
+
+
+@compiled
+def share_of_base(nb: int, split: Split) -> float:
+    """Largest share, up to 1, of the base's commands that the base and all of its wheels reach."""
+    share = 1.0
+    if nb > 0 and split.on[0] > 0.0:
+        for i in range(nb):
+            if abs(split.command[i]) > split.speed[i]:
+                share = min(share, split.speed[i] / abs(split.command[i]))
+        for j in range(split.wheel.size):
+            turning = 0.0
+            for i in range(nb):
+                turning += split.E[i, j] * split.command[i]
+            if abs(turning) > split.wheel[j]:
+                share = min(share, split.wheel[j] / abs(turning))
+    return share
+
+
+@compiled
+def within_reach(sent: float, q: float, j: int, split: Split) -> float:
+    """The position that joint j, measured at q, is sent: between its ends, and not too far ahead of q."""
+    sent = min(max(sent, q - split.ahead[j]), q + split.ahead[j])
+    return min(max(sent, split.ends[0, j]), split.ends[1, j])
 
 
 @linked
 def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
-    """No torque on s, and its errors back in the row; where the controller was not asked the commands brake, too."""
+    """No torque on s, and its errors back in the row; where the controller was not asked the commands brake, too.
+
+    A stop goes by no measurement here. Base and arm come to rest along the line on which they move.
+    """
     nb = at[Z + 1] - at[Z]
     n = split.on.size - nb
     for i in range(split.on.size):
@@ -219,133 +326,27 @@ def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
             if not stopped:
                 row[at[Z] + i if i < nb else at[R] + i - nb] = split.kept[i]
             else:
-                step = BRAKING * split.h
-                split.command[i] -= min(max(split.command[i], -step), step)
                 split.integral[i] = 0.0
+    if stopped:
+        brake(0, nb, split)
+        brake(nb, split.on.size, split)
     for j in range(n):
         if split.begun[0] == 0.0:
             split.place[j] = row[at[Q] + j]
-        split.place[j] += split.h * split.command[nb + j]
+        sent, most = split.place[j] + split.h * split.command[nb + j], split.h * split.speed[nb + j]
+        if stopped:
+            sent = min(max(sent, split.ends[0, j]), split.ends[1, j])
+        else:
+            sent = within_reach(sent, row[at[Q] + j], j, split)
+        split.place[j] = min(max(sent, split.place[j] - most), split.place[j] + most)
     split.begun[0] = 1.0
 
 
-@by_address
-class VelocityServo(NamedTuple):
-    """Servos of motors in a simulation: `torque = gain (error + stiffness int error dt)`, `error = asked - speed`.
-
-    The torque is within limits, and some steps of the plant late. The integral, which carries a weight, stands still
-    while the torque is at its limit; with a stiffness of a quarter of the bandwidth the servo is critically damped.
-
-    Attributes:
-        dt: Step of the plant [s].
-        on: (motors,) 1 for a motor with a servo.
-        gain: (motors,) bandwidth times the inertia that the motor alone moves, and more against its viscous friction
-            [N m s or N s/m].
-        stiffness: (motors,) of the integral [1/s].
-        limit: (motors,) largest torque [N m or N].
-        E: (p, motors) speeds of the motors are E' nu.
-        command: (p,) what is asked of nu, written by `ask`.
-        ring: (slots + 1, motors) state: what was asked in the last steps, and the integrals [rad or m].
-    """
-
-    dt: float
-    on: Array
-    gain: Array
-    stiffness: Array
-    limit: Array
-    E: Array
-    command: Array
-    ring: Array
-
-    @internal
-    def act(self, wire: Drive, k: int, time: float) -> None:
-        """Put the servos' torques in place of what is commanded."""
-        slots, n = self.ring.shape[0] - 1, int(time / self.dt + 0.5)
-        for j in range(wire.torque.size):
-            if self.on[j] > 0.0:
-                asked = 0.0
-                for i in range(self.command.size):
-                    asked += self.E[i, j] * self.command[i]
-                self.ring[n % slots, j] = asked
-                error, integral = self.ring[(n + 1) % slots, j] - wire.joint[j], self.ring[slots, j]
-                torque = self.gain[j] * (error + self.stiffness[j] * integral)
-                wire.torque[j] = min(max(torque, -self.limit[j]), self.limit[j])
-                if abs(torque) <= self.limit[j] or torque * error < 0.0:
-                    self.ring[slots, j] = integral + self.dt * error
-
-
-def velocity_servo(robot: Robot, servo: Servo, split: Split, dt: float, ring: Array) -> VelocityServo:
-    """The simulated servos of a robot's servo rows.
-
-    Args:
-        robot: The robot.
-        servo: Their settings.
-        split: The rows.
-        dt: Step of the plant [s].
-        ring: (slots, motors) state, see `servo_slots`.
-    """
-    on, gain, stiffness = servo_motors(robot, split.on, split.numbers[0])
-    E, limit = np.ascontiguousarray(robot.E), servo.strength * robot.effort_limits
-    return VelocityServo(dt, on, gain, stiffness, limit, E, split.command, ring)
-
-
-def servo_motors(robot: Robot, on: Array, bandwidth: Array) -> tuple[Array, Array, Array]:
-    """Which motors have a servo, its gain and its stiffness, (motors,) each, of `VelocityServo`.
-
-    Args:
-        robot: The robot.
-        on: (p,) which rows are servo rows.
-        bandwidth: (p,) of them [1/s].
-    """
-    E = np.ascontiguousarray(robot.E)
-    M = Twin(robot).mass_matrix(robot.neutral_position())
-    inertia = 1.0 / np.diag(product(E.T, solve(M, E)))  # what a motor alone moves
-    moves = np.abs(E) > 0.0
-    b = np.array([bandwidth[rows].min() for rows in moves.T])
-    back = pseudo_inverse(E)
-    damping = np.diag(product(back, viscous_friction(robot), back.T))
-    return (on @ moves > 0.0).astype(float), b * inertia + TUNED * damping, 0.25 * b
-
-
-def servo_slots(servo: Servo, latency: float, dt: float) -> int:
-    """Rows of a servo's state: a command per step of its way [s] and of the servo's own delay, one more, integrals."""
-    return round((servo.delay + latency) / dt) + 2
-
-
-class LinearServos(NamedTuple):
-    """Servo rows in the linearised loop that is judged before a run.
-
-    Attributes:
-        law: As stated.
-        on: (p,) 1 on s, 0 on e.
-        numbers: (3, p) b, k, rate.
-        E: (p, m) of the m motors with a servo.
-        gain: (m,) as in `VelocityServo`.
-        stiffness: (m,) likewise [1/s].
-        simulated: Whether they are `VelocityServo`, else what the law takes them for, `nudot_s = b (u - nu_s)`.
-    """
-
-    law: Servo
-    on: Array
-    numbers: Array
-    E: Array
-    gain: Array
-    stiffness: Array
-    simulated: bool
-
-
-def linear_servos(robot: Robot, given: Mapping[str, str] | None, law: Servo, simulated: bool) -> LinearServos | None:
-    """The servo rows of a robot; None where all rows take effort.
-
-    Errors as of `interfaces_of` and `split_of`.
-    """
-    _, on = interfaces_of(robot, given)
-    return servos_on(robot, on, law, simulated) if on.any() else None
-
-
-def servos_on(robot: Robot, on: Array, law: Servo, simulated: bool) -> LinearServos:
-    """The servos of these rows, (p,); errors as of `split_of`."""
-    numbers = laws(robot, law)
-    motors, gain, stiffness = servo_motors(robot, on, numbers[0])
-    there = motors > 0.0
-    return LinearServos(law, on, numbers, robot.E[:, there], gain[there], stiffness[there], simulated)
+@compiled
+def brake(first: int, last: int, split: Split) -> None:
+    """Commands first ... last - 1 go to zero together, none faster than it may brake."""
+    left = 0.0  # time [s]
+    for i in range(first, last):
+        left = max(left, abs(split.command[i]) / split.braking[i])
+    for i in range(first, last):
+        split.command[i] *= max(0.0, 1.0 - split.h / left) if left > 0.0 else 0.0

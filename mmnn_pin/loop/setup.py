@@ -7,7 +7,7 @@ a robot that is not simulated: its plant, sensors and motors are real, so all th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -20,15 +20,24 @@ from ..model.robot import Robot
 from ..safety import Safety
 from ..sensing import Sensor
 from ..settings import Numbers, Timing, plain, require_gain
-from ..signals import Array, Layout
+from ..signals import SIGNALS, Array, Layout
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.learning_law import origin_of
-from .before_run import lags
+from .before_run import lags, require_nominal
 from .controller import context_of
 from .latency import Latency
 from .lead import Lead, delays, lead_of, leads
+from .sample import Plan
 from .servo import Servo
+from .servo_model import linear_servos
+from .suited import postures
 
+# What only a simulated plant knows; a recording from outside does not have these signals.
+UNKNOWN = (
+    "position", "nu", "true_pose_error", "true_z", "true_e", "psi", "applied", "disturbance",
+    "energy", "work", "energy_residual",
+)  # fmt: skip
+KNOWN = [name for name, *_ in SIGNALS if name not in UNKNOWN]
 Streams = tuple[np.random.Generator, np.random.Generator, np.random.Generator]
 
 
@@ -251,6 +260,21 @@ class Outside:
     def context(self) -> Context:
         """What the controller is told."""
         return new_context(self, self.seed, self.within_limits, 1)
+
+
+def plan_outside(setup: Outside) -> Plan:
+    """What is judged of a stepper, at some postures in place of its setpoints.
+
+    Raises:
+        ConfigError: A nominal robot that is another one.
+    """
+    robot, layout, believed = setup.robot, setup.layout, believed_by(setup)
+    require_nominal(believed, robot)
+    gains, K = setup.kinematic.base_gains(layout.base), setup.kinematic.arm_gains(layout)
+    bounds, context = np.full(layout.dof, np.inf), setup.context()
+    blocks = setup.timing, setup.controller, context, believed, gains, K, bounds, postures(robot)
+    plan, servo = Plan(robot, robot, layout, *blocks), linear_servos(robot, setup.interfaces, setup.servo, False)
+    return replace(plan, latency=setup.known.total, lag=setup.lag, servo=servo, lead=new_lead(setup))
 
 
 # -- what takes the rows of a run --------------------------------------------------------------------------------------

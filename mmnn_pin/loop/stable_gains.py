@@ -15,7 +15,7 @@ from ..settings import Numbers
 from ..signals import Array
 from .sample import Plan
 from .sampled import SampledLoop, delay_margin, gains_of, judges, slowest, verdicts
-from .servo import servos_on
+from .servo_model import servos_on
 
 SHARES = np.geomspace(1.0, 0.01, 25)  # of the gains that are tried
 ROOM = 1.5  # times the gains that are advised, the loop holds, too

@@ -30,38 +30,34 @@ from ..reference.limits import Limits
 from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
 from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
-from ..safety.supervisor import GOOD, HEARD
+from ..safety.supervisor import GOOD, HEARD, PERIOD
 from ..sensing import Sensor, observe
 from ..settings import Numbers, Timing, require_gain
 from ..settings.arguments import checked
-from ..signals import SIGNALS, Array, Measurement, Setpoint
+from ..signals import Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
-from .before_run import require_nominal, require_seed, samples_between
+from .before_run import require_seed, samples_between
 from .controller import state_from, with_findings
 from .latency import Latency
 from .lead import Past, bring_up
 from .loop import Loop
 from .new_hardware import new_hardware
-from .sample import Control, Plan
+from .sample import Control
 from .sampled import delay_margin
-from .servo import Command, Servo, interfaces_of, linear_servos
-from .setup import Outside, believed_by, facts_of, new_lead
+from .servo import Command, Servo, interfaces_of, limit_commands
+from .setup import KNOWN, Outside, facts_of, plan_outside
 from .stable_gains import require_stable_gains
-from .suited import Given, postures, suited
+from .suited import Given, suited
+from .suited_safety import suited_safety
 
-# What only a simulated plant knows; a recording from outside does not have these signals.
-UNKNOWN = (
-    "position", "nu", "true_pose_error", "true_z", "true_e", "psi", "applied", "disturbance",
-    "energy", "work", "energy_residual",
-)  # fmt: skip
-KNOWN = [name for name, *_ in SIGNALS if name not in UNKNOWN]
 MEASURED = ("pose", "velocity", "q", "qdot")
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
 ALIKE = (
     "kinematic", "safety", "nominal", "seed", "within_limits", "check_gains", "weights_interval", "interfaces", "servo",
     "lead",
 )  # fmt: skip
+SLOW = 1.5  # times its period that a stepper's samples are apart when it is said
 MOST_TOLD = 20  # trips that a recording tells of
 
 
@@ -107,13 +103,14 @@ class Stepper:
         weights_interval: Time between two records of the weights [s].
 
     Attributes:
-        row: (width,) all signals of the last sample; those of `UNKNOWN` mean nothing.
+        row: (width,) all signals of the last sample; those of `setup.UNKNOWN` mean nothing.
         measured: The last good measurement, views into the row.
         setpoint: The setpoint of the last sample, views.
         command: What the last step returned.
         state: What the controller has learned.
         time: Of the last sample [s].
         step_time: Wall-clock time that the last step took [s].
+        is_late: Whether it has been stepped more slowly than its period says, by far.
 
     Raises:
         ConfigError: No supervisor, gains that are unstable when sampled, numbers out of range, or a state of another
@@ -173,6 +170,7 @@ class Stepper:
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency, layout = period, check_gains, known.total, setup.layout
+        self.safety, self.limits = safety, limits
         self.follower, self.at = Follower(robot, limits, setpoint_timeout), layout.offsets
         row = self.row = layout.new_row()
         self.received = row[layout.where("pose").start : layout.where("qdot").stop]
@@ -182,12 +180,13 @@ class Stepper:
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()
+        self.is_late = False
         self.every, self.weighed = samples_between(weights_interval, period), -1
         now = self.follower.now
         self.past, self.before = Past.of(known.caught_up(timing), period, now), now.copy()
         self._equip(setup, state_from(controller, setup.context(), state))
         self._rehearse()
-        facts = facts_of(setup, seed) | {"loop": "outside"}
+        facts = facts_of(self.setup, seed) | {"loop": "outside"}
         self.recorder = Recorder(layout, facts | dict(meta or {}), path, force, KNOWN)
         self._weigh(0)
 
@@ -250,6 +249,9 @@ class Stepper:
         self.control.step(time, self.follower.now, before=self.before if self.k >= 0 else None)
         self.before[:] = self.follower.now
         self._command()
+        if (mean := supervisor.state[PERIOD]) > SLOW * self.period and not self.is_late:
+            self.is_late = True
+            self._tell(f"stepped every {1e3 * mean:.3g} ms, its period is {1e3 * self.period:.3g} ms")
         self.time, self.k, self.step_time = time, self.k + 1, perf_counter() - began
         return self.command
 
@@ -300,6 +302,7 @@ class Stepper:
             why, fix = "the last measurement is too old", "go on stepping until measurements come, then reset"
             raise ConfigError("a reset that is blind", why=why, fix=fix, key="reset")
         self._tell(text)
+        self.received[:] = self.hardware.way.supervisor.message
         self.follower.stand(self.received)
         self.past.times[:] = -math.inf
 
@@ -387,18 +390,15 @@ class Stepper:
 
     def _equip(self, setup: Outside, state: Any, hardware_state: Array | None = None) -> None:
         """Wire controller and supervisor to the row; nothing changes where that fails."""
-        robot, layout, believed = setup.robot, setup.layout, believed_by(setup)
-        require_nominal(believed, robot)
-        gains, K = setup.kinematic.base_gains(layout.base), setup.kinematic.arm_gains(layout)
-        bounds, context = np.full(layout.dof, np.inf), setup.context()
-        blocks = setup.timing, setup.controller, context, believed, gains, K, bounds, postures(robot)
-        plan = Plan(robot, setup.true, layout, *blocks)
-        servo = linear_servos(robot, setup.interfaces, setup.servo, False)
-        plan = replace(plan, latency=self.latency, lag=setup.lag, servo=servo, lead=new_lead(setup))
+        robot, layout, plan = setup.robot, setup.layout, plan_outside(setup)
         if self.check_gains:
             require_stable_gains(plan)
+        limits = np.concatenate((self.limits.of_base(layout), self.limits.of_arm(robot)[:2]), axis=1)
+        setup = replace(setup, safety=suited_safety(self.safety, plan, limits))
         hardware = new_hardware(setup, np.zeros(layout.dof), state, hardware_state)
         assert hardware is not None
+        if hardware.split is not None:
+            limit_commands(hardware.split, limits[0], limits[1], self.latency)
         control = Control(plan, self.row, state, hardware)
         self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan
 
@@ -427,7 +427,7 @@ class Stepper:
         elif not self.setup.sensor.exact:
             observe(self.hardware.sensors, self.measured.velocity, self.measured.q, self.received)
         when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
-        accept(self.row, self.at, when, when, True, supervisor.message, supervisor.state)
+        accept(self.row, self.at, when, when, True, supervisor.door)
 
     def _tell(self, text: str) -> None:
         if text and len(self.told) < MOST_TOLD:
@@ -443,7 +443,7 @@ class Stepper:
         """Compile all that a step calls, and forget it."""
         kept = self.hardware.state.copy(), self.control.weights.copy()
         supervisor = self.hardware.way.supervisor
-        accept(self.row, self.at, 0.0, 0.0, True, supervisor.message, supervisor.state)
+        accept(self.row, self.at, 0.0, 0.0, True, supervisor.door)
         self.follower.rehearse(self.received)
         if isinstance(self.setup.controller, CompiledController | LearningLaw):
             self.control.step(0.0, self.follower.now)

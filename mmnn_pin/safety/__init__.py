@@ -11,6 +11,7 @@ A program of your own makes a `Safety.supervisor` once, calls `accept` at every 
 control sample, and asks `may_learn` whether the controller is still to be asked.
 """
 
+from .door import accept, release
 from .settings import Safety, new_state, no_supervisor, remarks, trip_of
 from .supervisor import (
     HAS_TRIPPED,
@@ -21,11 +22,9 @@ from .supervisor import (
     STOPPING,
     TRIPPED,
     Supervisor,
-    accept,
     has_ended,
     may_learn,
     press,
-    release,
     supervise,
 )
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from ..elementary.matrices import pseudo_inverse
 from ..model.base import BY_SIZE
-from ..model.robot import Robot, limits, speed_limits
+from ..model.robot import Robot, limits, revolute, speed_limits
 from ..model.tree.twin import Twin
-from ..settings import Numbers, Settings, one_or_each, require_numbers
+from ..settings import Numbers, Settings, require_numbers
 from ..signals import Array, Dimensions, IntArray
 from .supervisor import (
     BAD,
@@ -22,6 +22,7 @@ from .supervisor import (
     DEAF,
     HAS_TRIPPED,
     HEARD,
+    JUMPED,
     LIMIT,
     LOST,
     MARKS,
@@ -30,28 +31,38 @@ from .supervisor import (
     OFF_PATH,
     OVER_SPEED,
     OVER_TORQUE,
+    OVER_WHEEL,
     PLACE,
     PRESSED,
     REFUSED,
     TIME,
+    TOO_SLOW,
     VALUE,
+    Door,
     Supervisor,
 )
 
 MAY_BE_ZERO = ("torque_time", "stop_time", "settle", "hold_rate", "ramp")
 FRESH = 5.5  # measurements that fail to come before a stop does without
+FASTEST, FASTEST_SLIDE = 10.0, 2.0  # speed that explains a joint's motion where no limit is known [rad/s, m/s]
+BASE_CONTRADICTION = 0.05  # of pose and velocities of the base in a stop, on a robot [m, rad]
 # What passed its limit: the signal, words, and the unit, that of a sliding joint where there are two.
 SIGNAL = {OVER_TORQUE: "motor_torque", OFF_PATH: "pose_error", OFF_HEADING: "pose_error", OFF_JOINT: "e"}
 SIGNAL |= {DEAF: "measurement", LOST: "command", BAD_WEIGHTS: "weights", PRESSED: "stop"}
+SIGNAL |= {OVER_WHEEL: "velocity", JUMPED: "q", TOO_SLOW: "time"}
 WHAT = {OVER_TORQUE: "torque", OVER_SPEED: "speed", OFF_PATH: "position error", OFF_HEADING: "heading error"}
+WHAT |= {OVER_WHEEL: "speed", TOO_SLOW: "control period", JUMPED: "jump"}
 WHAT |= {OFF_JOINT: "joint error", DEAF: "age of the measurement", LOST: "age of the command"}
 UNIT = {OVER_TORQUE: " N m", OVER_SPEED: " rad/s", OFF_PATH: " m", OFF_HEADING: " rad", OFF_JOINT: " rad"}
-UNIT |= {DEAF: " s", LOST: " s"}
-SLIDING = {OVER_TORQUE: " N", OVER_SPEED: " m/s", OFF_JOINT: " m"}
+UNIT |= {DEAF: " s", LOST: " s", OVER_WHEEL: " rad/s", JUMPED: " rad", TOO_SLOW: " s"}
+SLIDING = {OVER_TORQUE: " N", OVER_SPEED: " m/s", OFF_JOINT: " m", OVER_WHEEL: " m/s", JUMPED: " m"}
 
 
 class Safety(Settings, frozen=True):
     """Limits of a run on hardware, and what happens when one is passed. None is no limit.
+
+    On a robot (`Stepper`, `mmnn ros2`, `mmnn embed`) None is a limit by the URDF and the gains where `on_a_robot` says
+    so, and "none" is no limit there.
 
     Args:
         torque: Largest motor torque, clipped; one number or one per motor [N m or N], "urdf" for the URDF's limits.
@@ -59,9 +70,14 @@ class Safety(Settings, frozen=True):
         speed: Largest speed of the base [m/s].
         yaw_rate: Largest yaw rate of the base [rad/s].
         joint_speed: Largest speed of an arm joint, one number or one per joint [rad/s or m/s], "urdf" for the URDF's.
+        wheel_speed: Largest speed of a drive wheel by the measured velocity of the base, one number or one per wheel
+            [rad/s], "urdf" for the URDF's.
         position_error: Largest distance of the base from its reference [m].
         heading_error: Largest heading error [rad].
         joint_error: Largest error of an arm joint, one number or one per joint [rad or m].
+        jump: Largest change of a joint's measured position between two measurements that its speed does not explain,
+            one number or one per joint [rad or m].
+        slowest: Longest control period on average over some 10 samples [s].
         weights: Largest Frobenius norm of every array of weights; larger ones are scaled back at every sample.
         timeout: Age of the measurement or of the command at which it trips [s]; that of ros2_controllers by default.
         ramp: Time in which torque goes to zero: all of it without measurements, the last command without commands [s].
@@ -80,10 +96,13 @@ class Safety(Settings, frozen=True):
     torque_time: float = 0.5
     speed: float | None = None
     yaw_rate: float | None = None
-    joint_speed: Literal["urdf"] | Numbers | None = None
+    joint_speed: Literal["urdf", "none"] | Numbers | None = None
+    wheel_speed: Literal["urdf", "none"] | Numbers | None = None
     position_error: float | None = None
     heading_error: float | None = None
-    joint_error: Numbers | None = None
+    joint_error: Literal["none"] | Numbers | None = None
+    jump: Literal["none"] | Numbers | None = None
+    slowest: Literal["none"] | float | None = None
     weights: float | None = None
     timeout: float = 0.5
     ramp: float = 0.25
@@ -124,21 +143,32 @@ class Safety(Settings, frozen=True):
         Raises:
             ConfigError: Not one number per motor or per joint.
         """
-        layout = robot.dimensions
+        layout, arm = robot.dimensions, robot.arm_index
         position, heading, bound = some(self.position_error), some(self.heading_error), some(self.weights)
         numbers = [self.timeout, self.ramp, self.stop_time, self.torque_time, position, heading, bound]
         numbers += [self._calm_rate(robot, gains), period, self.settle if brakes else math.inf, self.rest]
-        numbers += [float(short), FRESH * (arrivals or period)]
+        numbers += [float(short), FRESH * (arrivals or period), some(self.slowest)]
         base = BY_SIZE[layout.base].per_velocity(some(self.speed), some(self.yaw_rate))
-        urdf = speed_limits(robot)[layout.motors - layout.arm :]
-        joint_speed = limits(self.joint_speed, urdf, "joint", "safety.joint_speed")
+        wheels, turns, none = layout.motors - layout.arm, revolute(robot)[arm], np.full(layout.arm, np.inf)
+        urdf = speed_limits(robot)
+        joint_speed = limits(self.joint_speed, urdf[wheels:], "joint", "safety.joint_speed")
+        wheel_speed = limits(self.wheel_speed, urdf[:wheels], "wheel", "safety.wheel_speed")
         torque = limits(self.torque, robot.effort_limits, "motor", "safety.torque")
-        most = math.inf if self.joint_error is None else self.joint_error
-        error = one_or_each(most, layout.arm, "joint", "safety.joint_error")
-        arrays = [numbers, torque, [*base, *joint_speed], gains, error, K, robot.E, pseudo_inverse(robot.E)]
+        error = limits(self.joint_error, none, "joint", "safety.joint_error")
+        jump = limits(self.jump, none, "joint", "safety.jump")
+        known = np.where(np.isfinite(joint_speed), joint_speed, urdf[wheels:])
+        fastest = np.where(np.isfinite(known), known, np.where(turns, FASTEST, FASTEST_SLIDE))
+        judged = self.jump not in (None, "none")
+        contradiction = [*[BASE_CONTRADICTION if judged else math.inf] * layout.base, *jump]
+        speed = np.array([*base, *joint_speed], float)
+        joints = [math.tau * turns, robot.lower[arm], robot.upper[arm], fastest, jump, np.isinf(joint_speed)]
+        rows = [contradiction, np.where(np.isfinite(contradiction), speed, np.inf)]
+        arrays = [numbers, torque, speed, gains, error, K, wheel_speed, robot.E, pseudo_inverse(robot.E)]
         fixed = [np.array(array, float, order="C") for array in arrays]
         places = np.zeros((0, 2), np.int64) if weights is None else weights
-        return Supervisor._make([True, *fixed, places, *views(new_state(layout) if values is None else values, layout)])
+        *state, sense = views(new_state(layout) if values is None else values, layout)
+        door = Door(np.array(joints, float), np.array(rows, float), state[2], state[1], sense)
+        return Supervisor._make([True, *fixed[:7], door, *fixed[7:], places, *state])
 
     def _calm_rate(self, robot: Robot, gains: Array) -> float:
         """`M qddot = g (K (e + I) - qdot)`, `Idot = rate e` is stable for `rate < g / M` (Routh); half at most."""
@@ -147,31 +177,33 @@ class Safety(Settings, frozen=True):
         return min(self.hold_rate, float(np.min(0.5 * gains[nb:] / inertias, initial=math.inf)))
 
 
-def some(value: float | None) -> float:
+def some(value: float | str | None) -> float:
     """A limit, or inf."""
-    return math.inf if value is None else value
+    return math.inf if value is None or isinstance(value, str) else value
 
 
 def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
     """What stands in a run that nobody supervises; it has a state (`new_state`) all the same."""
     nothing, none = np.zeros(0), np.zeros((0, 0))
-    numbers: list[Any] = [False, *[nothing] * 6, none, none, np.zeros((0, 2), np.int64)]
-    return Supervisor._make([*numbers, *views(values, layout)])
+    *state, sense = views(values, layout)
+    numbers: list[Any] = [False, *[nothing] * 7, Door(none, none, state[2], state[1], sense), none, none]
+    return Supervisor._make([*numbers, np.zeros((0, 2), np.int64), *state])
 
 
 def new_state(layout: Dimensions, start: float = 0.0) -> Array:
     """State of a supervisor before its first measurement at a time [s]."""
     message = layout.pose + layout.base + 2 * layout.arm
-    values = np.zeros(MARKS + message + 2 * layout.dof + layout.motors + 2 * layout.arm)
+    values = np.zeros(MARKS + message + 6 * layout.dof + layout.motors + 2 * layout.arm)
     values[HEARD] = values[COMMANDED] = start
     values[BLIND] = -1.0
     return values
 
 
 def views(values: Array, layout: Dimensions) -> list[Array]:
-    """A supervisor's state and views of its parts, in the order of `Supervisor`."""
+    """A supervisor's state and views of its parts, in the order of `Supervisor`, and the sense of its door."""
     message, p, n = layout.pose + layout.base + 2 * layout.arm, layout.dof, layout.arm
-    return [values, *np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n]))]
+    *parts, sense = np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n, p]))
+    return [values, *parts, sense.reshape(4, p)]
 
 
 def trip_of(state: Array, robot: Robot) -> tuple[float, str, str]:
@@ -187,9 +219,16 @@ def trip_of(state: Array, robot: Robot) -> tuple[float, str, str]:
     if code == PRESSED:
         return time, SIGNAL[code], f"stopped from outside at t = {time:g} s"
     names = {OVER_TORQUE: robot.actuator_names, OVER_SPEED: robot.velocity_names, OFF_JOINT: robot.joint_names}
+    names |= {OVER_WHEEL: robot.actuator_names, JUMPED: robot.joint_names}
     name = names[code][i] if code in names else ""
     unit = SLIDING[code] if name and slides(robot, name) else UNIT[code]
     value, limit, nb = state[VALUE], state[LIMIT], robot.dimensions.base
+    if code == TOO_SLOW:
+        what = f"the control period is {1e3 * value:.3g} ms, and it may be {1e3 * limit:.3g} ms"
+        return time, SIGNAL[code], f"tripped at t = {time:g} s: {what}"
+    if code == JUMPED:
+        what = f"{name} jumps by {value:.3g}{unit} between two measurements, and its speed explains {limit:.3g}{unit}"
+        return time, f"{SIGNAL[code]}[{i}]", f"tripped at t = {time:g} s: {what}"
     of, over = f" of {name}" if name else "", f"{value - limit:.3g}{unit} over its limit of {limit:.4g}{unit}"
     signal = f"{SIGNAL[code]}[{i}]" if code in SIGNAL else f"velocity[{i}]" if i < nb else f"qdot[{i - nb}]"
     return time, signal, f"tripped at t = {time:g} s: {WHAT[code]}{of} {value:.4g}{unit}, {over}"

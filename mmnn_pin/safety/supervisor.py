@@ -20,13 +20,45 @@ PSI_HAT, TORQUE = INDEX["psi_hat"], INDEX["torque"]
 RUNNING, STEPPED_IN, STOPPING, RAMPING = 0.0, 1.0, 2.0, 3.0
 # Numbers of the settings.
 TIMEOUT, RAMP, STOP_TIME, TORQUE_TIME, POSITION, HEADING, WEIGHTS, HOLD_RATE, H = range(9)
-SETTLE, REST, SHORT, FRESH, NUMBERS = range(9, 14)
+SETTLE, REST, SHORT, FRESH, SLOWEST, NUMBERS = range(9, 15)
 # Numbers of the state.
 HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, HELD, REFUSED, ACTED = range(13)
-ARRIVED, BLIND, GIVEN_UP, MARKS = range(13, 17)
+ARRIVED, BLIND, GIVEN_UP, SAMPLED, PERIOD, LAST_PERIOD, STEADY, MARKS = range(13, 21)
+TURN, LOWER, UPPER, EXPLAINS, JUMP, IS_FREE = range(6)  # of a door's joints
+CONTRADICTION, MOST = range(2)  # of its rows
+DRIFT, LEAST, WITHOUT, OFFSET = range(4)  # of its sense
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
+OVER_WHEEL, JUMPED, TOO_SLOW = range(10, 13)
+
+BORNE = 0.3  # of the slowest period: where samples are farther apart the gains of a stop are lowered in proportion
+SAMPLES = 10.0  # over which the control period is averaged, those far back less
+GAP = 4.0  # times the slowest period: a longer pause counts as this
+PLAUSIBLE = 2.0  # times its limit: a velocity beyond this brakes as this
+FASTER, HALF = 1.25, 0.5  # times the least speed in a stop, times the limit: beyond both the stop drives it on
+
+
+@by_address
+class Door(NamedTuple):
+    """What measurements pass, as arrays: few, because a program of your own hands them over at every measurement.
+
+    Attributes:
+        joints: (6, n) of every joint: a whole turn, 0 for one that slides; its ends; the speed that explains how its
+            position changes; what of that no speed needs to explain; 1 where it may be as fast as it likes.
+        rows: (2, p) by how much position and velocity may contradict each other in a stop, and velocities beyond which
+            a stop drives on what it should brake.
+        message: The last good measurement: pose, velocity, q, qdot.
+        state: (MARKS,) single numbers, the supervisor's.
+        sense: (4, p) by how much positions have lately changed more than the velocities say; least speeds since a
+            stop began; 1 where a stop does without feedback; jumps that were taken out of the joints' positions.
+    """
+
+    joints: Array
+    rows: Array
+    message: Array
+    state: Array
+    sense: Array
 
 
 @by_address
@@ -41,6 +73,8 @@ class Supervisor(NamedTuple):
         gains: (p,) feedback that brakes and holds.
         error: (n,) limits of the joints' errors.
         K: (n,) gain of the filtered arm error.
+        wheel: (wheels,) speed limits of the drive wheels.
+        door: What measurements pass.
         E, E_inv: (p, motors) torque on nu from motor torques, and back.
         weights: (k, 2) start and stop of every array of weights in the controller's state.
         values: State: all of the following.
@@ -60,6 +94,8 @@ class Supervisor(NamedTuple):
     gains: Array
     error: Array
     K: Array
+    wheel: Array
+    door: Door
     E: Array
     E_inv: Array
     weights: IntArray
@@ -71,31 +107,6 @@ class Supervisor(NamedTuple):
     place: Array
     integral: Array
     stale: Array
-
-
-@linked
-def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, message: Array, state: Array) -> None:
-    """Take a measurement that came in; one that is not finite is refused, and the last good one stays.
-
-    Args:
-        row: (width,) row of signals with pose, velocity, q, qdot as received.
-        at: Offsets of the signals.
-        time: When it was measured [s].
-        now: When it came [s].
-        is_new: Whether it is another one than last time.
-        message: The supervisor's last good measurement.
-        state: The supervisor's state.
-    """
-    measured, fine = row[at[POSE] : at[QDOT + 1]], True
-    for i in range(measured.size):
-        fine = fine and math.isfinite(measured[i])
-    state[HELD] = 0.0 if fine else 1.0
-    if fine and is_new:
-        copy_to(measured, message)
-        state[HEARD], state[ARRIVED], state[GOOD] = time, now, state[GOOD] + 1.0
-    elif not fine:
-        state[BAD] += is_new
-        copy_to(message, measured)
 
 
 @linked
@@ -123,18 +134,6 @@ def press(time: float, supervisor: Supervisor) -> None:
     trip(time, PRESSED, 0, 0.0, 0.0, supervisor.state)
 
 
-def release(time: float, supervisor: Supervisor) -> bool:
-    """Forget a trip, so that the controller is asked again; false, and nothing done, without a fresh measurement."""
-    state = supervisor.state
-    if state[GOOD] == 0.0 or time - state[ARRIVED] > supervisor.numbers[FRESH]:
-        return False
-    state[HAS_TRIPPED : LIMIT + 1] = 0.0
-    state[COMMANDED], state[ACTED], state[BLIND], state[GIVEN_UP] = time, 0.0, -1.0, 0.0
-    for part in (supervisor.above, supervisor.integral, supervisor.stale):
-        part[:] = 0.0
-    return True
-
-
 @internal
 def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Array, supervisor: Supervisor) -> None:
     """Check a sample and write the torque that goes to the motors into the row, and what was done as `safety`.
@@ -149,6 +148,7 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
     """
     tau, state, numbers = row[at[TORQUE] : at[TORQUE + 1]], supervisor.state, supervisor.numbers
     step_in = bound_weights(time, weights, supervisor) or state[HELD] > 0.0 or state[GOOD] == 0.0
+    check_period(time, state, numbers)
     if state[GOOD] > 0.0:
         check_motion(row, at, time, supervisor)
     fine = arrived
@@ -176,6 +176,21 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
     if clipped and row[at[STATE]] == RUNNING:
         row[at[STATE]] = STEPPED_IN
     copy_to(tau, supervisor.last)
+
+
+@internal
+def check_period(time: float, state: Array, numbers: Array) -> None:
+    """Trip on a control period that is too long on average; a pause that stays alone does not count."""
+    if state[PERIOD] == 0.0:
+        state[PERIOD] = state[LAST_PERIOD] = state[STEADY] = numbers[H]
+    else:
+        period = time - state[SAMPLED]
+        state[STEADY] = min(period, min(state[LAST_PERIOD], GAP * numbers[SLOWEST]))
+        state[PERIOD] += (state[STEADY] - state[PERIOD]) / SAMPLES
+        state[LAST_PERIOD] = period
+    state[SAMPLED] = time
+    if state[PERIOD] > numbers[SLOWEST]:
+        trip(time, TOO_SLOW, 0, state[PERIOD], numbers[SLOWEST], state)
 
 
 @internal
@@ -215,6 +230,10 @@ def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) 
             speed = hypot(row[at[VELOCITY]], row[at[VELOCITY] + 1])
         if speed > speeds[i]:
             trip(time, OVER_SPEED, i, speed, speeds[i], state)
+    for j in range(supervisor.wheel.size):
+        turning = abs(wheel_speed(row, at[VELOCITY], nb, j, supervisor.E))
+        if turning > supervisor.wheel[j]:
+            trip(time, OVER_WHEEL, j, turning, supervisor.wheel[j], state)
     if at[POSE_ERROR + 1] > at[POSE_ERROR]:
         away = hypot(row[at[POSE_ERROR]], row[at[POSE_ERROR] + 1])
         turned = abs(row[at[POSE_ERROR] + 2])
@@ -225,6 +244,15 @@ def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) 
     for i in range(n):
         if abs(row[at[JOINT_ERROR] + i]) > errors[i]:
             trip(time, OFF_JOINT, i, abs(row[at[JOINT_ERROR] + i]), errors[i], state)
+
+
+@compiled
+def wheel_speed(row: Array, start: int, nb: int, j: int, E: Array) -> float:
+    """Speed of drive wheel j under the base velocity (nb,) that starts at a place of the row."""
+    speed = 0.0
+    for i in range(nb):
+        speed += E[i, j] * row[start + i]
+    return speed
 
 
 @internal
@@ -248,15 +276,58 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
             place[i], supervisor.integral[i] = row[at[Q] + i], 0.0
         for i in range(p):
             stale[i] = supervisor.last[i] if state[CODE] == LOST and time == state[TIME] else 0.0
+            supervisor.door.sense[LEAST, i] = abs(row[at[VELOCITY] + i] if i < p - n else row[at[QDOT] + i - (p - n)])
+    lose(row, at, supervisor)
+    slow = min(1.0, BORNE * numbers[SLOWEST] / state[STEADY])
     fade = max(0.0, numbers[RAMP] - (time - state[TIME])) / (numbers[RAMP] + numbers[H])
     for i in range(p - n):
-        feedback = 0.0 if numbers[SHORT] > 0.0 else -supervisor.gains[i] * row[at[VELOCITY] + i]
-        tau[i] = fade * stale[i] + feedback
+        speed = plausible(row[at[VELOCITY] + i], i, supervisor.door)
+        brake = 0.0 if numbers[SHORT] > 0.0 else -supervisor.gains[i] * speed
+        tau[i] = (fade * stale[i] + slow * brake) * trust(i, supervisor.door)
     for i in range(n):
         e, j = place[i] - row[at[Q] + i], p - n + i
-        supervisor.integral[i] += numbers[H] * numbers[HOLD_RATE] * e
-        hold = supervisor.K[i] * (e + supervisor.integral[i]) - row[at[QDOT] + i]
-        tau[j] = fade * stale[j] + supervisor.gains[j] * hold
+        if supervisor.above[supervisor.above.size - n + i] == 0.0 or e * supervisor.integral[i] < 0.0:
+            supervisor.integral[i] += numbers[H] * numbers[HOLD_RATE] * e
+        K = supervisor.K[i] if slow == 1.0 else min(supervisor.K[i], BORNE / state[STEADY])
+        hold = K * (e + supervisor.integral[i]) - plausible(row[at[QDOT] + i], j, supervisor.door)
+        tau[j] = (fade * stale[j] + slow * supervisor.gains[j] * hold) * trust(j, supervisor.door)
+
+
+@internal
+def lose(row: Array, at: IntArray, supervisor: Supervisor) -> None:
+    """Do without feedback where it drives the robot on, or where position and velocity contradict each other."""
+    rows, sense, n = supervisor.door.rows, supervisor.door.sense, supervisor.place.size
+    nb = rows.shape[1] - n
+    for i in range(nb + n):
+        speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
+        sense[LEAST, i] = min(sense[LEAST, i], speed)
+        driven = speed > max(HALF * rows[MOST, i], FASTER * sense[LEAST, i])
+        if driven or abs(sense[DRIFT, i]) > rows[CONTRADICTION, i]:
+            sense[WITHOUT, i] = 1.0
+    for j in range(supervisor.wheel.size):
+        turned = 0.0
+        for i in range(nb):
+            turned += abs(supervisor.E[i, j]) * sense[LEAST, i]
+        turning = abs(wheel_speed(row, at[VELOCITY], nb, j, supervisor.E))
+        driven = turning > max(HALF * supervisor.wheel[j], FASTER * turned)
+        if driven and math.isfinite(rows[CONTRADICTION, 0]):
+            for i in range(nb):
+                sense[WITHOUT, i] = 1.0
+
+
+@compiled
+def trust(i: int, door: Door) -> float:
+    """Share of a velocity's feedback that is left: less, the more position and velocity contradict each other."""
+    if door.sense[WITHOUT, i] > 0.0:
+        return 0.0
+    return max(0.0, 1.0 - abs(door.sense[DRIFT, i]) / door.rows[CONTRADICTION, i])
+
+
+@compiled
+def plausible(velocity: float, i: int, door: Door) -> float:
+    """A measured velocity, as far as it can be true."""
+    most = PLAUSIBLE * door.rows[MOST, i]
+    return min(max(velocity, -most), most)
 
 
 @compiled

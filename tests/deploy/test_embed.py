@@ -241,8 +241,8 @@ def test_a_linked_controller_pauses_as_the_stepper_and_refuses_other_gains(tmp_p
             for one in (linked, stepper):
                 if k in (20, 40):
                     one.pause() if k == 20 else one.resume()
-                one.step(k * 0.001, Measurement(np.zeros(3), np.zeros(2), np.zeros(2), np.zeros(2)),
-                         Setpoint.side_by_side(asked, d))  # fmt: skip
+                wanted = Setpoint.side_by_side(asked, d)
+                one.step(k * 0.001, Measurement(np.zeros(3), np.zeros(2), wanted.q + 0.01, np.zeros(2)), wanted)
             assert linked.row.tobytes() == stepper.row.tobytes(), k
         assert np.abs(stepper.torque).max() > 0
         with pytest.raises(ConfigError, match="export it anew"):
@@ -370,6 +370,7 @@ def library(exported, tmp_path_factory):
         "double exponential(double x) { return mmnn_exp(x); }\n"
         "double smaller(double a, double b) { return mmnn_min(a, b); }\n"
         "double larger(double a, double b) { return mmnn_max(a, b); }\n"
+        "double whole(double x) { return mmnn_floor(x); }\n"
         "int64_t rest(int64_t a, int64_t b) { return mmnn_rest_long(a, b); }\n"
         "int64_t quotient(int64_t a, int64_t b) { return mmnn_quotient_long(a, b); }\n"
     )
@@ -385,9 +386,18 @@ def library(exported, tmp_path_factory):
     ]
     subprocess.run([*command, "-o", made / "lib.so"], check=True)
     found = ctypes.CDLL(str(made / "lib.so"))
-    for name in ("mmnn_portable_sqrt", "mmnn_modulo", "exponential", "mmnn_tanh", "mmnn_hypot", "smaller", "larger"):
+    for name in (
+        "mmnn_portable_sqrt",
+        "mmnn_modulo",
+        "exponential",
+        "mmnn_tanh",
+        "mmnn_hypot",
+        "smaller",
+        "larger",
+        "whole",
+    ):
         getattr(found, name).restype = ctypes.c_double
-        one = name in ("mmnn_portable_sqrt", "exponential", "mmnn_tanh")
+        one = name in ("mmnn_portable_sqrt", "exponential", "mmnn_tanh", "whole")
         getattr(found, name).argtypes = [ctypes.c_double] * (1 if one else 2)
     for name in ("rest", "quotient"):
         getattr(found, name).restype, getattr(found, name).argtypes = ctypes.c_int64, [ctypes.c_int64] * 2
@@ -428,6 +438,11 @@ def test_the_rest_of_tiny_and_huge_numbers_is_exact(library):
 @given(st.integers(-(10**9), 10**9), st.integers(-1000, 1000).filter(bool))
 def test_whole_divisions_are_pythons(library, a, b):
     assert (library.rest(a, b), library.quotient(a, b)) == (a % b, a // b)
+
+
+@given(ANY)
+def test_the_largest_whole_number_below_is_pythons(library, x):
+    assert same(library.whole(x), float(math.floor(x)) if math.isfinite(x) else x)
 
 
 @given(ANY, ANY)

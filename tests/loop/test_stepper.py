@@ -35,7 +35,7 @@ from mmnn_pin.cli import main
 from mmnn_pin.disturbance import DeadMotor, Push
 from mmnn_pin.errors import ConfigError, RecordingError
 from mmnn_pin.lab.proof.proof import Proof
-from mmnn_pin.loop.stepper import UNKNOWN
+from mmnn_pin.loop.setup import UNKNOWN
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.recording.recording import recorded_position
 from mmnn_pin.reference.wishes import HOLD, BaseVelocity
@@ -240,7 +240,7 @@ def test_a_measurement_older_than_the_last_or_of_no_time_changes_nothing(age):
 
 
 def test_an_age_counts_from_when_it_was_measured_and_never_lies_ahead():
-    loop = closed(duration=2.0, safety=Safety(timeout=0.498))
+    loop = closed(duration=2.0, safety=Safety(timeout=0.498, joint_error=9.0))
     run = loop.run()
     with Stepper.of(loop) as late, Stepper.of(loop) as ahead:
         for k, setpoint in enumerate(asked(loop)[:200]):
@@ -254,7 +254,9 @@ def test_an_age_counts_from_when_it_was_measured_and_never_lies_ahead():
 
 
 def test_silence_trips_with_a_ramp_to_zero_and_keeps_everything(tmp_path):
-    loop = closed(CONTROLLERS["two_layer"], duration=4.0, safety=Safety(timeout=0.3, ramp=0.1, stop_time=0.6))
+    loop = closed(
+        CONTROLLERS["two_layer"], duration=4.0, safety=Safety(timeout=0.3, ramp=0.1, stop_time=0.6, joint_error=9.0)
+    )
     run, torques, memories = loop.run(), [], []
     with Stepper.of(loop, path=tmp_path / "run.h5") as cycle:
         for k, setpoint in enumerate(asked(loop)):

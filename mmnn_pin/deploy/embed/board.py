@@ -173,7 +173,7 @@ def take(b: Board, time: float, measured: float) -> None:
     if not fine:
         b.received[0] = math.nan
     when = min(measured, time)
-    accept(b.row, b.at, when, when, True, b.supervisor.message, state)
+    accept(b.row, b.at, when, when, True, b.supervisor.door)
 
 
 def follow(b: Board, time: float, wish: int) -> None:
@@ -218,6 +218,7 @@ def reset(b: Board) -> bool:
     """Go on after a trip from where the robot is measured; false without a fresh measurement; `Stepper.reset`."""
     if b.supervisor.state[HAS_TRIPPED] == 0.0 or not release(b.clock[LAST], b.supervisor):
         return False
+    copy_to(b.supervisor.message, b.received)
     stand(b.received, b.guide)
     return True
 

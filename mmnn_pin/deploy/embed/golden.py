@@ -1,11 +1,13 @@
 """Golden vectors: samples with measurements and setpoints as they come on a robot, and what the stepper answers.
 
 The measurements are those of a robot that follows its reference with an error that wanders, so that a learner has
-something to learn. Some are lost or are no numbers; towards the end the supervisor trips, brakes, and is reset.
+something to learn. Some are lost or are no numbers. In the second half encoders wrap. Towards the end the supervisor
+trips, brakes, and is reset, and an encoder jumps.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 from ...errors import ConfigError
 from ...loop.loop import Loop
 from ...loop.stepper import Stepper
+from ...model.robot import revolute
 from ...reference.wishes import HOLD, BaseVelocity, Wish
 from ...signals import Array, Dimensions, Measurement, Setpoint
 from .board import FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND
@@ -64,10 +67,12 @@ def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[E
     times = np.arange(steps) * period
     table = loop.trajectory.table(times, d)
     away = np.zeros(d.pose + d.base + 2 * d.arm)
+    first = d.pose + d.base
+    angles = [*range(2, d.pose), *(first + np.flatnonzero(revolute(loop.robot)[loop.robot.arm_index]))]
     events = []
     for k, asked in enumerate(table):
         away = 0.995 * away + 0.002 * rng.standard_normal(away.size)
-        received: Array | None = np.asarray(as_measured(asked, d) + away)
+        read = np.asarray(as_measured(asked, d) + away)
         last = k >= int(0.85 * steps)
         chance, wish, action = rng.random(), FOLLOW_SAMPLE, 0
         if 0.3 < k / steps < 0.35 and d.base:
@@ -76,11 +81,15 @@ def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[E
             wish = STAND if chance < 0.5 else GO_ON
         if k in (int(0.4 * steps), int(0.42 * steps)):
             action = PAUSE if k == int(0.4 * steps) else RESUME
-        if last and received is not None:
-            received[-1] += 100.0 * (k == int(0.86 * steps))
-            action = RESET if k == int(0.93 * steps) else STOP if k == int(0.97 * steps) else 0
-        if chance < 0.01 and received is not None:
-            received[int(rng.integers(received.size))] = rng.choice([np.nan, np.inf, 1e12])
+        if last:
+            read[-1] += 100.0 * (k == int(0.86 * steps))
+            action = RESET if k in (int(0.93 * steps), int(0.96 * steps)) else STOP if k == int(0.97 * steps) else 0
+            read[first : first + 1] += 0.7 * (k >= int(0.95 * steps))
+        if k > steps // 2:
+            read[angles] %= math.tau
+        received: Array | None = read
+        if chance < 0.01:
+            read[int(rng.integers(read.size))] = rng.choice([np.nan, np.inf, 1e12])
         elif chance < 0.03:
             received = None
         measured = times[k] - period * (chance > 0.98)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import ConfigError, InputError
-from ...loop.stepper import Stepper
+from ...loop.stepper import SLOW, Stepper
 from ...recording.recording import Recording, Status
 from ...reference.wishes import Motion, Wish
 from . import messages as msg
@@ -307,6 +307,8 @@ class Bridge:
             problems.append(f"nothing fresh of {lacking}{gone}")
         if unheard := self.commands.unheard:
             problems.append(f"nobody reads {', '.join(unheard)}")
+        if self.stepper.is_late:
+            problems.append(f"cycles are more than {SLOW:g} times the period apart: ask for a lower rate")
         if problems and not self.stepper.tripped:
             self._say_once("; ".join(problems))
         elif not problems and not self.stepper.tripped:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from ...elementary import nearest_turn
 from ...errors import ConfigError
 from ...model.robot import Robot
 from ...signals import Array, Measurement
@@ -251,9 +252,10 @@ class Sensing:
 
     def _place(self, there: Planar, velocity: Array, when: float) -> str:
         """Take a pose unless it jumps; its heading goes on without turning over."""
-        heading = self.pose[2] + wrapped(there[2] - self.pose[2])
+        dt = when - self.placed if self.placed > -math.inf else 0.0
+        ahead = dt * self.velocity[-1] if dt > 0.0 else 0.0
+        heading = nearest_turn(there[2], self.pose[2] + min(max(ahead, -math.pi), math.pi))
         if self.placed > -math.inf:
-            dt = when - self.placed
             step, turn = math.hypot(there[0] - self.pose[0], there[1] - self.pose[1]), abs(heading - self.pose[2])
             speed, odometry = 2.0 * max(np.abs(velocity).max(), np.abs(self.velocity).max()), self.settings.odometry
             if step > odometry.jump + speed * dt or turn > odometry.turn + speed * dt:

@@ -24,7 +24,7 @@ latency = 0.005               # known delay from the measurement to the motors [
 
 [set]
 feedback = {{ scaling = "inertia", base = 15.0, arm = 20.0 }}    # bandwidths [1/s]
-safety = {{ torque = "urdf", position_error = 0.5, heading_error = 0.5, joint_error = 0.5, timeout = 0.5 }}
+safety = {{ torque = "urdf", position_error = 0.5, heading_error = 0.5, timeout = 0.5 }}
 
 [network]
 domain = 0                    # ROS_DOMAIN_ID

@@ -1,0 +1,168 @@
+"""The door: what every measurement passes before anything else reads it.
+
+Numbers that are not finite are refused. An angle of an encoder that wraps, whatever its seam, goes on without turning
+over: it is moved by whole turns to where its last velocity leads. A joint with ends is first moved between them where
+whole turns can do that. What of a joint's change no speed explains is a jump: it trips, and is taken out for good, so
+that all that follows, a stop too, sees a position that goes on from the last one that could be true.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..compiled import compiled, copy_to, internal, linked
+from ..elementary import cos_sin, nearest_turn
+from ..signals import INDEX, Array, IntArray
+from .supervisor import (
+    ACTED,
+    ARRIVED,
+    BAD,
+    BLIND,
+    COMMANDED,
+    CONTRADICTION,
+    DRIFT,
+    EXPLAINS,
+    FRESH,
+    GIVEN_UP,
+    GOOD,
+    HAS_TRIPPED,
+    HEARD,
+    HELD,
+    IS_FREE,
+    JUMP,
+    JUMPED,
+    LIMIT,
+    LOWER,
+    OFFSET,
+    PERIOD,
+    PLAUSIBLE,
+    TURN,
+    UPPER,
+    WITHOUT,
+    Door,
+    Supervisor,
+    trip,
+)
+
+POSE, QDOT = INDEX["pose"], INDEX["qdot"]
+NEAR = 0.01  # a joint this far beyond an end is there; farther, it is read a turn away if it can be [rad]
+MEMORY = 0.2  # over which positions and velocities are compared [s]
+
+
+@linked
+def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, door: Door) -> None:
+    """Take a measurement that came in; one that is not finite is refused, and the last good one stays.
+
+    Args:
+        row: (width,) row of signals with pose, velocity, q, qdot as received; afterwards as they are taken.
+        at: Offsets of the signals.
+        time: When it was measured [s].
+        now: When it came [s].
+        is_new: Whether it is another one than last time.
+        door: The supervisor's.
+    """
+    state, message, measured, fine = door.state, door.message, row[at[POSE] : at[QDOT + 1]], True
+    for i in range(measured.size):
+        fine = fine and math.isfinite(measured[i])
+    state[HELD] = 0.0 if fine else 1.0
+    if not fine or not is_new:
+        if not fine and is_new:
+            state[BAD] += 1.0
+        copy_to(message, measured)
+        return
+    n = door.joints.shape[1]
+    if state[GOOD] > 0.0:
+        go_on(measured, time, now, door)
+    else:
+        for i in range(n):
+            measured[measured.size - 2 * n + i] = between_ends(measured[measured.size - 2 * n + i], i, door)
+    copy_to(measured, message)
+    state[HEARD], state[ARRIVED], state[GOOD] = time, now, state[GOOD] + 1.0
+
+
+def release(time: float, supervisor: Supervisor) -> bool:
+    """Forget a trip, so that the controller is asked again; false, and nothing done, without a fresh measurement.
+
+    Joints are where they are read then, jumps included.
+    """
+    state, door, n = supervisor.state, supervisor.door, supervisor.place.size
+    if state[GOOD] == 0.0 or time - state[ARRIVED] > supervisor.numbers[FRESH]:
+        return False
+    state[HAS_TRIPPED : LIMIT + 1] = 0.0
+    state[COMMANDED], state[ACTED], state[BLIND], state[GIVEN_UP], state[PERIOD] = time, 0.0, -1.0, 0.0, 0.0
+    for i in range(n):
+        q, j = door.message.size - 2 * n + i, door.rows.shape[1] - n + i
+        if door.sense[OFFSET, j] != 0.0:
+            door.message[q] = between_ends(door.message[q] - door.sense[OFFSET, j], i, door)
+    for part in (supervisor.above, supervisor.integral, supervisor.stale):
+        part[:] = 0.0
+    for i in range(door.rows.shape[1]):
+        door.sense[DRIFT, i], door.sense[WITHOUT, i], door.sense[OFFSET, i] = 0.0, 0.0, 0.0
+    return True
+
+
+@compiled
+def between_ends(q: float, i: int, door: Door) -> float:
+    """The position of a joint, moved by whole turns between its ends where that is possible."""
+    lower, upper = door.joints[LOWER, i], door.joints[UPPER, i]
+    if door.joints[TURN, i] == 0.0 or lower - NEAR <= q <= upper + NEAR:
+        return q
+    moved = nearest_turn(q, 0.5 * (lower + upper))
+    return moved if lower <= moved <= upper else q
+
+
+@internal
+def go_on(measured: Array, time: float, now: float, door: Door) -> None:
+    """Take whole turns and jumps out of what was measured after another measurement, and compare it with velocities.
+
+    Args:
+        measured: (m,) pose, velocity, q, qdot.
+        time: When [s].
+        now: When it came [s].
+        door: The supervisor's.
+    """
+    message, joints, sense, n = door.message, door.joints, door.sense, door.joints.shape[1]
+    first, nb, dt = measured.size - 2 * n, door.rows.shape[1] - n, max(time - door.state[HEARD], 0.0)
+    keep = max(0.0, 1.0 - dt / MEMORY)
+    if nb > 0:
+        ahead = min(max(dt * message[first - 1], -math.pi), math.pi)
+        measured[2] = nearest_turn(measured[2], message[2] + ahead)
+        if math.isfinite(door.rows[CONTRADICTION, 0]):
+            compare_base(measured, dt, keep, nb, door)
+    for i in range(n):
+        q, qdot, j, most = first + i, first + n + i, nb + i, joints[EXPLAINS, i]
+        if joints[IS_FREE, i] > 0.0:
+            most = max(most, max(abs(measured[qdot]), abs(message[qdot])))
+        most *= PLAUSIBLE
+        before, after = min(max(message[qdot], -most), most), min(max(measured[qdot], -most), most)
+        if sense[OFFSET, j] != 0.0:
+            measured[q] += sense[OFFSET, j]
+        if joints[TURN, i] > 0.0:
+            measured[q] = nearest_turn(measured[q], message[q] + dt * before)
+        jump, explained = measured[q] - message[q], joints[JUMP, i] + most * dt
+        if abs(jump) > explained:
+            trip(now, JUMPED, i, abs(jump), explained, door.state)
+            sense[OFFSET, j] -= jump
+            measured[q] = message[q]
+        sense[DRIFT, j] = keep * (sense[DRIFT, j] + unexplained(measured[q] - message[q], dt * before, dt * after))
+
+
+@internal
+def compare_base(measured: Array, dt: float, keep: float, nb: int, door: Door) -> None:
+    """By how much the pose of the base has lately changed more than its velocities say."""
+    message, sense = door.message, door.sense
+    c, s = cos_sin(message[2])
+    x, y = measured[0] - message[0], measured[1] - message[1]
+    for i in range(nb):
+        step = measured[2] - message[2]
+        if i == 0:
+            step = c * x + s * y
+        elif i == 1 and nb == 3:
+            step = c * y - s * x
+        sense[DRIFT, i] = keep * (sense[DRIFT, i] + unexplained(step, dt * message[3 + i], dt * measured[3 + i]))
+
+
+@compiled
+def unexplained(step: float, one: float, other: float) -> float:
+    """By how much a step is beyond those of the first and of the last velocity."""
+    return step - min(max(step, min(one, other)), max(one, other))
