@@ -1,0 +1,259 @@
+"""A drive of the base along a route, from wherever the reference is when it begins.
+
+    standing aside      turn on the spot, drive to the route, turn along it, go on
+    standing on it      turn on the spot along it where it looks elsewhere, and curve onto it
+    moving along it     curve onto it with the present speed
+    moving elsewhere    brake along the present arc, and begin from rest
+
+Legs of a route follow each other from rest to rest, with turns on the spot between them and, where a heading is told,
+at the end. All but the beginning is timed ahead, so that a control loop can take it over within a sample.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..elementary import atan2, cos_sin, hypot, nearest_turn
+from ..model.robot import Robot
+from ..signals import Array
+from .guide import BASE, Limits
+from .path import Curve
+from .route import Arc, Leg, Route
+from .timed import Drivable, Timed, curve_along
+from .wishes import Motion
+
+SHARE = 0.98  # of the limits that are used at the points of a grid; between them it may be a little more
+NEAR = 0.1  # how far aside of a route the base counts as standing on it [m]
+REACHED = 0.005  # distance from a point that is not driven [m]
+REST = 1e-3  # velocity that counts as none [m/s, rad/s]
+ALIGNED, ALONG = 0.1, 0.5  # angle between heading and route that is curved away, standing and moving [rad]
+REACH = 0.3  # way on which the base curves onto a route, at least where there is room [m]
+TIGHTEST = 3.0  # curvature of a present motion that is gone on with [1/m]
+SLOWER = 0.9  # share of the present speed from which on a motion is gone on with
+TINY = 1e-6  # [m, rad]
+
+
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """The rest of a curve, from a pose beside it: a polynomial of degree five leads there without a jump of curvature.
+
+    Args:
+        onto: The curve.
+        at: Its parameter where it is reached [m].
+        start: Pose (3,).
+        bend: Curvature of the way at the start, phi by its length [rad/m].
+        backwards: Whether it is driven in reverse.
+    """
+
+    onto: Drivable
+    at: float
+    start: Array
+    bend: float
+    backwards: bool
+
+    @cached_property
+    def _bridge(self) -> tuple[float, Array, float]:
+        """Its length [m], coefficients (6, 2) over 0 ... 1, and the turn by which the rest has other headings [rad]."""
+        there = self.onto.curve(np.array([self.at]))
+        x, y, phi = float(there.x[0]), float(there.y[0]), float(there.phi[0])
+        length = hypot(x - self.start[0], y - self.start[1])
+        way = -length if self.backwards else length
+        p, v, a = end_of_bridge(self.start, way, self.bend)
+        q, w, b = end_of_bridge(np.array([x, y, phi]), way, float(there.k[0]) / abs(float(there.g[0])))
+        gap, rate, rates = q - p - v - a / 2, w - v - a, b - a
+        rest = (10 * gap - 4 * rate + rates / 2, -15 * gap + 7 * rate - rates, 6 * gap - 3 * rate + rates / 2)
+        return length, np.array([p, v, a / 2, *rest]), nearest_turn(phi, self.start[2]) - phi
+
+    @property
+    def span(self) -> float:
+        """Length of the bridge and what is left of the curve's parameter."""
+        return self._bridge[0] + self.onto.span - self.at
+
+    def curve(self, s: Array) -> Curve:
+        """The geometry at s (k,)."""
+        length, parts, turn = self._bridge
+        u, rates = np.minimum(s / length, 1.0), []
+        for i in range(4):
+            powers = [math.perm(j, i) * u ** (j - i) for j in range(i, 6)]
+            rates += list(parts[i:].T @ np.array(powers) / length**i)
+        way = np.full_like(u, self.start[2] - (math.pi if self.backwards else 0.0))
+        bridge = curve_along(tuple(rates), way, self.backwards)
+        rest = self.onto.curve(self.at + np.maximum(s - length, 0.0))
+        rest = replace(rest, phi=rest.phi + turn)
+        return Curve(*(np.where(s > length, getattr(rest, one), getattr(bridge, one)) for one in vars(rest)))
+
+
+def end_of_bridge(pose: Array, way: float, bend: float) -> Array:
+    """Point, first and second derivative (3, 2) over 0 ... 1 of a polynomial, at a pose (3,) with a curvature [1/m]."""
+    c, s = cos_sin(pose[2])
+    across = bend * way * abs(way)
+    return np.array([pose[:2], (way * c, way * s), (-across * s, across * c)])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Drive(Motion):
+    """A motion of the base along a route; it begins anew from the reference's pose and velocity when it is taken over.
+
+    Attributes:
+        route: The route.
+        limits: Of speeds and accelerations, as those of any timed path.
+        first: (N, 3 + 2 nb) poses, velocities and accelerations of the first leg.
+        rest: (N, 3 + 2 nb) of what comes then.
+        begins: (3,) the pose that it begins from; None for the route's own start.
+    """
+
+    route: Route
+    limits: Timed
+    first: Array
+    rest: Array
+    begins: Array | None = None
+
+    @classmethod
+    def along(cls, route: Route, robot: Robot, limits: Limits, lateral: float, period: float) -> Self:
+        """The drive along a route, from its own start.
+
+        Args:
+            route: The route.
+            robot: The robot.
+            limits: Speeds and accelerations.
+            lateral: Largest sideways acceleration [m/s^2].
+            period: Between two samples [s].
+        """
+        d, blank = robot.dimensions, np.zeros((0, 3 + 2 * robot.dimensions.base))
+        least = Timed.of(Arc((0.0, 0.0, 0.0), 1.0, 0.0, 1.0), robot, limits, lateral)
+        names = "speed", "yaw_rate", "acceleration", "yaw_acceleration", "lateral"
+        least = replace(least, **{name: SHARE * getattr(least, name) for name in names})
+        drive = cls(blank, period, (BASE,), d, route=route, limits=least, first=blank, rest=blank)
+        at = start = route.legs[0].pose(0.0) if route.legs else np.array([*route.end, route.heading or 0.0])
+        blocks = list[Array]()
+        for leg in route.legs:
+            blocks += [*drive.turned(at, leg.pose(0.0)[2]), drive.driven(leg.path)]
+            at = blocks[-1][-1, :3]
+        if route.legs and route.heading is not None:
+            blocks += drive.turned(at, route.heading)
+        first, rest = (chained([blank, *part], start) for part in (blocks[:1], blocks[1:]))
+        return replace(drive, first=first, rest=rest, table=drive.wide(blocks, start))
+
+    def placed(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> Drive:
+        """The same from a pose (3,) and a velocity (nb,) of the reference, at rest without one."""
+        v = np.zeros(self.dimensions.base) if velocity is None else np.array(velocity, float)
+        at, rests = np.array(pose, float), bool((abs(v) < REST).all())
+        if rests and self.begins is not None and (abs(at - self.begins) < REST).all():
+            return self
+        block = None if rests else self.in_motion(at, v)
+        if block is not None:
+            blocks = [block, self.rest]
+        else:
+            blocks = [] if rests else [self.braked(at, v)]
+            blocks += self.from_rest(blocks[0][-1, :3] if blocks else at)
+        return replace(self, table=self.wide(blocks, at), begins=at)
+
+    def in_motion(self, pose: Array, velocity: Array) -> Array | None:
+        """The first leg from a pose (3,), gone on with at a velocity (nb,); None where it leads elsewhere."""
+        v, w = float(velocity[0]), float(velocity[-1])
+        if not self.route.legs or abs(w) > TIGHTEST * abs(v) or (velocity[1:-1] ** 2 > REST).any():
+            return None
+        leg = self.route.legs[0]
+        s, away = leg.nearest(pose)
+        off = abs(nearest_turn(leg.pose(s)[2] - pose[2], 0.0))
+        curve = self.joined(leg, s, away, pose, w / abs(v), abs(v))
+        if (v < 0.0) != leg.backwards or off > ALONG or curve is None:
+            return None
+        timed = replace(self.limits, path=curve, pace=abs(v))
+        return self.rows(timed) if timed.fastest_entry >= SLOWER * abs(v) else None
+
+    def braked(self, pose: Array, velocity: Array) -> Array:
+        """To rest along the present arc, from a pose (3,) and a velocity (nb,)."""
+        v, w, aside = velocity[0], velocity[-1], 0.0
+        if velocity.size == 3:
+            v, aside = hypot(velocity[0], velocity[1]), atan2(velocity[1], velocity[0])
+        rate = hypot(v, w)
+        brakes = self.limits.acceleration / max(abs(v), TINY), self.limits.yaw_acceleration / max(abs(w), TINY)
+        arc = Arc((pose[0], pose[1], pose[2] + aside), v / rate, w / rate, (1 + TINY) * rate / (2 * min(brakes)))
+        free = {"speed": 2 * abs(v) + 1, "yaw_rate": 2 * abs(w) + 1, "lateral": 2 * abs(v * w) + 1, "wheels": ()}
+        return self.rows(replace(self.limits, path=arc, pace=rate, **free), aside)
+
+    def from_rest(self, pose: Array) -> list[Array]:
+        """What leads along the route from rest at a pose (3,)."""
+        if not self.route.legs:
+            blocks = self.driven_to(pose, self.route.end)
+            at = blocks[-1][-1, :3] if blocks else pose
+            return blocks + ([] if self.route.heading is None else self.turned(at, self.route.heading))
+        leg, blocks = self.route.legs[0], []
+        s, away = leg.nearest(pose)
+        curve = self.joined(leg, s, away, pose, 0.0, 0.0)
+        if curve is None or away > NEAR:
+            s = s if away > NEAR else leg.path.span
+            blocks, away = self.driven_to(pose, leg.pose(s)[:2]), 0.0
+            pose = blocks[-1][-1, :3] if blocks else pose
+        there = leg.pose(s)
+        if abs(nearest_turn(there[2] - pose[2], 0.0)) > ALIGNED or away < TINY:
+            blocks += self.turned(pose, there[2])
+            pose = np.array([pose[0], pose[1], nearest_turn(there[2], pose[2])])
+        if s == 0.0 and away < TINY:
+            blocks.append(self.first)
+        elif (curve := self.joined(leg, s, away, pose, 0.0, 0.0)) is not None:
+            blocks.append(self.driven(curve))
+        return [*blocks, self.rest]
+
+    def joined(self, leg: Leg, s: float, away: float, pose: Array, bend: float, speed: float) -> Joined | None:
+        """The curve from a pose (3,) onto a leg that passes it at s; None where there is no room."""
+        room = leg.path.span - s
+        reach = min(max(REACH, 5 * away, speed), room)
+        return Joined(leg.path, s + reach, pose, bend, leg.backwards) if reach > max(4 * away, 2 * REST) else None
+
+    def driven_to(self, pose: Array, point: Array) -> list[Array]:
+        """A turn on the spot towards a point (2,), and the way to it, from a pose (3,); nothing where it is close."""
+        dx, dy = float(point[0] - pose[0]), float(point[1] - pose[1])
+        far, way = hypot(dx, dy), nearest_turn(atan2(dy, dx), pose[2])
+        if far < REACHED:
+            return []
+        return [*self.turned(pose, way), self.driven(Arc((pose[0], pose[1], way), 1.0, 0.0, far))]
+
+    def turned(self, pose: Array, heading: float) -> list[Array]:
+        """A turn on the spot from a pose (3,) to a heading [rad], the short way; nothing where it looks there."""
+        turn = nearest_turn(heading - pose[2], 0.0)
+        if abs(turn) < TINY:
+            return []
+        return [self.driven(Arc((pose[0], pose[1], pose[2]), 0.0, math.copysign(1.0, turn), abs(turn)))]
+
+    def driven(self, curve: Drivable) -> Array:
+        """A curve from rest to rest, (N, 3 + 2 nb)."""
+        return self.rows(replace(self.limits, path=curve))
+
+    def rows(self, timed: Timed, aside: float = 0.0) -> Array:
+        """Samples (N, 3 + 2 nb) of a path; its way leads that much aside of the heading, where a base can [rad]."""
+        one = timed.sample(np.arange(math.ceil(timed.duration / self.period - TINY) + 1) * self.period)
+        if self.dimensions.base == 2:
+            return np.hstack((one.pose, one.velocity, one.acceleration))
+        c, s = cos_sin(aside)
+        (v, w), (vdot, wdot) = one.velocity.T, one.acceleration.T
+        x, y, phi = one.pose.T
+        return np.stack([x, y, phi - aside, c * v, s * v, w, c * vdot, s * vdot, wdot], axis=1)
+
+    def wide(self, blocks: list[Array], at: Array) -> Array:
+        """Setpoints of the robot, of blocks one after the other; standing at a pose (3,) where there are none."""
+        rows = chained(blocks, at)
+        if not len(rows):
+            rows = np.zeros((2, 3 + 2 * self.dimensions.base))
+            rows[:, :3] = at
+        table = np.zeros((len(rows), rows.shape[1] + 3 * self.dimensions.arm))
+        table[:, : rows.shape[1]] = rows
+        return table
+
+
+def chained(blocks: list[Array], at: Array) -> Array:
+    """Blocks (N, k) of samples one after the other, each from where the last rests; headings go on from a pose (3,)."""
+    heading, parts = float(at[2]), list[Array]()
+    for block in (block for block in blocks if len(block)):
+        part = block.copy()
+        part[:, 2] += nearest_turn(part[0, 2], heading) - part[0, 2]
+        parts = [*parts[:-1], *(one[:-1] for one in parts[-1:]), part]
+        heading = float(part[-1, 2])
+    return np.vstack(parts) if parts else blocks[0] if blocks else np.zeros((0, 0))
