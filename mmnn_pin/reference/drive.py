@@ -58,35 +58,39 @@ class Joined:
     backwards: bool
 
     @cached_property
-    def _bridge(self) -> tuple[float, Array, float]:
-        """Its length [m], coefficients (6, 2) over 0 ... 1, and the turn by which the rest has other headings [rad]."""
+    def _bridge(self) -> tuple[float, Array, float, float]:
+        """Its length [m], coefficients (6, 2) over 0 ... 1; speed of the rest there, and its turn of headings."""
         there = self.onto.curve(np.array([self.at]))
-        x, y, phi = float(there.x[0]), float(there.y[0]), float(there.phi[0])
+        x, y, phi, g = (float(one[0]) for one in (there.x, there.y, there.phi, abs(there.g)))
         length = hypot(x - self.start[0], y - self.start[1])
         way = -length if self.backwards else length
         p, v, a = end_of_bridge(self.start, way, self.bend)
-        q, w, b = end_of_bridge(np.array([x, y, phi]), way, float(there.k[0]) / abs(float(there.g[0])))
+        q, w, b = end_of_bridge(np.array([x, y, phi]), way, float(there.k[0]) / g)
         gap, rate, rates = q - p - v - a / 2, w - v - a, b - a
         rest = (10 * gap - 4 * rate + rates / 2, -15 * gap + 7 * rate - rates, 6 * gap - 3 * rate + rates / 2)
-        return length, np.array([p, v, a / 2, *rest]), nearest_turn(phi, self.start[2]) - phi
+        return length, np.array([p, v, a / 2, *rest]), g, nearest_turn(phi, self.start[2]) - phi
 
     @property
     def span(self) -> float:
-        """Length of the bridge and what is left of the curve's parameter."""
-        return self._bridge[0] + self.onto.span - self.at
+        """Length of the bridge, and what is left of the curve at the speed that it has there."""
+        length, _, g, _ = self._bridge
+        return length + g * (self.onto.span - self.at)
 
     def curve(self, s: Array) -> Curve:
         """The geometry at s (k,)."""
-        length, parts, turn = self._bridge
-        u, rates = np.minimum(s / length, 1.0), []
+        length, parts, g, turn = self._bridge
+        on = s > length
+        u, rates = s[~on] / length, []
         for i in range(4):
             powers = [math.perm(j, i) * u ** (j - i) for j in range(i, 6)]
-            rates += list(parts[i:].T @ np.array(powers) / length**i)
+            rates.append(np.array(powers).T @ parts[i:] / length**i)
         way = np.full_like(u, self.start[2] - (math.pi if self.backwards else 0.0))
-        bridge = curve_along(tuple(rates), way, self.backwards)
-        rest = self.onto.curve(self.at + np.maximum(s - length, 0.0))
-        rest = replace(rest, phi=rest.phi + turn)
-        return Curve(*(np.where(s > length, getattr(rest, one), getattr(bridge, one)) for one in vars(rest)))
+        bridge, one = curve_along(rates, way, self.backwards), self.onto.curve(self.at + (s[on] - length) / g)
+        rest = Curve(one.x, one.y, one.phi + turn, one.g / g, one.dg / g**2, one.k / g, one.dk / g**2)
+        both = {name: np.empty_like(s) for name in vars(rest)}
+        for name, values in both.items():
+            values[~on], values[on] = getattr(bridge, name), getattr(rest, name)
+        return Curve(**both)
 
 
 def end_of_bridge(pose: Array, way: float, bend: float) -> Array:
@@ -103,15 +107,13 @@ class Drive(Motion):
     Attributes:
         route: The route.
         limits: Of speeds and accelerations, as those of any timed path.
-        first: (N, 3 + 2 nb) poses, velocities and accelerations of the first leg.
-        rest: (N, 3 + 2 nb) of what comes then.
+        blocks: Of every leg and turn from rest to rest poses, velocities and accelerations (N, 3 + 2 nb).
         begins: (3,) the pose that it begins from; None for the route's own start.
     """
 
     route: Route
     limits: Timed
-    first: Array
-    rest: Array
+    blocks: list[Array]
     begins: Array | None = None
 
     @classmethod
@@ -125,11 +127,10 @@ class Drive(Motion):
             lateral: Largest sideways acceleration [m/s^2].
             period: Between two samples [s].
         """
-        d, blank = robot.dimensions, np.zeros((0, 3 + 2 * robot.dimensions.base))
         least = Timed.of(Arc((0.0, 0.0, 0.0), 1.0, 0.0, 1.0), robot, limits, lateral)
         names = "speed", "yaw_rate", "acceleration", "yaw_acceleration", "lateral"
         least = replace(least, **{name: SHARE * getattr(least, name) for name in names})
-        drive = cls(blank, period, (BASE,), d, route=route, limits=least, first=blank, rest=blank)
+        drive = cls(np.zeros((0, 0)), period, (BASE,), robot.dimensions, route=route, limits=least, blocks=[])
         at = start = route.legs[0].pose(0.0) if route.legs else np.array([*route.end, route.heading or 0.0])
         blocks = list[Array]()
         for leg in route.legs:
@@ -137,8 +138,7 @@ class Drive(Motion):
             at = blocks[-1][-1, :3]
         if route.legs and route.heading is not None:
             blocks += drive.turned(at, route.heading)
-        first, rest = (chained([blank, *part], start) for part in (blocks[:1], blocks[1:]))
-        return replace(drive, first=first, rest=rest, table=drive.wide(blocks, start))
+        return replace(drive, blocks=blocks, table=drive.chained(blocks, start))
 
     def placed(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> Drive:
         """The same from a pose (3,) and a velocity (nb,) of the reference, at rest without one."""
@@ -148,11 +148,11 @@ class Drive(Motion):
             return self
         block = None if rests else self.in_motion(at, v)
         if block is not None:
-            blocks = [block, self.rest]
+            blocks = [block, *self.blocks[1:]]
         else:
             blocks = [] if rests else [self.braked(at, v)]
             blocks += self.from_rest(blocks[0][-1, :3] if blocks else at)
-        return replace(self, table=self.wide(blocks, at), begins=at)
+        return replace(self, table=self.chained(blocks, at), begins=at)
 
     def in_motion(self, pose: Array, velocity: Array) -> Array | None:
         """The first leg from a pose (3,), gone on with at a velocity (nb,); None where it leads elsewhere."""
@@ -197,10 +197,10 @@ class Drive(Motion):
             blocks += self.turned(pose, there[2])
             pose = np.array([pose[0], pose[1], nearest_turn(there[2], pose[2])])
         if s == 0.0 and away < TINY:
-            blocks.append(self.first)
+            blocks.append(self.blocks[0])
         elif (curve := self.joined(leg, s, away, pose, 0.0, 0.0)) is not None:
             blocks.append(self.driven(curve))
-        return [*blocks, self.rest]
+        return [*blocks, *self.blocks[1:]]
 
     def joined(self, leg: Leg, s: float, away: float, pose: Array, bend: float, speed: float) -> Joined | None:
         """The curve from a pose (3,) onto a leg that passes it at s; None where there is no room."""
@@ -237,23 +237,20 @@ class Drive(Motion):
         x, y, phi = one.pose.T
         return np.stack([x, y, phi - aside, c * v, s * v, w, c * vdot, s * vdot, wdot], axis=1)
 
-    def wide(self, blocks: list[Array], at: Array) -> Array:
-        """Setpoints of the robot, of blocks one after the other; standing at a pose (3,) where there are none."""
-        rows = chained(blocks, at)
-        if not len(rows):
-            rows = np.zeros((2, 3 + 2 * self.dimensions.base))
-            rows[:, :3] = at
-        table = np.zeros((len(rows), rows.shape[1] + 3 * self.dimensions.arm))
-        table[:, : rows.shape[1]] = rows
+    def chained(self, blocks: list[Array], at: Array) -> Array:
+        """Setpoints of the robot: blocks one after the other, each from where the last rests.
+
+        Args:
+            blocks: Samples (N, 3 + 2 nb); where there are none, it stands.
+            at: (3,) pose whose heading theirs go on from, by whole turns.
+        """
+        width = 3 + 2 * self.dimensions.base
+        ends = np.cumsum([0, *(len(block) - 1 for block in blocks)])
+        table = np.zeros((ends[-1] + 1 if blocks else 2, width + 3 * self.dimensions.arm))
+        table[:, :3], heading = at if not blocks else 0.0, float(at[2])
+        for first, block in zip(ends[:-1], blocks, strict=True):
+            part = table[first : first + len(block)]
+            part[:, :width] = block
+            part[:, 2] += nearest_turn(block[0, 2], heading) - block[0, 2]
+            heading = float(part[-1, 2])
         return table
-
-
-def chained(blocks: list[Array], at: Array) -> Array:
-    """Blocks (N, k) of samples one after the other, each from where the last rests; headings go on from a pose (3,)."""
-    heading, parts = float(at[2]), list[Array]()
-    for block in (block for block in blocks if len(block)):
-        part = block.copy()
-        part[:, 2] += nearest_turn(part[0, 2], heading) - part[0, 2]
-        parts = [*parts[:-1], *(one[:-1] for one in parts[-1:]), part]
-        heading = float(part[-1, 2])
-    return np.vstack(parts) if parts else blocks[0] if blocks else np.zeros((0, 0))

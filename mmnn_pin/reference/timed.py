@@ -47,15 +47,15 @@ class Drivable(Protocol):
         """The geometry at s (k,)."""
 
 
-def curve_along(rates: tuple[Array, ...], near: Array, backwards: bool) -> Curve:
-    """The geometry of a curve, of its point and three derivatives by the parameter, x and y (k,) of each.
+def curve_along(rates: list[Array], near: Array, backwards: bool) -> Curve:
+    """The geometry of a curve, of its points and their three derivatives by the parameter.
 
     Args:
-        rates: x, y, x', y', x'', y'', x''', y'''.
+        rates: (k, 2) of each.
         near: (k,) the way's directions, to less than half a turn [rad].
         backwards: Whether it is driven tail first.
     """
-    x, y, x1, y1, x2, y2, x3, y3 = rates
+    (x, y), (x1, y1), (x2, y2), (x3, y3) = (rate.T for rate in rates)
     g = hypot(x1, y1)
     dg = (x1 * x2 + y1 * y2) / g
     k = (x1 * y2 - y1 * x2) / g**2
@@ -111,10 +111,8 @@ class Smoothed(BasePath):
         return float(self._polygon[1][-1])
 
     @cached_property
-    def _spline(self) -> tuple[Any, Array, Array]:
-        """The spline, parameters (N,) close to each other, and the headings there, without jumps."""
-        from scipy.interpolate import splev  # slow to import, seldom needed
-
+    def _spline(self) -> tuple[list[Any], Array, Array]:
+        """The spline and its derivatives, parameters (N,) close to each other, and headings there, without jumps."""
         points, along = self._polygon
         count = max(8, round(self.span / self.SPACING) + 1)
         u = np.union1d(np.linspace(0.0, self.span, max(50, 4 * count)), along)
@@ -122,10 +120,11 @@ class Smoothed(BasePath):
         wander, off = self.wander, np.inf
         while off > self.FARTHEST * self.wander and wander > 1e-4:
             spline = fitted(points, along, count, wander)
-            off = float(hypot(*(np.array(splev(u, spline)) - polygon)).max())
+            off = float(hypot(*(spline(u).T - polygon)).max())
             wander /= 2
-        dx, dy = splev(u, spline, der=1)
-        return spline, u, np.unwrap(atan2(dy, dx))
+        splines = [spline, *(spline.derivative(i) for i in (1, 2, 3))]
+        dx, dy = splines[1](u).T
+        return splines, u, np.unwrap(atan2(dy, dx))
 
     def sample(self, t: ArrayLike) -> BaseSamples:
         """See `BasePath.sample`: at 1 m of the polygon a second, and at rest at its end."""
@@ -136,12 +135,9 @@ class Smoothed(BasePath):
 
     def curve(self, s: Array) -> Curve:
         """The geometry at s (k,)."""
-        from scipy.interpolate import splev  # slow to import, seldom needed
-
-        spline, u, headings = self._spline
-        rates = tuple(part for i in range(4) for part in splev(s, spline, der=i))
+        splines, u, headings = self._spline
         tail_first = self.looks is not None and bool(cos_sin(self.looks - headings[0])[0] < AGAINST)
-        return curve_along(rates, np.interp(s, u, headings), tail_first)
+        return curve_along([one(s) for one in splines], np.interp(s, u, headings), tail_first)
 
 
 def thinned(points: Array, near: float) -> Array:
@@ -165,17 +161,17 @@ def fitted(points: Array, along: Array, count: int, wander: float) -> Any:
         count: How many points of the polygon it is fitted to.
         wander: How far it goes beside them, on average [m].
     """
-    from scipy.interpolate import splprep  # slow to import, seldom needed
+    from scipy.interpolate import BSpline, splprep  # slow to import, seldom needed
 
     at = np.linspace(0.0, along[-1], count)
     weights = np.ones(count)
     weights[[0, -1]] = 100.0
     dense = [np.interp(at, along, column) for column in points.T]
     (knots, parts, degree), _ = splprep(dense, w=weights, u=at, k=5, s=count * wander**2)
-    places = np.array([knots[i + 1 : i + 1 + degree].mean() for i in range(len(parts[0]))]) / along[-1]
-    for i, part in enumerate(parts):  # what its ends lack, linearly in between: a spline has its coefficients there
-        part += (1 - places) * (points[0, i] - part[0]) + places * (points[-1, i] - part[-1])
-    return knots, parts, degree
+    parts = np.array(parts).T
+    places = np.array([knots[i + 1 : i + 1 + degree].mean() for i in range(len(parts))])[:, None] / along[-1]
+    lacks = points[[0, -1]] - parts[[0, -1]]  # of its ends; a line in between is one of the coefficients there
+    return BSpline(knots, parts + (1 - places) * lacks[0] + places * lacks[1], degree)
 
 
 @dataclass(frozen=True)
