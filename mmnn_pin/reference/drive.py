@@ -14,12 +14,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..elementary import atan2, cos_sin, hypot, nearest_turn
+from ..elementary import angles, atan2, hypot, nearest_turn
+from ..elementary.arrays import cos_sin
 from ..model.robot import Robot
 from ..signals import Array
 from .guide import BASE, Limits
@@ -41,7 +42,7 @@ TINY = 1e-6  # [m, rad]
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """The rest of a curve, from a pose beside it: a polynomial of degree five leads there without a jump of curvature.
+    """The rest of a curve, from a pose beside it: a polynomial of degree six leads there, curvature has no corner.
 
     Args:
         onto: The curve.
@@ -58,17 +59,23 @@ class Joined:
     backwards: bool
 
     @cached_property
-    def _bridge(self) -> tuple[float, Array, float, float]:
-        """Its length [m], coefficients (6, 2) over 0 ... 1; speed of the rest there, and its turn of headings."""
-        there = self.onto.curve(np.array([self.at]))
-        x, y, phi, g = (float(one[0]) for one in (there.x, there.y, there.phi, abs(there.g)))
-        length = hypot(x - self.start[0], y - self.start[1])
-        way = -length if self.backwards else length
-        p, v, a = end_of_bridge(self.start, way, self.bend)
-        q, w, b = end_of_bridge(np.array([x, y, phi]), way, float(there.k[0]) / g)
-        gap, rate, rates = q - p - v - a / 2, w - v - a, b - a
-        rest = (10 * gap - 4 * rate + rates / 2, -15 * gap + 7 * rate - rates, 6 * gap - 3 * rate + rates / 2)
-        return length, np.array([p, v, a / 2, *rest]), g, nearest_turn(phi, self.start[2]) - phi
+    def _bridge(self) -> tuple[float, list[Any], float, float]:
+        """Its length [m], it and its derivatives; speed of the rest there, and its turn of headings [rad]."""
+        from scipy.interpolate import BPoly  # slow to import, seldom needed
+
+        there = self._after(np.array([self.at]), 0.0, 1.0)
+        g, turn = abs(float(there.g[0])), nearest_turn(float(there.phi[0]), self.start[2]) - float(there.phi[0])
+        there = self._after(np.array([self.at]), turn, g)
+        length = hypot(float(there.x[0]) - self.start[0], float(there.y[0]) - self.start[1])
+        x, y, phi = self.start[:, None]
+        here = Curve(x, y, phi, np.sign(there.g), 0.0, np.array([self.bend]), 0.0)
+        bridge = BPoly.from_derivatives([0.0, length], [derivatives(here)[:3], derivatives(there)])
+        return length, [bridge, *(bridge.derivative(i) for i in (1, 2, 3))], g, turn
+
+    def _after(self, s: Array, turn: float, g: float) -> Curve:
+        """The curve at its parameters s (k,), turned by whole turns, its parameter stretched by g."""
+        one = self.onto.curve(s)
+        return Curve(one.x, one.y, one.phi + turn, one.g / g, one.dg / g**2, one.k / g, one.dk / g**2)
 
     @property
     def span(self) -> float:
@@ -80,24 +87,21 @@ class Joined:
         """The geometry at s (k,)."""
         length, parts, g, turn = self._bridge
         on = s > length
-        u, rates = s[~on] / length, []
-        for i in range(4):
-            powers = [math.perm(j, i) * u ** (j - i) for j in range(i, 6)]
-            rates.append(np.array(powers).T @ parts[i:] / length**i)
-        way = np.full_like(u, self.start[2] - (math.pi if self.backwards else 0.0))
-        bridge, one = curve_along(rates, way, self.backwards), self.onto.curve(self.at + (s[on] - length) / g)
-        rest = Curve(one.x, one.y, one.phi + turn, one.g / g, one.dg / g**2, one.k / g, one.dk / g**2)
+        way = np.full(np.count_nonzero(~on), self.start[2] - (math.pi if self.backwards else 0.0))
+        bridge = curve_along([part(s[~on]) for part in parts], way, self.backwards)
+        rest = self._after(self.at + (s[on] - length) / g, turn, g)
         both = {name: np.empty_like(s) for name in vars(rest)}
         for name, values in both.items():
             values[~on], values[on] = getattr(bridge, name), getattr(rest, name)
         return Curve(**both)
 
 
-def end_of_bridge(pose: Array, way: float, bend: float) -> Array:
-    """Point, first and second derivative (3, 2) over 0 ... 1 of a polynomial, at a pose (3,) with a curvature [1/m]."""
-    c, s = cos_sin(pose[2])
-    across = bend * way * abs(way)
-    return np.array([pose[:2], (way * c, way * s), (-across * s, across * c)])
+def derivatives(curve: Curve) -> Array:
+    """Point and three derivatives (4, 2) by the parameter of a curve at one; its speed may bend."""
+    g, dg, k, dk = (float(np.ravel(one)[0]) for one in (curve.g, curve.dg, curve.k, curve.dk))
+    c, s = (float(one[0]) for one in cos_sin(curve.phi))
+    along = np.array([(g, 0.0), (dg, g * k), (-g * k * k, 2 * dg * k + g * dk)])  # and across
+    return np.vstack(([curve.x[0], curve.y[0]], along @ np.array([(c, s), (-s, c)])))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -232,7 +236,7 @@ class Drive(Motion):
         one = timed.sample(np.arange(math.ceil(timed.duration / self.period - TINY) + 1) * self.period)
         if self.dimensions.base == 2:
             return np.hstack((one.pose, one.velocity, one.acceleration))
-        c, s = cos_sin(aside)
+        c, s = angles.cos_sin(aside)
         (v, w), (vdot, wdot) = one.velocity.T, one.acceleration.T
         x, y, phi = one.pose.T
         return np.stack([x, y, phi - aside, c * v, s * v, w, c * vdot, s * vdot, wdot], axis=1)

@@ -179,23 +179,31 @@ def tips(points: Array) -> list[int]:
 
 
 def corners(points: Array, within: float) -> IntArray:
-    """Which of points (k, 2) a polygon needs to pass all others within a distance (Douglas and Peucker 1973)."""
+    """Which of points (k, 2) a polygon needs to pass all others within a distance, in their order.
+
+    Douglas and Peucker (1973); a line on which the points go back by more than that is divided where they turn.
+    """
     kept, parts = [0, len(points) - 1], [(0, len(points) - 1)]
     while parts:
         first, last = parts.pop()
         if last - first < 2:
             continue
-        away = distances(points[first + 1 : last], points[first], points[last])
-        i = int(np.argmax(away))
-        if away[i] > within:
-            middle = first + 1 + i
-            kept.append(middle)
-            parts += [(first, middle), (middle, last)]
+        along, away = beside(points[first + 1 : last], points[first], points[last])
+        furthest = np.maximum.accumulate(along)
+        back, i = furthest - along, int(np.argmax(away))
+        if back.max() > max(away[i], within):
+            i = int(np.argmax(along == furthest[np.argmax(back)]))
+        elif away[i] <= within:
+            continue
+        middle = first + 1 + i
+        kept.append(middle)
+        parts += [(first, middle), (middle, last)]
     return np.unique(kept)
 
 
-def distances(points: Array, first: Array, last: Array) -> Array:
-    """From points (k, 2) to a line between two [m]."""
+def beside(points: Array, first: Array, last: Array) -> tuple[Array, Array]:
+    """How far along the way from one point to another points (k, 2) are, and how far from the line between (k,) [m]."""
     line = last - first
-    share = np.clip((points - first) @ line / max(float(line @ line), 1e-18), 0.0, 1.0)
-    return hypot(*(points - first - share[:, None] * line).T)
+    length = max(float(hypot(*line)), 1e-9)
+    along = (points - first) @ line / length
+    return along, hypot(*(points - first - np.clip(along, 0.0, length)[:, None] * line / length).T)

@@ -32,7 +32,7 @@ from .guide import Limits
 from .path import BasePath, BaseSamples, Curve, Progress, driven, require_finite, require_positive, times
 
 AGAINST = -0.5  # cosine of a heading to the way below which it looks backwards
-POINTS, APART = 800, 0.01  # of the grid, at least; and how far apart they may be [m]
+POINTS, APART = 800, 0.005  # of the grid, at least; and how far apart they may be [m]
 
 
 @runtime_checkable
