@@ -161,7 +161,7 @@ def fitted(points: Array, along: Array, count: int, wander: float) -> Any:
         count: How many points of the polygon it is fitted to.
         wander: How far it goes beside them, on average [m].
     """
-    from scipy.interpolate import BSpline, splprep  # slow to import, seldom needed
+    from scipy.interpolate import PPoly, splprep  # slow to import, seldom needed
 
     at = np.linspace(0.0, along[-1], count)
     weights = np.ones(count)
@@ -171,7 +171,9 @@ def fitted(points: Array, along: Array, count: int, wander: float) -> Any:
     parts = np.array(parts).T
     places = np.array([knots[i + 1 : i + 1 + degree].mean() for i in range(len(parts))])[:, None] / along[-1]
     lacks = points[[0, -1]] - parts[[0, -1]]  # of its ends; a line in between is one of the coefficients there
-    return BSpline(knots, parts + (1 - places) * lacks[0] + places * lacks[1], degree)
+    parts += (1 - places) * lacks[0] + places * lacks[1]
+    pieces = [PPoly.from_spline((knots, part, degree)) for part in parts.T]
+    return PPoly(np.stack([piece.c for piece in pieces], axis=2), knots)
 
 
 @dataclass(frozen=True)
