@@ -161,7 +161,7 @@ class Drive(Motion):
     def in_motion(self, pose: Array, velocity: Array) -> Array | None:
         """The first leg from a pose (3,), gone on with at a velocity (nb,); None where it leads elsewhere."""
         v, w = float(velocity[0]), float(velocity[-1])
-        if not self.route.legs or abs(w) > TIGHTEST * abs(v) or (velocity[1:-1] ** 2 > REST).any():
+        if not self.route.legs or abs(v) < REST or abs(w) > TIGHTEST * abs(v) or (abs(velocity[1:-1]) > REST).any():
             return None
         leg = self.route.legs[0]
         s, away = leg.nearest(pose)

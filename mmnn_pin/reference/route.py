@@ -109,9 +109,10 @@ class Route:
             headings: (k,) [rad], NaN where there is none.
             plain: (k,) which of them are the identity, which may mean that there is none.
         """
-        headings = believed(points, headings, plain)
+        stays = hypot(*(points - points[-1]).T).max() <= FOLD
+        headings = np.where(plain, np.nan, headings) if stays else believed(points, headings, plain)
         heading = None if np.isnan(headings[-1]) else float(headings[-1])
-        if hypot(*(points - points[-1]).T).max() <= FOLD:
+        if stays:
             return cls((), points[-1], heading)
         ends, asked = [0, *tips(points), len(points) - 1], headings.copy()
         asked[-1] = np.nan  # a goal's heading does not say how to go there
