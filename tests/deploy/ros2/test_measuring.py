@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
 
-from mmnn_pin import load
+from mmnn_pin import PD, Stepper, load
 from mmnn_pin.deploy.ros2 import messages as msg
 from mmnn_pin.deploy.ros2.asking import Asking
 from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Refused, base_motion, rest_of
@@ -22,9 +22,12 @@ from mmnn_pin.deploy.ros2.settings import Base, Clocks, Frames, Joints, Node, Ou
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.urdf.reading import parse
+from mmnn_pin.reference.drive import Drive
 from mmnn_pin.reference.follower import Follower
 from mmnn_pin.reference.guide import ARM, BASE, Limits
 from mmnn_pin.reference.wishes import Stand
+from mmnn_pin.safety import Safety
+from mmnn_pin.signals import Measurement
 
 ROBOT = load("platform_arm")
 COMMANDS = (Output("/a", joints=ROBOT.actuator_names),)
@@ -276,8 +279,63 @@ def test_a_path_is_moved_with_its_map() -> None:
     moved.write(0.0, out)
     assert out[:3] == pytest.approx([2.0, 3.0 + motion.table[100, 0], math.pi / 2])
     assert base_motion(path([], 0.0), Route(), Limits(), ROBOT, 0.01) == Stand((BASE,))
-    with pytest.raises(Refused, match="all in one place"):
-        base_motion(path([(1.0, 1.0)] * 5, 0.0), Route(), Limits(), ROBOT, 0.01)
+    with pytest.raises(Refused, match="not finite"):
+        base_motion(path([(1.0, 1.0), (1.0, math.nan)], 0.0), Route(), Limits(), ROBOT, 0.01)
+    with pytest.raises(Refused, match="20,000 poses"):
+        base_motion(path([(1.0, 1.0)] * 20_000, 0.0), Route(), Limits(), ROBOT, 0.01)
+
+
+def closed_loop(motion: Any, start: tuple[float, float, float], seconds: float) -> np.ndarray:
+    """Poses and velocities (N, 5) of an exact unicycle whose wheels turn as they are told."""
+    robot, n = ROBOT, ROBOT.dimensions.arm
+    wheels = robot.actuator_names[:2]
+    stepper = Stepper(robot, PD(), safety=Safety(), period=0.01, interfaces=dict.fromkeys(wheels, "velocity"))
+    q, pose, nu, seen = robot.rest[robot.arm_index], np.array(start, float), np.zeros(2), []
+    for k in range(round(seconds / 0.01)):
+        measured = Measurement(pose.copy(), nu.copy(), q, np.zeros(n))
+        turning = stepper.step(0.01 * k, measured, motion if k == 5 else None).motor_velocity[:2]
+        nu = np.linalg.solve(robot.E.T[:2, :2], np.nan_to_num(turning))
+        middle = pose[2] + 0.005 * nu[1]
+        pose += 0.01 * np.array([nu[0] * math.cos(middle), nu[0] * math.sin(middle), nu[1]])
+        assert not stepper.is_over, stepper.tripped
+        seen.append(np.append(pose, nu))
+    return np.array(seen)
+
+
+BACK, TIP = [(-0.05 * i, 0.0) for i in range(41)], [(1.0 - abs(1.0 - 0.05 * i), 0.0) for i in range(36)]
+# points, quaternions (z, w), pose of the robot; turned, ahead, in reverse, heading at the end
+CLOSED = {
+    "identities": (BACK, [(0, 1)] * 41, (0, 0, math.pi), (0, 2, 0, math.pi)),
+    "zeros": (BACK, [(0, 0)] * 41, (0, 0, math.pi), (0, 2, 0, math.pi)),
+    "first true": (BACK, [(1, 0)] + [(0, 1)] * 40, (0, 0, math.pi), (0, 2, 0, math.pi)),
+    "turned away": (BACK, [(0, 1)] * 41, (0, 0, 0), (math.pi, 2, 0, math.pi)),
+    "tip": (TIP, [(0, 1)] * 36, (0, 0, 0), (0, 1, 0.75, 0)),
+    "tip without headings": (TIP, [(0, 0)] * 36, (0, 0, 0), (math.pi, 1.75, 0, math.pi)),
+    "aside": (BACK, [(1, 0)] * 41, (1, -1, 0), (3 * math.pi / 4 + math.pi / 4, 2 + math.sqrt(2), 0, math.pi)),
+    "one": ([(0.6, 0.8)], [(0.6, 0.8)], (0, 0, 0), (2 * math.atan2(0.6, 0.8), 1, 0, 2 * math.atan2(0.6, 0.8))),
+}
+
+
+@pytest.mark.parametrize("case", CLOSED)
+def test_in_closed_loop_what_moves_is_what_was_asked(case: str) -> None:
+    points, quaternions, start, (turned, ahead, reverse, heading) = CLOSED[case]
+    poses = [
+        msg.Pose(msg.Point(float(x), float(y)), msg.Quaternion(0.0, 0.0, float(z), float(w)))
+        for (x, y), (z, w) in zip(points, quaternions, strict=True)
+    ]
+    message = msg.Path(NOW, [msg.PoseStamped(NOW, pose) for pose in poses])
+    motion = base_motion(message, Route(), Limits(), ROBOT, 0.01)
+    seen = closed_loop(motion, start, 25.0)
+    v, w = seen[:, 3], seen[:, 4]
+    assert 0.01 * np.abs(w).sum() == pytest.approx(turned, abs=0.1)
+    assert 0.01 * np.array([np.maximum(v, 0).sum(), np.maximum(-v, 0).sum()]) == pytest.approx(
+        [ahead, reverse], abs=0.03
+    )
+    assert math.dist(seen[-1, :2], points[-1]) < 0.02 and abs(math.remainder(seen[-1, 2] - heading, math.tau)) < 0.05
+    assert not case.startswith("tip") or seen[:, 0].max() == pytest.approx(1.0, abs=0.02)
+    here = base_motion(message, Route(), Limits(), ROBOT, 0.01, (start, np.zeros(2)))
+    assert isinstance(motion, Drive) and isinstance(here, Drive)
+    assert np.array_equal(here.table, motion.placed(np.array(start, float)).table)
 
 
 def test_a_correction_of_the_map_does_not_jerk_the_robot() -> None:
