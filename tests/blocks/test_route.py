@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "model"))
 from test_holonomic import mecanum
 
 from mmnn_pin import load
-from mmnn_pin.reference.drive import NEAR, REACHED, Drive
+from mmnn_pin.reference.drive import NEAR, REACHED, TINY, Drive, Joined
 from mmnn_pin.reference.guide import Limits
 from mmnn_pin.reference.route import FOLD, Route, corners
 from mmnn_pin.reference.timed import Smoothed
@@ -180,7 +180,7 @@ def test_any_route_is_driven_within_limits_and_without_a_jump(
     motion, nb = drive.placed(start, v), robot.dimensions.base
     pose, rates = motion.table[:, :3], motion.table[:, 3 : 3 + nb]
     assert np.isfinite(motion.table).all() and not rates[-1].any()
-    assert pose[0] == pytest.approx(start, abs=1e-9) and abs(rates[0] - v).max() < 0.1 * abs(v).max() + 1e-2
+    assert pose[0] == pytest.approx(start, abs=2 * TINY) and abs(rates[0] - v).max() < 0.1 * abs(v).max() + 1e-2
     middle, moved = 0.5 * (pose[1:, 2] + pose[:-1, 2]), np.diff(pose, axis=0) / PERIOD
     c, s, mean = np.cos(middle), np.sin(middle), 0.5 * (rates[1:] + rates[:-1])
     ahead, sideways = c * moved[:, 0] + s * moved[:, 1], c * moved[:, 1] - s * moved[:, 0]
@@ -234,6 +234,33 @@ def test_a_motion_that_leads_elsewhere_is_braked_first():
     assert math.dist(table[still, :2], (0.0, 0.5)) == pytest.approx(2 * radius * math.sin(turned / 2), abs=1e-6)
     rest = drive.placed(table[still, :3]).table
     assert table[still:, :3] == pytest.approx(rest[: len(table) - still, :3], abs=1e-9)
+
+
+def test_a_base_that_drives_the_other_way_along_a_route_is_braked_first():
+    table = drive_of(AHEAD).placed((0.5, 0.0, 0.0), (-0.3, 0.0)).table
+    assert table[0, 3] == pytest.approx(-0.3) and totals(table)[2] == pytest.approx(0.3**2 / (2 * 0.98 * 0.5), abs=2e-3)
+    assert table[-1, :3] == pytest.approx([2.0, 0.0, 0.0], abs=1e-9)
+
+
+@given(st.floats(-0.05, 0.05), st.floats(-0.3, 0.3), st.floats(-1.0, 1.0), st.booleans())
+def test_the_curve_onto_a_route_has_the_derivatives_that_it_says_and_no_corner(aside, off, bend, backwards):
+    """By finite differences, also across the point where it reaches the route; curvature and its slope do not jump."""
+    x = np.arange(0.0, 2.0, 0.05)
+    leg = route_of(np.stack([x, 0.3 * np.sin(2 * x)], axis=1), PI if backwards else NO).legs[0]
+    start = leg.pose(0.4) + np.array([0.0, aside, off])
+    curve, h = Joined(leg.path, 0.9, start, bend, leg.backwards), 1e-5
+    first = curve.curve(np.zeros(1))
+    assert [first.x[0], first.y[0], first.phi[0]] == pytest.approx(start, abs=1e-9)
+    assert (first.g[0], first.k[0]) == pytest.approx((-1.0 if backwards else 1.0, bend), abs=1e-9)
+    s = np.linspace(h, curve.span - h, 301)
+    here, before, after = (curve.curve(s + d) for d in (0.0, -h, h))
+    slopes = {"x": here.g * np.cos(here.phi), "y": here.g * np.sin(here.phi), "phi": here.k, "g": here.dg, "k": here.dk}
+    for one, slope in slopes.items():
+        assert (getattr(after, one) - getattr(before, one)) / (2 * h) == pytest.approx(slope, rel=1e-3, abs=1e-2)
+    length = curve.span - abs(leg.path.curve(np.array([0.9])).g[0]) * (leg.path.span - 0.9)
+    left, right = (curve.curve(np.array([length + d])) for d in (-1e-9, 1e-9))
+    for one in vars(left):
+        assert getattr(left, one) == pytest.approx(getattr(right, one), abs=1e-5), one
 
 
 def test_what_begins_there_already_is_kept():
