@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,9 @@ pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
 
 from mmnn_pin import PD, Stepper, load
 from mmnn_pin.deploy.ros2 import messages as msg
+from mmnn_pin.deploy.ros2.action import encoded
 from mmnn_pin.deploy.ros2.asking import Asking
-from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Refused, base_motion, rest_of
+from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Planner, Refused, base_motion, rest_of
 from mmnn_pin.deploy.ros2.sensing import Clock, Sensing, Tree, composed, inverse
 from mmnn_pin.deploy.ros2.settings import Base, Clocks, Frames, Joints, Node, Output, Route
 from mmnn_pin.model.base.overrides import Overrides
@@ -336,6 +338,40 @@ def test_in_closed_loop_what_moves_is_what_was_asked(case: str) -> None:
     here = base_motion(message, Route(), Limits(), ROBOT, 0.01, (start, np.zeros(2)))
     assert isinstance(motion, Drive) and isinstance(here, Drive)
     assert np.array_equal(here.table, motion.placed(np.array(start, float)).table)
+
+
+def test_a_path_in_a_maps_frame_begins_at_the_reference() -> None:
+    """The base is at rest in the odometry's frame, 0.5 m beside the path, by its own angles and through the wishes."""
+    asking, tree = Asking.__new__(Asking), Tree()
+    asking.arm, asking.settings, asking.tree, asking.route = (
+        ARM_OF,
+        Node("r", COMMANDS, tf=Frames(), path=Route()),
+        tree,
+        None,
+    )
+    asking.planner, asking.base = Planner(), np.array([1.0, 2.0, 7.0, 0.0, 0.0])
+    place = (1.0, 1.5, math.pi / 2)  # of the map in the odometry's frame
+    tree.take(msg.TFMessage([transform("map", "odom", *inverse(place))]), 0.0)
+    message = path([(0.0, 0.1 * i) for i in range(1, 21)], math.pi / 2)  # y of the map is -x of the odometry
+    message.header.frame_id = "map"
+    asking._base_path(SimpleNamespace(refuse=pytest.fail), encoded(message), SimpleNamespace(now=0.0))  # type: ignore[arg-type]
+    wishes: list[Any] = []
+    while not wishes:
+        wishes = asking.planner.poll()
+    asking.planner.close()
+    follower = Follower(ROBOT, Limits(), 0.5)
+    follower.stand(np.array([1.0, 2.0, 7.0, 0.0, 0.0, *np.zeros(4)]))
+    seen = []
+    for k in range(3000):
+        follower.step(0.01 * k, 0.01, follower.measured, tuple(wishes), [follower.check(wish) for wish in wishes])
+        wishes = []
+        seen.append(follower.now[:5].copy())
+    table = np.array(seen)
+    assert table[0, :3] == pytest.approx([1.0, 2.0, 7.0], abs=1e-3)
+    assert np.abs(np.diff(table[:, :3], axis=0)).max() < 0.02
+    assert table[-1, :2] == pytest.approx([-1.0, 1.5], abs=1e-6) and math.remainder(
+        table[-1, 2], math.tau
+    ) == pytest.approx(math.pi)
 
 
 def test_a_correction_of_the_map_does_not_jerk_the_robot() -> None:
