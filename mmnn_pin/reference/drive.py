@@ -31,7 +31,7 @@ from .wishes import Motion
 
 SHARE = 0.98  # of the limits that are used at the points of a grid; between them it may be a little more
 NEAR = 0.1  # how far aside of a route the base counts as standing on it [m]
-REACHED = 0.005  # distance from a point that is not driven [m]
+REACHED = 0.01  # distance from a point that is not driven [m]
 REST = 1e-3  # velocity that counts as none [m/s, rad/s]
 ALIGNED, ALONG = 0.1, 0.5  # angle between heading and route that is curved away, standing and moving [rad]
 REACH = 0.3  # way on which the base curves onto a route, at least where there is room [m]
@@ -185,12 +185,13 @@ class Drive(Motion):
 
     def from_rest(self, pose: Array) -> list[Array]:
         """What leads along the route from rest at a pose (3,)."""
-        if not self.route.legs:
-            blocks = self.driven_to(pose, self.route.end)
+        legs, blocks = self.route.legs, list[Array]()
+        s, away = legs[0].nearest(pose) if legs else (0.0, 0.0)
+        if not legs or (len(legs) == 1 and legs[0].path.span - s < REACHED):
+            blocks = self.driven_to(pose, self.route.end, REACHED)
             at = blocks[-1][-1, :3] if blocks else pose
             return blocks + ([] if self.route.heading is None else self.turned(at, self.route.heading))
-        leg, blocks = self.route.legs[0], []
-        s, away = leg.nearest(pose)
+        leg = legs[0]
         curve = self.joined(leg, s, away, pose, 0.0, 0.0)
         if curve is None or away > NEAR:
             s = s if away > NEAR else leg.path.span
@@ -212,11 +213,11 @@ class Drive(Motion):
         reach = min(max(REACH, 5 * away, speed), room)
         return Joined(leg.path, s + reach, pose, bend, leg.backwards) if reach > max(4 * away, 2 * REST) else None
 
-    def driven_to(self, pose: Array, point: Array) -> list[Array]:
-        """A turn on the spot towards a point (2,), and the way to it, from a pose (3,); nothing where it is close."""
+    def driven_to(self, pose: Array, point: Array, least: float = TINY) -> list[Array]:
+        """A turn on the spot towards a point (2,), and the way to it of at least some length [m], from a pose (3,)."""
         dx, dy = float(point[0] - pose[0]), float(point[1] - pose[1])
         far, way = hypot(dx, dy), nearest_turn(atan2(dy, dx), pose[2])
-        if far < REACHED:
+        if far < least:
             return []
         return [*self.turned(pose, way), self.driven(Arc((pose[0], pose[1], way), 1.0, 0.0, far))]
 

@@ -21,7 +21,7 @@ from ..signals import Array, IntArray
 from .path import Curve
 from .timed import Drivable, Smoothed, thinned
 
-FOLD = 0.03  # what points may go back and forth, or beside a line, without a meaning [m]
+FOLD = 0.05  # what points may go back and forth, or beside a line, without a meaning [m]
 SHARP = -0.17  # cosine of the turn beyond which a corner is a change of direction: 100 degrees
 PARALLEL = 0.985  # cosine of an angle between a heading and the way that counts as none: 10 degrees
 AGAINST = -0.5  # mean cosine of headings and way below which a leg is driven in reverse
@@ -124,6 +124,7 @@ class Route:
 def leg_of(points: Array, headings: Array) -> Leg:
     """The leg through points (k, 2) with headings (k,), NaN where there is none."""
     backwards = is_reverse(points, headings)
+    points = onward(points)
     dx, dy = points[-1] - points[0]
     way = float(atan2(dy, dx))
     along = np.sum(hypot(*np.diff(thinned(points, Smoothed.NEAR), axis=0).T))
@@ -134,6 +135,16 @@ def leg_of(points: Array, headings: Array) -> Leg:
     if backwards:
         smooth = Smoothed(points, float(smooth.curve(np.zeros(1)).phi[0] + np.pi))
     return Leg(smooth, backwards)
+
+
+def onward(points: Array) -> Array:
+    """Those of points (k, 2) that come further than all before, along a polygon through their corners."""
+    kept = corners(points, FOLD)
+    on = np.isin(np.arange(len(points)), kept)
+    for first, last in pairwise(kept):
+        along, _ = beside(points[first : last + 1], points[first], points[last])
+        on[first + 1 : last] = (along[1:-1] > np.maximum.accumulate(along)[:-2]) & (along[1:-1] < along[-1])
+    return points[on]
 
 
 def believed(points: Array, headings: Array, plain: NDArray[np.bool_]) -> Array:

@@ -32,6 +32,7 @@ from .guide import Limits
 from .path import BasePath, BaseSamples, Curve, Progress, driven, require_finite, require_positive, times
 
 AGAINST = -0.5  # cosine of a heading to the way below which it looks backwards
+EXACT = 1e-3  # a curve that wanders less goes through its points [m]
 POINTS, APART = 800, 0.005  # of the grid, at least; and how far apart they may be [m]
 
 
@@ -72,8 +73,8 @@ class Smoothed(BasePath):
     Args:
         points: (k, 2) points [m], k >= 2, at any distances; one nearer than `NEAR` to the one before is left out.
         looks: Heading with which it begins [rad]; where that is against the way, it is driven tail first.
-        wander: How far it may go beside the polygon of the points, on average [m]; nowhere further than `FARTHEST`
-            times that. Its ends stay where they are.
+        wander: How far it may go beside the polygon of the points, on average [m]; less where they are smooth, and
+            nowhere further than `FARTHEST` times that. Its ends stay where they are.
 
     Attributes:
         span: Length of the polygon [m], which is the curve's parameter.
@@ -117,11 +118,11 @@ class Smoothed(BasePath):
         count = max(8, round(self.span / self.SPACING) + 1)
         u = np.union1d(np.linspace(0.0, self.span, max(50, 4 * count)), along)
         polygon = np.array([np.interp(u, along, column) for column in points.T])
-        wander, off = self.wander, np.inf
-        while off > self.FARTHEST * self.wander and wander > 1e-4:
-            spline = fitted(points, along, count, wander)
-            off = float(hypot(*(spline(u).T - polygon)).max())
+        wander = min(self.wander, roughness(points, along))
+        spline = fitted(points, along, count, wander)
+        while wander > EXACT and hypot(*(spline(u).T - polygon)).max() > self.FARTHEST * self.wander:
             wander /= 2
+            spline = fitted(points, along, count, wander)
         splines = [spline, *(spline.derivative(i) for i in (1, 2, 3))]
         dx, dy = splines[1](u).T
         return splines, u, np.unwrap(atan2(dy, dx))
@@ -152,6 +153,16 @@ def thinned(points: Array, near: float) -> Array:
     return points[[*kept, len(points) - 1]]
 
 
+def roughness(points: Array, along: Array) -> float:
+    """How far a polygon through points (k, 2), so far along (k,), is from its mean over 0.3 m, on average [m]."""
+    at = np.linspace(0.0, along[-1], round(along[-1] / 0.05) + 1)
+    dense = np.array([np.interp(at, along, column) for column in points.T])
+    room = min(3, len(at) - 1)
+    wide = np.pad(dense, ((0, 0), (room, room)), "reflect", reflect_type="odd")
+    means = np.lib.stride_tricks.sliding_window_view(wide, 2 * room + 1, axis=1).mean(axis=2)
+    return float(np.sqrt(np.mean(np.sum((dense - means) ** 2, axis=0))))
+
+
 def fitted(points: Array, along: Array, count: int, wander: float) -> Any:
     """A spline along points (k, 2) that are so far along, from the first to the last of them exactly.
 
@@ -167,7 +178,7 @@ def fitted(points: Array, along: Array, count: int, wander: float) -> Any:
     weights = np.ones(count)
     weights[[0, -1]] = 100.0
     dense = [np.interp(at, along, column) for column in points.T]
-    (knots, parts, degree), _ = splprep(dense, w=weights, u=at, k=5, s=count * wander**2)
+    (knots, parts, degree), _ = splprep(dense, w=weights, u=at, k=5, s=count * wander**2 if wander > EXACT else 0.0)
     parts = np.array(parts).T
     places = np.array([knots[i + 1 : i + 1 + degree].mean() for i in range(len(parts))])[:, None] / along[-1]
     lacks = points[[0, -1]] - parts[[0, -1]]  # of its ends; a line in between is one of the coefficients there
