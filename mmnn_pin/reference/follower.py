@@ -102,7 +102,7 @@ class Follower:
             if wish.dimensions != d:
                 raise ConfigError("a motion of another robot", fix="make it by the stepper's `plan`", key="setpoint")
             motion = wish.placed(self.now[: d.pose], self.now[d.pose : d.pose + d.base])
-            motion = motion.turned(self.now, self.guide.turn)
+            motion = motion.at_nearest_turn(self.now, self.guide.turn)
             require_within(motion, self.guide, self.names, self.now[self.q : self.q + d.arm])
             return motion
         elif isinstance(wish, FollowHand):

@@ -185,7 +185,7 @@ class Motion:
         shift = np.array([pose[0] - c * x + s * y, pose[1] - s * x - c * y, turn])
         return replace(self, from_here=False, shift=shift)
 
-    def turned(self, now: Array, is_endless: IntArray) -> Self:
+    def at_nearest_turn(self, now: Array, is_endless: IntArray) -> Self:
         """The same, moved by whole turns to begin near a reference.
 
         Args:

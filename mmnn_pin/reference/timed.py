@@ -17,53 +17,53 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..compiled import compiled
 from ..elementary.arrays import atan2, cos_sin, hypot
 from ..errors import TrajectoryError
 from ..model.robot import Robot, speed_limits
 from ..settings.arguments import is_numeric
 from ..signals import Array
 from .limits import Limits
-from .path import (
-    BasePath,
-    BaseSamples,
-    Curve,
-    Eight,
-    Progress,
-    Waypoints,
-    driven,
-    require_finite,
-    require_positive,
-    times,
-)
+from .path import BasePath, BaseSamples, Curve, Progress, driven, require_finite, require_positive, times
 
 AGAINST = -0.5  # cosine of a heading to the way below which it looks backwards
-POINTS, APART = 800, 0.02  # of the grid, at least; and how far apart they may be [m]
-HALVINGS = 35  # of an interval that a bound of x is looked for in
+EXACT = 1e-3  # a curve that wanders less goes through its points [m]
+POINTS, APART = 800, 0.005  # of the grid, at least; and how far apart they may be [m]
 
 
-class Bounds(NamedTuple):
-    """What holds at a point of the grid, as plain numbers: there are many points, and few limits.
+@runtime_checkable
+class Drivable(Protocol):
+    """A curve with a smooth parameter: `Waypoints`, one lap of an `Eight`, `Smoothed` points, ..."""
 
-    Attributes:
-        most: Largest x by speeds and lateral acceleration.
-        linear: Factors of u and of x, and the largest `|a u + b x|`, for every limit of an acceleration.
+    @property
+    def span(self) -> float:
+        """What the whole of it adds to its parameter; negative against it."""
+
+    def curve(self, s: Array) -> Curve:
+        """The geometry at s (k,)."""
+
+
+def curve_along(rates: list[Array], near: Array, backwards: bool) -> Curve:
+    """The geometry of a curve, of its points and their three derivatives by the parameter.
+
+    Args:
+        rates: (k, 2) of each.
+        near: (k,) the way's directions, to less than half a turn [rad].
+        backwards: Whether it is driven tail first.
     """
-
-    most: float
-    linear: tuple[tuple[float, float, float], ...]
-
-    def freedom(self, x: float) -> tuple[float, float]:
-        """Least and largest u with x; the first is above the second where none is left."""
-        low, high = -math.inf, math.inf
-        for a, b, c in self.linear:
-            one, other = (-c - b * x) / a, (c - b * x) / a
-            low, high = max(low, min(one, other)), min(high, max(one, other))
-        return low, high
+    (x, y), (x1, y1), (x2, y2), (x3, y3) = (rate.T for rate in rates)
+    g = hypot(x1, y1)
+    dg = (x1 * x2 + y1 * y2) / g
+    k = (x1 * y2 - y1 * x2) / g**2
+    dk = (x1 * y3 - y1 * x3) / g**2 - 2 * k * dg / g
+    c, sine = cos_sin(near)
+    phi = near + atan2(c * y1 - sine * x1, c * x1 + sine * y1)
+    return Curve(x, y, phi + np.pi, -g, -dg, k, dk) if backwards else Curve(x, y, phi, g, dg, k, dk)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +71,10 @@ class Smoothed(BasePath):
     """A smooth way along points, for `Timed`: a spline of degree five, so that curvature and its slope are continuous.
 
     Args:
-        points: (k, 2) points [m], k >= 2, at any distances.
+        points: (k, 2) points [m], k >= 2, at any distances; one nearer than `NEAR` to the one before is left out.
         looks: Heading with which it begins [rad]; where that is against the way, it is driven tail first.
-        wander: How far it may go beside the polygon of the points, on average [m]; its ends stay where they are.
+        wander: How far it may go beside the polygon of the points, on average [m]; less where they are smooth, and
+            nowhere further than `FARTHEST` times that. Its ends stay where they are.
 
     Attributes:
         span: Length of the polygon [m], which is the curve's parameter.
@@ -83,6 +84,8 @@ class Smoothed(BasePath):
     """
 
     SPACING: ClassVar[float] = 0.05  # of what the spline goes through [m]
+    NEAR: ClassVar[float] = 0.04  # [m]
+    FARTHEST: ClassVar[float] = 2.5
     followable: ClassVar[bool] = True
 
     points: Any
@@ -99,9 +102,8 @@ class Smoothed(BasePath):
 
     @cached_property
     def _polygon(self) -> tuple[Array, Array]:
-        """Its points (k, 2), none twice, and how far along each is, (k,)."""
-        points = np.asarray(self.points, float)
-        points = points[np.append(True, hypot(*np.diff(points, axis=0).T) > 1e-3)]
+        """Its points (k, 2), none near the one before, and how far along each is, (k,)."""
+        points = thinned(np.asarray(self.points, float), self.NEAR)
         return points, np.append(0.0, np.cumsum(hypot(*np.diff(points, axis=0).T)))
 
     @property
@@ -110,20 +112,20 @@ class Smoothed(BasePath):
         return float(self._polygon[1][-1])
 
     @cached_property
-    def _spline(self) -> tuple[Any, Array, Array]:
-        """The spline, parameters (N,) close to each other, and the headings there, without jumps."""
-        from scipy.interpolate import splev, splprep  # slow to import, seldom needed
-
+    def _spline(self) -> tuple[list[Any], Array, Array]:
+        """The spline and its derivatives, parameters (N,) close to each other, and headings there, without jumps."""
         points, along = self._polygon
         count = max(8, round(self.span / self.SPACING) + 1)
-        at = np.linspace(0.0, self.span, count)
-        dense = [np.interp(at, along, column) for column in points.T]
-        weights = np.ones(count)
-        weights[[0, -1]] = 100.0  # it begins and ends where it should
-        spline, _ = splprep(dense, w=weights, u=at, k=5, s=count * self.wander**2)
-        u = np.linspace(0.0, self.span, max(50, 4 * count))
-        dx, dy = splev(u, spline, der=1)
-        return spline, u, np.unwrap(atan2(dy, dx))
+        u = np.union1d(np.linspace(0.0, self.span, max(50, 4 * count)), along)
+        polygon = np.array([np.interp(u, along, column) for column in points.T])
+        wander = min(self.wander, roughness(points, along))
+        spline = fitted(points, along, count, wander)
+        while wander > EXACT and hypot(*(spline(u).T - polygon)).max() > self.FARTHEST * self.wander:
+            wander /= 2
+            spline = fitted(points, along, count, wander)
+        splines = [spline, *(spline.derivative(i) for i in (1, 2, 3))]
+        dx, dy = splines[1](u).T
+        return splines, u, np.unwrap(atan2(dy, dx))
 
     def sample(self, t: ArrayLike) -> BaseSamples:
         """See `BasePath.sample`: at 1 m of the polygon a second, and at rest at its end."""
@@ -134,37 +136,74 @@ class Smoothed(BasePath):
 
     def curve(self, s: Array) -> Curve:
         """The geometry at s (k,)."""
-        from scipy.interpolate import splev  # slow to import, seldom needed
+        splines, u, headings = self._spline
+        tail_first = self.looks is not None and bool(cos_sin(self.looks - headings[0])[0] < AGAINST)
+        return curve_along([one(s) for one in splines], np.interp(s, u, headings), tail_first)
 
-        spline, u, headings = self._spline
-        (x, y), (x1, y1), (x2, y2), (x3, y3) = (splev(s, spline, der=i) for i in range(4))
-        g = hypot(x1, y1)
-        dg = (x1 * x2 + y1 * y2) / g
-        k = (x1 * y2 - y1 * x2) / g**2
-        dk = (x1 * y3 - y1 * x3) / g**2 - 2 * k * dg / g
-        near = np.interp(s, u, headings)
-        c, sine = cos_sin(near)
-        phi = near + atan2(c * y1 - sine * x1, c * x1 + sine * y1)
-        if self.looks is not None and cos_sin(self.looks - headings[0])[0] < AGAINST:
-            phi, g, dg = phi + np.pi, -g, -dg
-        return Curve(x, y, phi, g, dg, k, dk)
+
+def thinned(points: Array, near: float) -> Array:
+    """Points (k, 2) without those that are nearer to the one kept before; the first and the last stay."""
+    kept = [0]
+    for i, (x, y) in enumerate(points.tolist()):
+        dx, dy = x - points[kept[-1], 0], y - points[kept[-1], 1]
+        if dx * dx + dy * dy >= near * near:
+            kept.append(i)
+    if len(kept) > 1 and hypot(*(points[-1] - points[kept[-1]])) < near:
+        kept.pop()
+    return points[[*kept, len(points) - 1]]
+
+
+def roughness(points: Array, along: Array) -> float:
+    """How far a polygon through points (k, 2), so far along (k,), is from its mean over 0.3 m, on average [m]."""
+    at = np.linspace(0.0, along[-1], round(along[-1] / 0.05) + 1)
+    dense = np.array([np.interp(at, along, column) for column in points.T])
+    room = min(3, len(at) - 1)
+    wide = np.pad(dense, ((0, 0), (room, room)), "reflect", reflect_type="odd")
+    means = np.lib.stride_tricks.sliding_window_view(wide, 2 * room + 1, axis=1).mean(axis=2)
+    return float(np.sqrt(np.mean(np.sum((dense - means) ** 2, axis=0))))
+
+
+def fitted(points: Array, along: Array, count: int, wander: float) -> Any:
+    """A spline along points (k, 2) that are so far along, from the first to the last of them exactly.
+
+    Args:
+        points: Corners of a polygon.
+        along: (k,) the parameter at each [m].
+        count: How many points of the polygon it is fitted to.
+        wander: How far it goes beside them, on average [m].
+    """
+    from scipy.interpolate import PPoly, splprep  # slow to import, seldom needed
+
+    at = np.linspace(0.0, along[-1], count)
+    weights = np.ones(count)
+    weights[[0, -1]] = 100.0
+    dense = [np.interp(at, along, column) for column in points.T]
+    (knots, parts, degree), _ = splprep(dense, w=weights, u=at, k=5, s=count * wander**2 if wander > EXACT else 0.0)
+    parts = np.array(parts).T
+    places = np.array([knots[i + 1 : i + 1 + degree].mean() for i in range(len(parts))])[:, None] / along[-1]
+    lacks = points[[0, -1]] - parts[[0, -1]]  # of its ends; a line in between is one of the coefficients there
+    parts += (1 - places) * lacks[0] + places * lacks[1]
+    pieces = [PPoly.from_spline((knots, part, degree)) for part in parts.T]
+    return PPoly(np.stack([piece.c for piece in pieces], axis=2), knots)
 
 
 @dataclass(frozen=True)
 class Timed(BasePath):
-    """A path of the base from rest to rest, as fast as limits allow; its own speed and ramps do not count.
+    """A path of the base to rest at its end, as fast as limits allow; its own speed and ramps do not count.
 
     Args:
-        path: `Waypoints`, one lap of an `Eight`, or points that are `Smoothed`.
+        path: `Waypoints`, one lap of an `Eight`, points that are `Smoothed`, or another curve.
         speed: Largest speed [m/s].
         yaw_rate: [rad/s].
         acceleration: [m/s^2].
         yaw_acceleration: [rad/s^2].
         lateral: Largest lateral acceleration v w [m/s^2].
         wheels: Of every drive wheel the factors a and b of its speed `a v + b w`, and its largest speed.
+        pace: Rate of the curve's parameter at the start, 0 for rest; at most `fastest_entry` counts.
 
     Attributes:
         duration: Time from start to rest at the end [s].
+        fastest_entry: The largest pace from which the limits can be kept to.
 
     Raises:
         TrajectoryError: A limit that is not positive, or a path of another kind.
@@ -172,13 +211,14 @@ class Timed(BasePath):
 
     followable: ClassVar[bool] = True
 
-    path: Waypoints | Eight | Smoothed
+    path: Drivable
     speed: float = 1.0
     yaw_rate: float = 1.5
     acceleration: float = 1.0
     yaw_acceleration: float = 2.0
     lateral: float = 1.0
     wheels: tuple[tuple[float, float, float], ...] = ()
+    pace: float = 0.0
 
     def __post_init__(self) -> None:
         names = ("speed", "yaw_rate", "acceleration", "yaw_acceleration", "lateral")
@@ -186,17 +226,19 @@ class Timed(BasePath):
         for forward, turning, fastest in self.wheels:
             require_finite(wheels=(forward, turning))
             require_positive(wheels=fastest)
-        if not isinstance(self.path, Waypoints | Eight | Smoothed):
+        require_finite(pace=self.pace)
+        if not isinstance(self.path, Drivable):
             fix = "give Waypoints, an Eight, or Smoothed points"
             raise TrajectoryError(f"{type(self.path).__name__} cannot be timed", fix=fix)
 
     @classmethod
     def of(
         cls,
-        path: Waypoints | Eight | Smoothed,
+        path: Drivable,
         robot: Robot,
         limits: Limits = Limits(),  # noqa: B008 (frozen)
         lateral: float = 1.0,
+        pace: float = 0.0,
     ) -> Self:
         """A path under the limits of setpoints, and those of a robot's wheels as its URDF states them."""
         nb, speeds = robot.dimensions.base, speed_limits(robot)
@@ -207,20 +249,24 @@ class Timed(BasePath):
             if np.isfinite(fastest) and fastest > 0
         )
         of = limits.speed, limits.yaw_rate, *limits.accelerations
-        return cls(path, *of, lateral, wheels)
+        return cls(path, *of, lateral, wheels, pace)
 
     @property
     def duration(self) -> float:
         """Time from start to rest at the end [s]."""
         return float(self._timing[3][-1])
 
+    @property
+    def fastest_entry(self) -> float:
+        """The largest rate of the curve's parameter at the start from which the limits can be kept to."""
+        return math.sqrt(self._able[-1][0])
+
     @cached_property
-    def _bounds(self) -> tuple[Array, list[Bounds]]:
-        """The grid (N,), and what holds on it."""
+    def _able(self) -> tuple[Array, Array, Array, Array]:
+        """The grid (N,), factors and reach of what bounds u there (m, N), and the largest x (N,)."""
         span = self.path.span
-        s = np.linspace(0.0, abs(span), POINTS)
-        forward = np.sign(span)
-        length = float(np.mean(np.abs(self.path.curve(forward * s).g + 0.0 * s)) * abs(span))
+        forward, s = np.sign(span), np.linspace(0.0, abs(span), 100)
+        length = float(np.mean(np.abs(self.path.curve(forward * s).g)) * abs(span))
         s = np.linspace(0.0, abs(span), max(POINTS, math.ceil(length / APART)))
         curve, zero = self.path.curve(forward * s), np.zeros_like(s)
         g, k, dg, dk = forward * (curve.g + zero), forward * (curve.k + zero), curve.dg + zero, curve.dk + zero
@@ -234,28 +280,21 @@ class Timed(BasePath):
         most += list(np.where(abs(a) < tiny, c / np.maximum(abs(b), tiny), np.inf))  # what u does not move
         after = np.minimum(np.arange(1, len(s) + 1), len(s) - 1)  # at the next point x is x + 2 step u
         a, b = np.vstack((a, a[:, after] + 2 * (s[1] - s[0]) * b[:, after])), np.vstack((b, b[:, after]))
-        c = np.vstack((c, c))
         a, b = np.where(abs(a) < tiny, tiny, a), np.where(abs(a) < tiny, 0.0, b)
-        rows = zip(np.min(most, axis=0).tolist(), a.T.tolist(), b.T.tolist(), strict=True)
-        reach = c[:, 0].tolist()
-        return s, [Bounds(one, tuple(zip(*factors, reach, strict=True))) for one, *factors in rows]
+        slope, reach, able = b / a, np.vstack((c, c)) / abs(a), np.min(most, axis=0)
+        look_back(2 * float(s[1] - s[0]), slope, reach, able)
+        return s, slope, reach, able
 
     @cached_property
     def _timing(self) -> tuple[Array, Array, Array, Array]:
         """The grid, x on it (N,), u after each point (N - 1,), and when each is reached (N,)."""
-        s, bounds = self._bounds
-        step, count = float(s[1] - s[0]), len(s)
-        able = [0.0] * count  # the largest x from which rest at the end can be reached
-        for i in range(count - 2, -1, -1):
-            able[i] = largest(bounds[i], step, able[i + 1])
-        x, u = [0.0], list[float]()
-        for i in range(count - 1):
-            low, high = bounds[i].freedom(x[i])
-            u.append(max(min(high, (able[i + 1] - x[i]) / (2 * step)), low, -x[i] / (2 * step)))
-            x.append(max(x[i] + 2 * step * u[i], 0.0))
+        s, slope, reach, able = self._able
+        step, x, u = float(s[1] - s[0]), np.zeros(len(s)), np.zeros(len(s) - 1)
+        x[0] = min(self.pace**2, able[0])
+        drive_on(2 * step, slope, reach, able, x, u)
         speed = np.sqrt(x)
         passed = 2 * step / np.maximum(speed[:-1] + speed[1:], 1e-12)
-        return s, np.array(x), np.array(u), np.append(0.0, np.cumsum(passed))
+        return s, x, u, np.append(0.0, np.cumsum(passed))
 
     def sample(self, t: ArrayLike) -> BaseSamples:
         """See `BasePath.sample`."""
@@ -271,17 +310,52 @@ class Timed(BasePath):
         return driven(t, progress, self.path.curve(progress.s))
 
 
-def largest(bounds: Bounds, step: float, after: float) -> float:
-    """The largest x at a point from which one step leads to no more than `after`; all below it do so too."""
+@compiled
+def look_back(double: float, slope: Array, reach: Array, able: Array) -> None:
+    """The largest x from which the end of a grid can be reached at rest.
 
-    def leads(x: float) -> bool:
-        low, high = bounds.freedom(x)
-        return low <= high and x + 2 * step * low <= after and x + 2 * step * high >= 0.0
+    A limit allows `u` in `-slope x +- reach`. All that is asked of x at a point is linear in it: that some u keeps to
+    two limits at a time, and leads no further than to the next point's largest x and not below 0.
 
-    low, high = 0.0, bounds.most
-    if leads(high):
-        return high
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if leads(middle) else (low, middle)
-    return low
+    Args:
+        double: Twice the distance of two points.
+        slope: (m, N) of every limit at every point.
+        reach: (m, N) likewise.
+        able: (N,) the largest x by speeds, then by all.
+    """
+    able[able.size - 1] = 0.0
+    for i in range(able.size - 2, -1, -1):
+        most = able[i]
+        for j in range(slope.shape[0]):
+            lean, far = 1.0 - double * slope[j, i], double * reach[j, i]
+            if lean > 0.0:
+                most = min(most, (able[i + 1] + far) / lean)
+            elif lean < 0.0:
+                most = min(most, -far / lean)
+            for k in range(j):
+                apart = abs(slope[j, i] - slope[k, i])
+                if apart > 0.0:
+                    most = min(most, (reach[j, i] + reach[k, i]) / apart)
+        able[i] = most
+
+
+@compiled
+def drive_on(double: float, slope: Array, reach: Array, able: Array, x: Array, u: Array) -> None:
+    """Drive along a grid as fast as what comes allows.
+
+    Args:
+        double: Twice the distance of two points.
+        slope: (m, N) of every limit at every point, see `look_back`.
+        reach: (m, N) likewise.
+        able: (N,) the largest x.
+        x: (N,) its first is given, the others are found.
+        u: (N - 1,) is found.
+    """
+    for i in range(u.size):
+        low, high = -x[i] / double, (able[i + 1] - x[i]) / double
+        for j in range(slope.shape[0]):
+            high = min(high, reach[j, i] - slope[j, i] * x[i])
+        for j in range(slope.shape[0]):
+            low = max(low, -reach[j, i] - slope[j, i] * x[i])
+        u[i] = max(low, high)
+        x[i + 1] = max(x[i] + double * u[i], 0.0)

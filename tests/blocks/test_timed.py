@@ -119,6 +119,46 @@ def test_points_of_a_planner_are_smoothed_and_timed(length, bent, tail_first, se
     assert abs(driven.velocity[[0, -1]]).max() < 1e-6
 
 
+@given(
+    st.lists(st.tuples(st.floats(0.1, 1.5), st.floats(-1.75, 1.75)), min_size=1, max_size=8), st.floats(0.005, 0.03)
+)  # fmt: skip
+@settings(max_examples=100)
+def test_a_smooth_way_stays_within_its_bound_and_keeps_its_ends(stretches, wander):
+    """Beside a planner's points at 5 cm, with corners of up to 100 degrees."""
+    ways = np.cumsum([turn for _, turn in stretches])
+    corners = np.vstack(
+        [
+            (0.0, 0.0),
+            *(length * np.array([np.cos(a), np.sin(a)]) for (length, _), a in zip(stretches, ways, strict=True)),
+        ]
+    )
+    corners = np.cumsum(corners, axis=0)
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(corners, axis=0).T)))
+    at = np.union1d(np.arange(0.0, along[-1], 0.05), along)
+    points = np.stack([np.interp(at, along, column) for column in corners.T], axis=1)
+    smooth = Smoothed(points, wander=wander)
+    curve = smooth.curve(np.linspace(0.0, smooth.span, 3000))
+    way = np.stack([curve.x, curve.y], axis=1)
+    assert way[[0, -1]] == pytest.approx(points[[0, -1]], abs=1e-9)
+    bound = Smoothed.FARTHEST * wander + Smoothed.NEAR  # a point near the one before is left out
+    assert np.hypot(*(way[:, None] - points).transpose(2, 0, 1)).min(axis=0).max() < bound
+    fine = np.stack([np.interp(np.linspace(0.0, along[-1], 2000), along, column) for column in corners.T], axis=1)
+    assert np.hypot(*(way[::10, None] - fine).transpose(2, 0, 1)).min(axis=1).max() < bound
+    assert curve.g.min() > 0.2  # it never stands, and so has a heading everywhere
+
+
+@given(st.floats(0.05, 0.79), st.floats(0.6, 3.0))
+def test_a_way_begun_in_motion_is_driven_by_the_rest_of_the_trapezoid(pace, length):
+    path = Timed(Waypoints(((0.0, 0.0), (length, 0.0)), 0.5, 0.3, ramp=0.0), pace=pace, **LIMITS)
+    speed, a = LIMITS["speed"], LIMITS["acceleration"]
+    top = min(speed, math.sqrt(a * length + pace**2 / 2))
+    ramps = (top - pace) / a + top / a
+    closed = ramps + (length - (2 * top**2 - pace**2) / (2 * a)) / top
+    assert path.duration == pytest.approx(closed, rel=0.01)
+    assert path.sample([0.0]).velocity[0, 0] == pytest.approx(pace)
+    assert path.fastest_entry == pytest.approx(min(speed, math.sqrt(2 * a * length)), rel=1e-3)
+
+
 def test_a_robots_wheels_and_a_motion_of_it():
     robot = load("platform_arm")
     path = Timed.of(Waypoints(POINTS, 0.5, 0.4, ramp=0.0), robot, Limits(speed=0.7), lateral=0.5)

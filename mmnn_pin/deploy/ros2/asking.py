@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from ...reference import Smoothed
+from ...reference.drive import Drive
 from ...reference.wishes import BaseVelocity, Motion, Stand, Wish
 from ...signals import Array
 from . import messages as msg
 from .action import ArmAction
 from .link import Inlet, Link, decoded
 from .planned import Arm, Made, Planner, Refused, base_motion, rest_of
-from .sensing import STILL, Clock, Planar, Tree, composed, wrapped
+from .sensing import STILL, Clock, Planar, Tree, composed, inverse, wrapped
 from .settings import Node
 
 
@@ -33,6 +33,7 @@ class Asking:
         tree: Frames.
 
     Attributes:
+        base: (3 + nb,) pose and velocity of the base's reference.
         route: The path that is followed, its frame, where that was placed, and since when [s]; None for none.
     """
 
@@ -46,6 +47,7 @@ class Asking:
         made = [None if topic is None else Inlet(link, topic.topic, kind, topic) for topic, kind in kinds]
         self.velocity, self.trajectory, self.path = made
         self.inlets = [inlet for inlet in made if inlet is not None]
+        self.base = np.zeros(0)
         self.route: tuple[Motion, str, Planar, float] | None = None
 
     def rehearse(self) -> None:
@@ -55,19 +57,28 @@ class Asking:
         if here.size:
             trajectory = msg.JointTrajectory(msg.Header(msg.Time()), list(self.arm.names), points)
             self.arm.motion(trajectory, np.stack([here, 0.0 * here, 0.0 * here]))
-        Smoothed(np.array([(0.0, 0.0), (1.0, 0.0)])).sample([0.0])
+        d, route = self.arm.robot.dimensions, self.settings.path
+        if route is not None and d.base:
+            header, spots = msg.Header(msg.Time()), [msg.Point(), msg.Point(1.0), msg.Point(1.0, 1.0)]
+            poses = [msg.PoseStamped(header, msg.Pose(spot, msg.Quaternion())) for spot in spots]
+            start = np.array([0.0, 1.0, 0.0]), np.ones(d.base)
+            base_motion(msg.Path(header, poses), route, self.settings.limits, self.arm.robot, self.arm.period, start)
 
-    def poll(self, clock: Clock, steady: float, reference: Array, measured: Array, stopped: bool) -> tuple[Wish, ...]:
+    def poll(
+        self, clock: Clock, steady: float, reference: Array, base: Array, measured: Array, stopped: bool
+    ) -> tuple[Wish, ...]:
         """What is asked from now on.
 
         Args:
             clock: The node's.
             steady: The machine's steady time [s].
             reference: (3, n) q, qdot, qddot of the arm's reference.
+            base: (3 + nb,) pose and velocity of the base's reference.
             measured: (2, n) q, qdot.
             stopped: Whether the supervisor has stopped the robot.
         """
         found: list[Wish] = []
+        self.base = base.copy()
         if self.velocity is not None and (message := self.velocity.newest(steady)) is not None:
             found += self._base_velocity(self.velocity, message, clock)
         if self.trajectory is not None and (data := self.trajectory.newest(steady, raw=True)) is not None:
@@ -110,7 +121,7 @@ class Asking:
         self.planner.plan(make, done)
 
     def _base_path(self, inlet: Inlet, data: bytes, clock: Clock) -> None:
-        """Make a motion of a path, and place it by what `/tf` says when it is ready."""
+        """Make a motion of a path, and begin it from the reference, placed by what `/tf` says, when it is ready."""
         arm, route, limits, frame = self.arm, self.settings.path, self.settings.limits, [""]
         assert route is not None
 
@@ -125,6 +136,8 @@ class Asking:
                 unknown = f"no way from '{frame[0]}' to the odometry's frame by /tf"
                 inlet.refuse(str(made) if isinstance(made, Refused) else unknown)
                 return None
+            if isinstance(made, Drive):
+                made = made.placed(*seen_from(placed, self.base))
             self.route = None if isinstance(made, Stand) else (made, frame[0], placed, clock.now)
             return made if isinstance(made, Stand) else rest_of(made, 0.0, placed)
 
@@ -159,3 +172,9 @@ class Asking:
         self.planner.close()
         if self.action is not None:
             self.action.close()
+
+
+def seen_from(place: Planar, base: Array) -> tuple[Planar, Array]:
+    """Pose and velocity (nb,) of a base (3 + nb,) in a frame at a place."""
+    x, y, phi = base[:3].tolist()
+    return composed(inverse(place), (x, y, phi)), base[3:]

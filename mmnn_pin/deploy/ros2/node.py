@@ -174,7 +174,8 @@ class Bridge:
         d, follower = self.stepper.robot.dimensions, self.stepper.follower
         reference = follower.now[follower.q :].reshape(3, d.arm)
         arm = np.array([self.sensing.q[: d.arm], self.sensing.qdot[: d.arm]])
-        asked = self.asking.poll(self.clock, steady, reference, arm, self.stepper.tripped)
+        base = follower.now[: d.pose + d.base]
+        asked = self.asking.poll(self.clock, steady, reference, base, arm, self.stepper.tripped)
         measurement = self.sensing.measurement()
         measured = min(self.sensing.when, time) if measurement is not None else None
         command = self.stepper.step(time, measurement, asked + more or None, measured=measured)

@@ -6,23 +6,23 @@ and with the number that the action `FollowJointTrajectory` has for it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass
 
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...elementary import atan2, nearest_turn
+from ...elementary import nearest_turn
+from ...elementary.arrays import atan2
 from ...errors import ConfigError, MmnnError, TrajectoryError
-from ...model.base.holonomic import moves_sideways
 from ...model.robot import Robot
-from ...reference import Holonomic, Smoothed, Timed, Trajectory
+from ...reference.drive import Drive
 from ...reference.guide import ARM, BASE, Guide, new_guide
 from ...reference.limits import Limits
 from ...reference.motion import require_within, slopes
+from ...reference.route import Route as Way
 from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array
 from . import messages as msg
@@ -182,14 +182,22 @@ class Planner:
 def rest_of(motion: Motion, elapsed: float, shift: Planar | None = None) -> Motion:
     """What is left of a motion after some time [s], its path moved in the plane."""
     k = min(round(elapsed / motion.period), len(motion.table) - 1)
-    return replace(motion, table=motion.table[k:], shift=motion.shift if shift is None else np.array(shift))
+    moved = motion.shift if shift is None else np.array(shift)
+    return Motion(motion.table[k:], motion.period, motion.parts, motion.dimensions, shift=moved)
 
 
-def base_motion(message: msg.Path, route: Route, limits: Limits, robot: Robot, period: float) -> Motion | Stand:
-    """A path of the base from rest to rest, along its arc length, in the frame of the message; standing without poses.
+def base_motion(
+    message: msg.Path,
+    route: Route,
+    limits: Limits,
+    robot: Robot,
+    period: float,
+    start: tuple[ArrayLike, ArrayLike] | None = None,
+) -> Drive | Stand:
+    """A path of the base to rest at its end, in the frame of the message; standing without poses.
 
-    The points are `Smoothed`, and driven as fast as speeds, accelerations and wheels allow (`Timed`). Poses that look
-    against the way are driven tail first.
+    The points are smoothed, and driven as fast as speeds, accelerations and wheels allow: ahead, or in reverse where
+    their headings say so, turning on the spot where the way turns back (`reference.route`). One pose is driven to.
 
     Args:
         message: Of the planner.
@@ -197,9 +205,11 @@ def base_motion(message: msg.Path, route: Route, limits: Limits, robot: Robot, p
         limits: What the robot keeps to.
         robot: The robot.
         period: Between two samples [s].
+        start: Pose (3,) and velocity (nb,) of the reference in the frame of the message; None for the path's own start,
+            until the motion is taken over.
 
     Raises:
-        Refused: Points that are not finite, too many, or all in one place; no base to follow.
+        Refused: Poses that are not finite, too many; no base to follow.
     """
     if not robot.dimensions.base:
         raise Refused("a path for a robot without a base")
@@ -207,18 +217,18 @@ def base_motion(message: msg.Path, route: Route, limits: Limits, robot: Robot, p
         return Stand((BASE,))
     if len(message.poses) > MOST_POINTS:
         raise Refused(f"{len(message.poses):,} poses: at most {MOST_POINTS:,}")
-    points = np.array([(one.pose.position.x, one.pose.position.y) for one in message.poses])
-    if not (np.abs(points) < 1e6).all():
+    points = np.array([(one.pose.position.x, one.pose.position.y) for one in message.poses], float)
+    x, y, z, w = np.array([astuple(one.pose.orientation) for one in message.poses], float).T
+    if not ((np.abs(points) < 1e6).all() and np.isfinite([x, y, z, w]).all()):
         raise Refused("poses that are not finite")
     slower = msgspec.structs.replace(
         limits, speed=min(route.speed, limits.speed), acceleration=min(route.acceleration, limits.accelerations[0])
     )
+    told = x * x + y * y + z * z + w * w > 1e-6
+    headings = np.where(told, atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.nan)
     try:
-        first = message.poses[0].pose.orientation
-        looks = atan2(2.0 * (first.w * first.z + first.x * first.y), 1.0 - 2.0 * (first.y**2 + first.z**2))
-        timed = Timed.of(Smoothed(points, looks), robot, slower, route.lateral)
-        base = Holonomic(timed) if moves_sideways(robot.dimensions.base) else timed
-        end = math.ceil(timed.duration / period) * period
-        return Motion.of(Trajectory(base), end, period, robot.dimensions)
+        asked = Way.of(points, headings, told & (abs(headings) < 1e-6))
+        drive = Drive.along(asked, robot, slower, route.lateral, period)
     except TrajectoryError as error:
         raise Refused(error.what) from error
+    return drive if start is None else drive.placed(*start)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,19 +14,23 @@ from hypothesis import strategies as st
 
 pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
 
-from mmnn_pin import load
+from mmnn_pin import PD, Stepper, load
 from mmnn_pin.deploy.ros2 import messages as msg
+from mmnn_pin.deploy.ros2.action import encoded
 from mmnn_pin.deploy.ros2.asking import Asking
-from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Refused, base_motion, rest_of
+from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Planner, Refused, base_motion, rest_of
 from mmnn_pin.deploy.ros2.sensing import Clock, Sensing, Tree, composed, inverse
 from mmnn_pin.deploy.ros2.settings import Base, Clocks, Frames, Joints, Node, Output, Route
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.urdf.reading import parse
+from mmnn_pin.reference.drive import Drive
 from mmnn_pin.reference.follower import Follower
 from mmnn_pin.reference.guide import ARM, BASE
 from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import Stand
+from mmnn_pin.safety import Safety
+from mmnn_pin.signals import Measurement
 
 ROBOT = load("platform_arm")
 COMMANDS = (Output("/a", joints=ROBOT.actuator_names),)
@@ -277,8 +282,97 @@ def test_a_path_is_moved_with_its_map() -> None:
     moved.write(0.0, out)
     assert out[:3] == pytest.approx([2.0, 3.0 + motion.table[100, 0], math.pi / 2])
     assert base_motion(path([], 0.0), Route(), Limits(), ROBOT, 0.01) == Stand((BASE,))
-    with pytest.raises(Refused, match="all in one place"):
-        base_motion(path([(1.0, 1.0)] * 5, 0.0), Route(), Limits(), ROBOT, 0.01)
+    with pytest.raises(Refused, match="not finite"):
+        base_motion(path([(1.0, 1.0), (1.0, math.nan)], 0.0), Route(), Limits(), ROBOT, 0.01)
+    with pytest.raises(Refused, match="20,000 poses"):
+        base_motion(path([(1.0, 1.0)] * 20_000, 0.0), Route(), Limits(), ROBOT, 0.01)
+
+
+def closed_loop(motion: Any, start: tuple[float, float, float], seconds: float) -> np.ndarray:
+    """Poses and velocities (N, 5) of an exact unicycle whose wheels turn as they are told."""
+    robot, n = ROBOT, ROBOT.dimensions.arm
+    wheels = robot.actuator_names[:2]
+    stepper = Stepper(robot, PD(), safety=Safety(), period=0.01, interfaces=dict.fromkeys(wheels, "velocity"))
+    q, pose, nu, seen = robot.rest[robot.arm_index], np.array(start, float), np.zeros(2), []
+    for k in range(round(seconds / 0.01)):
+        measured = Measurement(pose.copy(), nu.copy(), q, np.zeros(n))
+        turning = stepper.step(0.01 * k, measured, motion if k == 5 else None).motor_velocity[:2]
+        nu = np.linalg.solve(robot.E.T[:2, :2], np.nan_to_num(turning))
+        middle = pose[2] + 0.005 * nu[1]
+        pose += 0.01 * np.array([nu[0] * math.cos(middle), nu[0] * math.sin(middle), nu[1]])
+        assert not stepper.is_over, stepper.tripped
+        seen.append(np.append(pose, nu))
+    return np.array(seen)
+
+
+BACK, TIP = [(-0.05 * i, 0.0) for i in range(41)], [(1.0 - abs(1.0 - 0.05 * i), 0.0) for i in range(36)]
+# points, quaternions (z, w), pose of the robot; turned, ahead, in reverse, heading at the end
+CLOSED = {
+    "identities": (BACK, [(0, 1)] * 41, (0, 0, math.pi), (0, 2, 0, math.pi)),
+    "zeros": (BACK, [(0, 0)] * 41, (0, 0, math.pi), (0, 2, 0, math.pi)),
+    "first true": (BACK, [(1, 0)] + [(0, 1)] * 40, (0, 0, math.pi), (0, 2, 0, math.pi)),
+    "turned away": (BACK, [(0, 1)] * 41, (0, 0, 0), (math.pi, 2, 0, math.pi)),
+    "tip": (TIP, [(0, 1)] * 36, (0, 0, 0), (0, 1, 0.75, 0)),
+    "tip without headings": (TIP, [(0, 0)] * 36, (0, 0, 0), (math.pi, 1.75, 0, math.pi)),
+    "aside": (BACK, [(1, 0)] * 41, (1, -1, 0), (3 * math.pi / 4 + math.pi / 4, 2 + math.sqrt(2), 0, math.pi)),
+    "one": ([(0.6, 0.8)], [(0.6, 0.8)], (0, 0, 0), (2 * math.atan2(0.6, 0.8), 1, 0, 2 * math.atan2(0.6, 0.8))),
+}
+
+
+@pytest.mark.parametrize("case", CLOSED)
+def test_in_closed_loop_what_moves_is_what_was_asked(case: str) -> None:
+    points, quaternions, start, (turned, ahead, reverse, heading) = CLOSED[case]
+    poses = [
+        msg.Pose(msg.Point(float(x), float(y)), msg.Quaternion(0.0, 0.0, float(z), float(w)))
+        for (x, y), (z, w) in zip(points, quaternions, strict=True)
+    ]
+    message = msg.Path(NOW, [msg.PoseStamped(NOW, pose) for pose in poses])
+    motion = base_motion(message, Route(), Limits(), ROBOT, 0.01)
+    seen = closed_loop(motion, start, 25.0)
+    v, w = seen[:, 3], seen[:, 4]
+    assert 0.01 * np.abs(w).sum() == pytest.approx(turned, abs=0.1)
+    assert 0.01 * np.array([np.maximum(v, 0).sum(), np.maximum(-v, 0).sum()]) == pytest.approx(
+        [ahead, reverse], abs=0.03
+    )
+    assert math.dist(seen[-1, :2], points[-1]) < 0.02 and abs(math.remainder(seen[-1, 2] - heading, math.tau)) < 0.05
+    assert not case.startswith("tip") or seen[:, 0].max() == pytest.approx(1.0, abs=0.02)
+    here = base_motion(message, Route(), Limits(), ROBOT, 0.01, (start, np.zeros(2)))
+    assert isinstance(motion, Drive) and isinstance(here, Drive)
+    assert np.array_equal(here.table, motion.placed(np.array(start, float)).table)
+
+
+def test_a_path_in_a_maps_frame_begins_at_the_reference() -> None:
+    """The base is at rest in the odometry's frame, 0.5 m beside the path, by its own angles and through the wishes."""
+    asking, tree = Asking.__new__(Asking), Tree()
+    asking.arm, asking.settings, asking.tree, asking.route = (
+        ARM_OF,
+        Node("r", COMMANDS, tf=Frames(), path=Route()),
+        tree,
+        None,
+    )
+    asking.planner, asking.base = Planner(), np.array([1.0, 2.0, 7.0, 0.0, 0.0])
+    place = (1.0, 1.5, math.pi / 2)  # of the map in the odometry's frame
+    tree.take(msg.TFMessage([transform("map", "odom", *inverse(place))]), 0.0)
+    message = path([(0.0, 0.1 * i) for i in range(1, 21)], math.pi / 2)  # y of the map is -x of the odometry
+    message.header.frame_id = "map"
+    asking._base_path(SimpleNamespace(refuse=pytest.fail), encoded(message), SimpleNamespace(now=0.0))  # type: ignore[arg-type]
+    wishes: list[Any] = []
+    while not wishes:
+        wishes = asking.planner.poll()
+    asking.planner.close()
+    follower = Follower(ROBOT, Limits(), 0.5)
+    follower.stand(np.array([1.0, 2.0, 7.0, 0.0, 0.0, *np.zeros(4)]))
+    seen = []
+    for k in range(3000):
+        follower.step(0.01 * k, 0.01, follower.measured, tuple(wishes), [follower.check(wish) for wish in wishes])
+        wishes = []
+        seen.append(follower.now[:5].copy())
+    table = np.array(seen)
+    assert table[0, :3] == pytest.approx([1.0, 2.0, 7.0], abs=1e-3)
+    assert np.abs(np.diff(table[:, :3], axis=0)).max() < 0.02
+    assert table[-1, :2] == pytest.approx([-1.0, 1.5], abs=1e-6) and math.remainder(
+        table[-1, 2], math.tau
+    ) == pytest.approx(math.pi)
 
 
 def test_a_correction_of_the_map_does_not_jerk_the_robot() -> None:
