@@ -393,7 +393,7 @@ class Stepper:
         robot, layout, plan = setup.robot, setup.layout, plan_outside(setup)
         if self.check_gains:
             require_stable_gains(plan)
-        limits = np.concatenate((self.limits.of_base(layout), self.limits.of_arm(robot)[:2]), axis=1)
+        limits = np.concatenate((self.limits.of_base(layout)[:2], self.limits.of_arm(robot)[:2]), axis=1)
         setup = replace(setup, safety=suited_safety(self.safety, plan, limits))
         hardware = new_hardware(setup, np.zeros(layout.dof), state, hardware_state)
         assert hardware is not None

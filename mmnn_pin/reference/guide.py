@@ -306,7 +306,7 @@ def follow_joint(i: int, dt: float, guide: Guide) -> None:
         stays = fits and (exact or (stays and not fresh) or in_one_step(place, rate, to, speed, most, dt))
     else:
         stays = stays or in_one_step(place, rate, to, speed, most, dt)
-        stays = stays and (low - NEAR <= to <= high + NEAR or not low <= place <= high)  # from outside it may come in
+        stays = stays and min(low - NEAR, place) <= to <= max(high + NEAR, place)  # from outside it may come in
     if stays:
         guide.home[1 + i] = 1
         for k in range(3):
