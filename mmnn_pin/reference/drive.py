@@ -35,6 +35,7 @@ NEAR = 0.1  # how far aside of a route the base counts as standing on it [m]
 REACHED = 0.01  # distance from a point that is not driven [m]
 REST = 1e-3  # velocity that counts as none [m/s, rad/s]
 ALIGNED, ALONG = 0.1, 0.5  # angle between heading and route that is curved away, standing and moving [rad]
+ONWARD = 0.3  # least progress of a curve onto a route in the direction in which it begins, by its length
 REACH = 0.3  # way on which the base curves onto a route, at least where there is room [m]
 TIGHTEST = 3.0  # curvature of a present motion that is gone on with [1/m]
 SLOWER = 0.9  # share of the present speed from which on a motion is gone on with
@@ -73,6 +74,13 @@ class Joined:
         bridge = BPoly.from_derivatives([0.0, length], [derivatives(here)[:3], derivatives(there)])
         return length, [bridge, *(bridge.derivative(i) for i in (1, 2, 3))], g, turn
 
+    @property
+    def forthcoming(self) -> float:
+        """The least of how far the bridge goes in the direction in which it begins, by its parameter."""
+        length, parts, _, _ = self._bridge
+        rates = parts[1](np.linspace(0.0, length, 50))
+        return float((rates @ rates[0]).min())
+
     def _after(self, s: Array, turn: float, g: float) -> Curve:
         """The curve at its parameters s (k,), turned by whole turns, its parameter stretched by g."""
         one = self.onto.curve(s)
@@ -95,6 +103,12 @@ class Joined:
         for name, values in both.items():
             values[~on], values[on] = getattr(bridge, name), getattr(rest, name)
         return Curve(**both)
+
+
+def faced(pose: Array, there: Array, away: float) -> Array:
+    """A pose (3,) turned on the spot as one of a route is, unless it curves onto it from so far aside [m]."""
+    heading = nearest_turn(there[2], pose[2])
+    return pose if abs(heading - pose[2]) <= ALIGNED and away >= TINY else np.array([pose[0], pose[1], heading])
 
 
 def derivatives(curve: Curve) -> Array:
@@ -194,26 +208,27 @@ class Drive(Motion):
             at = blocks[-1][-1, :3] if blocks else pose
             return blocks + ([] if self.route.heading is None else self.turned(at, self.route.heading))
         leg = legs[0]
-        curve = self.joined(leg, s, away, pose, 0.0, 0.0)
-        if curve is None or away > NEAR:
-            s = s if away > NEAR else leg.path.span
+        if away > NEAR or self.joined(leg, s, away, faced(pose, leg.pose(s), away), 0.0, 0.0) is None:
+            s = leg.path.span if away <= NEAR and leg.path.span - s <= 4 * away else s
             blocks, away = self.driven_to(pose, leg.pose(s)[:2]), 0.0
             pose = blocks[-1][-1, :3] if blocks else pose
-        there = leg.pose(s)
-        if abs(nearest_turn(there[2] - pose[2], 0.0)) > ALIGNED or away < TINY:
-            blocks += self.turned(pose, there[2])
-            pose = np.array([pose[0], pose[1], nearest_turn(there[2], pose[2])])
+        at = faced(pose, leg.pose(s), away)
+        blocks += self.turned(pose, at[2])
         if s == 0.0 and away < TINY:
             blocks.append(self.blocks[0])
-        elif (curve := self.joined(leg, s, away, pose, 0.0, 0.0)) is not None:
+        elif (curve := self.joined(leg, s, away, at, 0.0, 0.0)) is not None:
             blocks.append(self.driven(curve))
         return [*blocks, *self.blocks[1:]]
 
     def joined(self, leg: Leg, s: float, away: float, pose: Array, bend: float, speed: float) -> Joined | None:
         """The curve from a pose (3,) onto a leg that passes it at s; None where there is no room."""
-        room = leg.path.span - s
-        reach = min(max(REACH, 5 * away, speed), room)
-        return Joined(leg.path, s + reach, pose, bend, leg.backwards) if reach > max(4 * away, 2 * REST) else None
+        reach = min(max(REACH, 5 * away, speed), leg.path.span - s)
+        while reach > max(4 * away, 2 * REST):
+            curve = Joined(leg.path, s + reach, pose, bend, leg.backwards)
+            if curve.forthcoming > ONWARD:
+                return curve
+            reach /= 2
+        return None
 
     def driven_to(self, pose: Array, point: Array, least: float = TINY) -> list[Array]:
         """A turn on the spot towards a point (2,), and the way to it of at least some length [m], from a pose (3,)."""

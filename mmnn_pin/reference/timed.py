@@ -33,7 +33,7 @@ from .path import BasePath, BaseSamples, Curve, Progress, driven, require_finite
 
 AGAINST = -0.5  # cosine of a heading to the way below which it looks backwards
 EXACT = 1e-3  # a curve that wanders less goes through its points [m]
-POINTS, APART = 800, 0.005  # of the grid, at least; and how far apart they may be [m]
+POINTS, APART = 800, 0.003  # of the grid, at least; and how far apart they may be [m]
 
 
 @runtime_checkable

@@ -263,6 +263,13 @@ def test_the_curve_onto_a_route_has_the_derivatives_that_it_says_and_no_corner(a
         assert getattr(left, one) == pytest.approx(getattr(right, one), abs=1e-5), one
 
 
+def test_the_curve_onto_a_short_and_bent_way_does_not_wind():
+    """Its end bends so much that one polynomial to there would turn around on the spot, and leap by a whole turn."""
+    table = drive_of([(0.0, 0.0), (0.043, 0.073), (-0.023, 0.099)]).placed((-0.001, 0.0109, 1.0783), (0.068, 0.0)).table
+    assert np.abs(np.diff(table[:, 2])).max() <= 1.01 * PERIOD * LIMITS.yaw_rate
+    assert totals(table)[0] < 4.0
+
+
 def test_what_begins_there_already_is_kept():
     drive = drive_of(AHEAD).placed((0.0, 0.2, 0.0))
     assert drive.placed((0.0, 0.2, 1e-4)) is drive
