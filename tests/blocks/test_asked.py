@@ -128,7 +128,7 @@ class Promise(RuleBasedStateMachine):
         q, qdot, _ = self.state()
         at = np.append(0.0, np.sort(self.rng.uniform(0.1, 1.0, points))) * duration
         at[-1] = duration
-        if (np.diff(at) < 1e-3).any():
+        if (np.diff(at) < 2 * PERIOD).any():  # finer than its samples
             return
         first = q + off * self.rng.normal(size=q.size)
         way = np.cumsum(np.vstack((np.zeros(q.size), far * duration * self.rng.normal(size=(points, q.size)))), axis=0)
@@ -252,7 +252,7 @@ class Promise(RuleBasedStateMachine):
         assert (late | (np.abs(v - v0) <= most)).all(), "pushed harder than its limit"
         drift = np.abs(q - q0 - 0.5 * (v + v0) * dt)
         assert (late | (drift <= 0.5 * most * dt + 1e-7)).all(), "places that its rates do not explain"
-        inside = (q >= asked.low - 1e-6) | (q >= q0), (q <= asked.high + 1e-6) | (q <= q0)
+        inside = (q >= asked.low - 1e-5) | (q >= q0), (q <= asked.high + 1e-5) | (q <= q0)
         assert (late | (inside[0] & inside[1])).all(), "it leaves the interval of start and goal"
 
     def judge_base(self, before, dt):
