@@ -247,10 +247,8 @@ class Stepper:
         self.before[:] = self.follower.now
         self._command()
         if supervisor.state[PERIOD] > SLOW * self.period and not self.is_late:
-            self.is_late = True
-            self._tell(
-                f"stepped every {1e3 * supervisor.state[STEADY]:.3g} ms, its period is {1e3 * self.period:.3g} ms"
-            )
+            self.is_late, steady = True, 1e3 * supervisor.state[STEADY]
+            self._tell(f"stepped every {steady:.3g} ms, its period is {1e3 * self.period:.3g} ms")
         self.time, self.k, self.step_time = time, self.k + 1, perf_counter() - began
         return self.command
 
