@@ -30,7 +30,7 @@ from ..reference.limits import Limits
 from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
 from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
-from ..safety.supervisor import GOOD, HEARD, PERIOD
+from ..safety.supervisor import GOOD, HEARD, PERIOD, STEADY
 from ..sensing import Sensor, observe
 from ..settings import Numbers, Timing, require_gain
 from ..settings.arguments import checked
@@ -249,9 +249,9 @@ class Stepper:
         self.control.step(time, self.follower.now, before=self.before if self.k >= 0 else None)
         self.before[:] = self.follower.now
         self._command()
-        if (mean := supervisor.state[PERIOD]) > SLOW * self.period and not self.is_late:
-            self.is_late = True
-            self._tell(f"stepped every {1e3 * mean:.3g} ms, its period is {1e3 * self.period:.3g} ms")
+        if supervisor.state[PERIOD] > SLOW * self.period and not self.is_late:
+            self.is_late, steady = True, 1e3 * supervisor.state[STEADY]
+            self._tell(f"stepped every {steady:.3g} ms, its period is {1e3 * self.period:.3g} ms")
         self.time, self.k, self.step_time = time, self.k + 1, perf_counter() - began
         return self.command
 

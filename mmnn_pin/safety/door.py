@@ -46,6 +46,7 @@ from .supervisor import (
 
 POSE, QDOT = INDEX["pose"], INDEX["qdot"]
 NEAR = 0.01  # a joint this far beyond an end is there; farther, it is read a turn away if it can be [rad]
+FARTHEST = 8.0 * math.pi  # that a base is taken to turn between two measurements [rad]
 MEMORY = 0.2  # over which positions and velocities are compared [s]
 
 
@@ -125,7 +126,7 @@ def go_on(measured: Array, time: float, now: float, door: Door) -> None:
     first, nb, dt = measured.size - 2 * n, door.rows.shape[1] - n, max(time - door.state[HEARD], 0.0)
     keep = max(0.0, 1.0 - dt / MEMORY)
     if nb > 0:
-        ahead = min(max(dt * message[first - 1], -math.pi), math.pi)
+        ahead = min(max(dt * message[first - 1], -FARTHEST), FARTHEST)
         measured[2] = nearest_turn(measured[2], message[2] + ahead)
         if math.isfinite(door.rows[CONTRADICTION, 0]):
             compare_base(measured, dt, keep, nb, door)

@@ -190,7 +190,7 @@ def check_period(time: float, state: Array, numbers: Array) -> None:
         state[LAST_PERIOD] = period
     state[SAMPLED] = time
     if state[PERIOD] > numbers[SLOWEST]:
-        trip(time, TOO_SLOW, 0, state[PERIOD], numbers[SLOWEST], state)
+        trip(time, TOO_SLOW, 0, max(state[PERIOD], state[STEADY]), numbers[SLOWEST], state)
 
 
 @internal

@@ -15,7 +15,7 @@ from numba import config
 from test_base import four
 
 from mmnn_pin.cli import main
-from mmnn_pin.errors import RecordingError
+from mmnn_pin.errors import ConfigError, RecordingError
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.loop.loop import Loop
@@ -202,7 +202,9 @@ def test_a_recording_of_the_first_version_opens_and_its_states_have_the_present_
     state = loop.state_from()
     state.values[:] = run.final["controller_state"]
     plant_state = run.final["position"], run.final["nu"]
-    resumed = loop.run(state=state, plant_state=plant_state, hardware_state=run.final["hardware_state"], first=10)
+    with pytest.raises(ConfigError, match="hardware_state: error: an array that is of shape"):
+        loop.run(state=state, plant_state=plant_state, hardware_state=run.final["hardware_state"], first=10)
+    resumed = loop.run(state=state, plant_state=plant_state, first=10)  # supervisors remember more today
     whole = loop.run()
     np.testing.assert_allclose(resumed["torque"], whole["torque"][10:], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(run["torque"], whole["torque"][:10], rtol=1e-9, atol=1e-9)

@@ -16,6 +16,7 @@ import pinocchio as pin
 from ...elementary import nearest_turn
 from ...errors import ConfigError
 from ...model.robot import Robot
+from ...safety.door import FARTHEST
 from ...signals import Array, Measurement
 from . import messages as msg
 from .settings import Clocks, Node
@@ -254,7 +255,7 @@ class Sensing:
         """Take a pose unless it jumps; its heading goes on without turning over."""
         dt = when - self.placed if self.placed > -math.inf else 0.0
         ahead = dt * self.velocity[-1] if dt > 0.0 else 0.0
-        heading = nearest_turn(there[2], self.pose[2] + min(max(ahead, -math.pi), math.pi))
+        heading = nearest_turn(there[2], self.pose[2] + min(max(ahead, -FARTHEST), FARTHEST))
         if self.placed > -math.inf:
             step, turn = math.hypot(there[0] - self.pose[0], there[1] - self.pose[1]), abs(heading - self.pose[2])
             speed, odometry = 2.0 * max(np.abs(velocity).max(), np.abs(self.velocity).max()), self.settings.odometry
