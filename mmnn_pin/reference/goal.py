@@ -150,8 +150,23 @@ def solved(ruckig: Any, start: Array, q: Array, qdot: Array, limits: Array, mode
 
 
 def extremes(leg: Any) -> Array:
-    """Least and largest places of the joints on a trajectory of ruckig, (2, n)."""
-    return np.array([(one.min, one.max) for one in leg.position_extrema]).T
+    """Least and largest places of the joints on a trajectory of ruckig, (2, n): at its phases' ends, or resting in one.
+
+    `position_extrema` of ruckig 0.19 leaves some out.
+    """
+    parts = [(one.brake, one) for one in leg.profiles[0]]
+    t, jerk, bend, rate, place = (
+        np.array([[*getattr(brake, name)[:2], *getattr(main, name)[:7]] for brake, main in parts]) for name in "tjavp"
+    )
+    place = np.where(t > 0.0, place, place[:, 2:3])  # a phase that is not there has no place of its own
+    turn = np.sqrt(np.maximum(bend * bend - 2.0 * jerk * rate, 0.0))
+    found: list[Array] = [place.T, np.array([[main.pf for _, main in parts]])]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for at in ((-bend + turn) / jerk, (-bend - turn) / jerk, -rate / bend):
+            inside = np.where((at > 0.0) & (at < t), at, 0.0)
+            found.append((place + inside * (rate + inside * (0.5 * bend + inside * jerk / 6.0))).T)
+    every = np.vstack(found)
+    return np.array([every.min(axis=0), every.max(axis=0)])
 
 
 def wider(leg: Any, than: Array) -> bool:

@@ -270,7 +270,7 @@ class Promise(RuleBasedStateMachine):
         """Whatever was asked last: after it is reached, or the samples end, everything stands, at the last goal."""
         if not hasattr(self, "follower"):
             return
-        for _ in range(2500):
+        for _ in range(12_000):
             self.step()
             moves = self.now.qdot.any() or self.now.velocity.any()
             if not self.follower.is_moving and self.time > 1.0 and not moves:
