@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..errors import ConfigError
 from .options import CHANGES, VARIANT, controllers, examples, experiments, robots, shared, understanding
 from .output import DONE, FAILED, answer
 from .run import about_robot, in_toml, told_from_where
@@ -15,6 +16,7 @@ from .run import about_robot, in_toml, told_from_where
 if TYPE_CHECKING:
     from ..deploy.embed import Embedded
     from ..deploy.embed.in_the_loop import Comparison
+    from ..reference.limits import Limits
 
 
 @click.command(
@@ -39,6 +41,12 @@ if TYPE_CHECKING:
 @click.option("--single", is_flag=True, help="Numbers of 32 bits: not the bits of Python; the self-test says how far.")
 @click.option("--no-diagnostics", is_flag=True, help="Leave out what only reports how well the motion excites.")
 @click.option("--steps", type=click.IntRange(1, 100_000), default=1000, show_default=True, help="Of the self-test.")
+@click.option(
+    "--limits",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="A limit of the references, such as speed=0.5, joint_acceleration=[2, 2] or samples=exact; repeatable.",
+)
 @click.option("--cc", metavar="COMMAND", default="cc", show_default=True, help="Compiler for the self-test.")
 @click.option("--no-check", is_flag=True, help="Write the files without compiling them.")
 @click.option(
@@ -62,6 +70,7 @@ def embed(
     single: bool,
     no_diagnostics: bool,
     steps: int,
+    limits: tuple[str, ...],
     cc: str,
     no_check: bool,
     plant: str | None,
@@ -81,6 +90,7 @@ def embed(
     from ..deploy.embed.in_the_loop import compared, require_tools
     from ..lab.experiments.config import load_experiment
 
+    within = limits_of(limits)
     changes = [*about_robot(robot, overrides), *settings, *in_toml(robot=robot, controllers=[controller])]
     found = load_experiment(experiment, changes, variant)
     with told_from_where(experiment, variant, found, changes):
@@ -91,14 +101,37 @@ def embed(
         with found.in_its_keys():
             made = export(
                 loop, out, force=force, single=single, diagnostics=not no_diagnostics, steps=steps,
-                compiler=None if no_check else cc, memory=memory or MEMORY,
+                compiler=None if no_check else cc, memory=memory or MEMORY, limits=within,
             )  # fmt: skip
-    run = None if plant is None else compared(supervised(loop), out, plant, cc.split(), steps, out / "run.h5")
+    run = None if plant is None else compared(supervised(loop), out, plant, cc.split(), steps, out / "run.h5", within)
     bits = f"within {TOLERANCE:g} of the largest torque of Python" if single else "with the bits of Python"
     said = "" if no_check else f"self-test passed: {made.selftest_steps} samples {bits}\n"
     more = {} if run is None else {"in_the_loop": asdict(run)}
     answer(as_json, lambda: made.to_dict() | more, lambda: told(made, run, said))
     return DONE if run is None or not run.differences else FAILED
+
+
+def limits_of(changes: tuple[str, ...]) -> Limits:
+    """Limits of references, of `key=value` texts, values as in TOML; a bare word is a text.
+
+    Raises:
+        ConfigError: A key that does not exist, or a value that cannot be.
+    """
+    import msgspec
+
+    from ..lab.experiments.config import override
+    from ..reference.limits import Limits
+    from ..settings.arguments import wrong_type
+
+    table: dict[str, Any] = {}
+    for change in changes:
+        override(table, change)
+    try:
+        return msgspec.convert(table, Limits)
+    except msgspec.ValidationError as error:
+        what, fix = wrong_type(error)
+        fix = fix or f"its keys are {', '.join(Limits.__struct_fields__)}"
+        raise ConfigError(what, fix=fix, key="--limits") from error
 
 
 def told(made: Embedded, run: Comparison | None, checked: str) -> str:

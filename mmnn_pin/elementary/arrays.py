@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -90,3 +91,20 @@ def hypot(x: ArrayLike, y: ArrayLike) -> Array:
 def atan2(y: ArrayLike, x: ArrayLike) -> Array:
     """Angles of the points (x, y) [rad]."""
     return filled(fill_atan2, 1, y, x)[0]
+
+
+@compiled
+def fill_unwrapped(x: Array, out: Array) -> None:
+    """Every angle of a series at the turn nearest to the last finite one before it."""
+    near = math.nan
+    for i in range(x.size):
+        out[i] = angles.nearest_turn(x[i], near) if math.isfinite(near) else x[i]
+        near = out[i] if math.isfinite(out[i]) else near
+
+
+def unwrapped(x: ArrayLike) -> Array:
+    """A series of angles (N,) without the turns that an encoder leaves out [rad]; what is not finite stays so."""
+    given = np.array(x, float)
+    out = np.empty_like(given)
+    fill_unwrapped(given, out)
+    return out

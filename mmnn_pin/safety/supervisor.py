@@ -23,7 +23,7 @@ TIMEOUT, RAMP, STOP_TIME, TORQUE_TIME, POSITION, HEADING, WEIGHTS, HOLD_RATE, H 
 SETTLE, REST, SHORT, FRESH, SLOWEST, NUMBERS = range(9, 15)
 # Numbers of the state.
 HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, HELD, REFUSED, ACTED = range(13)
-ARRIVED, BLIND, GIVEN_UP, SAMPLED, PERIOD, LAST_PERIOD, STEADY, MARKS = range(13, 21)
+ARRIVED, BLIND, GIVEN_UP, SAMPLED, PERIOD, LAST_PERIOD, STEADY, IN_A_ROW, MARKS = range(13, 22)
 TURN, LOWER, UPPER, EXPLAINS, JUMP, IS_FREE = range(6)  # of a door's joints
 CONTRADICTION, MOST = range(2)  # of its rows
 DRIFT, LEAST, WITHOUT, OFFSET = range(4)  # of its sense
@@ -34,6 +34,7 @@ OVER_WHEEL, JUMPED, TOO_SLOW = range(10, 13)
 
 BORNE = 0.3  # of the slowest period: where samples are farther apart the gains of a stop are lowered in proportion
 SAMPLES = 10.0  # over which the control period is averaged, those far back less
+TOO_MANY = 4.0  # periods in a row that are too long
 GAP = 4.0  # times the slowest period: a longer pause counts as this
 PLAUSIBLE = 2.0  # times its limit: a velocity beyond this brakes as this
 FASTER, HALF = 1.25, 0.5  # times the least speed in a stop, times the limit: beyond both the stop drives it on
@@ -180,16 +181,18 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
 
 @internal
 def check_period(time: float, state: Array, numbers: Array) -> None:
-    """Trip on a control period that is too long on average; a pause that stays alone does not count."""
+    """Trip on a control period that is too long on average or several times in a row; a pause alone does not count."""
     if state[PERIOD] == 0.0:
         state[PERIOD] = state[LAST_PERIOD] = state[STEADY] = numbers[H]
+        state[IN_A_ROW] = 0.0
     else:
         period = time - state[SAMPLED]
         state[STEADY] = min(period, min(state[LAST_PERIOD], GAP * numbers[SLOWEST]))
         state[PERIOD] += (state[STEADY] - state[PERIOD]) / SAMPLES
         state[LAST_PERIOD] = period
+        state[IN_A_ROW] = state[IN_A_ROW] + 1.0 if period > numbers[SLOWEST] else 0.0
     state[SAMPLED] = time
-    if state[PERIOD] > numbers[SLOWEST]:
+    if state[PERIOD] > numbers[SLOWEST] or state[IN_A_ROW] >= TOO_MANY:
         trip(time, TOO_SLOW, 0, max(state[PERIOD], state[STEADY]), numbers[SLOWEST], state)
 
 

@@ -12,6 +12,7 @@ from mmnn_pin.deploy.embed.board import FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, S
 from mmnn_pin.deploy.embed.export import supervised
 from mmnn_pin.deploy.embed.files import files_of, selftest, translated
 from mmnn_pin.deploy.embed.golden import PAUSE, RESET, RESUME, STOP, Event, answers, as_measured
+from mmnn_pin.reference.limits import Limits
 
 
 def loop_of(robot, controller, **changes):
@@ -56,7 +57,7 @@ class Fuzzed:
 def write_fuzzed(loop, folder, steps, seed):
     """An export with a self-test of samples that were fuzzed, into a folder; what happened in them."""
     safety = msgspec.structs.replace(loop.safety, timeout=0.02, joint_error=0.3)
-    stepper = Fresh.of(replace(loop, safety=safety))
+    stepper = Fresh.of(replace(loop, safety=safety), limits=Limits())
     export = translated(stepper, loop.controller.name)
     for name, text in files_of(export).items():
         (folder / name).parent.mkdir(exist_ok=True)

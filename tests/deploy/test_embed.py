@@ -39,6 +39,7 @@ from mmnn_pin.deploy.embed.values import Number
 from mmnn_pin.elementary import angles, exponentials, two_doubles
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import HOLD, BaseVelocity
 from mmnn_pin.signals import Measurement, Setpoint
 
@@ -194,7 +195,11 @@ def test_what_is_asked_in_flight_is_done_as_by_the_stepper(tmp_path):
     """Wheels that take velocities; samples, velocities, a pause, a stop and a reset, through the functions of C."""
     wheels = {"wheel_left_joint": "velocity", "wheel_right_joint": "velocity"}
     loop = loop_of("platform_arm", "pd", interfaces=wheels)
-    made, stepper, d = embed(loop, tmp_path / "c", steps=5, compiler=None), Stepper.of(loop), loop.robot.dimensions
+    made, stepper, d = (
+        embed(loop, tmp_path / "c", steps=5, compiler=None),
+        Stepper.of(loop, limits=Limits()),
+        loop.robot.dimensions,
+    )
     sources = [tmp_path / "c" / f"{name}.c" for name in ("controller", "robot_law", "mmnn_math")]
     subprocess.run(["gcc", *STRICT, "-O2", "-shared", "-fPIC", *sources, "-o", tmp_path / "lib.so"], check=True)
     c, memory = ctypes.CDLL(str(tmp_path / "lib.so")), ctypes.create_string_buffer(made.ram_bytes)
@@ -234,7 +239,7 @@ def test_what_is_asked_in_flight_is_done_as_by_the_stepper(tmp_path):
 def test_a_linked_controller_pauses_as_the_stepper_and_refuses_other_gains(tmp_path):
     loop = loop_of("platform_arm", "pd")
     embed(loop, tmp_path / "c", steps=5, compiler=None)
-    linked, stepper, d = Linked.of(loop), Stepper.of(loop), loop.robot.dimensions
+    linked, stepper, d = Linked.of(loop, limits=Limits()), Stepper.of(loop, limits=Limits()), loop.robot.dimensions
     linked.link(translated(linked, ""), build(tmp_path / "c", HOST, ["gcc"], tmp_path / "link"))
     with linked:
         for k, asked in enumerate(loop.trajectory.table(np.arange(60) * 0.001, d)):
@@ -280,7 +285,7 @@ def test_compiled_and_plain_functions_give_the_same_text(exported):
     experiment = load_experiment("track")
     robot = experiment.load_robot()
     loop = supervised(experiment.loop(robot, experiment.controller("two_layer", robot=robot)))
-    texts = files_of(translated(Fresh.of(loop), "two_layer for platform_arm"))
+    texts = files_of(translated(Fresh.of(loop, limits=Limits()), "two_layer for platform_arm"))
     assert {name: (folder / name).read_text() for name in texts} == texts
 
 

@@ -228,6 +228,7 @@ def test_a_loop_slower_than_told_is_told_and_beyond_what_the_gains_bear_it_stops
     assert 0.01 < bears < 0.1 and fastest < 2.0
     late, plant, _ = paced(made, np.arange(200) * 1.5 * bears)
     assert late.tripped and np.abs(plant.v).max() < 0.1  # at rest, though its gains would swing it at this rate
+    assert np.abs(plant.q - paced(made, np.arange(2) * 0.002)[1].q).max() < 0.2  # and before it has moved that far
     still, _, _ = paced(made, np.arange(60) * 1.5 * bears, safety=Safety(joint_speed="none", joint_error="none"))
     assert "the control period is" in trip_of(still.hardware.way.supervisor.state, still.robot)[2]
 

@@ -16,6 +16,7 @@ from ...errors import ConfigError, MmnnError
 from ...files import whole_folder
 from ...loop.loop import Loop
 from ...model.tree.body import body_of
+from ...reference.limits import Limits
 from ...safety import Safety
 from ...settings.arguments import checked
 from ...torque.controller import CompiledController
@@ -75,6 +76,7 @@ def embed(
     steps: int = 1000,
     compiler: str | None = "cc",
     memory: int = MEMORY,
+    limits: Limits = Limits(),  # noqa: B008 (frozen)
 ) -> Embedded:
     """Write the controller of a loop, its kinematic layer and its supervisor as C99 source, and run its self-test.
 
@@ -89,6 +91,7 @@ def embed(
         steps: Samples of the self-test.
         compiler: With its flags, for the self-test; None writes the files alone.
         memory: Largest size of what the controller remembers [kB].
+        limits: Of the references that it makes, and of the samples that it is handed.
 
     Raises:
         ConfigError: The controller is plain Python or too large, the plant has contacts, motors have no limits, the
@@ -106,7 +109,7 @@ def embed(
     require_embeddable(loop)
     require_new(folder, force)
     tool = found_compiler(compiler)
-    stepper = Fresh.of(supervised(loop))
+    stepper = Fresh.of(supervised(loop), limits=limits)
     require_limits(stepper)
     title = plain(f"{loop.controller.name} for {loop.robot.name}")
     export = translated(stepper, title, "float" if single else "double", diagnostics)

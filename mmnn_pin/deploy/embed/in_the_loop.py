@@ -23,6 +23,7 @@ from ...loop.servo import Command
 from ...loop.stepper import Stepper
 from ...plant.ideal import IdealPlant
 from ...recording.recording import Recording
+from ...reference.limits import Limits
 from ...reference.wishes import BaseVelocity, Stand, Wish
 from ...signals import Array, Measurement, Setpoint
 from ...torque.controller import CompiledController, TorqueController
@@ -246,7 +247,15 @@ def closed(loop: Loop, stepper: Stepper, steps: int) -> Recording:
         return stepper.finish()
 
 
-def compared(loop: Loop, folder: Path, where: str, compiler: Sequence[str], steps: int, path: Path) -> Comparison:
+def compared(
+    loop: Loop,
+    folder: Path,
+    where: str,
+    compiler: Sequence[str],
+    steps: int,
+    path: Path,
+    limits: Limits = Limits(),  # noqa: B008 (frozen)
+) -> Comparison:
     """Run a loop with an exported controller and with Python, and compare the recordings.
 
     Args:
@@ -256,11 +265,12 @@ def compared(loop: Loop, folder: Path, where: str, compiler: Sequence[str], step
         compiler: For the former.
         steps: Control samples.
         path: For the recording of the exported controller's run.
+        limits: As it was exported with.
     """
-    linked = Linked.of(loop, path=path, force=True)
+    linked = Linked.of(loop, path=path, force=True, limits=limits)
     export = translated(linked, "")
     linked.link(export, build(folder, where, compiler, path.with_suffix(".elf" if where == QEMU else "")))
-    ours, theirs = closed(loop, Stepper.of(loop), steps), closed(loop, linked, steps)
+    ours, theirs = closed(loop, Stepper.of(loop, limits=limits), steps), closed(loop, linked, steps)
     return Comparison(where, len(theirs["time"]), theirs.outcome.status, differences(ours, theirs))
 
 

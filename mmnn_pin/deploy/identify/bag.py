@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from ...elementary.arrays import unwrapped
 from ...errors import InputError, RecordingError
 from ...model.robot import Robot
 from ...signals import Array
-from .log import Columns, Log, from_signals
+from .log import Columns, Log, from_signals, is_angle
 
 JOINTS, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
@@ -44,7 +45,7 @@ def read_bag(path: Path, robot: Robot, columns: Columns) -> Log:
             fix = "record sensor_msgs/JointState"
             raise RecordingError("a bag without joint states", why=f"it has {there}", fix=fix, file=path)
         series = collected(bag, {topic: kind for kind, topic in wanted.items() if topic}, names, path)
-    return merged(str(path), series, wanted["joints"], path)
+    return merged(str(path), series, wanted["joints"], path, robot)
 
 
 def require_bounded(path: Path) -> None:
@@ -167,7 +168,7 @@ def add_pose(add: Any, kind: str, time: float, at: Any, turned: Any) -> None:
         add(f"{kind}.{signal}", time, float(value))
 
 
-def merged(name: str, series: dict[str, list[tuple[float, float]]], topic: str, path: Path) -> Log:
+def merged(name: str, series: dict[str, list[tuple[float, float]]], topic: str, path: Path, robot: Robot) -> Log:
     """The series at the times of the positions that came most often.
 
     Raises:
@@ -180,7 +181,7 @@ def merged(name: str, series: dict[str, list[tuple[float, float]]], topic: str, 
         raise RecordingError(f"no joint of the robot in {topic}", fix=fix, file=path)
     time = max(positions.values(), key=len)[:, 0]
     others = [signal for signal, table in tables.items() if not np.array_equal(table[:, 0], time)]
-    signals = {signal: at_times(time, table, signal.endswith(".phi")) for signal, table in tables.items()}
+    signals = {signal: at_times(time, table, is_angle(signal, robot)) for signal, table in tables.items()}
     log = from_signals(name, {"time": time, **signals})
     joints = sorted({signal.partition(".")[2] for signal in others if signal.startswith(("position", "effort"))})
     note = (f"{', '.join(joints)}: in messages of their own, interpolated",) if joints else ()
@@ -189,5 +190,5 @@ def merged(name: str, series: dict[str, list[tuple[float, float]]], topic: str, 
 
 def at_times(time: Array, table: Array, angle: bool) -> Array:
     """A series (k, 2) at other times; angles are unwrapped first."""
-    values = np.unwrap(table[:, 1]) if angle else table[:, 1]
+    values = unwrapped(table[:, 1]) if angle else table[:, 1]
     return values if np.array_equal(table[:, 0], time) else np.interp(time, table[:, 0], values)

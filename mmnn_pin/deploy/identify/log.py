@@ -124,3 +124,9 @@ def from_signals(name: str, signals: Mapping[str, Array]) -> Log:
 def revolves(robot: Robot, joint: str) -> bool:
     """Whether a joint of the model turns, and does not slide."""
     return bool(robot.model.joints[robot.model.getJointId(joint)].shortname().startswith("JointModelR"))
+
+
+def is_angle(signal: str, robot: Robot) -> bool:
+    """Whether a signal is the position of something that turns."""
+    kind, _, name = signal.partition(".")
+    return name == "phi" or (kind == "position" and name in robot.full_velocity_names and revolves(robot, name))

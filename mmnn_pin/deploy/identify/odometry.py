@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from ...elementary.arrays import unwrapped
 from ...errors import RecordingError
 from ...model.robot import Robot
 from ...signals import Array
@@ -68,7 +69,7 @@ def wheels_of(robot: Robot, logs: Sequence[Log]) -> Wheels:
     sides = [side_angles(log, robot) for log in logs]
     poses = [np.column_stack([log.reference[name][rows_of(log)] for name in REFERENCE]) for log in logs]
     for pose in poses:
-        pose[:, 2] = np.unwrap(pose[:, 2])
+        pose[:, 2] = unwrapped(pose[:, 2])
     way = sum(float(np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1).sum()) for pose in poses)
     if way < TRAVELLED or max(np.ptp(pose[:, 2]) for pose in poses) < TURNED:
         why = f"it drives {way:.2g} m; radii and track need {TRAVELLED:g} m and {TURNED:g} rad"

@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from motions import simulated
 from robots import fixed_arm
 
 from mmnn_pin import PD, Line, Loop, Sine, Timing, Trajectory, load
 from mmnn_pin.cli import main
-from mmnn_pin.deploy.identify.log import Log
+from mmnn_pin.deploy.identify.log import Log, from_signals
 from mmnn_pin.deploy.identify.quality import delay, misnamed, saturated, sound
-from mmnn_pin.deploy.identify.reading import found_columns, from_recording, read_columns, read_logs
+from mmnn_pin.deploy.identify.reading import found_columns, from_recording, read_columns, read_logs, without_turns
 from mmnn_pin.errors import InputError, RecordingError, UnknownName
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.sensing import Sensor
@@ -288,3 +290,18 @@ def test_arrays_make_a_log() -> None:
     assert sorted(log.signals) == ["base.v", "effort.a", "position.a", "reference.x"]
     with pytest.raises(RecordingError, match=r"effort.a has shape \(3,\)"):
         Log.of([0, 1], {"a": [1, 2]}, {"a": [3, 4, 5]})
+
+
+@given(st.floats(-3.0, 3.0), st.floats(0.5, 8.0), st.floats(-np.pi, np.pi))
+def test_encoders_that_wrap_give_the_angles_that_the_joint_had(start: float, speed: float, seam: float) -> None:
+    """A wheel and a heading that turn on and on, read with a seam anywhere; numpy's own unwrap is the second answer."""
+    robot, t = load("platform_arm"), np.arange(400) * 0.01
+    angle = start + speed * t + 0.3 * np.sin(3.0 * t)
+    read = (angle - seam) % (2 * np.pi) + seam
+    wheel = robot.base.wheels[0].joint
+    log = without_turns(from_signals("log", {"time": t, f"position.{wheel}": read, "reference.phi": read}), robot)
+    for found in (log.position[wheel], log.reference["reference.phi"]):
+        np.testing.assert_allclose(found - found[0], angle - angle[0], atol=1e-9)
+        np.testing.assert_allclose(found, np.unwrap(read), atol=1e-9)
+    if not np.array_equal(np.unwrap(read), read):
+        assert any("whole turns" in note and wheel in note for note in log.notes)
