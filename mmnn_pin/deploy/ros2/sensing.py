@@ -37,11 +37,14 @@ class Clock:
         begin: Zero of the node's time, by its clock [s].
         simulated: Time of the simulator; NaN before it told [s].
         told: What it told last [s].
-        jumped: What a simulated clock did that no clock does; empty else.
+        jumped: What a simulated clock did that no clock does; empty else. Until it is resumed the node's time goes on
+            by the steady clock, and measurements count as made when they come: a stop needs both.
+        left: When that was, by the steady clock [s].
     """
 
     def __init__(self, settings: Clocks) -> None:
         self.settings, self.simulated, self.jumped, self.begin, self.told = settings, math.nan, "", 0.0, math.nan
+        self.left = 0.0
 
     def start(self) -> None:
         """Count from now on."""
@@ -57,6 +60,7 @@ class Clock:
     def now(self) -> float:
         """Time since the start [s]."""
         by = clock.monotonic() if self.settings.source == "steady" else self.simulated
+        by += clock.monotonic() - self.left if self.jumped else 0.0
         return by - self.begin
 
     @property
@@ -76,6 +80,7 @@ class Clock:
         if not math.isnan(self.simulated):
             step = told - self.simulated
             if step < 0.0 or step > self.settings.jump:
+                self.left = clock.monotonic() if not self.jumped else self.left
                 self.jumped = f"/clock jumped by {step:+.3g} s at {self.simulated:.3f} s"
                 return
         self.simulated = told
@@ -92,7 +97,7 @@ class Clock:
             stamp: Of the message; 0 for none.
             oldest: Age from which on it is refused [s].
         """
-        if self.settings.stamps == "ignore" or (stamp.sec == 0 and stamp.nanosec == 0):
+        if self.jumped or self.settings.stamps == "ignore" or (stamp.sec == 0 and stamp.nanosec == 0):
             return self.now
         age = self.by_ros - seconds(stamp)
         if not -self.settings.ahead <= age <= oldest:

@@ -105,7 +105,7 @@ class Drive:
 
     @property
     def rows(self) -> np.ndarray:
-        """(N, 10) time since the first command, pose, v, w, q, qdot: the truth."""
+        """(N, 12) time since the first command, pose, v, w, q, qdot: the truth; the (v, w) that is commanded."""
         return np.array(self.robot["rows"])
 
     def at(self, time: float) -> np.ndarray:

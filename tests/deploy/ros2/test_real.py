@@ -283,3 +283,55 @@ def test_messages_of_five_types_come_back_as_they_were(domain: int, distribution
             assert came == whole
         else:
             assert len(came) > 0.5 * count and set(came) <= set(whole)
+
+
+# -- the promise, on the wire ------------------------------------------------------------------------------------------
+
+IN_ODOM = (
+    SETTINGS
+    + """
+[path]
+topic = "/plan"
+speed = 0.25
+"""
+)
+
+
+def kept_its_promise(run: Drive, low: tuple[float, float], high: tuple[float, float], path: bool = False) -> None:
+    """Joints stay between start and goal, wheels get no more than was asked, all by what the robot itself saw."""
+    q, asked = run.rows[:, 6:8], run.rows[:, 10:12]
+    inside = (q >= np.array(low) - 0.12) & (q <= np.array(high) + 0.12)  # what a PD of 10 1/s overshoots
+    assert inside.all(), (q.min(axis=0), q.max(axis=0))
+    assert np.abs(asked[:, 0]).max() <= (0.4 if path else 0.3), "faster than asked"
+    assert np.abs(asked[:, 1]).max() <= (0.4 if path else 0.45), "turns faster than asked"
+    moving = asked[:-1][asked[1:].any(axis=1)]  # it may end at once, when the node leaves
+    assert np.abs(np.diff(moving, axis=0)).max(initial=0.0) <= 0.12, "a command jumps"
+
+
+def test_jogs_and_velocities_move_the_robot_as_asked(tmp_path: Path, domain: int) -> None:
+    """A point every 80 ms, 0.15 s ahead, for two seconds; the base by `cmd_vel` meanwhile."""
+    run = drive(tmp_path, "kilted", domain, "jog", seconds=5.0)
+    assert run.code == 0 and np.isnan(run.trip), run.lines
+    kept_its_promise(run, (0.2, -0.3), (0.86, -0.3))
+    assert abs(run.at(4.9)[6] - 0.82) < 0.04 and run.rows[run.rows[:, 0] < 2.4, 8].min() > -0.02, run.rows[-1]
+
+
+def test_a_plan_and_a_path_without_headings_move_the_robot_as_asked(tmp_path: Path, domain: int) -> None:
+    """2 m ahead with identity for orientations, while the arm follows its plan."""
+    run = drive(tmp_path, "kilted", domain, "path", seconds=13.0, text=IN_ODOM)
+    assert run.code == 0 and np.isnan(run.trip), run.lines
+    kept_its_promise(run, (0.2, -0.3), (0.8, 0.4), path=True)
+    assert np.abs(run.rows[-1, 1:4] - (2.0, 0.0, 0.0)).max() < 0.03 and np.abs(run.at(5.0)[6:8] - GOAL).max() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("faults", "changes"), [(("kill@2.0",), ()), (("sim_time", "sim_back@2.0"), ('clock.source="sim"',))]
+)
+def test_a_robot_that_dies_or_whose_clock_jumps_is_asked_for_nothing_more(
+    tmp_path: Path, domain: int, faults: tuple[str, ...], changes: tuple[str, ...]
+) -> None:
+    run = drive(tmp_path, "kilted", domain, *faults, seconds=6.0, changes=changes)
+    assert (run.code == 1 and "tripped" in run.lines) or "stopped" in run.lines, run.lines
+    if "rows" in run.robot:
+        kept_its_promise(run, (0.2, -0.3), (0.8, 0.4))
+        assert np.abs(run.rows[-1, 10:12]).max() < 0.01 and np.abs(run.rows[-1, 4:6]).max() < 0.03, run.rows[-1]
