@@ -94,6 +94,15 @@ def atan2(y: ArrayLike, x: ArrayLike) -> Array:
 
 
 @compiled
+def is_below(x: Array, most: float) -> bool:
+    """Whether all numbers are smaller than one, whatever their signs; false where one is none."""
+    fine = True
+    for i in range(x.size):
+        fine = fine and abs(x[i]) < most
+    return fine
+
+
+@compiled
 def fill_unwrapped(x: Array, out: Array) -> None:
     """Every angle of a series at the turn nearest to the last finite one before it."""
     near = math.nan

@@ -19,6 +19,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..elementary.arrays import is_below
 from ..elementary.matrices import product
 from ..errors import ConfigError
 from ..kinematic import Kinematic
@@ -51,7 +52,6 @@ from .stable_gains import require_stable_gains
 from .suited import Given, suited
 from .suited_safety import suited_safety
 
-MEASURED = ("pose", "velocity", "q", "qdot")
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
 ALIKE = (
     "kinematic", "safety", "nominal", "seed", "within_limits", "check_gains", "weights_interval", "interfaces", "servo",
@@ -420,9 +420,9 @@ class Stepper:
         require_shapes("measurement", measurement, self.measured)
         if supervisor.state[GOOD] > 0.0 and measured < supervisor.state[HEARD]:
             return
-        for name in MEASURED:
-            getattr(self.measured, name)[:] = getattr(measurement, name)
-        if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
+        parts = measurement.pose, measurement.velocity, measurement.q, measurement.qdot
+        np.concatenate(parts, out=self.received, casting="unsafe")
+        if math.isnan(measured) or not is_below(self.received, LARGEST):
             self.received[0] = np.nan
         elif not self.setup.sensor.exact:
             observe(self.hardware.sensors, self.measured.velocity, self.measured.q, self.received)
@@ -443,6 +443,7 @@ class Stepper:
         """Compile all that a step calls, and forget it."""
         kept = self.hardware.state.copy(), self.control.weights.copy()
         supervisor = self.hardware.way.supervisor
+        is_below(self.received, LARGEST)
         accept(self.row, self.at, 0.0, 0.0, True, supervisor.door)
         self.follower.rehearse(self.received)
         if isinstance(self.setup.controller, CompiledController | LearningLaw):

@@ -125,6 +125,17 @@ class Motion:
         setpoints.q[:], setpoints.qdot[:], setpoints.qddot[:] = spline(t), spline(t, 1), spline(t, 2)
         return cls(table, period, (ARM,), dimensions)
 
+    @cached_property
+    def columns(self) -> slice:
+        """Those of a flat setpoint that it is for."""
+        q = self.dimensions.pose + 2 * self.dimensions.base
+        return slice(0 if BASE in self.parts else q, None if ARM in self.parts else q)
+
+    @cached_property
+    def is_moved(self) -> bool:
+        """Whether its path is moved in the plane."""
+        return BASE in self.parts and bool(self.shift.any())
+
     @property
     def duration(self) -> float:
         """Time from the first sample to the last [s]."""
@@ -157,10 +168,8 @@ class Motion:
         else:
             k, row = int(place), self.room
             between(self.table[k], self.table[k + 1], place - k, self.period, d.base, row)
-        if ARM in self.parts:
-            wanted[q:] = row[q:]
-        if BASE in self.parts:
-            wanted[:q] = row[:q]
+        wanted[self.columns] = row[self.columns]
+        if self.is_moved:
             x, y, turn = self.shift
             c, s = cos_sin(turn)
             wanted[0], wanted[1] = x + c * row[0] - s * row[1], y + s * row[0] + c * row[1]
