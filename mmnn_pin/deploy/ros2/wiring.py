@@ -53,7 +53,7 @@ reset = "/mmnn/reset"
 [limits]                      # of references made on the way
 speed = 0.5                   # [m/s]
 yaw_rate = 1.0                # [rad/s]
-joint_acceleration = 5.0      # [rad/s^2 or m/s^2]
+# joint_acceleration = 5.0    # [rad/s^2 or m/s^2]; where it is stated, plans beyond it are refused
 
 [diagnostics]
 topic = "/diagnostics"
