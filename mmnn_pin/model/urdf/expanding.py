@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from ...children import end_with
 from .packages import FIND, far_package
 
 MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
@@ -52,6 +53,7 @@ def taken() -> int:
 def child() -> None:
     """Expand the file of a job on standard input; on standard output a line of JSON, then the URDF."""
     job, out = json.load(sys.stdin), sys.stdout
+    end_with(job["parent"])
     import xacro
     import xacrodoc
 

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 from lxml import etree
 
+from ...children import environment
 from ...errors import ConfigError, RobotError, UnknownName
 from .expanding import BYTES, INVALID, MACRO, NOT_DEFINED, SECONDS, giving
 from .finding import Finding, finding
@@ -252,15 +253,10 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     Raises:
         Unexpanded: It takes too long or too much.
     """
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path),
-        "OPENBLAS_NUM_THREADS": "1",
-    }
-    command = [sys.executable, "-P", "-c", CHILD]
+    command, variables = [sys.executable, "-P", "-c", CHILD], environment() | {"OPENBLAS_NUM_THREADS": "1"}
+    given = json.dumps(job | {"parent": os.getpid()}).encode()
     try:
-        ended = subprocess.run(
-            command, input=json.dumps(job).encode(), capture_output=True, env=environment, timeout=PATIENCE, check=False
-        )
+        ended = subprocess.run(command, input=given, capture_output=True, env=variables, timeout=PATIENCE, check=False)
     except subprocess.TimeoutExpired:
         why = f"it takes more than {PATIENCE:g} s: does it read a file that is none?"
         raise Unexpanded("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1) from None
