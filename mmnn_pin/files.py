@@ -10,10 +10,13 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import grp
 import os
+import pwd
 import re
 import shutil
 import socket
+import stat
 import tempfile
 import tomllib
 from collections.abc import Iterator
@@ -212,6 +215,57 @@ def settle_folder(made: Path, folder: Path, what: str, force: bool) -> None:
     for file in files:
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         settle(made / file, folder / file, what, force)
+
+
+def make_private(folder: Path) -> str:
+    """Make a folder that only we, and root, can write to, for what is run as it is found there.
+
+    Args:
+        folder: The folder, without symbolic links.
+
+    Returns:
+        Why others can write to it, or replace a folder above it; empty where they cannot.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    if why := way_in(folder):
+        return why
+    for place in (*reversed(folder.parents), folder):
+        with suppress(FileExistsError):
+            place.mkdir(0o700)
+            place.chmod(0o700)  # whatever the umask
+    return way_in(folder)
+
+
+def way_in(folder: Path) -> str:
+    """How others can put files into a folder, also one that is still to be made; empty where they cannot.
+
+    It looks at the folders above up to the user's own one, or to one whose entries only their owners can replace.
+    """
+    home = Path.home().resolve()
+    for place in (folder, *folder.parents):
+        try:
+            state = place.stat()
+        except FileNotFoundError:
+            continue
+        if state.st_uid not in (os.getuid(), 0):
+            return f"user {state.st_uid} owns {place}"
+        by_group = state.st_mode & stat.S_IWGRP and not is_own_group(state.st_gid)
+        sticky = state.st_mode & stat.S_ISVTX and place != folder
+        if (by_group or state.st_mode & stat.S_IWOTH) and not sticky:
+            return f"others can write to {place} (mode {stat.S_IMODE(state.st_mode):o})"
+        if sticky or place == home:
+            break
+    return ""
+
+
+def is_own_group(number: int) -> bool:
+    """Whether a group is the user's alone, as many systems make one for each."""
+    with suppress(KeyError):
+        group, user = grp.getgrgid(number), pwd.getpwuid(os.getuid())
+        return group.gr_name == user.pw_name and {*group.gr_mem} <= {user.pw_name}
+    return False
 
 
 def umask() -> int:
