@@ -22,7 +22,7 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from .errors import ConfigError, InputError, RecordingError
 
@@ -30,6 +30,8 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 ELSEWHERE = "choose another place"
 CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 LONGEST, DEEPEST = 1_000_000, 32  # bytes of a TOML file; levels of its tables and lists
+LARGEST = 500_000_000  # bytes of tables of numbers: logs, trajectories, rows of a contest
+MOST = 100_000_000_000  # bytes of any file
 TOML = "mend it: lines are key = value, texts stand in quotes, every bracket is closed"
 PART = r"(?:\"[^\"\n]*+\"|'[^'\n]*+'|[\w-]++)"  # of a key
 DEEP_KEY = re.compile(rf"(?:^|[\[{{,])[ \t]*+{PART}(?:[ \t]*+\.[ \t]*+{PART}){{{DEEPEST},}}", re.MULTILINE)
@@ -55,6 +57,45 @@ def way_out(error: Exception) -> str:
 # -- what is read ------------------------------------------------------------------------------------------------------
 
 
+def opened(path: str | Path, most: int = MOST) -> BinaryIO:
+    """A plain file, open for reading: no pipe, which may keep one waiting, nor a device, which may never end.
+
+    Args:
+        path: The file.
+        most: Bytes that it may have.
+
+    Raises:
+        OSError: It cannot be opened, is something else, or has more.
+        ValueError: A name that no file can have.
+    """
+    file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))  # noqa: SIM115
+    state = os.fstat(file.fileno())
+    if stat.S_ISREG(state.st_mode) and state.st_size <= most:
+        return file
+    file.close()
+    raise too_large(most) if stat.S_ISREG(state.st_mode) else OSError("it is no plain file")
+
+
+def too_large(most: int) -> OSError:
+    """The error of a file of more than some bytes."""
+    unit, name = next((one for one in ((1e9, "GB"), (1e6, "MB")) if most > one[0]), (1e3, "kB"))
+    return OSError(f"it has more than {most / unit:,g} {name}")
+
+
+def read_bytes(path: str | Path, most: int = LONGEST) -> bytes:
+    """Content of a plain file of at most so many bytes.
+
+    Raises:
+        OSError: As `opened`, or there are more.
+        ValueError: As `opened`.
+    """
+    with opened(path, most) as file:
+        data = file.read(most + 1)
+    if len(data) > most:  # it grows
+        raise too_large(most)
+    return data
+
+
 def read_text(path: Path, most: int = LONGEST) -> str:
     """A text in UTF-8.
 
@@ -62,13 +103,7 @@ def read_text(path: Path, most: int = LONGEST) -> str:
         ConfigError: It cannot be read, is no plain file, too large, or not in UTF-8.
     """
     try:
-        if path.exists() and not path.is_file():
-            raise ConfigError("cannot be read", why="it is no plain file", file=path)
-        with path.open("rb") as file:
-            data = file.read(most + 1)
-        if len(data) > most:
-            raise ConfigError("cannot be read", why=f"it has more than {most // 1000:,} kB", file=path)
-        return data.decode()
+        return read_bytes(path, most).decode()
     except UnicodeDecodeError as error:
         raise ConfigError("not a text in UTF-8", why=str(error), file=path) from error
     except (OSError, ValueError) as error:  # a name that no file can have

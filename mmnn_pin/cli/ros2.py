@@ -13,6 +13,7 @@ import click
 from msgspec.structs import replace
 
 from ..errors import ConfigError, InputError
+from ..files import read_text
 from .options import examples, robots, shared
 from .output import DONE, FAILED, STOPPED, answer, compile_if_cold
 
@@ -150,7 +151,7 @@ def with_lines(make: Callable[[], Made], settings: Node, file: Path) -> Made:
     try:
         return make()
     except InputError as error:
-        text = file.read_text(encoding="utf-8")
+        text = read_text(file)
         if error.file is None or Path(error.file).suffix == ".toml":
             own = error.key is not None and error.key.partition(".")[0] in settings.set
             error.key = f"set.{error.key}" if own else error.key

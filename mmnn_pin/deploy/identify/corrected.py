@@ -19,7 +19,7 @@ import numpy as np
 from lxml import etree
 
 from ...errors import RecordingError
-from ...files import whole_folder
+from ...files import read_bytes, whole_folder
 from ...model.arm import WHY
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
@@ -27,6 +27,7 @@ from ...model.robot import Robot
 from ...model.tree.body import parameters
 from ...model.urdf.expansion import is_xacro
 from ...model.urdf.mechanism import Part
+from ...model.urdf.reading import MAX_BYTES
 from ...signals import Array
 from ...torque.pseudo_inertia import pseudo_inertias
 from .identification import Identification
@@ -88,7 +89,7 @@ def new_links(of: Identification) -> dict[str, Array]:
 def corrected_urdf(of: Identification) -> bytes:
     """The URDF with new inertias, damping and friction; all else, comments included, as it was."""
     robot = of.robot
-    data = robot.path.read_bytes()
+    data = read_bytes(robot.path, MAX_BYTES)
     if is_xacro(robot.path, data):
         data = robot.urdf.encode()
     root = etree.fromstring(data, etree.XMLParser(remove_blank_text=False, resolve_entities=False))

@@ -22,6 +22,7 @@ from lxml import etree
 
 from ...children import environment
 from ...errors import ConfigError, RobotError, UnknownName
+from ...files import read_bytes
 from .expanding import BYTES, INVALID, MACRO, NOT_DEFINED, SECONDS, giving
 from .finding import Finding, finding
 from .packages import above, package_of, packages
@@ -333,7 +334,7 @@ def refusal(told: dict[str, Any], along: Callable[[str], list[str]]) -> Unexpand
 def line_of(path: Path, word: str) -> int:
     """First line of a file that has a word, 1 where none has."""
     with contextlib.suppress(OSError):
-        for number, line in enumerate(path.read_bytes().split(b"\n"), 1):
+        for number, line in enumerate(read_bytes(path).split(b"\n"), 1):
             if word and word.encode() in line:
                 return number
     return 1
@@ -359,6 +360,6 @@ def macros_only(path: Path, data: bytes) -> Unexpanded:
 def read_text(file: Path) -> str:
     """The text of a file, empty where it cannot be read or is long."""
     try:
-        return file.read_text(errors="replace") if file.stat().st_size < 1_000_000 else ""
-    except OSError:
+        return read_bytes(file).decode(errors="replace")
+    except (OSError, ValueError):
         return ""
