@@ -27,7 +27,7 @@ from typing import Any, BinaryIO
 from .errors import ConfigError, InputError, RecordingError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-ELSEWHERE = "choose another place"
+ELSEWHERE, NO_FILE = "choose another place", "it is no plain file"
 CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 LONGEST, DEEPEST = 1_000_000, 32  # bytes of a TOML file; levels of its tables and lists
 LARGEST = 500_000_000  # bytes of tables of numbers: logs, trajectories, rows of a contest
@@ -68,12 +68,15 @@ def opened(path: str | Path, most: int = MOST) -> BinaryIO:
         OSError: It cannot be opened, is something else, or has more.
         ValueError: A name that no file can have.
     """
-    file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))  # noqa: SIM115
+    try:
+        file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))  # noqa: SIM115
+    except IsADirectoryError:
+        raise IsADirectoryError(NO_FILE) from None
     state = os.fstat(file.fileno())
     if stat.S_ISREG(state.st_mode) and state.st_size <= most:
         return file
     file.close()
-    raise too_large(most) if stat.S_ISREG(state.st_mode) else OSError("it is no plain file")
+    raise too_large(most) if stat.S_ISREG(state.st_mode) else OSError(NO_FILE)
 
 
 def too_large(most: int) -> OSError:
@@ -140,6 +143,12 @@ def parsed_toml(text: str) -> dict[str, Any]:
     if is_deep(table):
         raise ValueError(DEEP)
     return table
+
+
+def quoted(text: str) -> str:
+    """A text in quotes for TOML, and for YAML: on one line, whatever it holds."""
+    plain = (c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in text)
+    return f'"{"".join(plain)}"'
 
 
 def is_deep(value: Any) -> bool:

@@ -8,11 +8,13 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,6 +25,7 @@ from mmnn_pin.files import (
     locked,
     make_private,
     parsed_toml,
+    quoted,
     read_toml,
     way_in,
     whole_file,
@@ -158,6 +161,16 @@ def test_a_lock_is_held_against_other_processes_and_ends_with_a_kill(tmp_path):
     holder.communicate()
     with locked(tmp_path / "t", "table"):
         pass
+
+
+# -- names of others ---------------------------------------------------------------------------------------------------
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"])))
+def test_a_quoted_text_is_that_text_in_toml_and_in_yaml_on_one_line(text: str) -> None:
+    assert tomllib.loads(f"key = {quoted(text)}\nnext = 1") == {"key": text, "next": 1}
+    assert yaml.safe_load(f"key: [{quoted(text)}, x]") == {"key": [text, "x"]}
+    assert quoted(text).isprintable()
 
 
 # -- folders whose files are run ---------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ import numpy as np
 from lxml import etree
 
 from ...errors import RecordingError
-from ...files import read_bytes, whole_folder
+from ...files import quoted, read_bytes, whole_folder
 from ...model.arm import WHY
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
@@ -205,16 +205,20 @@ def toml_of(of: Identification) -> bytes:
 
 
 def as_toml(table: Mapping[str, Any]) -> bytes:
-    """A table, whose values may be tables, as TOML: JSON has the same strings, numbers and lists."""
+    """A table, whose values may be tables, as TOML."""
     plain = [(key, value) for key, value in table.items() if not isinstance(value, Mapping)]
-    lines = [f"{json.dumps(key)} = {json.dumps(value)}" for key, value in plain]
+    lines = [f"{quoted(key)} = {in_toml(value)}" for key, value in plain]
     for key, value in table.items():
         if isinstance(value, Mapping):
-            lines += [
-                f"[{json.dumps(key)}]",
-                *(f"{json.dumps(name)} = {json.dumps(item)}" for name, item in value.items()),
-            ]
+            lines += [f"[{quoted(key)}]", *(f"{quoted(name)} = {in_toml(item)}" for name, item in value.items())]
     return ("\n".join(lines) + "\n").encode()
+
+
+def in_toml(value: Any) -> str:
+    """A value as TOML: JSON has the same numbers."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(in_toml, value))}]"
+    return quoted(value) if isinstance(value, str) else json.dumps(value)
 
 
 def said_of(of: Identification) -> Overrides:
