@@ -38,10 +38,12 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property, partial, wraps
 from importlib import import_module
+from multiprocessing import parent_process
 from operator import attrgetter
 from pathlib import Path
 from pickle import UnpicklingError
 from shutil import rmtree
+from tempfile import gettempdir
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
@@ -59,6 +61,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from .files import make_private
 from .parts import spelled
 
 UNUSED = (InlineClosureLikes, LiteralUnroll, NopythonRewrites, RewriteDynamicRaises, WithLifting)  # of numba's passes
@@ -151,16 +154,37 @@ def cache_folder() -> Path | None:
         text = source.read_bytes()
         if any(mark in text for mark in MARKS) or source.name in ("signals.py", "parts.py"):
             digest.update(str(source.relative_to(package)).encode() + b"\0" + text)
-    folder = cache_root() / digest.hexdigest()[:16]
     try:
-        if not folder.exists():
-            folder.mkdir(parents=True, exist_ok=True)
+        root = private_root(cache_root().resolve(), digest.hexdigest()[:16])
+        if root is None:
+            return None
+        folder = root / digest.hexdigest()[:16]
+        if not any(folder.iterdir()):
             with suppress(OSError):
-                forget(cache_root())
+                forget(root)
         os.utime(folder)  # used now
     except OSError:
         return None
     return folder if os.access(folder, os.W_OK) else None
+
+
+def private_root(root: Path, name: str) -> Path | None:
+    """The folder for compiled code, or another where strangers can write to that one: code is run as it is found.
+
+    Args:
+        root: The folder, without symbolic links.
+        name: Of the folder in it; it is made.
+    """
+    if not (why := make_private(root / name)):
+        return root
+    other: Path | None = Path(gettempdir()).resolve() / f"mmnn_pin-{os.getuid()}"
+    if other is not None and make_private(other / name):
+        other = None
+    if parent_process() is None:  # else it has said so
+        instead = "it is not kept" if other is None else f"it is kept in {other}"
+        fix = "set NUMBA_CACHE_DIR to a folder of your own"
+        print(f"warning: compiled code is not taken from {root}: {why}: {instead}: {fix}", file=sys.stderr)
+    return other
 
 
 def forget(root: Path) -> None:

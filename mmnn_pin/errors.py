@@ -12,6 +12,16 @@ from pathlib import Path
 from typing import Any
 
 
+def printable(text: str, keep: str = "") -> str:
+    """Text without what would steer a terminal or end a line of a file: control and direction characters of names.
+
+    Args:
+        text: It.
+        keep: Characters of these kinds that stay.
+    """
+    return text if text.isprintable() else "".join(c if c.isprintable() or c in keep else " " for c in text)
+
+
 class MmnnError(Exception):
     """Root of all errors raised by mmnn_pin."""
 

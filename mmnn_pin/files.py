@@ -10,23 +10,28 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import grp
 import os
+import pwd
 import re
 import shutil
 import socket
+import stat
 import tempfile
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from .errors import ConfigError, InputError, RecordingError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-ELSEWHERE = "choose another place"
+ELSEWHERE, NO_FILE = "choose another place", "it is no plain file"
 CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 LONGEST, DEEPEST = 1_000_000, 32  # bytes of a TOML file; levels of its tables and lists
+LARGEST = 500_000_000  # bytes of tables of numbers: logs, trajectories, rows of a contest
+MOST = 100_000_000_000  # bytes of any file
 TOML = "mend it: lines are key = value, texts stand in quotes, every bracket is closed"
 PART = r"(?:\"[^\"\n]*+\"|'[^'\n]*+'|[\w-]++)"  # of a key
 DEEP_KEY = re.compile(rf"(?:^|[\[{{,])[ \t]*+{PART}(?:[ \t]*+\.[ \t]*+{PART}){{{DEEPEST},}}", re.MULTILINE)
@@ -52,6 +57,48 @@ def way_out(error: Exception) -> str:
 # -- what is read ------------------------------------------------------------------------------------------------------
 
 
+def opened(path: str | Path, most: int = MOST) -> BinaryIO:
+    """A plain file, open for reading: no pipe, which may keep one waiting, nor a device, which may never end.
+
+    Args:
+        path: The file.
+        most: Bytes that it may have.
+
+    Raises:
+        OSError: It cannot be opened, is something else, or has more.
+        ValueError: A name that no file can have.
+    """
+    try:
+        file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))  # noqa: SIM115
+    except IsADirectoryError:
+        raise IsADirectoryError(NO_FILE) from None
+    state = os.fstat(file.fileno())
+    if stat.S_ISREG(state.st_mode) and state.st_size <= most:
+        return file
+    file.close()
+    raise too_large(most) if stat.S_ISREG(state.st_mode) else OSError(NO_FILE)
+
+
+def too_large(most: int) -> OSError:
+    """The error of a file of more than some bytes."""
+    unit, name = next((one for one in ((1e9, "GB"), (1e6, "MB")) if most > one[0]), (1e3, "kB"))
+    return OSError(f"it has more than {most / unit:,g} {name}")
+
+
+def read_bytes(path: str | Path, most: int = LONGEST) -> bytes:
+    """Content of a plain file of at most so many bytes.
+
+    Raises:
+        OSError: As `opened`, or there are more.
+        ValueError: As `opened`.
+    """
+    with opened(path, most) as file:
+        data = file.read(most + 1)
+    if len(data) > most:  # it grows
+        raise too_large(most)
+    return data
+
+
 def read_text(path: Path, most: int = LONGEST) -> str:
     """A text in UTF-8.
 
@@ -59,13 +106,7 @@ def read_text(path: Path, most: int = LONGEST) -> str:
         ConfigError: It cannot be read, is no plain file, too large, or not in UTF-8.
     """
     try:
-        if path.exists() and not path.is_file():
-            raise ConfigError("cannot be read", why="it is no plain file", file=path)
-        with path.open("rb") as file:
-            data = file.read(most + 1)
-        if len(data) > most:
-            raise ConfigError("cannot be read", why=f"it has more than {most // 1000:,} kB", file=path)
-        return data.decode()
+        return read_bytes(path, most).decode()
     except UnicodeDecodeError as error:
         raise ConfigError("not a text in UTF-8", why=str(error), file=path) from error
     except (OSError, ValueError) as error:  # a name that no file can have
@@ -102,6 +143,12 @@ def parsed_toml(text: str) -> dict[str, Any]:
     if is_deep(table):
         raise ValueError(DEEP)
     return table
+
+
+def quoted(text: str) -> str:
+    """A text in quotes for TOML, and for YAML: on one line, whatever it holds."""
+    plain = (c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in text)
+    return f'"{"".join(plain)}"'
 
 
 def is_deep(value: Any) -> bool:
@@ -212,6 +259,57 @@ def settle_folder(made: Path, folder: Path, what: str, force: bool) -> None:
     for file in files:
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         settle(made / file, folder / file, what, force)
+
+
+def make_private(folder: Path) -> str:
+    """Make a folder that only we, and root, can write to, for what is run as it is found there.
+
+    Args:
+        folder: The folder, without symbolic links.
+
+    Returns:
+        Why others can write to it, or replace a folder above it; empty where they cannot.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    if why := way_in(folder):
+        return why
+    for place in (*reversed(folder.parents), folder):
+        with suppress(FileExistsError):
+            place.mkdir(0o700)
+            place.chmod(0o700)  # whatever the umask
+    return way_in(folder)
+
+
+def way_in(folder: Path) -> str:
+    """How others can put files into a folder, also one that is still to be made; empty where they cannot.
+
+    It looks at the folders above up to the user's own one, or to one whose entries only their owners can replace.
+    """
+    home = Path.home().resolve()
+    for place in (folder, *folder.parents):
+        try:
+            state = place.stat()
+        except FileNotFoundError:
+            continue
+        if state.st_uid not in (os.getuid(), 0):
+            return f"user {state.st_uid} owns {place}"
+        by_group = state.st_mode & stat.S_IWGRP and not is_own_group(state.st_gid)
+        sticky = state.st_mode & stat.S_ISVTX and place != folder
+        if (by_group or state.st_mode & stat.S_IWOTH) and not sticky:
+            return f"others can write to {place} (mode {stat.S_IMODE(state.st_mode):o})"
+        if sticky or place == home:
+            break
+    return ""
+
+
+def is_own_group(number: int) -> bool:
+    """Whether a group is the user's alone, as many systems make one for each."""
+    with suppress(KeyError):
+        group, user = grp.getgrgid(number), pwd.getpwuid(os.getuid())
+        return group.gr_name == user.pw_name and {*group.gr_mem} <= {user.pw_name}
+    return False
 
 
 def umask() -> int:

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from numba import config, typeof
 from numba._dispatcher import compute_fingerprint
 
+from mmnn_pin import compiled as module
 from mmnn_pin import load_experiment
 from mmnn_pin.by_address import by_address
 from mmnn_pin.compiled import KEPT, MADE, OwnNames, by_type, cache_folder, compiled, internal, linked
@@ -426,3 +427,24 @@ def test_code_of_other_versions_that_nothing_uses_is_removed_and_nothing_else(
     assert own is not None and set(tmp_path.iterdir()) == {own, used, foreign, alike}
     os.utime(own, (0.0, 0.0))
     assert cache_folder.__wrapped__() == own and time.time() - own.stat().st_mtime < 60.0
+
+
+def test_code_is_not_taken_from_a_folder_that_others_can_write_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its files are unpickled, and their code is run."""
+    shared, others = tmp_path / "shared", tmp_path / "others"
+    for folder in (shared, others):
+        folder.mkdir()
+    shared.chmod(0o777)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(shared))
+    monkeypatch.setattr(module, "gettempdir", lambda: str(others))
+    found = cache_folder.__wrapped__()
+    assert found.parent == others / f"mmnn_pin-{os.getuid()}" and found.stat().st_mode & 0o777 == 0o700
+    assert not any(shared.iterdir())
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"warning: compiled code is not taken from {shared}: others can write to {shared} (mode 777)" in line
+    found.parent.chmod(0o777)
+    assert cache_folder.__wrapped__() is None and "it is not kept" in capsys.readouterr().err
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "own"))  # as the line says
+    assert cache_folder.__wrapped__().parent == tmp_path / "own" and capsys.readouterr().err == ""

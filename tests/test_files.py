@@ -6,15 +6,31 @@ import errno
 import os
 import subprocess
 import sys
+import tempfile
 import time
+import tomllib
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+import yaml
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin.errors import ConfigError, RecordingError
-from mmnn_pin.files import DEEPEST, LONGEST, locked, parsed_toml, read_toml, whole_file, whole_folder
+from mmnn_pin.files import (
+    DEEPEST,
+    LONGEST,
+    locked,
+    make_private,
+    parsed_toml,
+    quoted,
+    read_toml,
+    way_in,
+    whole_file,
+    whole_folder,
+)
 
 # -- TOML --------------------------------------------------------------------------------------------------------------
 
@@ -145,3 +161,71 @@ def test_a_lock_is_held_against_other_processes_and_ends_with_a_kill(tmp_path):
     holder.communicate()
     with locked(tmp_path / "t", "table"):
         pass
+
+
+# -- names of others ---------------------------------------------------------------------------------------------------
+
+
+@given(st.text(st.characters(exclude_categories=["Cs"])))
+def test_a_quoted_text_is_that_text_in_toml_and_in_yaml_on_one_line(text: str) -> None:
+    assert tomllib.loads(f"key = {quoted(text)}\nnext = 1") == {"key": text, "next": 1}
+    assert yaml.safe_load(f"key: [{quoted(text)}, x]") == {"key": [text, "x"]}
+    assert quoted(text).isprintable()
+
+
+# -- folders whose files are run ---------------------------------------------------------------------------------------
+
+STRANGER = 65534
+MODES = st.sampled_from([0o700, 0o755, 0o775, 0o757, 0o777, 0o1777, 0o1755])
+
+
+def gets_in(folders: list[Path]) -> bool:
+    """Whether a stranger can change what the last of some folders holds, or that it is the one; he tries."""
+    if (child := os.fork()) == 0:
+        os.setgid(STRANGER)
+        os.setuid(STRANGER)
+        tries = [partial(os.rename, one, f"{one}.away") for one in folders]
+        tries += [partial(os.chmod, one, 0o777) for one in folders]
+        for attempt in [*tries, (folders[-1] / "planted").touch]:
+            with suppress(OSError):
+                attempt()
+                os._exit(1)
+        os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) != 0
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="a stranger is played by root")
+@given(st.lists(st.tuples(MODES, st.sampled_from([0, 0, STRANGER])), min_size=1, max_size=3))
+@settings(max_examples=150, deadline=None)
+def test_into_a_folder_that_is_private_no_stranger_gets(chain: list[tuple[int, int]]) -> None:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
+        os.chmod(name, 0o755)
+        folders = [Path(name)]
+        for mode, owner in chain:
+            folders.append(folders[-1] / "inner")
+            folders[-1].mkdir()
+            folders[-1].chmod(mode)
+            os.chown(folders[-1], owner, owner)
+        why = way_in(folders[-1])
+        if all(owner == 0 and not mode & 0o022 for mode, owner in chain):
+            assert why == ""
+        if not why:
+            assert not gets_in(folders)
+        elif all(mode in (0o755, 0o757, 0o777) for mode, _ in chain):  # else he may not come so far
+            assert gets_in(folders)
+
+
+def test_a_private_folder_is_ours_alone_whatever_the_umask(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        assert make_private(tmp_path / "one" / "two") == ""
+        os.umask(0o777)
+        assert make_private(tmp_path / "one" / "three") == ""
+    finally:
+        os.umask(before)
+    made = [tmp_path / "one", tmp_path / "one" / "two", tmp_path / "one" / "three"]
+    assert [folder.stat().st_mode & 0o7777 for folder in made] == [0o700] * 3
+    (tmp_path / "one").chmod(0o777)
+    assert make_private(tmp_path / "one" / "two") == f"others can write to {tmp_path / 'one'} (mode 777)"
+    (tmp_path / "one").chmod(0o1777)  # whose entries only their owners replace
+    assert make_private(tmp_path / "one" / "two") == ""

@@ -13,7 +13,7 @@ PACKAGE = ROOT / "mmnn_pin"
 
 # From the ground up. A module may import its own floor and those below; type-only and late imports count, too.
 FLOORS = (
-    ("ground", ("errors", "files", "signals", "settings", "parts", "compiled", "by_address", "elementary")),
+    ("ground", ("errors", "files", "signals", "settings", "parts", "children", "compiled", "by_address", "elementary")),
     ("model", ("model",)),
     ("blocks", ("reference", "kinematic", "torque", "safety", "actuator", "disturbance", "plant", "sensing")),
     ("recording", ("recording",)),
@@ -211,7 +211,7 @@ def test_a_controller_knows_what_it_imports(part: str) -> None:
 
 def test_few_modules_stand_at_the_top() -> None:
     at_the_top = sorted(module for module, file in modules().items() if file.parent == PACKAGE)
-    assert len(at_the_top) <= 8, at_the_top
+    assert len(at_the_top) <= 9, at_the_top
 
 
 def test_each_test_file_has_a_name_of_its_own() -> None:

@@ -49,7 +49,7 @@ def drive(controller, seconds, out):
         str(out),
         "--force",
     ]
-    node = subprocess.Popen([sys.executable, "-c", NODE, "ros2", str(HERE / "robot.toml"), *asked])
+    node = subprocess.Popen([sys.executable, "-P", "-c", NODE, "ros2", str(HERE / "robot.toml"), *asked])
     link = Link(Network(domain=DOMAIN))
     joystick = Outlet(link, "/cmd_vel", msg.Twist, Topic("/cmd_vel", "reliable"))
     planner = Outlet(link, "/mmnn/joint_trajectory", msg.JointTrajectory, Topic("/plan", "reliable"))

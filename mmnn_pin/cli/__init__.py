@@ -15,13 +15,13 @@ from contextlib import suppress
 import click
 
 from .. import __version__
-from ..errors import InputError, MmnnError, UnknownName
+from ..errors import InputError, MmnnError, UnknownName, printable
 from ..files import reason, way_out
 from .docs import docs
 from .embed import embed
 from .identify import excite, identify
 from .options import examples
-from .output import BAD_INPUT, DONE, FAILED, STOPPED, answer, printable, say
+from .output import BAD_INPUT, DONE, FAILED, STOPPED, answer, note, say
 from .results import export, plot, prove, replay, report
 from .robot import check, inspect, model
 from .ros2 import ros2
@@ -155,7 +155,7 @@ def complain(code: int, error: InputError, given: Sequence[str]) -> int:
         traceback.print_exc()
     problems = [str(problem) for problem in getattr(error, "errors", None) or [error]]  # an audit has several
     with suppress(OSError):
-        click.echo("\n".join(printable(" ".join(problem.split())) for problem in problems), err=True)
+        note("\n".join(printable(" ".join(problem.split())) for problem in problems))
     if "--json" in given:
         fields = {name: getattr(error, name) for name in ("what", "why", "fix", "line", "key")}
         file = None if error.file is None else str(error.file)

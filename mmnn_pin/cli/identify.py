@@ -11,7 +11,7 @@ import click
 from ..errors import ConfigError
 from ..files import require_free
 from .options import FORCE, examples, numbers, robots, run_command, shared, understanding
-from .output import DONE, FAILED, answer, look, named, progress_bar, warn, wrote
+from .output import DONE, FAILED, answer, look, named, progress_bar, styled, warn, wrote
 
 if TYPE_CHECKING:
     from ..deploy.identify.identification import Identification
@@ -133,7 +133,7 @@ def identify(
 
     def text() -> str:
         after = [wrote(files.values()), *what_it_changes(found, robot, files["urdf"], overrides)] if files else []
-        return "\n".join((text_of(report, **look()), *after))
+        return "\n".join((styled(text_of(report, **look())), *after))
 
     answer(as_json, lambda: report, text)
     if not files:

@@ -17,12 +17,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
+from secrets import token_hex
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ParamSpec
 
 import click
 
-from ..errors import ConfigError, InputError, RecordingError
+from ..errors import ConfigError, InputError, RecordingError, printable
 from ..files import reason, way_out
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ P = ParamSpec("P")
 DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
 EVERY = 10.0  # between two lines of progress [s]
 NARROW, WIDTH, WIDE = 40, 100, 200  # columns that tables are made for: at least, without a terminal, at most
+STYLE = f"\ufdd0{token_hex(8)}\ufdd1"  # in place of what begins a style of ours: no text of others has it
 STUDY, CONTEST, IDENTIFIED = "study.sqlite", ("contest.json", "rows.json"), "*.identified.json"  # their files
 
 
@@ -42,7 +44,7 @@ def say(text: str) -> None:
         InputError: It cannot be written to.
     """
     try:
-        print(printable(text), flush=True)
+        print(safe(text), flush=True)
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left over goes there
         if not isinstance(error, BrokenPipeError):
@@ -63,9 +65,14 @@ def columns() -> int:
     return int(look().get("width", WIDTH))
 
 
-def printable(text: str) -> str:
-    """Text without what would steer a terminal: control and direction characters, which names in a URDF may hold."""
-    return text if text.isprintable() else "".join(c if c.isprintable() or c in "\n\t\x1b" else " " for c in text)
+def styled(text: str) -> str:
+    """A text with styles of ours, as `say` lets them through; see `terminal_text`."""
+    return text.replace("\x1b", STYLE)
+
+
+def safe(text: str) -> str:
+    """Lines for a terminal: of what steers it, only our own styles are left."""
+    return "\x1b".join(printable(part, "\n\t") for part in text.split(STYLE))
 
 
 def answer(as_json: bool, content: Callable[[], dict[str, Any]], text: Callable[[], str]) -> None:
@@ -83,9 +90,14 @@ def named(files: dict[str, Path]) -> dict[str, str]:
     return {name: str(file) for name, file in files.items()}
 
 
+def note(text: str) -> None:
+    """Print lines on standard error."""
+    click.echo(safe(text), err=True)
+
+
 def warn(text: str) -> None:
     """Print a warning about a run or a page on standard error."""
-    click.echo(f"warning: {text}", err=True)
+    note(f"warning: {printable(text)}")
 
 
 def compile_if_cold(hardware: bool = False) -> None:
@@ -100,14 +112,14 @@ def compile_if_cold(hardware: bool = False) -> None:
     tell = tell_what_compiles()
     wait(tell)
     if not is_warm():
-        click.echo("first run of this version: compiling takes about half a minute, later runs start at once", err=True)
+        note("first run of this version: compiling takes about half a minute, later runs start at once")
         from ..loop.precompile import precompile
 
         precompile(tell)
     folder = cache_folder()
     if hardware and folder is not None and not (announced := folder / "hardware was announced").exists():
         parts = "sensors, motors, a supervisor or disturbances"
-        click.echo(f"first run with {parts}: their part of the loop is compiled, about 20 s more", err=True)
+        note(f"first run with {parts}: their part of the loop is compiled, about 20 s more")
         with suppress(OSError):  # a full disk: it is announced again
             announced.touch()
 
@@ -127,7 +139,7 @@ def before_it_is_compiled(hardware: bool = False) -> Iterator[None]:
         compile_if_cold(hardware)
         yield
         return
-    click.echo("first run of this version: compiling, for later runs, goes on beside it for half a minute", err=True)
+    note("first run of this version: compiling, for later runs, goes on beside it for half a minute")
     with early(tell_what_compiles()):
         yield
 
@@ -175,7 +187,7 @@ class Lines:
         """Print a line, if the last one is 10 s old."""
         if (here := self._now()) >= self._next:
             self._next = here + EVERY
-            click.echo(f"{text()}, after {here - self._start:.0f} s", err=True)
+            note(f"{text()}, after {here - self._start:.0f} s")
 
 
 @contextmanager
@@ -186,13 +198,14 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         yield lambda controller, fraction: lines.show(lambda: f"{controller}: {100 * fraction:.0f} %")
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
 
         def show(controller: str, fraction: float) -> None:
-            known = {task.description: task.id for task in bar.tasks}
-            task = known[controller] if controller in known else bar.add_task(controller, total=1.0)
+            known, name = {task.description: task.id for task in bar.tasks}, escape(printable(controller))
+            task = known[name] if name in known else bar.add_task(name, total=1.0)
             bar.update(task, completed=fraction)
 
         yield show
@@ -206,12 +219,13 @@ def counter(what: str, total: int, done: int = 0) -> Iterator[Callable[[int, str
         yield lambda done, text: lines.show(lambda: f"{done} of {total} {what}  {text}".rstrip())
         return
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, TextColumn("{task.description}"), console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=total, completed=done)
-        yield lambda done, text: bar.update(task, completed=done, description=text)
+        yield lambda done, text: bar.update(task, completed=done, description=escape(printable(text)))
 
 
 @contextmanager
@@ -308,7 +322,7 @@ def open_runs(paths: tuple[Path, ...]) -> list[Recording]:
     recordings = [Recording.open(file) for file in files]
     for recording in recordings:
         for where, why in recording.damage.items():
-            warn(printable(f"{recording.path}: {where} is damaged and left out: {why}"))
+            warn(f"{recording.path}: {where} is damaged and left out: {why}")
     return recordings
 
 

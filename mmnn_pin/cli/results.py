@@ -28,6 +28,7 @@ from .output import (
     open_runs,
     progress_bar,
     proving,
+    styled,
     targets,
     warn,
     wrote,
@@ -240,14 +241,16 @@ def prove(
             recording, payload=payload, windows=windows, budget=float("inf") if every_period else BUDGET,
             region=wanted, disturbance=forces, tube=tube, progress=show,
         )  # fmt: skip
+
+    def both() -> str:
+        return f"{render(found.proof, **look())}\n{render_certificate(found.certificate, **look())}"
+
     files = {} if plots is None else write_proof(found.proof, plots, force)
     written = {} if plots is None else {"files": named(files)}
     answer(
         as_json,
         lambda: found.to_dict() | written,
-        lambda: "\n".join(
-            (render(found.proof, **look()), render_certificate(found.certificate, **look()), wrote(files.values()))
-        ).rstrip(),
+        lambda: "\n".join((styled(both()), wrote(files.values()))).rstrip(),
     )
     return DONE if found.holds else FAILED
 

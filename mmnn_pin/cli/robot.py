@@ -10,7 +10,7 @@ import click
 
 from ..errors import RobotError
 from .options import examples, robots, shared, understanding
-from .output import BAD_INPUT, DONE, FAILED, answer, columns, progress_bar, warn
+from .output import BAD_INPUT, DONE, FAILED, answer, columns, note, progress_bar, warn
 
 
 @click.command(
@@ -80,7 +80,7 @@ def inspect(robot: str, gains: bool, overrides: dict[str, Any], as_json: bool) -
         content, code = refusal_of(error, find(robot), Overrides(**overrides)), BAD_INPUT
     for finding in content["findings"]:
         if finding["severity"] == "error":
-            click.echo(finding["text"], err=True)
+            note(finding["text"])
     text = inspection_text(content, columns()) if code == DONE else refusal_text(content)
     without_texts = [{k: v for k, v in finding.items() if k != "text"} for finding in content["findings"]]
     if as_json or text:

@@ -13,8 +13,9 @@ import click
 from msgspec.structs import replace
 
 from ..errors import ConfigError, InputError
+from ..files import read_text
 from .options import examples, robots, shared
-from .output import DONE, FAILED, STOPPED, answer, compile_if_cold
+from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, note
 
 if TYPE_CHECKING:
     from ..deploy.ros2.settings import Node
@@ -150,7 +151,7 @@ def with_lines(make: Callable[[], Made], settings: Node, file: Path) -> Made:
     try:
         return make()
     except InputError as error:
-        text = file.read_text(encoding="utf-8")
+        text = read_text(file)
         if error.file is None or Path(error.file).suffix == ".toml":
             own = error.key is not None and error.key.partition(".")[0] in settings.set
             error.key = f"set.{error.key}" if own else error.key
@@ -193,12 +194,12 @@ def control(
     more |= {"safety": loop.safety or Safety(torque="urdf"), "meta": {"config": experiment.to_json()}}
     with of_settings(experiment):
         made = with_lines(lambda: Stepper.of(loop, **more), settings, file)
-    with made as stepper, Bridge(stepper, settings, told) as node:
+    with made as stepper, Bridge(stepper, settings, note) as node:
         motion = None
         if settings.follow == "experiment":
             motion = stepper.plan(loop.trajectory, experiment.time.duration, from_here=True)
             seconds = min(seconds, experiment.time.duration)
-        told(f"{robot.name} at {settings.rate:g} Hz in domain {settings.network.domain}, as {file} says")
+        note(f"{robot.name} at {settings.rate:g} Hz in domain {settings.network.domain}, as {file} says")
         return node.run(wait, seconds, motion)
 
 
@@ -211,8 +212,3 @@ def of_settings(experiment: Experiment) -> Iterator[None]:
     except ConfigError as error:
         error.fix = re.sub(r"--set ('?)", r"--set \1set.", error.fix)
         raise
-
-
-def told(text: str) -> None:
-    """Print a line on standard error."""
-    click.echo(text, err=True)

@@ -26,7 +26,9 @@ from .output import (
     interruptible,
     look,
     named,
+    note,
     progress_bar,
+    styled,
     warn,
     wrote,
 )
@@ -190,7 +192,7 @@ def announced(text: str) -> Iterator[Callable[[str, float], None]]:
 
     def tell() -> None:
         if lines:
-            click.echo(lines.pop(), err=True)
+            note(lines.pop())
 
     with progress_bar() as show, interruptible(show) as progress:
 
@@ -236,7 +238,7 @@ def run_one(
         remarks = [f"note: {note}" for note in (*worse_somewhere(result), *rivals_left_out(result), *notes(result))]
         files = [recording.path for recording in result.recordings.values() if recording.path]
         verdict = textwrap.fill(headline(result), columns(), break_long_words=False, break_on_hyphens=False)
-        return "\n".join([render(result, **look()), "", verdict, *remarks, wrote([*files, *pictures.values()])])
+        return "\n".join([styled(render(result, **look())), "", verdict, *remarks, wrote([*files, *pictures.values()])])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
     if any(recording.outcome.status == "interrupted" for recording in result.recordings.values()):
@@ -253,7 +255,7 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
         matrix = run_all(asked, name, out=folder, force=force, progress=progress)
     command = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
     files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {command}"
-    answer(as_json, matrix.to_dict, lambda: f"{render_cases(matrix, **look())}\n\n{files}")
+    answer(as_json, matrix.to_dict, lambda: f"{styled(render_cases(matrix, **look()))}\n\n{files}")
     return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
 
 
@@ -277,7 +279,7 @@ def contest_text(standing: Standing, folder: Path, pictures: list[Path]) -> str:
     """A contest as text: its tables, what failed, what to know, where the files are."""
     from ..lab.show.contest import findings, render
 
-    lines = [render(standing, **look()), ""]
+    lines = [styled(render(standing, **look())), ""]
     lines += [f"failed: {controller} on {task}: {error}" for (task, controller), error in standing.failed.items()]
     lines += [f"note: {note}" for note in findings(standing)]
     lines += [wrote([folder / "rows.json", folder / "rows.csv", *pictures])] if standing.trials else []

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .options import examples, makes_runs, shared
-from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, counter, interruptible, look, warn
+from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, counter, interruptible, look, note, styled, warn
 
 if TYPE_CHECKING:
     from ..lab.study.execution import Probe
@@ -73,17 +73,17 @@ def study(
         answer(as_json, again.to_dict, again.describe)
         return DONE if again.same in (True, None) else FAILED
     require_at_hand(plan, cluster)
-    for note in window_notes(plan.base):
-        warn(note)
+    for remark in window_notes(plan.base):
+        warn(remark)
     stopped = make(plan, known, folder, choose(known, workers, processes, cluster), force)
     results = load_results(folder)
     answer(
         as_json,
         lambda: to_dict(results) | {"stopped": stopped},
-        lambda: f"{render(results, **look())}\n\nrows: {results.path}",
+        lambda: f"{styled(render(results, **look()))}\n\nrows: {results.path}",
     )
     if stopped and not as_json:
-        click.echo(STOPPED_TEXT, err=True)
+        note(STOPPED_TEXT)
     return STOPPED if stopped else FAILED if results.failed else DONE
 
 
@@ -130,7 +130,7 @@ def make(plan: Plan, known: Probe, folder: Path, where: AbstractContextManager[P
         try:
             with where as pool, counter("runs", len(plan), before) as show, interruptible(show) as advance:
                 done = f", {before} of them done" if before else ""
-                click.echo(f"{len(plan)} runs{done}, on {pool.place}{f' ({pool.crew})' * bool(pool.crew)}", err=True)
+                note(f"{len(plan)} runs{done}, on {pool.place}{f' ({pool.crew})' * bool(pool.crew)}")
 
                 def progress(result: JobResult) -> None:
                     ended.append(result.status)
@@ -197,5 +197,5 @@ def tune(
         best = result(study, folder, None if stopped else pool)
     answer(as_json, lambda: best.to_dict() | {"stopped": stopped}, best.describe)
     if stopped and not as_json:
-        click.echo(STOPPED_TEXT, err=True)
+        note(STOPPED_TEXT)
     return STOPPED if stopped else DONE

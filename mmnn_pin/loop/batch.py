@@ -28,7 +28,7 @@ from ..recording.recording import Outcome, Recording
 from ..signals import Array
 from ..torque.controller import CompiledController
 from .controller import with_findings
-from .forking import FORK, Flag, end_with, forks
+from .forking import FORK, Flag, forks, leave_to
 from .interruption import no_interruption
 from .loop import Loop
 from .setup import Sink
@@ -181,7 +181,7 @@ class Work:
 
 def inherit(work: Work) -> None:
     """Begin a forked process."""
-    end_with(work.parent)
+    leave_to(work.parent)
     Work.inherited = work
 
 

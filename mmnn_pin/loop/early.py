@@ -9,8 +9,8 @@ bits are those of the compiled loop.
 A function whose calls leave their ways often, such as a learner that sweeps until something is small, is compiled by
 itself.
 
-Meanwhile a process of its own compiles the loop for later runs, and goes on when this one is over. A run that is long
-waits for it.
+Meanwhile a process of its own compiles the loop for later runs, and goes on when this one is over, unless that was
+killed. A run that is long waits for it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import ctypes
 import fcntl
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -31,6 +30,7 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 
+from ..children import begin_beside, end_if_killed
 from ..compiled import cache_folder, run_compiled, run_plainly
 from ..torque import law
 from . import compiled
@@ -254,13 +254,12 @@ def compile_beside(engine: CompiledLoop) -> None:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         read.write(json.dumps(told).encode())
         read.seek(0)
-        command, quiet = [sys.executable, "-m", __name__], subprocess.DEVNULL
-        streams: dict[str, Any] = {"stdin": read, "stdout": quiet, "stderr": quiet}
-        subprocess.Popen(command, **streams, start_new_session=True, pass_fds=(lock.fileno(),))
+        begin_beside(__name__, read=read, keep=(lock.fileno(),))
 
 
 def main() -> None:
     """Compile the blocks and the loop of an engine that standard input tells of."""
+    end_if_killed(int(sys.argv[1]))
     told: dict[str, Any] = json.load(sys.stdin)
     os.nice(5)
     with no_collection():

@@ -6,10 +6,8 @@ nothing is sent to them but numbers. Ctrl-C is their parent's; they end with it,
 
 from __future__ import annotations
 
-import ctypes
 import mmap
 import multiprocessing
-import os
 import signal
 import sys
 import threading
@@ -19,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from ..children import end_with
 from ..torque.controller import CompiledController
 from .loop import Loop
 
 FORKED = 500_000  # samples of a batch, from which on it goes to processes
 MORE = ("interfaces", "within_limits")
 DECISIVE = ("engine", "timing", "plant", "contact", "sensor", "actuator", "latency", "disturbances", "safety", *MORE)
-PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent has ended
 FORK: Any = multiprocessing.get_context("fork") if sys.platform == "linux" else None
 
 
@@ -80,7 +78,7 @@ class Flag:
         return self.shared[0] == 1
 
 
-def end_with(parent: int) -> None:
+def leave_to(parent: int) -> None:
     """Leave Ctrl-C to the parent of this process, and end with it however it ends.
 
     Args:
@@ -88,6 +86,4 @@ def end_with(parent: int) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
+    end_with(parent)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numba.core.event import Listener, register
 
+from ..children import Spawning, end_with
 from ..compiled import cache_folder, is_warm
 from ..elementary import arrays
 from ..model.base.holonomic import moves_sideways
@@ -47,8 +48,8 @@ def precompile(tell: Callable[[str], None] = lambda name: None) -> None:
     """
     if is_warm() or cache_folder() is None or (os.cpu_count() or 1) < 2:
         return
-    context: Any = get_context("fork" if sys.platform == "linux" else "spawn")  # a fork has imported everything
-    other = context.Process(target=quietly, args=(call_plant_blocks,), daemon=True)
+    context: Any = get_context("fork") if sys.platform == "linux" else Spawning()  # a fork has imported everything
+    other = context.Process(target=quietly, args=(call_plant_blocks, os.getpid()), daemon=True)
     other.start()
     try:
         with no_collection():
@@ -60,8 +61,9 @@ def precompile(tell: Callable[[str], None] = lambda name: None) -> None:
         other.kill()
 
 
-def quietly(work: Callable[[], None]) -> None:
-    """Work in a process that prints nothing, nor says that Ctrl-C ended it."""
+def quietly(work: Callable[[], None], parent: int) -> None:
+    """Work in a process that prints nothing, nor says that Ctrl-C ended it, and ends with its parent."""
+    end_with(parent)
     nowhere = os.open(os.devnull, os.O_RDWR)
     for stream in range(3):
         os.dup2(nowhere, stream)

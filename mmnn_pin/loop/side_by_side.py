@@ -34,6 +34,7 @@ import numba
 import numpy as np
 
 from .. import elementary
+from ..children import begin_beside, end_if_killed
 from ..compiled import cache_folder
 from ..signals import Array, IntArray
 from .compiled import CompiledLoop
@@ -343,16 +344,15 @@ def ask_for(file: Path, engine: CompiledLoop, form: Form, sample: int) -> subpro
     with TemporaryFile() as read:
         read.write(json.dumps(told).encode())
         read.seek(0)
-        quiet, plain = subprocess.DEVNULL, os.environ | {"NUMBA_DISABLE_JIT": "1"}
-        command = [sys.executable, "-m", __name__, str(file)]
-        return subprocess.Popen(command, stdin=read, stdout=quiet, stderr=quiet, env=plain)
+        return begin_beside(__name__, str(file), read=read, more={"NUMBA_DISABLE_JIT": "1"})
 
 
 def main() -> None:
     """Note a sample that standard input tells of and compile it into the file named; an empty one if that cannot be."""
     from .noting import NotNoted, sample
 
-    file = Path(sys.argv[1])
+    end_if_killed(int(sys.argv[1]))
+    file = Path(sys.argv[2])
     try:
         told = sample(json.load(sys.stdin))
     except (NotNoted, TypeError, ValueError, ArithmeticError, AttributeError):

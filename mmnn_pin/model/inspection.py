@@ -14,6 +14,7 @@ import numpy as np
 from lxml import etree
 
 from ..errors import ConfigError, InputError, RobotError, UnknownName
+from ..files import read_bytes, reason
 from ..settings import Settings
 from ..settings.arguments import wrong_type
 from ..signals import Array
@@ -24,7 +25,7 @@ from .dynamics import Dynamics
 from .robot import Robot, revolute
 from .urdf.expansion import Unexpanded
 from .urdf.finding import AuditError, Finding
-from .urdf.reading import audit_file
+from .urdf.reading import MAX_BYTES, audit_file
 
 
 def inspection_of(robot: Robot) -> dict[str, Any]:
@@ -77,8 +78,8 @@ def refusal_of(error: RobotError, path: Path, overrides: Overrides) -> dict[str,
 def hash_of(path: Path) -> str | None:
     """Hash of a file, None where it cannot be read."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
-    except OSError:
+        return hashlib.sha256(read_bytes(path, MAX_BYTES)).hexdigest()
+    except (OSError, ValueError):
         return None
 
 
@@ -231,9 +232,9 @@ def read_state(path: str | Path, robot: Robot) -> tuple[Array, Array]:
     """
     path = Path(path)
     try:
-        return msgspec.json.decode(path.read_bytes(), type=NamedState).of(robot)
+        return msgspec.json.decode(read_bytes(path), type=NamedState).of(robot)
     except OSError as error:
-        raise ConfigError("cannot be read", why=error.strerror or str(error), file=path) from error
+        raise ConfigError("cannot be read", why=reason(error), file=path) from error
     except msgspec.ValidationError as error:
         message, _, where = str(error).partition(" - at ")
         key = where.strip("`").removeprefix("$").removeprefix(".") or None

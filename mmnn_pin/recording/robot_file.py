@@ -17,6 +17,7 @@ from pathlib import Path
 import msgspec
 
 from ..errors import InputError
+from ..files import read_bytes
 from ..model.base.overrides import Overrides
 from ..model.urdf.document import Document
 from ..model.urdf.expansion import is_xacro, read_text
@@ -64,9 +65,7 @@ def document_of(
 def is_unchanged(file: Path, text: bytes) -> bool:
     """Whether a robot's own file lies there, with the robot of a text in it."""
     try:
-        if not file.is_file() or file.stat().st_size > MAX_BYTES:
-            return False
-        one, other = (parse(sealed(data), os.devnull).text for data in (file.read_bytes(), text))
+        one, other = (parse(sealed(data), os.devnull).text for data in (read_bytes(file, MAX_BYTES), text))
         return one.split() == other.split()  # an older version left out the empty lines
     except (OSError, ValueError, InputError):
         return False
@@ -102,7 +101,7 @@ def own_names(file: Path, places: tuple[str, ...] = ()) -> list[re.Pattern[str]]
         places: Folders that hold packages.
     """
     try:
-        if not (file.is_file() and file.stat().st_size <= MAX_BYTES and is_xacro(file, file.read_bytes())):
+        if not is_xacro(file, read_bytes(file, MAX_BYTES)):
             return []
         known = packages(file, places)
     except (OSError, ValueError):

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError
-from ..files import ELSEWHERE, folders_for, reason, settle, way_out
+from ..files import ELSEWHERE, folders_for, opened, reason, settle, way_out
 from ..signals import Array, Layout
 
 FORMAT = "mmnn_pin recording"
@@ -258,7 +258,7 @@ def endless_heap(path: Path) -> bool:
         OSError: The file cannot be read.
     """
     start, left = 0, path.stat().st_size + PIECE  # what bounds the work: heaps do not overlap
-    with open(path, "rb") as file:
+    with opened(path) as file:
         while piece := os.pread(file.fileno(), PIECE, start):
             for found in re.finditer(HEAP, piece):
                 place = start + found.start()
@@ -382,12 +382,14 @@ def _require_free(path: Path, force: bool) -> None:
     if not force:
         fix = "choose another name, or replace it with --force (force=True)"
         raise RecordingError("the file exists", why="a recording is not overwritten unasked", fix=fix, file=path)
-    with open(path, "rb") as old:
-        try:
+    try:
+        with opened(path) as old:
             fcntl.flock(old, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            why = "another run is writing it"
-            raise RecordingError("the file is in use", why=why, fix="choose another name", file=path) from error
+    except BlockingIOError as error:
+        why = "another run is writing it"
+        raise RecordingError("the file is in use", why=why, fix="choose another name", file=path) from error
+    except OSError as error:
+        raise RecordingError("it cannot be replaced", why=reason(error), fix=ELSEWHERE, file=path) from error
 
 
 def _write_facts(file: h5py.File, meta: Mapping[str, Any], texts: Mapping[str, str]) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from ..elementary.arrays import cos_sin
 from ..errors import TrajectoryError
+from ..files import LARGEST, read_bytes, reason
 from ..model.base import BY_SIZE
 from ..model.base.holonomic import moves_sideways
 from ..signals import Array
@@ -194,13 +196,12 @@ class Columns(Mapping[str, Array]):
         """
         file = Path(file)
         try:
-            with file.open(newline="", encoding="utf-8-sig") as stream:
-                first = stream.readline()
-                stream.seek(0)
-                rows = list(csv.reader(stream, delimiter=max(SEPARATORS, key=first.count), skipinitialspace=True))
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
-            no_text = "it is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else str(error)
-            why = getattr(error, "strerror", None) or no_text
+            stream = StringIO(read_bytes(file, LARGEST).decode("utf-8-sig"), newline="")
+            first = stream.readline()
+            stream.seek(0)
+            rows = list(csv.reader(stream, delimiter=max(SEPARATORS, key=first.count), skipinitialspace=True))
+        except (OSError, ValueError, csv.Error) as error:
+            why = "it is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else reason(error)
             raise TrajectoryError("cannot be read", why=why, fix="name a CSV file", file=file) from None
         heads = [head.partition("[")[0].strip() for head in rows[0]] if rows else []
         if missing := [name for name in needed if name not in heads]:

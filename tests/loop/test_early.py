@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import io
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -246,13 +247,16 @@ def test_the_process_compiles_what_the_run_needs(tmp_path: Path, monkeypatch: py
         patch.setattr(subprocess, "Popen", Process)
         module.compile_beside(engine)
     ((command, text, locked, kept, apart),) = given
-    assert command == [sys.executable, "-m", "mmnn_pin.loop.early"] and locked and kept == 1 and apart
+    assert command[:-1] == [sys.executable, "-P", "-m", "mmnn_pin.loop.early"] and locked and kept == 2 and apart
     done: list[str] = []
     before = len(compiled.advance.signatures)  # type: ignore[attr-defined]
     for name in ("call_control_blocks", "call_plant_blocks"):
         monkeypatch.setattr(module, name, lambda name=name: done.append(name))
     monkeypatch.setattr(module.os, "nice", lambda more: done.append(f"nicer by {more}"))
     monkeypatch.setattr(sys, "stdin", io.StringIO(text.decode()))
+    watched, held = os.pipe()  # held open: its parent lives
+    monkeypatch.setattr(sys, "argv", ["early", str(watched)])
     module.main()
     assert done == ["nicer by 5", "call_control_blocks", "call_plant_blocks"]
     assert json.loads(text)["form"] and len(compiled.advance.signatures) == before  # type: ignore[attr-defined]
+    os.write(held, b".")

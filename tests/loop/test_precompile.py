@@ -111,7 +111,7 @@ def test_the_second_process_prints_nothing_and_works(tmp_path, capfd):
         os.write(2, b"seen")
         (tmp_path / "done").write_text("done")
 
-    other = get_context("fork").Process(target=module.quietly, args=(work,))
+    other = get_context("fork").Process(target=module.quietly, args=(work, os.getpid()))
     other.start()
     other.join(60.0)
     assert other.exitcode == 0 and (tmp_path / "done").exists() and capfd.readouterr() == ("", "")

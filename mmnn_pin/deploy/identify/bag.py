@@ -11,6 +11,7 @@ import numpy as np
 
 from ...elementary.arrays import unwrapped
 from ...errors import InputError, RecordingError
+from ...files import opened
 from ...model.robot import Robot
 from ...signals import Array
 from .log import Columns, Log, from_signals, is_angle
@@ -31,7 +32,7 @@ def read_bag(path: Path, robot: Robot, columns: Columns) -> Log:
         RecordingError: rosbags is not there, the bag cannot be read, or has no joint states of the robot.
     """
     names = {columns.get(f"joint.{joint}", joint): joint for joint in robot.full_velocity_names}
-    with opened(path) as bag:
+    with reader(path) as bag:
         topics: dict[str, list[str]] = {}
         for connection in bag.connections:
             topics.setdefault(connection.msgtype, []).append(connection.topic)
@@ -55,7 +56,7 @@ def require_bounded(path: Path) -> None:
         RecordingError: With the place of the first.
     """
     size = path.stat().st_size
-    with path.open("rb") as file:
+    with opened(path) as file:
         file.seek(8)  # behind the magic bytes
         while len(head := file.read(9)) == 9 and file.tell() <= size - 8:
             at, length = file.tell(), int.from_bytes(head[1:], "little")
@@ -69,7 +70,7 @@ def require_bounded(path: Path) -> None:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def reader(path: Path) -> Iterator[Any]:
     """A bag, open.
 
     Raises:
@@ -82,7 +83,8 @@ def opened(path: Path) -> Iterator[Any]:
         fix = "pip install 'mmnn_pin[identify]'"
         raise RecordingError("bags need rosbags", why=f"no {error.name}", fix=fix, file=path) from None
     try:
-        for file in [path] if path.is_file() else sorted(path.glob("*.mcap")):
+        for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+            opened(file).close()  # nothing but plain files
             if file.suffix == ".mcap":
                 require_bounded(file)
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:

@@ -19,7 +19,7 @@ import numpy as np
 from lxml import etree
 
 from ...errors import RecordingError
-from ...files import whole_folder
+from ...files import quoted, read_bytes, whole_folder
 from ...model.arm import WHY
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
@@ -27,6 +27,7 @@ from ...model.robot import Robot
 from ...model.tree.body import parameters
 from ...model.urdf.expansion import is_xacro
 from ...model.urdf.mechanism import Part
+from ...model.urdf.reading import MAX_BYTES
 from ...signals import Array
 from ...torque.pseudo_inertia import pseudo_inertias
 from .identification import Identification
@@ -88,7 +89,7 @@ def new_links(of: Identification) -> dict[str, Array]:
 def corrected_urdf(of: Identification) -> bytes:
     """The URDF with new inertias, damping and friction; all else, comments included, as it was."""
     robot = of.robot
-    data = robot.path.read_bytes()
+    data = read_bytes(robot.path, MAX_BYTES)
     if is_xacro(robot.path, data):
         data = robot.urdf.encode()
     root = etree.fromstring(data, etree.XMLParser(remove_blank_text=False, resolve_entities=False))
@@ -204,16 +205,20 @@ def toml_of(of: Identification) -> bytes:
 
 
 def as_toml(table: Mapping[str, Any]) -> bytes:
-    """A table, whose values may be tables, as TOML: JSON has the same strings, numbers and lists."""
+    """A table, whose values may be tables, as TOML."""
     plain = [(key, value) for key, value in table.items() if not isinstance(value, Mapping)]
-    lines = [f"{json.dumps(key)} = {json.dumps(value)}" for key, value in plain]
+    lines = [f"{quoted(key)} = {in_toml(value)}" for key, value in plain]
     for key, value in table.items():
         if isinstance(value, Mapping):
-            lines += [
-                f"[{json.dumps(key)}]",
-                *(f"{json.dumps(name)} = {json.dumps(item)}" for name, item in value.items()),
-            ]
+            lines += [f"[{quoted(key)}]", *(f"{quoted(name)} = {in_toml(item)}" for name, item in value.items())]
     return ("\n".join(lines) + "\n").encode()
+
+
+def in_toml(value: Any) -> str:
+    """A value as TOML: JSON has the same numbers."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(in_toml, value))}]"
+    return quoted(value) if isinstance(value, str) else json.dumps(value)
 
 
 def said_of(of: Identification) -> Overrides:

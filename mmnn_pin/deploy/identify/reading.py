@@ -12,7 +12,7 @@ import numpy as np
 
 from ...elementary.arrays import unwrapped
 from ...errors import InputError, RecordingError, UnknownName
-from ...files import read_toml
+from ...files import LARGEST, read_bytes, read_toml, reason
 from ...model.robot import Robot
 from ...recording.recording import Recording, as_columns
 from ...signals import Array
@@ -246,9 +246,9 @@ def read_table(path: Path) -> tuple[list[str], Array, tuple[str, ...]]:
         RecordingError: The file cannot be read, has no header, or a row has other cells than numbers; with the line.
     """
     try:
-        text = path.read_text("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError("cannot be read", why=str(error), fix="give a CSV file as text", file=path) from None
+        text = read_bytes(path, LARGEST).decode("utf-8-sig")
+    except (OSError, ValueError) as error:
+        raise RecordingError("cannot be read", why=reason(error), fix="give a CSV file as text", file=path) from None
     lines = text.splitlines()
     if not lines or not any(c.isalpha() for c in lines[0]):
         raise RecordingError("no header", fix="name the columns in the first line", file=path, line=1)

@@ -23,6 +23,7 @@ import numpy as np
 
 from ...elementary import atan2, cos_sin
 from ...errors import ConfigError
+from ...files import quoted
 from ...model.base.base import Base, Wheel
 from ...signals import Array
 
@@ -167,7 +168,7 @@ def refusal(wheels: list[Wheel], why: str, turned: list[Wheel] | None = None) ->
         why: What the driver takes.
         turned: Those whose axis points the other way.
     """
-    fix = ONE_BY_ONE.format(", ".join(f'"{wheel.joint}"' for wheel in wheels))
+    fix = ONE_BY_ONE.format(", ".join(quoted(wheel.joint) for wheel in wheels))
     if turned:
         joints = ", ".join(wheel.joint for wheel in turned)
         fix = f"turn the <axis> of {joints} in the URDF and its motor's sign with it, or {fix}"

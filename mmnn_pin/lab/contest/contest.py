@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from ...errors import InputError, RecordingError
-from ...files import DEEP, is_deep, locked, whole_file
+from ...files import DEEP, LARGEST, is_deep, locked, read_bytes, whole_file
 from ...settings import finite, plain
 from ..experiments.config import without_null
 from ..experiments.contest import Contest
@@ -221,7 +221,7 @@ class Store:
         if file is None or not file.exists():
             return cls(folder)
         try:
-            return cls(folder, msgspec.json.decode(file.read_bytes(), type=dict[str, Trial]))
+            return cls(folder, msgspec.json.decode(read_bytes(file, LARGEST), type=dict[str, Trial]))
         except (OSError, ValueError, RecursionError) as error:
             raise RecordingError(
                 "not a file of rows",
@@ -312,7 +312,7 @@ def read_about(folder: Path) -> About | None:
     if not file.exists():
         return None
     try:
-        about = msgspec.json.decode(file.read_bytes(), type=About)
+        about = msgspec.json.decode(read_bytes(file), type=About)
         if is_deep(about.experiment):
             raise ValueError(DEEP)
         return about

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import glob
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
@@ -92,6 +92,20 @@ def recorded_experiment(recording: Recording) -> Experiment | None:
             why=f"another version of mmnn_pin wrote it: {' '.join(str(error).split())}",
             file=recording.path,
         ) from error
+
+
+def named_files(experiment: Experiment) -> list[str]:
+    """Files that an experiment names for its motion and its learners: none is opened because a recording names it."""
+
+    def within(key: str, value: Any) -> Iterator[str]:
+        if key in ("file", "start") and isinstance(value, str) and value:
+            yield value
+        for name, item in value.items() if isinstance(value, dict) else ():
+            yield from within(name, item)
+        for item in value if isinstance(value, list) else ():
+            yield from within("", item)
+
+    return [*within("", msgspec.json.decode(experiment.to_json()))]
 
 
 def without_null(value: Any) -> Any:

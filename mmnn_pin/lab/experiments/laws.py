@@ -19,6 +19,7 @@ from typing import Any, cast, get_type_hints
 import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName
+from ...files import read_bytes, reason
 from ...settings.arguments import wrong_type
 from ...torque.controller import Feedback, TorqueController
 from ...torque.learning_law import DIGEST, LearningLaw, sha256, told
@@ -213,10 +214,10 @@ def read_file(path: Path) -> Any:
     """
     path = path.absolute()
     try:
-        content = path.read_bytes()
-    except OSError as error:
+        content = read_bytes(path)
+    except (OSError, ValueError) as error:
         raise ConfigError(
-            "cannot be read", why=error.strerror or "", fix="name a file of Python as FILE.py:Class", file=path
+            "cannot be read", why=reason(error), fix="name a file of Python as FILE.py:Class", file=path
         ) from error
     digest = sha256(content)
     name = f"mmnn_pin_law_{sha256(str(path).encode())[:8]}_{digest[:12]}"
@@ -261,7 +262,7 @@ def digest_of(spec: str) -> str:
     place = "" if found is None else found["place"]
     with suppress(OSError, ImportError, AttributeError, TypeError, ValueError):
         file = place if place.endswith(".py") else importlib.util.find_spec(place).origin  # type: ignore[union-attr]
-        return sha256(Path(file).read_bytes())  # type: ignore[arg-type]
+        return sha256(read_bytes(file))  # type: ignore[arg-type]
     return ""
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName
-from ...files import read_toml
+from ...files import read_text, read_toml
 from ...model.loading import load_with
 from ...model.robot import Robot
 from .config import beside, find, find_variant
@@ -113,7 +113,7 @@ def located(error: InputError, name_or_path: str, overrides: Iterable[str], vari
         return error  # by an option
     path = find(name_or_path)
     for file in ancestry(path if variant is None else find_variant(path, variant)):
-        if line := line_of(file.read_text("utf-8"), error.key):
+        if line := line_of(read_text(file), error.key):
             error.file, error.line = file, line
             break
     return error

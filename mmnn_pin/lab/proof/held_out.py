@@ -25,7 +25,7 @@ from ...settings import Timing
 from ...signals import Array, Layout
 from ...torque import CONTROLLERS
 from ...torque.controller import Feedback
-from ..experiments.config import recorded_experiment
+from ..experiments.config import named_files, recorded_experiment
 from ..experiments.experiment import Experiment
 from .subject import Subject, finite_rows
 
@@ -68,6 +68,8 @@ def held_out(subject: Subject) -> HeldOut:
         if not longest / experiment.time.plant_step < MOST_STEPS:
             why = f"{longest:g} s in steps of {experiment.time.plant_step:g} s"
             raise RecordingError("its held-out trajectory is too long", why=why, file=subject.recording.path)
+        if named_files(experiment) and not experiment.held_out:
+            return usual(subject.robot, subject.timing.control_period, subject.rows)
         return next(iter(all_held_out(experiment, subject.robot).values()))
     return usual(subject.robot, subject.timing.control_period, subject.rows)
 

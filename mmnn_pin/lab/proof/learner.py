@@ -29,7 +29,7 @@ from ...torque import CONTROLLERS
 from ...torque.controller import Context, ControllerState, Feedback
 from ...torque.learning_law import LearningLaw
 from ...torque.neural import Neural, channels
-from ..experiments.config import recorded_experiment
+from ..experiments.config import named_files, recorded_experiment
 from ..experiments.controllers import Granted, Nominal
 from ..experiments.laws import GIVEN, known_law, with_settings
 
@@ -256,6 +256,9 @@ def of_experiment(recording: Recording, robot: Robot, name: str, settings: dict[
         return None
     if (nominal := experiment.nominal.robot) and nominal not in bundled() | extra():
         why = f"its nominal robot is the file {shortly(nominal)}, which is not opened because a recording names it"
+        raise RecordingError(f"the {name} of the recording cannot be made again", why=why, file=recording.path)
+    if files := named_files(experiment):
+        why = f"its config names the file {shortly(files[0])}, which is not opened because a recording names it"
         raise RecordingError(f"the {name} of the recording cannot be made again", why=why, file=recording.path)
     controller = experiment.controller(name, robot=robot)
     if not hasattr(controller, "learning"):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import RecordingError
+from ...files import LARGEST, opened, read_bytes
 from .figure import RC, folded, svg
 from .files import HtmlPage, fill_template
 from .table import WIDTH, Cell, Column, Kind, Line, Table, number, row_of, terminal_text
@@ -231,8 +232,8 @@ def page(file: Path, command: str) -> HtmlPage:
         RecordingError: The file, or the curves beside it, cannot be read.
     """
     try:
-        report = json.loads(file.read_text("utf-8"))
-        with np.load(file.with_suffix(".npz"), allow_pickle=False) as stored:
+        report = json.loads(read_bytes(file, LARGEST))
+        with opened(file.with_suffix(".npz")) as content, np.load(content, allow_pickle=False) as stored:
             curves = {name: stored[name] for name in stored.files}
         picture = {
             "svg": svg(curves_figure(curves)),

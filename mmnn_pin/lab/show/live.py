@@ -20,6 +20,7 @@ from typing import Self
 
 import numpy as np
 
+from ...children import environment
 from ...elementary.matrices import product
 from ...errors import ConfigError
 from ...loop.stepper import Stepper
@@ -62,9 +63,8 @@ class LiveView:
         try:
             self.numbers = np.frombuffer(Frames(memory, numbers).memory, dtype=np.float64)
             job = {"file": memory, "numbers": numbers, "rate": rate, "port": port, "bytes": len(page)}
-            environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
             self.server = subprocess.Popen(
-                [sys.executable, "-P", "-c", CHILD], pass_fds=(memory,), env=environment,
+                [sys.executable, "-P", "-c", CHILD], pass_fds=(memory,), env=environment(),
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             )  # fmt: skip
         finally:

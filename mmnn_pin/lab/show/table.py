@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
+from ...errors import printable
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table as RichTable
@@ -141,11 +143,21 @@ def terminal_text(parts: Iterable[str | Line | Table], colour: bool = False, wid
     with console.capture() as capture:
         for part in (Line(part) if isinstance(part, str) else part for part in parts):
             if isinstance(part, Table):
-                for piece in folded(part, width):
+                for piece in folded(safe(part), width):
                     console.print(laid_out(piece, console))
             else:
-                console.print(Text(wrapped(part.text, width)), style=part.style or None, soft_wrap=True)
+                console.print(
+                    Text(wrapped(printable(part.text, "\n"), width)), style=part.style or None, soft_wrap=True
+                )
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
+
+
+def safe(table: Table) -> Table:
+    """A table whose texts do not steer a terminal."""
+    heads = (replace(one, heading=printable(one.heading, "\n"), group=printable(one.group)) for one in table.columns)
+    cells = ([replace(cell, text=printable(cell.text, "\n")) for cell in row.cells] for row in table.rows)
+    rows = (replace(row, cells=tuple(own)) for row, own in zip(table.rows, cells, strict=True))
+    return replace(table, columns=tuple(heads), rows=tuple(rows))
 
 
 def wrapped(text: str, width: int) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import multiprocessing
 import os
 import pickle
 import signal
@@ -24,6 +23,7 @@ from functools import cache, lru_cache
 from types import ModuleType
 from typing import Any
 
+from ...children import Spawning, end_with, spawning
 from ...compiled import libraries
 from ...errors import ConfigError, MmnnError, StudyError
 from . import worker
@@ -89,9 +89,11 @@ def processes(workers: int | None = None) -> Iterator[Pool]:
         ConfigError: Less than one.
     """
     count = number_of(workers)
-    context = multiprocessing.get_context("spawn")  # a fork would copy threads' locks
-    stop = context.Event()
-    with ProcessPoolExecutor(count, context, begin, (stop,)) as executor:
+    context = Spawning()  # a fork would copy threads' locks
+    with spawning():  # Python's tracker of what they share, too
+        stop = context.Event()
+        executor = ProcessPoolExecutor(count, context, begin, (stop, os.getpid()))
+    with executor:
         try:
             yield Pool(executor, f"{count} process{'es' * (count > 1)}", lambda: 2 * count, count)
         finally:
@@ -99,8 +101,9 @@ def processes(workers: int | None = None) -> Iterator[Pool]:
             executor.shutdown(wait=True, cancel_futures=True)
 
 
-def begin(stop: Any) -> None:
-    """In a new process: Ctrl-C is the parent's, and so is the event that ends the runs."""
+def begin(stop: Any, parent: int) -> None:
+    """In a new process: Ctrl-C is the parent's, and so is the event that ends the runs; it ends with its parent."""
+    end_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")

@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeVar
 import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName
-from ...files import read_toml
+from ...files import read_text, read_toml
 from ...settings import Settings
 from ...settings.arguments import wrong_type
 from ..experiments.config import bundled, load_experiment, override, words_of
@@ -259,7 +259,7 @@ def placed(error: InputError, path: Path) -> InputError:
     """The error with the study's file, and the line of its key there."""
     if error.file is None:
         error.file = path
-        error.line = line_of(path.read_text(encoding="utf-8"), error.key or "") if error.key else None
+        error.line = line_of(read_text(path), error.key or "") if error.key else None
     return error
 
 

@@ -10,13 +10,13 @@ measured size of this robot, and taken; other lengths are opinions (`opinions`).
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.files import read_bytes, reason
 
 from ..urdf.packages import package_of
 from ..urdf.shapes import AtRest
@@ -76,13 +76,10 @@ def lines_of(file: str | None) -> list[tuple[int, str]]:
     if file is None:
         return []
     try:
-        if os.path.getsize(file) > LONGEST:
-            raise ValueError(f"it has more than {LONGEST // 1000} kB")
-        text = Path(file).read_text(encoding="utf-8")
+        text = read_bytes(file, LONGEST).decode()
     except (OSError, ValueError) as error:
         fix = "name the YAML file of the robot's controllers"
-        why = getattr(error, "strerror", None) or str(error)
-        raise ConfigError("cannot be read", why=why, fix=fix, file=file, key="controllers_file") from None
+        raise ConfigError("cannot be read", why=reason(error), fix=fix, file=file, key="controllers_file") from None
     return [(number, line.partition("#")[0]) for number, line in enumerate(text.splitlines(), 1)]
 
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from ...elementary import cos
-from ...errors import RobotError
+from ...errors import RobotError, printable
 from ...signals import Array
 from ..arm import WHY, Arm
 from ..urdf.document import Joint
-from ..urdf.finding import AuditError, Finding, one_line
+from ..urdf.finding import AuditError, Finding
 from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
 from . import KINDS
 from .base import Base
@@ -260,7 +260,7 @@ def weld_notes(rest: AtRest, kinds: dict[str, str]) -> list[Finding]:
 
 def printed_notes(rest: AtRest, printed: str) -> list[Finding]:
     """What Pinocchio's parser printed about a file that it accepts."""
-    text = f"Pinocchio's parser says: {one_line(printed)}"
+    text = f"Pinocchio's parser says: {printable(printed)}"
     return [note(rest, "pinocchio", "", text, about="")] if printed else []
 
 

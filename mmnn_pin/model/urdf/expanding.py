@@ -6,15 +6,18 @@ It is started by `expansion.run`, which says what it is asked and reads what it 
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import json
 import os
 import re
+import stat
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from ...children import end_with
 from .packages import FIND, far_package
 
 MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
@@ -39,6 +42,8 @@ PREFIX = re.compile(r"<xacro:arg\s+name=[\"']([^\"']*prefix[^\"']*)[\"']\s+defau
 
 NOT_DEFINED = r"name '([^']+)' is not defined"
 
+LARGEST = 100_000_000  # bytes of a file that an expansion opens
+
 SECONDS, BYTES = 8, 1_000_000_000  # of processor time and memory that an expansion may take
 
 
@@ -52,6 +57,7 @@ def taken() -> int:
 def child() -> None:
     """Expand the file of a job on standard input; on standard output a line of JSON, then the URDF."""
     job, out = json.load(sys.stdin), sys.stdout
+    end_with(job["parent"])
     import xacro
     import xacrodoc
 
@@ -65,7 +71,9 @@ def child() -> None:
 
     def listen(event: str, given: tuple[Any, ...]) -> None:
         if event == "open" and isinstance(given[0], str | bytes | os.PathLike):
-            opened.add(os.path.abspath(os.fsdecode(given[0])))
+            file = os.path.abspath(os.fsdecode(given[0]))
+            opened.add(file)
+            require_plain(file)
 
     sys.addaudithook(listen)
     told, data = attempt(xacro, xacrodoc, job)
@@ -77,6 +85,22 @@ def child() -> None:
     out.write(json.dumps(told) + "\n")
     out.flush()
     out.buffer.write(data)
+
+
+def require_plain(file: str) -> None:
+    """Refuse to open what may never end: a pipe, a device, a file that is too large.
+
+    Raises:
+        OSError: It is such a one.
+    """
+    try:
+        state = os.stat(file)
+    except OSError:
+        return  # it is not there
+    if not (stat.S_ISREG(state.st_mode) or stat.S_ISDIR(state.st_mode) or file == os.devnull):
+        raise OSError(errno.EINVAL, "it is no plain file", file)
+    if state.st_size > LARGEST:
+        raise OSError(errno.EFBIG, f"it has more than {LARGEST // 1_000_000} MB", file)
 
 
 def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:

@@ -20,7 +20,9 @@ from typing import Any, NamedTuple
 
 from lxml import etree
 
+from ...children import environment
 from ...errors import ConfigError, RobotError, UnknownName
+from ...files import read_bytes
 from .expanding import BYTES, INVALID, MACRO, NOT_DEFINED, SECONDS, giving
 from .finding import Finding, finding
 from .packages import above, package_of, packages
@@ -252,15 +254,10 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     Raises:
         Unexpanded: It takes too long or too much.
     """
-    environment = os.environ | {
-        "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path),
-        "OPENBLAS_NUM_THREADS": "1",
-    }
-    command = [sys.executable, "-P", "-c", CHILD]
+    command, variables = [sys.executable, "-P", "-c", CHILD], environment() | {"OPENBLAS_NUM_THREADS": "1"}
+    given = json.dumps(job | {"parent": os.getpid()}).encode()
     try:
-        ended = subprocess.run(
-            command, input=json.dumps(job).encode(), capture_output=True, env=environment, timeout=PATIENCE, check=False
-        )
+        ended = subprocess.run(command, input=given, capture_output=True, env=variables, timeout=PATIENCE, check=False)
     except subprocess.TimeoutExpired:
         why = f"it takes more than {PATIENCE:g} s: does it read a file that is none?"
         raise Unexpanded("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1) from None
@@ -337,7 +334,7 @@ def refusal(told: dict[str, Any], along: Callable[[str], list[str]]) -> Unexpand
 def line_of(path: Path, word: str) -> int:
     """First line of a file that has a word, 1 where none has."""
     with contextlib.suppress(OSError):
-        for number, line in enumerate(path.read_bytes().split(b"\n"), 1):
+        for number, line in enumerate(read_bytes(path).split(b"\n"), 1):
             if word and word.encode() in line:
                 return number
     return 1
@@ -363,6 +360,6 @@ def macros_only(path: Path, data: bytes) -> Unexpanded:
 def read_text(file: Path) -> str:
     """The text of a file, empty where it cannot be read or is long."""
     try:
-        return file.read_text(errors="replace") if file.stat().st_size < 1_000_000 else ""
-    except OSError:
+        return read_bytes(file).decode(errors="replace")
+    except (OSError, ValueError):
         return ""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from lxml import etree
 
-from mmnn_pin.errors import RobotError
+from mmnn_pin.errors import RobotError, printable
 
 NAMED = 8  # joints at most in one line
 
@@ -148,13 +148,8 @@ def finding(
     severity = "warning" if CODES[code] == "strict" else CODES[code]
     line, about = (at, "") if isinstance(at, int) else (at.sourceline, label(at))
     return Finding(
-        severity, code, "", line, one_line(about if of is None else of), one_line(message), why, fix, joint or ""
+        severity, code, "", line, printable(about if of is None else of), printable(message), why, fix, joint or ""
     )
-
-
-def one_line(text: str) -> str:
-    """Text without line breaks and control characters, which names may hold."""
-    return text if text.isprintable() else "".join(c if c.isprintable() else " " for c in text)
 
 
 def settle(findings: Sequence[Finding], path: Path, strict: bool) -> tuple[Finding, ...]:

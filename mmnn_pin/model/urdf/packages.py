@@ -15,6 +15,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
+from ...files import opened
+
 URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
 
 ABOVE, BELOW, VISITED = 2, 3, 1500  # levels searched above a package, levels below each of them, folders at most
@@ -108,7 +110,7 @@ def packages_in(place: str) -> tuple[tuple[str, str], ...]:
 def name_of(manifest: str) -> str:
     """Name that a `package.xml` states, empty where it states none."""
     try:
-        with open(manifest, "rb") as file:
+        with opened(manifest) as file:
             hit = NAME.search(file.read(65_536))
     except OSError:
         return ""

@@ -21,6 +21,7 @@ from pathlib import Path
 from lxml import etree
 
 from ...errors import ConfigError
+from ...files import read_bytes, reason
 from .document import Document, Tree
 from .expansion import expand, is_xacro
 from .finding import AuditError, Finding, finding, settle
@@ -177,17 +178,13 @@ def instead(path: Path) -> str:
 def content(path: Path) -> bytes | str:
     """All of a regular file of bearable size, or what is wrong with it."""
     try:
-        if path.exists() and not (path.is_file() or path.is_dir()):
-            return "cannot be read (not a regular file)"
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+        return read_bytes(path, MAX_BYTES)
     except FileNotFoundError:
         return "no such file"
     except IsADirectoryError:
         return "is a folder, not a URDF file"
     except (OSError, ValueError) as error:  # a path with a null byte
-        return f"cannot be read ({getattr(error, 'strerror', None) or error})"
-    return data if len(data) <= MAX_BYTES else f"has more than {MAX_BYTES // 1_000_000} MB"
+        return f"cannot be read ({reason(error)})"
 
 
 def audit_xacro(

@@ -103,6 +103,10 @@ HEADS = {
 
 TAGS = 200_000  # of a file; reading more takes minutes and gigabytes
 
+ATTRIBUTES = 200  # of a tag; the time to read them grows with the square
+
+CROWDED = f"//*[@*[{ATTRIBUTES + 1}]]"
+
 XACRO_FIX = "expand it first: xacro FILE > robot.urdf"
 
 DEFAULT_NAMESPACE = "//*[namespace-uri() != '' and not(contains(name(), ':'))]"
@@ -135,6 +139,9 @@ def parse_xml(data: bytes) -> tuple[etree._Element | None, list[Finding]]:
             finding("too-many", 1, f"has more than {TAGS:,} tags", "no robot needs them", "simplify it", of="")
         ]
     root, findings = parsed(data)
+    if root is not None and (found := root.xpath(CROWDED)):
+        what = f"has more than {ATTRIBUTES} attributes"
+        return None, [finding("too-many", found[0], what, "no robot needs them", "simplify it", of="")]
     line = doctype_line(data)
     if line or (root is not None and root.getroottree().docinfo.doctype):
         why = "entities could pull in other files or blow up"

@@ -24,7 +24,7 @@ from ....recording.metrics import metrics
 from ....recording.recording import Recording
 from ....settings import Timing
 from ....signals import Array, IntArray
-from ...experiments.config import bundled, load_experiment, recorded_experiment
+from ...experiments.config import bundled, load_experiment, named_files, recorded_experiment
 from ...experiments.controllers import CONTROLLERS
 from ...experiments.experiment import Experiment
 from ...experiments.references import ReferenceTables
@@ -206,6 +206,8 @@ def command_of(result: Result) -> str:
     if result.name not in bundled() or not all(recording.config_text for recording in result.recordings.values()):
         return ""
     experiment = result.experiment
+    if named_files(experiment):  # which would be opened
+        return ""
     try:
         settings = changes(load_experiment(result.name, (), experiment.variant or None), experiment)
         again = load_experiment(result.name, settings, experiment.variant or None)

@@ -1,0 +1,204 @@
+"""Processes of ours run nothing that lies where one stands, and end with a parent that is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from importlib.metadata import packages_distributions
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+NAMES = {*sys.stdlib_module_names, *packages_distributions(), "mmnn_pin", "sitecustomize", "usercustomize"}
+PLANT = "import os\nopen({marker!r}, 'a').write(__name__ + '\\n')\nos._exit(0)\n"
+BEGIN = """
+import json, os, sys, time
+from pathlib import Path
+from tempfile import TemporaryFile
+import mmnn_pin as mm
+from mmnn_pin.children import begin_beside
+def beside(module, text, *arguments):
+    with TemporaryFile() as read:
+        read.write(json.dumps(text).encode()); read.seek(0)
+        return begin_beside(module, *arguments, read=read, more={"NUMBA_DISABLE_JIT": "1"})
+"""
+KINDS = {
+    "first run": 'code = beside("mmnn_pin.loop.early", {"form": None}).wait(); assert code == 0, code',
+    "side by side": """
+out = Path(sys.argv[1]) / "program"
+beside("mmnn_pin.loop.side_by_side", [], str(out)).wait()
+assert out.read_bytes() == b""
+""",
+    "study": """
+from mmnn_pin.lab.study.pools import number_of, processes
+with processes(1) as pool:
+    assert pool.executor.submit(number_of, 3).result() == 3
+""",
+    "xacro": """
+from mmnn_pin.model.urdf.expansion import expand
+assert b"<link" in expand(Path(sys.argv[1]) / "one.xacro").data
+""",
+    "live view": """
+from mmnn_pin.lab.show.live import LiveView
+with mm.Stepper(mm.load("platform_arm"), mm.PD()) as stepper, LiveView(stepper, port=0) as view:
+    assert view.url.startswith("http://127.0.0.1")
+""",
+}
+XACRO = '<robot name="one" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="${\'base\'}"/></robot>'
+
+
+def plant(folder: Path, marker: Path, names: set[str] = NAMES) -> None:
+    """A file for each module that a process may import."""
+    for name in names:
+        (folder / f"{name}.py").write_text(PLANT.format(marker=str(marker)))
+
+
+def python(script: Path, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """A script of the user, as `mmnn` is one: Python looks for modules beside it, not in the current folder."""
+    variables = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(script), *arguments]
+    return subprocess.run(command, cwd=cwd, env=variables, capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_process_runs_nothing_that_lies_in_the_current_folder(kind: str, tmp_path: Path) -> None:
+    own, strange, marker = tmp_path / "own", tmp_path / "strange", tmp_path / "marker"
+    own.mkdir()
+    strange.mkdir()
+    plant(strange, marker)
+    (own / "one.xacro").write_text(XACRO)
+    body = "\n    ".join(KINDS[kind].strip().splitlines())
+    (own / "script.py").write_text(f"{BEGIN}\nif __name__ == '__main__':\n    {body}\n    print('done')\n")
+    done = python(own / "script.py", str(own), cwd=strange)
+    assert not marker.exists(), marker.read_text()
+    assert done.stdout.strip().endswith("done"), done.stderr
+
+
+def test_a_planted_module_would_have_run(tmp_path: Path) -> None:
+    plant(tmp_path, tmp_path / "marker", {"struct"})
+    subprocess.run([sys.executable, "-c", "import struct"], cwd=tmp_path, check=True)
+    assert (tmp_path / "marker").read_text() == "struct\n"
+
+
+def test_a_worker_finds_the_users_own_module_and_takes_no_other_from_beside_it(tmp_path: Path) -> None:
+    """The parent has imported all that it needs before others lie there."""
+    (tmp_path / "own_module.py").write_text("def twice(x):\n    return 2 * x\n")
+    names = sorted(name for name in NAMES if name not in ("__main__", "distutils") and find_spec(name))
+    assert len(names) > 300
+    (tmp_path / "script.py").write_text(
+        f"""
+import sys
+from mmnn_pin.lab.study.pools import processes
+from own_module import twice
+if __name__ == "__main__":
+    for name in {names!r}:
+        open(f"{tmp_path}/{{name}}.py", "w").write({PLANT.format(marker=str(tmp_path / "marker"))!r})
+    with processes(1) as pool:
+        print(pool.executor.submit(twice, 21).result())
+"""
+    )
+    done = python(tmp_path / "script.py", cwd=tmp_path)
+    assert (done.stdout.strip(), (tmp_path / "marker").exists()) == ("42", False), done.stderr
+
+
+# -- a parent that is killed -------------------------------------------------------------------------------------------
+
+WORKERS = """
+import os, time
+from mmnn_pin.lab.study.pools import processes
+if __name__ == "__main__":
+    with processes(2) as pool:
+        waiting = [pool.executor.submit(time.sleep, 600) for _ in range(2)]
+        print(*pool.executor._processes, flush=True)
+        time.sleep(600)
+"""
+COMPILER = """
+import os, sys, time
+from mmnn_pin.children import begin_beside
+end, held = os.pipe()
+process = begin_beside("sleeper", read=os.fdopen(end, "rb"))
+print(process.pid, flush=True)
+time.sleep(float(sys.argv[1]))
+"""
+SLEEPER = (
+    "import sys, time\nfrom mmnn_pin.children import end_if_killed\nend_if_killed(int(sys.argv[1]))\ntime.sleep(60)\n"
+)
+WATCHED = """
+import os, sys, time
+from mmnn_pin import children
+parent = os.getpid()
+if (child := os.fork()) == 0:
+    sys.platform = "darwin"
+    children.end_with(parent)
+    time.sleep(600)
+print(child, flush=True)
+time.sleep(600)
+"""
+
+
+def is_alive(number: int) -> bool:
+    """Whether a process runs; one that has ended and that nobody has asked after does not."""
+    try:
+        state = Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def are_over(numbers: list[int], patience: float = 20.0) -> bool:
+    """Whether processes end; those that do not are ended."""
+    until = time.monotonic() + patience
+    while any(map(is_alive, numbers)) and time.monotonic() < until:
+        time.sleep(0.05)
+    left = [number for number in numbers if is_alive(number)]
+    for number in left:
+        os.kill(number, signal.SIGKILL)
+    return not left
+
+
+@pytest.fixture
+def started(tmp_path: Path) -> Iterator[list[subprocess.Popen[str]]]:
+    """Processes that are ended after a test."""
+    made: list[subprocess.Popen[str]] = []
+    yield made
+    for process in made:
+        process.kill()
+        process.communicate()
+
+
+def start(tmp_path: Path, text: str, *arguments: str) -> subprocess.Popen[str]:
+    """A script, begun."""
+    (tmp_path / "script.py").write_text(text)
+    (tmp_path / "sleeper.py").write_text(SLEEPER)
+    variables = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
+    command = [sys.executable, str(tmp_path / "script.py"), *arguments]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=variables)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+@pytest.mark.parametrize("text", [WORKERS, COMPILER, WATCHED], ids=["workers", "compiler", "watched"])
+def test_a_parent_that_is_killed_takes_its_processes_along(text, end, tmp_path, started) -> None:
+    started.append(process := start(tmp_path, text, "600"))
+    assert process.stdout is not None
+    numbers = [int(word) for word in process.stdout.readline().split()]
+    assert numbers and all(map(is_alive, numbers))
+    process.send_signal(end)
+    assert are_over(numbers)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+def test_what_compiles_for_later_runs_goes_on_when_a_run_is_over(tmp_path, started) -> None:
+    started.append(process := start(tmp_path, COMPILER, "2"))
+    assert process.stdout is not None
+    number = int(process.stdout.readline())
+    assert process.wait(60) == 0
+    time.sleep(1.0)
+    assert is_alive(number)
+    os.kill(number, signal.SIGKILL)
