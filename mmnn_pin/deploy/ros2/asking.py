@@ -167,6 +167,12 @@ class Asking:
         self.route = motion, frame, there, since
         return [rest_of(motion, now - since, there)]
 
+    def give_way(self, why: str) -> None:
+        """Follow neither a path nor a goal of the action any more."""
+        self.route = None
+        if self.action is not None:
+            self.action.give_way(why)
+
     def close(self) -> None:
         """Plan nothing more, and answer nothing."""
         self.planner.close()

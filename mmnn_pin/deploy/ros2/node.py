@@ -178,7 +178,14 @@ class Bridge:
         asked = self.asking.poll(self.clock, steady, reference, base, arm, self.stepper.tripped)
         measurement = self.sensing.measurement()
         measured = min(self.sensing.when, time) if measurement is not None else None
-        command = self.stepper.step(time, measurement, asked + more or None, measured=measured)
+        try:
+            command = self.stepper.step(time, measurement, asked + more or None, measured=measured)
+        except ConfigError as error:  # the reference has moved on since it was planned: what does not fit is left out
+            if not asked:
+                raise
+            self.asking.give_way(f"{error.what}: {error.why}")
+            self._say_once(f"not followed: {error.what}: {error.why}")
+            command = self.stepper.step(time, measurement, None, measured=measured)
         self.commands.send(command, self.clock.stamp)
 
     def _switched(self, time: float) -> None:
