@@ -249,9 +249,18 @@ class Drive(Motion):
         """A curve from rest to rest, (N, 3 + 2 nb)."""
         return self.rows(replace(self.limits, path=curve))
 
+    def instants(self, duration: float) -> Array:
+        """Times at the period from 0 to the end or after it [s], (N,)."""
+        return np.asarray(np.arange(math.ceil(duration / self.period - TINY) + 1) * self.period)
+
     def rows(self, timed: Timed, aside: float = 0.0) -> Array:
         """Samples (N, 3 + 2 nb) of a path; its way leads that much aside of the heading, where a base can [rad]."""
-        one = timed.sample(np.arange(math.ceil(timed.duration / self.period - TINY) + 1) * self.period)
+        one, k = timed.sample(self.instants(timed.duration)), 1.0
+        if timed.pace == 0.0:  # between the points of its grid it may be pushed harder: as much slower, then
+            most = np.array([timed.acceleration, timed.yaw_acceleration]) / SHARE
+            k = math.sqrt(max(1.0, float((np.abs(one.acceleration) / most).max(initial=0.0))))
+            one = one if k == 1.0 else timed.sample(self.instants(k * timed.duration) / k)
+        one = replace(one, velocity=one.velocity / k, acceleration=one.acceleration / (k * k))
         if self.dimensions.base == 2:
             return np.hstack((one.pose, one.velocity, one.acceleration))
         c, s = angles.cos_sin(aside)

@@ -18,6 +18,7 @@ from ..signals import Array, Setpoint
 from .goal import Reach
 from .guide import (
     ARM,
+    AT_REST,
     BASE,
     HOLD,
     PLANNED,
@@ -210,8 +211,14 @@ class Follower:
             self.losses += 1
         elif course is not None:
             was_over, self.over[part] = self.over[part], not course.write(time - self.begun[part], self.guide.wanted)
-            if self.over[part] and (not course.ends_at_rest or (was_over and is_home(part, self.guide))):
+            if self.over[part] and (not course.ends_at_rest or (was_over and self._has_arrived(part))):
                 self._leave(part)
+
+    def _has_arrived(self, part: int) -> bool:
+        """Whether the reference of a part is its target, or stands as near to it as the joints' ends let it."""
+        d, arm = self.dimensions, self.q + self.dimensions.arm
+        rates = self.now[d.pose : d.pose + d.base] if part == BASE else self.now[arm : arm + d.arm]
+        return is_home(part, self.guide) or not (np.abs(rates) > AT_REST).any()
 
     def _leave(self, part: int) -> None:
         """Hold, from the reference as it is."""

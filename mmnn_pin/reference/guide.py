@@ -60,7 +60,7 @@ class Guide(NamedTuple):
         fresh: (2,) 1 where a full sample has just come.
         wanted: (w,) the wish: a full sample, or the velocity of the base.
         now: (w,) the reference.
-        pace: (pose,) rate of the reference's pose in the world [m/s, m/s, rad/s].
+        pace: (pose,) rate of the reference's pose in its own frame, across too [m/s, m/s, rad/s].
         home: (1 + n,) 1 where the base, and every joint, is on its target.
         bend: (n,) largest acceleration with which a joint goes after its target.
         span: (2, n) where it stays meanwhile: between its ends, and where the motion that it follows is.
@@ -133,7 +133,7 @@ def stand(measured: Array, guide: Guide) -> None:
     copy_to(now, guide.wanted)
     guide.kind[:], guide.fresh[:], guide.home[:] = HOLD, 0, 0
     if nb:
-        in_the_world(now, nb, guide.pace)
+        take_pace(now, nb, guide.pace)
 
 
 @compiled
@@ -234,7 +234,7 @@ def ramp(measured: Array, dt: float, guide: Guide) -> None:
         roll(now[:3], middle[nb:], dt)
     for i in range(nb):
         middle[nb + i] = 2.0 * (velocity[i] - middle[nb + i]) / dt if dt > 0.0 else 0.0
-    in_the_world(now, nb, guide.pace)
+    take_pace(now, nb, guide.pace)
 
 
 @compiled
@@ -250,12 +250,9 @@ def roll(pose: Array, velocity: Array, dt: float) -> None:
 
 
 @compiled
-def in_the_world(sample: Array, nb: int, rates: Array) -> None:
-    """Rates of the pose (3,) of a sample, by its heading and base velocity."""
-    c, s = cos_sin(sample[2])
-    sideways = sample[4] if nb == 3 else 0.0
-    rates[0], rates[1] = c * sample[3] - s * sideways, s * sample[3] + c * sideways
-    rates[2] = sample[2 + nb]
+def take_pace(sample: Array, nb: int, pace: Array) -> None:
+    """The rates of a pose (3,) that rolls as a sample says, in its own frame."""
+    pace[0], pace[1], pace[2] = sample[3], sample[4] if nb == 3 else 0.0, sample[2 + nb]
 
 
 @compiled
@@ -350,7 +347,7 @@ def follow_pose(dt: float, guide: Guide) -> None:
     guide.home[0] = 1 if stays else 0
     if stays:
         copy_to(wanted[: 3 + 2 * nb], now[: 3 + 2 * nb])
-        in_the_world(wanted, nb, guide.pace)
+        take_pace(wanted, nb, guide.pace)
     else:
         for i in range(nb):
             before[i] = before[i] / dt if dt > 0.0 else 0.0
@@ -379,35 +376,33 @@ def come_nearer(dt: float, guide: Guide) -> bool:
     The acceleration's place in the reference takes the change of the velocity.
     """
     nb, now, wanted, pace, is_there = guide.base.shape[1], guide.now, guide.wanted, guide.pace, True
-    x, y, phi = now[0], now[1], now[2]
-    c, s = cos_sin(wanted[2])
-    dx, dy = now[0] - wanted[0], now[1] - wanted[1]
+    x, y, phi, w = now[0], now[1], now[2], wanted[2 + nb]
+    c, s = cos_sin(wanted[2] - 0.5 * w * dt)  # the wanted pose came here by this heading
+    cd, sd = cos_sin(now[2] - wanted[2] + w * dt)
     for i in range(3):  # along the wanted heading, across it, and about
-        speed, ahead, rate, at = wanted[3], c * dx + s * dy, c * pace[0] + s * pace[1], 0
+        speed, ahead, rate, at = wanted[3], c * (x - wanted[0]) + s * (y - wanted[1]), cd * pace[0] - sd * pace[1], 0
         if i == 1:
-            speed, ahead, rate = wanted[4] if nb == 3 else 0.0, c * dy - s * dx, c * pace[1] - s * pace[0]
+            speed, ahead = wanted[4] if nb == 3 else 0.0, c * (y - wanted[1]) - s * (x - wanted[0])
+            rate = sd * pace[0] + cd * pace[1]
         elif i == 2:
-            speed, ahead, rate, at = wanted[2 + nb], now[2] - wanted[2], pace[2], nb - 1
+            speed, ahead, rate, at = w, phi - wanted[2], pace[2], nb - 1
         ahead += speed * dt
         free = guide.base[0, at] - (abs(speed) if ahead * speed < 0.0 else 0.0)
         ahead, lead = brought_home(ahead, rate - speed, guide.base[1, at], max(free, 0.0), dt)
         is_there = is_there and ahead == 0.0 and lead == 0.0
         if i == 0:
-            along, faster = ahead, lead
+            along, faster = ahead, speed + lead
         elif i == 1:
-            across, aside = ahead, lead
+            across, aside = ahead, speed + lead
         else:
-            about, turning = ahead, lead
-    sideways = wanted[4] if nb == 3 else 0.0
+            about, turning = ahead, speed + lead
+    c, s = cos_sin(wanted[2])
+    cd, sd = cos_sin(about)
     now[0], now[1], now[2] = wanted[0] + c * along - s * across, wanted[1] + s * along + c * across, wanted[2] + about
-    faster, aside = wanted[3] + faster, sideways + aside
-    pace[0], pace[1], pace[2] = c * faster - s * aside, s * faster + c * aside, wanted[2 + nb] + turning
-    c, s = cos_sin(now[2])
+    pace[0], pace[1], pace[2] = cd * faster + sd * aside, cd * aside - sd * faster, turning
     change = now[3 + nb : 3 + 2 * nb]
     for i in range(nb):
-        after = pace[2]
-        if i < nb - 1:
-            after = c * pace[0] + s * pace[1] if i == 0 else c * pace[1] - s * pace[0]
+        after = pace[2] if i == nb - 1 else pace[i]
         change[i], now[3 + i] = after - now[3 + i], after
     share = within_reach(now[3 : 3 + nb], guide)
     if share < 1.0:  # no faster than it can: it stays behind
@@ -416,6 +411,6 @@ def come_nearer(dt: float, guide: Guide) -> bool:
             now[3 + i] *= share
         now[0], now[1], now[2] = x, y, phi
         roll(now[:3], now[3 : 3 + nb], dt)
-        in_the_world(now, nb, pace)
+        take_pace(now, nb, pace)
         return False
     return is_there

@@ -154,7 +154,7 @@ class Promise(RuleBasedStateMachine):
 
     @rule(
         points=st.integers(1, 6),
-        far=st.floats(0.05, 2.0),
+        far=st.floats(0.05, 0.7),
         aside=st.sampled_from([0.0, 0.02, 0.5]),
         steps=st.integers(1, 200),
     )
