@@ -80,6 +80,7 @@ def ros2(
     """
     from ..deploy.ros2.reading import load_settings
     from ..deploy.ros2.wiring import controllers, example, rows
+    from ..safety.settings import PRESSED, SIGNAL
 
     if show_example:
         from ..model.loading import load
@@ -100,11 +101,14 @@ def ros2(
         topics = {"robot": made.name, "topics": [row._asdict() for row in table]}
         answer(as_json, lambda: topics, lambda: columns(table))
         return DONE
-    run = control(settings, file, experiment, made, seconds, wait, out or Path("runs/ros2") / f"{made.name}.h5", force)
+    to = out or Path("runs/ros2") / f"{made.name}.h5"
+    run, pressed = control(settings, file, experiment, made, seconds, wait, to, force)
     outcome = run.outcome
     facts = {"status": outcome.status, "time": outcome.time, "message": outcome.message, "recording": str(run.path)}
     text = f"{outcome.status} after {outcome.time:.3f} s: {outcome.message}".rstrip(": ")
     answer(as_json, lambda: facts, lambda: text)
+    if pressed and outcome.signal == SIGNAL[PRESSED]:  # which stops the robot as a trip does
+        return STOPPED
     return {"completed": DONE, "interrupted": STOPPED}.get(outcome.status, FAILED)
 
 
@@ -168,8 +172,8 @@ def control(
     wait: float,
     out: Path,
     force: bool,
-) -> Recording:
-    """Run the node; its recording.
+) -> tuple[Recording, bool]:
+    """Run the node; its recording, and whether Ctrl-C came.
 
     Raises:
         InputError: The package for DDS is missing, the robot is not there, settings that do not fit.
@@ -200,7 +204,7 @@ def control(
             motion = stepper.plan(loop.trajectory, experiment.time.duration, from_here=True)
             seconds = min(seconds, experiment.time.duration)
         note(f"{robot.name} at {settings.rate:g} Hz in domain {settings.network.domain}, as {file} says")
-        return node.run(wait, seconds, motion)
+        return node.run(wait, seconds, motion), bool(node.stopped)
 
 
 @contextlib.contextmanager
