@@ -13,7 +13,7 @@ import click
 from msgspec.structs import replace
 
 from ..errors import ConfigError, InputError
-from ..files import read_text
+from ..files import quoted, read_text
 from .options import examples, robots, shared
 from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, note
 
@@ -135,7 +135,8 @@ def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:
     times += [f"time.duration={round(duration / period) * period!r}"]
 
     def build() -> tuple[Experiment, Robot]:
-        experiment = load_experiment(settings.experiment, [f'robot="{settings.robot}"', *times, *settings.changes])
+        changes = [f"robot={quoted(settings.robot)}", *times, *settings.changes]
+        experiment = load_experiment(settings.experiment, changes)
         experiment = replace(experiment, latency=settings.latency_of(experiment.latency))
         robot = experiment.load_robot()
         interfaces(robot, settings)
