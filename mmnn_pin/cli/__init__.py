@@ -6,6 +6,9 @@ recorded is kept). Whatever is slow to import is imported inside the commands.
 
 from __future__ import annotations
 
+from .leaving import heard, is_interruption  # first: from then on Ctrl-C is heard
+
+# isort: split
 import os
 import sys
 import traceback
@@ -111,6 +114,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is None and given[:1] == ["inspect"]:  # a process of its own, over before a compiler has begun
         os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
+    with heard():
+        return ended(given)
+
+
+def ended(given: Sequence[str]) -> int:
+    """The exit code of a command."""
     try:
         return int(mmnn.main(given, prog_name="mmnn", standalone_mode=False) or DONE)
     except (click.Abort, KeyboardInterrupt):
@@ -130,6 +139,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return complain(BAD_INPUT, found, given)
         return complain(FAILED, unexpected(error), given)
     except Exception as error:
+        if is_interruption(error):
+            return complain(STOPPED, InputError("stopped by Ctrl-C"), given)
         return complain(FAILED, unexpected(error), given)
 
 

@@ -13,7 +13,7 @@ import click
 from msgspec.structs import replace
 
 from ..errors import ConfigError, InputError
-from ..files import read_text
+from ..files import quoted, read_text
 from .options import examples, robots, shared
 from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, note
 
@@ -80,6 +80,7 @@ def ros2(
     """
     from ..deploy.ros2.reading import load_settings
     from ..deploy.ros2.wiring import controllers, example, rows
+    from ..safety.settings import PRESSED, SIGNAL
 
     if show_example:
         from ..model.loading import load
@@ -100,11 +101,14 @@ def ros2(
         topics = {"robot": made.name, "topics": [row._asdict() for row in table]}
         answer(as_json, lambda: topics, lambda: columns(table))
         return DONE
-    run = control(settings, file, experiment, made, seconds, wait, out or Path("runs/ros2") / f"{made.name}.h5", force)
+    to = out or Path("runs/ros2") / f"{made.name}.h5"
+    run, pressed = control(settings, file, experiment, made, seconds, wait, to, force)
     outcome = run.outcome
     facts = {"status": outcome.status, "time": outcome.time, "message": outcome.message, "recording": str(run.path)}
     text = f"{outcome.status} after {outcome.time:.3f} s: {outcome.message}".rstrip(": ")
     answer(as_json, lambda: facts, lambda: text)
+    if pressed and outcome.signal == SIGNAL[PRESSED]:  # which stops the robot as a trip does
+        return STOPPED
     return {"completed": DONE, "interrupted": STOPPED}.get(outcome.status, FAILED)
 
 
@@ -131,7 +135,8 @@ def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:
     times += [f"time.duration={round(duration / period) * period!r}"]
 
     def build() -> tuple[Experiment, Robot]:
-        experiment = load_experiment(settings.experiment, [f'robot="{settings.robot}"', *times, *settings.changes])
+        changes = [f"robot={quoted(settings.robot)}", *times, *settings.changes]
+        experiment = load_experiment(settings.experiment, changes)
         experiment = replace(experiment, latency=settings.latency_of(experiment.latency))
         robot = experiment.load_robot()
         interfaces(robot, settings)
@@ -168,8 +173,8 @@ def control(
     wait: float,
     out: Path,
     force: bool,
-) -> Recording:
-    """Run the node; its recording.
+) -> tuple[Recording, bool]:
+    """Run the node; its recording, and whether Ctrl-C came.
 
     Raises:
         InputError: The package for DDS is missing, the robot is not there, settings that do not fit.
@@ -200,7 +205,7 @@ def control(
             motion = stepper.plan(loop.trajectory, experiment.time.duration, from_here=True)
             seconds = min(seconds, experiment.time.duration)
         note(f"{robot.name} at {settings.rate:g} Hz in domain {settings.network.domain}, as {file} says")
-        return node.run(wait, seconds, motion)
+        return node.run(wait, seconds, motion), bool(node.stopped)
 
 
 @contextlib.contextmanager

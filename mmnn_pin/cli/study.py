@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from ..errors import StudyError
 from .options import examples, makes_runs, shared
 from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, counter, interruptible, look, note, styled, warn
 
@@ -76,7 +78,8 @@ def study(
     for remark in window_notes(plan.base):
         warn(remark)
     stopped = make(plan, known, folder, choose(known, workers, processes, cluster), force)
-    results = load_results(folder)
+    with before_the_first(stopped):
+        results = load_results(folder)
     answer(
         as_json,
         lambda: to_dict(results) | {"stopped": stopped},
@@ -85,6 +88,21 @@ def study(
     if stopped and not as_json:
         note(STOPPED_TEXT)
     return STOPPED if stopped else FAILED if results.failed else DONE
+
+
+@contextmanager
+def before_the_first(stopped: bool) -> Iterator[None]:
+    """Ctrl-C before there is anything to tell is that, and no error of a database without rows.
+
+    Raises:
+        KeyboardInterrupt: It came, and there is none.
+    """
+    try:
+        yield
+    except StudyError:
+        if not stopped:
+            raise
+        raise KeyboardInterrupt from None
 
 
 def require_at_hand(plan: Plan, cluster: str | None) -> None:
@@ -194,7 +212,8 @@ def tune(
                 search(study, folder, pool, force=force, progress=progress)
         except KeyboardInterrupt:
             stopped = True
-        best = result(study, folder, None if stopped else pool)
+        with before_the_first(stopped):
+            best = result(study, folder, None if stopped else pool)
     answer(as_json, lambda: best.to_dict() | {"stopped": stopped}, best.describe)
     if stopped and not as_json:
         note(STOPPED_TEXT)

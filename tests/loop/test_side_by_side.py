@@ -6,6 +6,7 @@ import ctypes
 import io
 import json
 import math
+import os
 import sys
 from dataclasses import replace
 from typing import Any
@@ -206,11 +207,13 @@ def test_a_small_batch_begins_no_compilation(tmp_path: Any, monkeypatch: pytest.
 
 def test_what_cannot_be_noted_leaves_an_empty_file(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     told = {"parts": ["run"], "form": [], "values": [], "numbers": 0, "setpoints": [[0.0], [0.0]], "time": 0.0}
-    monkeypatch.setattr(sys, "argv", ["", str(tmp_path / "program")])
+    watched, held = os.pipe()  # held open: its parent lives
+    monkeypatch.setattr(sys, "argv", ["", str(watched), str(tmp_path / "program")])
     monkeypatch.setattr(sys, "stdin", io.StringIO(json.dumps(told)))
     side_by_side.main()
     assert [file.name for file in tmp_path.iterdir()] == ["program"]
     assert (tmp_path / "program").read_bytes() == b""
+    os.write(held, b".")
 
 
 NUMBERS = st.floats(-1e3, 1e3, allow_nan=False)
