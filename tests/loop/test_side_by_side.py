@@ -5,8 +5,8 @@ from __future__ import annotations
 import ctypes
 import io
 import json
-import os
 import math
+import os
 import sys
 from dataclasses import replace
 from typing import Any
