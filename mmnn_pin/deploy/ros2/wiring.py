@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from pinocchio import BODY
 
-from ...errors import ConfigError, UnknownName
+from ...errors import ConfigError, UnknownName, printable
+from ...files import quoted
 from ...model.inspection import interfaces_of
 from ...model.robot import Robot
 from .drivers import DIFF_DRIVE, driver_of
@@ -16,7 +18,7 @@ from .settings import TRAJECTORY, TWIST_STAMPED, Network, Node, Output
 EXAMPLE = """# {name} as a node of a ROS 2 graph: mmnn ros2 THIS_FILE. See `mmnn ros2 --help`, `mmnn docs how-to/ros2`.
 # Topics without a leading / get network.namespace.
 
-robot = "{robot}"             # name or URDF file
+robot = {robot}             # name or URDF file
 experiment = "track"          # where gains, learners and the supervisor come from; [set] changes its keys
 controller = "pd"             # see mmnn list
 rate = 200.0                  # control samples per second
@@ -93,6 +95,7 @@ joints = [{joints}]
 """
 
 
+PLAIN = re.compile(r"(?!(?:true|false|yes|no|on|off|null|y|n)\Z)[a-zA-Z_/][\w/]*", re.ASCII | re.IGNORECASE)
 INTERFACES = ("effort", "velocity", "position")
 GROUP = "forward_command_controller/ForwardCommandController"
 TRAJECTORIES = "joint_trajectory_controller/JointTrajectoryController"
@@ -259,10 +262,12 @@ def lines(table: dict[str, Any], indent: int) -> list[str]:
 
 
 def flow(value: Any) -> str:
-    """A value in YAML."""
+    """A value in YAML; texts that would be something else there stand in quotes."""
     if isinstance(value, float):
         value = round(value, 9) + 0.0  # no -0
-    return f"[{', '.join(value)}]" if isinstance(value, list) else str(value)
+    if isinstance(value, list):
+        return f"[{', '.join(map(flow, value))}]"
+    return quoted(value) if isinstance(value, str) and not PLAIN.fullmatch(value) else str(value)
 
 
 def resolved(network: Network, name: str) -> str:
@@ -281,8 +286,8 @@ def example(robot: Robot, name: str) -> str:
     names = {"driver": driver.name, "takes": driver.takes, "odometry": driver.tells}
     tables = [WHEELS.format(**names)] if robot.dimensions.base else []
     for interface in INTERFACES:
-        joints = ", ".join(f'"{joint}"' for joint in robot.joint_names if offered[joint] == interface)
+        joints = ", ".join(quoted(joint) for joint in robot.joint_names if offered[joint] == interface)
         tables += [ARM.format(interface=interface, joints=joints)] if joints else []
     commands = "\n".join(table.strip() + "\n" for table in tables)
     odometry = BASE.format(**names) if robot.dimensions.base else ""
-    return EXAMPLE.format(name=robot.name, robot=name, odometry=odometry, commands=commands)
+    return EXAMPLE.format(name=printable(robot.name), robot=quoted(name), odometry=odometry, commands=commands)

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import json
 import shlex
+import tomllib
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import pytest
+import yaml
 from graph import SETTINGS
+from places import ROOT
 from robots import robot_of
 
 from mmnn_pin import Stepper, load
 from mmnn_pin.cli import main
 from mmnn_pin.cli.ros2 import asked
 from mmnn_pin.deploy.ros2.reading import line_of, load_settings
-from mmnn_pin.deploy.ros2.wiring import example, interfaces
+from mmnn_pin.deploy.ros2.wiring import controllers, example, interfaces
 from mmnn_pin.errors import InputError
 from mmnn_pin.loop.latency import Latency
 from mmnn_pin.safety import Safety
@@ -165,3 +169,26 @@ def test_an_experiments_latency_keeps_what_the_settings_do_not_say(said: str, fo
     assert experiment.latency == found
     with Stepper.of(experiment.loop(robot, "pd"), safety=Safety(torque="urdf")) as stepper:
         assert stepper.setup.known == found
+
+
+STRANGE = ("]\n[set] # ", 'a"b', "yes", "{x}: [a, b]", "\u202ered\\", "\U0001f916", "a # b", "é")
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_names_of_joints_are_names_in_the_files_that_are_written(name: str, tmp_path: Path) -> None:
+    """Tomllib and PyYAML read them."""
+    text = (ROOT / "urdf" / "platform_arm.urdf").read_text()
+    attribute = quoteattr(name, {"\n": "&#10;", '"': "&quot;"})
+    robot = tmp_path / "robot.urdf"
+    robot.write_text(text.replace('"arm_1_joint"', attribute))
+    robot = robot.rename(tmp_path / 'a"b.urdf')
+    file = tmp_path / "settings.toml"
+    file.write_text(example(load(robot), str(robot)))
+    table = tomllib.loads(file.read_text())
+    assert table["robot"] == str(robot) and set(table["set"]) == {"feedback", "safety"}
+    assert [one["joints"] for one in table["commands"] if "joints" in one] == [[name, "arm_2_joint"]]
+    settings = load_settings(file)
+    made = controllers(asked(settings, file)[1], settings)
+    nodes = [node["ros__parameters"] for node in yaml.safe_load(made).values()]
+    (joints,) = (node["joints"] for node in nodes if "joints" in node)
+    assert joints == [name, "arm_2_joint"] and made.replace("\n", "").isprintable()
