@@ -217,7 +217,7 @@ class Follower:
     def _has_arrived(self, part: int) -> bool:
         """Whether the reference of a part is its target, or stands as near to it as the joints' ends let it."""
         d, arm = self.dimensions, self.q + self.dimensions.arm
-        rates = self.now[d.pose : d.pose + d.base] if part == BASE else self.now[arm : arm + d.arm]
+        rates = self.now[d.pose : d.pose + 2 * d.base] if part == BASE else self.now[arm : arm + 2 * d.arm]  # and bends
         return is_home(part, self.guide) or not (np.abs(rates) > AT_REST).any()
 
     def _leave(self, part: int) -> None:

@@ -145,7 +145,7 @@ class Promise(RuleBasedStateMachine):
         most = np.maximum(np.abs(table.qddot).max(axis=0), np.abs(np.diff(table.qdot, axis=0)).max(axis=0) / period)
         most = np.maximum(self.a, most)
         more = np.abs(qdot) ** 2 / (2 * self.a)
-        ends = np.vstack((q, table.q))
+        ends = np.vstack((q, table.q, self.between(motion)))
         asked = Asked(ends.min(axis=0) - more, ends.max(axis=0) + more, most, table.q[-1])
         taken = self.try_arm(motion, asked)
         fits = (np.abs(table.qdot).max(axis=0) <= self.speed).all() and (not self.stated or (most <= self.a).all())
@@ -227,6 +227,14 @@ class Promise(RuleBasedStateMachine):
         if moving:
             ends = self.arm_asked
             self.arm_asked = replace(asked, low=np.minimum(asked.low, ends.low), high=np.maximum(asked.high, ends.high))
+
+    def between(self, motion):
+        """Places of a motion between its samples, as their rates imply them."""
+        room, found = np.zeros(self.follower.now.size), []
+        for time in np.linspace(0.0, motion.duration, 200 if motion.period > PERIOD else 2):
+            motion.write(time, room)
+            found.append(Setpoint.side_by_side(room, self.d).q.copy())
+        return np.array(found)
 
     # -- one sample and its judge --------------------------------------------------------------------------------------
 
