@@ -41,6 +41,9 @@ from ..torque.law import KERNELS, nothing_to_keep
 
 EFFORT, VELOCITY, POSITION = "effort", "velocity", "position"
 NU_REF, NUDOT_REF, Z, R = (INDEX[name] for name in ("nu_ref", "nudot_ref", "z", "r"))
+TIME, VELOCITY_REF, QDOT_REF = (INDEX[name] for name in ("time", "velocity_ref", "qdot_ref"))
+STATE, LAST, SINCE, STOPS = 0, 1, 2, 2.0  # of a clock
+LONGEST = 0.5  # time between two samples that counts [s]
 MEASURED_BASE, MEASURED_ARM = INDEX["velocity"], INDEX["qdot"]
 PSI_HAT, PSI_APPLIED, TORQUE, Q = (INDEX[name] for name in ("psi_hat", "psi_applied", "torque", "q"))
 BRAKING = 2.0  # of a stop, where no limit is known [m/s^2, rad/s^2]
@@ -110,7 +113,7 @@ class Split(NamedTuple):
         command: (p,) u of the last sample.
         place: (n,) positions by integration of u, for joints that take nothing else.
         kept: (p,) errors s, put back into the row for those who look at it.
-        begun: (1,) 1 once `place` is where a joint was measured.
+        clock: (3,) 0 before it begins, 1, 2 in a stop; time of the last sample; time since then [s].
     """
 
     on: Array
@@ -128,7 +131,7 @@ class Split(NamedTuple):
     command: Array
     place: Array
     kept: Array
-    begun: Array
+    clock: Array
 
 
 def interfaces_of(robot: Robot, given: Mapping[str, str] | None) -> tuple[tuple[str, ...], Array]:
@@ -186,7 +189,7 @@ def split_of(
     )
     placed = np.array([kind == POSITION for kind in kinds[nb:]], bool)
     ends = np.array([np.where(placed, robot.lower[arm], -np.inf), np.where(placed, robot.upper[arm], np.inf)])
-    integral, command, place, begun = np.split(state, (p, 2 * p, 2 * p + n))
+    integral, command, place, clock = np.split(state, (p, 2 * p, 2 * p + n))
     split = Split(
         on=on,
         numbers=numbers,
@@ -203,7 +206,7 @@ def split_of(
         command=command,
         place=place,
         kept=np.zeros(p),
-        begun=begun,
+        clock=clock,
     )
     limit_commands(split, speed, split.braking, latency)
     return split
@@ -232,7 +235,7 @@ def laws(robot: Robot, servo: Servo) -> Array:
 
 def state_size(on: Array, arm: int) -> int:
     """How many numbers the servo rows remember."""
-    return 2 * on.size + arm + 1 if on.any() else 0
+    return 2 * on.size + arm + 3 if on.any() else 0
 
 
 def needs_torques(controller: CompiledController | TorqueController, context: Context) -> bool:
@@ -257,6 +260,8 @@ def require_no_torque_regressor(controller: CompiledController | TorqueControlle
 def ask(row: Array, at: IntArray, split: Split) -> None:
     """The servos' commands of a sample; what the torque law reads on s becomes what the robot does there."""
     nb = at[Z + 1] - at[Z]
+    count_on(row[at[TIME]], split)
+    h = split.clock[SINCE]
     for i in range(split.on.size):
         if split.on[i] > 0.0:
             error = at[Z] + i if i < nb else at[R] + i - nb
@@ -264,7 +269,7 @@ def ask(row: Array, at: IntArray, split: Split) -> None:
             b, k, rate, wanted = split.numbers[0, i], split.numbers[1, i], split.numbers[2, i], row[at[NU_REF] + i]
             s = wanted - nu
             before, most = split.integral[i], SHARE * abs(wanted) + split.floor[i]
-            split.integral[i] = min(max(before + split.h * rate * s, -most), most)
+            split.integral[i] = min(max(before + h * rate * s, -most), most)
             split.growth[i] = split.integral[i] - before
             split.command[i] = wanted + row[at[NUDOT_REF] + i] / b + k * s + split.integral[i]
             split.kept[i], row[error] = row[error], 0.0
@@ -278,7 +283,7 @@ def ask(row: Array, at: IntArray, split: Split) -> None:
             else:
                 split.command[i] = min(max(u, -split.speed[i]), split.speed[i])
                 j = i - nb
-                sent = split.place[j] + split.h * split.command[i]
+                sent = split.place[j] + h * split.command[i]
                 limited = split.command[i] != u or sent != within_reach(sent, row[at[Q] + j], j, split)
             if limited and split.growth[i] * u > 0.0:
                 split.integral[i] -= split.growth[i]
@@ -314,10 +319,13 @@ def within_reach(sent: float, q: float, j: int, split: Split) -> float:
 def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
     """No torque on s, and its errors back in the row; where the controller was not asked the commands brake, too.
 
-    A stop goes by no measurement here. Base and arm come to rest along the line on which they move.
+    A stop goes by no measurement here: it begins with what the reference did, whatever feedback had made of that. Base
+    and arm come to rest along the line on which they move.
     """
     nb = at[Z + 1] - at[Z]
     n = split.on.size - nb
+    count_on(row[at[TIME]], split)
+    h = split.clock[SINCE]
     for i in range(split.on.size):
         if split.on[i] > 0.0:
             row[at[TORQUE] + i], row[at[PSI_HAT] + i] = 0.0, 0.0
@@ -327,19 +335,33 @@ def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
                 row[at[Z] + i if i < nb else at[R] + i - nb] = split.kept[i]
             else:
                 split.integral[i] = 0.0
+                if split.clock[STATE] < STOPS:
+                    asked = row[at[VELOCITY_REF] + i] if i < nb else row[at[QDOT_REF] + i - nb]
+                    split.command[i] = min(max(split.command[i], min(asked, 0.0)), max(asked, 0.0))
     if stopped:
         brake(0, nb, split)
         brake(nb, split.on.size, split)
     for j in range(n):
-        if split.begun[0] == 0.0:
+        if split.clock[STATE] == 0.0:
             split.place[j] = row[at[Q] + j]
-        sent, most = split.place[j] + split.h * split.command[nb + j], split.h * split.speed[nb + j]
+        sent, most = split.place[j] + h * split.command[nb + j], h * split.speed[nb + j]
         if stopped:
             sent = min(max(sent, split.ends[0, j]), split.ends[1, j])
         else:
             sent = within_reach(sent, row[at[Q] + j], j, split)
         split.place[j] = min(max(sent, split.place[j] - most), split.place[j] + most)
-    split.begun[0] = 1.0
+    split.clock[STATE] = STOPS if stopped else 1.0
+
+
+@compiled
+def count_on(time: float, split: Split) -> None:
+    """The time since the last sample: the control period, or what it is where that is far from what was told."""
+    if split.clock[STATE] == 0.0:
+        split.clock[LAST], split.clock[SINCE] = time, split.h
+    elif time > split.clock[LAST]:
+        since = time - split.clock[LAST]
+        near = 0.5 * split.h < since < 1.5 * split.h
+        split.clock[LAST], split.clock[SINCE] = time, split.h if near else min(since, LONGEST)
 
 
 @compiled
@@ -349,4 +371,4 @@ def brake(first: int, last: int, split: Split) -> None:
     for i in range(first, last):
         left = max(left, abs(split.command[i]) / split.braking[i])
     for i in range(first, last):
-        split.command[i] *= max(0.0, 1.0 - split.h / left) if left > 0.0 else 0.0
+        split.command[i] *= max(0.0, 1.0 - split.clock[SINCE] / left) if left > 0.0 else 0.0

@@ -1,6 +1,7 @@
 """The limits of a supervisor on a robot where none are given, by its URDF and its gains.
 
 - A joint or a drive wheel is too fast at `OVER` times the URDF's speed, or at a speed that no arm has.
+- A base is lost `AWAY` and `TURNED` off its reference.
 - A joint is lost `REACH` off its reference, plus what its load needs: under a feedback k s it hangs `load / (k K)`
   below, by a servo it is late by the latency.
 - A jump is more than `JUMP` beyond what the speed explains.
@@ -27,18 +28,20 @@ OVER = 1.5
 TURN, SLIDE = 10.0, 2.0  # speed of a joint where the URDF states none [rad/s, m/s]
 REACH, REACH_SLIDE = 0.2, 0.1  # [rad, m]
 JUMP, JUMP_SLIDE = 0.1, 0.05  # [rad, m]
+AWAY, TURNED = 0.3, 0.5  # of a base from its reference [m, rad]
 LONGEST = 64.0  # times the control period that is tried
 ROOM = 1.25  # times the longest stable period that is borne: joints have friction that no URDF states
 HALVINGS = 7
 
 
-def suited_safety(given: Safety, plan: Plan, references: Array) -> Safety:
+def suited_safety(given: Safety, plan: Plan, references: Array, limited: bool = True) -> Safety:
     """What is given, and limits that suit the robot where nothing is.
 
     Args:
         given: The supervisor's limits.
         plan: Of the stepper, with postures as setpoints.
         references: (2, p) largest speeds and accelerations of the references.
+        limited: Whether references begin where the robot is, and stay within these.
     """
     robot, (speed, acceleration) = plan.robot, references[:, plan.robot.dimensions.base :]
     urdf, wheels, turns = speed_limits(robot), robot.dimensions.motors - robot.dimensions.arm, revolute(robot)
@@ -49,6 +52,8 @@ def suited_safety(given: Safety, plan: Plan, references: Array) -> Safety:
         "wheel_speed": tuple((OVER * urdf[:wheels]).tolist()) if np.isfinite(urdf[:wheels]).all() else None,
         "jump": tuple(np.where(turns, JUMP, JUMP_SLIDE).tolist()),
     }
+    if robot.dimensions.base and limited:
+        found |= {"position_error": AWAY, "heading_error": TURNED}
     if judges(plan):
         error = np.where(turns, REACH, REACH_SLIDE) + loads_of(plan, np.minimum(fastest, speed), acceleration)
         longest = longest_period(plan)

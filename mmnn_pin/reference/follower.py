@@ -22,10 +22,12 @@ from .guide import (
     BASE,
     HOLD,
     PLANNED,
+    ROUNDING,
     SAMPLE,
     VELOCITY,
     Limits,
     advance,
+    brake,
     drive,
     is_home,
     leave_home,
@@ -145,7 +147,8 @@ class Follower:
         """Hold; wishes are not followed, and motions wait."""
         if math.isnan(self.paused):
             self.paused = time
-            self.guide.kind[:] = HOLD
+            for part in (BASE, ARM):
+                brake(part, self.measured, self.guide)
 
     def resume(self, time: float) -> None:
         """Go on with the motions that wait."""
@@ -166,6 +169,7 @@ class Follower:
         for part in (BASE, ARM):
             leave_home(part, self.guide)
             is_home(part, self.guide)
+            brake(part, measured, self.guide)
         between(self.sample, self.sample, 0.0, 1.0, self.dimensions.base, self.sample)
         nearest_turn(0.0, 0.0)
         for array in (self.guide.now, self.guide.wanted, self.guide.pace, self.guide.kind, self.guide.home):
@@ -183,13 +187,21 @@ class Follower:
             drive(np.asarray(wish.velocity, float), self.guide)
             self.renewed[BASE] = time
         elif course is not None:
+            # what is made of the last reference begins with it, which is dt old
+            begun = time - (0.0 if isinstance(course, Motion) and not self._goes_on(course) else dt)
             for part in course.parts:
-                # what is made here begins with the last reference, which is dt old
-                self.courses[part], self.begun[part] = course, time - (0.0 if isinstance(course, Motion) else dt)
+                self.courses[part], self.begun[part] = course, begun
                 self._go_after(part, course)
         elif isinstance(wish, Stand):
             for part in wish.parts:
-                self._leave(part)
+                self._stop(part)
+
+    def _goes_on(self, motion: Motion) -> bool:
+        """Whether a motion begins with the joints' reference as it moves."""
+        place, rates = self.q + self.dimensions.arm, self.q + 2 * self.dimensions.arm
+        first = motion.table[0, self.q : rates]
+        moves = motion.table[0, place:rates].any()
+        return ARM in motion.parts and bool(moves and np.abs(first - self.now[self.q : rates]).max() < ROUNDING)
 
     def _go_after(self, part: int, course: Course) -> None:
         """Let the reference go after the samples of a course."""
@@ -207,12 +219,17 @@ class Follower:
         """The wanted sample of a part that follows a course; hold where a course is over, or a wish was not renewed."""
         kind, course = self.guide.kind[part], self.courses[part]
         if kind in (SAMPLE, VELOCITY) and time - self.renewed[part] > self.timeout:
-            self._leave(part)
+            self._stop(part)
             self.losses += 1
         elif course is not None:
             was_over, self.over[part] = self.over[part], not course.write(time - self.begun[part], self.guide.wanted)
             if self.over[part] and (not course.ends_at_rest or (was_over and self._has_arrived(part))):
                 self._leave(part)
+
+    def _stop(self, part: int) -> None:
+        """Brake and stand, the base from where it is."""
+        self.courses[part] = None
+        brake(part, self.measured, self.guide)
 
     def _has_arrived(self, part: int) -> bool:
         """Whether the reference of a part is its target, or stands as near to it as the joints' ends let it."""

@@ -14,6 +14,7 @@ from ..signals import Array
 from .guide import ARM, AT_REST, Guide
 from .wishes import JointGoal
 
+LEDGE = 0.05  # by which a joint that stays may be outside of its end [rad or m]
 STIFF = 1e4  # times the jerk, where braking within it would pass a joint's end
 LONGER = 1e-6  # way beyond what the shortest time takes that is rounding [rad or m]
 
@@ -45,6 +46,8 @@ class Reach:
             for i in np.flatnonzero(guide.turn):
                 point[i] = nearest_turn(point[i], before[i])
             before = point
+        stays = np.abs(points - start[0]) < LEDGE  # a joint that rests a little outside of its end stays at its end
+        points = np.where(stays, np.clip(points, *ends), points)
         outside = np.argwhere((points < ends[0]) | (points > ends[1]))
         if len(outside):
             k, i = outside[0]

@@ -137,6 +137,31 @@ def stand(measured: Array, guide: Guide) -> None:
 
 
 @compiled
+def brake(part: int, measured: Array, guide: Guide) -> None:
+    """Let a part brake and stand. A base does so from where it is measured and no faster than it moves.
+
+    Wheels that did not do what was asked do not make up for it then.
+
+    Args:
+        part: `BASE` or `ARM`.
+        measured: Pose, velocity, q, qdot side by side.
+        guide: The guide.
+    """
+    nb, now, asked, done = guide.base.shape[1], guide.now, 0.0, 0.0
+    guide.kind[part] = HOLD
+    if part == BASE and nb > 0:
+        copy_to(measured[:3], now[:3])
+        for i in range(nb):
+            speed = now[3 + i] / guide.base[0, i]
+            asked += speed * speed
+            done += speed * measured[3 + i] / guide.base[0, i]
+        share = min(max(done / asked, 0.0), 1.0) if asked > 0.0 else 0.0
+        for i in range(nb):
+            now[3 + i] *= share
+        take_pace(now, nb, guide.pace)
+
+
+@compiled
 def drive(velocity: Array, guide: Guide) -> None:
     """Let the base follow a velocity (nb,), scaled as a whole to what base and wheels can do."""
     wanted = guide.wanted[3 : 3 + velocity.size]

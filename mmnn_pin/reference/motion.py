@@ -23,6 +23,7 @@ MOST_ROWS = 10_000_000  # of a motion
 BENDS = ("acceleration", "yaw_acceleration")  # limits of the base
 ON_SAMPLE = 1e-6  # of a period, from a sample
 SLACK = 1.01  # times a limit of speed or acceleration that a motion may have
+BETWEEN = 1.5  # times a stated acceleration: splines bend more between a planner's points than at them
 STEEPEST = 3.0  # slope of a cubic over that of its chord, up to which it stays between its ends
 
 
@@ -288,8 +289,12 @@ def require_within(motion: Motion, guide: Guide, names: Sequence[str], start: Ar
                 what, why = f"{name} from {least[i]:.4g} to {largest[i]:.4g}", "its ends are {:.4g} and {:.4g}"
                 fix = "move it between them"
                 raise ConfigError(what, why=why.format(*guide.ends[:, i]), fix=fix, key="setpoint")
-        require_slower(np.abs(setpoints.qdot).max(axis=0), guide.arm[0], names, "/s", "joint_speed")
-        require_slower(motion.bends, guide.arm[3], names, "/s^2", "joint_acceleration")
+        steps = (
+            np.abs(np.diff(setpoints.q, axis=0)).max(axis=0, initial=0.0) / motion.period
+        )  # its rates may not say so
+        fastest = np.maximum(np.abs(setpoints.qdot).max(axis=0), steps)
+        require_slower(fastest, guide.arm[0], names, "/s", "joint_speed")
+        require_slower(motion.bends, guide.arm[3], names, "/s^2", "joint_acceleration", slack=BETWEEN)
     if BASE in motion.parts:
         names, v, a = BY_SIZE[nb].velocity_names, setpoints.velocity, setpoints.acceleration
         for limit, found, kind in ((guide.base[0], v, ("speed", "yaw_rate")), (guide.base[2], a, BENDS)):
@@ -301,13 +306,15 @@ def require_within(motion: Motion, guide: Guide, names: Sequence[str], start: Ar
             raise ConfigError(what, why=why, fix="drive more slowly", key="setpoint")
 
 
-def require_slower(found: Array, most: Array, names: Sequence[str], unit: str, *keys: str) -> None:
+def require_slower(
+    found: Array, most: Array, names: Sequence[str], unit: str, *keys: str, slack: float = SLACK
+) -> None:
     """Refuse rates (k,) beyond limits (k,).
 
     Raises:
         ConfigError: With the first of them.
     """
-    for i in np.flatnonzero(found > SLACK * most).tolist():
+    for i in np.flatnonzero(found > slack * most).tolist():
         what, why = f"{names[i]} at {found[i]:.4g} {unit}", f"its limit is {most[i]:.4g} {unit}"
         fix = f"make it slower, or raise limits.{keys[min(i, len(keys) - 1)]}"
         raise ConfigError(what, why=why, fix=fix, key="setpoint")

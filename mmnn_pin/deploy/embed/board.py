@@ -18,7 +18,7 @@ from ...loop.sample import Control
 from ...loop.servo import Split
 from ...loop.stepper import Stepper
 from ...reference.follower import LARGEST
-from ...reference.guide import ARM, BASE, HOLD, SAMPLE, VELOCITY, Guide, advance, drive, stand, take_sample
+from ...reference.guide import ARM, BASE, SAMPLE, VELOCITY, Guide, advance, brake, drive, stand, take_sample
 from ...safety import HAS_TRIPPED, Supervisor, accept, has_ended, press, release
 from ...safety.supervisor import GOOD, HEARD
 from ...signals import Array, IntArray
@@ -188,18 +188,20 @@ def follow(b: Board, time: float, wish: int) -> None:
         drive(b.asked[pose : pose + nb], guide)
         clock[RENEWED + BASE] = time
     elif wish == STAND:
-        guide.kind[:] = HOLD
+        brake(BASE, b.received, guide)
+        brake(ARM, b.received, guide)
     for part in range(2):
         kind = guide.kind[part]
         if kind in (SAMPLE, VELOCITY) and time - clock[RENEWED + part] > b.timeout:
-            guide.kind[part] = HOLD
+            brake(part, b.received, guide)
             b.losses[0] += 1.0
 
 
 def pause(b: Board) -> None:
     """Brake and hold; setpoints are not followed until `resume`; `Stepper.pause`."""
     if b.clock[PAUSED] == 0.0:
-        b.guide.kind[:] = HOLD
+        brake(BASE, b.received, b.guide)
+        brake(ARM, b.received, b.guide)
         b.clock[PAUSED] = 1.0
 
 

@@ -18,7 +18,7 @@ from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array, Setpoint
 from . import messages as msg
 from .link import Link, Outlet, address_of, decoded
-from .planned import OFF_GOAL, OFF_PATH, OKAY, Arm, Made, Planner, Refused
+from .planned import OFF_GOAL, OFF_PATH, OKAY, Arm, Made, Planner, Refused, caught_up
 from .sensing import Clock, seconds
 from .services import Caller, Services
 from .settings import Action, Topic
@@ -130,7 +130,7 @@ class ArmAction:
     # -- requests ------------------------------------------------------------------------------------------------------
 
     def _send(self, caller: Caller, data: bytes, clock: Clock, reference: Array, stopped: bool) -> list[Wish]:
-        now, request = reference.copy(), list[msg.FollowSendRequest]()
+        now, asked, request = reference.copy(), clock.now, list[msg.FollowSendRequest]()
 
         def make() -> Made:
             request.append(decoded(data, msg.FollowSendRequest))
@@ -148,7 +148,7 @@ class ArmAction:
             else:
                 self.refused, self.why = self.refused + 1, str(made)
             self.services.reply(caller, encoded(msg.SendResponse(accepted, stamp)))
-            return made if isinstance(made, Motion) else None
+            return caught_up(made, clock.now - asked) if isinstance(made, Motion) else None
 
         self.planner.plan(make, done)
         return []

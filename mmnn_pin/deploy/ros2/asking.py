@@ -18,7 +18,7 @@ from ...signals import Array
 from . import messages as msg
 from .action import ArmAction
 from .link import Inlet, Link, decoded
-from .planned import Arm, Made, Planner, Refused, base_motion, rest_of
+from .planned import Arm, Made, Planner, Refused, base_motion, caught_up, rest_of
 from .sensing import STILL, Clock, Planar, Tree, composed, inverse, wrapped
 from .settings import Node
 
@@ -104,7 +104,7 @@ class Asking:
         return [BaseVelocity(given if self.arm.robot.dimensions.base == 3 else (given[0], given[2]))]
 
     def _arm_motion(self, inlet: Inlet, data: bytes, clock: Clock, reference: Array) -> None:
-        now = reference.copy()
+        now, asked = reference.copy(), clock.now
 
         def make() -> Made:
             message = decoded(data, msg.JointTrajectory)
@@ -116,7 +116,7 @@ class Asking:
                 return None
             if self.action is not None:
                 self.action.give_way("another motion came")
-            return made
+            return caught_up(made, clock.now - asked) if isinstance(made, Motion) else made
 
         self.planner.plan(make, done)
 

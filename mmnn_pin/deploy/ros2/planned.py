@@ -19,12 +19,13 @@ from ...elementary.arrays import atan2
 from ...errors import ConfigError, MmnnError, TrajectoryError
 from ...model.robot import Robot
 from ...reference.drive import Drive
+from ...reference.goal import LEDGE
 from ...reference.guide import ARM, BASE, Guide, new_guide
 from ...reference.limits import Limits
 from ...reference.motion import require_within, slopes
 from ...reference.route import Route as Way
 from ...reference.wishes import Motion, Stand, Wish
-from ...signals import Array
+from ...signals import Array, Setpoint
 from . import messages as msg
 from .sensing import Planar, seconds
 from .settings import Route
@@ -90,7 +91,8 @@ class Arm:
         if since >= at[-1]:
             raise Refused(f"it was over {since - at[-1]:.3g} s ago", OLD_STAMP)
         at = at - min(since, 0.0)
-        rest, parts = np.clip(start[0], *self.guide.ends), list[Array]()
+        stop = start[0] + 0.5 * start[1] * np.abs(start[1]) / self.guide.arm[1]
+        rest, parts = np.clip(stop, *self.guide.ends), list[Array]()
         for i, name in enumerate(("positions", "velocities", "accelerations")):
             given = [list(getattr(point, name)) for point in message.points]
             if i and not any(given):
@@ -98,8 +100,7 @@ class Arm:
             parts.append(self._filled(given, name, columns, rest if i == 0 else np.zeros(len(self.names))))
         if len(parts) > 1 and np.abs(parts[1][-1]).max(initial=0.0) > AT_REST:
             raise Refused("its last point is not at rest")
-        for i in np.flatnonzero(self.guide.turn).tolist():  # as a whole, to begin at the nearest turn
-            parts[0][:, i] += nearest_turn(parts[0][0, i], start[0, i]) - parts[0][0, i]
+        self._mend(parts[0], start[0])
         if at[0] > 0.0:
             at, first = np.append(0.0, at), (start[0], start[1], np.zeros(len(self.names)))
             parts = [np.vstack([first[i], part]) for i, part in enumerate(parts)]
@@ -109,6 +110,15 @@ class Arm:
         if len(at) < 2:
             raise Refused("one point at time 0", INVALID_GOAL)
         return self._within(self._made(at, parts), max(since, 0.0), start[0])
+
+    def _mend(self, q: Array, start: Array) -> None:
+        """Points (k, n) by the nearest turn, from where the joints are on; what stays a little outside, at its end."""
+        for i in np.flatnonzero(self.guide.turn).tolist():
+            near = start[i]
+            for k in range(len(q)):
+                near = q[k, i] = nearest_turn(q[k, i], near)
+        stays = (np.abs(q - start) < LEDGE).all(axis=0)
+        q[:, stays] = np.clip(q[:, stays], *self.guide.ends[:, stays])
 
     def _columns(self, message: msg.JointTrajectory) -> Array:
         """Places of its joints in ours."""
@@ -184,6 +194,12 @@ def rest_of(motion: Motion, elapsed: float, shift: Planar | None = None) -> Moti
     k = min(round(elapsed / motion.period), len(motion.table) - 1)
     moved = motion.shift if shift is None else np.array(shift)
     return Motion(motion.table[k:], motion.period, motion.parts, motion.dimensions, shift=moved)
+
+
+def caught_up(made: Motion, late: float) -> Motion:
+    """A motion of the arm that was planned from a moving reference, as it is by now: some time [s] later."""
+    moves = Setpoint.side_by_side(made.table[0], made.dimensions).qdot.any()
+    return rest_of(made, late + made.period) if moves else made
 
 
 def base_motion(
