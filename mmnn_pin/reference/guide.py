@@ -148,8 +148,9 @@ def brake(part: int, measured: Array, guide: Guide) -> None:
         guide: The guide.
     """
     nb, now, asked, done = guide.base.shape[1], guide.now, 0.0, 0.0
+    holds = guide.kind[part] == HOLD
     guide.kind[part] = HOLD
-    if part == BASE and nb > 0:
+    if part == BASE and nb > 0 and not holds:
         copy_to(measured[:3], now[:3])
         for i in range(nb):
             speed = now[3 + i] / guide.base[0, i]

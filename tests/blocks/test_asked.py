@@ -143,9 +143,10 @@ class Promise(RuleBasedStateMachine):
         motion = Motion.through(at, first + way, period, self.d)
         table = Setpoint.side_by_side(motion.table, self.d)
         most = np.maximum(np.abs(table.qddot).max(axis=0), np.abs(np.diff(table.qdot, axis=0)).max(axis=0) / period)
-        most = np.maximum(self.a, most)
+        most = np.maximum(self.a, most if period == PERIOD else 1.3 * most)  # which its samples may not show
         more = np.abs(qdot) ** 2 / (2 * self.a)
         ends = np.vstack((q, table.q, self.between(motion)))
+        ends = np.vstack((ends, np.clip(ends, self.low, self.high)))  # from outside it is led back
         asked = Asked(ends.min(axis=0) - more, ends.max(axis=0) + more, most, table.q[-1])
         taken = self.try_arm(motion, asked)
         fits = (np.abs(table.qdot).max(axis=0) <= self.speed).all() and (not self.stated or (most <= self.a).all())

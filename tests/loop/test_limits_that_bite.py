@@ -322,7 +322,7 @@ def test_after_a_trip_the_robot_comes_to_rest_whatever_its_sensors_say(made, kin
     stepper = Stepper(robot, PD(), period=period, interfaces=by(interface, kinds), safety=safety)
     plant.v[:] = speed * SPEED * rng.uniform(0.5, 1.0, 2)
     start, then, began = plant.q.copy(), None, plant.v.copy()
-    for k in range(900):
+    for k in range(1500):
         q, v = plant.q.copy(), plant.v.copy()
         if then is not None:
             q, v = lie(kind, q, v, then, rng)
