@@ -100,7 +100,7 @@ class Follower:
                 fix = f"give {d.base} finite numbers" if d.base else "leave it out: this robot has no base"
                 raise ConfigError(f"a base velocity {shortly(wish.velocity)}", fix=fix, key="setpoint.velocity")
         elif isinstance(wish, JointGoal):
-            return Reach(wish, self.now[self.q :].reshape(3, d.arm), self.guide)
+            return Reach(wish, self.now[self.q :].reshape(3, d.arm), self.guide, self.names)
         elif isinstance(wish, Motion):
             if wish.dimensions != d:
                 raise ConfigError("a motion of another robot", fix="make it by the stepper's `plan`", key="setpoint")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ class Reach:
         goal: The goal.
         start: (3, n) q, qdot, qddot of the reference.
         guide: With the limits.
+        names: Of the joints.
 
     Raises:
         ConfigError: A goal of wrong shape, not finite or outside the joints' ends; ruckig is missing or finds no way.
@@ -36,7 +38,7 @@ class Reach:
 
     parts = (ARM,)
 
-    def __init__(self, goal: JointGoal, start: Array, guide: Guide) -> None:
+    def __init__(self, goal: JointGoal, start: Array, guide: Guide, names: Sequence[str]) -> None:
         n, ends = start.shape[1], guide.ends
         points = of_joints("setpoint.q", goal.q, n)
         rates = np.zeros_like(points) if goal.qdot is None else of_joints("setpoint.qdot", goal.qdot, n)
@@ -51,7 +53,7 @@ class Reach:
         outside = np.argwhere((points < ends[0]) | (points > ends[1]))
         if len(outside):
             k, i = outside[0]
-            what, why = f"joint {i} to {points[k, i]:.4g}", f"its ends are {ends[0, i]:.4g} and {ends[1, i]:.4g}"
+            what, why = f"{names[i]} to {points[k, i]:.4g}", f"its ends are {ends[0, i]:.4g} and {ends[1, i]:.4g}"
             raise ConfigError(what, why=why, fix="give a goal between them", key="setpoint.q")
         self.first, self.n, self.legs, self.ends = guide.now.size - 3 * n, n, list[Any](), [0.0]
         self.bends = np.zeros(n)

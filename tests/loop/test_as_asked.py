@@ -188,3 +188,42 @@ def test_a_plan_beyond_a_stated_acceleration_is_refused_with_it_and_else_brings_
         robot.motion([((0.05, 0.0, 0.0), 0.1, ())])
     robot.step(robot.motion([((0.05, 0.0, 0.0), 0.3, ())]))
     assert robot.steps(1.0)[0][-1, 0] == pytest.approx(0.05)
+
+
+def test_points_that_wrap_within_a_plan_are_taken_by_the_nearest_turn(tmp_path):
+    robot = Robot(tmp_path, (3.0, 0.1, 0.0), seam=-np.pi)
+    robot.steps(0.1)
+    points = [((3.0, 0.1, 0.0), 0.0, ()), ((3.13, 0.1, 0.0), 2.0, ()), ((-3.05, 0.1, 0.0), 4.0, ())]
+    robot.step(robot.motion(points))
+    _, places = robot.steps(5.0)
+    assert travel(places) == pytest.approx(2 * np.pi - 6.05, abs=0.02)
+
+
+@pytest.mark.parametrize("ahead", [0.001, 0.002, 0.004])
+def test_a_point_that_no_speed_reaches_in_time_is_refused(tmp_path, ahead):
+    robot = Robot(tmp_path, (0.0, 0.0, 0.0))
+    robot.steps(0.1)
+    with pytest.raises(Refused, match=r"j1 at .* /s: its limit is 6 /s"):
+        robot.motion([((2.0, 0.0, 0.0), ahead, ())])
+    with pytest.raises(Refused, match="time 0"):
+        robot.motion([((0.1, 0.0, 0.0), 0.0, ())])
+
+
+def test_a_joint_that_is_not_named_stands_where_it_stops(tmp_path):
+    robot = Robot(tmp_path, (0.0, 0.0, 0.0))
+    robot.steps(0.1)
+    robot.step(robot.motion([((1.0, 0.0, 0.0), 1.0, ())]))
+    robot.steps(0.5)
+    moving = robot.stepper.setpoint.qdot[0]
+    robot.step(robot.motion([((0.3,), 0.5, ())], ("j3",)))
+    asked, _ = robot.steps(1.5)
+    assert moving > 1.0 and np.diff(asked[:, 0]).min() > -1e-9 and asked[-1, 2] == pytest.approx(0.3)
+
+
+def test_a_plan_that_leaves_a_joint_a_little_outside_of_its_end_is_followed_by_the_others(tmp_path):
+    robot = Robot(tmp_path, (-1.5001, 0.1, 0.0), ends=(1.5, 1.5, 1.5))
+    robot.steps(0.1)
+    robot.step(robot.motion([((-1.5001, 0.5, 0.0), 1.0, ())]))
+    assert robot.steps(1.5)[0][-1].tolist() == pytest.approx([-1.5, 0.5, 0.0])
+    robot.step(JointGoal((-1.5001, 0.1, 0.0)))
+    assert robot.steps(2.0)[0][-1].tolist() == pytest.approx([-1.5, 0.1, 0.0])

@@ -15,7 +15,7 @@ from numba import config
 from mmnn_pin import PD, Stepper, load
 from mmnn_pin.loop.servo import Servo
 from mmnn_pin.model.robot import speed_limits
-from mmnn_pin.reference.guide import Limits
+from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import HOLD, BaseVelocity, JointGoal
 from mmnn_pin.safety import Safety, trip_of
 from mmnn_pin.signals import Measurement, Setpoint
@@ -145,6 +145,39 @@ def test_wheels_slower_than_asked_drive_on_after_hold_no_farther_than_wheels_tha
 
 
 @compiled
+def test_full_samples_that_wheels_do_not_follow_leave_nothing_to_make_up_for_after_hold(made):
+    """A reference that has run ahead of the base is given up with HOLD: it stands within what braking needs."""
+    still, seconds, period = np.zeros(2), 2.0, 0.01
+
+    def wish(time):
+        v = 0.4 if time < seconds else 0.0
+        sample = Setpoint(np.array([0.4 * time, 0.0, 0.0]), np.array([v, 0.0]), still, NONE, NONE, NONE)
+        return sample if time < seconds else HOLD if time < seconds + 0.5 * period else None
+
+    found = drive(made(wheeled(20.0)), wish, seconds + 6.0, reach=3.0)
+    k = round(seconds / period)
+    assert found[k:, 0].max() - found[k, 0] < 0.3**2 / 2.0 + 0.06 and found[-1, 1] == pytest.approx(0.0, abs=1e-3)
+
+
+@compiled
+@pytest.mark.parametrize("jump", [np.zeros(3), np.array([0.0, 0.0, 2.0])])
+def test_a_base_whose_odometry_freezes_or_turns_trips_before_it_is_far(made, jump):
+    robot, period = made(wheeled(20.0)), 0.01
+    stepper = Stepper(robot, PD(), period=period, interfaces=dict.fromkeys(robot.actuator_names, "velocity"))
+    pose, velocity, frozen = np.zeros(3), np.zeros(2), None
+    for k in range(1500):
+        if k == 100:
+            frozen = pose + jump, velocity.copy()
+        told = (pose.copy(), velocity.copy()) if frozen is None else frozen
+        sample = Setpoint(np.array([0.003 * k, 0.0, 0.0]), np.array([0.3, 0.0]), np.zeros(2), NONE, NONE, NONE)
+        command = stepper.step(k * period, Measurement(*told, NONE, NONE), sample).motor_velocity
+        velocity = np.array([0.05 * command.sum(), 0.25 * (command[1] - command[0])])
+        pose += period * np.array([velocity[0] * np.cos(pose[2]), velocity[0] * np.sin(pose[2]), velocity[1]])
+    assert stepper.tripped and not velocity.any()
+    assert np.hypot(*(pose[:2] - (0.3, 0.0))) < 1.2  # of it 0.3 m until it is lost, and braking
+
+
+@compiled
 def test_speed_and_yaw_rate_are_scaled_together_so_that_the_curvature_stays(made):
     for v, w in ((0.3, 1.0), (0.25, -1.4), (0.6, 0.3)):
         found = drive(made(wheeled(3.0)), lambda time, v=v, w=w: BaseVelocity((v, w)), 4.0, reach=3.0)
@@ -176,6 +209,32 @@ def test_a_blocked_joint_winds_nothing_up(made, interface, seconds):
     assert max(speeds) <= SPEED and max(sent) < 0.7 + 0.2
     assert max(np.abs(np.diff(sent))) <= SPEED * period * (1 + 1e-9)
     assert max(q) < 0.7 + 0.08 and q[-1] == pytest.approx(0.7, abs=0.01)
+
+
+@compiled
+@pytest.mark.parametrize("interface", ["velocity", "position"])
+@pytest.mark.parametrize("slower", [1.0, 4.0])
+def test_a_goal_is_reached_and_a_stop_on_the_way_stands_whatever_the_period_is_really(made, interface, slower):
+    """Told 20 ms: servos' integrals go by the real period, and a stop begins with what the reference did."""
+    kinds, told = ("revolute", "revolute"), 0.02
+    text = urdf(kinds)
+    for stops_at in (math.inf, 1.0):
+        plant, period = Arm(text, kinds, [0.0, 0.0]), told * slower
+        stepper = Stepper(made(text), PD(), period=told, interfaces=by(interface, kinds), safety=Safety(slowest="none"))
+        fastest, there = 0.0, None
+        for k in range(round(6.0 / period)):
+            if there is None and k * period >= stops_at:
+                stepper.stop()
+                there, fastest = plant.q[0], plant.v[0]
+            measured = Measurement(NONE, NONE, plant.q.copy(), plant.v.copy())
+            command = stepper.step(k * period, measured, JointGoal((2.0, 0.0)) if k == 1 else None)
+            for _ in range(round(period / 0.002)):
+                plant.step(command, interface, 0.002)
+        if there is None:
+            assert plant.q[0] == pytest.approx(2.0, abs=0.02) and not stepper.tripped
+        else:
+            assert fastest > 0.5 and abs(plant.v[0]) < 1e-3
+            assert -0.05 < plant.q[0] - there < fastest**2 / (2 * 5.0) + 2.0 * fastest / 30.0 + fastest * period + 0.05
 
 
 @settings(max_examples=20, deadline=None)

@@ -88,6 +88,8 @@ class Arm:
             return Stand((ARM,))
         columns, at = self._columns(message), self._times(message)
         start = np.asarray(now, float)
+        if at[-1] == 0.0:
+            raise Refused("its last point is at time 0: give it the time that the way takes")
         if since >= at[-1]:
             raise Refused(f"it was over {since - at[-1]:.3g} s ago", OLD_STAMP)
         at = at - min(since, 0.0)
@@ -107,8 +109,6 @@ class Arm:
             rates = slopes(at, parts[0], start[1])
             parts = [parts[0], rates] if len(parts) == 1 else parts
             parts[1][0] = rates[0]
-        if len(at) < 2:
-            raise Refused("one point at time 0", INVALID_GOAL)
         return self._within(self._made(at, parts), max(since, 0.0), start[0])
 
     def _mend(self, q: Array, start: Array) -> None:
