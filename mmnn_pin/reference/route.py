@@ -114,8 +114,9 @@ class Route:
         heading = None if np.isnan(headings[-1]) else float(headings[-1])
         if stays:
             return cls((), points[-1], heading)
-        ends, asked = [0, *tips(points), len(points) - 1], headings.copy()
+        asked = headings.copy()
         asked[-1] = np.nan  # a goal's heading does not say how to go there
+        ends = sorted({0, *tips(points), *turned_over(points, asked), len(points) - 1})
         parts = [slice(first, last + 1) for first, last in pairwise(ends)]
         legs = (leg_of(points[part], asked[part]) for part in parts)
         return cls(tuple(leg for leg in legs if leg.path.span > STRAIGHT), points[-1], heading)
@@ -163,6 +164,15 @@ def is_reverse(points: Array, headings: Array) -> bool:
     _, after = ways(points, corners(points, FOLD))
     c, s = cos_sin(headings[known])
     return float(np.mean(c * after[known, 0] + s * after[known, 1])) < AGAINST
+
+
+def turned_over(points: Array, headings: Array) -> list[int]:
+    """Which of points (k, 2) the way leaves against its heading where it came along it, or the other way round."""
+    known = np.flatnonzero(~np.isnan(headings))
+    _, after = ways(points, corners(points, FOLD))
+    c, s = cos_sin(headings[known])
+    sense = c * after[known, 0] + s * after[known, 1]
+    return known[1:][(sense[1:] * sense[:-1] < 0.0) & (np.minimum(abs(sense[1:]), abs(sense[:-1])) > -AGAINST)].tolist()
 
 
 def ways(points: Array, kept: IntArray) -> tuple[Array, Array]:

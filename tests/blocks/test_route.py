@@ -294,3 +294,16 @@ def test_a_base_beside_the_route_gets_onto_it(aside):
 def test_less_than_a_fold_is_none():
     for back, legs in ((0.8 * FOLD, 1), (1.5 * FOLD, 3)):
         assert len(route_of(line((0, 0), (1, 0), (1 - back, 0), (2, 0), apart=0.01)).legs) == legs
+
+
+@pytest.mark.parametrize("degrees", [60, 80, 95, 120, 170])
+def test_a_change_of_direction_that_headings_tell_is_driven_in_reverse_at_any_angle(degrees: float) -> None:
+    """1 m ahead along x, then 1 m in reverse with the robot's nose turned: closed forms of both ways and the tip."""
+    s, turn = np.arange(0.0, 1.001, 0.05), np.deg2rad(degrees)
+    back = np.array([1.0, 0.0]) + s[1:, None] * [np.cos(turn), np.sin(turn)]
+    points = np.vstack((np.stack([s, 0.0 * s], axis=1), back))
+    headings = np.append(np.zeros(len(s) - 1), np.full(len(s), turn - np.pi))
+    route = Route.of(points, headings, np.zeros(len(points), bool))
+    assert [leg.backwards for leg in route.legs] == [False, True]
+    assert [leg.path.span for leg in route.legs] == pytest.approx([1.0, 1.0], abs=1e-6)
+    assert route.legs[0].pose(1.0)[:2] == pytest.approx([1.0, 0.0])
