@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from importlib.metadata import packages_distributions
 from importlib.util import find_spec
 from pathlib import Path
@@ -178,7 +179,8 @@ def start(tmp_path: Path, text: str, *arguments: str) -> subprocess.Popen[str]:
     (tmp_path / "sleeper.py").write_text(SLEEPER)
     variables = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
     command = [sys.executable, str(tmp_path / "script.py"), *arguments]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=variables)
+    heeds = partial(signal.signal, signal.SIGHUP, signal.SIG_DFL)  # also where the tests were started with nohup
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=variables, preexec_fn=heeds)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")

@@ -11,7 +11,7 @@ import task
 from link import BYE, COMMAND, HELLO, MEASUREMENT, Channel
 
 from mmnn_pin.errors import InputError
-from mmnn_pin.loop.stepper import MEASURED, Stepper
+from mmnn_pin.loop.stepper import Stepper
 from mmnn_pin.signals import Measurement
 
 STOPS = (signal.SIGINT, signal.SIGTERM)  # they end the run between two cycles
@@ -59,7 +59,7 @@ def greet(channel, patience):
 
 def drive(cycle, motion, samples, channel, pace):
     """Control until the end, a trip or Ctrl-C; how it ended, and the age of the oldest measurement used [s]."""
-    places = np.cumsum([0, *(getattr(cycle.measured, name).size for name in MEASURED)])
+    places = np.cumsum([0, *(getattr(cycle.measured, name).size for name in ("pose", "velocity", "q", "qdot"))])
     came = Measurement(*(channel.values[a:b] for a, b in pairwise(places)))
     oldest, start, signals, kind = 0.0, pace.start, [], MEASUREMENT  # the first one is there
     asked = motion

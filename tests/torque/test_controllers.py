@@ -585,7 +585,7 @@ def test_the_example_runs_and_its_controller_is_the_better_one() -> None:
 # --- what a module imports is what it may know
 
 PACKAGE = Path(mmnn_pin.__file__).parent
-FEET = {"errors", "compiled", "elementary", "parts", "settings", "signals"}  # what every block may stand on
+FEET = {"errors", "files", "compiled", "elementary", "parts", "settings", "signals"}  # what every block may stand on
 BLOCKS = {"reference", "kinematic", "torque", "safety", "actuator", "disturbance", "plant", "sensing", "sampled"}
 RECORDS = {"recorder", "recording", "run_file", "metrics"}
 LOOPS = {
