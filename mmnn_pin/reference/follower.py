@@ -25,7 +25,6 @@ from .guide import (
     ROUNDING,
     SAMPLE,
     VELOCITY,
-    Limits,
     advance,
     brake,
     drive,
@@ -36,6 +35,7 @@ from .guide import (
     take_sample,
 )
 from .hand import FollowHand, HandCourse
+from .limits import Limits
 from .motion import between, require_within
 from .wishes import BaseVelocity, Course, JointGoal, Motion, Stand, Wish
 

@@ -120,7 +120,7 @@ def planned(start: Array, q: Array, qdot: Array, limits: Array, ends: Array) -> 
                 alone = solved(ruckig, state, q, qdot, within, ruckig.Synchronization.No)
                 leg = alone if wider(leg, extremes(alone)) else leg
         except (ruckig.RuckigError, RuntimeError) as error:
-            why = str(error)
+            why = " ".join(str(error).split()).partition(" input:")[0]  # in one line
             continue
         if not wider(leg, np.array([np.minimum(ends[0], start[0]), np.maximum(ends[1], start[0])])):
             return leg

@@ -313,6 +313,7 @@ def test_a_goal_from_rest_takes_the_time_of_the_closed_form_and_waypoints_are_pa
         (BaseVelocity((1.0,)), "base velocity"),
         (JointGoal((99.0, 0.0)), "arm_1_joint to 99.*its ends"),
         (JointGoal((0.0,)), "setpoint.q"),
+        (JointGoal((0.1, 0.1), (99.0, 0.0)), "cannot be planned.*velocity limit"),
         (Motion(np.zeros((3, 5)), H, (ARM,), Dimensions(0, 1, 1, 1)), "another robot"),
         ("home", "a str as a setpoint"),
     ],
