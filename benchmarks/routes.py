@@ -20,7 +20,6 @@ from workload import arm_loop, chain, find_tiago, peer_work, thesis_loop
 
 from mmnn_pin import Loop, load
 from mmnn_pin.loop.batch import simulate_many
-from mmnn_pin.loop.side_by_side import ready
 from mmnn_pin.recording.recorder import Recorder
 
 SECONDS, FOLDER = float(sys.argv[1]), Path(sys.argv[2])

@@ -20,7 +20,6 @@ from .output import (
     FAILED,
     STOPPED,
     answer,
-    before_it_is_compiled,
     columns,
     compile_if_cold,
     interruptible,
@@ -138,9 +137,6 @@ def run(
     )
     hardware = bool(asked.cases) or has_hardware(asked)
     with told_from_where(experiment, variant, asked, changes):
-        if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
-            with before_it_is_compiled(hardware):
-                return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
         compile_if_cold(hardware)
         if asked.contest is not None:
             return run_contest(asked, name, folder, force, as_json)

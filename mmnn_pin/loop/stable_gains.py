@@ -13,7 +13,7 @@ from ..errors import ConfigError
 from ..model.base import BY_SIZE
 from ..settings import Numbers
 from ..signals import Array
-from .sample import Plan
+from .plan import Plan
 from .sampled import SampledLoop, delay_margin, gains_of, judges, slowest, verdicts
 from .servo_model import servos_on
 

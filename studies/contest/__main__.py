@@ -17,7 +17,6 @@ from mmnn_pin.lab.contest.standing import Standing
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.show.contest import write_figures
-from mmnn_pin.loop.precompile import precompile
 
 from ..document import Clock
 from .document import DOCUMENT, DRAWN, summed
@@ -51,7 +50,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error(f"nothing is searched for {', '.join(unknown)}; there is: {', '.join(sorted(known))}")
     if not options.tune and (options.only or options.learner or options.again):
         parser.error("--only, --learner and --again go with --tune")
-    precompile()
     clock = Clock()
     if options.tune:
         for tuning in options.only or TUNINGS:
