@@ -77,7 +77,6 @@ def whole(loop: Loop) -> Prepare:
 def batch(kind: str, runs: int, threads: int) -> Prepare:
     """`simulate_many` on the thesis robot, the same or with other masses in every run (made anew every time)."""
     loop = thesis_loop(SECONDS)
-    ready(loop)
 
     def run() -> dict[str, Any]:
         factors = np.random.default_rng(0).uniform(0.8, 1.2, runs)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # for editors and type checkers; a test holds it against HOME
     from .lab.proof.certified_run import prove
     from .lab.study.sweep import sweep
     from .loop.loop import Loop
-    from .loop.stepper import Stepper
+    from .loop.stepper import Stepper, StepperSettings
     from .model.checks.properties import check
     from .model.loading import load
     from .model.robot import Robot
@@ -63,7 +63,7 @@ HOME = {
     "signals": ("Measurement", "Setpoint"),
     "settings": ("Timing",),
     "loop.loop": ("Loop",),
-    "loop.stepper": ("Stepper",),
+    "loop.stepper": ("Stepper", "StepperSettings"),
     "recording.recording": ("Recording",),
     "lab.experiments.compare": ("compare",),
     "lab.experiments.config": ("load_experiment",),
@@ -93,6 +93,7 @@ __all__ = [
     "Setpoint",
     "Sine",
     "Stepper",
+    "StepperSettings",
     "Timing",
     "TorqueController",
     "Trajectory",

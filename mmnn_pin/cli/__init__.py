@@ -30,6 +30,7 @@ from .robot import check, inspect, model
 from .ros2 import ros2
 from .run import list_, readings, run
 from .study import study, tune
+from .warm import warm
 
 for _library in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(_library, "1")  # see compiled.py; read when numpy is imported
@@ -96,7 +97,7 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-JUDGING = (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, list_, docs)
+JUDGING = (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, list_, warm, docs)
 DEPLOYING = (ros2, embed, identify, excite)
 for command in (*JUDGING, *DEPLOYING):
     mmnn.add_command(command)

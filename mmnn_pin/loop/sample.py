@@ -19,10 +19,11 @@ from .. import kinematic
 from ..by_address import by_address
 from ..compiled import by_type, compiled, copy_to, entry, internal, linked, plain
 from ..errors import ConfigError, InputError, RobotError
+from ..model.dynamics import Dynamics
 from ..model.reduction import as_measured
 from ..model.robot import Robot
 from ..model.tree.body import evaluate
-from ..model.tree.twin import psi_of, terms_of
+from ..model.tree.twin import Terms, psi_of
 from ..parts import vector, view
 from ..signals import INDEX, Array, IntArray, Measurement, Setpoint, VelocityCommand
 from ..torque import law
@@ -259,8 +260,8 @@ def true_errors(row: Array, at: IntArray, position: Array, nu: Array, arm: IntAr
 class Unflattened:
     """A robot that a controller believes in and that is no arrays: Pinocchio evaluates it."""
 
-    def __init__(self, robot: Robot) -> None:
-        self.terms, self.arm_map = terms_of(robot), robot.arm_map()
+    def __init__(self, robot: Robot, terms: Terms) -> None:
+        self.terms, self.arm_map = terms, robot.arm_map()
         self.position, self.nu = robot.neutral_position(), np.zeros(robot.dimensions.dof)
 
     def psi(self, row: Array, at: IntArray) -> None:
@@ -276,7 +277,7 @@ def believed_model(robot: Robot) -> Any:
     try:
         return new_machine(robot, None, robot.neutral_position(), np.zeros(robot.dimensions.dof))
     except RobotError:
-        return Unflattened(robot)
+        return Unflattened(robot, Dynamics(robot))
 
 
 class Torque:
@@ -309,6 +310,7 @@ class Torque:
         self.controller, self.state, self.row, self.at = controller, state, row, layout.offsets
         self.limits, self.learner, self.model = context.limits, None, None
         self.ahead, self.later = (None, None) if lead is None else (lead.ahead, lead.learner)
+        self.psi_hat = row[layout.where("psi_hat")]
         numbers = law.constant_gain(np.zeros(layout.dof))
         if isinstance(controller, CompiledController):
             self.law = controller.law(context)
@@ -328,7 +330,7 @@ class Torque:
         self.layout = layout
         self.setpoint, self.measurement = Setpoint.of(row, layout), Measurement.of(row, layout)
         self.command = VelocityCommand.of(row, layout)
-        self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
+        self.torque = row[layout.where("torque")]
         self.gain, self.weight_norm = row[layout.where("effective_gain")], row[layout.where("weight_norm")]
         if isinstance(controller, LearningLaw):
             self.sample, self.K = Sample.of(row, context), controller.feedback_gain(layout)
