@@ -426,7 +426,7 @@ def test_a_module_is_compiled_anew_when_what_it_calls_is_edited_and_no_other(mon
 
     assert changed_by("torque.adaptive") == {"torque.adaptive", "torque.concurrent"}
     assert changed_by("safety.door") == set(loops)  # `safety` hands it on
-    assert changed_by("model.tree.dynamics") == set(places) - {"torque.classical"}
+    assert changed_by("model.tree.dynamics") == set(places)
     assert changed_by("loop.loop") == set()
 
 
