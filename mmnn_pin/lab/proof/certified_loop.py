@@ -18,8 +18,6 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...kinematic import Kinematic
-from ...model.base import BY_SIZE
-from ...model.base.differential import DifferentialDrive
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...safety import Safety
@@ -241,8 +239,8 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
 def refusal(subject: Subject) -> str:
     """The first assumption of the theorem that a run does not meet; empty if it meets all."""
     meta, layout, timing = subject.recording.meta, subject.layout, subject.timing
-    if (kind_of_base := BY_SIZE[layout.base]) is not DifferentialDrive:
-        kind = f"the base is {kind_of_base.kind}" if layout.base else "a fixed base has no pose to lose"
+    if not subject.robot.base.two_sided:
+        kind = f"the base is {subject.robot.base.kind}" if layout.base else "a fixed base has no pose to lose"
         return f"{kind}; the theorem is about Kanayama's law for a differential drive"
     if subject.plant != "ideal":
         return f"on the {subject.plant} plant wheels may slip, and then nu does not move by the reduced model"
