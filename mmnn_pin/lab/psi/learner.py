@@ -191,7 +191,7 @@ def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
             raise ValueError(f"{lag}, {way} and {unseen} s")
     with recording.using("the gains of its kinematic layer"):
         gains = msgspec.convert(recording.meta.get("kinematic", {}), Kinematic)
-    weights = gains.pose_weights(robot.dimensions.base)
+    weights = gains.pose_weights(robot.dimensions)
     context = context_of(
         controller, robot, period, len(recording), rng, kept, lag=lag, way=way, unseen=unseen, pose_weights=weights
     )

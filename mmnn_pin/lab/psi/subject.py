@@ -195,7 +195,7 @@ class Subject:
         if self.exact_sensors:
             return rows
         rows, layout, arm = rows.copy(), self.layout, self.robot.arm_index
-        gains, K = self.kinematic.base_gains(layout.base), self.kinematic.arm_gains(layout)
+        gains, K = self.kinematic.base_gains(layout), self.kinematic.arm_gains(layout)
         for row in rows:
             position, nu = row[layout.where("position")], row[layout.where("nu")]
             exact(row, layout.offsets, position, nu, arm)

@@ -17,7 +17,6 @@ from ...errors import ConfigError, RobotError
 from ...settings.arguments import checked
 from ...shown import AsText, shown
 from ...signals import Array
-from ..base.differential import DifferentialDrive
 from ..base.report import NO_FRICTION
 from ..robot import Robot, revolute
 from .nonholonomy import Nonholonomy, nonholonomy
@@ -158,7 +157,7 @@ def check(
         samples: Number of states.
         seed: Their seed.
         terms: The matrices to judge; None for Pinocchio's.
-        world: The world-frame form to judge; None for ours (differential drives only).
+        world: The world-frame form to judge; None for ours (bases with two sides only).
         progress: Called now and then with the fraction done.
 
     Raises:
@@ -173,7 +172,7 @@ def check(
     if samples < 1:
         raise ConfigError(f"{samples} states", fix="give at least 1", key="samples")
     terms, kinematics, skipped = terms or Terms(robot), None, {}
-    if world is None and isinstance(robot.base, DifferentialDrive):
+    if world is None and robot.base.two_sided:
         world = WorldFrame(robot)
     try:
         kinematics = SecondKinematics(robot)

@@ -304,7 +304,7 @@ def brake(way: float, a: float, h: float) -> float:
 
 
 @compiled
-def advance(pose: Array, q: Array, nu: Array, nudot: Array, h: float, c0: Array) -> None:
+def advance(pose: Array, q: Array, nu: Array, nudot: Array, sideways: bool, h: float, c0: Array) -> None:
     """Move pose, q and nu on by h, nudot held: exact but for the pose, which is Simpson's rule of its velocity.
 
     Args:
@@ -312,6 +312,7 @@ def advance(pose: Array, q: Array, nu: Array, nudot: Array, h: float, c0: Array)
         q: (n,).
         nu: (p,).
         nudot: (p,).
+        sideways: Whether the base velocity is `(vx, vy, w)`.
         h: [s].
         c0: (2,) scratch.
     """
@@ -324,7 +325,7 @@ def advance(pose: Array, q: Array, nu: Array, nudot: Array, h: float, c0: Array)
             c, sine = cos_sin(turned + s * w0 + 0.5 * s * s * dw)
             share = h / 6.0 if i != 1 else 4.0 * h / 6.0
             vx = nu[0] + s * nudot[0]
-            vy = nu[1] + s * nudot[1] if nb == 3 else 0.0
+            vy = nu[1] + s * nudot[1] if sideways else 0.0
             c0[0] += share * (c * vx - sine * vy)
             c0[1] += share * (sine * vx + c * vy)
         pose[0] += c0[0]
