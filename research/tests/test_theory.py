@@ -207,7 +207,7 @@ def test_no_sequence_of_updates_takes_the_weights_beyond_their_bound(y: float, k
         x = rng.standard_normal(nx)
         x *= X / np.linalg.norm(x)
         net = V.T @ x
-        two_layer_update(W, V, x, net, expit(net), s, F, G, kappa, 1.0)
+        two_layer_update(W, V, x, net, expit(net), s, np.array([F, G, kappa]), 1.0)
         one_layer_update(one, rng.uniform(0, 1, h), s, F, kappa, 1.0)
         assert np.linalg.norm(W) <= own * (1 + 1e-12) and np.linalg.norm(one) <= own * (1 + 1e-12)
         assert np.linalg.norm(V) <= most_V * (1 + 1e-12)
