@@ -19,7 +19,7 @@ from ...proof.psi import Psi, how_to_know
 from ...proof.rate import Rate
 from ...proof.truth import Truth
 from ...proof.tube import Tube
-from ..table import WIDTH, Cell, Column, Line, Row, Table, grouped, number, row_of, terminal_text
+from ..table import WIDTH, Cell, Column, Row, Table, TextLine, grouped, number, row_of, terminal_text
 from .verdict import verdicts
 
 FROZEN = {"same": "frozen,\nown run", "held_out": "frozen,\nheld out", "payload": "frozen,\npayload"}
@@ -49,10 +49,10 @@ def words(heading: str, fold: bool = True) -> Column:
 # -- the proof --
 
 
-def parts(proof: Proof) -> Iterator[str | Line | Table]:
+def parts(proof: Proof) -> Iterator[str | TextLine | Table]:
     """Title, sentences, tables and notes, in order."""
     subject, how = proof.subject, how_to_know(proof.subject) if proof.has("psi") else ""
-    yield Line(f"{subject.controller} on {subject.robot.name}", "bold")
+    yield TextLine(f"{subject.controller} on {subject.robot.name}", "bold")
     if proof.has("psi"):
         yield from verdicts(proof.psi, how)
         yield from psi_tables(proof.psi)
@@ -69,7 +69,7 @@ def parts(proof: Proof) -> Iterator[str | Line | Table]:
         yield balance_sentence(proof.balance, f"{subject.timing.integrator} at {subject.timing.plant_step:g} s")
     for remark in proof.remarks():
         if remark != how:
-            yield Line(f"note: {remark}", "italic")
+            yield TextLine(f"note: {remark}", "italic")
 
 
 def psi_tables(psi: Psi) -> Iterator[str | Table]:
@@ -218,10 +218,10 @@ def small(value: float) -> str:
 # -- the certificate --
 
 
-def certificate_parts(run: CertifiedRun) -> Iterator[str | Line | Table]:
+def certificate_parts(run: CertifiedRun) -> Iterator[str | TextLine | Table]:
     """Title, sentences and tables, in order."""
     yield ""
-    yield Line("Certificate (mmnn docs explanation/theory)", "bold")
+    yield TextLine("Certificate (mmnn docs explanation/theory)", "bold")
     if run.certificate is None:
         yield f"Does not apply: {run.missing['certificate'].removeprefix('no certificate: ')}."
     else:
