@@ -236,6 +236,6 @@ def move(n: Numbers, i: int, body: Body, true: Machine, tau: Array) -> None:
         for stage in range(4):
             if i > 0 or stage > 0:
                 evaluate(body, work, work.trial[:nv], work.trial[nv : nv + p])
-            derivative(work.trial, tau, body.base, terms)
+            derivative(work.trial, tau, true.joints, terms)
             rk4_stage(stage, n.dt, y, work.ydot, work.total, work.trial)
         copy_to(work.trial, y)

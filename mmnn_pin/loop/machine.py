@@ -36,6 +36,6 @@ def new_machine(robot: Robot, loaded: Robot | None, position: Array, nu: Array) 
     body, y, nv = body_of(robot), np.concatenate((position, nu, [0.0])), position.size
     work = new_work(body)
     terms = Terms(work.v, work.M, work.h, work.F, work.hold, work.ydot, work.L, work.rest, work.grip)
-    joints = Joints(body.T, body.damping, body.dry, body.viscous, body.base)
+    joints = Joints(body.T, body.damping, body.dry, body.viscous, body.base, body.sideways)
     with_load = body if loaded is None else body_of(loaded)
     return Machine(body, with_load, work, terms, joints, y, y[:nv], y[nv : nv + nu.size])
