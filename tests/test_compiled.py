@@ -20,11 +20,12 @@ from hypothesis import strategies as st
 from numba import config, typeof
 from numba._dispatcher import compute_fingerprint
 
-from mmnn_pin import compiled as module
 from mmnn_pin import load_experiment
 from mmnn_pin.by_address import by_address
-from mmnn_pin.compiled import KEPT, by_type, cache_folder, compiled, internal, linked, source_key
-from mmnn_pin.linking import OwnNames
+from mmnn_pin.compiled import by_type, compiled, internal, linked
+from mmnn_pin.compiled import folders as module
+from mmnn_pin.compiled.folders import KEPT, cache_folder, source_key
+from mmnn_pin.compiled.linking import OwnNames
 from mmnn_pin.loop.hardware import MotorSide
 from mmnn_pin.loop.latency import Transport
 from mmnn_pin.loop.servo_model import VelocityServo
