@@ -24,7 +24,7 @@ from ..actuator import Motors
 from ..by_address import by_address
 from ..compiled import compiled, copy_to, entry, internal, linked
 from ..disturbance import Forces
-from ..safety import Supervisor
+from ..safety import Supervisor, SupervisorState
 from ..sensing import Sensors, exact
 from ..sensing.effects import COUNT, RECEIVED, Reading
 from ..signals import EARLY, INDEX, Array, IntArray
@@ -253,7 +253,7 @@ def sense(
 
 
 @compiled
-def is_stopped(on: bool, state: Array) -> bool:
+def is_stopped(on: bool, state: SupervisorState) -> bool:
     """Whether a supervisor that is there does without the controller, by its state."""
     return on and not safety.may_learn(state)
 
@@ -305,7 +305,7 @@ def shorted(doing: float, supervisor: Supervisor) -> int:
         return 0
     if doing == safety.RAMPING:
         return int(supervisor.torque.size)
-    return int(supervisor.torque.size - supervisor.K.size) if supervisor.numbers[safety.SHORT] > 0.0 else 0
+    return int(supervisor.torque.size - supervisor.K.size) if supervisor.numbers.short > 0.0 else 0
 
 
 @compiled
