@@ -26,7 +26,7 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import lower_builtin, type_callable
-from numba.types import Array, Integer
+from numba.core.types import Array, Integer
 from numpy.typing import NDArray
 
 T = TypeVar("T")

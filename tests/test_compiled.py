@@ -21,6 +21,7 @@ from numba import config, typeof
 from numba._dispatcher import compute_fingerprint
 
 from mmnn_pin import load_experiment
+from mmnn_pin.actuator import STATES, motor_state
 from mmnn_pin.by_address import by_address
 from mmnn_pin.compiled import by_type, compiled, internal, linked
 from mmnn_pin.compiled import folders as module
@@ -209,7 +210,7 @@ def test_what_may_stand_in_one_place_differs_in_its_parts():
             learners[type(learner)] = learner
     assert len(learners) > 6
     one, two, whole = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1), np.int64)
-    sensors = [FrozenEncoders(two, one), MotorSide(whole, two)]
+    sensors = [FrozenEncoders(two, one), MotorSide(whole, motor_state(np.zeros((1, STATES))))]
     motors = [Transport(0.1, whole[0], two), VelocityServo(0.1, *[one] * 6, two)]
     for group in (learners.values(), sensors, motors):
         assert len({compute_fingerprint(value) for value in group}) == len(group)

@@ -125,7 +125,7 @@ def parts_of(stepper: Stepper) -> dict[str, int]:
     supervisor = hardware.way.supervisor
     named = {f"supervisor_{name}": part for name, part in supervisor._asdict().items() if name != "values"}
     named |= {f"supervisor_is_{name}": part for name, part in supervisor.state._asdict().items()}
-    named |= {"motor_states": hardware.motors.states, "sent": hardware.way.sent}
+    named |= {"motor_states": hardware.motors.states.values, "sent": hardware.way.sent}
     if hardware.split is not None:
         named |= {f"servo_{name}": part for name, part in hardware.split._asdict().items()}
     whole, found = hardware.state, list[tuple[int, str, int]]()
