@@ -93,10 +93,6 @@ class RecordingError(InputError):
     """A recording that cannot be written or read."""
 
 
-class BatchError(InputError):
-    """A batch whose processes cannot go on."""
-
-
 class StudyError(InputError):
     """A study whose database or workers cannot be used."""
 

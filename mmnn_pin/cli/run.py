@@ -20,7 +20,6 @@ from .output import (
     FAILED,
     STOPPED,
     answer,
-    before_it_is_compiled,
     columns,
     compile_if_cold,
     interruptible,
@@ -127,9 +126,6 @@ def run(
     )
     hardware = bool(asked.cases) or has_hardware(asked)
     with told_from_where(experiment, variant, asked, changes):
-        if not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
-            with before_it_is_compiled(hardware):
-                return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
         compile_if_cold(hardware)
         if asked.cases:
             return run_cases(asked, name, folder, force, as_json, elsewhere)

@@ -12,7 +12,7 @@ from ..compiled import one_thread
 from ..errors import ConfigError
 from ..settings import Numbers
 from ..signals import Array
-from .sample import Plan
+from .plan import Plan
 from .sampled import SampledLoop, delay_margin, gains_of, judges, slowest, verdicts
 from .servo_model import servos_on
 

@@ -24,7 +24,7 @@ from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sampled import HeldLoop, SampledLoop, sampled_loop
 from mmnn_pin.loop.stable_gains import require_stable
-from mmnn_pin.loop.stepper import Stepper
+from mmnn_pin.loop.stepper import Stepper, StepperSettings
 from mmnn_pin.loop.suited import Given, suited
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.base.base import Fixed, LinearErrors
@@ -188,11 +188,11 @@ def test_gains_that_a_refusal_says_hold(base: float, arm: float) -> None:
     """As `Stepper` judges them, at ten postures; a gain that is not to blame stays."""
     robot = load("platform_arm")
     try:
-        Stepper(robot, PD(Feedback(base, arm)), period=H).finish()
+        Stepper(robot, PD(Feedback(base, arm)), StepperSettings(period=H)).finish()
     except ConfigError as refused:
         assert "mmnn inspect ROBOT --gains" in refused.fix
         found = numbers_of(refused.fix)
-        Stepper(robot, PD(found), period=H).finish()
+        Stepper(robot, PD(found), StepperSettings(period=H)).finish()
         change = found.vector(robot.dimensions) / Feedback(base, arm).vector(robot.dimensions)
         assert (change <= 1.0).all() if "lower them" in refused.fix else (change > 1.0).any()
         assert "they are too low" not in refused.why or "change them" in refused.fix

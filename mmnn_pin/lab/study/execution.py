@@ -18,7 +18,6 @@ from ... import __version__
 from ...errors import InputError, MmnnError, StudyError
 from ...loop.batch import needed_bytes
 from ...loop.compiled import CompiledLoop
-from ...loop.side_by_side import WORTH
 from ...recording.metrics import Reducer, metrics
 from ...recording.versions import versions
 from ..experiments.controllers import EFFECTIVE
@@ -188,8 +187,7 @@ def fill(
     Raises:
         MmnnError: As in `execute`.
     """
-    worth = len(missing) * plan.base.time.samples >= WORTH * pool.processes
-    for group in execute(pool, plan, missing, worth=worth):
+    for group in execute(pool, plan, missing):
         ended = [(row, done) for row, done in group if done.status != "interrupted"]
         store.add_all(
             (row.fingerprint, row.point, row.controller, row.seed, row.parameters, done) for row, done in ended
@@ -199,7 +197,7 @@ def fill(
 
 
 def execute(
-    pool: Pool, plan: Plan, numbers: Sequence[int], handed: dict[str, Any] | None = None, worth: bool = False
+    pool: Pool, plan: Plan, numbers: Sequence[int], handed: dict[str, Any] | None = None
 ) -> Iterator[list[tuple[Row, JobResult]]]:
     """Make runs, some in a call, given back when the call has ended, in any order.
 
@@ -210,7 +208,6 @@ def execute(
         plan: All runs.
         numbers: Of those to make.
         handed: Robots' files that the pool has already, by digest; it is added to.
-        worth: See `worker.run`.
 
     Raises:
         MmnnError: The pool is lost; what was given back is done.
@@ -229,7 +226,7 @@ def execute(
                 bundle = plan.bundle(group[0].experiment)
                 if bundle.digest not in files:  # the pool gets the files of a robot once
                     files[bundle.digest] = pool.share(bundle)
-                future = pool.executor.submit(run, group, files[bundle.digest], pool.stop, worth)
+                future = pool.executor.submit(run, group, files[bundle.digest], pool.stop)
                 pending[future] = group
                 future.add_done_callback(finished.put)
             if not pending:

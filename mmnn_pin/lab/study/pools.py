@@ -216,17 +216,17 @@ class Packed(Executor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Make runs: `fn` is `worker.run`; the arguments are its own, the files of the robot packed."""
         assert fn is run and not kwargs
-        rows, bundle, _, worth = args
-        return self.inner.submit(self.call, pickle.dumps(rows), bundle, worth)
+        rows, bundle, _ = args
+        return self.inner.submit(self.call, pickle.dumps(rows), bundle)
 
 
 def carriers() -> dict[str, Callable[..., Any]]:
     """Functions that travel by value: `call` makes runs, `keep` holds bytes, `code` hashes a worker's sources."""
 
-    def call(rows: bytes, bundle: bytes, worth: bool) -> list[JobResult]:
+    def call(rows: bytes, bundle: bytes) -> list[JobResult]:
         from .pools import run_packed
 
-        return run_packed(rows, bundle, worth)
+        return run_packed(rows, bundle)
 
     def keep(packed: bytes) -> bytes:
         return packed
@@ -239,10 +239,10 @@ def carriers() -> dict[str, Callable[..., Any]]:
     return {"call": call, "keep": keep, "code": code}
 
 
-def run_packed(rows: bytes, bundle: bytes, worth: bool) -> list[JobResult]:
+def run_packed(rows: bytes, bundle: bytes) -> list[JobResult]:
     """Make runs on a worker; see `worker.run`."""
     on_one_thread()
-    return run(pickle.loads(rows), unpacked(bundle), None, worth)
+    return run(pickle.loads(rows), unpacked(bundle), None)
 
 
 @cache

@@ -18,7 +18,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache, partial
 from pathlib import Path
@@ -31,7 +30,7 @@ from lxml import etree
 import mmnn_pin
 
 from ...errors import InputError, StudyError
-from ...loop.batch import Run, Started, groups_of, simulate, simulate_group
+from ...loop.batch import Run, simulate
 from ...loop.loop import Loop
 from ...model.base.overrides import Overrides, folders_of, with_file
 from ...model.loading import load_with
@@ -104,15 +103,13 @@ def run(
     rows: Sequence[Row],
     bundle: Bundle | None = None,
     stop: Callable[[], bool] | None = None,
-    worth: bool = False,
 ) -> list[JobResult]:
-    """Make runs, side by side where they can go so; whatever is wrong with one is part of its result.
+    """Make runs; whatever is wrong with one is part of its result.
 
     Args:
         rows: The runs.
         bundle: Files of their robot; None where they are on this machine.
         stop: Asked now and then; true ends the runs as interrupted.
-        worth: Whether there are so many of them that compiling for runs side by side is worth while.
 
     Raises:
         StudyError: This worker has other sources, or lacks a package that a run needs.
@@ -128,23 +125,8 @@ def run(
             loops[i] = made
         else:
             results[i] = made
-    for places in groups_of(loops, loops, 1):
-        done = run_group([rows[i] for i in places], [loops[i] for i in places], stop, worth)
-        results |= zip(places, done, strict=True)
+    results |= {i: run_alone(rows[i], loop, stop) for i, loop in loops.items()}
     return [replace(results[i], seconds=results[i].seconds + took[i]) for i in range(len(rows))]
-
-
-def run_group(rows: Sequence[Row], loops: Sequence[Loop], stop: Callable[[], bool], worth: bool) -> list[JobResult]:
-    """Make runs that may go side by side; where that fails, one after the other, so that each has its own result."""
-    if len(rows) > 1:
-        with suppress(Exception):
-            begun = time.perf_counter()
-            pairs = zip(rows, loops, strict=True)
-            started = [Started(loop, None, row.experiment.windows, False) for row, loop in pairs]
-            ended = simulate_group(started, worth, stop)
-            took = (time.perf_counter() - begun) / len(rows)
-            return [result_of(row, one, took) for row, one in zip(rows, ended, strict=True)]
-    return [run_alone(row, loop, stop) for row, loop in zip(rows, loops, strict=True)]
 
 
 def run_alone(row: Row, loop: Loop, stop: Callable[[], bool]) -> JobResult:

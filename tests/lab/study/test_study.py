@@ -30,8 +30,7 @@ from mmnn_pin.lab.study.pools import processes, threads
 from mmnn_pin.lab.study.results import load_results
 from mmnn_pin.lab.study.store import NAME, Stored, reading, writing
 from mmnn_pin.lab.study.worker import loop_of
-from mmnn_pin.loop.batch import simulate, simulate_group
-from mmnn_pin.loop.side_by_side import LANES, ready
+from mmnn_pin.loop.batch import simulate
 
 compiled_only = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
 BASE = ["time.duration=0.04", "windows=[[0.0,0.02],[0.02,0.04]]"]  # what the short study changes
@@ -149,32 +148,6 @@ def test_settings_that_no_run_can_be_made_of_are_a_refused_row(tmp_path: Path) -
         assert row.status == ("refused" if bad else "completed")
         assert ("3 numbers for 2 joints" in row.message) == bad
     assert main(["study", str(tmp_path / "short.toml"), "--out", str(tmp_path), "--set", "sampling.points=1"]) == 0
-
-
-@compiled_only
-def test_rows_made_side_by_side_have_the_numbers_that_they_have_alone(tmp_path: Path, monkeypatch) -> None:
-    text = SHORT.replace("points = 4", "points = 5").replace("0.04", "0.5")
-    rows = [plan.row(i) for plan in [planned(tmp_path, text)] for i in range(len(plan))]
-    assert ready(loop_of(next(row for row in rows if row.controller == "pd")))
-    kept: list[int] = []
-
-    def counted(started, *rest):
-        kept.append(len(started))
-        return simulate_group(started, *rest)
-
-    monkeypatch.setattr(worker, "simulate_group", counted)
-    found = worker.run(rows)
-    assert kept.count(LANES) > 0
-    for row, one in zip(rows, found, strict=True):
-        (alone,) = worker.run([row])
-        assert (one.id, one.status, one.time, told(one.metrics)) == (
-            row.id,
-            alone.status,
-            alone.time,
-            told(alone.metrics),
-        )
-    monkeypatch.setattr(worker, "simulate_group", lambda *rest: 1 / 0)  # then each is made alone
-    assert [told(one.metrics) for one in worker.run(rows)] == [told(one.metrics) for one in found]
 
 
 def test_runs_of_a_call_take_half_a_second_together() -> None:
