@@ -98,7 +98,7 @@ def test_plot_draws_the_figures_of_a_contest_again(folder, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["plot", "{}", "--what", "psi"], "'psi' is a plot of the runs of one task: name the folder of a task"),
+        (["plot", "{}", "--what", "psi"], "'psi' is a plot of the runs of one folder: name one of its folders"),
         (["plot", "{}/eight", "--what", "contest-fvu"], "'contest-fvu' is a figure of a contest"),
         (["plot", "{}", "{}/eight/pd.h5"], "a contest among other runs: name it alone"),
         (["report", "{}", "{}/eight", "--html", "x.html"], "a contest among other runs: name it alone"),

@@ -7,6 +7,7 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
+from builders import loop
 from learning import made
 from proofs import learner, loop_of, robot_of_kind, subject_of
 from robots import feedback
@@ -18,7 +19,6 @@ from test_learning_law import OnTop
 from test_lyapunov import DURATION
 from test_radii import LEFT
 from test_radii import loop_with as rolling
-from builders import loop
 
 from mmnn_pin import Neural, Recording, load_experiment
 from mmnn_pin.cli import main

@@ -324,7 +324,7 @@ def test_the_report_tells_what_is_proved(runs: dict[str, Recording], proof: Proo
     cache.keep(proof)
     page = Page(report(runs, with_replay=False).html)
     text = " ".join(" ".join(words) for words in page.texts.values())
-    assert {"proof", "plot-fvu", "plot-lyapunov"} <= set(page.ids)
+    assert {"learned", "plot-fvu", "plot-lyapunov"} <= set(page.ids)
     assert f"FVU online {judgement_number(proof)}" in text
     for words in ("FVU frozen, held out", "V grows in", f"{100 * proof.growth.samples:.0f}", "equality"):
         assert words in text
