@@ -132,8 +132,7 @@ def load_contest(
     try:
         require_names(asked)
     except UnknownName as error:
-        error.file = path
-        raise of_override(error, texts) from None
+        raise of_override(error.but(file=path), texts) from None
     return asked
 
 

@@ -215,8 +215,7 @@ def pose_of(subject: Subject, rows: Array) -> PoseEnergy:
     try:
         return pose_part(rows[:, where("pose_error")], s[:, :nb], rows[:, where("velocity_ref")], subject.kinematic)
     except RecordingError as error:
-        error.file = subject.recording.path
-        raise
+        raise error.but(file=subject.recording.path) from error
 
 
 def motion_energy(subject: Subject, rows: Array) -> Array:
