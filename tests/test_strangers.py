@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import pkgutil
 import random
 import sqlite3
@@ -14,7 +13,7 @@ from io import StringIO
 
 import pytest
 from random_options import tried
-from sound_files import contest, study
+from sound_files import study
 
 import mmnn_pin
 from mmnn_pin.cli import main, mmnn
@@ -159,40 +158,6 @@ def test_a_damaged_text_in_the_list_of_tables_is_one_line(sound, tmp_path):
     file.write_bytes(sound.replace(b"CREATE TABLE rows", b"CREATE TABLE ro\xffs", 1))
     with pytest.raises(StudyError, match="cannot read the database: "):
         load_results(file)
-
-
-def test_a_contest_that_lost_windows_of_a_curve_is_drawn_as_far_as_all_go(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    contest(tmp_path / "contest")
-    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
-    rows["eight/two_layer"]["rows"][0]["curve"].pop()
-    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
-    with redirect_stdout(StringIO()):
-        assert main(["plot", "contest", "--what", "contest-learning", "--out", "out"]) == 0
-
-
-def test_a_contest_with_a_squared_error_below_0_is_one_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    contest(tmp_path / "contest")
-    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
-    rows["eight/two_layer"]["rows"][0]["curve"][0][0] = -1.0
-    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
-    assert main(["report", "contest", "--html", "out.html"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "the curve of two_layer has a squared error below 0" in line
-
-
-@pytest.mark.parametrize("value", [1e300, -1.0])
-def test_a_contest_with_an_error_that_is_none_is_one_line(value, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    contest(tmp_path / "contest")
-    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
-    first = rows["eight/two_layer"]["rows"][0]["rms"]
-    first[next(iter(first))] = value
-    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
-    assert main(["report", "contest", "--html", "out.html"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert f"an error of {value:g}" in line
 
 
 # -- the replay's server -----------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import TrajectoryError, UnknownName
+from ..errors import LENGTH, TrajectoryError, UnknownName
 from ..model.robot import Robot
 from ..settings.arguments import checked, require_types
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
@@ -307,7 +307,9 @@ class Trajectory:
             )
         if len(self.arm) != layout.arm:
             raise TrajectoryError(
-                f"{len(self.arm)} arm profiles for {layout.arm} arm joints", fix=f"give {layout.arm} of them"
+                f"{len(self.arm)} arm profiles for {layout.arm} arm joints",
+                fix=f"give {layout.arm} of them",
+                code=LENGTH,
             )
 
 

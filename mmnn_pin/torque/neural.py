@@ -171,8 +171,6 @@ class Neural(CompiledController):
     called: str = ""
     adds_model: bool = False
 
-    lyapunov_part = "networks"
-
     @property
     def networks(self) -> Neural:
         """Itself."""

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from ...errors import ConfigError, InputError, TrajectoryError, UnknownName
+from ...errors import LENGTH, ConfigError, InputError, TrajectoryError, UnknownName
 from ...model.robot import Robot
 from ...reference import (
     BasePath,
@@ -299,6 +299,7 @@ class ReferenceTables(Settings, frozen=True):
                 f"{len(tables)} profiles for {n} arm joints",
                 fix="add one [[reference.arm]] per joint, or one [reference.arm] for all",
                 key="reference.arm",
+                code=LENGTH,
             )
         return tuple(make(ARM_PROFILES, table, f"reference.arm.{i}") for i, table in enumerate(tables))
 
@@ -368,8 +369,7 @@ def make(kinds: dict[str, Any], table: dict[str, Any], key: str) -> Any:
         raise ConfigError(what, fix=fix, key=key + where) from error
     except InputError as error:  # of the object itself, which knows only the name of its argument
         first = error.what.partition(" ")[0]
-        error.key = error.key or (f"{key}.{first}" if first in known else key)
-        raise
+        raise error.but(key=error.key or (f"{key}.{first}" if first in known else key)) from error
 
 
 def as_long_as_its_file(table: dict[str, Any], own: Mapping[str, Any]) -> None:
