@@ -34,7 +34,8 @@ DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
 EVERY = 10.0  # between two lines of progress [s]
 NARROW, WIDTH, WIDE = 40, 100, 200  # columns that tables are made for: at least, without a terminal, at most
 STYLE = f"\ufdd0{token_hex(8)}\ufdd1"  # in place of what begins a style of ours: no text of others has it
-STUDY, CONTEST, IDENTIFIED = "study.sqlite", ("contest.json", "rows.json"), "*.identified.json"  # their files
+STUDY = ("results.jsonl", "study.sqlite")  # their files; the second is of old versions
+CONTEST, IDENTIFIED = ("contest.json", "rows.json"), "*.identified.json"
 
 
 def say(text: str) -> None:
@@ -279,18 +280,18 @@ def interruptible(show: Callable[P, None]) -> Iterator[Callable[P, None]]:
 
 
 def found_in(paths: tuple[Path, ...], what: str) -> Path | None:
-    """The database of a study, the folder of a contest or the JSON of an identification among some paths; None without.
+    """The results of a study, the folder of a contest or the JSON of an identification among some paths; None without.
 
     Args:
-        paths: As the user named them: a database or such a JSON, a folder that holds one, or the folder of a contest.
+        paths: As the user named them: results or such a JSON, a folder that holds one, or the folder of a contest.
         what: "study", "contest" or "identification".
 
     Raises:
         ConfigError: It is not the only path.
     """
     if what == "study":
-        inside = [path / STUDY for path in paths if (path / STUDY).is_file()]
-        found = [*(path for path in paths if path.suffix == ".sqlite"), *inside]
+        inside = [path / name for path in paths for name in STUDY if (path / name).is_file()]
+        found = [*(path for path in paths if path.suffix in (".jsonl", ".sqlite")), *inside[:1]]
     elif what == "contest":
         found = [path for path in paths if any((path / name).is_file() for name in CONTEST)]
     else:
