@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from .robots import bundled
 
 __all__ = ["Base", "Robot", "Undecided", "Wheel", "bundled", "load"]
-
 _HOME = {"Base": "base.base", "Wheel": "base.base", "Undecided": "base.report", "Robot": "robot", "bundled": "robots"}
 
 

@@ -44,9 +44,7 @@ if TYPE_CHECKING:
     from .robot import Robot
 
 BODY = 10  # parameters of a body: m, mc (3), second moments xx xy xz yy yz zz [kg, kg m, kg m^2]
-
 MOMENTS = ("m", "mx", "my", "mz", "xx", "xy", "xz", "yy", "yz", "zz")
-
 RANK = 1e-9  # relative size under which a singular value of stacked regressors counts as zero
 
 

@@ -25,9 +25,8 @@ from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
 from ...model.tree.body import parameters
-from ...model.urdf.expansion import is_xacro
-from ...model.urdf.mechanism import Part
-from ...model.urdf.reading import MAX_BYTES
+from ...model.urdf.audit import Part
+from ...model.urdf.reading import MAX_BYTES, is_xacro
 from ...signals import Array
 from ...torque.pseudo_inertia import pseudo_inertias
 from .identification import Identification

@@ -6,7 +6,7 @@ A refusal lists what the base could be, each with the reasons for and against, o
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -26,16 +26,11 @@ from .skid_steer import GRAVITY
 from .wheels import HUB, LUMPY, PARTIAL, TILTED, TOUCHING, Candidate, Candidates, coaxial, height_at
 
 STRAIGHT = 0.7  # cosine of the largest angle between rolling direction and root link that is not told
-
 LARGE, WIDE = 2.0, 3.0  # [m], fraction of the track; no wheel of a robot has a larger radius
 NO_FRICTION = "no joint has damping or friction"
-
 HUGE = 20.0  # [m], no robot has a larger track
-
 SAME_RADIUS = 0.01  # radii that differ by more than this fraction are told
-
 OFF_FLOOR = 0.02  # wheels further than this fraction of their radius from the footprint are told
-
 MOST_NAMES = 8  # joints that a note names; what was understood of the robot lists all
 
 # Severity by code; docs/reference/urdf-audit.md tells each with its reason.
@@ -96,21 +91,19 @@ class BaseResult:
 
 def note(rest: AtRest, code: str, joint: str, what: str, why: str = "", fix: str = "", about: str = "base") -> Finding:
     """A finding of a code in `CODES` about what was understood, at the line of a joint, or 1 without one."""
-    severity = "warning" if CODES[code] == "strict" else CODES[code]
     line = rest.document.joints[joint].line if joint else 1
-    return Finding(severity, code, str(rest.document.path), line, about, what, why, fix)
+    return Finding(CODES[code], code, str(rest.document.path), line, about, what, why, fix)
 
 
-def settle(audited: Sequence[Finding], findings: Sequence[Finding], strict: bool) -> tuple[Finding, ...]:
-    """The audit's findings and those of the understanding, if strictness makes an error of none.
+def settle(audited: Sequence[Finding], findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """The audit's findings and those of the understanding.
 
     Raises:
-        AuditError: It does.
+        AuditError: One of them is an error.
     """
-    pieces = [replace(f, severity="error" if strict and CODES[f.code] == "strict" else f.severity) for f in findings]
-    if any(f.severity == "error" for f in pieces):
-        raise AuditError([*audited, *pieces])
-    return (*audited, *pieces)
+    if any(f.severity == "error" for f in findings):
+        raise AuditError([*audited, *findings])
+    return (*audited, *findings)
 
 
 def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: bool) -> list[Finding]:
@@ -124,40 +117,65 @@ def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: boo
     """
     if not base.wheels:
         return []
-    notes, first, radii = [], base.wheels[0].joint, [wheel.radius for wheel in base.wheels]
+    return [
+        *hidden_radii_note(rest, base, wheels),
+        *heading_notes(rest, base),
+        *size_notes(rest, base, given),
+        *floor_note(rest, base),
+        *friction_note(rest, base),
+    ]
+
+
+def hidden_radii_note(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> list[Finding]:
+    """A warning about radii that are assumed from the height of the hubs."""
     blind = [c for c in wheels if c.shape == HUB and c.joint.name in [w.joint for w in base.wheels]]
-    if blind:
-        sizes = ", ".join(f"'{c.joint.name}' {c.radius:.4g} m" for c in blind)
-        text = f"radii assumed from the height of the hubs above the floor: {sizes}"
-        why, fix = "no shape of them can be read", "--radius, or --package-dir where their meshes are"
-        notes.append(note(rest, "base-hub-height", blind[0].joint.name, text, why, fix))
+    if not blind:
+        return []
+    sizes = ", ".join(f"'{c.joint.name}' {c.radius:.4g} m" for c in blind)
+    text = f"radii assumed from the height of the hubs above the floor: {sizes}"
+    why, fix = "no shape of them can be read", "--radius, or --package-dir where their meshes are"
+    return [note(rest, "base-hub-height", blind[0].joint.name, text, why, fix)]
+
+
+def heading_notes(rest: AtRest, base: Base) -> Iterator[Finding]:
+    """Warnings where names or the root link have forward elsewhere than the wheels roll."""
+    first = base.wheels[0].joint
     sides = [side if side in w.joint.lower() else "" for w, side in zip(base.wheels, ("right", "left"), strict=False)]
     if base.two_sided and all(sides):
         text = f"'{first}' is on the left: does the robot drive along -x?"
         why = "names decide nothing: forward is the rolling direction nearer the root link's x"
-        notes.append(note(rest, "base-sides", first, text, why, "check it"))
+        yield note(rest, "base-sides", first, text, why, "check it")
     if len(base.wheels) != 3 and abs(cos(base.frame[2])) < STRAIGHT:
         turned = np.degrees(base.frame[2])
         text = f"the wheels roll at {turned:.3g} degrees from the x of the root link '{rest.document.root_link}'"
         why, fix = "forward is where they roll", "turn the axes of their joints if they roll along x"
-        notes.append(note(rest, "base-heading", first, text, why, fix))
+        yield note(rest, "base-heading", first, text, why, fix)
+
+
+def size_notes(rest: AtRest, base: Base, given: bool) -> Iterator[Finding]:
+    """Notes on a track or radius that no robot has, and on radii that differ."""
+    first, radii = base.wheels[0].joint, [wheel.radius for wheel in base.wheels]
     large = [w for w in base.wheels if w.radius > LARGE or 0 < WIDE * base.track < w.radius]
     if base.track > HUGE:
         text, why = f"the wheels are {base.track:.4g} m apart", "is the whole file in millimetres or centimetres?"
-        notes.append(note(rest, "base-size", first, text, why, "write it in metres"))
+        yield note(rest, "base-size", first, text, why, "write it in metres")
     elif large and not given:
         text = f"wheel '{large[0].joint}' has a radius of {large[0].radius:.4g} m on a track of {base.track:.4g} m"
         why, fix = "is its mesh in millimetres or inches?", "give the mesh its scale, or --radius"
-        notes.append(note(rest, "base-size", large[0].joint, text, why, fix))
+        yield note(rest, "base-size", large[0].joint, text, why, fix)
     if max(radii) - min(radii) > SAME_RADIUS * max(radii):
         sizes = ", ".join(f"'{w.joint}' {w.radius:.4g} m" for w in base.wheels)
         why, fix = "they are used as they are", "--radius if they should be alike"
-        notes.append(note(rest, "base-radius", first, f"the wheels' radii differ: {sizes}", why, fix))
-    if rest.is_footprint and abs(base.floor) > OFF_FLOOR * max(radii):
-        where, root = "below" if base.floor < 0 else "above", rest.document.root_link
-        text = f"the wheels touch the ground {abs(base.floor):.3g} m {where} the root link '{root}'"
-        notes.append(note(rest, "base-floor", first, text, "the floor is taken where the wheels are"))
-    return [*notes, *friction_note(rest, base)]
+        yield note(rest, "base-radius", first, f"the wheels' radii differ: {sizes}", why, fix)
+
+
+def floor_note(rest: AtRest, base: Base) -> list[Finding]:
+    """A warning where the wheels do not touch the floor at the height of a root that is a footprint."""
+    if not rest.is_footprint or abs(base.floor) <= OFF_FLOOR * max(wheel.radius for wheel in base.wheels):
+        return []
+    where, root = "below" if base.floor < 0 else "above", rest.document.root_link
+    text = f"the wheels touch the ground {abs(base.floor):.3g} m {where} the root link '{root}'"
+    return [note(rest, "base-floor", base.wheels[0].joint, text, "the floor is taken where the wheels are")]
 
 
 def buried_note(rest: AtRest, base: Base, lowest: float) -> list[Finding]:

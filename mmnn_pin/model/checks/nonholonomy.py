@@ -21,7 +21,6 @@ from ...signals import Array
 from ..robot import Robot
 
 Field = Callable[[Array], Array]
-
 STEP = 0.01  # of the derivatives, [rad, m]; fourth order, so nested brackets keep more than eight digits
 RANK_TOLERANCE = 1e-6  # singular values below this times the largest count as zero, the given fields having unit length
 WEIGHTS = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))  # fourth-order central difference

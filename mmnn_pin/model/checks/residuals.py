@@ -18,11 +18,8 @@ from ..reduction import COULOMB_SPEED
 from ..robot import Robot
 
 EXACT = 1e-9  # of residuals of algebra
-
 DEFINITE = 1e-12  # least eigenvalue of a mass matrix with ones on its diagonal
-
 STEP = 1e-3  # of differences along a motion, times its largest rate
-
 STENCIL = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))  # fourth-order central difference
 
 

@@ -23,7 +23,6 @@ from ...elementary import cos_sin
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Vector = tuple[float, float, float]
-
 REVOLUTE, PRISMATIC = 1, 2
 ZERO = (0.0, 0.0, 0.0)
 

@@ -23,9 +23,7 @@ from .dynamics import psi_again, terms
 from .motion import BASE, NUMBER, PRISMATIC, REVOLUTE, Array, Tree, Vector, new_scratch
 
 TOLERANCE = 1e-10
-
 PLANAR = "JointModelPlanar"
-
 UPPER = np.triu_indices(3)
 
 ONE_DOF = {f"JointModel{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "XYZ"} | {

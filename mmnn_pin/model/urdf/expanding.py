@@ -21,17 +21,11 @@ from ...children import end_with
 from .packages import FIND, far_package
 
 MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
-
 BARE = {"include", "macro", "property", "if", "unless", "insert_block"}  # elements of xacro that old files have bare
-
 HOLDERS = {"robot", "link", "joint", "inertial", "visual", "collision", "geometry"} | {f"xacro:{name}" for name in BARE}
-
 USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)[\"']")
-
 CALLED = re.compile(r"\barg\(\s*[\"']([^\"']+)[\"']\s*\)")  # in an expression
-
 INVALID = r"Invalid parameter \"([^\"]+)\""
-
 FIRST, ARGUMENT = re.compile(r"<robot\b[^>]*>"), re.compile(r"<xacro:arg\s[^>]*>")
 
 GIVEN_IF = re.compile(  # what stands between two tags of a condition on one value
@@ -39,11 +33,8 @@ GIVEN_IF = re.compile(  # what stands between two tags of a condition on one val
 )
 
 PREFIX = re.compile(r"<xacro:arg\s+name=[\"']([^\"']*prefix[^\"']*)[\"']\s+default=[\"'][\"']\s*/>")
-
 NOT_DEFINED = r"name '([^']+)' is not defined"
-
 LARGEST = 100_000_000  # bytes of a file that an expansion opens
-
 SECONDS, BYTES = 8, 1_000_000_000  # of processor time and memory that an expansion may take
 
 

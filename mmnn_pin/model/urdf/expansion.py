@@ -23,21 +23,15 @@ from lxml import etree
 from ...children import environment
 from ...errors import ConfigError, RobotError, UnknownName
 from ...files import read_bytes
+from .audit import KNOWN
 from .expanding import BYTES, INVALID, MACRO, NOT_DEFINED, SECONDS, giving
 from .finding import Finding, finding
 from .packages import above, package_of, packages
-from .xml import KNOWN
-
-XACRO = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
 
 PATIENCE = 30.0  # how long it may wait for anything else [s]
-
 FILES = 400  # looked at for one that calls a macro
-
 MOST_KEPT = 8  # expansions of this process
-
 KEPT: dict[str, tuple[dict[str, tuple[int, int] | None], tuple[dict[str, Any], bytes]]] = {}
-
 CHILD = "from mmnn_pin.model.urdf.expanding import child; child()"
 
 
@@ -92,13 +86,6 @@ class Expansion(NamedTuple):
             why += f", and what hangs on it: {', '.join(self.hanging)}" if self.hanging else ""
             notes.append(finding("xacro-package", 1, f"left out: {', '.join(without)}", why))
         return notes
-
-
-def is_xacro(path: Path, data: bytes) -> bool:
-    """Whether a file needs expanding: it is called so, or has elements or expressions of xacro outside of comments."""
-    first, *others = data.split(b"<!--")
-    text = first + b"".join(part.partition(b"-->")[2] for part in others)
-    return path.suffix == ".xacro" or bool(XACRO.search(text))
 
 
 def arguments_of(given: Sequence[str]) -> dict[str, str]:

@@ -18,13 +18,9 @@ from typing import Literal
 from ...files import opened
 
 URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
-
 ABOVE, BELOW, VISITED = 2, 3, 1500  # levels searched above a package, levels below each of them, folders at most
-
 MARKS = (".git", ".catkin_workspace", ".rosinstall", "colcon.meta")  # of workspaces and repositories
-
 NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
-
 FIND = re.compile(r"^(?:file://)?\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)/*(.*)$")
 
 

@@ -18,21 +18,15 @@ from lxml import etree
 from ...elementary import arrays, cos_sin, hypot
 from ...elementary.matrices import length, product
 from ...signals import Array
-from .document import Document, Joint, placement
+from .document import Document, Joint, number, numbers, placement, vector
 from .meshes import vertices_of
 from .packages import locate
-from .xml import number, numbers, vector
 
 PRIMITIVES = ("cylinder", "sphere", "box")
-
 SHAPES = (*PRIMITIVES, "capsule", "mesh")
-
 AROUND = 0.05  # a wheel's shape may be off its axis by this fraction of the radius
-
 TREAD = 0.98  # what reaches out further than this fraction of a wheel's radius is its tread
-
 HORIZONTAL = 0.02  # largest vertical part of a unit axis that counts as horizontal
-
 VERTICAL = 1 - HORIZONTAL  # smallest vertical part of one that counts as vertical
 
 
