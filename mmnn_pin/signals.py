@@ -1,8 +1,8 @@
 """The wires between the blocks: one flat row of float64 per control sample, and named views into it.
 
 A row holds every signal of one control sample. The compiled blocks read and write slices of it; a recording is
-the rows one after the other. `Layout` says what stands where; `Setpoint`, `Measurement`, `VelocityCommand`
-and `State` are views for people, refreshed in place at every sample (copy what you want to keep).
+the rows one after the other. `Layout` says what stands where; `Setpoint`, `Measurement` and
+`VelocityCommand` are views for people, refreshed in place at every sample (copy what you want to keep).
 
 Notation: `nb` base velocities (2 for a differential drive `(v, w)`, 3 for a holonomic base `(vx, vy, w)`, 0 for a
 fixed arm), `n` arm joints, `p = nb + n`, `nv` velocities of the full Pinocchio model. Poses are those of the
@@ -265,16 +265,3 @@ class VelocityCommand(View):
     r: Array
     nu_ref: Array
     nudot_ref: Array
-
-
-@dataclass(frozen=True, slots=True)
-class State(View):
-    """The true state of the plant; controllers never see it.
-
-    Attributes:
-        position: (nv,) pose of the control frame, then the angle or travel of every joint of the full model.
-        nu: (p,) base velocity and arm joint velocities.
-    """
-
-    position: Array
-    nu: Array

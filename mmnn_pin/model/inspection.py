@@ -20,7 +20,7 @@ from ..settings.arguments import wrong_type
 from ..signals import Array
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
-from .base.report import Reading, Undecided, Unsupported
+from .base.report import BaseReading, Undecided, Unsupported
 from .dynamics import Dynamics
 from .robot import Robot, revolute
 from .urdf.expansion import Unexpanded
@@ -98,7 +98,7 @@ def as_dict(finding: Finding) -> dict[str, Any]:
     return {name: getattr(finding, name) for name in names} | {"text": str(finding)}
 
 
-def reading_of(reading: Reading) -> dict[str, Any]:
+def reading_of(reading: BaseReading) -> dict[str, Any]:
     """One way to read a base, by names."""
     return {"kind": reading.kind, "for": list(reading.reasons), "against": list(reading.objections)}
 

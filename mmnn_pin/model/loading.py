@@ -35,7 +35,7 @@ from .dynamics import Dynamics
 from .robot import Robot
 from .robots import find
 from .structure import configuration_indices, constraint_rows, motion_map, motor_map, read_only
-from .urdf.audit import Part
+from .urdf.audit import BodyPart
 from .urdf.document import Document, Joint
 from .urdf.finding import Finding, excused
 from .urdf.reading import read
@@ -49,7 +49,7 @@ INDISTINCT = 1e-15  # smallest eigenvalue over the largest entry, unscaled: less
 
 
 @checked
-def load(
+def load(  # noqa: PLR0913 - options of a file, by name
     robot: str | Path,
     *,
     base: str | None = None,
@@ -226,7 +226,7 @@ def place(document: Document, model: pin.Model) -> None:
     for name, link in document.links.items():
         j, at = carried(name)
         if j and link.find("inertial") is not None:
-            part = Part.of(link, at)
+            part = BodyPart.of(link, at)
             R = part.frame[:3, :3]
             inertia = pin.Inertia.Zero()  # filled, not constructed: what is not positive is judged later
             inertia.mass, inertia.lever, inertia.inertia = part.mass, part.frame[:3, 3], product(R, part.inertia, R.T)

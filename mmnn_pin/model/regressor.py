@@ -16,7 +16,7 @@ a]` (a without gravity). It adds `m xbar' V_j' A xbar` to the torque of joint j,
     tr(P sym(A' V_j)),      P = int xbar xbar' dm = [Sigma, mc; mc', m],
 
 which is linear in the ten numbers of the pseudo-inertia P (Wensing, Kim, Slotine 2018, IEEE RA-L 3(1)), and these are
-the ten numbers that a `Tree` holds of a body. The factorisation is that of the tree, `Mdot = C + C'`, as Slotine and
+the ten numbers of a body in a `BodyTree`. The factorisation is that of the tree, `Mdot = C + C'`, as Slotine and
 Li 1987 (Int. J. Robotics Research 6(3)) ask for. Rotors and friction of joints are linear as well; each joint acts on
 nu through its row of T.
 """
@@ -37,7 +37,22 @@ from ..errors import RobotError
 from ..signals import IntArray
 from .reduction import COULOMB_SPEED, as_measured
 from .tree.dynamics import psi_again
-from .tree.motion import AT, BASE, LINK, NUMBER, Array, Tree, Vector, add, along, cross, dot, get, new_scratch, place
+from .tree.motion import (
+    AT,
+    BASE,
+    LINK,
+    NUMBER,
+    Array,
+    BodyTree,
+    Vector3,
+    add,
+    along,
+    cross,
+    dot,
+    get,
+    new_scratch,
+    place,
+)
 from .tree.tree import TOLERANCE, configuration, flatten
 
 if TYPE_CHECKING:
@@ -66,7 +81,7 @@ class Massless(NamedTuple):
         Y: (p, k) the regressor.
     """
 
-    tree: Tree
+    tree: BodyTree
     joints: Array
     base: int
     first: int
@@ -247,7 +262,7 @@ class Regressor:
 
 
 def without_masses(
-    tree: Tree, T: Array, base: int, offset: Array, arm: Array, coulomb_speed: float, turning: bool = False
+    tree: BodyTree, T: Array, base: int, offset: Array, arm: Array, coulomb_speed: float, turning: bool = False
 ) -> Massless:
     """What a tree says of the motion, and memory to work in.
 
@@ -297,7 +312,7 @@ def with_any_inertias(model: pin.Model, seed: int = 0) -> pin.Model:
 # -- how theta is laid out ---------------------------------------------------------------------------------------------
 
 
-def inertial_parameters(tree: Tree, base: int) -> Array:
+def inertial_parameters(tree: BodyTree, base: int) -> Array:
     """The ten numbers of every body of a tree, one after the other."""
     return np.array(tree.numbers[first_body(base) :, NUMBER.mass : NUMBER.weight].ravel())
 
@@ -410,7 +425,7 @@ def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
 
 
 @compiled
-def turned(scratch: Array, i: int, a: Vector) -> Vector:
+def turned(scratch: Array, i: int, a: Vector3) -> Vector3:
     """A vector along O in the axes of body i."""
     k = AT.rotation
     x, y, z = get(scratch, i, k), get(scratch, i, k + 3), get(scratch, i, k + 6)

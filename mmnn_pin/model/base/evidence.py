@@ -329,7 +329,7 @@ def in_yaml(file: str | None, names: dict[str, float]) -> Iterator[Stated]:
                 yield Stated(value, f"{key} ({where}){times}", nominal, side)
 
 
-def multipliers(table: Table, key: str, side: str) -> dict[str, float]:
+def multipliers(table: YamlTable, key: str, side: str) -> dict[str, float]:
     """What a table's controller multiplies one of its lengths by on a side, but for ones."""
     names = [name.format(side=side) for name in FACTORS.get(key, ())]
     found = {name: number_of(table, name, 1.0) for name in names}
@@ -339,7 +339,7 @@ def multipliers(table: Table, key: str, side: str) -> dict[str, float]:
 # -- YAML files of the robot's controllers -----------------------------------------------------------------------------
 
 
-class Entry(NamedTuple):
+class YamlEntry(NamedTuple):
     """A key of a YAML file: its value as text, the items of a list with blanks between them, and its line."""
 
     text: str
@@ -351,7 +351,7 @@ class Entry(NamedTuple):
         return tuple(re.findall(r"[^\s'\"\[\],{}]+", self.text))
 
 
-Table = dict[str, Entry]
+YamlTable = dict[str, YamlEntry]
 
 
 def lines_of(file: str | None) -> list[tuple[int, str]]:
@@ -370,15 +370,15 @@ def lines_of(file: str | None) -> list[tuple[int, str]]:
     return [(number, line.partition("#")[0]) for number, line in enumerate(text.splitlines(), 1)]
 
 
-def tables_of(file: str | None) -> list[Table]:
+def tables_of(file: str | None) -> list[YamlTable]:
     """The mappings of a controllers' file, each by its keys, the last part of those with dots.
 
     Raises:
         ConfigError: It cannot be read.
     """
-    tables: dict[tuple[str, ...], Table] = {}
+    tables: dict[tuple[str, ...], YamlTable] = {}
     above: list[tuple[int, str]] = []
-    last: tuple[Table, str] | None = None
+    last: tuple[YamlTable, str] | None = None
     for number, line in lines_of(file):
         word, indent = line.strip(), len(line) - len(line.lstrip())
         if word.startswith("- ") and last:
@@ -388,14 +388,16 @@ def tables_of(file: str | None) -> list[Table]:
             above = [(i, name) for i, name in above if i < indent]
             path = tuple(name for _, name in above)
             last = (tables.setdefault(path, {}), hit[1].rpartition(".")[2])
-            last[0][last[1]] = Entry(hit[2].strip(" '\""), number)
+            last[0][last[1]] = YamlEntry(hit[2].strip(" '\""), number)
             above.append((indent, hit[1]))
             inner = tables.setdefault((*path, hit[1]), {})
-            inner |= {one[1].rpartition(".")[2]: Entry(one[2].strip(" '\""), number) for one in FLOW.finditer(hit[2])}
+            inner |= {
+                one[1].rpartition(".")[2]: YamlEntry(one[2].strip(" '\""), number) for one in FLOW.finditer(hit[2])
+            }
     return list(tables.values())
 
 
-def number_of(table: Table, key: str, default: float) -> float:
+def number_of(table: YamlTable, key: str, default: float) -> float:
     """A number of a table, the default where there is none."""
     text = table[key].text if key in table else ""
     return default if not text or number_problem(text, 1) else float(text)

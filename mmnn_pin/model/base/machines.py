@@ -18,7 +18,7 @@ from lxml import etree
 from ...elementary import hypot
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .report import Reading, blind_fix, readings, undecided, unsupported
+from .report import BaseReading, blind_fix, readings, undecided, unsupported
 from .wheels import LOW, TRAIL, Candidate, coaxial, height_at, is_low, parallel, wheel_of
 
 MESHES = "link/*/geometry/mesh"
@@ -307,8 +307,8 @@ def refuse_steered_pair(rest: AtRest, drives: list[Candidate], wheels: list[Cand
     why = f"the file also speaks of steering: {', '.join(steers)}"
     if not steers:
         why = f"'{front[0].joint.name}' has no trail: a caster could not follow, a tricycle steers with it"
-    two = Reading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
-    car = Reading("car-like", tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
+    two = BaseReading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
+    car = BaseReading("car-like", tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
     fix = f"--wheels {names} if what else stands on the floor are casters, --base fixed takes it as an arm"
     raise undecided(rest, wheels, [two, car], why, fix)
 

@@ -27,7 +27,7 @@ from .evidence import (
     STEERED,
     TRACKS,
     Stated,
-    Table,
+    YamlTable,
     beside,
     in_yaml,
     lines_of,
@@ -281,7 +281,7 @@ def contradictions(rest: AtRest, base: Base, files: list[str]) -> Iterator[Findi
                 yield from turned(rest, base, table, Path(file).name)
 
 
-def turned(rest: AtRest, base: Base, table: Table, file: str) -> Iterator[Finding]:
+def turned(rest: AtRest, base: Base, table: YamlTable, file: str) -> Iterator[Finding]:
     """Wheels that a differential drive's controller takes for the other side's, or rolls backward."""
     for side in SIDES:
         key = next((k for k in (f"{side}_wheel_names", f"{side}_wheel") if k in table), "")  # the latter in ROS 1

@@ -18,10 +18,10 @@ from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .differential import DifferentialDrive
 from .evidence import evidence, motors_named, plugins, stated_rollers
-from .holonomic import Holonomic
+from .holonomic import HolonomicBase
 from .machines import MOST_PER_SIDE
 from .overrides import Overrides
-from .report import BaseResult, Reading, note, undecided
+from .report import BaseReading, BaseResult, note, undecided
 from .skid_steer import SkidSteer, loads, rotation_centre, turning_friction, turning_track
 from .wheels import (
     HUB,
@@ -343,7 +343,7 @@ def require_together(rest: AtRest, drives: list[Candidate]) -> None:
         if abs(c.joint.multiplier / right - 1) > SAME_RATE:
             rate = f"{c.joint.multiplier / right:.3g} times as fast as '{master.joint.name}'"
             what = f"<mimic> rolls wheel '{c.joint.name}' {rate} (multiplier {c.joint.multiplier:g})"
-            against = Reading("skid_steer", ("it follows another wheel",), (what,))
+            against = BaseReading("skid_steer", ("it follows another wheel",), (what,))
             fix = f'multiplier="{right:.4g}" rolls them alike; or take out the <mimic> if it turns by itself'
             raise undecided(rest, drives, [against], what, fix, c.joint.line)
 
@@ -372,7 +372,7 @@ def mecanum(
         overrides: What the user says.
         stated: Roller angle by wheel, where the file states one [rad].
     """
-    base = frame_of(rest, drives, wheels, Holonomic, overrides)
+    base = frame_of(rest, drives, wheels, HolonomicBase, overrides)
     size, known = (MECANUM, stated) if overrides.roller is None else (overrides.roller, {})
     rolled = tuple(replace(w, roller=known.get(w.joint, -math.copysign(1.0, w.x * w.y) * size)) for w in base.wheels)
     base = checked(rest, replace(base, wheels=rolled), drives)
@@ -390,7 +390,7 @@ def mecanum(
 
 def crossed(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
     """Wheels whose axles are not parallel: to roll together they must slide along them (omni wheels)."""
-    base = frame_of(rest, drives, wheels, Holonomic, overrides)
+    base = frame_of(rest, drives, wheels, HolonomicBase, overrides)
     roller = overrides.roller if overrides.roller is not None else 0.0
     base = checked(rest, replace(base, wheels=tuple(replace(w, roller=roller) for w in base.wheels)), drives)
     if overrides.roller is not None:
@@ -408,7 +408,7 @@ def checked(rest: AtRest, base: Base, drives: list[Candidate]) -> Base:
         Undecided: They cannot.
     """
     if np.linalg.matrix_rank(np.array([wheel.grip for wheel in base.wheels]), tol=1e-6) < 3:
-        against = Reading("holonomic", (), ("its wheels cannot drive it in all three directions",))
+        against = BaseReading("holonomic", (), ("its wheels cannot drive it in all three directions",))
         raise undecided(
             rest, drives, [against], "wheels with rollers at these places leave a direction undriven", ROLLERS
         )
@@ -423,5 +423,5 @@ def pushed(rest: AtRest, candidates: Candidates) -> BaseResult:
     names = tuple(j.name for joint in found for j in rest.document.moving_ancestors(joint.child))
     floor = candidates.floor if math.isfinite(candidates.floor) else 0.0
     text = "the base has no drive wheels: forces and a torque on the root link drive it, without limits"
-    base = Holonomic(floor=floor, casters=in_order(rest, names))
+    base = HolonomicBase(floor=floor, casters=in_order(rest, names))
     return BaseResult(base, (note(rest, "base-pushed", "", text, "you said --base holonomic"),))

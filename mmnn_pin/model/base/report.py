@@ -285,7 +285,7 @@ def printed_notes(rest: AtRest, printed: str) -> list[Finding]:
 
 
 @dataclass(frozen=True)
-class Reading:
+class BaseReading:
     """One way to read the geometry of a base.
 
     Attributes:
@@ -313,7 +313,7 @@ class Undecided(RobotError):
     """
 
     candidates: tuple[str, ...] = ()
-    readings: tuple[Reading, ...] = ()
+    readings: tuple[BaseReading, ...] = ()
 
 
 class Unsupported(RobotError):
@@ -326,7 +326,7 @@ class Unsupported(RobotError):
     machine: str = ""
 
 
-def readings(rest: AtRest, drives: list[Candidate]) -> list[Reading]:
+def readings(rest: AtRest, drives: list[Candidate]) -> list[BaseReading]:
     """What a base on these wheels could be, with the reasons for and against."""
     pieces = evidence(rest, drives)
     speaks = {
@@ -334,22 +334,22 @@ def readings(rest: AtRest, drives: list[Candidate]) -> list[Reading]:
     }
     many = len(drives) >= 4
     pairs = sum(coaxial(a, b) for i, a in enumerate(drives) for b in drives[:i])
-    two = Reading(
+    two = BaseReading(
         "differential_drive",
         (f"{pairs} pair(s) of coaxial wheels",) if pairs else (),
         (f"{len(drives)} wheel(s) that do not swivel",) if len(drives) != 2 else ("they are not on one axle",),
     )
     if not many:
         return [two]
-    rolls = Reading("holonomic", ("four or more parallel wheels", *speaks["holonomic"]), speaks["skid_steer"])
-    skids = Reading("skid_steer", ("four or more parallel wheels", *speaks["skid_steer"]), speaks["holonomic"])
+    rolls = BaseReading("holonomic", ("four or more parallel wheels", *speaks["holonomic"]), speaks["skid_steer"])
+    skids = BaseReading("skid_steer", ("four or more parallel wheels", *speaks["skid_steer"]), speaks["holonomic"])
     return [rolls, skids, two]
 
 
 def undecided(
     rest: AtRest,
     wheels: list[Candidate],
-    pieces: list[Reading],
+    pieces: list[BaseReading],
     why: str,
     fix: str,
     line: int | None = None,
@@ -401,7 +401,7 @@ def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[st
         if len(near_misses) > 1:
             larger = "with --radius METRES if they are larger"
             fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
-    return undecided(rest, near_misses, [Reading("differential_drive", ("coaxial wheels",), (why,))], why, fix)
+    return undecided(rest, near_misses, [BaseReading("differential_drive", ("coaxial wheels",), (why,))], why, fix)
 
 
 def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:

@@ -59,8 +59,8 @@ from .placing import (
     with_wheels,
 )
 from .report import (
+    BaseReading,
     BaseResult,
-    Reading,
     Undecided,
     arm_notes,
     base_notes,
@@ -253,8 +253,8 @@ def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
     driving = tuple(dict.fromkeys(piece.text for piece in plugins(rest)))
     if driving and not base.columns and overrides.base is None:
         why = "no joint could be a wheel, and a plugin drives a base"
-        rolls = Reading("holonomic", driving, ("no wheel can turn in this file",))
-        raise undecided(rest, [], [rolls, Reading("fixed", ("no wheel is found",), driving)], why, UNDRIVEN)
+        rolls = BaseReading("holonomic", driving, ("no wheel can turn in this file",))
+        raise undecided(rest, [], [rolls, BaseReading("fixed", ("no wheel is found",), driving)], why, UNDRIVEN)
 
 
 def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
@@ -407,8 +407,10 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         raise unsupported(rest, "car-like base", f"{why}, and its wheels are welded on")
     if welded:
         names = ", ".join(f"'{joint.name}'" for joint in welded)
-        rolls = Reading("holonomic", ("wheels under casters on all sides",), (f"{names} are welded on (fixed joints)",))
-        still = Reading("fixed", ("no wheel can turn in this file",), ("there are wheels under it",))
+        rolls = BaseReading(
+            "holonomic", ("wheels under casters on all sides",), (f"{names} are welded on (fixed joints)",)
+        )
+        still = BaseReading("fixed", ("no wheel can turn in this file",), ("there are wheels under it",))
         fix = f"{UNDRIVEN}, or make the wheels' joints continuous"
         raise undecided(rest, [], [rolls, still], f"{len(welded)} wheels are welded on", fix, welded[0].line, names)
     if why := track_named(rest) if not moving else welded_tracks(rest):
@@ -419,7 +421,7 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         raise unsupported(rest, "single rigid body", "it has no joint that moves", (), fix)
     if overrides.base is not None:
         why = "no joint turns without end about a horizontal axis with something round on the floor"
-        yours = Reading(overrides.base, ("you said so",), (why,))
+        yours = BaseReading(overrides.base, ("you said so",), (why,))
         raise undecided(rest, [], [yours], why, f"name them with --wheels if they turn in this file, or {UNDRIVEN}")
     text = "nothing in this file could be a wheel: taken as an arm on a stand"
     fix = "--base holonomic if it stands on a base whose wheels the file leaves out"
@@ -475,8 +477,8 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     """The error for wheels whose joints have limits."""
     names = ", ".join(f"'{c.joint.name}'" for c in candidates.limited)
     why = f"{names}: revolute with limits, and a wheel turns without end"
-    two = Reading("differential_drive", ("coaxial round bodies on the floor",), (why,))
-    still = Reading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
+    two = BaseReading("differential_drive", ("coaxial round bodies on the floor",), (why,))
+    still = BaseReading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
     drives = ",".join(c.joint.name for c in plain(candidates.wheels))
     others = f"name the others with --wheels {drives}, " if drives else ""
     fix = f'write type="continuous" for wheels, {others}or --base fixed to park them'
@@ -499,7 +501,7 @@ def refuse_mimic_wheels(rest: AtRest, wheels: list[Candidate], drives: list[Cand
     turning_alike = aligned and all(follows_on_its_side(c, drives) for c in slaves)
     if turning_alike and verdict(evidence(rest, drives)) == "skid_steer":
         return
-    two = Reading("differential_drive", (), ("a drive wheel turns by itself",))
+    two = BaseReading("differential_drive", (), ("a drive wheel turns by itself",))
     raise undecided(rest, wheels, [two], why, f"take out their <mimic> if they turn by themselves, or {FORCES}")
 
 
@@ -554,6 +556,6 @@ def require_rolling(rest: AtRest, base: Base, welds: dict[str, str], overrides: 
     moves = [name for name, kind in welds.items() if kind != "floating"]
     if moves and not base.columns and overrides.base is None:
         why = f"its root moves in the plane by {', '.join(moves)}, and no wheel is found"
-        rolls, still = Reading("holonomic", (why,)), Reading("fixed", ("no wheel is found",))
+        rolls, still = BaseReading("holonomic", (why,)), BaseReading("fixed", ("no wheel is found",))
         fix = "--base holonomic drives it by forces on its frame; --base fixed takes it as an arm"
         raise undecided(rest, [], [rolls, still], why, fix, rest.document.joints[moves[0]].line)

@@ -26,7 +26,7 @@ from .residuals import (
     EXACT,
     STENCIL,
     STEP,
-    Terms,
+    FullTerms,
     annihilation,
     asymmetry,
     block_residual,
@@ -89,7 +89,7 @@ PROPERTIES: dict[str, tuple[float, bool, str]] = {
 
 
 @dataclass(frozen=True)
-class Bounds:
+class ModelBounds:
     """Bounds of property 1, estimated.
 
     Attributes:
@@ -104,7 +104,7 @@ class Bounds:
 
 
 @dataclass(frozen=True, repr=False)
-class Report(AsText):
+class CheckReport(AsText):
     """What the checks found; `print` shows every property.
 
     Attributes:
@@ -122,7 +122,7 @@ class Report(AsText):
     samples: int
     seed: int
     properties: dict[str, Property]
-    bounds: Bounds
+    bounds: ModelBounds
     nonholonomic: Nonholonomy
     skipped: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -147,10 +147,10 @@ def check(
     samples: int = 100,
     seed: int = 0,
     *,
-    terms: Terms | None = None,
+    terms: FullTerms | None = None,
     world: WorldFrame | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Report:
+) -> CheckReport:
     """Check every property of a robot at random states.
 
     Args:
@@ -172,7 +172,7 @@ def check(
     """
     if samples < 1:
         raise ConfigError(f"{samples} states", fix="give at least 1", key="samples")
-    terms, kinematics, skipped = terms or Terms(robot), None, {}
+    terms, kinematics, skipped = terms or FullTerms(robot), None, {}
     if world is None and robot.base.two_sided:
         world = WorldFrame(robot)
     try:
@@ -198,8 +198,8 @@ def check(
             progress((k + 1) / samples)
     properties = {name: Property(found[name], *PROPERTIES[name]) for name in PROPERTIES if name in found}
     low, high, coriolis = np.array(ranges).T
-    bounds = Bounds(float(low.min()), float(high.max()), float(coriolis.max()))
-    return Report(robot.name, samples, seed, properties, bounds, nonholonomy(robot, rng), skipped, notes_of(robot))
+    bounds = ModelBounds(float(low.min()), float(high.max()), float(coriolis.max()))
+    return CheckReport(robot.name, samples, seed, properties, bounds, nonholonomy(robot, rng), skipped, notes_of(robot))
 
 
 def notes_of(robot: Robot) -> tuple[str, ...]:
@@ -244,7 +244,7 @@ def unlimited(robot: Robot) -> Array:
     return np.asarray(~(travel <= np.where(revolute(robot), HUGE_TURN, HUGE_TRAVEL)))
 
 
-def residuals_at(terms: Terms, position: Array, v: Array, nu: Array) -> dict[str, float]:
+def residuals_at(terms: FullTerms, position: Array, v: Array, nu: Array) -> dict[str, float]:
     """Residuals of M and C at one state, of the full model moving with v and of the reduced one moving with nu."""
     robot, model = terms.robot, terms.model
     q, speed = robot.configuration(position), fastest(v)
@@ -282,7 +282,7 @@ def world_rate_residual(world: WorldFrame, position: Array, nu: Array, speed: fl
     return skewness(world.reduced_mass_matrix(q), Mdot, world.reduced_coriolis_matrix(q, nu), speed)
 
 
-def bounds_at(terms: Terms, position: Array, nu: Array) -> Array:
+def bounds_at(terms: FullTerms, position: Array, nu: Array) -> Array:
     """Least and largest eigenvalue of Mbar, and the largest `||Cbar|| / ||nu||` of nu and of every velocity alone."""
     q = terms.robot.configuration(position)
     M = terms.reduced_mass(q)

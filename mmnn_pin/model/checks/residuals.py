@@ -2,7 +2,7 @@
 
 Every residual is scale-free. Mass matrices are judged as `D M D` with `D = diag(M)^(-1/2)`, which has ones on its
 diagonal whatever the masses and units are, and rates of them are divided by the rate of the motion. So one tolerance
-serves a robot of 3 kg and one of 300 kg. `Terms` are the matrices that are judged; passivity is judged along motions.
+serves a robot of 3 kg and one of 300 kg. `FullTerms` are what is judged; passivity is judged along motions.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ STEP = 1e-3  # of differences along a motion, times its largest rate
 STENCIL = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))  # fourth-order central difference
 
 
-class Terms:
+class FullTerms:
     """The matrices of one robot at a state, in the full model's velocities (2.11) and reduced by T (2.23)-(2.25).
 
     The checks ask here for everything that they judge; a subclass can replace a term by a wrong one.
@@ -148,7 +148,7 @@ def largest(values: Array) -> float:
 
 
 @dataclass(frozen=True)
-class Motion:
+class SineMotion:
     """A smooth motion of all independent velocities: `nu = a sin(b t + c)`, each (p,)."""
 
     a: Array
@@ -156,7 +156,7 @@ class Motion:
     c: Array
 
     @classmethod
-    def random(cls, p: int, rng: np.random.Generator) -> Motion:
+    def random(cls, p: int, rng: np.random.Generator) -> SineMotion:
         """Of speeds about one, turning within a second or a few."""
         return cls(rng.standard_normal(p), rng.uniform(1.0, 6.0, p), rng.uniform(0.0, 2 * np.pi, p))
 
@@ -173,7 +173,7 @@ class Motion:
         return self.a / self.b * (np.cos(self.c) - np.cos(self.b * t + self.c))
 
 
-def energy_leak(terms: Terms, position: Array, rng: np.random.Generator, nodes: int = 24) -> float:
+def energy_leak(terms: FullTerms, position: Array, rng: np.random.Generator, nodes: int = 24) -> float:
     """Passivity: energy gained along a random motion, minus the work of the torques and the loss by friction.
 
     The motion is a sum of sines over half a second, the torque the one that drives it, `tau = Mbar nudot + Cbar nu +
@@ -182,7 +182,7 @@ def energy_leak(terms: Terms, position: Array, rng: np.random.Generator, nodes: 
     """
     x, w = np.polynomial.legendre.leggauss(nodes)
     duration = 0.5
-    motion = Motion.random(terms.robot.dimensions.dof, rng)
+    motion = SineMotion.random(terms.robot.dimensions.dof, rng)
     net, total, fed = 0.0, 0.0, 0.0
     for t, weight in zip((1 + x) * duration / 2, w * duration / 2, strict=True):
         nu, nudot = motion.nu(t), motion.nudot(t)
@@ -200,7 +200,7 @@ def energy_leak(terms: Terms, position: Array, rng: np.random.Generator, nodes: 
     return (abs(gained - net) + fed) / max(total, np.finfo(float).tiny)
 
 
-def configuration_along(terms: Terms, position: Array, motion: Motion, t: float) -> Array:
+def configuration_along(terms: FullTerms, position: Array, motion: SineMotion, t: float) -> Array:
     """Pinocchio's q after a time of a motion; the base stays at its place, on which no energy depends, and turns."""
     root = terms.robot.dimensions.pose
     travel = terms.T @ motion.travel(t)
@@ -208,7 +208,7 @@ def configuration_along(terms: Terms, position: Array, motion: Motion, t: float)
     return terms.robot.configuration(position + travel)
 
 
-def energy_at(terms: Terms, position: Array, motion: Motion, t: float) -> float:
+def energy_at(terms: FullTerms, position: Array, motion: SineMotion, t: float) -> float:
     """Kinetic and potential energy after a time of a motion [J]."""
     q, nu = configuration_along(terms, position, motion, t), motion.nu(t)
     return float(nu @ terms.reduced_mass(q) @ nu) / 2 + terms.potential(q)

@@ -1,6 +1,6 @@
 """The Pinocchio model flattened to plain arrays for compiled loops, and checked against Pinocchio when it is built.
 
-`flatten` makes a `Tree` once per robot; `terms`, `psi` and `potential_energy` of `mmnn_pin.model.tree.dynamics` work
+`flatten` makes a `BodyTree` once per robot; `terms`, `psi` and `potential_energy` of `model.tree.dynamics` work
 on it without Pinocchio and without Python. Joints that stand still (zero rows of T) are lumped into the link that
 carries them, and so are wheels that are alike all around their axis: of these only a constant mass stays. How joints
 hang together is worked out once for all robots that differ in masses alone.
@@ -20,7 +20,7 @@ from ...elementary.matrices import length, product
 from ...errors import RobotError
 from ..urdf.shapes import rotation
 from .dynamics import psi_again, terms
-from .motion import BASE, NUMBER, PRISMATIC, REVOLUTE, Array, Tree, Vector, new_scratch
+from .motion import BASE, NUMBER, PRISMATIC, REVOLUTE, Array, BodyTree, Vector3, new_scratch
 
 TOLERANCE = 1e-10
 PLANAR = "JointModelPlanar"
@@ -88,7 +88,7 @@ def flatten(
     samples: int = 5,
     seed: int = 0,
     absorb: bool = True,
-) -> Tree:
+) -> BodyTree:
     """Flatten a Pinocchio model and check the result against Pinocchio at random states.
 
     Args:
@@ -221,7 +221,7 @@ def _absorb_wheels(bodies: list[_Body], T: Array, mobile: bool) -> Array:
     return rotors
 
 
-def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, frame: Array) -> Tree:
+def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, frame: Array) -> BodyTree:
     """The arrays of a tree."""
     mobile, weight = _mobile(model), sum(b.moments[3, 3] for b in bodies) * model.gravity.linear
     root = model.jointPlacements[1] if mobile else pin.SE3.Identity()
@@ -235,7 +235,7 @@ def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, fram
         P, H = body.moments, body.placement
         row[: NUMBER.weight] = *H[:3, :3].ravel(), *H[:3, 3], P[3, 3], *P[:3, 3], *P[UPPER]
         row[NUMBER.weight : NUMBER.weight + stop - first] = T_row[first:stop]
-    return Tree(
+    return BodyTree(
         links=np.array(
             [(row_of.get(id(b.parent), BASE.w), b.kind, b.velocity, *s) for b, s in zip(rows, spans, strict=True)]
         ),
@@ -299,7 +299,7 @@ def moments_of(inertia: pin.Inertia) -> Array:
 # -- the check against Pinocchio ---------------------------------------------------------------------------------------
 
 
-def verify(tree: Tree, model: pin.Model, T: Array, position_rest: Array, samples: int = 5, seed: int = 0) -> None:
+def verify(tree: BodyTree, model: pin.Model, T: Array, position_rest: Array, samples: int = 5, seed: int = 0) -> None:
     """Compare a tree with Pinocchio at random states.
 
     Raises:
@@ -317,7 +317,9 @@ def verify(tree: Tree, model: pin.Model, T: Array, position_rest: Array, samples
     )
 
 
-def residual(tree: Tree, model: pin.Model, T: Array, position_rest: Array, samples: int = 5, seed: int = 0) -> Array:
+def residual(
+    tree: BodyTree, model: pin.Model, T: Array, position_rest: Array, samples: int = 5, seed: int = 0
+) -> Array:
     """Largest difference of M, h and Psi from Pinocchio's in every row, relative, shape (p,).
 
     An entry of M counts relative to `sqrt(M_ii M_jj)` and a force relative to `sqrt(M_ii)` times the largest force in
@@ -354,7 +356,7 @@ def _by_pinocchio(
     return M, h, M @ nudot_ref + T.T @ C @ T @ nu_ref + g
 
 
-def configuration(model: pin.Model, position: Array, frame: Vector) -> Array:
+def configuration(model: pin.Model, position: Array, frame: Vector3) -> Array:
     """Pinocchio's q, shape (nq,), of a position (nv,) that begins with the pose of the control frame."""
     q = pin.neutral(model)
     for joint in list(model.joints)[1:]:

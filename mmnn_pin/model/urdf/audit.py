@@ -19,7 +19,7 @@ from lxml import etree
 
 from ...elementary.matrices import product
 from ...signals import Array
-from .document import Joint, Tree, largest, number, number_problem, numbers, placement, read_numbers
+from .document import Joint, LinkTree, largest, number, number_problem, numbers, placement, read_numbers
 from .finding import Finding, finding
 from .meshes import NO_SHAPE, damage_of
 from .packages import FIND, MeshFile, locate
@@ -113,7 +113,7 @@ LENGTHS = {"origin": "xyz", "cylinder": "length", "sphere": "radius", "box": "si
 XACRO_FIX = "expand it first: xacro FILE > robot.urdf"
 
 
-def audit(tree: Tree, path: Path, package_dirs: Sequence[str | Path] = ()) -> list[Finding]:
+def audit(tree: LinkTree, path: Path, package_dirs: Sequence[str | Path] = ()) -> list[Finding]:
     """All findings about a `<robot>` element; none of severity error when it may be loaded. Its numbers end up plain.
 
     Args:
@@ -285,30 +285,38 @@ def bad_numbers(elements: Elements) -> Iterator[Finding]:
     Pinocchio's parser drops a whole `<inertial>` over a blank after a mass, a tab or a no-break space.
     """
     yield from bare_limits(elements)
+    yield from missing_values(elements)
+    for element, tag, items in elements.texts:
+        counts = NUMBERS.get(tag, {})
+        for key, text in items:
+            if key in counts and "$" not in text and element.get(key) is not None:
+                yield from bad_number(element, key, text, counts[key])
+
+
+def missing_values(elements: Elements) -> Iterator[Finding]:
+    """Scales of meshes that are empty, which count as 1, and numbers that must be stated and are not."""
     for mesh in elements["mesh"]:
         if not mesh.get("scale", "1").strip():
             mesh.attrib.pop("scale")
             yield finding("mesh-scale", mesh, "scale of <mesh> is empty", "taken as 1 1 1", "state it, or delete it")
     for tag, needed in REQUIRED.items():
-        for element in elements[tag]:
-            for key in needed:
-                if element.get(key) is None:
-                    yield finding("missing-value", element, f"{key} of <{tag}> is missing", why(tag), "state it")
-    for element, tag, items in elements.texts:
-        counts = NUMBERS.get(tag, {})
-        for key, text in items:
-            if key not in counts or "$" in text or element.get(key) is None:
-                continue
-            problem, plain = number_problem(text, counts[key]), plainly(text)
-            if problem and tag == "color":
-                element.set(key, GREY)  # Pinocchio's parser drops the robot over it
-                yield finding("color", element, f"{key} of <color> {problem}", "taken as grey", "give 4 numbers")
-            elif problem:
-                code = "vector-length" if "number(s)" in problem else "number"
-                fix = f"give {counts[key]} finite number(s) in SI units"
-                yield finding(code, element, f"{key} of <{tag}> {problem}", why(tag), fix)
-            elif plain != text:
-                element.set(key, plain)
+        for element, key in ((element, key) for element in elements[tag] for key in needed):
+            if element.get(key) is None:
+                yield finding("missing-value", element, f"{key} of <{tag}> is missing", why(tag), "state it")
+
+
+def bad_number(element: etree._Element, key: str, text: str, count: int) -> Iterator[Finding]:
+    """Text of an attribute that is not so many numbers; numbers end up plain, a bad colour grey."""
+    tag, problem, plain = element.tag, number_problem(text, count), plainly(text)
+    if problem and tag == "color":
+        element.set(key, GREY)  # Pinocchio's parser drops the robot over it
+        yield finding("color", element, f"{key} of <color> {problem}", "taken as grey", "give 4 numbers")
+    elif problem:
+        code = "vector-length" if "number(s)" in problem else "number"
+        fix = f"give {count} finite number(s) in SI units"
+        yield finding(code, element, f"{key} of <{tag}> {problem}", why(tag), fix)
+    elif plain != text:
+        element.set(key, plain)
 
 
 def bare_limits(elements: Elements) -> Iterator[Finding]:
@@ -603,7 +611,7 @@ def bad_mimics(root: etree._Element) -> Iterator[Finding]:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class BodyPart:
     """A link as a part of a body.
 
     Attributes:
@@ -619,7 +627,7 @@ class Part:
     inertia: Array
 
     @classmethod
-    def of(cls, link: etree._Element, pose: Array) -> Part:
+    def of(cls, link: etree._Element, pose: Array) -> BodyPart:
         """A link whose frame has the pose (4, 4)."""
         inertial = link.find("inertial")
         if inertial is None:
@@ -631,9 +639,9 @@ class Part:
         return cls(link, number(parts.get("mass"), "value", 0.0), frame, inertia)
 
 
-def bad_bodies(tree: Tree) -> Iterator[Finding]:
+def bad_bodies(tree: LinkTree) -> Iterator[Finding]:
     """Findings about all bodies, the root's included; needs a sound tree, bad numbers judge nothing."""
-    whole: list[tuple[list[Part], Joint | None]] = []
+    whole: list[tuple[list[BodyPart], Joint | None]] = []
     for start, joint in [(tree.root_link, None), *((j.child, j) for j in tree.joints.values() if j.moves)]:
         parts = parts_of(tree, start)
         for part in parts:
@@ -656,7 +664,7 @@ def bad_bodies(tree: Tree) -> Iterator[Finding]:
             yield from bad_inertia(parts, joint, values)
 
 
-def no_inertials(tree: Tree) -> Iterator[Finding]:
+def no_inertials(tree: LinkTree) -> Iterator[Finding]:
     """Links without `<inertial>` that are fixed to another or are the root: one finding for all."""
     bare = [
         link
@@ -669,7 +677,7 @@ def no_inertials(tree: Tree) -> Iterator[Finding]:
         yield finding("no-inertial", bare[0], what, "assumed: massless", "none needed for mere frames", "")
 
 
-def carries_mass(tree: Tree, joint: Joint) -> bool:
+def carries_mass(tree: LinkTree, joint: Joint) -> bool:
     """Whether something with mass hangs on a body: then the mass matrix tells whether the body can be accelerated."""
     pending = tree.moving_children(joint.child)
     while pending:
@@ -680,7 +688,7 @@ def carries_mass(tree: Tree, joint: Joint) -> bool:
     return False
 
 
-def parts_of(tree: Tree, start: str) -> list[Part]:
+def parts_of(tree: LinkTree, start: str) -> list[BodyPart]:
     """The links of the body that starts at a link."""
     poses, names = {start: np.eye(4)}, [start]
     for name in names:
@@ -688,10 +696,10 @@ def parts_of(tree: Tree, start: str) -> list[Part]:
             if not joint.moves:
                 poses[joint.child] = poses[name] @ joint.origin
                 names.append(joint.child)
-    return [Part.of(tree.links[name], pose) for name, pose in poses.items()]
+    return [BodyPart.of(tree.links[name], pose) for name, pose in poses.items()]
 
 
-def bad_inertia(parts: list[Part], joint: Joint | None, principal: list[float]) -> Iterator[Finding]:
+def bad_inertia(parts: list[BodyPart], joint: Joint | None, principal: list[float]) -> Iterator[Finding]:
     """An inertia that no body can have, or that a robot's hardly has; the root's may vanish, it may never turn."""
     low, middle, high = principal
     mass = sum(part.mass for part in parts)
@@ -716,7 +724,7 @@ def bad_inertia(parts: list[Part], joint: Joint | None, principal: list[float]) 
         yield finding("odd-inertia", to_blame(parts), what, "is it in kg mm^2? taken as kg m^2", "give kg m^2")
 
 
-def lumped(parts: list[Part]) -> Array:
+def lumped(parts: list[BodyPart]) -> Array:
     """(3, 3) inertia of a body about its centre of mass, by Huygens and Steiner; of one part along its own axes."""
     heavy = [part for part in parts if part.mass or part.inertia.any()]
     if len(heavy) == 1:
@@ -728,10 +736,10 @@ def lumped(parts: list[Part]) -> Array:
     return np.asarray(about.sum(axis=0) + (masses @ (d * d).sum(axis=1)) * np.eye(3) - (masses * d.T) @ d)
 
 
-def to_blame(parts: list[Part]) -> etree._Element:
+def to_blame(parts: list[BodyPart]) -> etree._Element:
     """The link whose elements inertia is furthest from a body's, the first with an inertial when none is."""
 
-    def excess(part: Part) -> float:
+    def excess(part: BodyPart) -> float:
         if not np.isfinite(part.inertia).all():
             return 0.0
         low, middle, high = np.linalg.eigvalsh(part.inertia).tolist()

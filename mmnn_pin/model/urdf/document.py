@@ -101,7 +101,7 @@ class Joint:
 
 
 @dataclass(frozen=True, eq=False)
-class Tree:
+class LinkTree:
     """Links and joints of a `<robot>` element whose names and ends are sound.
 
     Attributes:
@@ -165,7 +165,7 @@ class Tree:
 
 
 @dataclass(frozen=True, eq=False)
-class Document(Tree):
+class Document(LinkTree):
     """A URDF that passed the audit.
 
     Attributes:
@@ -181,7 +181,7 @@ class Document(Tree):
     findings: tuple[Finding, ...] = field(default=())
 
     @classmethod
-    def of(cls, tree: Tree, path: Path, sha256: str, findings: tuple[Finding, ...]) -> Document:
+    def of(cls, tree: LinkTree, path: Path, sha256: str, findings: tuple[Finding, ...]) -> Document:
         """Document of an audited tree, which keeps what has been read out of it."""
         document = cls(tree.root, path, text_of(tree.root), sha256, findings)
         vars(document).update({name: value for name, value in vars(tree).items() if name in KEPT})

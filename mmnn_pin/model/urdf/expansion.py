@@ -294,28 +294,31 @@ def refusal(told: dict[str, Any], along: Callable[[str], list[str]]) -> Unexpand
             macros that it was `within`.
         along: The macros whose calls can be left out together with those of one; none where they cannot.
     """
-    place, absent, needed = Path(told["place"]), told["absent"], told["needed"]
-    text, word, fix = re.sub(r"^<class '[^']*'>: ", "", " ".join(told["error"].split())), "", "mend the file"
+    place, text = Path(told["place"]), re.sub(r"^<class '[^']*'>: ", "", " ".join(told["error"].split()))
     text = text[: len(text) // 2] if text[: len(text) // 2] == text[len(text) // 2 + 1 :] else text  # said twice
-    for pattern, way in WAYS_OUT:
-        if hit := re.search(pattern, text):
-            word, fix = hit[1], way.format(hit[1])
-            break
-    if "Undefined substitution" in text and len(needed) > 1:
-        fix = "give them: " + " ".join(f"--xacro {name}:=VALUE" for name in needed)
+    word, fix = way_out(text, told)
     called = giving(word, read_text(place)) if "Invalid parameter" in text else ""
     macro = lacking(told) or called
+    if macro and (names := along(macro)):
+        them = "it" if len(names) == 1 else "them"
+        fix += f", or leave {them} out: " + " ".join(f"--without {name}" for name in names)
+    return Unexpanded("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
+
+
+def way_out(text: str, told: dict[str, Any]) -> tuple[str, str]:
+    """The word of an error that its line has, and what to do."""
+    hits = ((re.search(pattern, text), way) for pattern, way in WAYS_OUT)
+    word, fix = next(((hit[1], way.format(hit[1])) for hit, way in hits if hit), ("", "mend the file"))
+    if told["choices"]:
+        return word, "give an argument with which it is: " + " or ".join(f"--xacro {one}" for one in told["choices"])
+    absent, needed = told["absent"], told["needed"]
     if absent and (fix == "mend the file" or "unknown macro" in text or "is not defined" in text):
         version = " in the version that has it" if any("/" in name for name in absent) else ""
         fix = f"is it in what is not found ({', '.join(absent)})? "
-        fix += f"Give the folder of the package{version} with --package-dir"
-    if told["choices"]:
-        fix = "give an argument with which it is: " + " or ".join(f"--xacro {choice}" for choice in told["choices"])
-    if macro and (names := along(macro)):
-        fix += f", or leave {'it' if len(names) == 1 else 'them'} out: " + " ".join(
-            f"--without {name}" for name in names
-        )
-    return Unexpanded("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
+        return word, fix + f"Give the folder of the package{version} with --package-dir"
+    if "Undefined substitution" in text and len(needed) > 1:
+        fix = "give them: " + " ".join(f"--xacro {name}:=VALUE" for name in needed)
+    return word, fix
 
 
 def line_of(path: Path, word: str) -> int:

@@ -181,7 +181,7 @@ def collada_corners(file: Path) -> Array:
             if isinstance(part, kinds) and part.vertex is not None and len(part.vertex_index):
                 used = part.vertex[np.unique(part.vertex_index)]
                 yield used.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
-        for child in (node.children or ()) if isinstance(node, collada.scene.Node) else ():
+        for child in (node.children or ()) if isinstance(node, collada.scene.GltfNode) else ():
             yield from shown(child, pose @ node.matrix)
 
     try:
@@ -293,7 +293,7 @@ class Unfolded:
         return total
 
 
-class Accessor(msgspec.Struct):
+class GltfAccessor(msgspec.Struct):
     """How many entries of which type stand in a buffer, or are zero."""
 
     count: Annotated[int, msgspec.Meta(ge=0)]
@@ -301,20 +301,20 @@ class Accessor(msgspec.Struct):
     type: str
 
 
-class Primitive(msgspec.Struct):
+class GltfPrimitive(msgspec.Struct):
     """Triangles; what they are made of, as numbers of accessors."""
 
     attributes: dict[str, int]
     indices: int | None = None
 
 
-class Mesh(msgspec.Struct):
+class GltfMesh(msgspec.Struct):
     """Triangles that are shown together."""
 
-    primitives: list[Primitive]
+    primitives: list[GltfPrimitive]
 
 
-class Node(msgspec.Struct):
+class GltfNode(msgspec.Struct):
     """A place with a mesh, or without."""
 
     mesh: int | None = None
@@ -323,9 +323,9 @@ class Node(msgspec.Struct):
 class Gltf(msgspec.Struct):
     """What a glTF file states of its size."""
 
-    accessors: list[Accessor] = []
-    meshes: list[Mesh] = []
-    nodes: list[Node] = []
+    accessors: list[GltfAccessor] = []
+    meshes: list[GltfMesh] = []
+    nodes: list[GltfNode] = []
 
 
 def gltf_tree(file: Path) -> tuple[dict[str, Any], bytes]:

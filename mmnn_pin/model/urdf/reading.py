@@ -20,7 +20,7 @@ from lxml import etree
 from ...errors import ConfigError
 from ...files import read_bytes, reason
 from .audit import XACRO_FIX, audit
-from .document import Document, Tree
+from .document import Document, LinkTree
 from .finding import AuditError, Finding, finding, settle
 
 MAX_BYTES = 50_000_000
@@ -220,7 +220,7 @@ def audit_data(
     path = Path(path)
     root, found = parse_xml(data)
     if root is not None:
-        found += audit(tree := Tree(root), path, package_dirs)
+        found += audit(tree := LinkTree(root), path, package_dirs)
     findings = settle(found, path, strict)
     if root is None or any(f.severity == "error" and not f.joint for f in findings):
         return None, findings
