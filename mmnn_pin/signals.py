@@ -82,7 +82,7 @@ EARLY = 5e-10  # half a nanosecond early counts, as times are rounded [s]
 
 @dataclass(frozen=True)
 class Dimensions:
-    """How many of everything a robot has, and what kind of base.
+    """Numbers of velocities, joints and motors of a robot, and its kind of base.
 
     Args:
         base: Number of base velocities nb.
@@ -113,7 +113,7 @@ class Dimensions:
 
 @dataclass(frozen=True)
 class Layout(Dimensions):
-    """Where each signal stands in a row: a robot's dimensions, and what is recorded of a run beside its motion.
+    """Places of the signals in a row: a robot's dimensions, and what is recorded of a run beside its motion.
 
     Args:
         wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
@@ -183,7 +183,7 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Setpoint(View):
-    """What the robot should do at one instant: the signals `pose_ref` ... `qddot_ref` of a row and of a recording.
+    """The reference at one instant: the signals `pose_ref` ... `qddot_ref` of a row and of a recording.
 
     Attributes:
         pose: (3,) pose of the control frame in the world [m, m, rad]; (0,) for a fixed arm.
@@ -219,7 +219,7 @@ class Setpoint(View):
 
 @dataclass(frozen=True, slots=True)
 class Measurement(View):
-    """What the sensors say: all that a controller may know of the robot's state.
+    """The sensors' readings: all that a controller may know of the robot's state.
 
     Attributes:
         pose: (3,) pose of the control frame in the world, phi unwrapped [m, m, rad].
@@ -240,7 +240,7 @@ class Measurement(View):
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand(View):
-    """What the kinematic layer asks of the torque controller, thesis (3.3), (3.6), (3.10), (3.11).
+    """The kinematic layer's demand on the torque controller, thesis (3.3), (3.6), (3.10), (3.11).
 
     Attributes:
         alpha: (nb,) commanded base velocity [m/s, rad/s].

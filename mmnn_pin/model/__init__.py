@@ -1,4 +1,4 @@
-"""What the robot is: the file audited, its mobile base found, and its Pinocchio model with the motions left to it.
+"""The robot: its file audited, its base and arm understood, its Pinocchio model with the motions left to it.
 
 The names are loaded when first used, so that a controller that asks a base for its law does not load the rest.
 """

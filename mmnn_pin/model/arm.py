@@ -126,7 +126,7 @@ def user_locks(rest: AtRest, overrides: Overrides, wheels: Iterable[str], held: 
 
 
 def position_of(joint: Joint, overrides: Overrides) -> float:
-    """Where a locked joint stands.
+    """Position of a locked joint [rad or m].
 
     Raises:
         ConfigError: Outside its limits.
@@ -272,7 +272,7 @@ def tree_of(rest: AtRest) -> dict[str, Branch]:
 
 
 def own_reach(rest: AtRest, joint: Joint) -> float:
-    """How far the body on a joint reaches: to its farthest frame, or as a rod with that centre of mass would [m]."""
+    """Reach of the body on a joint: to its farthest frame, or as a rod with that centre of mass would [m]."""
     hub = rest.hub(joint)
     frames = [math.dist(rest.placements[link][:3, 3], hub) for link in rest.document.body(joint.child)]
     rod = 2 * math.dist(rest.centre(joint.child), hub) if rest.mass(joint.child) > 0 else 0.0

@@ -162,7 +162,7 @@ def strength_notes(rest: AtRest, robot: Robot) -> list[Finding]:
 
 
 def settled(overrides: Overrides, base: Base) -> Overrides:
-    """What is said with a controllers' file replaced by what it led to: a recording stands alone."""
+    """The overrides with a controllers' file replaced by what it led to: a recording stands alone."""
     if overrides.controllers_file is None:
         return overrides
     found: dict[str, Any] = {"base": base.kind, "controllers_file": None}
@@ -237,7 +237,7 @@ def place(document: Document, model: pin.Model) -> None:
 
 @contextmanager
 def captured_stderr() -> Iterator[list[str]]:
-    """What C++ code prints on standard error meanwhile; the list is filled on leaving."""
+    """Lines that C++ code prints on standard error meanwhile; the list is filled on leaving."""
     lines: list[str] = []
     with _stderr_lock, tempfile.TemporaryFile() as file:
         sys.stderr.flush()

@@ -161,7 +161,7 @@ class Regressor:
         return np.concatenate([BODY * b + np.arange(BODY) for b in ends or [0]]).astype(np.int64)
 
     def workspace(self) -> Massless:
-        """The same arrays with a memory of its own to work in."""
+        """The arrays with a memory of their own to work in."""
         m = self.massless
         return m._replace(
             scratch=m.scratch.copy(), position=m.position.copy(), nu=m.nu.copy(), out=m.out.copy(), Y=m.Y.copy()
@@ -217,7 +217,7 @@ class Regressor:
         return np.asarray(np.linalg.qr(kept)[0])
 
     def unit(self, samples: int = 200, seed: int = 0) -> Array:
-        """The same directions scaled so that random motion excites each with 1, (k, number of base parameters).
+        """Identifiable directions, scaled so that random motion excites each with 1, (k, number of base parameters).
 
         With these columns W, `W' gram() W = 1`, and the eigenvalues of `W' G W` are the excitation of a motion whose
         mean `Y' Y` is G, relative to random motion.
@@ -264,7 +264,7 @@ class Regressor:
 def without_masses(
     tree: BodyTree, T: Array, base: int, offset: Array, arm: Array, coulomb_speed: float, turning: bool = False
 ) -> Massless:
-    """What a tree says of the motion, and memory to work in.
+    """The kinematics of a tree, and memory to work in.
 
     Args:
         tree: A tree with a body for every joint that moves (`flatten(..., absorb=False)`).

@@ -1,4 +1,4 @@
-"""What a robot is made of: its Pinocchio model and the motions that its wheels permit.
+"""The structure of a robot: its Pinocchio model and the motions that its wheels permit.
 
 All velocities of the full model follow from the independent ones, `nu = [base velocity; arm joint velocities]`:
 
@@ -172,7 +172,7 @@ class Structure:
         return offset, columns
 
     def with_masses(self, factors: float | Mapping[str, float]) -> Self:
-        """The same robot with the inertias of its moving bodies scaled (mass and rotational inertia alike).
+        """A copy with the inertias of its moving bodies scaled (mass and rotational inertia alike).
 
         Args:
             factors: One factor for all bodies, or a factor per joint that carries the body (`root` for a mobile base).
@@ -194,7 +194,7 @@ class Structure:
         return replace(self, model=model, masses=masses)
 
     def with_radii(self, factors: float | Mapping[str, float]) -> Self:
-        """The same robot on drive wheels of other radii, its hubs as much higher, so that it stands as before.
+        """A copy on drive wheels of other radii, its hubs as much higher, so that it stands as before.
 
         Args:
             factors: One factor for all drive wheels, or a factor per joint of one.
@@ -226,7 +226,7 @@ class Structure:
         return replace(self, model=model, base=base, T=T, A=A, E=E)
 
     def with_armature(self, inertia: ArrayLike) -> Self:
-        """The same robot with the rotors of its arm's motors, seen through their gears; a URDF does not know them.
+        """A copy with the rotors of its arm's motors, seen through their gears; a URDF does not know them.
 
         They are added to the diagonal of the mass matrix; the gyroscopic effects of their spin are left out.
 
@@ -246,7 +246,7 @@ class Structure:
         return replace(self, model=model)
 
     def with_friction(self, viscous: ArrayLike) -> Self:
-        """The same robot with viscous friction on nu besides that of its joints.
+        """A copy with viscous friction on nu besides that of its joints.
 
         Args:
             viscous: (p,) coefficients, or one number for all [N s/m, N m s].
@@ -264,7 +264,7 @@ class Structure:
         breakaway: float | Sequence[float] | Array = 1.0,
         stribeck: float = 0.05,
     ) -> Self:
-        """The same robot with more friction in the gears of its arm, beside that of its URDF.
+        """A copy with more friction in the gears of its arm, beside that of its URDF.
 
         Args:
             viscous: One number or (n,) [N m s or N s/m].
@@ -286,7 +286,7 @@ class Structure:
         return replace(self, damping=read_only(damping), **more)
 
     def without_friction(self) -> Self:
-        """The same robot with no friction at all: of its joints, of its gears, of its base."""
+        """A copy with no friction at all: of its joints, of its gears, of its base."""
         none, smooth = read_only(np.zeros(self.dimensions.full)), read_only(np.ones(self.dimensions.full))
         viscous = read_only(np.zeros(self.dimensions.dof))
         return replace(self, damping=none, coulomb=none, viscous=viscous, breakaway=smooth)
@@ -303,7 +303,7 @@ class Structure:
         return coulomb + more * np.exp(-((v / speed) ** 2))
 
     def facts(self) -> dict[str, Any]:
-        """What a recording should know of it, enough for `recorded_robot` to build it again."""
+        """Facts for a recording, enough for `recorded_robot` to build it again."""
         stated, ros = self.overrides.stated(), environment()
         if "package_dirs" in stated:  # who builds it again may stand in another folder
             stated["package_dirs"] = tuple(map(os.path.abspath, stated["package_dirs"]))
@@ -415,7 +415,7 @@ def motor_map(base: Base, rows: Mapping[str, int], motors: tuple[str, ...]) -> A
 
 
 def configuration_indices(model: pin.Model, root: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Where each velocity's joint starts in q, and whether q holds its cosine and sine; the root fills the first 3."""
+    """Place in q of each velocity's joint, and whether q holds its cosine and sine; the root fills the first 3."""
     first = 2 if root else 1
     q_index = np.array([*range(root), *list(model.idx_qs)[first:]], dtype=np.int64)
     doubled = [0, 0, 1][:root] + [int(size == 2) for size in list(model.nqs)[first:]]

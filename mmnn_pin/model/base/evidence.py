@@ -1,4 +1,4 @@
-"""What files say of a base beside its geometry: rollers, contact friction, plugins, controllers, names; and lengths.
+"""Evidence of a base beside its geometry: rollers, contact friction, plugins, controllers, names; and stated lengths.
 
 Geometry cannot tell mecanum wheels from plain ones: both are four parallel cylinders. Each piece of evidence speaks
 for one of `holonomic` and `skid_steer`, and says where it stands. Names and transmissions only confirm what another
@@ -98,7 +98,7 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
 
 
 def verdict(found: list[Evidence]) -> Meaning | None:
-    """What the deciding pieces agree on, None when there is none or they disagree."""
+    """The kind of base that the deciding pieces agree on, None when there are none or they disagree."""
     meanings = {piece.meaning for piece in found if piece.decides}
     return meanings.pop() if len(meanings) == 1 else None
 
@@ -297,7 +297,7 @@ class Stated(NamedTuple):
 
 
 def stated(rest: AtRest, controllers: str | None, names: dict[str, float]) -> list[Stated]:
-    """What the file's plugins and the controllers' file state under some names, each value once.
+    """Lengths that the file's plugins and the controllers' file state under some names, each value once.
 
     Raises:
         ConfigError: The controllers' file cannot be read.
@@ -312,7 +312,7 @@ def stated(rest: AtRest, controllers: str | None, names: dict[str, float]) -> li
 
 
 def in_yaml(file: str | None, names: dict[str, float]) -> Iterator[Stated]:
-    """What a controllers' file states under some names, each of the two sides' where they differ.
+    """Lengths that a controllers' file states under some names, one for each side where they differ.
 
     Raises:
         ConfigError: It cannot be read.
@@ -330,7 +330,7 @@ def in_yaml(file: str | None, names: dict[str, float]) -> Iterator[Stated]:
 
 
 def multipliers(table: YamlTable, key: str, side: str) -> dict[str, float]:
-    """What a table's controller multiplies one of its lengths by on a side, but for ones."""
+    """Factors by which a table's controller multiplies one of its lengths on a side; ones are left out."""
     names = [name.format(side=side) for name in FACTORS.get(key, ())]
     found = {name: number_of(table, name, 1.0) for name in names}
     return {name: factor for name, factor in found.items() if factor not in (0.0, 1.0)}

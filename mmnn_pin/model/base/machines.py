@@ -80,7 +80,7 @@ def steering_named(rest: AtRest) -> str:
 
 
 def tracks(rest: AtRest, drives: Sequence[Candidate]) -> str:
-    """What tells that a machine with parallel wheels runs on tracks, empty when nothing does."""
+    """The sign that a machine with parallel wheels runs on tracks, empty when there is none."""
     on_root = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_horizontal(j)]
     alike = sum(abs(rest.axis(on_root[0]) @ rest.axis(j)) > 0.99 for j in on_root) if on_root else 0
     wheels = max(alike, len(drives))
@@ -319,7 +319,7 @@ def front_axle(front: list[Candidate], drives: list[Candidate]) -> bool:
 
 
 def driven(rest: AtRest, drives: list[Candidate], front: list[Candidate]) -> Iterator[tuple[str, str]]:
-    """What plugins, controllers and motors say of two coaxial wheels and those that may steer: a kind, and the text."""
+    """Signs of plugins, controllers and motors whether two coaxial wheels drive or others steer: kind and text."""
     root = rest.document.root
     for element in root.iterfind("gazebo//*"):
         words = f"{element.get('filename', '')} {element.get('name', '')} {element.text or ''}"

@@ -1,4 +1,4 @@
-"""What else speaks of radius, track and sides than geometry: other shapes, joints, plugins, controllers' files.
+"""Second opinions on radius, track and sides: of other shapes, joints, plugins, controllers' files.
 
 The geometry is taken, and what contradicts it is told; but a robot's own controllers correct it. Their file was given,
 or lies beside the robot's and names all its drive wheels. Multipliers of a length that the geometry bears out are
@@ -45,7 +45,7 @@ OPINION = 0.01  # lengths that differ by more than this fraction are told
 
 
 def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrides: Overrides) -> Iterator[Finding]:
-    """What the distance of the joints, plugins and controllers say of track and radius where geometry says otherwise.
+    """Notes where joints, plugins or controllers have another track or radius than the geometry.
 
     Args:
         rest: The robot at rest.
@@ -151,7 +151,7 @@ def named_sides(rest: AtRest, base: Base) -> Iterator[Finding]:
 
 
 def unasked(rest: AtRest, base: Base, overrides: Overrides) -> Iterator[Finding]:
-    """What controllers' files beside the robot's state of its track and radius, where none says what its geometry does.
+    """Tracks and radii of controllers' files beside the robot's, where none is that of the geometry.
 
     They are told, not used: a file may be another robot's.
     """
@@ -177,7 +177,7 @@ def apart(one: float, other: float) -> bool:
 
 
 class Calibration(NamedTuple):
-    """What the robot's own controllers say of its base.
+    """Corrections of a base by the robot's own controllers.
 
     Attributes:
         taken: `track` and `wheel_radii` as `Overrides` has them, as far as they are taken.
@@ -189,7 +189,7 @@ class Calibration(NamedTuple):
 
 
 def calibration(rest: AtRest, base: Base, overrides: Overrides) -> Calibration:
-    """What the robot's own controllers correct of its geometry.
+    """Corrections of a base's geometry by the robot's own controllers.
 
     Args:
         rest: The robot at rest.
@@ -256,14 +256,14 @@ def on_side(wheel: Wheel, side: str) -> bool:
 
 
 def taken_note(rest: AtRest, base: Base, name: str, one: Stated, measured: float) -> Finding:
-    """That a length of the controllers is taken in the place of the geometry's."""
+    """A note that a length of the controllers is taken in the place of the geometry's."""
     text = f"the {name} is taken as {one.value:.4g} m, as {one.text} has it; the geometry has {measured:.4g} m"
     fix = f"--{name.split()[-1]} {measured:.6g} for that of the geometry"
     return note(rest, "base-stated", base.wheels[0].joint, text, "the robot's driver works with it", fix)
 
 
 def contradictions(rest: AtRest, base: Base, files: list[str]) -> Iterator[Finding]:
-    """Where the robot's own controllers drive its wheels otherwise than the URDF has them: sides, signs, steering."""
+    """Contradictions between the robot's own controllers and its URDF: sides, signs, steering."""
     x, y = (np.array([getattr(wheel, at) for wheel in base.wheels]) for at in ("x", "y"))
     sums = {"sum_of_robot_center_projection_on_X_Y_axis": abs(x) + abs(y), "robot_radius": hypot(x, y)}
     for file in files:

@@ -1,4 +1,4 @@
-"""What is reported of how a robot was understood: notes with stable codes beside the audit's, and refusals.
+"""The report of how a robot was understood: notes with stable codes beside the audit's, and refusals.
 
 A refusal lists what the base could be, each with the reasons for and against, or names the machine.
 """
@@ -210,7 +210,7 @@ def welded_note(rest: AtRest, welded: Sequence[Joint]) -> list[Finding]:
 
 
 def evidence_note(rest: AtRest, meaning: str, cited: list[Evidence]) -> Finding:
-    """What made four parallel wheels mecanum wheels, or wheels that skid."""
+    """A note on the evidence by which four parallel wheels are mecanum wheels, or skid."""
     texts = list(dict.fromkeys(piece.text for piece in cited))
     more = f" and {len(texts) - 4} more" if len(texts) > 4 else ""
     text = f"taken as {meaning}: {'; '.join(texts[:4])}{more}"
@@ -218,7 +218,7 @@ def evidence_note(rest: AtRest, meaning: str, cited: list[Evidence]) -> Finding:
 
 
 def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
-    """What was locked without being asked to, one note per reason."""
+    """Notes on joints that were locked without being asked to, one per reason."""
     notes = []
     for reason in dict.fromkeys(arm.reasons.values()):
         names = [name for name, why in arm.reasons.items() if why == reason]
@@ -254,7 +254,7 @@ def weak_notes(rest: AtRest, names: Sequence[str], held: Array, limits: Array) -
 
 
 def friction_notes(rest: AtRest, damping: Array, coulomb: Array) -> list[Finding]:
-    """That no joint has friction.
+    """A note that no joint has friction.
 
     Args:
         rest: The robot.
@@ -276,7 +276,7 @@ def weld_notes(rest: AtRest, kinds: dict[str, str]) -> list[Finding]:
 
 
 def printed_notes(rest: AtRest, printed: str) -> list[Finding]:
-    """What Pinocchio's parser printed about a file that it accepts."""
+    """A warning with what Pinocchio's parser printed about a file that it accepts."""
     text = f"Pinocchio's parser says: {printable(printed)}"
     return [note(rest, "pinocchio", "", text, about="")] if printed else []
 
@@ -327,7 +327,7 @@ class Unsupported(RobotError):
 
 
 def readings(rest: AtRest, drives: list[Candidate]) -> list[BaseReading]:
-    """What a base on these wheels could be, with the reasons for and against."""
+    """The kinds of base that these wheels could make, with the reasons for and against."""
     pieces = evidence(rest, drives)
     speaks = {
         kind: tuple(dict.fromkeys(p.text for p in pieces if p.meaning == kind)) for kind in ("holonomic", "skid_steer")
@@ -405,7 +405,7 @@ def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[st
 
 
 def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:
-    """Why bodies are not round about their axles, and the way out: many a cylinder lies across its joint's axis."""
+    """The reason why bodies are not round about their axles, and the way out: many a cylinder lies across the axis."""
     paired = any(coaxial(a, b) for i, a in enumerate(wheels) for b in wheels[:i])
     across = {c.joint.name: axis for c in wheels if (axis := lying_across(rest, c.joint))}
     if not across:

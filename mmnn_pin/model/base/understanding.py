@@ -1,4 +1,4 @@
-"""What the joints of a robot are for: those of its base and of its arm; or a question to the user.
+"""The roles of a robot's joints, in its base and in its arm; or a question to the user.
 
 Geometry at rest decides first (`wheels`), what else the file says next (`evidence`). What the user says (`overrides`)
 is taken as it is. A machine that is none of the kinds of base is refused by its name (`machines`).
@@ -107,7 +107,7 @@ SAME_SIZE = 0.1  # radii that differ by less than this fraction are of wheels of
 
 @dataclass(frozen=True, eq=False)
 class Roles:
-    """What the joints of a robot are for.
+    """The roles of a robot's joints.
 
     Attributes:
         document: The URDF, joints that stand the robot in the world made fixed.
@@ -129,7 +129,7 @@ class Roles:
 
 
 def understand(document: Document, overrides: Overrides) -> Roles:
-    """What the joints of a robot are for, by its geometry, by what else its file says, and by what the user says.
+    """The roles of a robot's joints, by its geometry, by what else its file says, and by what the user says.
 
     Raises:
         Undecided: Its base may be one thing or another; the candidates are listed with the reasons for and against.

@@ -86,7 +86,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What may be wheels, in the root frame at rest.
+    """Joints that may be wheels, in the root frame at rest.
 
     Attributes:
         wheels: Those on the floor.
@@ -106,7 +106,7 @@ class Candidates:
 
 
 def wheel_candidates(rest: AtRest, radius: float | None = None, given: bool = False) -> Candidates:
-    """What may be wheels.
+    """Joints that may be wheels.
 
     Args:
         rest: The robot at rest.
@@ -200,7 +200,7 @@ def borne_out(sight: Sight, footing: float, stated: float | None) -> tuple[list[
 
 
 def lowest_place(rest: AtRest, shapes: list[Shape], known: list[Candidate]) -> float:
-    """How low the robot reaches, as far as shapes, centres of mass and wheels tell [m]."""
+    """Height of the robot's lowest place, as far as shapes, centres of mass and wheels tell [m]."""
     heights = [shape.lowest for shape in shapes] + [rest.bottom(link) for link in rest.document.links]
     return min(heights + [c.bottom for c in known if not math.isnan(c.radius)], default=math.inf)
 
@@ -219,7 +219,7 @@ def near_misses(
     lumpy: list[Candidate],
     floor: float,
 ) -> list[Candidate]:
-    """What would be wheels but for one thing: they hang in the air, are tilted, lie, or are not round."""
+    """Joints that would be wheels but for one thing: they hang in the air, are tilted, lie, or are not round."""
 
     def alike(some: list[Candidate]) -> list[Candidate]:
         return [c for c in some if is_axle(rest, c, some) or is_round_about(rest, c, some)]
@@ -315,7 +315,7 @@ def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candi
 
 
 class Look(NamedTuple):
-    """What the shapes of one kind, collision or visual, show of a wheel.
+    """The sight of a wheel by its collision or its visual shapes.
 
     Attributes:
         rounds: Radius, place along the axis [m] and kind of what is round about it.
@@ -331,7 +331,7 @@ class Look(NamedTuple):
 
 
 def look_at(rest: AtRest, joint: Joint, rollers: tuple[str, ...], tag: str) -> Look:
-    """What collision or visual shapes show of a wheel on a joint, with the rollers on its rim."""
+    """The sight of a wheel on a joint, with the rollers on its rim, by its collision or its visual shapes."""
     axis, hub = rest.axis(joint), rest.hub(joint)
     bodies, gone = readable(rest, rest.document.body(joint.child), tag)
     rims, rims_gone = readable(rest, [rest.document.joints[name].child for name in rollers], tag)
@@ -490,7 +490,7 @@ def one_axle(wheels: list[Candidate]) -> bool:
 
 
 def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float]:
-    """What a wheel hangs on, and its trail if that is a joint about a vertical axis.
+    """The mount of a wheel, and its trail if that is a joint about a vertical axis.
 
     A swivel turns without end, or all the way round with the wheel trailing behind it; other such joints steer. More
     than two joints are a leg, fewer without a vertical one, or any that carry other wheels, a rocker: a suspension.

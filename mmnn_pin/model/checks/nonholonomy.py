@@ -83,7 +83,7 @@ def nonholonomy(robot: Robot, rng: np.random.Generator | None = None, samples: i
 
 
 def verdict(pose: Closure) -> str:
-    """What the ranks on the pose mean, in words."""
+    """The meaning of the ranks on the pose, in words."""
     d, c = pose.distribution, pose.closure
     if d == pose.coordinates:
         return f"holonomic: nothing constrains the pose, the base moves in all its {d} directions at once"

@@ -105,7 +105,7 @@ class ModelBounds:
 
 @dataclass(frozen=True, repr=False)
 class CheckReport(AsText):
-    """What the checks found; `print` shows every property.
+    """The properties of one robot at all samples; `print` shows every one.
 
     Attributes:
         robot: Its name.
@@ -203,7 +203,7 @@ def check(
 
 
 def notes_of(robot: Robot) -> tuple[str, ...]:
-    """What to know of the states that were drawn, limits that were not taken at their word; and of no friction."""
+    """Notes on limits that were not taken at their word where states were drawn, and on no friction."""
     names = zip(robot.position_names, unlimited(robot), robot.lower, strict=True)
     wide = ", ".join(name for name, free, low in names if free and np.isfinite(low))
     found = [f"limits too wide to be meant, positions drawn within +-pi or +-1 m: {wide}"] if wide else []

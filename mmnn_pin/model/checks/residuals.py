@@ -121,7 +121,7 @@ def independence(T: Array) -> float:
 
 
 def missing_constraints(A: Array, T: Array) -> float:
-    """How far rank A is from nv - p, in rows: fewer would permit motions that T does not know."""
+    """Difference of rank A from nv - p, in rows: fewer would permit motions that T does not know."""
     rows = A / np.maximum(np.linalg.norm(A, axis=1, keepdims=True), np.finfo(float).tiny)
     found = int(np.linalg.matrix_rank(rows, tol=EXACT)) if A.size else 0
     return float(abs(T.shape[0] - T.shape[1] - found))
@@ -134,7 +134,7 @@ def rate_along(function: Callable[[Array], Array], model: pin.Model, q: Array, v
 
 
 def weights(M: Array) -> Array:
-    """What scales M, and rates of it, to ones on the diagonal: `1 / sqrt(M_ii M_jj)`, (p, p)."""
+    """Factors that scale M, and rates of it, to ones on the diagonal: `1 / sqrt(M_ii M_jj)`, (p, p)."""
     diagonal = np.sqrt(abs(np.diag(M)))
     return 1.0 / np.maximum(np.outer(diagonal, diagonal), np.finfo(float).tiny)
 

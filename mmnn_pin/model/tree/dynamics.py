@@ -219,7 +219,7 @@ def terms(tree: BodyTree, position: Array, nu: Array, scratch: Array, M: Array, 
 def psi(
     tree: BodyTree, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array, scratch: Array, out: Array
 ) -> None:
-    """What the networks must learn, `T' (M T nudot_ref + C(q, T nu) T nu_ref + g)`, thesis (3.20), (3.21).
+    """True Psi without friction, `T' (M T nudot_ref + C(q, T nu) T nu_ref + g)`, thesis (3.20), (3.21).
 
     Args:
         tree: The robot.

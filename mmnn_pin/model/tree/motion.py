@@ -249,7 +249,7 @@ def _move(links: Indices, i: int, speed: float, scratch: Array) -> None:
 
 @spliced
 def place(links: Indices, numbers: Array, position: Array, nu: Array, scratch: Array) -> None:
-    """Where all bodies are and how they move, into `scratch`: what the dynamics start from."""
+    """Places and motions of all bodies, into `scratch`: the dynamics start from them."""
     put(scratch, BASE.w, AT.omega, (0.0, 0.0, rate(links, numbers, BASE.w, nu)))
     for i in range(BASE.w + 1, len(links)):
         locate(links, numbers, position, i, scratch)

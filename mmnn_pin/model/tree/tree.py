@@ -34,7 +34,7 @@ ONE_DOF = {f"JointModel{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "
 
 
 class _Joints(NamedTuple):
-    """How the joints of a model hang together, as something that can be looked up; masses are not in it.
+    """The joints of a model and how they hang together, as a key of a cache; masses are not in it.
 
     Attributes:
         kinds: Kind of each joint of one degree of freedom, and its axis; None for the planar root.
@@ -54,7 +54,7 @@ class _Joints(NamedTuple):
 
 
 class _Carried(NamedTuple):
-    """What carries the links of a model.
+    """The moving bodies of a model, and the one that each link is part of.
 
     Attributes:
         bodies: Of every body that moves, the base first: number of the one that carries it, -1 for none; kind and
@@ -132,7 +132,7 @@ def _mobile(model: pin.Model) -> bool:
 
 
 def _joints(model: pin.Model, T: Array, rest: Array) -> _Joints:
-    """How the joints of a model hang together.
+    """The joints of a model and how they hang together.
 
     Raises:
         RobotError: A joint or a value that a tree has no place for.
@@ -177,7 +177,7 @@ def carriers(model: pin.Model, T: Array, rest: Array) -> list[tuple[int, Array]]
 
 @lru_cache(maxsize=64)
 def _carried(joints: _Joints) -> _Carried:
-    """What carries the links of a model whose joints hang together so."""
+    """The moving bodies of a model whose joints hang together so, worked out once."""
     rest = np.frombuffer(joints.rest)
     placements, T = np.frombuffer(joints.placements).reshape(-1, 4, 4), np.frombuffer(joints.T).reshape(rest.size, -1)
     found = _Carried([(-1, 0, -1, np.eye(4))], [(0, np.eye(4))])
@@ -263,7 +263,7 @@ AXES: dict[str, tuple[int, tuple[float, float, float]]] = {}  # of the kinds of 
 
 
 def _axis_of(kind: str, joint: pin.JointModel) -> tuple[int, tuple[float, float, float]]:
-    """As `_axis`, of a joint whose kind says its axis; worked out once."""
+    """Kind and axis of a joint whose kind says its axis; worked out once."""
     if kind not in AXES:
         AXES[kind] = _axis(joint)
     return AXES[kind]
@@ -348,7 +348,7 @@ def residual(
 def _by_pinocchio(
     model: pin.Model, data: pin.Data, T: Array, q: Array, nu: Array, nu_ref: Array, nudot_ref: Array
 ) -> tuple[Array, Array, Array]:
-    """The same M, h and Psi by the full matrices of Pinocchio."""
+    """M, h and Psi by the full matrices of Pinocchio."""
     M = T.T @ pin.crba(model, data, q) @ T
     h = T.T @ pin.nonLinearEffects(model, data, q, T @ nu)
     g = T.T @ pin.computeGeneralizedGravity(model, data, q)

@@ -1,4 +1,4 @@
-"""What is wrong with a URDF: every check is a function to its findings, and `audit` runs them all.
+"""The audit of a URDF: every check is a function to its findings, and `audit` runs them all.
 
 First single elements: tags, attributes, numbers, shapes, mesh files. Then the mechanism: names and one tree of links,
 joints that can move, bodies that can be accelerated. Links that are fixed to each other count as one body: a link alone
@@ -138,7 +138,7 @@ def audit(tree: LinkTree, path: Path, package_dirs: Sequence[str | Path] = ()) -
 
 @dataclass(frozen=True)
 class Elements:
-    """What URDF defines of a file, not what extensions hold; read out once, because lxml takes its time.
+    """Elements of a file that URDF defines, without those of extensions; read out once, because lxml takes its time.
 
     Attributes:
         by_tag: Elements by tag.
@@ -157,7 +157,7 @@ class Elements:
 
     @classmethod
     def of(cls, root: etree._Element) -> Elements:
-        """What a `<robot>` element holds."""
+        """The elements of a `<robot>` element."""
         own = cls({tag: [] for tag in KNOWN}, [], [], [])
         pending = [(root, "robot")]
         for element, tag in pending:
@@ -244,7 +244,7 @@ def misplaced(elements: Elements) -> Iterator[Finding]:
 
 
 def uncalled(elements: Elements) -> Iterator[Finding]:
-    """What nobody knows and names a link: the call of a macro that nobody expanded, ignored in silence."""
+    """Unknown tags that name a link: calls of macros that nobody expanded, ignored in silence."""
     links = {link.get("name") for link in elements["link"]}
     for element, tag, parent in elements.unknown:
         if parent == "robot" and not nearest(tag, KNOWN[parent][0]) and links & {*element.attrib.values()}:
@@ -353,7 +353,7 @@ def incomplete(elements: Elements) -> Iterator[Finding]:
 
 
 def why(tag: str) -> str:
-    """What a bad number in an element leads to."""
+    """The consequence of a bad number in an element."""
     return "the whole inertial would be dropped" if tag in ("mass", "inertia") else ""
 
 
@@ -407,7 +407,7 @@ def bad_meshes(root: etree._Element, urdf: Path, package_dirs: Sequence[str | Pa
 def mesh_finding(
     element: etree._Element, names: list[str], mesh: MeshFile, package_dirs: Sequence[str | Path]
 ) -> Iterator[Finding]:
-    """What to say about one mesh, or about all meshes of one missing package."""
+    """The finding about one mesh, or about all meshes of one missing package."""
     what = f"mesh '{names[0]}'"
     given = f"; {' and '.join(map(str, package_dirs))} {'do' if len(package_dirs) > 1 else 'does'} not hold it"
     fix = "give the folder that holds the package with --package-dir" + given * bool(package_dirs)
@@ -530,7 +530,7 @@ def circles(follows: dict[str, str]) -> Iterator[list[str]]:
 
 
 def bad_joints(root: etree._Element) -> Iterator[Finding]:
-    """What is wrong with each joint taken alone."""
+    """Faults of each joint taken alone."""
     for joint in root.iterchildren("joint"):
         kind = joint.get("type")
         if kind not in JOINT_TYPES:

@@ -245,7 +245,7 @@ def read_numbers(text: str) -> tuple[float, ...]:
 
 @lru_cache(maxsize=8192)
 def number_problem(text: str, count: int) -> str:
-    """What is wrong with a list of numbers, empty when nothing is."""
+    """The fault of a list of numbers, empty when there is none."""
     values = read_numbers(text)
     for word, value in zip(text.split(), values, strict=True):
         if math.isnan(value) and NUMBER.fullmatch(word):
@@ -285,5 +285,5 @@ def numbers(
 
 
 def vector(element: etree._Element | None, key: str, default: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Array:
-    """The same as an array."""
+    """Numbers of an attribute as an array; as of `numbers`."""
     return np.array(numbers(element, key, default))

@@ -95,7 +95,7 @@ def require_plain(file: str) -> None:
 
 
 def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """What there is to tell of a job, and the URDF; empty where xacro refuses."""
+    """One expansion of a job: what there is to tell of it, and the URDF, empty where xacro refuses."""
     told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": [], "choices": []}
     told |= {"renamed": {}, "within": [], "prefixes": []}
     data, lenient = b"", Lenient(xacro, xacrodoc, job, told)
@@ -119,7 +119,7 @@ def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, A
 
 
 def diagnosis(xacro: Any, error: Exception, texts: dict[str, str], job: dict[str, Any]) -> dict[str, Any]:
-    """What is known of an error: its words, its file, what is needed, what could be chosen; see `expansion.refusal`."""
+    """The facts of an error: its words, its file, what is needed, what could be chosen; see `expansion.refusal`."""
     text = (str(error).strip().splitlines() or [type(error).__name__])[0]
     place = next((file for file in reversed(xacro.filestack or ()) if file), job["path"])
     if hit := re.search(INVALID, text):

@@ -43,7 +43,7 @@ class Unexpanded(RobotError):
 
 
 class Expansion(NamedTuple):
-    """What a xacro file expands to.
+    """The URDF of a xacro file, and what was done without.
 
     Attributes:
         data: The URDF.
@@ -62,7 +62,7 @@ class Expansion(NamedTuple):
     prefixes: list[str]
 
     def findings(self, without: Sequence[str]) -> list[Finding]:
-        """What there is to say of the file, with the macros that the user leaves out."""
+        """Findings about the file, with the macros that the user leaves out."""
         notes = [EXPANDED]
         for name, folder in self.renamed.items():
             what, why = f"package '{name}' is not found", f"taken as it is {folder}, which has the file that is wanted"
@@ -210,7 +210,7 @@ def pruned(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def expanded(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """What `run` gives, kept while the files that it opened, or missed, stay as they are; errors as there."""
+    """The result of `run`, kept while the files that it opened, or missed, stay as they are; errors as there."""
     key = json.dumps([job, dict(os.environ)], sort_keys=True)
     kept = KEPT.get(key)
     if kept is None or kept[0] != stamps(kept[0]):
@@ -236,7 +236,7 @@ def stamps(files: Iterable[str]) -> dict[str, tuple[int, int] | None]:
 
 
 def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """What the child process tells of a job, and the URDF that it makes.
+    """The report of the child process on a job, and the URDF that it makes.
 
     Raises:
         Unexpanded: It takes too long or too much.
@@ -286,7 +286,7 @@ WAYS_OUT = (
 
 
 def refusal(told: dict[str, Any], along: Callable[[str], list[str]]) -> Unexpanded:
-    """Why a file could not be expanded, at the line where the cause is named.
+    """The refusal of a file that could not be expanded, at the line where the cause is named.
 
     Args:
         told: What the child process tells: its `error` and the file that xacro was in, its `place`; packages that are

@@ -117,7 +117,7 @@ def require_few(scene: Any) -> None:
 
 @dataclass(frozen=True)
 class Beside:
-    """What a mesh file gets that names others: materials and buffers of its own folder. No picture is ever opened."""
+    """Files beside a mesh file that it may name: materials and buffers of its own folder. No picture is ever opened."""
 
     folder: Path
 
@@ -196,7 +196,7 @@ def collada_corners(file: Path) -> Array:
 
 
 def damage_of(file: Path) -> str:
-    """What is wrong with a mesh file by its size, its head and its tail; empty when nothing is seen."""
+    """The fault of a mesh file by its size, its head and its tail; empty when none is seen."""
     try:
         size = file.stat().st_size
         with file.open("rb") as stream:
@@ -270,7 +270,7 @@ def collada_problem(file: Path) -> str:
 
 
 class Unfolded:
-    """How large the nodes of a Collada file are with all their copies."""
+    """Sizes of the nodes of a Collada file with all their copies."""
 
     def __init__(self, tree: etree._ElementTree) -> None:
         self.nodes = {f"#{node.get('id')}": node for node in tree.iter("{*}node")}
@@ -294,7 +294,7 @@ class Unfolded:
 
 
 class GltfAccessor(msgspec.Struct):
-    """How many entries of which type stand in a buffer, or are zero."""
+    """Number and type of entries in a buffer, or of zeros."""
 
     count: Annotated[int, msgspec.Meta(ge=0)]
     componentType: int
@@ -321,7 +321,7 @@ class GltfNode(msgspec.Struct):
 
 
 class Gltf(msgspec.Struct):
-    """What a glTF file states of its size."""
+    """The part of a glTF file that states its size."""
 
     accessors: list[GltfAccessor] = []
     meshes: list[GltfMesh] = []

@@ -118,7 +118,7 @@ def name_of(manifest: str) -> str:
 
 @dataclass(frozen=True)
 class MeshFile:
-    """Where a mesh is.
+    """Place of a mesh.
 
     Attributes:
         file: The file, None when it must not be opened or does not exist.

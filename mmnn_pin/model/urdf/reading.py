@@ -155,7 +155,7 @@ def audit_file(
 
 
 def instead(path: Path) -> str:
-    """What else may be meant by a path that cannot be read."""
+    """The files that may be meant by a path that cannot be read."""
     names: list[str] = []
     with suppress(OSError, ValueError):
         there = (path if path.is_dir() else path.parent).iterdir()
@@ -192,7 +192,7 @@ def audit_xacro(
     xacro: Sequence[str],
     without: Sequence[str],
 ) -> tuple[Document | None, tuple[Finding, ...]]:
-    """The same for the content of a xacro file; raises `RobotError` where it cannot be expanded."""
+    """Findings and document of a xacro file's content; raises `RobotError` where it cannot be expanded."""
     from .expansion import expand  # in a process of its own, seldom needed
 
     made = expand(path, xacro, package_dirs, without)
@@ -209,7 +209,7 @@ def audit_xacro(
 def audit_data(
     data: bytes, path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = ()
 ) -> tuple[Document | None, tuple[Finding, ...]]:
-    """The same for a file's content.
+    """Findings and document of a file's content.
 
     Args:
         data: The content.
@@ -302,7 +302,7 @@ def parsed(data: bytes, recover: bool = False) -> tuple[etree._Element | None, l
 
 
 def syntax_finding(data: bytes, reason: str, line: int) -> Finding:
-    """Why the bytes are not XML: wrong encoding, cut off, or damaged."""
+    """The reason why bytes are not XML: wrong encoding, cut off, or damaged."""
     if not data.strip():
         return finding("not-xml", 1, "the file is empty")
     if kind := next((kind for start, kind in PICTURES.items() if data.startswith(start)), ""):
