@@ -19,8 +19,7 @@ from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sampled import sampled_loop
-from mmnn_pin.model.base.holonomic import Holonomic as HolonomicBase
-from mmnn_pin.model.base.holonomic import holonomic_command
+from mmnn_pin.model.base.holonomic import HolonomicBase, holonomic_command
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...model.checks.nonholonomy import RANK_TOLERANCE
-from ...model.checks.properties import Report, check
+from ...model.checks.properties import CheckReport, check
 from ...model.inspection import inspection_of
 from ...model.urdf.expansion import EXPANDED
 from ...recording.recording import Recording, recorded_robot
@@ -209,7 +209,7 @@ def matrix(title: str, values: Any, rows: Sequence[str], columns: Sequence[str],
 # -- properties --------------------------------------------------------------------------------------------------------
 
 
-def properties_dict(report: Report) -> dict[str, Any]:
+def properties_dict(report: CheckReport) -> dict[str, Any]:
     """The report as the command line's JSON object; what is not finite is null."""
     tested, b = report.nonholonomic, report.bounds
     wheels = tested.with_wheels
@@ -247,8 +247,8 @@ def json_number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-@shows(Report, "text")
-def properties_text(report: Report, columns: int = WIDTH) -> str:
+@shows(CheckReport, "text")
+def properties_text(report: CheckReport, columns: int = WIDTH) -> str:
     """The report for a terminal: the properties with what they mean, the bounds, the Frobenius test."""
     width = max(map(len, report.properties))
     lines = [f"robot {report.robot}: {report.samples} random states, seed {report.seed}", ""]
