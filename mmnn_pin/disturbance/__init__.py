@@ -7,11 +7,11 @@ nu: they are the `f` of `M nudot + C nu + gravity + friction = tau + f`, and the
 
 from .effects import BRAKE, Forces, Pushes, block
 from .settings import (
-    Block,
-    Commands,
+    BlockedJoint,
+    CommandFault,
     DeadMotor,
     Disturbance,
-    Frozen,
+    FrozenEncoder,
     Messages,
     Payload,
     Push,
@@ -27,12 +27,12 @@ from .settings import (
 
 __all__ = [
     "BRAKE",
-    "Block",
-    "Commands",
+    "BlockedJoint",
+    "CommandFault",
     "DeadMotor",
     "Disturbance",
     "Forces",
-    "Frozen",
+    "FrozenEncoder",
     "Messages",
     "Payload",
     "Push",

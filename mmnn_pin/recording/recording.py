@@ -27,7 +27,7 @@ from ..settings.arguments import checked
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
 from .robot_file import document_of
-from .run_file import Arrays, Columns, Places, RunFile
+from .run_file import Arrays, Places, RunFile, SignalColumns
 from .tracking import Errors, prismatic_joints
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class Recording:
     def __init__(
         self,
         *,
-        columns: Mapping[str, Columns],
+        columns: Mapping[str, SignalColumns],
         rows: int,
         read: Callable[[str], Arrays],
         meta: Mapping[str, Any],
@@ -318,7 +318,7 @@ class Recording:
         if where in self.damage:
             raise RecordingError(f"{where} is damaged", why=self.damage[where], fix=AGAIN, file=self.path)
 
-    def _about(self, name: str) -> Columns:
+    def _about(self, name: str) -> SignalColumns:
         self._require_intact(f"signals/{name}")
         if name not in self._columns:
             raise UnknownName("signal", str(name), self._columns, file=self.path)

@@ -120,7 +120,7 @@ def derivatives(curve: Curve) -> Array:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Drive(Motion):
+class RouteDrive(Motion):
     """A motion of the base along a route; it begins anew from the reference's pose and velocity when it is taken over.
 
     Attributes:
@@ -159,7 +159,7 @@ class Drive(Motion):
             blocks += drive.turned(at, route.heading)
         return replace(drive, blocks=blocks, table=drive.chained(blocks, start))
 
-    def placed(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> Drive:
+    def placed(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> RouteDrive:
         """The same from a pose (3,) and a velocity (nb,) of the reference, at rest without one."""
         v = np.zeros(self.dimensions.base) if velocity is None else np.array(velocity, float)
         at, rests = np.array(pose, float), bool((abs(v) < REST).all())

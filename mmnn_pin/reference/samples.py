@@ -34,7 +34,7 @@ SEPARATORS = ",;\t"  # of cells; the one that the first line has most of
 
 
 @dataclass(frozen=True, eq=False)
-class Table(BasePath):
+class BaseTable(BasePath):
     """A reference given by samples, from any planner; between them the pose is a cubic Hermite spline.
 
     Args:
@@ -74,7 +74,7 @@ class Table(BasePath):
             object.__setattr__(self, name, part)
 
     @classmethod
-    def read(cls, file: str | Path) -> Table:
+    def read(cls, file: str | Path) -> BaseTable:
         """Table from a CSV file with the columns `t, x, y, phi, v, w`, in any order, others ignored.
 
         Cells are separated by commas, semicolons or tabs.
@@ -85,7 +85,7 @@ class Table(BasePath):
         Raises:
             TrajectoryError: A column is missing or a value is not a number (with the line), or as for the class.
         """
-        found = Columns.read(file, ("t", "x", "y", "phi"))
+        found = TableColumns.read(file, ("t", "x", "y", "phi"))
         with found.blamed():
             return found.table(3 if "vy" in found else 2)
 
@@ -130,19 +130,19 @@ def velocities(time: Array, pose: Array, nb: int) -> Array:
     return np.stack([forward, sideways, rate[:, 2]] if moves_sideways(nb) else [forward, rate[:, 2]], axis=1)
 
 
-def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, nb: int) -> Table:
+def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, nb: int) -> BaseTable:
     """A table of poses, with their own velocities where none are given.
 
     Raises:
-        TrajectoryError: As of `Table`.
+        TrajectoryError: As of `BaseTable`.
     """
     t, poses = np.array(time, float), np.array(pose, float)
     if velocity is not None or t.ndim != 1 or poses.shape != (len(t), 3):
-        return Table(t, poses, np.zeros((len(t), nb)) if velocity is None else np.array(velocity, float))
+        return BaseTable(t, poses, np.zeros((len(t), nb)) if velocity is None else np.array(velocity, float))
     require_finite(time=t, pose=poses)
     require_clock(t)
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return Table(t, poses, velocities(t, poses, nb))
+    return BaseTable(t, poses, velocities(t, poses, nb))
 
 
 def require_within(
@@ -173,7 +173,7 @@ def require_within(
         raise TrajectoryError(what, fix=fix, file=file, line=line)
 
 
-class Columns(Mapping[str, Array]):
+class TableColumns(Mapping[str, Array]):
     """The columns of a CSV file by the names in its first line, (N,) each, read when they are asked for.
 
     What a name has in square brackets behind it, a unit, is left out.
@@ -188,7 +188,7 @@ class Columns(Mapping[str, Array]):
         self.file, self._heads, self._lines = file, list(heads), lines
 
     @classmethod
-    def read(cls, file: str | Path, needed: Sequence[str] = ("t",)) -> Columns:
+    def read(cls, file: str | Path, needed: Sequence[str] = ("t",)) -> TableColumns:
         """The columns of a file.
 
         Raises:
@@ -230,8 +230,8 @@ class Columns(Mapping[str, Array]):
     def __contains__(self, name: object) -> bool:
         return name in self._heads
 
-    def table(self, nb: int) -> Table:
-        """The base's: `x, y, phi`, and `v, w` or `vx, vy, w` where they are there; errors as of `Table`."""
+    def table(self, nb: int) -> BaseTable:
+        """The base's: `x, y, phi`, and `v, w` or `vx, vy, w` where they are there; errors as of `BaseTable`."""
         names = ("vx", "vy", "w") if moves_sideways(nb) else ("v", "w")
         missing = [name for name in names if name not in self]
         if missing and len(missing) < len(names):

@@ -24,10 +24,10 @@ from ..model.base.holonomic import moves_sideways
 from ..model.robot import Robot
 from ..settings.arguments import checked, require_types
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
-from .holonomic import Holonomic
+from .holonomic import HolonomicPath
 from .joint import Hold, JointProfile, JointTable, Points
 from .path import BasePath, Line, Waypoints, require_positive, times
-from .samples import Columns, check_followable, require_within, table_of
+from .samples import TableColumns, check_followable, require_within, table_of
 
 
 class SetpointSource(Protocol):
@@ -122,7 +122,7 @@ class Trajectory:
             raise TrajectoryError(f"a path for {robot.name}", why="its base does not move", fix="leave it out")
         path = Line(0.0) if base is None and nb else base
         if path is not None and moves_sideways(nb) and path.nb != nb:
-            path = Holonomic(path)
+            path = HolonomicPath(path)
         return cls(path, tuple(joints.get(name) or Hold(float(at[name])) for name in robot.joint_names))
 
     @classmethod
@@ -216,7 +216,7 @@ class Trajectory:
 
         Columns of other names are left alone, but not one that looks like a joint which has none.
         """
-        found, nb = Columns.read(file), robot.dimensions.base
+        found, nb = TableColumns.read(file), robot.dimensions.base
         names = {name: f"position.{name}" for name in robot.joint_names}
         for head in found:
             kind, _, joint = head.partition(".")

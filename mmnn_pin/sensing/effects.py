@@ -253,7 +253,7 @@ def observe(sensors: Sensors, velocity: Array, q: Array, received: Array) -> Non
 
 
 @by_address
-class Odometry(NamedTuple):
+class WheelOdometry(NamedTuple):
     """The pose: the true one, or integrated from the wheels along the chord of the arc (its middle heading).
 
     Attributes:
@@ -317,7 +317,7 @@ class Noise(NamedTuple):
 
 
 @by_address
-class Line(NamedTuple):
+class MessageLine(NamedTuple):
     """The line to the controller: messages are late, out of order, lost or corrupted, and the newest one counts.
 
     Attributes:

@@ -37,7 +37,7 @@ from .equations import (
     measured_rows,
     still_speeds,
 )
-from .least_squares import Fit, base_parameters, weighted_fit
+from .least_squares import WeightedFit, base_parameters, weighted_fit
 from .log import Log
 from .odometry import Wheels, has_reference, wheels_of
 from .programme import BLOCKS, Blocks, Consistent, Prior, consistent_fit
@@ -79,7 +79,7 @@ class Identification(AsText):
     unknowns: Unknowns
     training: Equations
     held_out: Equations
-    fit: Fit
+    fit: WeightedFit
     consistent: Consistent
     prior: Prior
     follows: Bools

@@ -16,7 +16,7 @@ NEAR = 0.9  # of the distance at which links were found, for the spheres that ar
 
 
 @dataclass(frozen=True)
-class Limits:
+class ExcitationLimits:
     """What a motion may do.
 
     Args:
@@ -47,7 +47,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Refused:
+class RefusedCandidate:
     """Why a candidate is no motion.
 
     Attributes:
@@ -62,7 +62,7 @@ class Refused:
 
 
 def none_found(
-    refused: Sequence[Refused], limits: Limits, slowest: float, stuck: Sequence[str], base: bool
+    refused: Sequence[RefusedCandidate], limits: ExcitationLimits, slowest: float, stuck: Sequence[str], base: bool
 ) -> ConfigError:
     """The error that says what most candidates were refused for, and what to change.
 

@@ -243,7 +243,7 @@ def cross(a: Array, b: Array) -> Array:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-class Friction:
+class ContactFriction:
     """Friction of a robot: in the joints as a damping, which MuJoCo's Euler takes implicitly, on the base as a force.
 
     Args:
