@@ -116,7 +116,7 @@ class Kinematic(Settings, frozen=True):
         return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
     def pose_weights(self, base: int) -> Array | None:
-        """What the squares of the errors of a base's velocities count in its pose error, (base,); None for all alike.
+        """Weights of the squared velocity errors of a base in its pose error, (base,); None for all alike.
 
         They are second derivatives of the Lyapunov function of the pose error (`Base.pose_weights`).
         """

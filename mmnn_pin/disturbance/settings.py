@@ -137,7 +137,7 @@ class FrozenEncoder(Window, frozen=True, kw_only=True, tag="frozen_encoder"):
 
 
 class Messages(Window, frozen=True, kw_only=True, tag="messages"):
-    """What happens to the messages of the sensors.
+    """Messages of the sensors that are lost, late or wrong.
 
     Args:
         fault: "lost": none arrives, as when their process was killed. "late": late by `delay` measurements more.
@@ -166,7 +166,7 @@ class Messages(Window, frozen=True, kw_only=True, tag="messages"):
 
 
 class CommandFault(Window, frozen=True, kw_only=True, tag="commands"):
-    """What happens to the torque commands on their way to the motors.
+    """Torque commands that are lost or wrong on their way to the motors.
 
     Args:
         fault: "lost": none arrives and the motors keep what they had. "nan": what arrives is not a number.
@@ -284,7 +284,7 @@ def lateness(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
 
 
 def corruption(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
-    """What is added to all numbers of every message, (measurements,)."""
+    """The number that is added to all numbers of every message, (measurements,)."""
     added = np.zeros(timing.measurements)
     times = np.arange(timing.measurements) * timing.measurement_period
     for _, one in of_type(Messages, disturbances):
@@ -297,7 +297,7 @@ def corruption(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
 
 
 def commands(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
-    """What becomes of every torque command, (samples,): 0 it arrives, 1 it is lost, 2 it is not a number."""
+    """The fate of every torque command, (samples,): 0 it arrives, 1 it is lost, 2 it is not a number."""
     fate = np.zeros(timing.samples)
     times = np.arange(timing.samples) * timing.control_period
     for _, one in of_type(CommandFault, disturbances):

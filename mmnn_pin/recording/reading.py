@@ -36,7 +36,7 @@ AGAIN = "take it from a copy, or run it again"
 
 @dataclass(frozen=True)
 class Contents:
-    """What a file holds beside its numbers.
+    """The contents of a file beside its numbers.
 
     Attributes:
         columns: Units and labels of the signals that can be read.
@@ -101,7 +101,7 @@ def is_hdf5(path: Path) -> bool:
 
 @contextmanager
 def hdf5_errors(path: Path, where: str = "the recording") -> Iterator[None]:
-    """Whatever a damaged file makes HDF5 raise, as ours."""
+    """Raise as a `RecordingError` whatever a damaged file makes HDF5 raise within."""
     try:
         yield
     except RecordingError:

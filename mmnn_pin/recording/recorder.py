@@ -217,7 +217,7 @@ def buffer_rows(layout: Layout) -> int:
 
 
 def _facts(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """What is known of the run, when it was made and by which versions; as it will read back."""
+    """Facts of the run, with when it was made and by which versions; as they will read back."""
     facts = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "versions": dict(versions()), **meta}
     if "urdf" in facts:
         facts.setdefault("urdf_sha256", hashlib.sha256(facts["urdf"].encode()).hexdigest())

@@ -305,7 +305,7 @@ class Recording:
         return self._read("timing/step_time")["step_time"]
 
     def summary(self) -> str:
-        """What was run, how it ended and how much was recorded, in one or two lines."""
+        """Controller and robot, how the run ended and how much was recorded, in one or two lines."""
         who = " on ".join(str(self.meta[key]) for key in ("controller", "robot") if key in self.meta)
         end = f"{self.outcome.status} at t = {self.outcome.time:g} s, {self._rows:,} rows"
         return "\n".join(line for line in (f"{who}: {end}" if who else end, self.outcome.message) if line)
@@ -334,7 +334,7 @@ class Recording:
 
 
 def from_file(path: Path, rows: int) -> Callable[[str], Arrays]:
-    """What reads the arrays of a file with so many rows, when they are asked for."""
+    """A reader of the arrays of a file with so many rows, which reads them when they are asked for."""
     return lambda where: read_arrays(path, where, {"weights": -1, "final": None}.get(where, rows))
 
 

@@ -1,4 +1,4 @@
-"""What a recording must be, whoever made it: the types of its facts, the units and columns of its signals, its time.
+"""The schema of a recording: types of its facts, units and columns of its signals, its time.
 
 The recorder holds to it, and every file is held against it when it is opened (`reading`).
 """
@@ -90,7 +90,7 @@ def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
 
 
 def signal_problem(name: str, width: int, about: SignalColumns, meta: Mapping[str, Any]) -> str:
-    """What is wrong with unit and columns of a signal; empty where they are as the facts of the run want them."""
+    """The fault in unit or columns of a signal; empty where they are as the facts of the run want them."""
     if name not in KIND:
         return "this mmnn_pin knows no such signal"
     kind, base, arm = KIND[name]
@@ -116,7 +116,7 @@ def signal_problem(name: str, width: int, about: SignalColumns, meta: Mapping[st
 
 
 def time_problem(time: Array) -> str:
-    """What is wrong with the time of the rows: it must be finite, below `LONGEST`, increase; empty if all is well."""
+    """The fault in the time of the rows, which must be finite, below `LONGEST` and increase; empty without one."""
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
         return f"row {bad[0]} is at {time[bad[0]]} s"

@@ -1,4 +1,4 @@
-"""What paths of the base are made of: a curve driven with a smooth progress, differentiated by the chain rule.
+"""Paths of the base: a curve driven with a smooth progress, differentiated by the chain rule.
 
 The paths of a differential drive are curves `(x(s), y(s))` driven with a smooth `s(t)`. With `g = |d(x, y)/ds|`
 (negative when driven tail first) and heading `phi(s)`:
@@ -257,7 +257,7 @@ class Eight(BasePath):
 
     @property
     def span(self) -> float:
-        """What one lap adds to its parameter."""
+        """The parameter's growth over one lap [rad]."""
         return float(np.copysign(2 * np.pi, self.period))
 
     def curve(self, s: Array) -> Curve:
@@ -380,7 +380,7 @@ class Waypoints(BasePath):
 
     @property
     def span(self) -> float:
-        """What the path adds to its parameter, its length [m]."""
+        """The parameter's growth over the whole path, its length [m]."""
         return self.length
 
     @property

@@ -338,7 +338,7 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
 
 
 def warnings(samples: BaseSamples, speed: float = 1e-3, duration: float = 0.5) -> list[str]:
-    """What is allowed but should be known: stretches where the kinematic law does not stabilise the base.
+    """Warnings of stretches where the kinematic law does not stabilise the base.
 
     With `vr = 0` Kanayama's law, thesis (3.3), leaves the lateral and the heading error without feedback.
 

@@ -1,4 +1,4 @@
-"""What the whole robot should do: setpoints, from a path of the base and profiles of the arm's joints.
+"""Trajectories of the whole robot: setpoints from a path of the base and profiles of the arm's joints.
 
 A `SetpointSource` says at every sample where the robot should be. A `Trajectory` is one, which also knows it ahead:
 `Trajectory.table` samples it for a loop, so that nothing of it is computed between the steps.
@@ -31,7 +31,7 @@ from .samples import TableColumns, check_followable, require_within, table_of
 
 
 class SetpointSource(Protocol):
-    """What says where the robot should be, sample by sample: a trajectory, a planner, a joystick, ..."""
+    """A source of setpoints, sample by sample: a trajectory, a planner, a joystick, ..."""
 
     def write(self, time: float, measurement: Measurement, setpoint: Setpoint) -> None:
         """Write the setpoint of a time [s] in place, knowing what is measured."""
@@ -45,7 +45,7 @@ class Watched(Protocol):
         """Their names, and whether they should also be turned as the path says."""
 
     def writer(self, robot: Robot, layout: Layout) -> Callable[[Array], None]:
-        """What writes `hand_ref` and `hand` into rows (k, width) of a robot's run."""
+        """A function that writes `hand_ref` and `hand` into rows (k, width) of a robot's run."""
 
 
 POSITION_WORDS = {"position", "positions", "pos", "q", "angle", "joint", "measured", "actual"}
@@ -55,7 +55,7 @@ STANDING = 5.0  # time of an arm's motion where no base says one [s]
 
 @dataclass(frozen=True, repr=False)
 class Trajectory:
-    """What the whole robot should do over time: a source of setpoints that knows them ahead.
+    """A motion of the whole robot over time: a source of setpoints that knows them ahead.
 
     Made of a path and profiles; or by `of`, `from_waypoints`, `from_arrays` or `from_csv`, which know the robot: parts
     that you do not give stand still, the arm where it rests and the base at the origin.

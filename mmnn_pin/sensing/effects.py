@@ -1,4 +1,4 @@
-"""What happens to a measurement on its way from the robot to the controller: one class per effect, compiled.
+"""Effects on a measurement on its way from the robot to the controller: one class per effect, compiled.
 
 It passes through them in this order:
 
@@ -58,7 +58,7 @@ def exact(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -
 
 @by_address
 class Reading(NamedTuple):
-    """What goes from the robot to the controller; the effects change it one after the other.
+    """The signal from the robot to the controller; the effects change it one after the other.
 
     Attributes:
         position: (nv,) true position, on which the encoders sit.

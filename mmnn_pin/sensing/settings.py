@@ -1,4 +1,4 @@
-"""What a robot's sensors do to the truth, as settings, and as a list of effects for one robot and one run."""
+"""A robot's sensors, as settings, and as a list of effects for one robot and one run."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def friction() -> FrictionFeatures:
 
 @compiled
 def inputs(nu: float, a: float, u: Array) -> None:
-    """What the first layer sees of a velocity and its acceleration [SI units], (INPUTS,), into u."""
+    """The inputs of the first layer, of a velocity and its acceleration [SI units], (INPUTS,), into u."""
     way, place = nu * abs(nu) / (2.0 * (abs(a) + SLOWEST)), 0
     for i in range(SPEEDS.size):
         u[place] = tanh(nu / SPEEDS[i])

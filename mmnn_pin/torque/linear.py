@@ -107,7 +107,7 @@ class Linear(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """What a linear learner remembers.
+    """State of a linear learner.
 
     Attributes:
         W: (m, k) weights, transposed: a column of W is a row here.

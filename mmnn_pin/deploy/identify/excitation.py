@@ -118,7 +118,7 @@ class Excitation:
         return Path(path)
 
     def to_dict(self) -> dict[str, Any]:
-        """What it would determine, for JSON."""
+        """Standard deviations of the base parameters, worst first, for JSON."""
         labels = Unknowns(self.robot, Regressor.of(self.robot), tuple(range(self.nu.shape[1]))).labels
         order = np.argsort(-self.relative)
         return {
@@ -174,7 +174,7 @@ def excite(robot: Robot, limits: ExcitationLimits | None = None) -> Excitation:
 
 @dataclass(frozen=True, eq=False)
 class ExcitationSearch:
-    """What candidates are judged by.
+    """The search for a motion: the unknowns, the limits, and the noise that candidates are judged by.
 
     Attributes:
         unknowns: All parameters, every row of nu measured.
@@ -302,7 +302,7 @@ class ExcitationSearch:
         return RefusedCandidate(what, float(load.max()), (name,))
 
     def none_found(self, refused: Sequence[RefusedCandidate]) -> ConfigError:
-        """What most candidates were refused for; see `limits.none_found`."""
+        """The error for a search without a motion; see `limits.none_found`."""
         robot, stuck = self.unknowns.robot, self.high - self.low < STUCK
         names = [name for name, one in zip(robot.joint_names, stuck, strict=True) if one]
         return none_found(refused, self.limits, 1 / SLOWED[-1], names, robot.dimensions.base > 0)
@@ -378,7 +378,7 @@ class ExcitationSearch:
         return self.judged(t, x, v, dv, tried)
 
     def judged(self, t: Array, x: Array, v: Array, dv: Array, tried: int = 0) -> Excitation:
-        """What any motion (N, p) would determine, with the noise that is assumed."""
+        """A motion (N, p) with the standard deviations that it would give under the assumed noise."""
         nb, robot = self.unknowns.robot.dimensions.base, self.unknowns.robot
         Y = self.unknowns.matrix(x[::THINNED, nb:], v[::THINNED], dv[::THINNED])[:, :, self.base.independent]
         X = np.sqrt(THINNED) * (Y / self.noise[:, None]).reshape(-1, Y.shape[2])

@@ -280,7 +280,7 @@ def correlated(a: Array, b: Array, lags: int) -> Array:
 def expected(
     X: Array, smeared: Array, inverse: Array, B: Array, use: Bools, run: NDArray[np.int64], lags: int
 ) -> Array:
-    """What the fit takes out of the autocovariance of a row's noise, at every lag, (lags,).
+    """The part of the autocovariance of a row's noise that the fit takes out, at every lag, (lags,).
 
     Of `e = n - X A^-1 sum_j Z_j' n_j` it is `-X A^-1 Z' R` and its transpose, and `X A^-1 B A^-1 X'`.
     """

@@ -1,4 +1,4 @@
-"""What a motion that identifies may do, and what candidates for it were refused for."""
+"""Limits of a motion that identifies, and the reasons for which candidates are refused."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NEAR = 0.9  # of the distance at which links were found, for the spheres that ar
 
 @dataclass(frozen=True)
 class ExcitationLimits:
-    """What a motion may do.
+    """Limits of a motion that identifies.
 
     Args:
         duration: [s].

@@ -1,4 +1,4 @@
-"""What a hand carries: mass and centre with intervals, from a short motion with it.
+"""The load of a hand: its mass and centre with intervals, from a short motion with it.
 
 The load is what the torques have beyond the robot's own, `Y_b p`, with Y_b the columns of the body that carries it. But
 the robot is not known exactly: an error of its last link looks like a load. So the robot's parameters are fitted with
@@ -50,7 +50,7 @@ UNSEEN, FAR = (
 
 @dataclass(frozen=True, eq=False)
 class CarriedLoad:
-    """What is carried.
+    """The load that a robot carries.
 
     Attributes:
         link: Link that carries it, the first of its body.
@@ -140,7 +140,7 @@ def payload(
 
 @dataclass(frozen=True, eq=False)
 class Doubts:
-    """What a robot's parameters may be: `theta = centre + B x`.
+    """The uncertainty of a robot's parameters: `theta = centre + B x`.
 
     Attributes:
         centre: (k,) parameters without a load.
@@ -177,7 +177,7 @@ class LoadNumbers:
 
 
 def doubts(unknowns: Unknowns, rows: Equations, believed: tuple[Array, Array] | None = None) -> Doubts:
-    """Those of a URDF, whose friction is not known; or of a covariance, which may say too little.
+    """The doubts in a URDF, whose friction is not known; or in a covariance, which may be too small.
 
     Bodies of a URDF are heavier or lighter as they are, or off in each of their ten numbers.
     """
@@ -237,7 +237,7 @@ def numbers_of(rows: Equations, carries: Bools, robot: Doubts, body: int) -> Loa
 
 @dataclass(frozen=True, eq=False)
 class LoadSums:
-    """What the fits need of equations in the robot's errors and the load's ten numbers, m + 10 columns.
+    """Weighted sums over the equations in the robot's errors and the load's ten numbers, m + 10 columns.
 
     Attributes:
         A: (r, m + 10, m + 10) `X' W X` of every row that counts.

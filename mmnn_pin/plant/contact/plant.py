@@ -28,7 +28,7 @@ SLIPPING = 0.01  # a wheel whose contact point moves faster than this slips; con
 
 @dataclass
 class Slip:
-    """What the wheels did in a run: when they slipped, how fast, and what ended it.
+    """Slip of the wheels in a run: when, how fast, and what ended it.
 
     Args:
         wheels: Their joints.
@@ -225,7 +225,7 @@ class ContactPlant:
         self.traction[:] = 0.0
 
     def findings(self) -> list[str]:
-        """What to tell of the run so far: when the wheels slipped, whether the base fell over."""
+        """Findings of the run so far: when the wheels slipped, whether the base fell over."""
         return self.slip.findings()
 
     def _read(self) -> None:

@@ -280,7 +280,7 @@ class ContactFriction:
             on_base(data, motion, -self.base[0] * v, -self.base[1] * w)
 
     def power(self, data: Any, motion: BaseMotion | None) -> float:
-        """What friction takes at this velocity [W]."""
+        """Power that friction takes at this velocity [W]."""
         lost = float(self.model.dof_damping[self.at] @ data.qvel[self.at] ** 2)
         if self.on_base and motion is not None:
             v, _, w = motion.velocity
