@@ -254,7 +254,7 @@ def excite(
     from ..model.loading import load
 
     require_free(out, force)
-    limits = excitation.Limits(duration, space, share, clearance, seconds, seed)
+    limits = excitation.ExcitationLimits(duration, space, share, clearance, seconds, seed)
     found = excitation.excite(load(robot, **overrides), limits)
     found.save(out, force)
     report = found.to_dict() | {"file": str(out)}

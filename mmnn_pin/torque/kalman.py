@@ -103,7 +103,7 @@ class Kalman(CompiledController):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """What it is called in experiments."""
+        """Name in experiments, tables and recordings."""
         return self.settings.section.replace(".", "_")
 
     @property
@@ -187,7 +187,7 @@ class Kalman(CompiledController):
         return own.pole
 
     def correction(self, context: Context) -> Correction | None:
-        """What follows the tracking error, with room of its own to work in; None for the others."""
+        """The correction by the tracking error, with room of its own to work in; None without one."""
         own = self.settings
         if not isinstance(own, KalmanFrictionSettings) or own.correction == 0.0:
             return None
