@@ -35,7 +35,7 @@ for _library in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THRE
     os.environ.setdefault(_library, "1")  # see compiled.py; read when numpy is imported
 
 
-class Commands(click.Group):
+class CommandGroup(click.Group):
     """The commands by name."""
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -62,9 +62,9 @@ def tell_version(context: click.Context, _: click.Parameter, asked: bool) -> Non
 
 
 @click.group(
-    cls=Commands,
+    cls=CommandGroup,
     invoke_without_command=True,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True},
     epilog=examples(
         "mmnn inspect my_robot.urdf                      what the file says, and what is wrong with it",
         "mmnn run track --robot my_robot.urdf            drive it along an eight, with six controllers",

@@ -28,7 +28,7 @@ AT_END = 0.1  # of a stopped run, in which the robot must be at rest [s]
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CaseVerdict:
     """How a run of a case went.
 
     Attributes:
@@ -60,7 +60,7 @@ class Matrix:
     experiment: Experiment
     name: str
     results: dict[str, Result]
-    verdicts: dict[str, dict[str, Verdict]]
+    verdicts: dict[str, dict[str, CaseVerdict]]
 
     @property
     def completed(self) -> bool:
@@ -155,7 +155,7 @@ def run_cases(
             raise
     require_free([out / case / f"{c}.h5" for case in cases for c in experiment.controllers] if out else [], force)
     results: dict[str, Result] = {}
-    verdicts: dict[str, dict[str, Verdict]] = {}
+    verdicts: dict[str, dict[str, CaseVerdict]] = {}
     for i, (case, changed) in enumerate(cases.items()):
 
         def show(controller: str, fraction: float, done: int = i) -> None:
@@ -189,13 +189,13 @@ def require_settled(experiment: Experiment) -> None:
         )
 
 
-def judge(recording: Recording, tolerance: Tolerance) -> Verdict:
+def judge(recording: Recording, tolerance: Tolerance) -> CaseVerdict:
     """Verdict on one run, by its true errors."""
     time, outcome = recording["time"], recording.outcome
     pose, heading, joint = (worst(error, time >= tolerance.settle) for error in true_errors(recording))
 
-    def verdict(kind: Literal["tracked", "stopped", "failed", "interrupted"], text: str) -> Verdict:
-        return Verdict(kind, text, pose, heading, joint)
+    def verdict(kind: Literal["tracked", "stopped", "failed", "interrupted"], text: str) -> CaseVerdict:
+        return CaseVerdict(kind, text, pose, heading, joint)
 
     if outcome.status == "interrupted":
         return verdict("interrupted", outcome.message)

@@ -49,7 +49,7 @@ from .controllers import (
 )
 from .hand import hand_motion
 from .laws import resolved
-from .references import HeldOut, ReferenceTables
+from .references import HeldOutReference, ReferenceTables
 
 CALL = re.compile(r"(\w+)=[A-Z]\w*\(((?:[^()]|\([^()]*\))*)\)")  # an object as Python makes it, in a fix
 PLACES = 10  # along the reference at which inertias are looked at that scale bandwidths
@@ -62,7 +62,7 @@ def made_for(robot: Robot, tables: bytes, duration: float, changed: float) -> Tr
     return followable(robot, partial(reference.of, robot), duration, reference.share)
 
 
-class Friction(Settings, frozen=True):
+class AddedFriction(Settings, frozen=True):
     """Friction that is added to what the URDF says of its joints.
 
     Args:
@@ -207,7 +207,7 @@ class Experiment(LearnerTables, frozen=True):
     laws: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
-    friction: Friction = Friction()
+    friction: AddedFriction = AddedFriction()
     armature: float | tuple[float, ...] = 0.0
     sensor: Sensor = Sensor()
     actuator: Actuator = Actuator()
@@ -221,7 +221,7 @@ class Experiment(LearnerTables, frozen=True):
     contact: Contact = Contact()
     cases: dict[str, Case] = msgspec.field(default_factory=dict)
     tolerance: Tolerance = Tolerance()
-    held_out: dict[str, HeldOut] = msgspec.field(default_factory=dict)
+    held_out: dict[str, HeldOutReference] = msgspec.field(default_factory=dict)
     contest: Contest | None = None
 
     def __post_init__(self) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from ...plant.contact.plant import SLIPPING
 from ...recording.metrics import ERRORS, halves
 from ...recording.recording import Recording, as_columns, recorded_robot
-from ..experiments.cases import Matrix, Verdict
+from ..experiments.cases import CaseVerdict, Matrix
 from ..experiments.controllers import MODELS, ORACLES
 from ..experiments.hand import peak_speeds, speed_limit
 from ..experiments.result import Improvement, Result, unfair
@@ -343,7 +343,7 @@ def render_cases(matrix: Matrix, colour: bool = False, width: int = CASES_WIDTH)
     )
 
 
-def verdict_cell(verdict: Verdict | None) -> Cell:
+def verdict_cell(verdict: CaseVerdict | None) -> Cell:
     """A verdict in a few words: how far off the run tracked, or when and why it stopped."""
     if verdict is None:
         return Cell("-")

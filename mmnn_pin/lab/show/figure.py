@@ -78,7 +78,7 @@ TRUTH: Look = {"color": "0.65", "linewidth": 3.5, "solid_capstyle": "round", "zo
 
 
 @dataclass(frozen=True)
-class Entry:
+class FigureEntry:
     """A figure in the register.
 
     Attributes:
@@ -92,7 +92,7 @@ class Entry:
     caption: str
 
 
-FIGURES: dict[Subject, dict[str, Entry]] = {"runs": {}, "proof": {}, "contest": {}, "study": {}}
+FIGURES: dict[Subject, dict[str, FigureEntry]] = {"runs": {}, "proof": {}, "contest": {}, "study": {}}
 
 
 def figure(
@@ -117,7 +117,7 @@ def figure(
                 raise RecordingError(f"nothing to plot for {name}", why=why, fix="choose another figure or recording")
             return drawn(*args, **kwargs)
 
-        FIGURES[of][name] = Entry(checked, lacks, caption)
+        FIGURES[of][name] = FigureEntry(checked, lacks, caption)
         return checked
 
     return register
@@ -136,7 +136,7 @@ def signals(*names: str) -> Callable[[Mapping[str, Recording]], str]:
 
 
 def write_figures(
-    entries: Mapping[str, Entry], recordings: Mapping[str, Recording], folder: Path, force: bool = True
+    entries: Mapping[str, FigureEntry], recordings: Mapping[str, Recording], folder: Path, force: bool = True
 ) -> dict[str, Path]:
     """Draw the figures that these recordings have something for, then write them as PNG; name to file.
 

@@ -60,7 +60,7 @@ PROVED = ("fvu", "lyapunov")  # charts that stand with what is proved
 
 
 @dataclass(frozen=True, repr=False)
-class Report(HtmlPage):
+class ReportPage(HtmlPage):
     """A report."""
 
     what: ClassVar[str] = "report"
@@ -76,7 +76,7 @@ def report(
     command: str = "",
     with_replay: bool = True,
     package_dirs: Sequence[str | Path] = (),
-) -> Report:
+) -> ReportPage:
     """The report on some runs of one task.
 
     Args:
@@ -91,7 +91,7 @@ def report(
     result = result_of(recordings)
     charts = Charts(result.recordings)
     robots, without_robots = shown_or_why("robot", lambda: robots_of(result.recordings))
-    made: replay.Page | None = None
+    made: replay.ReplayPage | None = None
     without_replay: list[str] = []
     if with_replay:
         make = partial(replay.page, result.recordings, fps=FPS, package_dirs=package_dirs)
@@ -117,7 +117,7 @@ def report(
         config=json.dumps(json.loads(config), indent=2, ensure_ascii=False) if config else "",
         unpack=web_file("unpack.js", replay.__name__),
     )
-    return Report(text, warnings)
+    return ReportPage(text, warnings)
 
 
 def shown_or_why(what: str, make: Callable[[], T]) -> tuple[T | None, list[str]]:

@@ -37,7 +37,7 @@ FROZEN = {"same": "own trajectory", "held_out": "held out", "payload": "with a p
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ReportVerdict:
     """What to know first.
 
     Attributes:
@@ -51,9 +51,9 @@ class Verdict:
     warnings: tuple[str, ...]
 
 
-def verdict(result: Result) -> Verdict:
+def verdict(result: Result) -> ReportVerdict:
     """The verdict on the runs of a result."""
-    return Verdict(headline(result), tuple(points(result)), tuple(warnings(result)))
+    return ReportVerdict(headline(result), tuple(points(result)), tuple(warnings(result)))
 
 
 def headline(result: Result) -> str:
