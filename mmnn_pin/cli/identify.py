@@ -148,7 +148,7 @@ def what_it_changes(found: Identification, robot: str, urdf: Path, overrides: di
 
 
 def why_nothing(found: Identification) -> str:
-    """Why a fit is not written."""
+    """The reason why a fit is not written."""
     if found.plausible and not found.helps_in_urdf:
         return "what a URDF can hold of the fit predicts no better than the URDF; what helps are constants and rotors"
     if found.plausible:
@@ -241,7 +241,7 @@ def excite(  # noqa: PLR0913 (click hands over every option)
     report = found.to_dict() | {"file": str(out)}
 
     def text() -> str:
-        """What was found, and how to drive it: as it is, for it keeps its own share of the limits, by a learner.
+        """The motion that was found, and the command that drives it: unscaled, for it keeps its share of the limits.
 
         Such motions ask for torques that the feedback of a light joint, which has to bear delay, is too weak for.
         """

@@ -29,7 +29,7 @@ AT_END = 0.1  # of a stopped run, in which the robot must be at rest [s]
 
 @dataclass(frozen=True)
 class CaseVerdict:
-    """How a run of a case went.
+    """Verdict on a run of a case.
 
     Attributes:
         kind: `tracked` within its tolerance, `stopped` safely, or `failed`.
@@ -235,7 +235,7 @@ def worst(values: Any, inside: Any) -> float:
 
 
 def dangers(recording: Recording, tolerance: Tolerance) -> list[str]:
-    """What was not safe about a stop: still moving at its end, or too far from where it should have been."""
+    """Dangers of a stop, in words: the robot still moved at its end, or was too far from its reference."""
     time, position = recording["time"], recording["position"]
     base = len(recording.labels("z")) if "z" in recording else 0
     last = np.abs(as_columns(recording["nu"])[time >= time[-1] - AT_END]).max(axis=0)

@@ -102,7 +102,7 @@ class Case(Settings, frozen=True):
 
 
 class Tolerance(Settings, frozen=True):
-    """What a case asks of its runs.
+    """Bounds that a run of a case has to keep.
 
     Args:
         settle: Time after which the errors count [s].
@@ -380,7 +380,7 @@ class Experiment(LearnerTables, frozen=True):
         )
 
     def setting(self, values: Mapping[str, str]) -> str:
-        """How whoever asked for this experiment sets some of its keys, their values as TOML has them."""
+        """The options that set some of its keys, their values as TOML has them."""
         return " ".join(f"--set {shlex.quote(f'{key}={value}')}" for key, value in values.items())
 
     @contextmanager

@@ -211,7 +211,7 @@ def attach(writer: Writer, about: dict[str, Any]) -> None:
 
 
 def topics_of(recording: Recording, robot: Robot, frames: Sequence[Frame]) -> Iterator[Topic]:
-    """What is written at every row."""
+    """The topics of every row: name, message type, and the message of a row at its stamp."""
     moving = [frame for frame in frames if frame.moves]
     yield "/tf", TRANSFORMS, lambda row, at: {"transforms": [transform(frame, row, at) for frame in moving]}
     yield "/joint_states", JOINT_STATE, joint_states(recording, robot)

@@ -39,7 +39,7 @@ class ExportColumn:
 
 @dataclass(frozen=True)
 class RecordingPart:
-    """What of a recording is written.
+    """The part of a recording that is written.
 
     Attributes:
         signals: Names, with the time; all where there are none.
@@ -82,7 +82,7 @@ def columns_of(recording: Recording, part: RecordingPart) -> Iterator[ExportColu
 
 
 def about(recording: Recording) -> dict[str, Any]:
-    """What a recording holds beside its signals, as JSON has it: facts, outcome, config, URDF."""
+    """The rest of a recording beside its signals, as JSON has it: facts, outcome, config, URDF."""
     facts = json.loads(json.dumps(recording.meta, default=lambda array: np.asarray(array).tolist()))
     found = {"meta": facts, "outcome": asdict(recording.outcome)}
     return found | {"config": recording.config_text, "urdf": recording.urdf}

@@ -1,4 +1,4 @@
-"""What all figures share: their register, one look per controller, marks, limits, legend, and how they are written.
+"""Register, looks of controllers, marks, limits, legend and files of all figures.
 
 A figure is a function with one line above it: `@figure("name")`. `mmnn plot`, an experiment's `plots`, the notebook and
 the pages of contests and studies find it by that name.
@@ -55,7 +55,7 @@ TOUCHED = ("axes.", "font.", "grid.", "legend.", "lines.", "mathtext.", "text.",
 
 @dataclass(frozen=True)
 class Style:
-    """How the curves of one controller look: an RGB hex colour, a dash pattern, a width in points."""
+    """Look of the curves of one controller: an RGB hex colour, a dash pattern, a width in points."""
 
     color: str
     dash: Dash
@@ -63,7 +63,7 @@ class Style:
 
     @property
     def line(self) -> Look:
-        """The same as keywords of matplotlib's `plot`; a solid line lies under the dashed ones and hides none."""
+        """Keywords of matplotlib's `plot`; a solid line lies under the dashed ones and hides none."""
         depth = 2.0 if self.dash[1] is None else 2.1
         return {"color": self.color, "linestyle": self.dash, "linewidth": self.width, "zorder": depth}
 
@@ -124,7 +124,7 @@ def figure(
 
 
 def signals(*names: str) -> Callable[[Mapping[str, Recording]], str]:
-    """What a figure of runs needs: one of these signals in one of the runs, or only runs."""
+    """The needs of a figure of runs: one of these signals in one of the runs, or only runs."""
 
     def lacks(recordings: Mapping[str, Recording]) -> str:
         if not recordings:
@@ -271,7 +271,7 @@ def run_label(name: str, recording: Recording) -> str:
 
 
 def legend_label(name: str, recording: Recording) -> str:
-    """The same for matplotlib."""
+    """Name of a run for a legend of matplotlib."""
     return plain(run_label(name, recording))
 
 

@@ -110,7 +110,7 @@ def tables(result: Result) -> Shown:
 
 
 def sweep_table(results: Results, factor: str) -> Shown:
-    """What every value of a factor did, as text."""
+    """The results at every value of a factor, as text."""
     return Shown(study.levels_text(results, factor, columns()))
 
 

@@ -226,7 +226,7 @@ def weights_figure(recordings: Recordings) -> Figure:
 
 @figure("residuals", needs=signals(*curves.RESIDUALS))
 def residuals_figure(recordings: Recordings) -> Figure:
-    """What should be zero: motion that the wheels forbid (contact plant), and energy that came from nowhere.
+    """Residuals that should be zero: motion that the wheels forbid (contact plant), and energy that came from nowhere.
 
     Raises:
         RecordingError: No recording that holds one of them.
@@ -309,7 +309,7 @@ def stack(title: str, recordings: Recordings, panels: Sequence[Panel]) -> Figure
 
 
 def stacked(title: str, recordings: Recordings, panels: Mapping[str, Curves]) -> Figure:
-    """The same of curves by label, with those labels left out that no run has a curve for."""
+    """Curves by label above each other on one time axis, without labels that no run has a curve for."""
     return stack(title, recordings, [Panel(label, "", shown) for label, shown in panels.items() if shown])
 
 

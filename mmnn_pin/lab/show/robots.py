@@ -1,4 +1,4 @@
-"""What is shown of a robot: what was understood of its file, its reduced model, and whether its properties hold."""
+"""A robot as text: what was understood of its file, its reduced model, and whether its properties hold."""
 
 from __future__ import annotations
 
@@ -264,7 +264,7 @@ class RobotShown:
 
     @property
     def counts(self) -> str:
-        """How many warnings and notes there are, in words."""
+        """Numbers of warnings and notes, in words."""
         numbers = {kind: sum(f["severity"] == kind for f in self.findings) for kind in ("error", "warning", "note")}
         words = [f"{n} {kind}{'s' * (n != 1)}" for kind, n in numbers.items() if n]
         return ", ".join(words) or "nothing to remark"

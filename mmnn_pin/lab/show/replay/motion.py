@@ -1,4 +1,4 @@
-"""What a replay shows of a run: the robot's moving bodies, where they were at the rate of a display, and what happened.
+"""A run as a replay shows it: the robot's moving bodies, their places at the rate of a display, and events.
 
 Links fixed to one another are one body. An event colours the bodies of its joints, or the whole robot, and a stretch of
 the scrub bar; another kind of event is another function in `SOURCES`.
@@ -50,7 +50,7 @@ class MovingBody:
     joint: Joint | None
 
     def for_page(self, robot: Robot) -> dict[str, Any]:
-        """What the page needs to move it: `column` is the joint's place in a position."""
+        """The body as the page reads it; `column` is the joint's place in a position."""
         placed = {"parent": self.parent, "origin": columns(self.origin)}
         if self.joint is None:
             return placed | {"kind": "root"}
@@ -113,7 +113,7 @@ def columns(transform: Array) -> list[float]:
 
 
 def drawable(table: Array) -> NDArray[np.bool_]:
-    """Which rows of a table (k, n) can be drawn."""
+    """Rows (k,) of a table (k, n) that can be drawn, as truth values."""
     return np.asarray((np.abs(table) < FAR).all(axis=1))
 
 
@@ -202,7 +202,7 @@ class ReplayEvent:
     joints: tuple[str, ...] = ()
 
     def for_page(self, bodies: dict[str, int]) -> dict[str, Any]:
-        """What the page needs of it; bodies by the name of the joint that carries them."""
+        """The event as the page reads it; bodies by the name of the joint that carries them."""
         end = self.end if np.isfinite(self.end) else None
         on = [bodies[joint] for joint in self.joints if joint in bodies]
         return {"kind": self.kind, "start": self.start, "end": end, "text": self.text, "bodies": on}
@@ -217,7 +217,7 @@ def early_end(recording: Recording) -> Iterator[ReplayEvent]:
 
 
 def supervised(recording: Recording) -> Iterator[ReplayEvent]:
-    """What a supervisor did: a torque clipped or a value held, and a stop, under feedback or without."""
+    """Acts of a supervisor: a torque clipped or a value held, and a stop, under feedback or without."""
     if "safety" not in recording:
         return
     state = np.asarray(recording["safety"])

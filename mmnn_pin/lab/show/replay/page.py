@@ -88,7 +88,7 @@ class Scene:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is not shown as the URDF says, one line each."""
+        """Differences between the page and the URDF, one line each."""
         return self._shapes.warnings
 
     def header(self, extent: list[float]) -> dict[str, Any]:
@@ -125,7 +125,7 @@ class Scene:
 
 
 def extent_of(recordings: Mapping[str, Recording]) -> list[float]:
-    """Where the bases were and should be: least x and y, largest x and y [m]; what diverged counts little."""
+    """The area of the bases and their references: least x and y, largest x and y [m]; diverged runs count little."""
     points = [np.zeros((1, 2))]
     for recording, rows in scale_rows(recordings.values()):
         for signal in {"pose", "pose_ref"} & set(recording):
@@ -235,7 +235,7 @@ def rendered(scene: Scene, title: str, extent: list[float], more: Sequence[str] 
 
 
 def title_of(recordings: Mapping[str, Recording]) -> str:
-    """What was run on which robot."""
+    """Experiment and robot of some runs."""
     metas = [recording.meta for recording in recordings.values()]
     what = dict.fromkeys(str(meta[key]) for key in ("experiment", "robot") for meta in metas if key in meta)
     return ", ".join(what) or "replay"

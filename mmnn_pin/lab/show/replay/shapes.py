@@ -1,4 +1,4 @@
-"""What a robot looks like: the shapes of its links, each geometry once; meshes as triangles, small.
+"""Shapes of a robot for a page: those of its links, each geometry once; meshes as triangles, small.
 
 For a mesh that cannot be shown the collision shapes of its link stand in, or a box of `STAND_IN` metres in a colour of
 its own, with a warning; a box marks every body of a robot whose file has no shapes at all. A mesh takes 16 bits per
@@ -106,7 +106,7 @@ class Shapes:
     def _instead(
         self, robot: Robot, link: etree._Element, lost: Sequence[tuple[Array, Lost]]
     ) -> Iterator[tuple[Array, tuple[int, Color]]]:
-        """What stands in for meshes of a link that cannot be shown: its collision shapes, else boxes; warns of it."""
+        """Substitutes for meshes of a link that cannot be shown: its collision shapes, else boxes; warns of it."""
         if not lost:
             return
         every = (one for holder in link.iterchildren("collision") for one in self._solids(robot, holder))

@@ -129,7 +129,7 @@ def shown_or_why(what: str, make: Callable[[], T]) -> tuple[T | None, list[str]]
 
 
 def subject(result: Result) -> str:
-    """What was run on which robot, for how long, in one line; whether a stepper recorded it on hardware."""
+    """Experiment, robot and duration of the runs in one line, and whether a stepper recorded them on hardware."""
     experiment, runs = result.experiment, result.recordings.values()
     robots = dict.fromkeys(str(recording.meta.get("robot", "")) for recording in runs)
     parts = [result.name, f"variant {experiment.variant}" if experiment.variant else "", ", ".join(robots)]
@@ -221,7 +221,7 @@ def command_of(result: Result) -> str:
 
 
 def changes(one: Experiment, other: Experiment) -> list[str]:
-    """What `--set` makes of one experiment another, as `key.path=value`."""
+    """Changes `key.path=value` that make one experiment another."""
     before, after = (flat(msgspec.to_builtins(experiment)) for experiment in (one, other))
     return [
         f"{key}={json.dumps(value)}" for key, value in after.items() if before.get(key) != value and value is not None
