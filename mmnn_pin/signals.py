@@ -75,25 +75,30 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
 )
 # Compiled code freezes these numbers: this file is part of the key of the compiled code's cache.
 INDEX = {name: i for i, (name, *_) in enumerate(SIGNALS)}
+SIDEWAYS = len(SIGNALS) + 1  # behind the offsets of a layout: `Dimensions.sideways`
 HAND = ("x", "y", "z", "qx", "qy", "qz", "qw")  # columns of a frame, in the world
 EARLY = 5e-10  # half a nanosecond early counts, as times are rounded [s]
 
 
 @dataclass(frozen=True)
 class Dimensions:
-    """How many of everything a robot has.
+    """How many of everything a robot has, and what kind of base.
 
     Args:
-        base: Number of base velocities nb (0, 2 or 3).
+        base: Number of base velocities nb.
         arm: Number of arm joints n.
         full: Number of velocities nv of the full model (pose and all joints).
         motors: Number of actuators.
+        kind: Kind of the base, a key of `model.base.KINDS`; empty where nobody asks for it.
+        sideways: Whether the base velocities are `(vx, vy, w)` and not `(v, w)`. Compiled code knows a base by it.
     """
 
     base: int
     arm: int
     full: int
     motors: int
+    kind: str = ""
+    sideways: bool = False
 
     @property
     def pose(self) -> int:
@@ -126,21 +131,22 @@ class Layout(Dimensions):
     def of(cls, dimensions: Dimensions, wheels: int = 0, hardware: int = 0, lead: int = 0, hands: int = 0) -> Layout:
         """Layout of the rows of a robot with these dimensions."""
         d = dimensions
-        return cls(d.base, d.arm, d.full, d.motors, wheels, hardware, lead, hands)
+        return cls(d.base, d.arm, d.full, d.motors, d.kind, d.sideways, wheels, hardware, lead, hands)
 
     @cached_property
     def offsets(self) -> NDArray[np.int64]:
-        """Start of every signal in the order of `SIGNALS`, and the width of the row, shape (len(SIGNALS) + 1,)."""
+        """Start of every signal in the order of `SIGNALS`, width of the row, and `sideways`: (len(SIGNALS) + 2,)."""
         size = {"pose": self.pose, "base": self.base, "arm": self.arm, "all": self.dof, "full": self.full}
         size |= {"motor": self.motors, "wheel": self.wheels, "floor": min(1, self.wheels), "1": 1, "2": 2}
         size |= {"rig": self.hardware, "rig motor": self.hardware * self.motors, "rig all": self.hardware * self.dof}
         size |= {"lead all": self.lead * self.dof, "hand": len(HAND) * self.hands}
-        return np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
+        starts = np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
+        return np.append(starts, int(self.sideways))
 
     @cached_property
     def width(self) -> int:
         """Number of float64 in a row."""
-        return int(self.offsets[-1])
+        return int(self.offsets[len(SIGNALS)])
 
     def where(self, name: str) -> slice:
         """Slice of a signal in a row.

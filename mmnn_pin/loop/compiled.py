@@ -95,7 +95,7 @@ def new_machine(robot: Robot, loaded: Robot | None, position: Array, nu: Array) 
     body, y, nv = body_of(robot), np.concatenate((position, nu, [0.0])), position.size
     work = new_work(body)
     terms = Terms(work.v, work.M, work.h, work.F, work.hold, work.ydot, work.L, work.rest, work.grip)
-    joints = Joints(body.T, body.damping, body.dry, body.viscous, body.base)
+    joints = Joints(body.T, body.damping, body.dry, body.viscous, body.base, body.sideways)
     with_load = body if loaded is None else body_of(loaded)
     return Machine(body, with_load, work, terms, joints, y, y[:nv], y[nv : nv + nu.size])
 
@@ -352,6 +352,6 @@ def move(n: Numbers, i: int, body: Body, true: Machine, tau: Array) -> None:
         for stage in range(4):
             if i > 0 or stage > 0:
                 evaluate(body, work, work.trial[:nv], work.trial[nv : nv + p])
-            derivative(work.trial, tau, body.base, terms)
+            derivative(work.trial, tau, true.joints, terms)
             rk4_stage(stage, n.dt, y, work.ydot, work.total, work.trial)
         copy_to(work.trial, y)

@@ -105,7 +105,7 @@ def with_remarks(outcome: Outcome, engine: Engine, robot: Robot) -> Outcome:
 
 def diverged(row: Array, layout: Layout, column: int, time: float, sink: Sink) -> Outcome:
     """Outcome of a run whose row went bad at a column; a row that is still finite is kept."""
-    i = int(np.searchsorted(layout.offsets, column, side="right") - 1)
+    i = int(np.searchsorted(layout.offsets[: len(SIGNALS)], column, side="right") - 1)
     signal, value = f"{SIGNALS[i][0]}[{column - layout.offsets[i]}]", row[column]
     if np.isfinite(row).all():
         sink.append_block(row[None], np.zeros(1))

@@ -230,7 +230,7 @@ class Loop:
             controller=self.controller,
             context=self.context(),
             believed=self.believed,
-            gains=self.kinematic.base_gains(self.layout.base),
+            gains=self.kinematic.base_gains(self.layout),
             K=self.kinematic.arm_gains(self.layout),
             bounds=self.bounds.vector(self.layout),
             setpoints=self.table(),

@@ -21,7 +21,6 @@ from numba.core.event import Listener, register
 from ..children import Spawning, end_with
 from ..compiled import cache_folder, is_warm
 from ..elementary import arrays
-from ..model.base.holonomic import moves_sideways
 from ..model.loading import load
 from ..model.reduction import as_measured, quadratic
 from ..model.tree.body import body_of, evaluate, new_work
@@ -113,7 +112,6 @@ def call_control_blocks() -> None:
     numbers, state = controller.law(context).numbers, controller.init(context)
     setpoint = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
     y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)
-    moves_sideways(layout.base)
     exact(row, at, y[:nv], nu, arm)
     reference_then(setpoint[None], 0, 0.0, setpoint)
     catch_up(row, at, setpoint, setpoint, 0.0)
@@ -121,9 +119,9 @@ def call_control_blocks() -> None:
     law.step(row, at, numbers, state.values, None, None)
     T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
     ydot, grip = y.copy(), np.zeros((nv, p + 2))
-    joints = Joints(T, v.copy(), np.zeros((nv, 3)), nu, 2)
+    joints = Joints(T, v.copy(), np.zeros((nv, 3)), nu, 2, False)
     terms = Terms(v, M, nu, nu, np.zeros(nv), ydot, L, nu.copy(), grip)
-    derivative(y, nu, 2, terms)
+    derivative(y, nu, joints, terms)
     euler(0, 0.001, joints, terms, nu, y)
     rk4_stage(0, 0.001, y, ydot, y.copy(), y.copy())
 

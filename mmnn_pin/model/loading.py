@@ -45,8 +45,6 @@ from .urdf.shapes import AtRest
 
 ROOT_NAMES = ("root_vx", "root_vy", "root_w")
 
-PUSHES = ("base_x", "base_y", "base_turn")  # motors of a base without wheels
-
 _stderr_lock = threading.Lock()
 STATES = 8
 
@@ -273,7 +271,7 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
     arm = replace(arm, joints=tuple(name for name in names if name in arm.joints))
     driven = (w.joint for w in base.wheels if document.joints[w.joint].mimics is None)
     motors = (*driven, *arm.joints)
-    pushes, rows = PUSHES if base.is_pushed else (), {name: i for i, name in enumerate(names, root)}
+    pushes, rows = base.pushes, {name: i for i, name in enumerate(names, root)}
     T, E_full = motion_map(base, rows, arm), motor_map(base, rows, motors)
     q_index, is_continuous = configuration_indices(model, root)
     at_rest = [0.0] * root + [arm.locked.get(joint.name, joint.rest) for joint in joints]
@@ -286,7 +284,12 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
         base=base,
         arm=arm,
         dimensions=Dimensions(
-            base=len(base.velocity_names), arm=len(arm.joints), full=model.nv, motors=E_full.shape[1]
+            base=len(base.velocity_names),
+            arm=len(arm.joints),
+            full=model.nv,
+            motors=E_full.shape[1],
+            kind=base.kind,
+            sideways=base.sideways,
         ),
         joint_names=arm.joints,
         velocity_names=base.velocity_names + arm.joints,

@@ -82,7 +82,7 @@ def motor_map(base: Base, rows: Mapping[str, int], motors: tuple[str, ...]) -> A
     root = base.root_size
     nv = root + len(rows)
     on_joints = np.eye(nv)[:, [rows[name] for name in motors]]
-    if not base.is_pushed:
+    if not base.pushes:
         return on_joints
     pushes = np.zeros((nv, 3))
     pushes[:root] = base.to_control.T

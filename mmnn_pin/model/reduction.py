@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ..compiled import compiled, linked
 from ..elementary import cos_sin, exp, tanh
 from ..signals import Array, IntArray
-from .base.holonomic import moves_sideways
 
 # Dry friction is `level(speed) tanh(speed / COULOMB_SPEED)` where it is a smooth force. [rad/s or m/s]
 COULOMB_SPEED = 0.01
@@ -99,13 +98,22 @@ def spread(T: Array, nu: Array, v: Array) -> None:
 
 
 @compiled
-def position_rate(position: Array, nu: Array, v: Array, base: int, rate: Array) -> None:
-    """Time derivative of the position, (nv,): `qdot_v = S(phi) v` (2.18) for the pose, `T nu` for the joints."""
+def position_rate(position: Array, nu: Array, v: Array, base: int, sideways: bool, rate: Array) -> None:
+    """Time derivative of the position, (nv,): `qdot_v = S(phi) v` (2.18) for the pose, `T nu` for the joints.
+
+    Args:
+        position: (nv,).
+        nu: (p,) independent velocities.
+        v: (nv,) `T nu`.
+        base: Number of base velocities.
+        sideways: Whether they are `(vx, vy, w)`.
+        rate: (nv,) written.
+    """
     first = 0
     if base:
         first = 3
         c, s = cos_sin(position[2])
-        vx, vy = nu[0], nu[1] if moves_sideways(base) else 0.0
+        vx, vy = nu[0], nu[1] if sideways else 0.0
         rate[0], rate[1], rate[2] = c * vx - s * vy, s * vx + c * vy, nu[base - 1]
     for i in range(first, position.size):
         rate[i] = v[i]

@@ -115,7 +115,7 @@ class Regressor:
         full = flatten(model, T, robot.neutral_position(), frame, absorb=False)
         theta, moving = inertial_parameters(full, layout.base), moving_joints(T, layout.base)
         offset, arm = robot.arm_map()
-        turning = robot.base.kind == "skid_steer"
+        turning = robot.base.scrubs
         massless = without_masses(full, T, layout.base, offset, arm, coulomb_speed, turning)
         names = robot.full_velocity_names
         bodies = ("root",) * bool(layout.base) + tuple(names[i] for i in full.links[BASE.w + 1 :, 2])
@@ -407,7 +407,8 @@ def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
             Y[i, rough + count] = joints[k, i] * dry
     turning = first + 3 * count + known.base
     if turning < Y.shape[1]:
-        Y[1, turning] = tanh(nu[1] / known.coulomb_speed)
+        w = known.base - 1
+        Y[w, turning] = tanh(nu[w] / known.coulomb_speed)
 
 
 @compiled

@@ -18,8 +18,7 @@ from mmnn_pin import load, load_experiment
 from mmnn_pin.deploy.embed.export import embed
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.proof.lyapunov import powers
-from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.controller import Torque
 from mmnn_pin.loop.latency import Latency
@@ -39,6 +38,7 @@ from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.law import Ahead, constant_gain, step
 from mmnn_pin.torque.model_based import PD, ComputedTorque
+from research.proof.lyapunov import powers
 
 ROBOTS = {
     "two_axis_arm": Trajectory(None, (Sine(0.6, 1.4), Sine(0.5, 1.1, 0.4, 1.0))),
@@ -119,7 +119,7 @@ def test_ahead_the_reference_is_where_it_will_be_and_every_error_is_what_it_was(
     for own, wanted in ((measured.pose, setpoint.pose), (measured.velocity, setpoint.velocity),
                         (measured.q, setpoint.q), (measured.qdot, setpoint.qdot)):  # fmt: skip
         own[:] = wanted + 0.01 * rng.standard_normal(own.size)
-    gains, K = loop.kinematic.base_gains(layout.base), loop.kinematic.arm_gains(layout)
+    gains, K = loop.kinematic.base_gains(layout), loop.kinematic.arm_gains(layout)
     before_torque(row, layout.offsets, time, now, gains, K)
     kept = row.copy()
     ahead = Ahead(d, age, h, np.ones(layout.dof), layout.new_row(), constant_gain(np.ones(layout.dof)))

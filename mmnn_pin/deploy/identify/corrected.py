@@ -28,6 +28,7 @@ from ...model.tree.body import parameters
 from ...model.urdf.expansion import is_xacro
 from ...model.urdf.mechanism import Part
 from ...model.urdf.reading import MAX_BYTES
+from ...shown import shows
 from ...signals import Array
 from ...torque.pseudo_inertia import pseudo_inertias
 from .identification import Identification
@@ -241,6 +242,7 @@ def said_of(of: Identification) -> Overrides:
     return msgspec.structs.replace(robot.overrides, **known)
 
 
+@shows(Identification, "files")
 def write(of: Identification, out: str | Path, force: bool = False) -> dict[str, Path]:
     """Write the corrected URDF and what belongs to it; all files or none.
 

@@ -19,6 +19,7 @@ from ...model.inspection import inspection_of
 from ...model.urdf.expansion import EXPANDED
 from ...recording.recording import Recording, recorded_robot
 from ...settings import finite
+from ...shown import shows
 from .table import WIDTH, Cell, Column, Table, TextLine, hanging, row_of, terminal_text
 
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
@@ -216,6 +217,7 @@ def properties_dict(report: Report) -> dict[str, Any]:
     }
 
 
+@shows(Report, "text")
 def properties_text(report: Report, columns: int = WIDTH) -> str:
     """The report for a terminal: the properties with what they mean, the bounds, the Frobenius test."""
     rows = []

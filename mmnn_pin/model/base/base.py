@@ -99,6 +99,9 @@ class Base:
             left [rad/s].
         columns: Which of the control frame's `(vx, vy, w)` the base velocities are.
         gain_names: Fields of `Kinematic` with the gains of its law.
+        sideways: Whether it moves to the side, too: its velocities are `(vx, vy, w)`, else `(v, w)`.
+        two_sided: Whether its wheels stand on a left and a right side, each of one rim speed.
+        scrubs: Whether its wheels slide over the floor where it turns: dry friction opposes that.
         wheels: Drive wheels, left before right. A holonomic base without any is driven by forces on its frame.
         track: Lateral distance between the contact points of the drive wheels [m]; 0 for a fixed arm. Of a skid-steer
             base the effective one.
@@ -115,6 +118,9 @@ class Base:
     velocity_names: ClassVar[tuple[str, ...]]
     columns: ClassVar[list[int]]
     gain_names: ClassVar[tuple[str, ...]]
+    sideways: ClassVar[bool] = False
+    two_sided: ClassVar[bool] = False
+    scrubs: ClassVar[bool] = False
 
     wheels: tuple[Wheel, ...] = ()
     track: float = 0.0
@@ -180,9 +186,9 @@ class Base:
         return 3 if self.columns else 0
 
     @property
-    def is_pushed(self) -> bool:
-        """Whether forces on its frame drive it, in the place of wheels."""
-        return False
+    def pushes(self) -> tuple[str, ...]:
+        """Names of the forces along its own axes that drive it in the place of wheels; mostly none."""
+        return ()
 
     @property
     def locked(self) -> tuple[str, ...]:

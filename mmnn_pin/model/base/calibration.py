@@ -63,12 +63,12 @@ def calibration(rest: AtRest, base: Base, overrides: Overrides) -> Calibration:
     given, files = overrides.controllers_file is not None, own_files(rest, base, overrides)
     taken, findings = dict[str, Any](), [*contradictions(rest, base, files)]
     one = agreed([one for file in files for one in in_yaml(file, TRACKS)])
-    unseen = one and base.kind == "skid_steer" and given and apart(one.value, base.track)
+    unseen = one and base.scrubs and given and apart(one.value, base.track)
     if one and overrides.track is None and (unseen or corrects(one, base.track)):
         taken["track"] = one.value
         findings.append(taken_note(rest, base, "track", one, base.track))
     radii = [one for file in files for one in in_yaml(file, RADII)]
-    for side in SIDES if len(base.velocity_names) == 2 and overrides.radius is None else ():
+    for side in SIDES if base.two_sided and overrides.radius is None else ():
         wheels = [w for w in base.wheels if on_side(w, side) and w.joint not in overrides.radius_of]
         one = agreed([one for one in radii if one.side in ("", side)])
         if one and wheels and all(corrects(one, w.radius) for w in wheels):
@@ -126,12 +126,12 @@ def contradictions(rest: AtRest, base: Base, files: list[str]) -> Iterator[Findi
             text = f"{Path(file).name} names '{name}' (line {line}), which steers its wheels; this base does not"
             yield note(rest, "base-stated", base.wheels[0].joint, text, "nothing of it is used", "check which it is")
         for table in tables_of(file):
-            for key in sums.keys() & table.keys() if base.kind == "holonomic" else ():
+            for key in sums.keys() & table.keys() if base.sideways else ():
                 used, value = float(sums[key].mean()), number_of(table, key, 0.0)
                 if apart(value, used):
                     text = f"{key} ({Path(file).name}, line {table[key].line}) is {value:.4g} m, here {used:.4g} m"
                     yield note(rest, "base-stated", base.wheels[0].joint, text, "taken is the geometry", "check it")
-            if len(base.velocity_names) == 2:
+            if base.two_sided:
                 yield from turned(rest, base, table, Path(file).name)
 
 

@@ -118,7 +118,7 @@ def unasked(rest: AtRest, base: Base, overrides: Overrides) -> Iterator[Finding]
 
     They are told, not used: a file may be another robot's.
     """
-    if not base.wheels or base.is_pushed or overrides.controllers_file is not None:
+    if not base.wheels or base.pushes or overrides.controllers_file is not None:
         return
     files = beside(rest)
     for name, used, names in (("track", base.track, TRACKS), ("radius", base.wheels[0].radius, RADII)):

@@ -163,9 +163,9 @@ def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
     """
     motors, names = motors_named(rest), [wheel.joint for wheel in base.wheels]
     idle = [name for name in names if name not in motors]
-    if base.kind == "skid_steer" or overrides.wheels is not None or not 0 < len(idle) < len(names):
+    if base.scrubs or overrides.wheels is not None or not 0 < len(idle) < len(names):
         return
-    if base.kind == "holonomic" and any(piece.meaning == "holonomic" for piece in plugins(rest)):
+    if base.sideways and any(piece.meaning == "holonomic" for piece in plugins(rest)):
         return
     driven = next(name for name in names if name not in idle)
     what, why = f"nothing drives the wheel(s) {', '.join(idle)}", f"'{driven}' has a motor: {motors[driven]}"
@@ -184,8 +184,8 @@ def require_used(overrides: Overrides, base: Base) -> None:
     for name in overrides.radius_of:
         if name not in names:
             raise UnknownName("drive wheel", name, names, key="wheel_radii")
-    unused = {"radius": not base.wheels, "track": len(base.wheels) < 2, "roller": base.kind != "holonomic"}
-    unused["mu"] = base.kind != "skid_steer"
+    unused = {"radius": not base.wheels, "track": len(base.wheels) < 2, "roller": not base.sideways}
+    unused["mu"] = not base.scrubs
     unused["roller"] |= not base.wheels
     for key, ignored in unused.items():
         if ignored and getattr(overrides, key) is not None:

@@ -21,7 +21,6 @@ from ..urdf.finding import AuditError, Finding
 from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
 from . import KINDS
 from .base import Base
-from .differential import DifferentialDrive
 from .evidence import Evidence, evidence
 from .skid_steer import GRAVITY
 from .wheels import HUB, LUMPY, PARTIAL, TILTED, TOUCHING, Candidate, Candidates, coaxial, height_at
@@ -133,7 +132,7 @@ def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: boo
         why, fix = "no shape of them can be read", "--radius, or --package-dir where their meshes are"
         notes.append(note(rest, "base-hub-height", blind[0].joint.name, text, why, fix))
     sides = [side if side in w.joint.lower() else "" for w, side in zip(base.wheels, ("right", "left"), strict=False)]
-    if isinstance(base, DifferentialDrive) and all(sides):
+    if base.two_sided and all(sides):
         text = f"'{first}' is on the left: does the robot drive along -x?"
         why = "names decide nothing: forward is the rolling direction nearer the root link's x"
         notes.append(note(rest, "base-sides", first, text, why, "check it"))

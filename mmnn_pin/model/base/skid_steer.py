@@ -39,6 +39,7 @@ class SkidSteer(DifferentialDrive):
 
     kind = "skid_steer"
     words = "skid-steer bases"
+    scrubs = True
 
     @property
     def rolling(self) -> tuple[Wheel, ...]:

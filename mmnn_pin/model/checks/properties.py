@@ -10,15 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 
 import numpy as np
 
 from ...errors import ConfigError, RobotError
 from ...settings.arguments import checked
-from ...settings.shown import AsText
+from ...shown import AsText, shown
 from ...signals import Array
-from ..base.differential import DifferentialDrive
 from ..base.report import NO_FRICTION
 from ..robot import Robot, revolute
 from .nonholonomy import Nonholonomy, nonholonomy
@@ -138,8 +136,8 @@ class Report(AsText):
         end = f"{', '.join(failed)} failed" if failed else f"all {len(self.properties)} properties hold"
         return f"<Report: {self.robot}, {end} at {self.samples} states>"
 
-    def __str__(self) -> str:  # what shows it stands above it, so it is found by name
-        return str(import_module("mmnn_pin.lab.show.robots").properties_text(self))
+    def __str__(self) -> str:
+        return str(shown(self, "text"))
 
 
 @checked
@@ -159,7 +157,7 @@ def check(
         samples: Number of states.
         seed: Their seed.
         terms: The matrices to judge; None for Pinocchio's.
-        world: The world-frame form to judge; None for ours (differential drives only).
+        world: The world-frame form to judge; None for ours (bases with two sides only).
         progress: Called now and then with the fraction done.
 
     Raises:
@@ -174,7 +172,7 @@ def check(
     if samples < 1:
         raise ConfigError(f"{samples} states", fix="give at least 1", key="samples")
     terms, kinematics, skipped = terms or Terms(robot), None, {}
-    if world is None and isinstance(robot.base, DifferentialDrive):
+    if world is None and robot.base.two_sided:
         world = WorldFrame(robot)
     try:
         kinematics = SecondKinematics(robot)

@@ -24,7 +24,6 @@ import pinocchio as pin
 
 from ...errors import RobotError
 from ...signals import Array
-from ..base.differential import DifferentialDrive
 from ..robot import Robot
 from ..structure import scale_body
 
@@ -43,7 +42,7 @@ class WorldFrame:
     """
 
     def __init__(self, robot: Robot) -> None:
-        if not isinstance(robot.base, DifferentialDrive):
+        if not robot.base.two_sided:
             raise RobotError(f"the world-frame form is that of a differential drive, not of a base '{robot.base.kind}'")
         self.robot = robot
         self.model = chain_model(robot.urdf)
