@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from ...signals import Array
 from ..study.results import Results
 from .curves import column_units
 
-T = TypeVar("T")
 FACTS = "id point controller seed status time signal message seconds host finished"
 
 
@@ -177,19 +176,17 @@ def export(
             hold its robot.
     """
     path, part = Path(path), RecordingPart.of(recording, signals, rate)
-    formats = {name: partial(write, part=part) for name, write in FORMATS.items()}
-    return write_as(formats, "format", recording, path, to or path.suffix[1:].lower(), force)
+    to = to or path.suffix[1:].lower()
+    if to not in FORMATS:
+        raise UnknownName("format", to, FORMATS)
+    return written(lambda file: FORMATS[to](recording, file, part), path, to, force)
 
 
-def write_as(
-    formats: Mapping[str, Callable[[T, Path], None]], what: str, content: T, path: Path, to: str, force: bool
-) -> Path:
-    """Write something in one of its formats; errors as in `export`."""
-    if to not in formats:
-        raise UnknownName(what, to, formats)
+def written(write: Callable[[Path], None], path: Path, to: str, force: bool) -> Path:
+    """Write a file whole or not at all; errors as in `export`."""
     with whole_file(path, "file", force) as part:
         try:
-            formats[to](content, part)
+            write(part)
         except ModuleNotFoundError as error:
             why = f"the package {(error.name or '').partition('.')[0]} is not installed"
             raise RecordingError(f"cannot export to {to}", why=why, fix="pip install 'mmnn_pin[export]'") from error
@@ -236,7 +233,9 @@ def export_study(results: Results, path: Path, to: str, *, force: bool = False) 
         UnknownName: A format that has no rows.
         RecordingError: The file exists or cannot be written; a package is missing.
     """
-    return write_as(STUDY_FORMATS, "format for the rows of a study", results, path, to, force)
+    if to not in STUDY_FORMATS:
+        raise UnknownName("format for the rows of a study", to, STUDY_FORMATS)
+    return written(partial(STUDY_FORMATS[to], results), path, to, force)
 
 
 STUDY_FORMATS: Mapping[str, Callable[[Results, Path], None]] = {"csv": write_study_csv, "parquet": write_study_parquet}

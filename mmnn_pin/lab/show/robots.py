@@ -174,8 +174,8 @@ def model_text(model: dict[str, Any], width: int = WIDTH) -> str:
     )
     head = f"robot {model['robot']}, base {model['base']}"
     equations = "M nudot + C nu + gravity + friction = E u,   velocity = T nu,   A velocity = 0"
-    parts = [TextLine(f"{head}\n{equations}", whole=True), *(table for table in tables if table.rows)]
-    return terminal_text(parts, width=width)
+    shown = (table for table in tables if table.rows)
+    return terminal_text([TextLine(f"{head}\n{equations}", whole=True), *shown], width=width)
 
 
 def matrix(title: str, values: Any, rows: Sequence[str], columns: Sequence[str]) -> Table:
