@@ -211,7 +211,7 @@ def test_a_contest_with_an_error_that_is_none_is_one_line(value, tmp_path, monke
     ],
 )
 def test_a_foreign_page_gets_nothing_from_the_server(headers, status):
-    with ReplayPage("<p>mine</p>", (), 0, 0).served(0) as url:
+    with ReplayPage("<p>mine</p>").served(0) as url:
         host, port = url.removeprefix("http://").rstrip("/").split(":")
         assert host == "127.0.0.1"
         connection = HTTPConnection(host, int(port), timeout=10)

@@ -126,11 +126,8 @@ def answers(stepper: Stepper, events: list[GoldenEvent], remembered: Iterable[Ar
 
 def powers_of(size: int) -> NDArray[np.uint64]:
     """Factors (size,) of the numbers in a checksum: powers of `PRIME`."""
-    powers = np.ones(size, np.uint64)
-    with np.errstate(over="ignore"):
-        for i in range(size - 2, -1, -1):
-            powers[i] = powers[i + 1] * PRIME
-    return powers
+    rising = np.cumprod(np.full(size, PRIME), dtype=np.uint64)
+    return np.append(rising[:-1][::-1], np.uint64(1))[:size]
 
 
 def checksum(numbers: Array, powers: NDArray[np.uint64]) -> int:

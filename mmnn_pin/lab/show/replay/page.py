@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -137,31 +137,17 @@ def extent_of(recordings: Mapping[str, Recording]) -> list[float]:
 
 @dataclass(frozen=True, repr=False)
 class ReplayPage(HtmlPage):
-    """A replay.
+    """A replay, in a notebook at rest until it is played; the last warning is that of a page that is large.
 
     Attributes:
-        html: The whole page.
         frames: Frames shown, of all runs.
         samples: Samples recorded, of all runs.
-        warnings: What is not shown as the URDF says, one line each; the last one of a page that is large.
     """
 
+    what: str = "replay"
+    height: str = "520px"
     frames: int = 0
     samples: int = 0
-
-    what: ClassVar[str] = "replay"
-
-    def _repr_html_(self) -> str:
-        """The page within a notebook, isolated from it."""
-        return self.iframe()
-
-    def iframe(self, height: int = 520) -> str:
-        """The page as an element for another page: isolated from it, at rest until it is played.
-
-        Args:
-            height: In CSS pixels.
-        """
-        return self.within(f"{height}px")
 
     @contextmanager
     def served(self, port: int) -> Iterator[str]:
@@ -209,7 +195,7 @@ def page(
     if len(text) > LARGE:
         fix = "show fewer runs, keep fewer frames per second (--fps), or use simpler meshes"
         warnings += (f"the page is large, {len(text) / 1e6:.0f} MB: {fix}",)
-    return ReplayPage(text, warnings, scene.frames, scene.samples)
+    return ReplayPage(text, warnings, frames=scene.frames, samples=scene.samples)
 
 
 def live_page(robot: Robot, position: Array, package_dirs: Sequence[str | Path] = ()) -> bytes:

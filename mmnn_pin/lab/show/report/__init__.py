@@ -11,10 +11,9 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -59,24 +58,13 @@ MOST = 4000  # points of a curve; of a longer one the extremes of this many stre
 LARGEST = 1e30  # what single precision and a plot can still hold
 
 
-@dataclass(frozen=True, repr=False)
-class ReportPage(HtmlPage):
-    """A report."""
-
-    what: ClassVar[str] = "report"
-
-    def _repr_html_(self) -> str:
-        """The page within a notebook, isolated from it."""
-        return self.within("80vh")
-
-
 def report(
     recordings: Mapping[str, Recording],
     *,
     command: str = "",
     with_replay: bool = True,
     package_dirs: Sequence[str | Path] = (),
-) -> ReportPage:
+) -> HtmlPage:
     """The report on some runs of one task.
 
     Args:
@@ -118,7 +106,7 @@ def report(
         config=json.dumps(json.loads(config), indent=2, ensure_ascii=False) if config else "",
         unpack=web_file("unpack.js", replay.__name__),
     )
-    return ReportPage(text, warnings)
+    return HtmlPage(text, warnings, "report")
 
 
 def shown_or_why(what: str, make: Callable[[], T]) -> tuple[T | None, list[str]]:
