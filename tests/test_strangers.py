@@ -19,7 +19,7 @@ from sound_files import study
 import mmnn_pin
 from mmnn_pin.cli import main, mmnn
 from mmnn_pin.errors import ConfigError, MmnnError, StudyError
-from mmnn_pin.lab.show.replay.page import Page
+from mmnn_pin.lab.show.replay.page import ReplayPage
 from mmnn_pin.lab.study.results import load_results
 from mmnn_pin.lab.study.store import NAME
 from mmnn_pin.lab.study.verdict import verdict
@@ -172,7 +172,7 @@ def test_a_text_that_is_no_utf8_is_one_line(sound, tmp_path):
     ],
 )
 def test_a_foreign_page_gets_nothing_from_the_server(headers, status):
-    with Page("<p>mine</p>", (), 0, 0).served(0) as url:
+    with ReplayPage("<p>mine</p>").served(0) as url:
         host, port = url.removeprefix("http://").rstrip("/").split(":")
         assert host == "127.0.0.1"
         connection = HTTPConnection(host, int(port), timeout=10)

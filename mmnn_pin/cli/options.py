@@ -16,6 +16,7 @@ from ..errors import ConfigError, InputError
 
 F = TypeVar("F", bound=Callable[..., Any])
 PACKAGE = Path(__file__).parent.parent
+PATH = click.Path(path_type=Path)
 
 
 def shared(function: F) -> F:

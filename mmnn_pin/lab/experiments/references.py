@@ -304,7 +304,7 @@ class ReferenceTables(Settings, frozen=True):
         return tuple(make(ARM_PROFILES, table, f"reference.arm.{i}") for i, table in enumerate(tables))
 
 
-class HeldOut(ReferenceTables, frozen=True):
+class HeldOutReference(ReferenceTables, frozen=True):
     """A reference that no learner is trained on; `mmnn prove` judges a learner's knowledge on it.
 
     Args:
