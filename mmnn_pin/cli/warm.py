@@ -46,7 +46,7 @@ def warm(
     """
     import msgspec
 
-    from ..compiled import checked_root
+    from ..compiled.folders import checked_root
     from ..lab.experiments.config import load_experiment
     from ..lab.experiments.runner import run_experiment
     from .run import about_robot, in_toml
