@@ -1,4 +1,4 @@
-"""What can go wrong, said in one line: `where: error: what: why: fix`.
+"""Errors of this package, each said in one line: `where: error: what: why: fix`.
 
 Every error of this package derives from `MmnnError`. An `InputError` is the user's to mend (the command line
 exits with 2); its children carry the evidence as attributes and say what would have been right.
@@ -131,10 +131,6 @@ class TrajectoryError(InputError):
 
 class RecordingError(InputError):
     """A recording that cannot be written or read."""
-
-
-class BatchError(InputError):
-    """A batch whose processes cannot go on."""
 
 
 class StudyError(InputError):

@@ -34,7 +34,7 @@ from mmnn_pin.deploy.identify import excitation, identification
 from mmnn_pin.lab.psi import judgement
 from mmnn_pin.lab.show import files as pages
 from mmnn_pin.lab.show import study as study_pages
-from mmnn_pin.lab.study import store, tuning
+from mmnn_pin.lab.study import store, tuning, worker
 from mmnn_pin.recording import recorder, run_file
 
 COMMANDS = {
@@ -160,7 +160,7 @@ def jumping_clock() -> Iterator[None]:
     """The wall clock of every module that looks at it."""
     times = itertools.cycle((2e9, 1e9, 3e9, 0.0))
     with contextlib.ExitStack() as patches:
-        for module in (recorder, pages, store):
+        for module in (recorder, pages, worker):
             patches.enter_context(patch.object(module, "datetime", Jumping))
         patches.enter_context(patch.object(time, "time", lambda: next(times)))
         yield

@@ -526,6 +526,18 @@ def database(name: str) -> Mutation:
     return mutate
 
 
+def lines(name: str) -> Mutation:
+    """A mutation of a line of JSON in a file in a folder."""
+
+    def mutate(folder: Path, rng: random.Random) -> None:
+        every = (folder / name).read_text().splitlines()
+        at = rng.randrange(len(every))
+        every[at] = json.dumps(disturbed(json.loads(every[at]), rng))
+        (folder / name).write_text("\n".join(every) + "\n" * (rng.random() < 0.9))
+
+    return mutate
+
+
 # -- what is broken, and who reads it ----------------------------------------------------------------------------------
 
 RUN = [
@@ -546,7 +558,7 @@ STUDY = [
     *3 * ["report db --html out/s.html"],
     *2 * ["export db --to csv --out out"],
     "export db --to parquet --out out",
-    "report db/study.sqlite --html out/s.html",
+    "report db/results.jsonl --html out/s.html",
     *2 * ["study short.toml --out db"],
     "study short.toml --out db --force",
     "study short.toml --out db --row 1",
@@ -554,7 +566,7 @@ STUDY = [
 KINDS: dict[str, tuple[list[Mutation], list[str]]] = {
     "recording bytes": ([raw("run.h5")], RUN),
     "recording": ([structure("run.h5")], RUN),
-    "study": ([*3 * [database("db/study.sqlite")], raw("db/study.sqlite")], STUDY),
+    "study": ([*3 * [lines("db/results.jsonl")], raw("db/results.jsonl")], STUDY),
     "tuning": ([database("tuned/tune.sqlite"), raw("tuned/tune.sqlite")], ["tune tuning.toml --out tuned"]),
     "study file": ([*3 * [words("short.toml")], raw("short.toml")], [f"study short.toml --out out {SHORTLY}"]),
     "tuning file": ([*3 * [words("tuning.toml")], raw("tuning.toml")], [f"tune tuning.toml --out out {SHORTLY}"]),

@@ -15,7 +15,7 @@ from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recording import Recording
-from mmnn_pin.reference import Holonomic
+from mmnn_pin.reference import HolonomicPath
 from mmnn_pin.torque.neural import Robust
 from mmnn_pin.torque.one_layer import OneLayer
 from mmnn_pin.torque.two_layer import TwoLayer
@@ -38,7 +38,7 @@ def loop_of(
 ) -> Loop:
     """A loop that starts off its reference."""
     robot = robot_of_kind(kind)
-    base = {0: None, 2: PATHS["eight"], 3: Holonomic(PATHS["eight"], Sine(0.5, 4.0))}[robot.dimensions.base]
+    base = {0: None, 2: PATHS["eight"], 3: HolonomicPath(PATHS["eight"], Sine(0.5, 4.0))}[robot.dimensions.base]
     start = Start(pose_offset=(0.05, -0.04, 0.2) if base else (0.0, 0.0, 0.0), joint_offset=0.1, moving=True)
     settings = {
         "robot": robot,

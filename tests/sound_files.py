@@ -17,9 +17,8 @@ from study_files import SHORT, planned
 
 from mmnn_pin import load
 from mmnn_pin.cli import main
-from mmnn_pin.lab.study.execution import missing_rows, probe
+from mmnn_pin.lab.study.execution import missing_trials, probe
 from mmnn_pin.lab.study.store import NAME, writing
-from mmnn_pin.lab.study.worker import JobResult
 
 EXPERIMENT = """
 experiment = "track"
@@ -145,13 +144,10 @@ def command(line: str) -> None:
 
 
 def study(folder: Path) -> None:
-    """A study's file, and its database with rows of invented numbers."""
+    """A study's file, and results with invented numbers."""
     plan = planned(folder, STUDY)
     found = probe(plan)
     with writing(folder / "db" / NAME) as store:
-        prints = list(plan.fingerprints())
-        for number in missing_rows(store, plan, found, False):
-            row = plan.row(number)
-            metrics = dict.fromkeys(found.units, 0.01 * number)
-            done = JobResult(number, ("completed", "diverged")[number % 4 == 3], 0.004, "", "", metrics, 0.1, "here")
-            store.add(prints[number], row.point, row.controller, row.seed, row.parameters, done)
+        for number in missing_trials(store, plan, found, False):
+            status, metrics = ("completed", "diverged")[number % 4 == 3], dict.fromkeys(found.units, 0.01 * number)
+            store.add(plan.trial(number).result(status, time=0.004, metrics=metrics, seconds=0.1))

@@ -11,10 +11,9 @@ import numpy as np
 
 from ..compiled import one_thread
 from ..errors import ConfigError, Values
-from ..model.base import BY_SIZE
 from ..settings import Numbers
 from ..signals import Array
-from .sample import Plan
+from .plan import Plan
 from .sampled import SampledLoop, delay_margin, gains_of, judges, slowest, verdicts
 from .servo_model import servos_on
 
@@ -114,11 +113,11 @@ def require_servo_rows(plan: Plan, what: str) -> None:
     servos = plan.servo
     if servos is None:
         return
-    b, nb = in_short(servos.law.bandwidth), plan.robot.dimensions.base
+    b = in_short(servos.law.bandwidth)
     for share in SHARES[1:]:
         gains, K = two_digits(share * plan.gains), two_digits(share * plan.K)
         if all(holds(replace(plan, gains=f * gains, K=f * K)) for f in (1.0, ROOM)):
-            names = BY_SIZE[nb].gain_names
+            names = plan.robot.base.gain_names
             base = zip(names, np.split(gains, len(names)), strict=True) if names else ()
             every = (*base, *([("K", K)] if K.size else []))
             values = Values("kinematic", {name: in_short(as_given(part)) for name, part in every})

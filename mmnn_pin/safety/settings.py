@@ -8,7 +8,6 @@ from typing import Any, Literal
 import numpy as np
 
 from ..elementary.matrices import pseudo_inverse
-from ..model.base import BY_SIZE
 from ..model.robot import Robot, limits, revolute, speed_limits
 from ..model.tree.twin import Twin
 from ..settings import Numbers, Settings, require_numbers
@@ -121,8 +120,7 @@ class Safety(Settings, frozen=True):
         gains: Array,
         K: Array,
         *,
-        short: bool = False,
-        brakes: bool = True,
+        brakes: Literal["base", "some", "none"] = "some",
         arrivals: float = 0.0,
         weights: IntArray | None = None,
         values: Array | None = None,
@@ -134,8 +132,7 @@ class Safety(Settings, frozen=True):
             period: Control period [s].
             gains: (p,) feedback that brakes and holds, on the velocities.
             K: (n,) gain of the filtered arm error.
-            short: Whether shorted windings brake the base.
-            brakes: Whether they brake anything; else nothing does but feedback.
+            brakes: What shorted windings brake: the base, some velocities, or none, and then only feedback brakes.
             arrivals: Time between two measurements [s]; 0 for the control period.
             weights: (k, 2) start and stop of every array of weights in the controller's state; None for none.
             values: State, from `new_state`; None for a new one.
@@ -146,9 +143,9 @@ class Safety(Settings, frozen=True):
         layout, arm = robot.dimensions, robot.arm_index
         position, heading, bound = some(self.position_error), some(self.heading_error), some(self.weights)
         numbers = [self.timeout, self.ramp, self.stop_time, self.torque_time, position, heading, bound]
-        numbers += [self._calm_rate(robot, gains), period, self.settle if brakes else math.inf, self.rest]
-        numbers += [float(short), FRESH * (arrivals or period), some(self.slowest)]
-        base = BY_SIZE[layout.base].per_velocity(some(self.speed), some(self.yaw_rate))
+        numbers += [self._calm_rate(robot, gains), period, math.inf if brakes == "none" else self.settle, self.rest]
+        numbers += [float(brakes == "base"), FRESH * (arrivals or period), some(self.slowest)]
+        base = robot.base.per_velocity(some(self.speed), some(self.yaw_rate))
         wheels, turns, none = layout.motors - layout.arm, revolute(robot)[arm], np.full(layout.arm, np.inf)
         urdf = speed_limits(robot)
         joint_speed = limits(self.joint_speed, urdf[wheels:], "joint", "safety.joint_speed")
@@ -167,7 +164,7 @@ class Safety(Settings, frozen=True):
         fixed = [np.array(array, float, order="C") for array in arrays]
         places = np.zeros((0, 2), np.int64) if weights is None else weights
         *state, sense = views(new_state(layout) if values is None else values, layout)
-        door = Door(np.array(joints, float), np.array(rows, float), state[2], state[1], sense)
+        door = Door(np.array(joints, float), np.array(rows, float), state[2], state[1], sense, layout.sideways)
         return Supervisor._make([True, *fixed[:7], door, *fixed[7:], places, *state])
 
     def _calm_rate(self, robot: Robot, gains: Array) -> float:
@@ -183,10 +180,10 @@ def some(value: float | str | None) -> float:
 
 
 def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
-    """What stands in a run that nobody supervises; it has a state (`new_state`) all the same."""
+    """The supervisor of a run without one: it is off, and has a state (`new_state`) all the same."""
     nothing, none = np.zeros(0), np.zeros((0, 0))
     *state, sense = views(values, layout)
-    numbers: list[Any] = [False, *[nothing] * 7, Door(none, none, state[2], state[1], sense), none, none]
+    numbers: list[Any] = [False, *[nothing] * 7, Door(none, none, state[2], state[1], sense, False), none, none]
     return Supervisor._make([*numbers, np.zeros((0, 2), np.int64), *state])
 
 

@@ -258,7 +258,7 @@ def put(s: Stack, w: Scratch, place: int, Phi: Array, y: Array, share: float) ->
 
 @internal
 def spread(s: Stack, w: Scratch, Phi: Array, sign: float) -> None:
-    """What an equation that comes (1) or goes (-1) makes of P and of every G_i."""
+    """Update P and every G_i by an equation that comes (1) or goes (-1)."""
     p, k = Phi.shape
     image(s, w, Phi)
     if not math.isfinite(log_det_with(w, sign)):

@@ -29,7 +29,7 @@ from mmnn_pin.lab.show.figure import (
     styles_of_controllers,
 )
 from mmnn_pin.lab.show.files import HtmlPage, fill_template
-from mmnn_pin.lab.show.table import Cell, Column, Line, Table, number, row_of, terminal_text
+from mmnn_pin.lab.show.table import Cell, Column, Table, TextLine, number, row_of, terminal_text
 from mmnn_pin.signals import Array
 
 from .standing import BASELINE, Standing, Target, over_all, relative_errors
@@ -116,12 +116,12 @@ CAPTION = (
 
 def render(standing: Standing, colour: bool = False, width: int = WIDTH) -> str:
     """All tables and the targets as text of at most `width` columns."""
-    parts: list[str | Line | Table] = [Line(standing.experiment.title or standing.name, "bold")]
+    parts: list[str | TextLine | Table] = [TextLine(standing.experiment.title or standing.name, "bold")]
     for task in tasks_run(standing):
-        parts += [Line(f"\n{task}: {standing.tasks[task]}", "bold"), demands(standing, task)]
+        parts += [TextLine(f"\n{task}: {standing.tasks[task]}", "bold"), demands(standing, task)]
         parts += [task_table(standing, task, quantities) for quantities in (TRAINING, KNOWLEDGE)]
     targets = judged_targets(standing)
-    parts += [Line(caption(standing), "italic"), *([targets_table(targets)] if targets else [])]
+    parts += [TextLine(caption(standing), "italic"), *([targets_table(targets)] if targets else [])]
     return terminal_text(parts, colour, width)
 
 

@@ -156,7 +156,7 @@ class Motion:
         self.subject, self.rows, self.evaluations = subject, subject.rows, 0
         self.dynamics = subject.dynamics(0.0)
         self.row, self.at, self.arm = layout.new_row(), layout.offsets, subject.robot.arm_index
-        self.gains, self.K = subject.kinematic.base_gains(layout.base), subject.kinematic.arm_gains(layout)
+        self.gains, self.K = subject.kinematic.base_gains(layout), subject.kinematic.arm_gains(layout)
         self.h, self.steps = subject.timing.control_period, subject.timing.steps_per_control
         robots, timing = (subject.robot, subject.hardware.loaded or subject.robot), subject.timing
         self.plants = [IdealPlant(robot, timing.plant_step, timing.integrator) for robot in robots]
@@ -222,11 +222,12 @@ class Motion:
 
     def _derivative(self, t: float, y: Array) -> Array:
         flow, d, out = self.flow(t, y), self.dynamics, np.empty(y.size)
-        position_rate(y[self.position], y[self.nu], d.v, self.layout.base, out[self.position])
+        base, sideways = self.layout.base, self.layout.sideways
+        position_rate(y[self.position], y[self.nu], d.v, base, sideways, out[self.position])
         out[self.nu] = np.linalg.solve(d.M, self.view["torque"] - d.h)
-        if self.layout.base:
+        if base:
             pose_ref, velocity = y[self.pose_ref], self.view["velocity_ref"]
-            position_rate(pose_ref, velocity, self.no_wheels, self.layout.base, out[self.pose_ref])
+            position_rate(pose_ref, velocity, self.no_wheels, base, sideways, out[self.pose_ref])
         out[-2:] = flow, flow * flow  # inf in a trial step that is too long: the solver takes a shorter one
         return out
 

@@ -20,8 +20,6 @@ from mmnn_pin.errors import RecordingError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.psi.learner import Networks
 from mmnn_pin.lab.psi.subject import Subject
-from mmnn_pin.model.base import BY_SIZE
-from mmnn_pin.model.base.differential import DifferentialDrive
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.safety import Safety
@@ -242,8 +240,8 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
 def refusal(subject: Subject) -> str:
     """The first assumption of the theorem that a run does not meet; empty if it meets all."""
     meta, layout, timing = subject.recording.meta, subject.layout, subject.timing
-    if (kind_of_base := BY_SIZE[layout.base]) is not DifferentialDrive:
-        kind = f"the base is {kind_of_base.kind}" if layout.base else "a fixed base has no pose to lose"
+    if not subject.robot.base.two_sided:
+        kind = f"the base is {subject.robot.base.kind}" if layout.base else "a fixed base has no pose to lose"
         return f"{kind}; the theorem is about Kanayama's law for a differential drive"
     if subject.plant != "ideal":
         return f"on the {subject.plant} plant wheels may slip, and then nu does not move by the reduced model"

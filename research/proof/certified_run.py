@@ -27,7 +27,6 @@ from mmnn_pin.lab.psi.learner import NAMES, Networks, seen
 from mmnn_pin.lab.psi.psi import WINDOWS
 from mmnn_pin.lab.psi.rate import Rate, rate_of
 from mmnn_pin.lab.psi.subject import Subject
-from mmnn_pin.model.base import BY_SIZE
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.settings import finite
 from mmnn_pin.settings.arguments import checked
@@ -404,10 +403,10 @@ def thesis_bounds(
 def follows(subject: Subject, learner: Networks, i: int) -> float:
     """c2 of the base's or c10 of the arm's network: largest factor from z, or r, to the input that depends on it."""
     signals, scale, k = learner.own.inputs.signals, learner.own.inputs.scale, subject.kinematic
-    K, nb = k.arm_gains(subject.layout), subject.layout.base
+    K = k.arm_gains(subject.layout)
     if i == 1:
         v = float(np.abs(subject.signal("velocity_ref")).max(initial=0.0))
-        Az = BY_SIZE[nb].largest_gain(k.base_gains(nb), v)
+        Az = subject.robot.base.largest_gain(k.base_gains(subject.layout), v)
     else:
         Az = float(K.max())
     base = {"z": 1.0, "velocity": 1.0, "alphadot": Az, "nudot_ref": Az}

@@ -25,11 +25,9 @@ from typing import Any
 import numpy as np
 
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.psi.learner import Learner, Stepper
 from mmnn_pin.lab.psi.subject import Subject
-from mmnn_pin.model.base import BY_SIZE
-from mmnn_pin.model.base.base import PoseEnergy
+from mmnn_pin.model.base.base import Base, PoseEnergy
 from mmnn_pin.settings import finite
 from mmnn_pin.signals import Array, IntArray
 
@@ -195,14 +193,13 @@ def powers(subject: Subject, rows: Array, true: Array, applied: Array, torque: A
     }
 
 
-def pose_part(error: Array, z: Array, v_ref: Array, gains: Kinematic) -> PoseEnergy:
-    """V1 and its derivative from the pose error (k, 3), z and the reference's velocity (k, nb); nb = 0 has none.
+def pose_part(base: type[Base], error: Array, z: Array, v_ref: Array, gains: Array) -> PoseEnergy:
+    """V1 of a kind of base and its derivative from the pose error (k, 3), z and the reference's velocity (k, nb).
 
     Raises:
         RecordingError: `ky` is 0: there is no V1.
     """
-    nb = z.shape[1]
-    energy = BY_SIZE[nb].pose_energy(error, z, v_ref, gains.base_gains(nb))
+    energy = base.pose_energy(error, z, v_ref, gains)
     if energy is None:
         raise RecordingError("no Lyapunov function of the pose", why="ky is 0")
     return energy
@@ -210,10 +207,11 @@ def pose_part(error: Array, z: Array, v_ref: Array, gains: Kinematic) -> PoseEne
 
 def pose_of(subject: Subject, rows: Array) -> PoseEnergy:
     """V1 along rows of the truth (k, width); errors as in `pose_part`."""
-    where, nb = subject.layout.where, subject.layout.base
+    where, z = subject.layout.where, slice(0, subject.layout.base)
+    kind, gains = type(subject.robot.base), subject.kinematic.base_gains(subject.layout)
     s = rows[:, where("nu_ref")] - rows[:, where("nu")]
     try:
-        return pose_part(rows[:, where("pose_error")], s[:, :nb], rows[:, where("velocity_ref")], subject.kinematic)
+        return pose_part(kind, rows[:, where("pose_error")], s[:, z], rows[:, where("velocity_ref")], gains)
     except RecordingError as error:
         raise error.but(file=subject.recording.path) from error
 

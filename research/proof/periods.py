@@ -33,7 +33,7 @@ class Periods:
         self.dynamics, self.rough = Dynamics(smooth), Dynamics(subject.robot)
         self.damping, self.gain = viscous_friction(subject.robot), subject.signal("effective_gain")[0].copy()
         kinematic = subject.kinematic
-        self.gains = kinematic.base_gains(self.layout.base), kinematic.arm_gains(self.layout)
+        self.gains = kinematic.base_gains(self.layout), kinematic.arm_gains(self.layout)
         self.moves, self.brakes = weights(subject.timing)
         self.poses, self.size = self.layout.pose, self.layout.pose + self.layout.arm + self.layout.dof
 
@@ -88,7 +88,7 @@ class Periods:
         moved, position = h * (nu + self.moves * h * nudot), position.copy()
         if at := self.poses:
             turn = moved[self.layout.base - 1]
-            way = moved[:2] if self.layout.base == at else np.array([moved[0], 0.0])
+            way = moved[:2] if self.layout.sideways else np.array([moved[0], 0.0])
             position[:at] += np.append((frame(position[2] + (1 - self.moves) * turn) @ np.append(way, 0.0))[:2], turn)
         position[self.robot.arm_index] += moved[self.layout.base :]
         return self.state(following, position, nu + h * nudot)

@@ -181,7 +181,7 @@ class Steps:
         moved = [(v + one * (periods.moves * h)) * h for v, one in zip(speed, a, strict=True)]
         pose: list[Taylor] = []
         if at:
-            way = moved[:2] if nb == at else [moved[0], moved[0] * 0.0]
+            way = moved[:2] if self.periods.layout.sideways else [moved[0], moved[0] * 0.0]
             pose = driven(self.signal("pose_ref"), way, moved[nb - 1], 1 - periods.moves, box)
         steps = np.diff(self.signal("q_ref"), axis=0)
         joints = [Taylor.variable(at + i, box) + moved[nb + i] - steps[:, i] for i in range(n)]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from mmnn_pin.lab.psi.learner import NAMES
 from mmnn_pin.lab.psi.rate import Rate
 from mmnn_pin.lab.show.psi import learned_parts, notes, small, words
-from mmnn_pin.lab.show.table import WIDTH, Cell, Column, Line, Row, Table, number, row_of, terminal_text
+from mmnn_pin.lab.show.table import WIDTH, Cell, Column, Row, Table, TextLine, number, row_of, terminal_text
 from mmnn_pin.shown import shows
 
 from .balance import TOLERANCE, Balance
@@ -42,7 +42,7 @@ def render_certificate(run: CertifiedRun, colour: bool = False, width: int = WID
 # -- the proof --
 
 
-def parts(proof: Proof) -> Iterator[str | Line | Table]:
+def parts(proof: Proof) -> Iterator[str | TextLine | Table]:
     """Title, sentences, tables and notes, in order."""
     subject = proof.subject
     yield from learned_parts(proof, ideal_rows(proof.ideal) if proof.has("ideal") else ())
@@ -150,10 +150,10 @@ def signed(value: float) -> str:
 # -- the certificate --
 
 
-def certificate_parts(run: CertifiedRun) -> Iterator[str | Line | Table]:
+def certificate_parts(run: CertifiedRun) -> Iterator[str | TextLine | Table]:
     """Title, sentences and tables, in order."""
     yield ""
-    yield Line("Certificate (mmnn docs explanation/theory)", "bold")
+    yield TextLine("Certificate (mmnn docs explanation/theory)", "bold")
     if run.certificate is None:
         yield f"Does not apply: {run.missing['certificate'].removeprefix('no certificate: ')}."
     else:

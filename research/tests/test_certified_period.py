@@ -91,7 +91,7 @@ class Period:
         values |= {"qdot_ref": along.qdot_ref[k] + t * along.qddot_ref[k], "velocity": nu[:2], "qdot": nu[2:]}
         for name, value in values.items():
             self.row[layout.where(name)] = value
-        command(self.row, layout.offsets, self.loop.kinematic.base_gains(2), self.loop.K)
+        command(self.row, layout.offsets, self.loop.kinematic.base_gains(layout), self.loop.K)
         return self.row[layout.where("nu_ref")].copy()
 
     def sizes(self, t: float, state: Array) -> Array:

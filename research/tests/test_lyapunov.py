@@ -16,6 +16,7 @@ from mmnn_pin.disturbance import Push
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.psi.subject import Subject
+from mmnn_pin.model.base.differential import DifferentialDrive
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.torque.two_layer import TwoLayer
 from research.proof.lyapunov import PREDICTED, TERMS, Lyapunov, growth, lyapunov, pose_part
@@ -52,8 +53,8 @@ def test_v1_and_its_derivative_by_sympy() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
         error, v_ref, z = rng.uniform(-1, 1, (1, 3)), rng.uniform(0, 1, (1, 2)), rng.uniform(-1, 1, (1, 2))
-        gains = Kinematic(kx=2.0, ky=30.0, kth=7.0)
-        found = pose_part(error, z, v_ref, gains)
+        gains = np.array([2.0, 30.0, 7.0])
+        found = pose_part(DifferentialDrive, error, z, v_ref, gains)
         value, derivative = exact(*error[0], *v_ref[0], *z[0], 2.0, 30.0, 7.0)
         assert found.value[0] == pytest.approx(value)
         assert found.decay[0] + found.coupling[0] == pytest.approx(derivative)

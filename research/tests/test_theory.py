@@ -23,6 +23,7 @@ from scipy.special import expit
 from mmnn_pin.kinematic import command
 from mmnn_pin.lab.psi.rate import radius
 from mmnn_pin.loop.sampled import held_loop
+from mmnn_pin.model.base.base import Fixed
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import Array, Layout
 from mmnn_pin.torque.one_layer import one_layer_update
@@ -206,7 +207,7 @@ def test_no_sequence_of_updates_takes_the_weights_beyond_their_bound(y: float, k
         x = rng.standard_normal(nx)
         x *= X / np.linalg.norm(x)
         net = V.T @ x
-        two_layer_update(W, V, x, net, expit(net), s, F, G, kappa, 1.0)
+        two_layer_update(W, V, x, net, expit(net), s, np.array([F, G, kappa]), 1.0)
         one_layer_update(one, rng.uniform(0, 1, h), s, F, kappa, 1.0)
         assert np.linalg.norm(W) <= own * (1 + 1e-12) and np.linalg.norm(one) <= own * (1 + 1e-12)
         assert np.linalg.norm(V) <= most_V * (1 + 1e-12)
@@ -298,7 +299,7 @@ class Place:
     def signals(self, error: Array, e: Array, s: Array) -> dict[str, Array]:
         """Signals of `command` with these errors."""
         layout = Layout.of(self.loop.robot.dimensions)
-        row, gains = layout.new_row(), self.loop.kinematic.base_gains(2)
+        row, gains = layout.new_row(), self.loop.kinematic.base_gains(layout)
         values = {"pose_ref": error, "velocity_ref": self.nu[:2], "acceleration_ref": self.nudot[:2]}
         values |= {"q_ref": self.q + e, "qdot_ref": self.nu[2:], "qddot_ref": self.nudot[2:], "q": self.q}
         for name, value in values.items():
@@ -482,7 +483,7 @@ def test_the_radius_agrees_with_jury(gain: float, kernel: float) -> None:
     """`radius` on one joint without an error to integrate (K = 0), against the two inequalities."""
     m, h = 0.5, 0.01
     k, L = gain * m / h, kernel * m / h
-    held = held_loop(np.array([[m]]), np.zeros(0), np.zeros(3), np.zeros(1), h)
+    held = held_loop(np.array([[m]]), Fixed.linear_errors(np.zeros(0), np.zeros(0)), np.zeros(1), h)
     assert held is not None
     margin = min(k - L, 4 * m / h - 2 * k + L) / (m / h)
     if abs(margin) > 1e-6:

@@ -214,7 +214,7 @@ def with_starts(table: dict[str, Any], own: Mapping[str, Any], path: Path, overr
 
 
 def inherited(table: Mapping[str, Any]) -> dict[str, Any]:
-    """What another experiment takes over from this one."""
+    """The part of a table that another experiment takes over."""
     return {key: value for key, value in table.items() if key not in ITS_OWN}
 
 
@@ -225,7 +225,7 @@ def beside(path: Path, name: Any) -> Path:
 
 
 def from_its_folder(table: dict[str, Any], path: Path) -> dict[str, Any]:
-    """What a file says, with the files that it names from its own folder: robots and motions that are there."""
+    """The table of a file; robots and motions that lie in its folder are named from there."""
     reference = table.get("reference")
     for where, key in ((table, "robot"), (reference, "file")):
         name = where.get(key) if isinstance(where, dict) else None
@@ -372,7 +372,7 @@ def with_names(key: str, table: Any, root: type[Experiment]) -> str:
 
 
 def value_at(table: Any, key: str | None) -> Any:
-    """What a table holds at a key path; None where it holds nothing there."""
+    """The value in a table at a key path; None where there is none."""
     for part in key.split(".") if key else ():
         table = entry_of(table, part)
     return table if key else None
@@ -397,7 +397,7 @@ def kind_at(key: str | None, table: Any = None, root: type[Experiment] = Experim
 
 
 def entry_of(table: Any, part: str) -> Any:
-    """What a table or a list holds at a part of a key path; None where it does not."""
+    """The value in a table or a list at one part of a key path; None where there is none."""
     if isinstance(table, list):
         return table[int(part)] if part.isdecimal() and int(part) < len(table) else None
     return table.get(part) if isinstance(table, dict) else None
@@ -410,7 +410,7 @@ def keys_of(kind: Any) -> tuple[str, ...]:
 
 
 def tags_of(kind: Any) -> tuple[str, ...]:
-    """What a key `type` can say, for one kind of settings or several."""
+    """Values of the key `type` of one kind of settings or several."""
     kinds = get_args(kind) or (kind,)
     found = [k.__struct_config__.tag for k in kinds if isinstance(k, type) and issubclass(k, msgspec.Struct)]
     return tuple(str(tag) for tag in found if tag is not None)

@@ -48,7 +48,7 @@ from .controllers import (
 )
 from .hand import hand_motion
 from .laws import resolved
-from .references import HeldOut, ReferenceTables
+from .references import HeldOutReference, ReferenceTables
 
 PLACES = 10  # along the reference at which inertias are looked at that scale bandwidths
 
@@ -60,7 +60,7 @@ def made_for(robot: Robot, tables: bytes, duration: float, changed: float) -> Tr
     return followable(robot, partial(reference.of, robot), duration, reference.share)
 
 
-class Friction(Settings, frozen=True):
+class AddedFriction(Settings, frozen=True):
     """Friction that is added to what the URDF says of its joints.
 
     Args:
@@ -100,7 +100,7 @@ class Case(Settings, frozen=True):
 
 
 class Tolerance(Settings, frozen=True):
-    """What a case asks of its runs.
+    """Bounds that a run of a case has to keep.
 
     Args:
         settle: Time after which the errors count [s].
@@ -204,7 +204,7 @@ class Experiment(LearnerTables, frozen=True):
     laws: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
-    friction: Friction = Friction()
+    friction: AddedFriction = AddedFriction()
     armature: float | tuple[float, ...] = 0.0
     sensor: Sensor = Sensor()
     actuator: Actuator = Actuator()
@@ -218,7 +218,7 @@ class Experiment(LearnerTables, frozen=True):
     contact: Contact = Contact()
     cases: dict[str, Case] = msgspec.field(default_factory=dict)
     tolerance: Tolerance = Tolerance()
-    held_out: dict[str, HeldOut] = msgspec.field(default_factory=dict)
+    held_out: dict[str, HeldOutReference] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.controllers:
@@ -372,7 +372,7 @@ class Experiment(LearnerTables, frozen=True):
         )
 
     def setting(self, values: Mapping[str, str]) -> str:
-        """How whoever asked for this experiment sets some of its keys, their values as TOML has them."""
+        """The options that set some of its keys, their values as TOML has them."""
         return " ".join(f"--set {shlex.quote(f'{key}={value}')}" for key, value in values.items())
 
     @contextmanager

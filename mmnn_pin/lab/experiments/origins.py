@@ -1,4 +1,4 @@
-"""Where the key that an error names comes from: an override, or a line of a TOML file."""
+"""The place that the key of an error comes from: an override, or a line of a TOML file."""
 
 from __future__ import annotations
 

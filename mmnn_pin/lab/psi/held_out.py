@@ -18,9 +18,8 @@ from ...errors import ConfigError, RecordingError
 from ...kinematic import Kinematic
 from ...loop.before_run import Start
 from ...loop.loop import Loop
-from ...model.base.holonomic import moves_sideways
 from ...model.robot import Robot, carrying
-from ...reference import BasePath, Eight, Holonomic, Sine, Trajectory
+from ...reference import BasePath, Eight, HolonomicPath, Sine, Trajectory
 from ...settings import Timing
 from ...signals import Array, Layout
 from ...torque import CONTROLLERS
@@ -117,11 +116,11 @@ def usual(robot: Robot, h: float, rows: Array) -> HeldOut:
     """
     layout = Layout.of(robot.dimensions)
     velocity, q, qdot = (rows[:, layout.where(name)] for name in ("velocity_ref", "q_ref", "qdot_ref"))
-    base, lap = base_path(velocity)
+    base, lap = base_path(velocity, layout.sideways)
     profiles, period = arm_profiles(robot, q, qdot)
     duration, words = float(np.clip(lap or 3 * period, SHORTEST, LONGEST)), []
     if base is not None:
-        eight = base.path if isinstance(base, Holonomic) else base
+        eight = base.path if isinstance(base, HolonomicPath) else base
         assert isinstance(eight, Eight)
         words.append(f"an eight of {eight.length:.2g} x {eight.width:.2g} m, {lap:.3g} s a lap")
     if profiles:
@@ -129,13 +128,12 @@ def usual(robot: Robot, h: float, rows: Array) -> HeldOut:
     return HeldOut(Trajectory(base, profiles), h * round(duration / h), "; ".join(words))
 
 
-def base_path(velocity: Array) -> tuple[BasePath | None, float]:
+def base_path(velocity: Array, sideways: bool) -> tuple[BasePath | None, float]:
     """An eight for a base that was asked for these velocities (N, nb), and its time of a lap [s]."""
-    nb = velocity.shape[1]
-    if not nb:
+    if not velocity.shape[1]:
         return None, 0.0
     speed, turning = (
-        np.hypot(velocity[:, 0], velocity[:, 1] if moves_sideways(nb) else 0.0).mean(),
+        np.hypot(velocity[:, 0], velocity[:, 1] if sideways else 0.0).mean(),
         np.abs(velocity[:, -1]).max(),
     )
     lap = Eight(1.0, ASPECT, 1.0).sample(np.linspace(0, 1, 1001)).velocity
@@ -143,7 +141,7 @@ def base_path(velocity: Array) -> tuple[BasePath | None, float]:
     period = float(np.clip(bend / (FASTER * turning), SHORTEST, 2 * LONGEST)) if turning > 1e-6 else USUAL
     size = FASTER * (speed if speed > 1e-3 else SPEED) * period / length
     eight = Eight(float(size), float(ASPECT * size), period)
-    return (Holonomic(eight, Sine(0.5, period / 2)) if moves_sideways(nb) else eight), period
+    return (HolonomicPath(eight, Sine(0.5, period / 2)) if sideways else eight), period
 
 
 def arm_profiles(robot: Robot, q: Array, qdot: Array) -> tuple[tuple[Sine, ...], float]:

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from ...actuator.settings import Actuator, limits
-from ...disturbance import Block, DeadMotor, Disturbance, Frozen, Messages, Payload, Push, payload
+from ...disturbance import BlockedJoint, DeadMotor, Disturbance, FrozenEncoder, Messages, Payload, Push, payload
 from ...errors import RecordingError
 from ...kinematic import Kinematic, command
 from ...loop.latency import Latency
@@ -195,7 +195,7 @@ class Subject:
         if self.exact_sensors:
             return rows
         rows, layout, arm = rows.copy(), self.layout, self.robot.arm_index
-        gains, K = self.kinematic.base_gains(layout.base), self.kinematic.arm_gains(layout)
+        gains, K = self.kinematic.base_gains(layout), self.kinematic.arm_gains(layout)
         for row in rows:
             position, nu = row[layout.where("position")], row[layout.where("nu")]
             exact(row, layout.offsets, position, nu, arm)
@@ -300,8 +300,8 @@ class Hardware:
             pick=np.inf if load is None else load.start,
             drop=np.inf if load is None else load.end,
             varies=changes and timing.steps_per_control > 1,
-            blocked=has(events, Block),
-            senses=has(events, Frozen, Messages),
+            blocked=has(events, BlockedJoint),
+            senses=has(events, FrozenEncoder, Messages),
         )
 
 

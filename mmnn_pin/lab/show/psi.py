@@ -13,7 +13,7 @@ from ...shown import shows
 from ...signals import Array
 from ..psi.judgement import Judgement
 from ..psi.psi import Psi, how_to_know, worst
-from .table import WIDTH, Column, Line, Row, Table, grouped, number, row_of, terminal_text
+from .table import WIDTH, Column, Row, Table, TextLine, grouped, number, row_of, terminal_text
 
 CONSTANT = "predicts worse than a constant"
 JUDGED = ("online", "same", "held_out")
@@ -97,13 +97,13 @@ def render(judgement: Judgement, colour: bool = False, width: int = WIDTH) -> st
     return terminal_text(parts(judgement), colour, width)
 
 
-def parts(judgement: Judgement) -> Iterator[str | Line | Table]:
+def parts(judgement: Judgement) -> Iterator[str | TextLine | Table]:
     """Title, sentences, tables and notes, in order."""
     yield from learned_parts(judgement)
     yield from notes(judgement)
 
 
-def learned_parts(judgement: Judgement, more: Iterable[Row] = ()) -> Iterator[str | Line | Table]:
+def learned_parts(judgement: Judgement, more: Iterable[Row] = ()) -> Iterator[str | TextLine | Table]:
     """Title, and what was learned of Psi: sentences and tables.
 
     Args:
@@ -111,7 +111,7 @@ def learned_parts(judgement: Judgement, more: Iterable[Row] = ()) -> Iterator[st
         more: Rows of what is known of its networks beside their excitation, a cell for each.
     """
     subject = judgement.subject
-    yield Line(f"{subject.controller} on {subject.robot.name}", "bold")
+    yield TextLine(f"{subject.controller} on {subject.robot.name}", "bold")
     if judgement.has("psi"):
         yield from verdicts(judgement.psi, how_to_know(subject))
         yield from psi_tables(judgement.psi)
@@ -119,10 +119,10 @@ def learned_parts(judgement: Judgement, more: Iterable[Row] = ()) -> Iterator[st
             yield network_table(judgement.psi, more)
 
 
-def notes(judgement: Judgement) -> Iterator[Line]:
+def notes(judgement: Judgement) -> Iterator[TextLine]:
     """Remarks, but for the one that the sentences begin with."""
     how = how_to_know(judgement.subject) if judgement.has("psi") else ""
-    yield from (Line(f"note: {remark}", "italic") for remark in judgement.remarks() if remark != how)
+    yield from (TextLine(f"note: {remark}", "italic") for remark in judgement.remarks() if remark != how)
 
 
 def network_table(psi: Psi, more: Iterable[Row]) -> Table:
