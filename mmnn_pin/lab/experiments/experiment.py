@@ -40,7 +40,6 @@ from .controllers import (
     CONTROLLERS,
     DEFAULT,
     EFFECTIVE,
-    LearnerTables,
     Learning,
     Nominal,
     RobustOf,
@@ -48,6 +47,7 @@ from .controllers import (
 )
 from .hand import hand_motion
 from .laws import resolved
+from .learner_tables import LearnerTables
 from .references import HeldOutReference, ReferenceTables
 
 PLACES = 10  # along the reference at which inertias are looked at that scale bandwidths
