@@ -24,8 +24,8 @@ from typing import Annotated, Any, TypeVar, cast, get_type_hints
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import lower_builtin, type_callable
 from numba.core.types import Array, Integer
+from numba.extending import lower_builtin, type_callable
 from numpy.typing import NDArray
 
 T = TypeVar("T")
