@@ -31,14 +31,14 @@ import mmnn_pin.files
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.embed import export
 from mmnn_pin.deploy.identify import excitation, identification
-from mmnn_pin.lab.contest import contest
-from mmnn_pin.lab.contest.task import Demand, Task
-from mmnn_pin.lab.proof import certified_run, proof
-from mmnn_pin.lab.show import contest as contest_pages
 from mmnn_pin.lab.show import files as pages
 from mmnn_pin.lab.show import study as study_pages
 from mmnn_pin.lab.study import store, tuning
 from mmnn_pin.recording import recorder, run_file
+from research.contest import contest
+from research.contest import show as contest_pages
+from research.contest.task import Demand, Task
+from research.proof import certified_run, proof
 
 COMMANDS = {
     "run": "run x.toml --out {out}",

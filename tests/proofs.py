@@ -11,9 +11,7 @@ from test_holonomic import PATHS, mecanum
 
 from mmnn_pin import PD, Hold, Loop, Neural, Sine, Timing, Trajectory
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.proof.periods import Periods
-from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.lab.proof.tube_search import Search
+from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recording import Recording
@@ -22,6 +20,8 @@ from mmnn_pin.signals import Array
 from mmnn_pin.torque.neural import Robust
 from mmnn_pin.torque.one_layer import OneLayer
 from mmnn_pin.torque.two_layer import TwoLayer
+from research.proof.periods import Periods
+from research.proof.tube_search import Search
 
 KINDS = ("differential", "holonomic", "fixed")
 MAKE = {"differential": mobile_arm, "holonomic": mecanum, "fixed": fixed_arm}
@@ -70,7 +70,7 @@ def subject_of(kind: str, recording: Recording) -> Subject:
     if kind != "holonomic":
         return Subject.of(recording)
     subject = Subject.of.__func__  # the classmethod, around the robot of the test
-    import mmnn_pin.lab.proof.subject as module
+    import mmnn_pin.lab.psi.subject as module
 
     original, module.recorded_robot = module.recorded_robot, lambda recording: robot_of_kind(kind)
     try:

@@ -18,13 +18,13 @@ from study_files import SHORT, planned
 
 from mmnn_pin import load
 from mmnn_pin.cli import main
-from mmnn_pin.lab.contest.contest import About, AboutTask
-from mmnn_pin.lab.contest.task import Demand
-from mmnn_pin.lab.contest.trial import Tracking, Trial, TrialResult
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.study.execution import missing_rows, probe
 from mmnn_pin.lab.study.store import NAME, writing
 from mmnn_pin.lab.study.worker import JobResult
+from research.contest.contest import About, AboutTask
+from research.contest.task import Demand
+from research.contest.trial import Tracking, Trial, TrialResult
 
 EXPERIMENT = """
 experiment = "track"

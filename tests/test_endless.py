@@ -20,8 +20,8 @@ from places import ROOT
 from mmnn_pin import PD, Feedback, Recording, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.files import opened, read_bytes
-from mmnn_pin.lab.proof.held_out import held_out
-from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.lab.psi.held_out import held_out
+from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.model.urdf.reading import audit_data
 
 PATIENCE = 10.0  # [s] of processor time and of the clock

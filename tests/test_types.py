@@ -26,11 +26,11 @@ from mmnn_pin.deploy.embed.export import Embedded
 from mmnn_pin.deploy.identify.identification import Identification
 from mmnn_pin.elementary import sin
 from mmnn_pin.lab.experiments.result import Result
-from mmnn_pin.lab.proof.certified_run import Proved
+from research.proof.certified_run import Proved
 from mmnn_pin.lab.study.choice import Level
 from mmnn_pin.loop.servo import Command
 from mmnn_pin.model.checks.properties import Report
-from mmnn_pin.settings.shown import Page, Picture, Table
+from mmnn_pin.shown import Page, Picture, Table
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque.controller import ControllerState
 

@@ -15,7 +15,7 @@ from .run import about_robot, in_toml, told_from_where
 
 if TYPE_CHECKING:
     from ..deploy.embed import Embedded
-    from ..deploy.embed.in_the_loop import Comparison
+    from ..deploy.embed.in_the_loop import RunComparison
     from ..reference.limits import Limits
 
 
@@ -134,7 +134,7 @@ def limits_of(changes: tuple[str, ...]) -> Limits:
         raise ConfigError(what, fix=fix, key="--limits") from error
 
 
-def told(made: Embedded, run: Comparison | None, checked: str) -> str:
+def told(made: Embedded, run: RunComparison | None, checked: str) -> str:
     """What was written, for people, and what came of a run in the loop."""
     size = "" if made.code_bytes is None else f", {made.code_bytes / 1000:.1f} kB of code and constants"
     of = f" ({made.initial_bytes / 1000:.1f} kB of them initial values; {made.compiler})" if size else ""

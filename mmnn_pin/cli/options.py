@@ -62,6 +62,20 @@ def understanding(function: F) -> F:
     return with_all(ROBOT_OPTIONS, gathered)  # type: ignore[return-value]
 
 
+def judged_on(function: F) -> F:
+    """Add the options that say what a learner is judged on."""
+    load = click.option(
+        "--payload",
+        type=click.FloatRange(0, 1e6, min_open=True),
+        metavar="KG",
+        help="Load of the changed robot.  [default: a quarter of what the arm weighs]",
+    )
+    count = click.option(
+        "--windows", type=click.IntRange(1, 1000), default=5, show_default=True, help="Windows of the online FVU."
+    )
+    return load(count(function))
+
+
 def makes_runs(function: F) -> F:
     """Add argument and options of a command that makes the runs of a study: which file, where they are made."""
     return with_all(STUDY_OPTIONS, function)

@@ -1,7 +1,7 @@
 """What commands print, their exit codes, and what the paths that they are given hold.
 
 Results go to standard output, all else to standard error. A path may hold a recording, a folder of recordings, a study
-or a contest.
+or what else a folder may hold.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
 EVERY = 10.0  # between two lines of progress [s]
 NARROW, WIDTH, WIDE = 40, 100, 200  # columns that tables are made for: at least, without a terminal, at most
 STYLE = f"\ufdd0{token_hex(8)}\ufdd1"  # in place of what begins a style of ours: no text of others has it
-STUDY, CONTEST, IDENTIFIED = "study.sqlite", ("contest.json", "rows.json"), "*.identified.json"  # their files
 
 
 def say(text: str) -> None:
@@ -229,20 +228,20 @@ def counter(what: str, total: int, done: int = 0) -> Iterator[Callable[[int, str
 
 
 @contextmanager
-def proving(recordings: Mapping[str, Recording]) -> Iterator[None]:
-    """Within it what takes long of the runs' proofs is told on standard error, as of `mmnn prove`."""
-    from ..lab.proof.proof import QUICK, Proof, keep
+def judging(recordings: Mapping[str, Recording]) -> Iterator[None]:
+    """Within it what takes long of the runs' judgements is told on standard error, as of `mmnn judge`."""
+    from ..lab.psi.judgement import Judgement, keep
 
     with progress_bar() as show:
         for name, recording in recordings.items():
             show(f"{name}, reading", 0.0)
-            with suppress(InputError):  # one that holds too little for a proof
-                keep(Proof(recording, budget=QUICK, progress=partial(tell, show, name)))
+            with suppress(InputError):  # one that holds too little
+                keep(Judgement(recording, progress=partial(tell, show, name)))
         yield
 
 
 def tell(show: Callable[[str, float], None], name: str, what: str, fraction: float) -> None:
-    """Progress of a part of a run's proof."""
+    """Progress of a part of a run's judgement."""
     show(f"{name}, {what}", fraction)
 
 
@@ -279,22 +278,18 @@ def interruptible(show: Callable[P, None]) -> Iterator[Callable[P, None]]:
 
 
 def found_in(paths: tuple[Path, ...], what: str) -> Path | None:
-    """The database of a study, the folder of a contest or the JSON of an identification among some paths; None without.
+    """Where among some paths something else than runs is; None where it is not.
 
     Args:
-        paths: As the user named them: a database or such a JSON, a folder that holds one, or the folder of a contest.
-        what: "study", "contest" or "identification".
+        paths: As the user named them.
+        what: A kind of `lab.show.folders`.
 
     Raises:
         ConfigError: It is not the only path.
     """
-    if what == "study":
-        inside = [path / STUDY for path in paths if (path / STUDY).is_file()]
-        found = [*(path for path in paths if path.suffix == ".sqlite"), *inside]
-    elif what == "contest":
-        found = [path for path in paths if any((path / name).is_file() for name in CONTEST)]
-    else:
-        found = [file for path in paths for file in (path, *path.glob(IDENTIFIED)) if file.match(IDENTIFIED)]
+    from ..lab.show.folders import FOLDERS
+
+    found = [file for path in paths for file in FOLDERS[what].finds(path)]
     if found and max(len(paths), len(found)) > 1:
         raise ConfigError(f"a {what} among other runs", fix="name it alone", file=found[0])
     return found[0] if found else None
@@ -349,7 +344,7 @@ def one_run(path: Path) -> Recording:
 
 
 def folders_of(path: Path) -> list[Path]:
-    """Folders with recordings in a folder: the tasks of a contest, the cases of an experiment."""
+    """Folders with recordings in a folder: such as the cases of an experiment."""
     return sorted({file.parent for file in path.glob("*/*.h5")})
 
 

@@ -29,12 +29,10 @@ from .output import (
     note,
     progress_bar,
     styled,
-    warn,
     wrote,
 )
 
 if TYPE_CHECKING:
-    from ..lab.contest.standing import Standing
     from ..lab.experiments.experiment import Experiment
 
 MOST = 8  # names of cases that a line of `mmnn list` shows
@@ -51,9 +49,6 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
         "mmnn run track --plant contact                     wheels that may slip, in MuJoCo",
         "mmnn run faults                                    noise, delays, weak motors, pushes, lost messages",
         "mmnn run chapter4 --variant figures                the thesis's simulation, one of its variants",
-        "mmnn run contest                                   all controllers on all tasks; takes minutes",
-        "mmnn run contest --case eight --controller adaptive --set contest.seeds=2",
-        "mmnn run contest --case eight --controller my_law.py:MyLaw     a law of your own beside the others",
         "mmnn run my_experiment.toml --json > result.json",
     ),
 )
@@ -76,7 +71,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
     shell_complete=cases,
     metavar="NAME",
     multiple=True,
-    help="Only this case, or this task of a contest, see `mmnn list`; repeatable.",
+    help="Only this case, see `mmnn list`; repeatable.",
 )
 @CHANGES
 @click.option("--plant", metavar="NAME", help="ideal, or contact: wheels that may slip, in MuJoCo.")
@@ -110,12 +105,6 @@ def run(
 
     An experiment with cases runs all controllers in each of them and gives every run a verdict (exit code 1 if one
     fails).
-
-    A contest (a file with a table [contest], such as the bundled one) runs all controllers on several tasks, each with
-    several seeds, and then on trajectories that none of them was trained on, once with the weights held fixed and once
-    with learning on. It prints a table per task and whether the targets are met, draws figures, and goes on where it
-    was stopped; `mmnn docs explanation/contest` explains its numbers. The controllers that others are compared with run
-    even if --controller leaves them out.
     """
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment
@@ -128,7 +117,7 @@ def run(
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
     require_plots(asked.plots)
     taken = folder
-    if not force and asked.contest is None:  # a contest goes on where it was stopped
+    if not force:
         folder = unused(folder, files_of(asked) if out else None)
     elsewhere = f"{taken} has runs already: these go to {folder} (--force replaces them)" if folder != taken else ""
     by_name = (
@@ -138,12 +127,10 @@ def run(
     )
     hardware = bool(asked.cases) or has_hardware(asked)
     with told_from_where(experiment, variant, asked, changes):
-        if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
+        if not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
             with before_it_is_compiled(hardware):
                 return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
         compile_if_cold(hardware)
-        if asked.contest is not None:
-            return run_contest(asked, name, folder, force, as_json)
         if asked.cases:
             return run_cases(asked, name, folder, force, as_json, elsewhere)
         return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
@@ -259,40 +246,6 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
     return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
 
 
-def run_contest(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
-    """Run a contest, draw and print what came of it; the exit code."""
-    from ..lab.contest.contest import run_contest as run_all
-    from ..lab.show.contest import write_figures
-
-    with progress_bar() as show, interruptible(show) as progress:
-        standing = run_all(asked, name, out=folder, force=force, progress=progress, warn=warn)
-    pictures = write_figures(standing, folder)
-    answer(
-        as_json,
-        lambda: standing.to_dict() | {"plots": named(pictures)},
-        lambda: contest_text(standing, folder, list(pictures.values())),
-    )
-    return STOPPED if standing.interrupted else DONE if standing.completed else FAILED
-
-
-def contest_text(standing: Standing, folder: Path, pictures: list[Path]) -> str:
-    """A contest as text: its tables, what failed, what to know, where the files are."""
-    from ..lab.show.contest import findings, render
-
-    lines = [styled(render(standing, **look())), ""]
-    lines += [f"failed: {controller} on {task}: {error}" for (task, controller), error in standing.failed.items()]
-    lines += [f"note: {note}" for note in findings(standing)]
-    lines += [wrote([folder / "rows.json", folder / "rows.csv", *pictures])] if standing.trials else []
-    lines.append(
-        f"wrote {folder}/TASK/CONTROLLER.h5, the first seed's; look at one with mmnn plot, prove, report or replay;"
-        f" mmnn report {folder} --html contest.html makes one page of all"
-    )
-    if standing.interrupted:
-        done, rest = len(standing.trials), len(standing.missing)
-        lines.append(f"stopped: {done} of {done + rest} are done and kept; the same command goes on with the rest")
-    return "\n".join(lines)
-
-
 def in_toml(**values: object) -> list[str]:
     """Changes `key=value` of those that are given; JSON's texts, lists and integers are TOML's."""
     return [f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in values.items() if value is not None]
@@ -313,7 +266,7 @@ def about_robot(robot: str | None, overrides: dict[str, Any]) -> list[str]:
 def list_(as_json: bool) -> int:
     """List the bundled experiments with their cases, robots, the controllers and the references.
 
-    A contest's cases are its tasks. Controllers are listed with what they know and what they learn.
+    Controllers are listed with what they know and what they learn.
     """
     from ..lab.experiments.config import bundled, variants
     from ..lab.experiments.controllers import CONTROLLERS

@@ -202,13 +202,13 @@ def supervisor_of(loop: Setup, state: ControllerState | object, values: Array) -
     if loop.safety is None:
         return safety.no_supervisor(layout, values)
     brakes = np.broadcast_to(actuator.brake, layout.motors)
+    stops_base = bool(layout.base) and bool(np.all(brakes[: layout.motors - layout.arm] > 0.0))
     return loop.safety.supervisor(
         loop.robot,
         timing.control_period,
         stopping_gains(loop),
         loop.kinematic.arm_gains(layout),
-        short=bool(layout.base) and bool(np.all(brakes[: layout.motors - layout.arm] > 0.0)),
-        brakes=bool(np.any(brakes > 0)),
+        brakes="base" if stops_base else "some" if np.any(brakes > 0) else "none",
         arrivals=max(timing.control_period, timing.measurement_period),
         weights=weights,
         values=values,

@@ -120,8 +120,7 @@ class Safety(Settings, frozen=True):
         gains: Array,
         K: Array,
         *,
-        short: bool = False,
-        brakes: bool = True,
+        brakes: Literal["base", "some", "none"] = "some",
         arrivals: float = 0.0,
         weights: IntArray | None = None,
         values: Array | None = None,
@@ -133,8 +132,7 @@ class Safety(Settings, frozen=True):
             period: Control period [s].
             gains: (p,) feedback that brakes and holds, on the velocities.
             K: (n,) gain of the filtered arm error.
-            short: Whether shorted windings brake the base.
-            brakes: Whether they brake anything; else nothing does but feedback.
+            brakes: What shorted windings brake: the base, some velocities, or none, and then only feedback brakes.
             arrivals: Time between two measurements [s]; 0 for the control period.
             weights: (k, 2) start and stop of every array of weights in the controller's state; None for none.
             values: State, from `new_state`; None for a new one.
@@ -145,8 +143,8 @@ class Safety(Settings, frozen=True):
         layout, arm = robot.dimensions, robot.arm_index
         position, heading, bound = some(self.position_error), some(self.heading_error), some(self.weights)
         numbers = [self.timeout, self.ramp, self.stop_time, self.torque_time, position, heading, bound]
-        numbers += [self._calm_rate(robot, gains), period, self.settle if brakes else math.inf, self.rest]
-        numbers += [float(short), FRESH * (arrivals or period), some(self.slowest)]
+        numbers += [self._calm_rate(robot, gains), period, math.inf if brakes == "none" else self.settle, self.rest]
+        numbers += [float(brakes == "base"), FRESH * (arrivals or period), some(self.slowest)]
         base = robot.base.per_velocity(some(self.speed), some(self.yaw_rate))
         wheels, turns, none = layout.motors - layout.arm, revolute(robot)[arm], np.full(layout.arm, np.inf)
         urdf = speed_limits(robot)

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import InputError
-from mmnn_pin.lab.contest.task import tasks_of
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.settings import LARGEST
 from mmnn_pin.settings.arguments import wrong_type
+from research.contest.task import tasks_of
 
 CIRCLE = "base={type='circle',radius=1.0,speed=1.0}"
 BAD = {

@@ -18,8 +18,7 @@ from mmnn_pin import load, load_experiment
 from mmnn_pin.deploy.embed.export import embed
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.proof.lyapunov import powers
-from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.controller import Torque
 from mmnn_pin.loop.latency import Latency
@@ -39,6 +38,7 @@ from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.law import Ahead, constant_gain, step
 from mmnn_pin.torque.model_based import PD, ComputedTorque
+from research.proof.lyapunov import powers
 
 ROBOTS = {
     "two_axis_arm": Trajectory(None, (Sine(0.6, 1.4), Sine(0.5, 1.1, 0.4, 1.0))),

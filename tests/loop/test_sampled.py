@@ -36,7 +36,7 @@ from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
-from studies.delay import FIVE, TENFOLD, study, swaying, variation
+from research.studies.delay import FIVE, TENFOLD, study, swaying, variation
 
 STILL = Fixed.linear_errors(np.zeros(0), np.zeros(0))
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
@@ -418,7 +418,7 @@ def test_the_stiffness_of_gravity_moves_the_eigenvalues_of_a_pendulum() -> None:
 @pytest.mark.skipif(PLAIN, reason="runs of seconds")
 @pytest.mark.parametrize("name", ["platform_arm", *(pytest.param(name, marks=pytest.mark.long) for name in FIVE[1:])])
 def test_the_margin_is_within_a_tenth_of_the_delay_at_which_errors_grow_tenfold_in_five_seconds(name: str) -> None:
-    """Robots as they are, gravity and dry friction included; `python -m studies.delay` bisects between these two."""
+    """Robots as they are, gravity and dry friction included; `research.studies.delay` bisects between these."""
     if name not in ("platform_arm", "two_axis_arm") and name not in extra():
         pytest.skip("example-robot-data is not installed")
     robot = load(name)

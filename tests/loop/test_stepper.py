@@ -34,7 +34,6 @@ from mmnn_pin.actuator import Actuator
 from mmnn_pin.cli import main
 from mmnn_pin.disturbance import DeadMotor, Push
 from mmnn_pin.errors import ConfigError, RecordingError
-from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.loop.setup import UNKNOWN
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.recording.recording import recorded_position
@@ -47,6 +46,7 @@ from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.neural import Robust
 from mmnn_pin.torque.one_layer import OneLayer
 from mmnn_pin.torque.two_layer import TwoLayer
+from research.proof.proof import Proof
 
 H = 0.005
 GAINS = Feedback(300.0, 5.0)

@@ -334,7 +334,7 @@ def test_a_law_that_a_recording_names_is_not_run(place, tmp_path, monkeypatch, c
         assert main(command.split()) in (0, 2)
     assert "internal error" not in capsys.readouterr().err
     assert not (tmp_path / "ran").exists()
-    from mmnn_pin.lab.proof.learner import controller_of
+    from mmnn_pin.lab.psi.learner import controller_of
 
     recording = Recording.open(tmp_path / "run.h5")
     with suppress(InputError):
@@ -345,7 +345,7 @@ def test_a_law_that_a_recording_names_is_not_run(place, tmp_path, monkeypatch, c
 def test_a_learner_without_its_settings_is_refused_before_anything_is_fitted(tmp_path, monkeypatch):
     """Its gains would be fitted to the robot along the recorded reference, seconds of work, to find them different."""
     from mmnn_pin.lab.experiments.experiment import Experiment
-    from mmnn_pin.lab.proof.learner import controller_of
+    from mmnn_pin.lab.psi.learner import controller_of
 
     with h5py.File(old_recording(tmp_path / "run.h5"), "r+") as file:
         file.attrs["controller"], file.attrs["controller_settings"] = "adaptive", "json:{}"
@@ -369,7 +369,7 @@ def test_facts_that_are_missing_are_told_where_they_are_needed(tmp_path, monkeyp
 
 
 def test_weights_whose_squares_overflow_have_no_ideal(tmp_path):
-    from mmnn_pin.lab.proof.proof import proof_of
+    from research.proof.proof import proof_of
 
     run = loop(Neural(), duration=0.6).run(tmp_path / "run.h5")
     assert proof_of(run).ideal is not None

@@ -14,13 +14,13 @@ from scipy.integrate import quad
 
 from mmnn_pin import Feedback, load, load_experiment
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.classical import PID, PDGravity, PIDSettings, gravity, integral, integrate
 from mmnn_pin.torque.controller import Context
 from mmnn_pin.torque.law import motor_limits
+from research.proof.proof import Proof
 
 LAYOUT = Layout(2, 2, 5, 4)
 K = Feedback((400.0, 40.0), 5.0)

@@ -18,7 +18,7 @@ from mmnn_pin import Feedback, Loop, load, load_experiment
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.experiments.controllers import machine_of
-from mmnn_pin.lab.proof.learner import recorded_learner
+from mmnn_pin.lab.psi.learner import recorded_learner
 from mmnn_pin.model.base import KINDS
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor

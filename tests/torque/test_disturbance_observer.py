@@ -8,10 +8,10 @@ from learning import assert_engines_agree, assert_frozen, assert_it_resumes, mad
 
 from mmnn_pin import Feedback, load_experiment
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import Context
 from mmnn_pin.torque.disturbance_observer import DisturbanceObserver, DisturbanceObserverSettings, estimate
+from research.proof.proof import Proof
 
 LAYOUT = Layout(2, 2, 5, 4)
 K = Feedback((400.0, 40.0), 5.0)

@@ -14,7 +14,7 @@ from mmnn_pin.torque.controller import Context, ControllerState
 from mmnn_pin.torque.filtered import Filtered, low_pass, new_filter, parts
 from mmnn_pin.torque.friction_features import beside, features, follow, friction, shipped
 from mmnn_pin.torque.linear import Linear, Parts, drift, heed, predict
-from studies import friction_features as study
+from research.studies import friction_features as study
 
 motions = st.floats(-20.0, 20.0)
 CONTEXT = Context(Layout(0, 1, 0, 1), 0.01, 1)

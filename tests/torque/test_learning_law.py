@@ -16,9 +16,7 @@ from robots import feedback
 
 from mmnn_pin import PD, LearningLaw, TorqueController
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
-from mmnn_pin.lab.proof.learner import Stepper
-from mmnn_pin.lab.proof.linear import linear_fit
-from mmnn_pin.lab.proof.proof import Proof
+from mmnn_pin.lab.psi.learner import Stepper
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.safety import Safety
@@ -28,6 +26,8 @@ from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.learning_law import norms
 from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.neural import THESIS_INPUT
+from research.proof.linear import linear_fit
+from research.proof.proof import Proof
 
 SIGNALS = ("psi_hat", "torque", "effective_gain", "position", "nu", "motor_torque")
 

@@ -15,17 +15,17 @@ from test_lyapunov import DURATION
 
 from mmnn_pin import Feedback, LearningLaw, Recording, Stepper, TorqueController, load, load_experiment
 from mmnn_pin.lab.experiments.cases import with_case
-from mmnn_pin.lab.proof.certified_loop import refusal
-from mmnn_pin.lab.proof.lyapunov import limited_power, lyapunov
-from mmnn_pin.lab.proof.networks import ideal_weights
-from mmnn_pin.lab.proof.proof import weights_of
-from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.law import limit, motor_limits, share_left
 from mmnn_pin.torque.neural import Robust
+from research.proof.certified_loop import refusal
+from research.proof.lyapunov import limited_power, lyapunov
+from research.proof.networks import ideal_weights
+from research.proof.proof import weights_of
 
 ROBOT = load("platform_arm")
 E_INV = np.linalg.pinv(ROBOT.E)

@@ -21,8 +21,8 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.experiments.config import recorded_experiment
 from mmnn_pin.lab.experiments.laws import load_class
-from mmnn_pin.lab.proof.proof import Proof
-from mmnn_pin.lab.proof.psi import worst
+from mmnn_pin.lab.psi.psi import worst
+from research.proof.proof import Proof
 
 EXAMPLE = ROOT / "examples/own_law.py"
 SPEC = f"{EXAMPLE}:LeastSquares"

@@ -28,7 +28,7 @@ PRIME = np.uint64(0x9E3779B97F4A7C15)
 
 
 @dataclass(frozen=True)
-class Event:
+class GoldenEvent:
     """What comes at a sample.
 
     Attributes:
@@ -61,7 +61,7 @@ class Answer:
     checksum: int
 
 
-def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[Event]:
+def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[GoldenEvent]:
     """Samples along the trajectory of a loop, with what goes wrong on a robot now and then."""
     rng, d = np.random.default_rng(seed), loop.robot.dimensions
     times = np.arange(steps) * period
@@ -95,7 +95,7 @@ def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[E
         elif chance < 0.03:
             received = None
         measured = times[k] - period * (chance > 0.98)
-        events.append(Event(float(times[k]), received, float(measured), wish, asked.copy(), action))
+        events.append(GoldenEvent(float(times[k]), received, float(measured), wish, asked.copy(), action))
     return events
 
 
@@ -105,7 +105,7 @@ def as_measured(asked: Array, d: Dimensions) -> Array:
     return np.concatenate((setpoint.pose, setpoint.velocity, setpoint.q, setpoint.qdot))
 
 
-def answers(stepper: Stepper, events: list[Event], remembered: Iterable[Array]) -> list[Answer]:
+def answers(stepper: Stepper, events: list[GoldenEvent], remembered: Iterable[Array]) -> list[Answer]:
     """What a stepper answers to events; `remembered` is the memory that goes into the checksums."""
     d, arrays, found = stepper.robot.dimensions, list(remembered), []
     powers = powers_of(sum(array.size for array in arrays))

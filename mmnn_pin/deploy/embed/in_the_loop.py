@@ -41,7 +41,7 @@ NEEDED = {HOST: (), QEMU: ("arm-none-eabi-gcc", "qemu-system-arm")}
 
 
 @dataclass(frozen=True)
-class Comparison:
+class RunComparison:
     """Two runs of the same loop, by Python and by an exported controller.
 
     Attributes:
@@ -255,7 +255,7 @@ def compared(
     steps: int,
     path: Path,
     limits: Limits = Limits(),  # noqa: B008 (frozen)
-) -> Comparison:
+) -> RunComparison:
     """Run a loop with an exported controller and with Python, and compare the recordings.
 
     Args:
@@ -271,7 +271,7 @@ def compared(
     export = translated(linked, "")
     linked.link(export, build(folder, where, compiler, path.with_suffix(".elf" if where == QEMU else "")))
     ours, theirs = closed(loop, Stepper.of(loop, limits=limits), steps), closed(loop, linked, steps)
-    return Comparison(where, len(theirs["time"]), theirs.outcome.status, differences(ours, theirs))
+    return RunComparison(where, len(theirs["time"]), theirs.outcome.status, differences(ours, theirs))
 
 
 def differences(a: Recording, b: Recording) -> list[str]:

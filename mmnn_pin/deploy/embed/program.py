@@ -49,7 +49,7 @@ class Parameter:
 
 
 @dataclass
-class Function:
+class CFunction:
     """A function in C.
 
     Attributes:
@@ -77,7 +77,7 @@ class Function:
     is_empty: bool = False
 
 
-class Program:
+class CProgram:
     """A program in C, made of functions of Python.
 
     Args:
@@ -101,7 +101,7 @@ class Program:
 
     def restart(self) -> None:
         """Forget the functions; what is known of arguments and memory stays."""
-        self.functions: dict[Any, Function] = {}
+        self.functions: dict[Any, CFunction] = {}
         self.constants: dict[str, int | float] = {}
         self.vecs: set[int] = set()
         self.records: set[tuple[str, ...]] = set()
@@ -124,7 +124,7 @@ class Program:
             self.sources[function] = source_of(function)
         return self.sources[function]
 
-    def function(self, source: Any, arguments: dict[str, Value]) -> Function:
+    def function(self, source: Any, arguments: dict[str, Value]) -> CFunction:
         """The function in C for such arguments; parameters that are the same in all calls are taken as known."""
         key = (source.function, *(structure(value) for value in arguments.values()))
         self.kept += [value.object for value in arguments.values() if isinstance(value, Static)]
@@ -151,8 +151,8 @@ class Program:
         elif self.known[key] is not VARIES and self.known[key] != found:
             self.known[key], self.changed = VARIES, True
 
-    def _translated(self, key: Any, source: Any, arguments: dict[str, Value]) -> Function:
-        record = Function(self._function_name(source), source, is_math=".elementary." in source.function.__module__)
+    def _translated(self, key: Any, source: Any, arguments: dict[str, Value]) -> CFunction:
+        record = CFunction(self._function_name(source), source, is_math=".elementary." in source.function.__module__)
         possible = dict[str, Parameter]()
         names = {name: self._parameter(key, name, value, possible) for name, value in arguments.items()}
         self.writer(self, record, source, names, possible)

@@ -27,6 +27,7 @@ from ...model.robot import Robot
 from ...model.tree.body import parameters
 from ...model.urdf.audit import BodyPart
 from ...model.urdf.reading import MAX_BYTES, is_xacro
+from ...shown import shows
 from ...signals import Array
 from ...torque.pseudo_inertia import pseudo_inertias
 from .identification import Identification
@@ -240,6 +241,7 @@ def said_of(of: Identification) -> Overrides:
     return msgspec.structs.replace(robot.overrides, **known)
 
 
+@shows(Identification, "files")
 def write(of: Identification, out: str | Path, force: bool = False) -> dict[str, Path]:
     """Write the corrected URDF and what belongs to it; all files or none.
 

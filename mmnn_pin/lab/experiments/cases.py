@@ -18,7 +18,7 @@ from ...recording.metrics import ERRORS
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
 from ...torque.neural import THESIS_INPUT
-from .config import config_error, merged, require_disturbances
+from .config import E, config_error, merged, require_disturbances
 from .controllers import LEARNERS
 from .experiment import Experiment, Tolerance
 from .result import Result
@@ -96,7 +96,7 @@ class Matrix:
         return {"experiment": self.name, "robot": self.experiment.robot, "runs": runs, "comparison": comparison}
 
 
-def with_case(experiment: Experiment, name: str) -> Experiment:
+def with_case(experiment: E, name: str) -> E:
     """The experiment as one of its cases changes it.
 
     Raises:
@@ -106,9 +106,9 @@ def with_case(experiment: Experiment, name: str) -> Experiment:
     table = case.set if case.experiment else merged(msgspec.to_builtins(experiment) | {"cases": {}}, case.set)
     try:
         require_disturbances(table.get("disturbances"))
-        return msgspec.convert(table, Experiment)
+        return msgspec.convert(table, type(experiment))
     except msgspec.ValidationError as error:
-        found = config_error(error, None, table)
+        found = config_error(error, None, table, type(experiment))
         found.key = f"cases.{name}.set.{found.key or ''}".rstrip(".")
         raise found from error
     except InputError as error:
@@ -116,7 +116,7 @@ def with_case(experiment: Experiment, name: str) -> Experiment:
         raise
 
 
-def chosen_cases(experiment: Experiment, names: Sequence[str]) -> Experiment:
+def chosen_cases(experiment: E, names: Sequence[str]) -> E:
     """The experiment with some of its cases; with all where none are named.
 
     Raises:

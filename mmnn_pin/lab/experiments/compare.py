@@ -33,7 +33,7 @@ from .runner import run_experiment
 ENDLESS = 10.0  # duration of a run along a trajectory without an end [s]
 FIRST = 1.0  # the errors of the start are told apart from the later ones [s]
 DEFAULT = ("pd", "pd_gravity", "pid", "two_layer")
-TAKEN = ("robot", "reference", "controllers", "cases", "contest", "held_out")  # keys that the objects stand for
+TAKEN = ("robot", "reference", "controllers", "cases", "held_out")  # keys that the objects stand for
 LIKE = "track"  # the experiment whose kinematic gains and learners hold unless others are said
 OTHERWISE = ("title", "windows", "seed", "time", "actuator", "torque_limits")  # keys of it that do not
 LABEL = re.compile(r"[A-Za-z_][\w. -]*")

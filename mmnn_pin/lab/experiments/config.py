@@ -12,7 +12,7 @@ from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
 
@@ -22,8 +22,7 @@ from ...files import parsed_toml, read_toml
 from ...model.base.overrides import Overrides
 from ...recording.recording import Recording
 from ...settings.arguments import checked, wrong_type
-from .contest import ONLY
-from .controllers import CONTROLLERS, new_name, renamed
+from .controllers import new_name, renamed
 from .experiment import Experiment
 from .origins import of_override
 from .references import as_long_as_its_file
@@ -31,6 +30,7 @@ from .references import as_long_as_its_file
 FOLDER = Path(__file__).parent
 ITS_OWN = ("title", "variant", "experiment", "cases")  # keys that no other experiment takes over
 UNIONS = (Union, UnionType)
+E = TypeVar("E", bound=Experiment)
 SHORT_NUMBER = re.compile(r"[+-]?(\d+\.|\.\d+)([eE][+-]?\d+)?")  # TOML wants a digit on both sides of the point
 
 
@@ -50,6 +50,11 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
     >>> load_experiment("chapter4", ["time.duration=0.2"]).time.duration
     0.2
     """
+    return load_as(Experiment, name_or_path, overrides, variant)
+
+
+def load_as(kind: type[E], name_or_path: str | Path, overrides: Iterable[str], variant: str | None) -> E:
+    """An experiment of a kind that may have tables of its own; else as `load_experiment`."""
     path, texts = find(name_or_path), tuple(overrides)
     if variant is not None:
         path = find_variant(path, variant)
@@ -65,11 +70,9 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
     try:
         require_overrides(table.get("overrides", {}))
         require_disturbances(table.get("disturbances"))
-        experiment = msgspec.convert(table, Experiment)
-        require_names(experiment)
-        return experiment
+        return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
-        raise of_override(config_error(error, path, table), texts) from error
+        raise of_override(config_error(error, path, table, kind), texts) from error
     except InputError as error:
         error.file = error.file or path
         raise of_override(error, texts) from None
@@ -291,29 +294,6 @@ def parse_value(text: str) -> Any:
         return float(text) if SHORT_NUMBER.fullmatch(text) else text
 
 
-def require_names(experiment: Experiment) -> None:
-    """Refuse controllers and tasks that a contest names and that do not exist.
-
-    Raises:
-        UnknownName: With the key path.
-    """
-    contest = experiment.contest
-    if contest is None:
-        return
-    there, tasks = {**CONTROLLERS, **experiment.laws}, tuple(experiment.cases) or (ONLY,)
-    named = {f"contest.knows.{what}": names for what, names in contest.knows.items()} | {
-        "contest.beside": contest.beside
-    }
-    for key, names in named.items():
-        for name in names:
-            if name not in there:
-                raise UnknownName("controller", name, there, key=key)
-    for key in ("task", "rich", "poor"):
-        name = getattr(contest.targets, key)
-        if name and name not in tasks:
-            raise UnknownName("task", name, tasks, key=f"contest.targets.{key}")
-
-
 def require_overrides(table: Any) -> None:
     """Judge what is declared about the robot by itself: its errors name keys of a file of its own.
 
@@ -343,18 +323,21 @@ def require_disturbances(items: Any) -> None:
                 raise
 
 
-def config_error(error: msgspec.ValidationError, path: Path | None, table: Any = None) -> ConfigError:
+def config_error(
+    error: msgspec.ValidationError, path: Path | None, table: Any = None, root: type[Experiment] = Experiment
+) -> ConfigError:
     """The key path and a line of advice out of a message such as "Expected `int` - at `$.seed`".
 
     Args:
         error: From the conversion.
         path: File of the experiment.
         table: What was converted; tells which of several types a table is.
+        root: To what it was.
     """
     message, _, where = str(error).partition(" - at ")
     there = re.sub(r"\[(\d+)\]", r".\1", where.strip("`").removeprefix("$").replace("[...]", ".*")).removeprefix(".")
-    key = with_names(there, table) or None
-    kind, known = kind_at(key, table), tuple[str, ...]()
+    key = with_names(there, table, root) or None
+    kind, known = kind_at(key, table, root), tuple[str, ...]()
     unknown = re.search(r"unknown field `(\w+)`", message)
     last = unknown[1] if unknown else value_at(table, key)
     if now := new_name(".".join(filter(None, (key, last))) if unknown else key or "", None if unknown else last):
@@ -364,7 +347,7 @@ def config_error(error: msgspec.ValidationError, path: Path | None, table: Any =
     elif missing := re.search(r"missing required field `(\w+)`", message):
         message, known = f"the key '{missing[1]}' is missing", tags_of(kind) if missing[1] == "type" else ()
     elif key and (wrong := re.fullmatch(r"Invalid value '(.*)'", message)):
-        message, known = f"unknown type '{wrong[1]}'", tags_of(kind_at(key.rpartition(".")[0], table))
+        message, known = f"unknown type '{wrong[1]}'", tags_of(kind_at(key.rpartition(".")[0], table, root))
     elif wrong := re.fullmatch(r"Invalid enum value '?(.*?)'?", message):
         message, known = f"unknown value '{wrong[1]}'", words_of(kind)
         known += ("or a number",) if float in get_args(kind) else ()
@@ -376,19 +359,19 @@ def config_error(error: msgspec.ValidationError, path: Path | None, table: Any =
     return ConfigError(what, fix=fix, file=path, key=key)
 
 
-def with_names(key: str, table: Any) -> str:
+def with_names(key: str, table: Any, root: type[Experiment]) -> str:
     """A key path with `*`, which stands for a name, as that of the first entry there that is of the wrong type."""
     head, star, rest = key.partition(".*")
     if not star:
         return key
-    entries, kind = value_at(table, head), kind_at(f"{head}.*", table)
+    entries, kind = value_at(table, head), kind_at(f"{head}.*", table, root)
     if kind is None:
         return head
     for name, entry in entries.items() if isinstance(entries, dict) else ():
         try:
             msgspec.convert(entry, kind)
         except msgspec.ValidationError:
-            return with_names(f"{head}.{name}{rest}", table)
+            return with_names(f"{head}.{name}{rest}", table, root)
         except InputError:
             continue
     return head
@@ -401,9 +384,9 @@ def value_at(table: Any, key: str | None) -> Any:
     return table if key else None
 
 
-def kind_at(key: str | None, table: Any = None) -> Any:
+def kind_at(key: str | None, table: Any = None, root: type[Experiment] = Experiment) -> Any:
     """The type that stands at a key path, of a table with a `type` the one that it says; None where there is none."""
-    kind: Any = Experiment
+    kind: Any = root
     for part in (key or "").split("."):
         if isinstance(kind, type) and issubclass(kind, msgspec.Struct) and part:
             kind, table = {f.encode_name: f.type for f in msgspec.structs.fields(kind)}.get(part), entry_of(table, part)

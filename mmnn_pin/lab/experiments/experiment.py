@@ -36,7 +36,6 @@ from ...settings import Settings, Timing, require_gains
 from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ...torque.neural import Inputs, Robust
-from .contest import Contest
 from .controllers import (
     CONTROLLERS,
     DEFAULT,
@@ -174,9 +173,8 @@ class Experiment(LearnerTables, frozen=True):
         contact: The floor of the contact plant.
         cases: Changes of this experiment, name to case; with them it runs once in each, with a verdict on every run.
         tolerance: What a case asks of its runs.
-        contest: With it the cases are the tasks of a contest, whose runs are compared and not judged one by one.
         held_out: Held-out trajectories by name; where none is named, one is derived from the reference (see
-            `proof.held_out`).
+            `psi.held_out`).
 
     Raises:
         UnknownName: A controller or a plant that does not exist.
@@ -222,7 +220,6 @@ class Experiment(LearnerTables, frozen=True):
     cases: dict[str, Case] = msgspec.field(default_factory=dict)
     tolerance: Tolerance = Tolerance()
     held_out: dict[str, HeldOut] = msgspec.field(default_factory=dict)
-    contest: Contest | None = None
 
     def __post_init__(self) -> None:
         if not self.controllers:

@@ -12,14 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from ...errors import UnknownName
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
-from ...settings.shown import Page, Picture, Table
+from ...shown import Page, Picture, Table, shown
 from .controllers import LEARNERS, effective
 from .experiment import Experiment
 from .hand import HandErrors
@@ -75,7 +74,7 @@ class Result(Mapping[str, Recording]):
 
     def table(self) -> Table:
         """The runs beside each other: errors, torques, what was learned; it prints as text."""
-        made: Table = gallery().tables(self)
+        made: Table = shown(self, "table")
         return made
 
     def plot(self, what: str = "errors") -> Picture:
@@ -85,7 +84,7 @@ class Result(Mapping[str, Recording]):
             UnknownName: There is no such figure.
             RecordingError: The runs have nothing for it.
         """
-        made: Picture = gallery().picture(what, self)
+        made: Picture = shown(self, "plot", what)
         return made
 
     def replay(self, *, title: str = "", fps: float = 60.0, package_dirs: Sequence[str | Path] = ()) -> Page:
@@ -99,7 +98,7 @@ class Result(Mapping[str, Recording]):
         Raises:
             InputError: There is nothing to show.
         """
-        made: Page = gallery().page(self.recordings, title=title, fps=fps, package_dirs=package_dirs)
+        made: Page = shown(self, "replay", title=title, fps=fps, package_dirs=package_dirs)
         return made
 
     def report(self, *, with_replay: bool = True, package_dirs: Sequence[str | Path] = ()) -> Page:
@@ -112,8 +111,7 @@ class Result(Mapping[str, Recording]):
         Raises:
             RecordingError: There is nothing to report.
         """
-        show = import_module("mmnn_pin.lab.show.report")
-        made: Page = show.report(self.recordings, with_replay=with_replay, package_dirs=package_dirs)
+        made: Page = shown(self, "report", with_replay=with_replay, package_dirs=package_dirs)
         return made
 
     @property
@@ -199,11 +197,6 @@ class Result(Mapping[str, Recording]):
             for name, numbers in self.metrics.items()
             if name != other
         }
-
-
-def gallery() -> Any:
-    """What shows results; it stands above them, so it is found by name."""
-    return import_module("mmnn_pin.lab.show.gallery")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from ..experiments.controllers import MODELS, ORACLES
 from ..experiments.hand import peak_speeds, speed_limit
 from ..experiments.result import Improvement, Result, unfair
 from .curves import column_units, milli
-from .table import WIDTH, Cell, Column, Kind, Line, Row, Table, grouped, number, row_of, terminal_text
+from .table import WIDTH, Cell, Column, Kind, Row, Table, TextLine, grouped, number, row_of, terminal_text
 
 CASES_WIDTH = 120
 NAME = 9  # letters of a controller's name on a line
@@ -70,9 +70,9 @@ def render(result: Result, colour: bool = False, width: int = WIDTH) -> str:
     """
     tables = list(tables_of(result))
     warning = unfair(result.experiment, result.metrics)
-    head = [Line(f"{warning[0].upper()}{warning[1:]}", "bold red")] if warning else []
-    notes = Line(" ".join(table.caption for table in tables if table.notes), "italic")
-    return terminal_text([*head, Line(title(result), "bold"), *tables, notes], colour, width)
+    head = [TextLine(f"{warning[0].upper()}{warning[1:]}", "bold red")] if warning else []
+    notes = TextLine(" ".join(table.caption for table in tables if table.notes), "italic")
+    return terminal_text([*head, TextLine(title(result), "bold"), *tables, notes], colour, width)
 
 
 def title(result: Result) -> str:
@@ -335,11 +335,11 @@ def render_cases(matrix: Matrix, colour: bool = False, width: int = CASES_WIDTH)
         f"stopped: by the supervisor, at rest at the end, less than {t.runaway:g} m away when it tripped and driven "
         "after it. FAILED: neither."
     )
-    head = Line(f"{matrix.experiment.title or matrix.name} ({matrix.experiment.robot})", "bold")
+    head = TextLine(f"{matrix.experiment.title or matrix.name} ({matrix.experiment.robot})", "bold")
     counts = {kind: matrix.count(kind) for kind in ("tracked", "stopped", "failed")}
     total = f"{sum(counts.values())} runs: " + ", ".join(f"{count} {kind}" for kind, count in counts.items())
     return terminal_text(
-        [head, Table("Cases", tuple(heads), tuple(rows), gap=1), total, Line(about, "italic")], colour, width
+        [head, Table("Cases", tuple(heads), tuple(rows), gap=1), total, TextLine(about, "italic")], colour, width
     )
 
 
@@ -380,7 +380,7 @@ def render_readings(title: str, rows: list[dict[str, Any]], width: int = WIDTH) 
             cells = (*reading_errors(row[learner]).values(), *shares, met if row["of"] else "")
             made.append(row_of(head, learner, *cells))
     table = Table("Readings", (Column(text=True), Column(text=True), *heads), tuple(made))
-    return terminal_text([Line(title, "bold"), table, ABOUT_READINGS], width=width)
+    return terminal_text([TextLine(title, "bold"), table, ABOUT_READINGS], width=width)
 
 
 def reading_errors(learner: dict[str, Any]) -> dict[str, str]:

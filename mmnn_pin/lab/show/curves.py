@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -72,23 +73,34 @@ class Chart:
         title: Its heading.
         about: What to know of it.
         panels: Runs by name to its panels; none where the runs have nothing for it.
+        judged: Whether it stands with what was learned.
+        lacks: Runs by name to why some are not in it, one line each.
     """
 
     title: str
     about: str
     panels: Callable[[Recordings], Iterable[Panel]]
+    judged: bool = False
+    lacks: Callable[[Recordings], list[str]] = lambda recordings: []
 
 
 CHARTS: dict[str, Chart] = {}
 
 
 def chart(
-    name: str, title: str, about: str
+    name: str, title: str, about: str, **more: Any
 ) -> Callable[[Callable[[Recordings], Iterable[Panel]]], Callable[[Recordings], Iterable[Panel]]]:
-    """Register the panels of a chart: what the report shows, and what a figure of that name may draw."""
+    """Register the panels of a chart: what the report shows, and what a figure of that name may draw.
+
+    Args:
+        name: By which a figure asks for it.
+        title: As of `Chart`, like `about` and what else is given.
+        about: Likewise.
+        more: Likewise.
+    """
 
     def register(panels: Callable[[Recordings], Iterable[Panel]]) -> Callable[[Recordings], Iterable[Panel]]:
-        CHARTS[name] = Chart(title, about, panels)
+        CHARTS[name] = Chart(title, about, panels, **more)
         return panels
 
     return register

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import wraps
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 P = ParamSpec("P")
-Subject = Literal["runs", "proof", "contest", "study"]
 Dash = tuple[float, tuple[float, ...] | None]
 Look = Mapping[str, Any]  # keywords of matplotlib's `plot`
 
@@ -82,7 +81,7 @@ class Entry:
     """A figure in the register.
 
     Attributes:
-        make: Draws it: runs by name, the standing of a contest, or the results of a study.
+        make: Draws it: runs by name, or what a folder holds.
         lacks: Why it cannot be drawn of these; empty where it can.
         caption: What to know of it, for a page.
     """
@@ -92,21 +91,21 @@ class Entry:
     caption: str
 
 
-FIGURES: dict[Subject, dict[str, Entry]] = {"runs": {}, "proof": {}, "contest": {}, "study": {}}
+FIGURES: dict[str, dict[str, Entry]] = {"runs": {}, "judged": {}, "study": {}}  # by what they show
 
 
 def figure(
-    name: str, of: Subject = "runs", *, needs: Callable[[Any], str] | None = None, caption: str = ""
+    name: str, of: str = "runs", *, needs: Callable[[Any], str] | None = None, caption: str = ""
 ) -> Callable[[Callable[P, Figure]], Callable[P, Figure]]:
     """Register a figure, and draw it in our look.
 
     Args:
         name: By which it is asked for.
-        of: What it shows: runs by name, their proofs, a contest, or a study.
+        of: What it shows: runs by name, what was learned in them (`judged`), or a kind of `folders.FOLDERS`.
         needs: Tells why it cannot be drawn of these, nothing where it can; see `signals`.
         caption: What to know of it, for a page.
     """
-    lacks: Callable[[Any], str] = needs or (signals() if of in ("runs", "proof") else lambda shown: "")
+    lacks: Callable[[Any], str] = needs or (signals() if of in ("runs", "judged") else lambda shown: "")
 
     def register(make: Callable[P, Figure]) -> Callable[P, Figure]:
         drawn = styled(make)
@@ -117,7 +116,7 @@ def figure(
                 raise RecordingError(f"nothing to plot for {name}", why=why, fix="choose another figure or recording")
             return drawn(*args, **kwargs)
 
-        FIGURES[of][name] = Entry(checked, lacks, caption)
+        FIGURES.setdefault(of, {})[name] = Entry(checked, lacks, caption)
         return checked
 
     return register
@@ -359,7 +358,7 @@ def svg(figure: Figure) -> str:
     return text[text.index("<svg") :]
 
 
-def pictures(of: Subject, shown: Any) -> list[dict[str, str]]:
+def pictures(of: str, shown: Any) -> list[dict[str, str]]:
     """The figures of a page that there is something for, as SVG, each with its caption."""
     entries = {name: entry for name, entry in FIGURES[of].items() if not entry.lacks(shown)}
     return [{"name": n, "svg": svg(entry.make(shown)), "caption": entry.caption} for n, entry in entries.items()]

@@ -76,12 +76,13 @@ def web_file(name: str, package: str = __package__) -> str:
 def fill_template(name: str, package: str = __package__, **values: Any) -> str:
     """A template of the folder `web` of a package with its values, and `made`: when that was.
 
-    Templates include one another by name.
+    Templates include one another, and those of this module's folder, by name.
     """
     from jinja2 import Environment, FunctionLoader
 
     made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    loader = FunctionLoader(lambda other: web_file(other, package))
+    own = {file.name for file in resources.files(package).joinpath("web").iterdir()}
+    loader = FunctionLoader(lambda other: web_file(other, package if other in own else __package__))
     templates = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return templates.get_template(name).render(made=made, **values)
 

@@ -13,7 +13,7 @@ from ...errors import RecordingError
 from ...files import LARGEST, opened, read_bytes
 from .figure import RC, folded, svg
 from .files import HtmlPage, fill_template
-from .table import WIDTH, Cell, Column, Kind, Line, Table, number, row_of, terminal_text
+from .table import WIDTH, Cell, Column, Kind, Table, TextLine, number, row_of, terminal_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,9 +35,9 @@ def text_of(report: dict[str, Any], colour: bool = False, width: int = WIDTH) ->
     """The report of an identification as text of at most `width` columns."""
     parts: list[Any] = [headline(report), *(f"warning: {text}" for text in report.get("warnings", ()))]
     for table in (joints_table(report), bodies_table(report), friction_table(report)):
-        parts += ["", Line(table.title, "bold"), table, *table.notes]
+        parts += ["", TextLine(table.title, "bold"), table, *table.notes]
     if report["wheels"]:
-        parts += ["", Line("Wheels", "bold"), wheels_table(report)]
+        parts += ["", TextLine("Wheels", "bold"), wheels_table(report)]
     parts += ["", f"{len(report['base_parameters'])} base parameters, {conditioned(report)}"]
     parts += [f"- {note}" for note in (*unidentified(report), *report["notes"])]
     return terminal_text(parts, colour, width)

@@ -19,6 +19,7 @@ from ...model.checks.properties import CheckReport, check
 from ...model.inspection import inspection_of
 from ...model.urdf.expansion import EXPANDED
 from ...recording.recording import Recording, recorded_robot
+from ...shown import shows
 from .table import WIDTH
 
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
@@ -246,6 +247,7 @@ def json_number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+@shows(CheckReport, "text")
 def properties_text(report: CheckReport, columns: int = WIDTH) -> str:
     """The report for a terminal: the properties with what they mean, the bounds, the Frobenius test."""
     width = max(map(len, report.properties))

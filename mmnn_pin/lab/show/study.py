@@ -14,7 +14,7 @@ from ..study.verdict import sentences, verdict
 from .figure import pictures
 from .files import HtmlPage, fill_template
 from .study_figures import shares, shown_unit, titled
-from .table import Cell, Column, Line, Row, Table, grouped, number, row_of, terminal_text
+from .table import Cell, Column, Row, Table, TextLine, grouped, number, row_of, terminal_text
 
 WIDTH = 110
 FIRST = {True: "study-errors", False: "study-factors"}  # what a page shows at once: with gains, their errors
@@ -33,8 +33,8 @@ def render(results: Results, colour: bool = False, width: int = WIDTH) -> str:
     """Verdict, table and caption, as text of at most `width` columns."""
     table = summary(results)
     notes = (f"note: {line}" for line in remarks(results))
-    head: list[str | Line | Table] = [Line(title(results), "bold"), *answer(results)]
-    return terminal_text([*head, table, Line(table.caption, "italic"), *notes], colour, width)
+    head: list[str | TextLine | Table] = [TextLine(title(results), "bold"), *answer(results)]
+    return terminal_text([*head, table, TextLine(table.caption, "italic"), *notes], colour, width)
 
 
 def levels_text(results: Results, factor: str, width: int = WIDTH) -> str:
@@ -43,7 +43,7 @@ def levels_text(results: Results, factor: str, width: int = WIDTH) -> str:
     known = any(math.isfinite(level.margin) for found in every.values() for level in found)
     heads = [Column("success", "%"), *[Column("delay margin", "ms")] * known]
     heads += [Column(p, shown_unit(results, p)[1]) for p in results.patterns]
-    tables: list[str | Line | Table] = []
+    tables: list[str | TextLine | Table] = []
     for controller, found in every.items():
         best = best_of(found)
         rows = (
@@ -53,11 +53,11 @@ def levels_text(results: Results, factor: str, width: int = WIDTH) -> str:
             )
             for level in found
         )
-        tables += [Line(controller, "bold"), Table(controller, (Column(factor, text=True), *heads), tuple(rows))]
+        tables += [TextLine(controller, "bold"), Table(controller, (Column(factor, text=True), *heads), tuple(rows))]
     notes = [advice(results, controller, factor) for controller in results.controllers]
     about = "Medians with 95 % intervals. A dash: too few runs completed, or too few runs to bound it."
     about += " Delay margin: the least of the runs; !: below the one asked for (latency.margin)." if known else ""
-    return terminal_text([*tables, Line(about, "italic"), *notes], width=width)
+    return terminal_text([*tables, TextLine(about, "italic"), *notes], width=width)
 
 
 def level_cells(results: Results, level: Level, margins: bool) -> Iterator[str | Cell]:

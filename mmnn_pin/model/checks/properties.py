@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 
 import numpy as np
 
 from ...errors import ConfigError, RobotError
 from ...settings.arguments import checked
-from ...settings.shown import AsText
+from ...shown import AsText, shown
 from ...signals import Array
 from ..base.report import NO_FRICTION
 from ..robot import Robot, revolute
@@ -137,8 +136,8 @@ class CheckReport(AsText):
         end = f"{', '.join(failed)} failed" if failed else f"all {len(self.properties)} properties hold"
         return f"<Report: {self.robot}, {end} at {self.samples} states>"
 
-    def __str__(self) -> str:  # what shows it stands above it, so it is found by name
-        return str(import_module("mmnn_pin.lab.show.robots").properties_text(self))
+    def __str__(self) -> str:
+        return str(shown(self, "text"))
 
 
 @checked

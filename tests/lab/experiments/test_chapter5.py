@@ -21,7 +21,7 @@ from mmnn_pin.lab.experiments.controllers import effective
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.result import Result, unfair
 from mmnn_pin.lab.experiments.thesis import PRINTED, largest_errors, mean_ratio, ratios, thesis_ratios
-from mmnn_pin.lab.proof.learner import recorded_learner
+from mmnn_pin.lab.psi.learner import recorded_learner
 from mmnn_pin.lab.show import comparison
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.recording.recording import recorded_robot

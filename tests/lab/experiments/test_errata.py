@@ -274,11 +274,11 @@ def test_a_discrete_update_can_grow_where_the_continuous_law_decays() -> None:
     for size, grows in ((0.5, False), (1.9, False), (2.1, True), (3.0, True)):
         W, V = np.full((4, 2), 1e6), np.zeros((3, 4))
         s, x, net, sigma = np.array([size, 0.0]), np.zeros(3), np.zeros(4), np.full(4, 0.5)
-        two_layer_update(W, V, x, net, sigma, s, 1.0, 1.0, 1.0, 1.0)
+        two_layer_update(W, V, x, net, sigma, s, np.ones(3), 1.0)
         assert (np.abs(W).max() > 1e6) == grows
         slow = np.full((4, 2), 1e6)
         for _ in range(1000):  # the same law and the same second, in small steps
-            two_layer_update(slow, V, x, np.zeros(4), sigma, s, 1.0, 1.0, 1.0, 1e-3)
+            two_layer_update(slow, V, x, np.zeros(4), sigma, s, np.ones(3), 1e-3)
         assert np.abs(slow).max() < 1e6
 
 
@@ -377,7 +377,7 @@ def test_equal_units_stay_equal_whatever_comes(seed: int) -> None:
     W, V = np.tile(rng.normal(size=2), (5, 1)), np.tile(rng.normal(size=(4, 1)), (1, 5))
     x, s = rng.normal(size=4), rng.normal(size=2)
     net = V.T @ x
-    two_layer_update(W, V, x, net.copy(), expit(net), s, 1.0, 1.0, 0.5, 1.0)
+    two_layer_update(W, V, x, net.copy(), expit(net), s, np.array([1.0, 1.0, 0.5]), 1.0)
     np.testing.assert_allclose(W - W[0], 0, atol=1e-14)
     np.testing.assert_allclose(V - V[:, :1], 0, atol=1e-14)
 

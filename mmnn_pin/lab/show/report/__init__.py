@@ -23,13 +23,14 @@ from ....errors import InputError, RecordingError
 from ....recording.metrics import metrics
 from ....recording.recording import Recording
 from ....settings import Timing
+from ....shown import filled
 from ....signals import Array, IntArray
 from ...experiments.config import bundled, load_experiment, named_files, recorded_experiment
 from ...experiments.controllers import CONTROLLERS
 from ...experiments.experiment import Experiment
 from ...experiments.references import ReferenceTables
 from ...experiments.result import Result
-from ...proof.proof import proofs_with
+from ...psi.judgement import judgement_of, with_part
 from .. import replay
 from ..comparison import tables_of
 from ..curves import (
@@ -44,10 +45,10 @@ from ..curves import (
 )
 from ..figure import in_the_dark, run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, fill_template, web_file
-from ..proof.figures import sliced
+from ..psi_figures import sliced
 from ..replay.page import title_of
 from ..robots import CHECK_SAMPLES, CHECK_SEED, robots_of
-from .verdict import proved, verdict
+from .verdict import learned, verdict
 
 T = TypeVar("T")
 FPS = 30.0  # of the replay within
@@ -56,7 +57,6 @@ OUTSIDE = "outside"  # the loop of a recording that a stepper made
 OWN = ("variant", "overrides", "title")  # keys that no `--set` changes
 MOST = 4000  # points of a curve; of a longer one the extremes of this many stretches of time are kept
 LARGEST = 1e30  # what single precision and a plot can still hold
-PROVED = ("fvu", "lyapunov")  # charts that stand with what is proved
 
 
 @dataclass(frozen=True, repr=False)
@@ -88,6 +88,7 @@ def report(
     Raises:
         RecordingError: No run, one without rows, or runs of robots with different velocities.
     """
+    filled()
     result = result_of(recordings)
     charts = Charts(result.recordings)
     robots, without_robots = shown_or_why("robot", lambda: robots_of(result.recordings))
@@ -107,7 +108,7 @@ def report(
         runs=runs_of(result),
         tables=list(tables_of(result)),
         charts=charts,
-        proved=proved(result.recordings),
+        learned=learned(result.recordings),
         data=charts.pack(),
         replay=made,
         robots=robots,
@@ -268,33 +269,16 @@ def shared(facts: Mapping[str, str]) -> str:
     "What is left unexplained of \u03a8",
     "Mean squared error of \u03a8\u0302 in each window over the variance of \u03a8 in the whole run. The mean "
     "of a curve is its FVU online; the best constant has 1.",
+    judged=True,
 )
 def fvu(recordings: Recordings) -> Iterator[Panel]:
     """Error online in windows, a panel per component."""
-    proofs, _ = proofs_with(learners(recordings), "psi")
-    windows = {name: sliced(proof) for name, proof in proofs.items()}
-    for i, name in enumerate(next(iter(proofs.values())).psi.labels if proofs else ()):
+    judged, _ = with_part(learners(recordings), "psi", judgement_of)
+    windows = {name: sliced(one) for name, one in judged.items()}
+    for i, name in enumerate(next(iter(judged.values())).psi.labels if judged else ()):
         # every value is held to the end of its window
         curves = {n: (edges, np.append(v[:, i], v[-1, i])) for n, (edges, v) in windows.items()}
         yield Panel(f"\u03a8 of {name}", "", curves, scale="log", step=True)
-
-
-@chart(
-    "lyapunov",
-    "Lyapunov function",
-    "V = V1(pose error) + s\u1d40Ms/2 + the weights' errors (3.53), with the corrected V1 and ideal "
-    "weights from an offline fit; the errors' part; and the measured change of V, its axis logarithmic on both sides "
-    "of zero.",
-)
-def lyapunov(recordings: Recordings) -> Iterator[Panel]:
-    """V, its part without the weights, and its measured change."""
-    values = {name: proof.lyapunov for name, proof in proofs_with(recordings, "lyapunov")[0].items()}
-    if values:
-        yield Panel("V", "SI", {n: (v.time, v.total) for n, v in values.items()}, scale="log")
-        if any(v.weights.any() for v in values.values()):
-            parts = {n: (v.time, v.pose + v.motion) for n, v in values.items()}
-            yield Panel("errors' part of V", "SI", parts, scale="log")
-        yield Panel("dV/dt", "SI/s", {n: (v.time, v.measured) for n, v in values.items()}, scale="symlog")
 
 
 class Charts:
@@ -314,11 +298,9 @@ class Charts:
         self._times: dict[tuple[int, bytes], Any] = {}
         every = ((name, one, [*map(self.packed, one.panels(recordings))]) for name, one in CHARTS.items())
         self.sections = [
-            {"key": name, "chart": one, "panels": panels, "proves": name in PROVED}  # with what is proved
-            for name, one, panels in every
-            if panels
+            {"key": name, "chart": one, "panels": panels, "judged": one.judged} for name, one, panels in every if panels
         ]
-        self.skipped = [f"no Lyapunov function of {why}" for why in proofs_with(recordings, "lyapunov")[1]]
+        self.skipped = [why for one in CHARTS.values() for why in one.lacks(recordings)]
 
     def pack(self) -> str:
         """All that the page's script reads, as text; see `Blob.pack`."""
