@@ -205,11 +205,7 @@ def shown(values: Array, ranges: Sequence[FigureRange]) -> Array:
 
 
 def mark_extreme(
-    axes: Axes,
-    signal: str,
-    curves: Sequence[Curve],
-    ranges: Sequence[FigureRange],
-    place: Callable[[Array], np.intp],
+    axes: Axes, signal: str, curves: Sequence[Curve], ranges: Sequence[FigureRange], place: Callable[[Array], np.intp]
 ) -> None:
     """Ring at the extreme of all curves of a plot."""
     values = [shown(recording[signal][:, column], ranges) for _, recording, column, _ in curves]
