@@ -31,6 +31,7 @@ from .robot import check, inspect, model
 from .ros2 import ros2
 from .run import list_, readings, run
 from .study import study, tune
+from .warm import warm
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
@@ -114,7 +115,7 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-JUDGING = (run, study, tune, readings, model, plot, judge, replay, report, export, inspect, check, list_, docs)
+JUDGING = (run, study, tune, readings, model, plot, judge, replay, report, export, inspect, check, list_, warm, docs)
 DEPLOYING = (ros2, embed, identify, excite)
 for command in (*JUDGING, *DEPLOYING):
     mmnn.add_command(command)

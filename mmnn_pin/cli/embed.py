@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 @CHANGES
 @understanding
 @shared
-def embed(  # noqa: PLR0913 (click hands over every option)
+def embed(
     experiment: str,
     variant: str | None,
     robot: str | None,

@@ -68,7 +68,7 @@ HEADERS = (
 @FORCE
 @understanding
 @shared
-def identify(  # noqa: PLR0913 (click hands over every option)
+def identify(
     logs: tuple[Path, ...],
     robot: str,
     out: Path,
@@ -211,7 +211,7 @@ def carried(
 @FORCE
 @understanding
 @shared
-def excite(  # noqa: PLR0913 (click hands over every option)
+def excite(
     robot: str,
     out: Path,
     duration: float,
@@ -235,7 +235,7 @@ def excite(  # noqa: PLR0913 (click hands over every option)
     from ..model.loading import load
 
     require_free(out, force)
-    limits = excitation.Limits(duration, space, share, clearance, seconds, seed)
+    limits = excitation.ExcitationLimits(duration, space, share, clearance, seconds, seed)
     found = excitation.excite(load(robot, **overrides), limits)
     found.save(out, force)
     report = found.to_dict() | {"file": str(out)}

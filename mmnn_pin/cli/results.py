@@ -356,7 +356,7 @@ def export(
 ) -> int:
     """Write recordings as tables (csv, npz, parquet) or as MCAP. RUN is a recording, or a folder with recordings.
 
-    RUN may also be one study, its folder or its database: its rows are written as csv or parquet.
+    RUN may also be one study, its folder or its results.jsonl: its rows are written as csv or parquet.
     MCAP holds joint states, transforms, odometry and all signals as messages of ROS 2. Parquet and MCAP need
     `pip install 'mmnn_pin[export]'`.
     """

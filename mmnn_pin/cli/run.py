@@ -19,7 +19,6 @@ from .output import (
     FAILED,
     STOPPED,
     answer,
-    before_it_is_compiled,
     columns,
     compile_if_cold,
     interruptible,
@@ -84,7 +83,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
 @click.option("--force", is_flag=True, help="Replace what is already in that folder.")
 @understanding
 @shared
-def run(  # noqa: PLR0913 (click hands over every option)
+def run(
     experiment: str,
     variant: str | None,
     robot: str | None,
@@ -124,9 +123,6 @@ def run(  # noqa: PLR0913 (click hands over every option)
     by_name = said or says_controllers(experiment)
     hardware = bool(asked.cases) or has_hardware(asked)
     with told_from_where(experiment, variant, asked, changes):
-        if not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
-            with before_it_is_compiled(hardware):
-                return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
         compile_if_cold(hardware)
         if asked.cases:
             return run_cases(asked, name, folder, force, as_json, elsewhere)

@@ -66,7 +66,7 @@ class Embedded:
 
 
 @checked
-def embed(  # noqa: PLR0913 (seven of them by name, each with a default)
+def embed(
     loop: Loop,
     folder: str | Path,
     *,

@@ -95,7 +95,7 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     way = stepper.hardware.way
     program.dropped |= {"motor_states", "sent"}  # what only simulated motors and lines read
     program.dropped |= {program.memory(part, "unread").name for part in (way.totals.force, way.shorted)}
-    if b.control.torque.lead is None:
+    if b.ahead is None:
         program.dropped.add(program.memory(b.before, "before").name)
     learned = stepper.state
     if getattr(learned, "values", None) is not None and learned.values.size:

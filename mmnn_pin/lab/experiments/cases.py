@@ -13,7 +13,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from ...errors import ConfigError, InputError, UnknownName
+from ...errors import ConfigError, InputError, UnknownName, keyed
 from ...recording.metrics import ERRORS
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
@@ -109,11 +109,9 @@ def with_case(experiment: E, name: str) -> E:
         return msgspec.convert(table, type(experiment))
     except msgspec.ValidationError as error:
         found = config_error(error, None, table, type(experiment))
-        found.key = f"cases.{name}.set.{found.key or ''}".rstrip(".")
-        raise found from error
+        raise found.but(key=f"cases.{name}.set.{found.key or ''}".rstrip(".")) from error
     except InputError as error:
-        error.key = f"cases.{name}.set.{error.key or ''}".rstrip(".")
-        raise
+        raise error.but(key=f"cases.{name}.set.{error.key or ''}".rstrip(".")) from error
 
 
 def chosen_cases(experiment: E, names: Sequence[str]) -> E:
@@ -147,12 +145,9 @@ def run_cases(
     """
     cases = {case: with_case(experiment, case) for case in experiment.cases}
     for case, changed in cases.items():
-        try:
+        with keyed(lambda key, case=case: f"cases.{case}: {key}".rstrip(": ")):  # type: ignore[misc]
             require_settled(changed)
             require_runnable(changed, changed.load_robot())
-        except InputError as error:
-            error.key = f"cases.{case}: {error.key or ''}".rstrip(": ")
-            raise
     require_free([out / case / f"{c}.h5" for case in cases for c in experiment.controllers] if out else [], force)
     results: dict[str, Result] = {}
     verdicts: dict[str, dict[str, CaseVerdict]] = {}

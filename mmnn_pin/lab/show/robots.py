@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...model.checks.nonholonomy import RANK_TOLERANCE
-from ...model.checks.properties import Report, check
+from ...model.checks.properties import CheckReport, check
 from ...model.inspection import inspection_of
 from ...model.urdf.expansion import EXPANDED
 from ...recording.recording import Recording, recorded_robot
@@ -189,7 +189,7 @@ def matrix(title: str, values: Any, rows: Sequence[str], columns: Sequence[str])
 # -- properties --------------------------------------------------------------------------------------------------------
 
 
-def properties_dict(report: Report) -> dict[str, Any]:
+def properties_dict(report: CheckReport) -> dict[str, Any]:
     """The report as the command line's JSON object; what is not finite is null."""
     tested, b = report.nonholonomic, report.bounds
     wheels = tested.with_wheels
@@ -217,8 +217,8 @@ def properties_dict(report: Report) -> dict[str, Any]:
     }
 
 
-@shows(Report, "text")
-def properties_text(report: Report, columns: int = WIDTH) -> str:
+@shows(CheckReport, "text")
+def properties_text(report: CheckReport, columns: int = WIDTH) -> str:
     """The report for a terminal: the properties with what they mean, the bounds, the Frobenius test."""
     rows = []
     for name, p in report.properties.items():
@@ -238,9 +238,8 @@ def properties_text(report: Report, columns: int = WIDTH) -> str:
             ranks = " -> ".join(map(str, found.growth))
             parts.append(f"  {where}: rank {ranks} of {found.coordinates} by Lie brackets")
     failed = [name for name, p in report.properties.items() if not p.passed]
-    return terminal_text(
-        [*parts, "", f"FAILED: {', '.join(failed)}" if failed else "all properties hold"], width=columns
-    )
+    parts += ["", f"FAILED: {', '.join(failed)}" if failed else "all properties hold"]
+    return terminal_text(parts, width=columns)
 
 
 # -- the robots of runs ------------------------------------------------------------------------------------------------

@@ -150,7 +150,7 @@ def rotation(angle: float) -> Array:
 
 
 class SecondKinematics:
-    """Where the links of one robot are, by yourdfpy and by Pinocchio.
+    """Placements of the links of one robot, by yourdfpy and by Pinocchio.
 
     Args:
         robot: The robot.
@@ -183,7 +183,7 @@ class SecondKinematics:
         return {name: np.asarray(self.urdf.get_transform(name)) for name in self.urdf.link_map}
 
     def by_pinocchio(self, position: Array) -> dict[str, Array]:
-        """The same by Pinocchio."""
+        """(4, 4) placement of every link in the root link, by Pinocchio, at a position (nv,)."""
         model, body = self.robot.model, pin.FrameType.BODY
         pin.framesForwardKinematics(model, self.data, self.robot.configuration(position))
         placed = {name: self.data.oMf[model.getFrameId(name, body)] for name in self.urdf.link_map}

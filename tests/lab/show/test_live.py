@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from browser import browser
 
-from mmnn_pin import PD, Feedback, Measurement, Stepper, load
+from mmnn_pin import PD, Feedback, Measurement, Stepper, StepperSettings, load
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.show.live import LiveView
 from mmnn_pin.lab.show.serving import FIRST, SEQUENCE, SharedFrames, as_json, new_memory
@@ -34,7 +34,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def stepper(robot):
-    with Stepper(robot, PD(Feedback(15.0, 20.0, "inertia")), safety=Safety(), period=PERIOD) as made:
+    with Stepper(robot, PD(Feedback(15.0, 20.0, "inertia")), StepperSettings(safety=Safety(), period=PERIOD)) as made:
         yield made
 
 
@@ -162,7 +162,7 @@ def test_the_server_ends_with_the_process_that_started_it():
     program = (
         "from mmnn_pin import *\nfrom mmnn_pin.safety import Safety\n"
         "from mmnn_pin.lab.show.live import LiveView\nimport time\n"
-        "s = Stepper(load('platform_arm'), PD(Feedback(15.0, 20.0, 'inertia')), safety=Safety())\n"
+        "s = Stepper(load('platform_arm'), PD(Feedback(15.0, 20.0, 'inertia')), StepperSettings(safety=Safety()))\n"
         "v = LiveView(s, port=0)\nprint(v.url, v.server.pid, flush=True)\ntime.sleep(600)\n"
     )
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}

@@ -18,7 +18,7 @@ from places import ROOT
 from replays import TYPES, unpacked
 from replays import recorded as recorded_without_period
 
-from mmnn_pin import PD, Hold, Line, Loop, Measurement, Stepper, Timing, Trajectory, load
+from mmnn_pin import PD, Hold, Line, Loop, Measurement, Stepper, StepperSettings, Timing, Trajectory, load
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.config import load_experiment
@@ -434,7 +434,7 @@ def test_every_curve_is_seen_on_the_dark_page(name: str) -> None:
 def test_a_recording_of_hardware_is_no_simulation(tmp_path: Path) -> None:
     """What a stepper recorded has no plant of ours and no seed; its length is that of the recording."""
     robot = load("platform_arm")
-    with Stepper(robot, PD(), path=tmp_path / "robot.h5", period=0.002) as stepper:
+    with Stepper(robot, PD(), StepperSettings(path=tmp_path / "robot.h5", period=0.002)) as stepper:
         rest = np.zeros(2)
         for k in range(60):
             stepper.step(0.002 * k, Measurement(np.zeros(3), rest, rest, rest))

@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from ....model.base.overrides import folders_of
 from ....model.robot import Robot
-from ....model.urdf.document import placement
+from ....model.urdf.document import number, placement, vector
 from ....model.urdf.meshes import BrokenMesh, meshes_of
 from ....model.urdf.packages import locate
-from ....model.urdf.xml import number, vector
 from ....recording.robot_file import UNSEEN
 from ....signals import Array
 from ..files import Blob
