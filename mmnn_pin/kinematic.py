@@ -121,7 +121,7 @@ class Kinematic(Settings, frozen=True):
         return kind_of(layout).linear_errors(v_ref, self.base_gains(layout))
 
     def pose_weights(self, layout: Dimensions) -> Array | None:
-        """What the squares of the errors of a base's velocities count in its pose error, (base,); None for all alike.
+        """Weights of the squares of the errors of a base's velocities in its pose error, (base,); None for all alike.
 
         They are second derivatives of the Lyapunov function of the pose error (`Base.pose_weights`).
         """

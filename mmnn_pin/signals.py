@@ -1,8 +1,8 @@
 """The wires between the blocks: one flat row of float64 per control sample, and named views into it.
 
 A row holds every signal of one control sample. The compiled blocks read and write slices of it; a recording is
-the rows one after the other. `Layout` says what stands where; `Setpoint`, `Measurement`, `VelocityCommand`
-and `State` are views for people, refreshed in place at every sample (copy what you want to keep).
+the rows one after the other. `Layout` says what stands where; `Setpoint`, `Measurement` and
+`VelocityCommand` are views for people, refreshed in place at every sample (copy what you want to keep).
 
 Notation: `nb` base velocities (2 for a differential drive `(v, w)`, 3 for a holonomic base `(vx, vy, w)`, 0 for a
 fixed arm), `n` arm joints, `p = nb + n`, `nv` velocities of the full Pinocchio model. Poses are those of the
@@ -82,7 +82,7 @@ EARLY = 5e-10  # half a nanosecond early counts, as times are rounded [s]
 
 @dataclass(frozen=True)
 class Dimensions:
-    """How many of everything a robot has, and what kind of base.
+    """Numbers of velocities, joints and motors of a robot, and its kind of base.
 
     Args:
         base: Number of base velocities nb.
@@ -113,7 +113,7 @@ class Dimensions:
 
 @dataclass(frozen=True)
 class Layout(Dimensions):
-    """Where each signal stands in a row: a robot's dimensions, and what is recorded of a run beside its motion.
+    """Places of the signals in a row: a robot's dimensions, and what is recorded of a run beside its motion.
 
     Args:
         wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
@@ -183,7 +183,7 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Setpoint(View):
-    """What the robot should do at one instant: the signals `pose_ref` ... `qddot_ref` of a row and of a recording.
+    """The reference at one instant: the signals `pose_ref` ... `qddot_ref` of a row and of a recording.
 
     Attributes:
         pose: (3,) pose of the control frame in the world [m, m, rad]; (0,) for a fixed arm.
@@ -219,7 +219,7 @@ class Setpoint(View):
 
 @dataclass(frozen=True, slots=True)
 class Measurement(View):
-    """What the sensors say: all that a controller may know of the robot's state.
+    """The sensors' readings: all that a controller may know of the robot's state.
 
     Attributes:
         pose: (3,) pose of the control frame in the world, phi unwrapped [m, m, rad].
@@ -240,7 +240,7 @@ class Measurement(View):
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand(View):
-    """What the kinematic layer asks of the torque controller, thesis (3.3), (3.6), (3.10), (3.11).
+    """The kinematic layer's demand on the torque controller, thesis (3.3), (3.6), (3.10), (3.11).
 
     Attributes:
         alpha: (nb,) commanded base velocity [m/s, rad/s].
@@ -265,16 +265,3 @@ class VelocityCommand(View):
     r: Array
     nu_ref: Array
     nudot_ref: Array
-
-
-@dataclass(frozen=True, slots=True)
-class State(View):
-    """The true state of the plant; controllers never see it.
-
-    Attributes:
-        position: (nv,) pose of the control frame, then the angle or travel of every joint of the full model.
-        nu: (p,) base velocity and arm joint velocities.
-    """
-
-    position: Array
-    nu: Array

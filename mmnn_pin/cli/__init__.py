@@ -47,7 +47,7 @@ def beside() -> EntryPoints:
     return entry_points(group="mmnn_pin.commands")
 
 
-class Commands(click.Group):
+class CommandGroup(click.Group):
     """The commands by name."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -81,9 +81,9 @@ def tell_version(context: click.Context, _: click.Parameter, asked: bool) -> Non
 
 
 @click.group(
-    cls=Commands,
+    cls=CommandGroup,
     invoke_without_command=True,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True},
     epilog=examples(
         "mmnn inspect my_robot.urdf                      what the file says, and what is wrong with it",
         "mmnn run track --robot my_robot.urdf            drive it along an eight, with six controllers",

@@ -1,4 +1,4 @@
-"""What commands print, their exit codes, and what the paths that they are given hold.
+"""Output of the commands, their exit codes, and the runs, studies and contests that paths hold.
 
 Results go to standard output, all else to standard error. A path may hold a recording, a folder of recordings, a study
 or what else a folder may hold.
@@ -52,7 +52,7 @@ def say(text: str) -> None:
 
 
 def look() -> dict[str, Any]:
-    """How text for standard output looks: in colours on a terminal; as wide as that or COLUMNS, else as it is."""
+    """Look of text on standard output: in colours on a terminal; as wide as that or COLUMNS, else as it is."""
     colour = sys.stdout.isatty()
     if not colour and not os.environ.get("COLUMNS", "").isdigit():
         return {}
@@ -131,7 +131,7 @@ def tell_what_compiles() -> Callable[[str], None]:
 
 
 def compiling_lines(now: Callable[[], float] = time.monotonic) -> Callable[[str], None]:
-    """What prints a name at most every 10 s; where it was not called for 10 s, the time counts from its next call.
+    """A function that prints a name at most every 10 s, counted anew where nobody called it for 10 s.
 
     Args:
         now: The clock [s].

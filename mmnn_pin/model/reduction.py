@@ -178,52 +178,11 @@ def reduce(T: Array, full: Array, half: Array, out: Array) -> None:
 
 
 @compiled
-def reduced_terms(
-    T: Array,
-    M_full: Array,
-    h_full: Array,
-    v: Array,
-    nu: Array,
-    damping: Array,
-    dry: Array,
-    viscous: Array,
-    half: Array,
-    M: Array,
-    h: Array,
-    F: Array,
-) -> None:
-    """Reduced mass matrix M, bias `h = T' h_full + F` with `h_full = C_full v + g_full`, and friction F."""
-    reduce(T, M_full, half, M)
-    friction(T, v, nu, damping, dry, viscous, F)
-    project(T, h_full, h)
-    for j in range(nu.size):
-        h[j] += F[j]
-
-
-@compiled
-def psi(
-    T: Array,
-    M: Array,
-    C_full: Array,
-    g_full: Array,
-    F: Array,
-    nu_ref: Array,
-    nudot_ref: Array,
-    w: Array,
-    f: Array,
-    out: Array,
-) -> None:
-    """`M nudot_ref + T' (C_full T nu_ref + g_full) + F`, written to out (p,); w and f (nv,) are scratch."""
-    spread(T, nu_ref, w)
-    for i in range(w.size):
-        f[i] = g_full[i]
-        for k in range(w.size):
-            f[i] += C_full[i, k] * w[k]
-    project(T, f, out)
+def add_product(A: Array, x: Array, out: Array) -> None:
+    """`out += A x`, in place."""
     for i in range(out.size):
-        out[i] += F[i]
-        for j in range(out.size):
-            out[i] += M[i, j] * nudot_ref[j]
+        for j in range(x.size):
+            out[i] += A[i, j] * x[j]
 
 
 @compiled

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from places import ROOT
 
-pytestmark = pytest.mark.lab
-
 pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
 SIMULATES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="runs of eight seconds, uncompiled")
@@ -22,7 +20,7 @@ def checkout(monkeypatch):
 
 @pytest.fixture
 def saved():
-    return json.loads((ROOT / "studies" / "chapter5" / "summary.json").read_text(encoding="utf-8"))
+    return json.loads((ROOT / "research" / "studies" / "chapter5" / "summary.json").read_text(encoding="utf-8"))
 
 
 def test_rigs_repeat_stay_in_range_and_differ():

@@ -10,8 +10,6 @@ import pytest
 from places import ROOT
 from scipy.stats import binomtest
 
-pytestmark = pytest.mark.lab
-
 pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
 SIMULATES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="runs of five seconds, uncompiled")
@@ -24,7 +22,7 @@ def checkout(monkeypatch):
 
 @pytest.fixture
 def saved():
-    return json.loads((ROOT / "studies" / "chapter4" / "summary.json").read_text(encoding="utf-8"))
+    return json.loads((ROOT / "research" / "studies" / "chapter4" / "summary.json").read_text(encoding="utf-8"))
 
 
 def made_up(two, one, **others):

@@ -16,9 +16,7 @@ from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.psi.subject import Subject
 from research.proof.load import carried
 
-pytestmark = pytest.mark.lab
-
-STUDY = ROOT / "studies" / "learners" / "knowledge.py"
+STUDY = ROOT / "research" / "studies" / "learners" / "knowledge.py"
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")

@@ -320,14 +320,11 @@ def test_first_run_says_that_it_compiles(call: Call, monkeypatch: pytest.MonkeyP
     assert "compiling" in err and json.loads(out)
 
 
-def test_warm_compiles_ahead_and_writes_nothing_else(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_warm_compiles_ahead_and_writes_nothing_else(call: Call) -> None:
     code, out, _ = call("warm", "chapter4", "--controller", "pd", "--json")
     told = json.loads(out)
     assert (code, told["experiment"], told["controllers"]) == (0, "chapter4", ["pd"]) and told["seconds"] > 0.0
-    assert not any(tmp_path.iterdir())
+    assert not any(Path.cwd().iterdir())
     assert call("warm", "no_such_experiment")[0] == 2
 
 
@@ -613,10 +610,10 @@ def test_model_text_names_rows_and_columns(call: Call) -> None:
     Path("state.json").write_text(json.dumps(STATE))
     code, out, _ = call("model", "platform_arm", "--at", "state.json")
     M = load("platform_arm"), json.loads(call("model", "platform_arm", "--at", "state.json", "--json")[1])["M"]
-    row = next(line for line in out.splitlines() if line.startswith("arm_1_joint"))
+    row = next(line for line in out.splitlines() if line.split()[:1] == ["arm_1_joint"])
     assert code == 0 and row.split()[1:] == [f"{value:.5g}" for value in M[1][2]]
     assert "constraint 1" in out and "wheel_left_joint" in out
-    assert "constraint" not in call("model", "two_axis_arm")[1].split("T     ")[1]
+    assert "constraint" not in call("model", "two_axis_arm")[1].split(" T  ")[1]
 
 
 BAD_STATES = {

@@ -18,7 +18,6 @@ from mmnn_pin import load, load_experiment
 from mmnn_pin.deploy.embed.export import embed
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.lead import catch_up, look_ahead
@@ -37,7 +36,6 @@ from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.law import Ahead, constant_gain, step
 from mmnn_pin.torque.model_based import PD, ComputedTorque
-from research.proof.lyapunov import powers
 
 ROBOTS = {
     "two_axis_arm": Trajectory(None, (Sine(0.6, 1.4), Sine(0.5, 1.1, 0.4, 1.0))),
@@ -355,20 +353,6 @@ def test_engines_agree_and_a_run_that_leads_resumes(compiled):
     for signal in ("psi_hat", "psi_applied", "torque", "e"):
         np.testing.assert_array_equal(run[signal], other[signal], err_msg=signal)
     assert_it_resumes(loop, loop.timing.duration / 2)
-
-
-@pytest.mark.compiled
-@one_more_compiled_loop
-def test_a_proof_takes_the_lead_out_of_the_feedback(compiled):
-    loop, run = compiled
-    subject = Subject.of(run)
-    rows = subject.rows
-    found = powers(subject, rows, subject.truth(rows), subject.applied, subject.hardware.torque, subject.hardware.push)
-    s = np.hstack((run["z"], run["r"]))
-    K = loop.controller.feedback_gain(loop.layout)
-    np.testing.assert_allclose(found["feedback"], -(K * s**2).sum(axis=1), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(found["lead"], (s * (run["psi_hat"] - run["psi_applied"])).sum(axis=1), atol=1e-12)
-    assert np.abs(found["lead"]).max() > 0
 
 
 @pytest.mark.compiled

@@ -35,6 +35,7 @@ from mmnn_pin.actuator import Actuator
 from mmnn_pin.cli import main
 from mmnn_pin.disturbance import DeadMotor, Push
 from mmnn_pin.errors import ConfigError, RecordingError
+from mmnn_pin.lab.psi.judgement import Judgement
 from mmnn_pin.loop.setup import UNKNOWN
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.recording.recording import recorded_position
@@ -47,7 +48,6 @@ from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.neural import Robust
 from mmnn_pin.torque.one_layer import OneLayer
 from mmnn_pin.torque.two_layer import TwoLayer
-from research.proof.proof import Proof
 
 H = 0.005
 GAINS = Feedback(300.0, 5.0)
@@ -596,7 +596,7 @@ def test_its_transforms_are_those_of_the_simulated_run_but_for_the_wheels(record
 
 def test_what_needs_the_truth_says_so(recorded):
     with pytest.raises(RecordingError, match="no truth") as caught:
-        Proof(recorded[1])
+        Judgement(recorded[1])
     assert "outside a simulation" in caught.value.why
 
 

@@ -1,4 +1,4 @@
-"""What a stepper does at a sample, as functions that can be written as C: `Stepper.step` without Python's objects.
+"""The sample of a stepper as functions that can be written as C: `Stepper.step` without Python's objects.
 
     measurement ─▶ [take] ─▶ [follow: a sample, a base velocity, or hold] ─▶ [sample] ─▶ [command]
 
@@ -34,7 +34,7 @@ CLOCK = 6
 
 
 class Board(NamedTuple):
-    """What a stepper has in memory.
+    """The memory of a stepper.
 
     Attributes:
         row: (width,) signals of the sample.

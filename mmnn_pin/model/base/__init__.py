@@ -10,10 +10,10 @@ from ...compiled import compiled
 from ...signals import Array, Dimensions
 from .base import Base, Fixed
 from .differential import DifferentialDrive, kanayama
-from .holonomic import Holonomic, holonomic_command
+from .holonomic import HolonomicBase, holonomic_command
 from .skid_steer import SkidSteer
 
-KINDS: dict[str, type[Base]] = {kind.kind: kind for kind in (DifferentialDrive, SkidSteer, Holonomic, Fixed)}
+KINDS: dict[str, type[Base]] = {kind.kind: kind for kind in (DifferentialDrive, SkidSteer, HolonomicBase, Fixed)}
 
 
 def kind_of(dimensions: Dimensions) -> type[Base]:

@@ -1,4 +1,4 @@
-"""What all bases share: how wheels roll, what that forbids, and the motions that are left.
+"""The base, as all kinds share it: how wheels roll, what that forbids, and the motions that are left.
 
 Frames: the *root* link's frame at rest (z up), and the *control frame* of the base: on the floor, at the middle of the
 drive axle (holonomic: at the centroid of the wheels), x along the rolling direction (the one nearer the root's x), y
@@ -90,7 +90,7 @@ class PoseEnergy(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Base:
-    """What carries the arm, and how it can move; a kind of base is a child, in a module with the law that drives it.
+    """A mobile base and how it can move; a kind of base is a child, in a module with the law that drives it.
 
     Attributes:
         kind: Its name, `differential_drive`, `holonomic` or `fixed`.
@@ -175,7 +175,7 @@ class Base:
         return [yaw_rate if name == "w" else speed for name in cls.velocity_names]
 
     def with_radii(self, factors: Mapping[str, float]) -> Self:
-        """The same base on wheels whose radii are other by a factor, every wheel's by its joint."""
+        """A copy on wheels whose radii are other by a factor, every wheel's by its joint."""
         return replace(self, wheels=tuple(replace(w, radius=w.radius * factors[w.joint]) for w in self.wheels))
 
     # -- its maps -----------------------------------------------------------------------------------------------------
@@ -197,7 +197,7 @@ class Base:
 
     @property
     def axle_x(self) -> float:
-        """Where the control frame lies along the root link's x [m]."""
+        """Place of the control frame along the root link's x [m]."""
         return float(self.frame[0])
 
     @cached_property

@@ -12,7 +12,7 @@ from ...signals import Array
 from .base import Base, LinearErrors, PoseEnergy
 
 
-class Holonomic(Base):
+class HolonomicBase(Base):
     """A base that moves in all directions at once. Gains of its law: kx, ky, kphi [1/s]."""
 
     kind = "holonomic"

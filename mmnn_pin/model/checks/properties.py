@@ -25,7 +25,7 @@ from .residuals import (
     EXACT,
     STENCIL,
     STEP,
-    Terms,
+    FullTerms,
     annihilation,
     asymmetry,
     block_residual,
@@ -88,7 +88,7 @@ PROPERTIES: dict[str, tuple[float, bool, str]] = {
 
 
 @dataclass(frozen=True)
-class Bounds:
+class ModelBounds:
     """Bounds of property 1, estimated.
 
     Attributes:
@@ -103,8 +103,8 @@ class Bounds:
 
 
 @dataclass(frozen=True, repr=False)
-class Report(AsText):
-    """What the checks found; `print` shows every property.
+class CheckReport(AsText):
+    """The properties of one robot at all samples; `print` shows every one.
 
     Attributes:
         robot: Its name.
@@ -121,7 +121,7 @@ class Report(AsText):
     samples: int
     seed: int
     properties: dict[str, Property]
-    bounds: Bounds
+    bounds: ModelBounds
     nonholonomic: Nonholonomy
     skipped: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -146,10 +146,10 @@ def check(
     samples: int = 100,
     seed: int = 0,
     *,
-    terms: Terms | None = None,
+    terms: FullTerms | None = None,
     world: WorldFrame | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Report:
+) -> CheckReport:
     """Check every property of a robot at random states.
 
     Args:
@@ -171,7 +171,7 @@ def check(
     """
     if samples < 1:
         raise ConfigError(f"{samples} states", fix="give at least 1", key="samples")
-    terms, kinematics, skipped = terms or Terms(robot), None, {}
+    terms, kinematics, skipped = terms or FullTerms(robot), None, {}
     if world is None and robot.base.two_sided:
         world = WorldFrame(robot)
     try:
@@ -197,17 +197,17 @@ def check(
             progress((k + 1) / samples)
     properties = {name: Property(found[name], *PROPERTIES[name]) for name in PROPERTIES if name in found}
     low, high, coriolis = np.array(ranges).T
-    bounds = Bounds(float(low.min()), float(high.max()), float(coriolis.max()))
-    return Report(robot.name, samples, seed, properties, bounds, nonholonomy(robot, rng), skipped, notes_of(robot))
+    bounds = ModelBounds(float(low.min()), float(high.max()), float(coriolis.max()))
+    return CheckReport(robot.name, samples, seed, properties, bounds, nonholonomy(robot, rng), skipped, notes_of(robot))
 
 
 def notes_of(robot: Robot) -> tuple[str, ...]:
-    """What to know of the states that were drawn, limits that were not taken at their word; and of no friction."""
+    """Notes on limits that were not taken at their word where states were drawn, and on no friction."""
     names = zip(robot.position_names, unlimited(robot), robot.lower, strict=True)
     wide = ", ".join(name for name, free, low in names if free and np.isfinite(low))
-    found = [f"limits too wide to be meant, positions drawn within +-pi or +-1 m: {wide}"] if wide else []
+    notes = [f"limits too wide to be meant, positions drawn within +-pi or +-1 m: {wide}"] if wide else []
     smooth = not (robot.damping.any() or robot.coulomb.any() or robot.viscous.any())
-    return (*found, *[f"note: {NO_FRICTION}: nothing is lost in `passive`"] * smooth)
+    return (*notes, *[f"note: {NO_FRICTION}: nothing is lost in `passive`"] * smooth)
 
 
 def worse(a: float | None, b: float, at_least: bool) -> float:
@@ -243,7 +243,7 @@ def unlimited(robot: Robot) -> Array:
     return np.asarray(~(travel <= np.where(revolute(robot), HUGE_TURN, HUGE_TRAVEL)))
 
 
-def residuals_at(terms: Terms, position: Array, v: Array, nu: Array) -> dict[str, float]:
+def residuals_at(terms: FullTerms, position: Array, v: Array, nu: Array) -> dict[str, float]:
     """Residuals of M and C at one state, of the full model moving with v and of the reduced one moving with nu."""
     robot, model = terms.robot, terms.model
     q, speed = robot.configuration(position), fastest(v)
@@ -281,7 +281,7 @@ def world_rate_residual(world: WorldFrame, position: Array, nu: Array, speed: fl
     return skewness(world.reduced_mass_matrix(q), Mdot, world.reduced_coriolis_matrix(q, nu), speed)
 
 
-def bounds_at(terms: Terms, position: Array, nu: Array) -> Array:
+def bounds_at(terms: FullTerms, position: Array, nu: Array) -> Array:
     """Least and largest eigenvalue of Mbar, and the largest `||Cbar|| / ||nu||` of nu and of every velocity alone."""
     q = terms.robot.configuration(position)
     M = terms.reduced_mass(q)

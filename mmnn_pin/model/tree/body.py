@@ -18,7 +18,7 @@ from ..reduction import friction, quadratic, spread
 from ..regressor import inertial_parameters, moving_joints
 from ..robot import Robot
 from .dynamics import potential_energy, terms
-from .motion import Tree, new_scratch
+from .motion import BodyTree, new_scratch
 from .tree import flatten
 
 
@@ -26,7 +26,7 @@ from .tree import flatten
 class Body(NamedTuple):
     """A robot as arrays: its tree, T (nv, p), friction of joints (nv,) and nu (p,), its dimensions, `Robot.arm_map`."""
 
-    tree: Tree
+    tree: BodyTree
     T: Array
     damping: Array
     dry: Array

@@ -11,10 +11,9 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -33,16 +32,7 @@ from ...experiments.result import Result
 from ...psi.judgement import judgement_of, with_part
 from .. import replay
 from ..comparison import tables_of
-from ..curves import (
-    CHARTS,
-    Curve,
-    Panel,
-    Recordings,
-    chart,
-    controller_of,
-    learners,
-    require_comparable,
-)
+from ..curves import CHARTS, Curve, Panel, Recordings, chart, controller_of, learners, require_comparable
 from ..figure import in_the_dark, run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, fill_template, web_file
 from ..psi_figures import sliced
@@ -59,24 +49,13 @@ MOST = 4000  # points of a curve; of a longer one the extremes of this many stre
 LARGEST = 1e30  # what single precision and a plot can still hold
 
 
-@dataclass(frozen=True, repr=False)
-class Report(HtmlPage):
-    """A report."""
-
-    what: ClassVar[str] = "report"
-
-    def _repr_html_(self) -> str:
-        """The page within a notebook, isolated from it."""
-        return self.within("80vh")
-
-
 def report(
     recordings: Mapping[str, Recording],
     *,
     command: str = "",
     with_replay: bool = True,
     package_dirs: Sequence[str | Path] = (),
-) -> Report:
+) -> HtmlPage:
     """The report on some runs of one task.
 
     Args:
@@ -92,7 +71,7 @@ def report(
     result = result_of(recordings)
     charts = Charts(result.recordings)
     robots, without_robots = shown_or_why("robot", lambda: robots_of(result.recordings))
-    made: replay.Page | None = None
+    made: replay.ReplayPage | None = None
     without_replay: list[str] = []
     if with_replay:
         make = partial(replay.page, result.recordings, fps=FPS, package_dirs=package_dirs)
@@ -118,7 +97,7 @@ def report(
         config=json.dumps(json.loads(config), indent=2, ensure_ascii=False) if config else "",
         unpack=web_file("unpack.js", replay.__name__),
     )
-    return Report(text, warnings)
+    return HtmlPage(text, warnings, "report")
 
 
 def shown_or_why(what: str, make: Callable[[], T]) -> tuple[T | None, list[str]]:
@@ -130,7 +109,7 @@ def shown_or_why(what: str, make: Callable[[], T]) -> tuple[T | None, list[str]]
 
 
 def subject(result: Result) -> str:
-    """What was run on which robot, for how long, in one line; whether a stepper recorded it on hardware."""
+    """Experiment, robot and duration of the runs in one line, and whether a stepper recorded them on hardware."""
     experiment, runs = result.experiment, result.recordings.values()
     robots = dict.fromkeys(str(recording.meta.get("robot", "")) for recording in runs)
     parts = [result.name, f"variant {experiment.variant}" if experiment.variant else "", ", ".join(robots)]
@@ -150,11 +129,7 @@ def runs_of(result: Result) -> list[dict[str, str]]:
     for name, style in styles_of(result.recordings).items():
         recording = result.recordings[name]
         about = CONTROLLERS.get(controller_of(name, recording), "a controller of your own")
-        look = {
-            "dash": dash(style.dash[1]),
-            "color": style.color,
-            "dark": in_the_dark(style.color),
-        }
+        look = {"dash": dash(style.dash[1]), "color": style.color, "dark": in_the_dark(style.color)}
         runs.append({"name": run_label(name, recording), "about": about, **look})
     return runs
 
@@ -222,7 +197,7 @@ def command_of(result: Result) -> str:
 
 
 def changes(one: Experiment, other: Experiment) -> list[str]:
-    """What `--set` makes of one experiment another, as `key.path=value`."""
+    """Changes `key.path=value` that make one experiment another."""
     before, after = (flat(msgspec.to_builtins(experiment)) for experiment in (one, other))
     return [
         f"{key}={json.dumps(value)}" for key, value in after.items() if before.get(key) != value and value is not None
