@@ -434,7 +434,17 @@ def test_a_module_is_compiled_anew_when_what_it_calls_is_edited_and_no_other(mon
 
 @compiles
 def test_without_numbas_insides_the_same_bits() -> None:
-    text = "from mmnn_pin.elementary import sin; from mmnn_pin.compiled import prepare; print(prepare, sin(0.3).hex())"
+    text = """
+import numpy as np
+from mmnn_pin.compiled import compiled
+from mmnn_pin.elementary import sin
+from mmnn_pin.parts import matrix, vector
+@compiled
+def summed(values):
+    a, b = vector(values, 1, 3), matrix(values, 2, 2, 2)
+    return sin(a[0]) + b[1, 1] + a[2]
+print(sum(summed(np.arange(8.0) + k) for k in range(1000)).hex())
+"""
     answers = [
         subprocess.run(
             [sys.executable, "-c", text], env=os.environ | {"MMNN_PLAIN_NUMBA": plain}, capture_output=True, text=True
