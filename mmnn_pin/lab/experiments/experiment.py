@@ -36,15 +36,7 @@ from ...settings import Settings, Timing, require_gains
 from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ...torque.neural import Inputs, Robust
-from .controllers import (
-    CONTROLLERS,
-    DEFAULT,
-    EFFECTIVE,
-    Learning,
-    Nominal,
-    RobustOf,
-    new_controller,
-)
+from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, Learning, Nominal, RobustOf, new_controller
 from .hand import hand_motion
 from .laws import resolved
 from .learner_tables import LearnerTables
