@@ -198,13 +198,13 @@ def references(digest: Hash, duration: float) -> None:
 
     from mmnn_pin import Circle, Eight, Line, Sine
     from mmnn_pin.reference import MinimumJerk, Waypoints
-    from mmnn_pin.reference.holonomic import Holonomic
+    from mmnn_pin.reference.holonomic import HolonomicPath
 
     t, corners = np.linspace(0.0, 20.0, 5001), ((0.0, 0.0), (4.0, 0.3), (4.5, 4.0), (0.3, 3.0))
     turning = Sine(0.7, 9.0, 0.1, 0.3)
     paths: list[Any] = [
         Line(0.3, (0.1, 0.2, 0.7), 1.0), Circle(1.3, 0.4, (0.1, 0.2, 0.7), -1, 1.0), Waypoints(corners, 0.5, 0.4),
-        Eight(3.0, 1.5, 20.0, (0.1, 0.2, 0.7), 2.0), Holonomic(Eight(3.0, 1.5, 20.0), turning),
+        Eight(3.0, 1.5, 20.0, (0.1, 0.2, 0.7), 2.0), HolonomicPath(Eight(3.0, 1.5, 20.0), turning),
     ]  # fmt: skip
     for path in paths:
         samples = path.sample(t)

@@ -37,7 +37,7 @@ import fuzz_urdf
 import h5py
 import numpy as np
 
-from mmnn_pin.compiled import cache_root
+from mmnn_pin.compiled.folders import cache_root
 
 ROOT = Path(__file__).parent.parent
 SECONDS, WAITING, MEMORY = 10, 300, 1 << 30  # of a command: processor time, time, bytes
@@ -551,8 +551,7 @@ RUN = [
     "export run.h5 --to npz --out out",
     "export run.h5 --to parquet --out out",
     *2 * ["export run.h5 --to mcap --out out"],
-    *2 * ["prove run.h5"],
-    "prove run.h5 --tube",
+    *3 * ["judge run.h5"],
 ]
 SHORTLY = "--set set.time.duration=0.004"  # a file may ask for long runs: these are no hang
 STUDY = [
@@ -569,15 +568,6 @@ KINDS: dict[str, tuple[list[Mutation], list[str]]] = {
     "recording": ([structure("run.h5")], RUN),
     "study": ([*3 * [lines("db/results.jsonl")], raw("db/results.jsonl")], STUDY),
     "tuning": ([database("tuned/tune.sqlite"), raw("tuned/tune.sqlite")], ["tune tuning.toml --out tuned"]),
-    "contest": (
-        [
-            json_file("contest/contest.json"),
-            json_file("contest/rows.json"),
-            raw("contest/rows.json"),
-            raw("contest/contest.json"),
-        ],
-        ["plot contest --out out --what contest-fvu", "plot contest --out out", "report contest --html out/c.html"],
-    ),
     "study file": ([*3 * [words("short.toml")], raw("short.toml")], [f"study short.toml --out out {SHORTLY}"]),
     "tuning file": ([*3 * [words("tuning.toml")], raw("tuning.toml")], [f"tune tuning.toml --out out {SHORTLY}"]),
     "experiment": ([*3 * [words("x.toml")], raw("x.toml")], ["run x.toml --out out --set time.duration=0.004"]),

@@ -14,12 +14,12 @@ from typing import Any
 
 import pytest
 from random_options import tried
-from sound_files import contest, study
+from sound_files import study
 
 import mmnn_pin
 from mmnn_pin.cli import main, mmnn
 from mmnn_pin.errors import ConfigError, MmnnError, StudyError
-from mmnn_pin.lab.show.replay.page import Page
+from mmnn_pin.lab.show.replay.page import ReplayPage
 from mmnn_pin.lab.study.results import load_results
 from mmnn_pin.lab.study.store import NAME
 from mmnn_pin.lab.study.verdict import verdict
@@ -156,40 +156,6 @@ def test_a_text_that_is_no_utf8_is_one_line(sound, tmp_path):
         load_results(file)
 
 
-def test_a_contest_that_lost_windows_of_a_curve_is_drawn_as_far_as_all_go(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    contest(tmp_path / "contest")
-    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
-    rows["eight/two_layer"]["rows"][0]["curve"].pop()
-    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
-    with redirect_stdout(StringIO()):
-        assert main(["plot", "contest", "--what", "contest-learning", "--out", "out"]) == 0
-
-
-def test_a_contest_with_a_squared_error_below_0_is_one_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    contest(tmp_path / "contest")
-    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
-    rows["eight/two_layer"]["rows"][0]["curve"][0][0] = -1.0
-    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
-    assert main(["report", "contest", "--html", "out.html"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "the curve of two_layer has a squared error below 0" in line
-
-
-@pytest.mark.parametrize("value", [1e300, -1.0])
-def test_a_contest_with_an_error_that_is_none_is_one_line(value, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    contest(tmp_path / "contest")
-    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
-    first = rows["eight/two_layer"]["rows"][0]["rms"]
-    first[next(iter(first))] = value
-    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
-    assert main(["report", "contest", "--html", "out.html"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert f"an error of {value:g}" in line
-
-
 # -- the replay's server -----------------------------------------------------------------------------------------------
 
 
@@ -206,7 +172,7 @@ def test_a_contest_with_an_error_that_is_none_is_one_line(value, tmp_path, monke
     ],
 )
 def test_a_foreign_page_gets_nothing_from_the_server(headers, status):
-    with Page("<p>mine</p>", (), 0, 0).served(0) as url:
+    with ReplayPage("<p>mine</p>").served(0) as url:
         host, port = url.removeprefix("http://").rstrip("/").split(":")
         assert host == "127.0.0.1"
         connection = HTTPConnection(host, int(port), timeout=10)

@@ -16,6 +16,7 @@ from ..errors import ConfigError, InputError
 
 F = TypeVar("F", bound=Callable[..., Any])
 PACKAGE = Path(__file__).parent.parent
+PATH = click.Path(path_type=Path)
 
 
 def shared(function: F) -> F:
@@ -60,6 +61,20 @@ def understanding(function: F) -> F:
         return function(*args, overrides=kept, **kwargs)
 
     return with_all(ROBOT_OPTIONS, gathered)  # type: ignore[return-value]
+
+
+def judged_on(function: F) -> F:
+    """Add the options that say what a learner is judged on."""
+    load = click.option(
+        "--payload",
+        type=click.FloatRange(0, 1e6, min_open=True),
+        metavar="KG",
+        help="Load of the changed robot.  [default: a quarter of what the arm weighs]",
+    )
+    count = click.option(
+        "--windows", type=click.IntRange(1, 1000), default=5, show_default=True, help="Windows of the online FVU."
+    )
+    return load(count(function))
 
 
 def makes_runs(function: F) -> F:

@@ -31,7 +31,7 @@ from .worker import Bundle, Trial, code_digest, load_once
 # Keys that change no number of a run; a study does not vary them. Its rows are judged by its own `success`.
 COSMETIC = (
     *("title", "variant", "controllers", "plots", "torque_limits", "weights_interval"),
-    *("cases", "tolerance", "contest"),
+    *("cases", "tolerance"),
 )
 ROBOT = ("robot", "overrides")  # decide which robot is loaded
 KINDS = {field.name: field.type for field in msgspec.structs.fields(Experiment)}

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from ...recording.versions import versions
 from ...reference import Trajectory
 from ...settings import plain
 from ...settings.arguments import checked_but, fits, shortly
-from ...settings.shown import Picture, Table
+from ...shown import Picture, Table, shown
 from ..experiments.compare import Assembled, Controllers, assembled
 from ..experiments.controllers import EFFECTIVE
 from .choice import ASKED, MARGIN, Level, best_of, levels
@@ -72,12 +71,12 @@ class Sweep:
 
     def table(self) -> Table:
         """A line for every value, and which to take; it prints as text."""
-        made: Table = import_module("mmnn_pin.lab.show.gallery").sweep_table(self.results, self.key)
+        made: Table = shown(self, "table")
         return made
 
     def plot(self) -> Picture:
         """Error against the value with intervals; `.save("sweep.svg")` writes it."""
-        made: Picture = import_module("mmnn_pin.lab.show.gallery").sweep_picture(self.results)
+        made: Picture = shown(self, "plot")
         return made
 
     def __repr__(self) -> str:

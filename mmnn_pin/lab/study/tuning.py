@@ -31,8 +31,8 @@ from ...sensing import Sensor
 from ...signals import Array, IntArray
 from ...torque.neural import Neural
 from ..experiments.config import value_at
-from ..proof.rate import rate_of
-from ..proof.subject import Subject
+from ..psi.rate import rate_of
+from ..psi.subject import Subject
 from .execution import execute
 from .factors import Factor, draws_of
 from .intervals import Interval, quantile

@@ -22,8 +22,7 @@ from study_files import SHORT, planned, run_here
 from mmnn_pin.cli import main
 from mmnn_pin.errors import StudyError
 from mmnn_pin.lab.show import study_figures as plots
-from mmnn_pin.lab.show.figure import axes_grid
-from mmnn_pin.lab.show.gallery import OF
+from mmnn_pin.lab.show.figure import FIGURES, axes_grid
 from mmnn_pin.lab.show.study import page, render
 from mmnn_pin.lab.study.factors import Factor
 from mmnn_pin.lab.study.intervals import differ, quantile, rate
@@ -377,7 +376,7 @@ def test_numbers_of_a_panels_axis_do_not_touch(span: float) -> None:
 
 def test_plot_draws_the_figures_of_a_study_and_no_others(done: Path, tmp_path: Path, capsys) -> None:
     assert main(["plot", str(done), "--out", str(tmp_path / "all")]) == 0
-    assert {file.stem for file in (tmp_path / "all").iterdir()} == set(OF["study"])
+    assert {file.stem for file in (tmp_path / "all").iterdir()} == set(FIGURES["study"])
     assert main(["plot", str(done), "--what", "study-errors", "--out", str(tmp_path / "one.svg")]) == 0
     assert "Errors against each factor" in (tmp_path / "one.svg").read_text()
     capsys.readouterr()
