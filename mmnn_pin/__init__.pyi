@@ -8,6 +8,7 @@ from .lab.psi.judgement import judge as judge
 from .lab.study.sweep import sweep as sweep
 from .loop.loop import Loop as Loop
 from .loop.stepper import Stepper as Stepper
+from .loop.stepper import StepperSettings as StepperSettings
 from .model.checks.properties import check as check
 from .model.loading import load as load
 from .model.robot import Robot as Robot

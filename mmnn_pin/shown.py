@@ -7,7 +7,6 @@ what they are made of asks with `shown`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -53,6 +52,8 @@ class AsText:
     """What prints as text; a notebook shows the same."""
 
     def _repr_html_(self) -> str:
+        from html import escape
+
         return f"<pre>{escape(str(self))}</pre>"
 
 

@@ -177,7 +177,7 @@ def test_compiled_code_uses_neither_a_libm_nor_a_blas() -> None:
     for module, file in modules().items():
         for function in ast.walk(ast.parse(file.read_text())):
             if not isinstance(function, ast.FunctionDef) or not any(
-                isinstance(mark, ast.Name) and mark.id in ("compiled", "linked", "internal", "inlined", "spliced")
+                isinstance(mark, ast.Name) and mark.id in ("compiled", "linked", "internal", "inlined")
                 for mark in function.decorator_list
             ):
                 continue

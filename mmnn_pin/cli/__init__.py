@@ -31,6 +31,7 @@ from .robot import check, inspect, model
 from .ros2 import ros2
 from .run import list_, readings, run
 from .study import study, tune
+from .warm import warm
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
@@ -46,7 +47,7 @@ def beside() -> EntryPoints:
     return entry_points(group="mmnn_pin.commands")
 
 
-class Commands(click.Group):
+class CommandGroup(click.Group):
     """The commands by name."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -80,9 +81,9 @@ def tell_version(context: click.Context, _: click.Parameter, asked: bool) -> Non
 
 
 @click.group(
-    cls=Commands,
+    cls=CommandGroup,
     invoke_without_command=True,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True},
     epilog=examples(
         "mmnn inspect my_robot.urdf                      what the file says, and what is wrong with it",
         "mmnn run track --robot my_robot.urdf            drive it along an eight, with six controllers",
@@ -114,7 +115,7 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-JUDGING = (run, study, tune, readings, model, plot, judge, replay, report, export, inspect, check, list_, docs)
+JUDGING = (run, study, tune, readings, model, plot, judge, replay, report, export, inspect, check, list_, warm, docs)
 DEPLOYING = (ros2, embed, identify, excite)
 for command in (*JUDGING, *DEPLOYING):
     mmnn.add_command(command)

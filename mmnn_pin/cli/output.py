@@ -1,4 +1,4 @@
-"""What commands print, their exit codes, and what the paths that they are given hold.
+"""Output of the commands, their exit codes, and the runs, studies and contests that paths hold.
 
 Results go to standard output, all else to standard error. A path may hold a recording, a folder of recordings, a study
 or what else a folder may hold.
@@ -52,7 +52,7 @@ def say(text: str) -> None:
 
 
 def look() -> dict[str, Any]:
-    """How text for standard output looks: in colours on a terminal; as wide as that or COLUMNS, else as it is."""
+    """Look of text on standard output: in colours on a terminal; as wide as that or COLUMNS, else as it is."""
     colour = sys.stdout.isatty()
     if not colour and not os.environ.get("COLUMNS", "").isdigit():
         return {}
@@ -100,21 +100,17 @@ def warn(text: str) -> None:
 
 
 def compile_if_cold(hardware: bool = False) -> None:
-    """Compile what a run needs, unless that was done, and announce it on standard error.
+    """Announce on standard error what a first run compiles, and what is compiled from now on.
 
     Args:
         hardware: Whether the run has sensors, motors, a supervisor or disturbances; then more is compiled.
     """
     from ..compiled import cache_folder, is_warm
-    from ..loop.early import wait
 
-    tell = tell_what_compiles()
-    wait(tell)
+    tell_what_compiles()
     if not is_warm():
         note("first run of this version: compiling takes about half a minute, later runs start at once")
-        from ..loop.precompile import precompile
-
-        precompile(tell)
+        return
     folder = cache_folder()
     if hardware and folder is not None and not (announced := folder / "hardware was announced").exists():
         parts = "sensors, motors, a supervisor or disturbances"
@@ -123,30 +119,10 @@ def compile_if_cold(hardware: bool = False) -> None:
             announced.touch()
 
 
-@contextmanager
-def before_it_is_compiled(hardware: bool = False) -> Iterator[None]:
-    """Within it a first run gives its result before all is compiled, where it can be (`loop.early`), and says so.
-
-    Args:
-        hardware: As of `compile_if_cold`.
-    """
-    from ..compiled import cache_folder, is_warm
-    from ..loop.early import early, is_compiling
-
-    plain = os.environ.get("NUMBA_DISABLE_JIT", "0") == "1"
-    if plain or cache_folder() is None or (is_warm() and not is_compiling()):
-        compile_if_cold(hardware)
-        yield
-        return
-    note("first run of this version: compiling, for later runs, goes on beside it for half a minute")
-    with early(tell_what_compiles()):
-        yield
-
-
 @cache
 def tell_what_compiles() -> Callable[[str], None]:
     """From now on, a line on standard error every 10 s while something is compiled; what tells it."""
-    from ..loop.precompile import when_compiling
+    from ..compiled import when_compiling
 
     tell = compiling_lines()
     when_compiling(tell)
@@ -154,7 +130,7 @@ def tell_what_compiles() -> Callable[[str], None]:
 
 
 def compiling_lines(now: Callable[[], float] = time.monotonic) -> Callable[[str], None]:
-    """What prints a name at most every 10 s; where it was not called for 10 s, the time counts from its next call.
+    """A function that prints a name at most every 10 s, counted anew where nobody called it for 10 s.
 
     Args:
         now: The clock [s].

@@ -14,7 +14,7 @@ import click
 
 from ..errors import ConfigError
 from ..files import require_free
-from .options import FORCE, PACKAGE_DIRS, examples, judged_on, law, shared
+from .options import FORCE, PACKAGE_DIRS, PATH, examples, judged_on, law, shared
 from .output import (
     DONE,
     answer,
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from ..lab.show.files import HtmlPage
     from ..recording.recording import Recording
 
-RUNS = click.argument("runs", nargs=-1, required=True, metavar="RUN...", type=click.Path(path_type=Path))
-ONE_RUN = click.argument("run", metavar="RUN", type=click.Path(path_type=Path))
+RUNS = click.argument("runs", nargs=-1, required=True, metavar="RUN...", type=PATH)
+ONE_RUN = click.argument("run", metavar="RUN", type=PATH)
 LARGE = 50_000_000  # bytes of an exported file from which it is told how to have less
 TO = ("csv", "npz", "parquet", "mcap")
 
@@ -89,7 +89,7 @@ class FigureName(click.Choice[str]):
     multiple=True,
     help="What to draw; repeatable; study-... of the folder of a study.  [default: errors; of a folder all]",
 )
-@click.option("--out", type=click.Path(path_type=Path), help="A .png, .svg or .pdf file, or a folder.  [default: .]")
+@click.option("--out", type=PATH, help="A .png, .svg or .pdf file, or a folder.  [default: .]")
 @FORCE
 @law
 @shared
@@ -226,16 +226,10 @@ def to_judge(run: Path) -> Recording:
     ),
 )
 @RUNS
-@click.option(
-    "--html",
-    type=click.Path(path_type=Path),
-    help="Write the page to this file and open nothing; missing folders are made.",
-)
+@click.option("--html", type=PATH, help="Write the page to this file and open nothing; missing folders are made.")
 @FORCE
-@click.option("--fps", type=click.FloatRange(0.1, 1000), default=60, show_default=True, help="Frames kept per second.")
-@click.option(
-    "--port", type=click.IntRange(0, 65535), default=7007, show_default=True, help="Or the next that is free."
-)
+@click.option("--fps", type=click.FloatRange(0.1, 1000), default=60, help="Frames kept per second.")
+@click.option("--port", type=click.IntRange(0, 65535), default=7007, help="Or the next that is free.")
 @click.option("--no-browser", is_flag=True, help="Only print the address.")
 @PACKAGE_DIRS
 @shared
@@ -296,7 +290,7 @@ def has_display() -> bool:
     ),
 )
 @RUNS
-@click.option("--html", required=True, type=click.Path(path_type=Path), help="The page.")
+@click.option("--html", required=True, type=PATH, help="The page.")
 @FORCE
 @click.option("--no-replay", is_flag=True, help="Leave the replay out.")
 @PACKAGE_DIRS
@@ -346,7 +340,7 @@ def report(
 )
 @RUNS
 @click.option("--to", type=click.Choice(TO), required=True, help="The format.")
-@click.option("--out", type=click.Path(path_type=Path), help="A file, or a folder.  [default: beside the recording]")
+@click.option("--out", type=PATH, help="A file, or a folder.  [default: beside the recording]")
 @click.option("--signals", metavar="NAME,...", help="Signals of a table beside the time.  [default: all]")
 @click.option("--rate", type=float, metavar="HZ", help="Rows per second at most, samples of the run.  [default: all]")
 @FORCE
@@ -362,11 +356,11 @@ def export(
 ) -> int:
     """Write recordings as tables (csv, npz, parquet) or as MCAP. RUN is a recording, or a folder with recordings.
 
-    RUN may also be one study, its folder or its database: its rows are written as csv or parquet.
+    RUN may also be one study, its folder or its results.jsonl: its rows are written as csv or parquet.
     MCAP holds joint states, transforms, odometry and all signals as messages of ROS 2. Parquet and MCAP need
     `pip install 'mmnn_pin[export]'`.
     """
-    from ..lab.show.export import Part, export_study
+    from ..lab.show.export import RecordingPart, export_study
     from ..lab.show.export import export as write
 
     chosen = tuple(name.strip() for name in (signals or "").split(",") if name.strip())
@@ -385,7 +379,7 @@ def export(
         for file in files.values():
             require_free(file, force)
         for recording in recordings.values():
-            Part.of(recording, chosen, rate)
+            RecordingPart.of(recording, chosen, rate)
         for run, recording in recordings.items():
             write(recording, files[run], to, force=force, signals=chosen, rate=rate)
     large = [file for file in files.values() if file.stat().st_size > LARGE]

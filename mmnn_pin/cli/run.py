@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,13 +13,12 @@ import click
 
 from ..errors import InputError
 from ..files import read_toml
-from .options import CHANGES, VARIANT, cases, controllers, examples, experiments, robots, shared, understanding
+from .options import CHANGES, PATH, VARIANT, cases, controllers, examples, experiments, robots, shared, understanding
 from .output import (
     DONE,
     FAILED,
     STOPPED,
     answer,
-    before_it_is_compiled,
     columns,
     compile_if_cold,
     interruptible,
@@ -35,6 +33,9 @@ from .output import (
 if TYPE_CHECKING:
     from ..lab.experiments.experiment import Experiment
 
+ROBOT = click.option(
+    "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
+)
 MOST = 8  # names of cases that a line of `mmnn list` shows
 
 
@@ -54,9 +55,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
 )
 @click.argument("experiment", shell_complete=experiments)
 @VARIANT
-@click.option(
-    "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
-)
+@ROBOT
 @click.option(
     "--controller",
     "controllers",
@@ -78,7 +77,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
 @click.option("--seed", type=int, help="The seed; short for --set seed=N.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Folder for the files; where it has such files, a numbered one.  [default: runs/EXPERIMENT[-VARIANT]]",
 )
 @click.option("--force", is_flag=True, help="Replace what is already in that folder.")
@@ -120,16 +119,10 @@ def run(
     if not force:
         folder = unused(folder, files_of(asked) if out else None)
     elsewhere = f"{taken} has runs already: these go to {folder} (--force replaces them)" if folder != taken else ""
-    by_name = (
-        bool(controllers)
-        or any(change.startswith("controllers") for change in settings)
-        or says_controllers(experiment)
-    )
+    said = bool(controllers) or any(change.startswith("controllers") for change in settings)
+    by_name = said or says_controllers(experiment)
     hardware = bool(asked.cases) or has_hardware(asked)
     with told_from_where(experiment, variant, asked, changes):
-        if not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
-            with before_it_is_compiled(hardware):
-                return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
         compile_if_cold(hardware)
         if asked.cases:
             return run_cases(asked, name, folder, force, as_json, elsewhere)
@@ -192,7 +185,7 @@ def announced(text: str) -> Iterator[Callable[[str, float], None]]:
 
 
 def files_of(asked: Experiment) -> list[str]:
-    """What a run writes into its folder: recordings by case, and plots."""
+    """Files that a run writes into its folder: recordings by case, and plots."""
     folders = [f"{case}/" for case in asked.cases] or [""]
     runs = [f"{folder}{name}.h5" for folder in folders for name in asked.controllers]
     return [*runs, *(f"{plot}.png" for plot in asked.plots)]
@@ -216,6 +209,7 @@ def run_one(
     from ..lab.show.comparison import notes, render
     from ..lab.show.gallery import write_pictures
     from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
+    from ..lab.show.table import hanging
 
     with announced(elsewhere) as progress:
         result = run_experiment(asked, name, out=folder, force=force, progress=progress, leave_out=not by_name)
@@ -224,7 +218,7 @@ def run_one(
     def text() -> str:
         remarks = [f"note: {note}" for note in (*worse_somewhere(result), *rivals_left_out(result), *notes(result))]
         files = [recording.path for recording in result.recordings.values() if recording.path]
-        verdict = textwrap.fill(headline(result), columns(), break_long_words=False, break_on_hyphens=False)
+        verdict = hanging("", headline(result), columns())
         return "\n".join([styled(render(result, **look())), "", verdict, *remarks, wrote([*files, *pictures.values()])])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
@@ -291,10 +285,14 @@ def list_(as_json: bool) -> int:
 
 
 def list_text(there_is: dict[str, dict[str, Any]], width: int) -> str:
-    """What there is, in lines of at most `width` columns; variants and cases behind their experiments.
+    """Experiments, robots, controllers and references in lines of at most `width` columns.
+
+    Variants and cases stand behind their experiments.
 
     Robots are named with the files that they come from, which stay whole, in groups by folder.
     """
+    from ..lab.show.table import hanging
+
     titles = dict(there_is["experiments"])
     for option in ("variant", "case"):
         for name, known in there_is[f"{option}s"].items():
@@ -306,22 +304,16 @@ def list_text(there_is: dict[str, dict[str, Any]], width: int) -> str:
         groups.setdefault(f"robots in {folder}", {})[name] = str(Path(file).relative_to(folder))
     groups["controllers"] = there_is["controllers"]
     groups |= {f"references of the {part}": kinds for part, kinds in there_is["references"].items()}
-    return "\n".join(
-        "\n".join([kind, *(hanging(name, text, width) for name, text in group.items())])
+    lines = {
+        kind: [hanging(f"  {name:24}", text, width) if text else f"  {name}" for name, text in group.items()]
         for kind, group in groups.items()
-    )
+    }
+    return "\n".join("\n".join([kind, *group]) for kind, group in lines.items())
 
 
 def robot_folder(file: Path) -> Path:
     """The folder that the robots beside a file share: that of example-robot-data, or its own."""
     return next((folder for folder in file.parents if folder.match("example-robot-data/robots")), file.parent)
-
-
-def hanging(name: str, text: str, width: int) -> str:
-    """A name and what it is, the lines of the text below each other; a file is not broken."""
-    room = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
-    room.initial_indent, room.subsequent_indent = f"  {name:24}", " " * 26
-    return room.fill(text) if text else f"  {name}"
 
 
 @click.command(

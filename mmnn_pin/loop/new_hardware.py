@@ -162,7 +162,7 @@ def frozen_encoders(loop: Setup) -> Array:
     robot = loop.robot
     wheels = [wheel.joint for wheel in robot.base.wheels] if robot.dimensions.base else []
     names = [*wheels, *robot.joint_names]
-    windows = disturbance.windows(disturbance.Frozen, loop.disturbances, names)
+    windows = disturbance.windows(disturbance.FrozenEncoder, loop.disturbances, names)
     found = [
         (
             robot.position_names.index(names[int(i)]),
@@ -184,7 +184,7 @@ def world_of(loop: Setup, rng: np.random.Generator) -> World:
     """
     robot, timing, first = loop.robot, loop.timing, loop.robot.dimensions.pose
     pushes = disturbance.pushes(loop.disturbances, robot, timing.plant_step, timing.samples, rng)
-    blocked = disturbance.windows(disturbance.Block, loop.disturbances, robot.position_names[first:])
+    blocked = disturbance.windows(disturbance.BlockedJoint, loop.disturbances, robot.position_names[first:])
     blocked[:, 0] += first
     if len(blocked) and timing.integrator != "stick" and loop.plant == "ideal":
         why, fix = "only there is friction that holds", "use time.integrator = 'stick'"
@@ -223,8 +223,9 @@ def require_read_encoders(loop: Setup) -> None:
     """
     if loop.sensor.velocity != "true" or loop.sensor.pose != "true":
         return
+    wheels = [wheel.joint for wheel in loop.robot.base.wheels]
     for i, one in enumerate(loop.disturbances):
-        if isinstance(one, disturbance.Frozen) and one.joint in [wheel.joint for wheel in loop.robot.base.wheels]:
+        if isinstance(one, disturbance.FrozenEncoder) and one.joint in wheels:
             why = "pose and velocity of the base are measured as they are"
             fix = "use sensor.velocity = 'difference' or sensor.pose = 'odometry'"
             raise ConfigError(f"nobody reads the encoder of '{one.joint}'", why=why, fix=fix, key=f"disturbances.{i}")

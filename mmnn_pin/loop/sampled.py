@@ -31,7 +31,7 @@ from ..torque.controller import CompiledController
 from ..torque.learning_law import LearningLaw
 from ..torque.model_based import PD, ScheduledPD
 from .before_run import Start, lags, viscous_friction
-from .sample import Plan
+from .plan import Plan
 from .servo_model import LinearServos
 
 TOLERANCE = 1e-9

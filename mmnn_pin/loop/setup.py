@@ -27,7 +27,7 @@ from .before_run import lags, require_nominal
 from .controller import context_of
 from .latency import Latency
 from .lead import Lead, delays, lead_of, leads
-from .sample import Plan
+from .plan import Plan
 from .servo import Servo
 from .servo_model import linear_servos
 from .suited import postures

@@ -21,7 +21,7 @@ from ..model.robot import revolute, speed_limits
 from ..safety import Safety
 from ..signals import Array, Setpoint
 from .before_run import Start, viscous_friction
-from .sample import Plan
+from .plan import Plan
 from .sampled import gains_of, judges, sampled_loop
 
 OVER = 1.5

@@ -1,4 +1,4 @@
-"""What a robot follows while it runs: takes wishes as they come, and makes the setpoint of every sample.
+"""The follower takes wishes as they come while a robot runs, and makes the setpoint of every sample.
 
 The arithmetic is `guide`'s; here is what base and arm follow at present, since when, and what becomes of it when it is
 over, when nothing more comes, and in a pause.

@@ -45,7 +45,7 @@ NEAR = 1e-6  # beyond a joint's end that is none [rad or m]
 
 
 class Guide(NamedTuple):
-    """What makes setpoints: limits as numbers, the wishes, and the reference as it is.
+    """The guide of a robot's reference: limits as numbers, the wishes, and the reference as it is.
 
     A setpoint is flat: pose, velocity, acceleration of the base, q, qdot, qddot of the arm side by side.
 

@@ -15,7 +15,7 @@ from .samples import in_three
 
 
 @dataclass(frozen=True)
-class Holonomic(BasePath):
+class HolonomicPath(BasePath):
     """A path driven while the base turns as it likes.
 
     With the path's world velocity `p = (xdot, ydot)` and the heading `psi`, the velocity in the reference's own frame

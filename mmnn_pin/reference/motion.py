@@ -128,7 +128,7 @@ class Motion:
 
     @cached_property
     def columns(self) -> slice:
-        """Those of a flat setpoint that it is for."""
+        """The columns of a flat setpoint that the motion is for."""
         q = self.dimensions.pose + 2 * self.dimensions.base
         return slice(0 if BASE in self.parts else q, None if ARM in self.parts else q)
 
@@ -181,7 +181,7 @@ class Motion:
         return place <= last + ON_SAMPLE
 
     def placed(self, pose: Array, velocity: Array | None = None) -> Motion:
-        """The same, its path beginning at a pose (3,) where it is to start from here.
+        """The motion with its path beginning at a pose (3,), where it is to start from here.
 
         Args:
             pose: Of the reference.
@@ -196,7 +196,7 @@ class Motion:
         return replace(self, from_here=False, shift=shift)
 
     def at_nearest_turn(self, now: Array, is_endless: IntArray) -> Self:
-        """The same, moved by whole turns to begin near a reference.
+        """The motion, moved by whole turns to begin near a reference.
 
         Args:
             now: Flat setpoint.

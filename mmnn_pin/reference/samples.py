@@ -32,7 +32,7 @@ SEPARATORS = ",;\t"  # of cells; the one that the first line has most of
 
 
 @dataclass(frozen=True, eq=False)
-class Table(BasePath):
+class BaseTable(BasePath):
     """A reference given by samples, from any planner; between them the pose is a cubic Hermite spline.
 
     Args:
@@ -68,7 +68,7 @@ class Table(BasePath):
             object.__setattr__(self, name, part)
 
     @classmethod
-    def read(cls, file: str | Path) -> Table:
+    def read(cls, file: str | Path) -> BaseTable:
         """Table from a CSV file with the columns `t, x, y, phi, v, w`, in any order, others ignored.
 
         Cells are separated by commas, semicolons or tabs.
@@ -79,7 +79,7 @@ class Table(BasePath):
         Raises:
             TrajectoryError: A column is missing or a value is not a number (with the line), or as for the class.
         """
-        found = Columns.read(file, ("t", "x", "y", "phi"))
+        found = TableColumns.read(file, ("t", "x", "y", "phi"))
         with found.blamed():
             return found.table("vy" in found)
 
@@ -129,19 +129,19 @@ def velocities(time: Array, pose: Array, sideways: bool) -> Array:
     return np.stack([forward, aside, rate[:, 2]] if sideways else [forward, rate[:, 2]], axis=1)
 
 
-def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, sideways: bool) -> Table:
+def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, sideways: bool) -> BaseTable:
     """A table of poses, with their own velocities where none are given.
 
     Raises:
-        TrajectoryError: As of `Table`.
+        TrajectoryError: As of `BaseTable`.
     """
     t, poses = np.array(time, float), np.array(pose, float)
     if velocity is not None or t.ndim != 1 or poses.shape != (len(t), 3):
-        return Table(t, poses, np.zeros((len(t), 2 + sideways)) if velocity is None else np.array(velocity, float))
+        return BaseTable(t, poses, np.zeros((len(t), 2 + sideways)) if velocity is None else np.array(velocity, float))
     require_finite(time=t, pose=poses)
     require_clock(t)
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return Table(t, poses, velocities(t, poses, sideways))
+    return BaseTable(t, poses, velocities(t, poses, sideways))
 
 
 def require_within(
@@ -172,7 +172,7 @@ def require_within(
         raise TrajectoryError(what, fix=fix, file=file, line=line)
 
 
-class Columns(Mapping[str, Array]):
+class TableColumns(Mapping[str, Array]):
     """The columns of a CSV file by the names in its first line, (N,) each, read when they are asked for.
 
     What a name has in square brackets behind it, a unit, is left out.
@@ -187,7 +187,7 @@ class Columns(Mapping[str, Array]):
         self.file, self._heads, self._lines = file, list(heads), lines
 
     @classmethod
-    def read(cls, file: str | Path, needed: Sequence[str] = ("t",)) -> Columns:
+    def read(cls, file: str | Path, needed: Sequence[str] = ("t",)) -> TableColumns:
         """The columns of a file.
 
         Raises:
@@ -229,8 +229,8 @@ class Columns(Mapping[str, Array]):
     def __contains__(self, name: object) -> bool:
         return name in self._heads
 
-    def table(self, sideways: bool) -> Table:
-        """The base's: `x, y, phi`, and `v, w` or `vx, vy, w` where they are there; errors as of `Table`."""
+    def table(self, sideways: bool) -> BaseTable:
+        """The base's: `x, y, phi`, and `v, w` or `vx, vy, w` where they are there; errors as of `BaseTable`."""
         names = ("vx", "vy", "w") if sideways else ("v", "w")
         missing = [name for name in names if name not in self]
         if missing and len(missing) < len(names):
@@ -337,7 +337,7 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
 
 
 def warnings(samples: BaseSamples, speed: float = 1e-3, duration: float = 0.5) -> list[str]:
-    """What is allowed but should be known: stretches where the kinematic law does not stabilise the base.
+    """Warnings of stretches where the kinematic law does not stabilise the base.
 
     With `vr = 0` Kanayama's law, thesis (3.3), leaves the lateral and the heading error without feedback.
 

@@ -1,4 +1,4 @@
-"""What the whole robot should do: setpoints, from a path of the base and profiles of the arm's joints.
+"""Trajectories of the whole robot: setpoints from a path of the base and profiles of the arm's joints.
 
 A `SetpointSource` says at every sample where the robot should be. A `Trajectory` is one, which also knows it ahead:
 `Trajectory.table` samples it for a loop, so that nothing of it is computed between the steps.
@@ -18,18 +18,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import TrajectoryError, UnknownName
+from ..errors import LENGTH, TrajectoryError, UnknownName
 from ..model.robot import Robot
 from ..settings.arguments import checked, require_types
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
-from .holonomic import Holonomic
+from .holonomic import HolonomicPath
 from .joint import Hold, JointProfile, JointTable, Points
 from .path import BasePath, Line, Waypoints, require_positive, times
-from .samples import Columns, check_followable, require_within, table_of
+from .samples import TableColumns, check_followable, require_within, table_of
 
 
 class SetpointSource(Protocol):
-    """What says where the robot should be, sample by sample: a trajectory, a planner, a joystick, ..."""
+    """A source of setpoints, sample by sample: a trajectory, a planner, a joystick, ..."""
 
     def write(self, time: float, measurement: Measurement, setpoint: Setpoint) -> None:
         """Write the setpoint of a time [s] in place, knowing what is measured."""
@@ -43,7 +43,7 @@ class Watched(Protocol):
         """Their names, and whether they should also be turned as the path says."""
 
     def writer(self, robot: Robot, layout: Layout) -> Callable[[Array], None]:
-        """What writes `hand_ref` and `hand` into rows (k, width) of a robot's run."""
+        """A function that writes `hand_ref` and `hand` into rows (k, width) of a robot's run."""
 
 
 POSITION_WORDS = {"position", "positions", "pos", "q", "angle", "joint", "measured", "actual"}
@@ -53,7 +53,7 @@ STANDING = 5.0  # time of an arm's motion where no base says one [s]
 
 @dataclass(frozen=True, repr=False)
 class Trajectory:
-    """What the whole robot should do over time: a source of setpoints that knows them ahead.
+    """A motion of the whole robot over time: a source of setpoints that knows them ahead.
 
     Made of a path and profiles; or by `of`, `from_waypoints`, `from_arrays` or `from_csv`, which know the robot: parts
     that you do not give stand still, the arm where it rests and the base at the origin.
@@ -120,7 +120,7 @@ class Trajectory:
             raise TrajectoryError(f"a path for {robot.name}", why="its base does not move", fix="leave it out")
         path = Line(0.0) if base is None and nb else base
         if path is not None and robot.dimensions.sideways and not path.sideways:
-            path = Holonomic(path)
+            path = HolonomicPath(path)
         return cls(path, tuple(joints.get(name) or Hold(float(at[name])) for name in robot.joint_names))
 
     @classmethod
@@ -214,7 +214,7 @@ class Trajectory:
 
         Columns of other names are left alone, but not one that looks like a joint which has none.
         """
-        found, nb = Columns.read(file), robot.dimensions.base
+        found, nb = TableColumns.read(file), robot.dimensions.base
         names = {name: f"position.{name}" for name in robot.joint_names}
         for head in found:
             kind, _, joint = head.partition(".")
@@ -307,7 +307,9 @@ class Trajectory:
             )
         if len(self.arm) != layout.arm:
             raise TrajectoryError(
-                f"{len(self.arm)} arm profiles for {layout.arm} arm joints", fix=f"give {layout.arm} of them"
+                f"{len(self.arm)} arm profiles for {layout.arm} arm joints",
+                fix=f"give {layout.arm} of them",
+                code=LENGTH,
             )
 
 

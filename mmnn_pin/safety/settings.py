@@ -180,7 +180,7 @@ def some(value: float | str | None) -> float:
 
 
 def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
-    """What stands in a run that nobody supervises; it has a state (`new_state`) all the same."""
+    """The supervisor of a run without one: it is off, and has a state (`new_state`) all the same."""
     nothing, none = np.zeros(0), np.zeros((0, 0))
     *state, sense = views(values, layout)
     numbers: list[Any] = [False, *[nothing] * 7, Door(none, none, state[2], state[1], sense, False), none, none]

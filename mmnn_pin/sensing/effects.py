@@ -1,4 +1,4 @@
-"""What happens to a measurement on its way from the robot to the controller: one class per effect, compiled.
+"""Effects on a measurement on its way from the robot to the controller: one class per effect, compiled.
 
 It passes through them in this order:
 
@@ -57,7 +57,7 @@ def exact(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -
 
 @by_address
 class Reading(NamedTuple):
-    """What goes from the robot to the controller; the effects change it one after the other.
+    """The signal from the robot to the controller; the effects change it one after the other.
 
     Attributes:
         position: (nv,) true position, on which the encoders sit.
@@ -252,7 +252,7 @@ def observe(sensors: Sensors, velocity: Array, q: Array, received: Array) -> Non
 
 
 @by_address
-class Odometry(NamedTuple):
+class WheelOdometry(NamedTuple):
     """The pose: the true one, or integrated from the wheels along the chord of the arc (its middle heading).
 
     Attributes:
@@ -318,7 +318,7 @@ class Noise(NamedTuple):
 
 
 @by_address
-class Line(NamedTuple):
+class MessageLine(NamedTuple):
     """The line to the controller: messages are late, out of order, lost or corrupted, and the newest one counts.
 
     Attributes:

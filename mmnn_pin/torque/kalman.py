@@ -68,7 +68,6 @@ class Kalman(CompiledController):
     before: tuple[Array, Array] | None = None
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "covariance"
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -104,7 +103,7 @@ class Kalman(CompiledController):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """What it is called in experiments."""
+        """Name in experiments, tables and recordings."""
         return self.settings.section.replace(".", "_")
 
     @property
@@ -188,7 +187,7 @@ class Kalman(CompiledController):
         return own.pole
 
     def correction(self, context: Context) -> Correction | None:
-        """What follows the tracking error, with room of its own to work in; None for the others."""
+        """The correction by the tracking error, with room of its own to work in; None without one."""
         own = self.settings
         if not isinstance(own, KalmanFrictionSettings) or own.correction == 0.0:
             return None

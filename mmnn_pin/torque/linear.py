@@ -36,7 +36,7 @@ from ..signals import INDEX, Array, IntArray
 from .correction import Corrected, Correction, correct, desired, find_cut, follow_error
 from .factored import add, dot, measure, quadratic, times, variance
 from .filtered import Filter, Filtered, low_pass, period, remember
-from .friction_features import Friction, beside, follow
+from .friction_features import FrictionFeatures, beside, follow
 from .law import KERNELS, Kernels
 from .random_features import Movement, Random, fill
 
@@ -84,7 +84,7 @@ class Linear(NamedTuple):
 
     known: Massless | None
     random: Random | None
-    friction: Friction | None
+    friction: FrictionFeatures | None
     correction: Correction | None
     filter: Filter
     gain: Array
@@ -107,7 +107,7 @@ class Linear(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """What a linear learner remembers.
+    """State of a linear learner.
 
     Attributes:
         W: (m, k) weights, transposed: a column of W is a row here.
@@ -159,8 +159,8 @@ def settle(row: Array, at: IntArray, a: Linear, state: Array) -> None:
 
 @internal
 def respond(
-    row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None, friction: Friction | None,
-    correction: Correction | None, o: Parts,
+    row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None,
+    friction: FrictionFeatures | None, correction: Correction | None, o: Parts,
 ) -> None:  # fmt: skip
     """Psi_hat and gain of one sample.
 
@@ -189,8 +189,8 @@ def respond(
 
 @internal
 def learn(
-    row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None, friction: Friction | None,
-    correction: Correction | None, o: Parts,
+    row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None,
+    friction: FrictionFeatures | None, correction: Correction | None, o: Parts,
 ) -> None:  # fmt: skip
     """The update of the weights by one sample; arguments as of `respond`."""
     if correction is not None:

@@ -113,7 +113,7 @@ def new_random(kind: int, p: int, pairs: IntArray, eps: float, centre: Array, sc
 
 
 class Movement(NamedTuple):
-    """What features are computed from: how the robot stands and moves, and how it should move.
+    """A movement, of which features are computed: how the robot stands and moves, and how it should move.
 
     Attributes:
         pose: (3,) pose of the base, (0,) for a fixed arm.

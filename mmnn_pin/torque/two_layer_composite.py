@@ -138,7 +138,7 @@ class Experience(NamedTuple):
 
 
 class Experienced(NamedTuple):
-    """What such a network remembers.
+    """State of the networks with their kept samples.
 
     Attributes:
         networks: The networks' own state.
@@ -320,7 +320,6 @@ class TwoLayerComposite(CompiledController):
     name: str = "two_layer_composite"
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "networks"
 
     @classmethod
     def build(cls, given: Given) -> Self:
@@ -442,7 +441,7 @@ class TwoLayerComposite(CompiledController):
         return np.array(found)
 
     def findings(self, state: ControllerState) -> list[str]:
-        """What the weights show, and whether the run excited what they would have to know of other motions."""
+        """Findings in the weights, and whether the run excited what they would have to know of other motions."""
         found = self.networks.findings(state)
         if not self.learning or not np.isfinite(state.values).all() or state["counts"][1] == 0:
             return found

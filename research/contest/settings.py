@@ -11,6 +11,7 @@ from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.lab.experiments.config import load_as
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS, PLAIN
 from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.origins import of_override
 from mmnn_pin.settings import Settings, require_gains
 
 FILE = Path(__file__).parent / "contest.toml"  # the contest `contest`
@@ -112,26 +113,9 @@ class ContestExperiment(Experiment, frozen=True):
 
     Args:
         contest: What the contest asks.
-
-    Raises:
-        UnknownName: A controller or a task that the contest names and that does not exist.
     """
 
     contest: Contest = Contest()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        contest, tasks = self.contest, tuple(self.cases) or (ONLY,)
-        there = {**CONTROLLERS, **self.laws}
-        named = {f"contest.knows.{what}": names for what, names in contest.knows.items()}
-        for key, names in (named | {"contest.beside": contest.beside}).items():
-            for name in names:
-                if name not in there:
-                    raise UnknownName("controller", name, there, key=key)
-        for key in ("task", "rich", "poor"):
-            name = getattr(contest.targets, key)
-            if name and name not in tasks:
-                raise UnknownName("task", name, tasks, key=f"contest.targets.{key}")
 
     @property
     def ordinary(self) -> Experiment:
@@ -143,4 +127,29 @@ def load_contest(
     name_or_path: str | Path = "contest", overrides: Iterable[str] = (), variant: str | None = None
 ) -> ContestExperiment:
     """A contest from a TOML file, or the one that comes with this package; as `load_experiment`."""
-    return load_as(ContestExperiment, FILE if name_or_path == "contest" else name_or_path, overrides, variant)
+    path, texts = FILE if name_or_path == "contest" else Path(name_or_path), tuple(overrides)
+    asked = load_as(ContestExperiment, path, texts, variant)
+    try:
+        require_names(asked)
+    except UnknownName as error:
+        raise of_override(error.but(file=path), texts) from None
+    return asked
+
+
+def require_names(experiment: ContestExperiment) -> None:
+    """Refuse controllers and tasks that a contest names and that do not exist.
+
+    Raises:
+        UnknownName: With the key path.
+    """
+    contest, tasks = experiment.contest, tuple(experiment.cases) or (ONLY,)
+    there = {**CONTROLLERS, **experiment.laws}
+    named = {f"contest.knows.{what}": names for what, names in contest.knows.items()}
+    for key, names in (named | {"contest.beside": contest.beside}).items():
+        for name in names:
+            if name not in there:
+                raise UnknownName("controller", name, there, key=key)
+    for key in ("task", "rich", "poor"):
+        name = getattr(contest.targets, key)
+        if name and name not in tasks:
+            raise UnknownName("task", name, tasks, key=f"contest.targets.{key}")

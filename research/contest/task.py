@@ -93,8 +93,7 @@ class Task:
             try:
                 found[name] = recorded_under_computed_torque(self.at_the_end, wanted, feedback, kinematic, timing)
             except RecordingError as error:
-                error.key = f"cases.{self.name}: held_out.{name}"
-                raise
+                raise error.but(key=f"cases.{self.name}: held_out.{name}") from error
         return found
 
     def controller(self, name: str) -> Any:
@@ -167,8 +166,7 @@ def tasks_of(
             require_runnable(one, task.robot)
             _ = task.held_out
         except InputError as error:
-            error.key = f"cases.{name}: {error.key or ''}".rstrip(": ") if name else error.key
-            raise
+            raise error.but(key=f"cases.{name}: {error.key or ''}".rstrip(": ") if name else error.key) from error
         found.append(task)
     return found
 

@@ -68,6 +68,7 @@ from mmnn_pin.torque.factored import measure
 from mmnn_pin.torque.learning_law import LearningLaw
 from mmnn_pin.torque.linear import Linear, Parts, forget_load, predict, track
 
+from .claims import TellsPrior
 from .truth import true_weights
 from .weights_part import WITHOUT, Progress, WeightsPart, part_of, step_again
 
@@ -141,7 +142,8 @@ def linear_fit(subject: Subject, learner: Learner) -> LinearFit | None:
 
 def units(learner: Learner, Phi: Array, scale: Array) -> Array:
     """What a weight of every feature and component counts as one, (k, p); 0 for one that the prior does not let be."""
-    if (deviation := learner.controller.prior_deviation(learner.start)) is not None:
+    law = learner.controller
+    if isinstance(law, TellsPrior) and (deviation := law.prior_deviation(learner.start)) is not None:
         return np.asarray(deviation)
     size = np.sqrt((Phi**2).mean(axis=0))
     return np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)[:, None] * scale

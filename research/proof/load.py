@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin.deploy.identify.payload import Load, payload
+from mmnn_pin.deploy.identify.payload import CarriedLoad, payload
 from mmnn_pin.deploy.identify.reading import from_recording
 from mmnn_pin.deploy.identify.report import links_of
 from mmnn_pin.errors import InputError, RecordingError
@@ -48,7 +48,7 @@ class Carried:
     seconds: float
     mass: float
     centre: Array
-    found: Load | None
+    found: CarriedLoad | None
     why: str = ""
 
     @property

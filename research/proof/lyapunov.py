@@ -213,8 +213,7 @@ def pose_of(subject: Subject, rows: Array) -> PoseEnergy:
     try:
         return pose_part(kind, rows[:, where("pose_error")], s[:, z], rows[:, where("velocity_ref")], gains)
     except RecordingError as error:
-        error.file = subject.recording.path
-        raise
+        raise error.but(file=subject.recording.path) from error
 
 
 def motion_energy(subject: Subject, rows: Array) -> Array:

@@ -18,6 +18,7 @@ from mmnn_pin.recording.recording import Recording
 from mmnn_pin.torque.learning_law import LearningLaw
 
 from .balance import BUDGET, Balance, balance
+from .claims import weights_part_of
 from .linear import LinearFit, covariance_part, gain_part, linear_fit, stack_part
 from .load import Carried, carried
 from .lyapunov import MOST, Growth, Lyapunov, Part, growth, lyapunov
@@ -28,7 +29,7 @@ from .weights_part import WITHOUT, WeightsPart
 MISSED = 1e-6  # relative difference of Psi_hat beyond which the weights of a run are not its weights
 QUICK = 5_000  # evaluations of the dynamics for one of several runs: a fraction of a second
 IdealWeights = dict[int, Ideal] | Truth | LinearFit
-# What gives the weights' part at rows, by its name in the class of a learner (`lyapunov_part`).
+# What gives the weights' part at rows, by its name in `claims`.
 WEIGHTS_PARTS: dict[str, Callable[..., WeightsPart]] = {
     "networks": network_part,
     "estimate": estimate_part,
@@ -177,7 +178,7 @@ def best_weights(subject: Subject) -> IdealWeights:
     learner = subject.learner
     if isinstance(learner, Networks):
         return ideal_weights(subject, learner)
-    if learner is not None and learner.controller.lyapunov_part == "estimate":
+    if learner is not None and weights_part_of(learner.controller) == "estimate":
         return true_parameters(subject, learner)
     if learner is not None and (fit := linear_fit(subject, learner)) is not None:
         return fit
@@ -211,7 +212,7 @@ class Kept(NamedTuple):
 def weights_of(subject: Subject, ideal: IdealWeights) -> Kept | None:
     """The weights' part of a run's learner with its ideal weights; None where nothing was learned."""
     learner = subject.learner
-    if learner is None or not learner.controller.learning or (name := learner.controller.lyapunov_part) is None:
+    if learner is None or not learner.controller.learning or (name := weights_part_of(learner.controller)) is None:
         return None
     return Kept(
         partial(WEIGHTS_PARTS[name], subject, learner, ideal.W if isinstance(ideal, LinearFit) else ideal),

@@ -50,6 +50,7 @@ from mmnn_pin.torque.adaptive import Adaptation
 from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.pseudo_inertia import BODY, LARGEST, Bodies, pseudo_inertias, to_matrix, vector_of
 
+from .claims import TellsTruth
 from .weights_part import WITHOUT, Progress, WeightsPart, part_of, step_again
 
 
@@ -164,8 +165,11 @@ def stepped(
 
 def true_weights(subject: Subject, learner: Learner) -> Array | None:
     """The weights (k,) of a learner with a regressor that say the robot's parameters; None where there are none."""
+    law = learner.controller
+    if not isinstance(law, TellsTruth):
+        return None
     try:
-        return learner.controller.true_weights(parameters(subject.robot), learner.start)
+        return law.true_weights(parameters(subject.robot), learner.start)
     except InputError:  # such as a joint that cannot be flattened
         return None
 

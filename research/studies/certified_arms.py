@@ -99,8 +99,9 @@ def loop_of(robot: Robot, swing: float, middle: Sequence[float] | None = None, w
     layout, n, at = Layout.of(robot.dimensions), robot.dimensions.arm, robot.arm_index
     if middle is None:
         limited = np.isfinite(robot.lower[at]) & np.isfinite(robot.upper[at])
-        middle = np.where(limited, (np.where(limited, robot.lower[at] + robot.upper[at], 0.0)) / 2, robot.rest[at])
-    path = Trajectory(Line(speed=0.3), tuple(Sine(amplitude=swing, period=6.0, offset=float(m)) for m in middle))
+        halves = np.where(limited, robot.lower[at] + robot.upper[at], 0.0) / 2
+        middle = np.where(limited, halves, robot.rest[at]).tolist()
+    path = Trajectory(Line(speed=0.3), tuple(Sine(amplitude=swing, period=6.0, offset=float(m)) for m in middle or ()))
     parts = np.split(path.table(np.arange(601) * 0.01, layout), np.cumsum([3, 2, 2, n, n]), axis=1)
     pose, v, a, q, qdot, qddot = parts
     kinematic = Kinematic(kx=1.0, ky=8.0, kth=2 * 8**0.5, K=3.0)

@@ -18,7 +18,7 @@ from typing import Any
 
 import jinja2
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def environment(folder: Path) -> jinja2.Environment:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mmnn_pin.files import whole_file
-from mmnn_pin.signals import Array
+from mmnn_pin.signals import Array, IntArray
 from mmnn_pin.torque import friction_features
 from mmnn_pin.torque.friction_features import ACCELERATIONS, SLOWEST, SPEEDS, WAYS
 
@@ -48,7 +48,7 @@ class Joints(NamedTuple):
     known: Array
     friction: Array
 
-    def of(self, chosen: Array) -> Joints:
+    def of(self, chosen: IntArray) -> Joints:
         """Some joints."""
         return Joints(*(part[chosen] for part in self))
 
@@ -86,7 +86,7 @@ def joints(count: int, seed: int) -> Joints:
         for _ in range(rng.integers(1, 4)):
             period, size = log_uniform(rng, 0.5, 8.0), log_uniform(rng, 0.02, 1.0)
             w, phase = 2 * np.pi / period, rng.uniform(0.0, 2 * np.pi)
-            size *= min(1.0, period / 3.0)
+            size *= min(1.0, float(period) / 3.0)
             nu[i] += size * w * np.cos(w * time + phase)
             a[i] -= size * w * w * np.sin(w * time + phase)
     static = rng.uniform(1.0, 2.0, count)

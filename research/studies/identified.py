@@ -21,7 +21,7 @@ from lxml import etree
 
 from mmnn_pin import Loop, Timing, Trajectory, identify, load, load_experiment
 from mmnn_pin.deploy.identify.corrected import write
-from mmnn_pin.deploy.identify.excitation import Limits, excite
+from mmnn_pin.deploy.identify.excitation import ExcitationLimits, excite
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.lab.show.table import Cell, Column, Table, number, row_of, terminal_text
@@ -73,7 +73,7 @@ def recorded(true: Robot, motion: Path, out: Path) -> Recording:
 def prepared(true: Robot, folder: Path, seconds: float) -> Files:
     """All files of the study; `seconds` are those of the search for the motion."""
     maker = lighter(load("platform_arm"), folder / "maker.urdf")
-    motion = excite(load(maker), Limits(duration=40.0, seconds=seconds)).save(folder / "motion.csv")
+    motion = excite(load(maker), ExcitationLimits(duration=40.0, seconds=seconds)).save(folder / "motion.csv")
     run = folder / "motion.h5"
     found = identify(load(maker), recorded(true, motion, run))
     files = write(found, folder / "identified", force=True)
@@ -110,7 +110,7 @@ def at_the_end(recording: Recording, controller: str, urdf: Path) -> Array:
 
 def frozen(true: Robot, theta: Array) -> float:
     """FVU of parameters (k,) on a motion that nothing was trained on, the worst component."""
-    motion = excite(true, Limits(duration=20.0, seconds=0.0, seed=7))
+    motion = excite(true, ExcitationLimits(duration=20.0, seconds=0.0, seed=7))
     forces = Regressor.of(true).along(motion.position, motion.nu, motion.nudot)
     psi, psi_hat = forces @ parameters(true), forces @ theta
     return float((((psi - psi_hat) ** 2).sum(axis=0) / ((psi - psi.mean(axis=0)) ** 2).sum(axis=0)).max())

@@ -36,7 +36,7 @@ def main(words: list[str] | None = None) -> int:
     first, *others = with_colours(frames)
     wait = round(1e3 * given.seconds / given.frames)
     first.save(given.picture, save_all=True, append_images=others, duration=wait, loop=0, optimize=True)
-    drawn = Image.open(given.picture).n_frames  # frames that are alike become one
+    drawn = getattr(Image.open(given.picture), "n_frames", 1)  # frames that are alike become one
     print(f"wrote {given.picture}: {given.picture.stat().st_size / 1e6:.2f} MB, {drawn} frames")
     return 0
 
@@ -46,10 +46,10 @@ def shots(page: Path, count: int) -> list[Image.Image]:
     from playwright.sync_api import sync_playwright
 
     path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    found = []
+    found: list[Image.Image] = []
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=path, args=list(FLAGS))
-        tab = browser.new_page(viewport=SIZE)
+        tab = browser.new_page(viewport={"width": SIZE["width"], "height": SIZE["height"]})
         tab.goto(page.resolve().as_uri())
         tab.wait_for_function("Number(document.getElementById('scrub').max) > 0", timeout=120_000)
         tab.add_style_tag(content="#controls, #about { display: none }")

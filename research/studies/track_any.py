@@ -13,6 +13,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from numpy.typing import NDArray
 
 from mmnn_pin import load_experiment
 from mmnn_pin.errors import InputError
@@ -96,9 +97,9 @@ def cell(value: float) -> str:
     return f"{1e3 * value:.3g}" if np.isfinite(value) else "lost"
 
 
-def no_worse(row: Row) -> Array:
+def no_worse(row: Row) -> NDArray[np.bool_]:
     """(n,) joints on which `adaptive` errs no more than `pd_gravity`."""
-    found: Array = row.errors["adaptive"] <= row.errors["pd_gravity"]
+    found: NDArray[np.bool_] = row.errors["adaptive"] <= row.errors["pd_gravity"]
     return found
 
 

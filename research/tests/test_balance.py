@@ -10,7 +10,7 @@ from proofs import KINDS, PERIOD, SLOW, learner, loop_of, robot_of_kind, subject
 
 from mmnn_pin import Line, Timing, Trajectory, load_experiment
 from mmnn_pin.actuator import Actuator
-from mmnn_pin.disturbance import Block, Payload, Push
+from mmnn_pin.disturbance import BlockedJoint, Payload, Push
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.model.dynamics import Dynamics
@@ -270,6 +270,6 @@ def test_a_payload_changes_the_dynamics_where_it_is_picked_up() -> None:
 
 
 def test_a_blocked_joint_has_no_equality() -> None:
-    subject = rigged("stick", disturbances=(Block(joint="joint_1", start=5 * PERIOD),))
+    subject = rigged("stick", disturbances=(BlockedJoint(joint="joint_1", start=5 * PERIOD),))
     with pytest.raises(RecordingError, match="no equality"):
         balance(subject)

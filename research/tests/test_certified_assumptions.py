@@ -21,7 +21,7 @@ from mmnn_pin.loop.latency import Latency
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
-from mmnn_pin.reference import Table
+from mmnn_pin.reference import BaseTable
 from mmnn_pin.reference.path import BasePath, BaseSamples
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
@@ -284,7 +284,7 @@ def drifting(sideways: bool) -> tuple[Subject, CertifiedLoop, Certificate]:
     along, aside, speed = (0.3, 0.3 * 0.019, 0.3) if sideways else (0.3, 0.0, 0.3 * 0.981)
     pose, velocity = np.stack([along * t, aside * t, 0 * t], 1), np.stack([speed + 0 * t, 0 * t], 1)
     timing = Timing(8.0, 2e-4, 2e-4)
-    subject = pd_run(trajectory=Trajectory(Table(t, pose, velocity), STILL.arm), timing=timing)
+    subject = pd_run(trajectory=Trajectory(BaseTable(t, pose, velocity), STILL.arm), timing=timing)
     loop = certified_loop(subject)
     return subject, loop, certify(loop)
 

@@ -22,7 +22,7 @@ def checkout(monkeypatch):
 
 @pytest.fixture
 def saved():
-    return json.loads((ROOT / "studies" / "chapter5" / "summary.json").read_text(encoding="utf-8"))
+    return json.loads((ROOT / "research" / "studies" / "chapter5" / "summary.json").read_text(encoding="utf-8"))
 
 
 def test_rigs_repeat_stay_in_range_and_differ():

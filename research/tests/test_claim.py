@@ -24,7 +24,7 @@ def checkout(monkeypatch):
 
 @pytest.fixture
 def saved():
-    return json.loads((ROOT / "studies" / "chapter4" / "summary.json").read_text(encoding="utf-8"))
+    return json.loads((ROOT / "research" / "studies" / "chapter4" / "summary.json").read_text(encoding="utf-8"))
 
 
 def made_up(two, one, **others):

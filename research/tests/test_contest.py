@@ -469,7 +469,7 @@ def test_the_text_names_everyone_and_what_was_asked(standing):
 
 
 def test_the_command_runs_draws_and_resumes(capsys, tmp_path, folder, standing):
-    asked = ["run", "contest", "--case", "eight", *SET, "--controller", "two_layer", "--out", str(tmp_path), "--json"]
+    asked = ["contest", "--case", "eight", *SET, "--controller", "two_layer", "--out", str(tmp_path), "--json"]
     assert main(asked) == 0
     told = json.loads(capsys.readouterr().out)
     rows = told["comparison"]["rows"]
@@ -506,7 +506,7 @@ def test_the_command_runs_draws_and_resumes(capsys, tmp_path, folder, standing):
 )
 def test_what_cannot_be_is_one_line(capsys, tmp_path, more, says):
     out = tmp_path / "out"
-    assert main(["run", "contest", "--case", "eight", *SET, *more, "--out", str(out)]) == 2
+    assert main(["contest", "--case", "eight", *SET, *more, "--out", str(out)]) == 2
     error = capsys.readouterr().err
     assert says in error and error.count("\n") == 1 and not out.exists()
 

@@ -98,7 +98,7 @@ def test_plot_draws_the_figures_of_a_contest_again(folder, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (["plot", "{}", "--what", "psi"], "'psi' is a plot of the runs of one task: name the folder of a task"),
+        (["plot", "{}", "--what", "psi"], "'psi' is a plot of the runs of one folder: name one of its folders"),
         (["plot", "{}/eight", "--what", "contest-fvu"], "'contest-fvu' is a figure of a contest"),
         (["plot", "{}", "{}/eight/pd.h5"], "a contest among other runs: name it alone"),
         (["report", "{}", "{}/eight", "--html", "x.html"], "a contest among other runs: name it alone"),
@@ -182,7 +182,7 @@ def test_windows_beyond_a_run_are_told_once(capsys, tmp_path):
 
 def test_a_contest_tells_before_it_runs_where_no_errors_will_be(capsys, tmp_path):
     late = ["--set", "windows=[[0, 1], [3, 4]]", "--set", "contest.beside=[]", "--controller", "pd"]
-    words = ["run", "contest", "--case", "eight", *SET, *late, "--out", tmp_path, "--json"]
+    words = ["contest", "--case", "eight", *SET, *late, "--out", tmp_path, "--json"]
     code, out, err = call(capsys, *words)
     assert code == 0 and err.count("no errors where the last window begins after the end") == 1
     assert "eight (3-4 s of 1.6 s)" in err and "eight (3-4 s" in json.loads(out)["comparison"]["notes"][0]
@@ -199,7 +199,7 @@ def test_a_law_that_says_inf_at_once_is_a_lost_run(capsys, tmp_path):
         "    def learn(self, now, state):\n        pass\n"
     )
     words = ["--controller", tmp_path / "mine.py:Inf", "--set", "contest.beside=[]", "--out", tmp_path / "out"]
-    code, out, err = call(capsys, "run", "contest", "--case", "eight", *SET, *words)
+    code, out, err = call(capsys, "contest", "--case", "eight", *SET, *words)
     assert code == 1 and "2 of 2 lost" in out and "diverged at 0 s" in out and err == "", err
     assert not opened(tmp_path / "out").completed
 

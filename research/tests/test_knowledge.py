@@ -18,7 +18,7 @@ from research.proof.load import carried
 
 pytestmark = pytest.mark.lab
 
-STUDY = ROOT / "studies" / "learners" / "knowledge.py"
+STUDY = ROOT / "research" / "studies" / "learners" / "knowledge.py"
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from proofs import KINDS, SLOW, attacked, loop_of, subject_of, within
+from attacks import attacked, within
+from proofs import KINDS, SLOW, loop_of, subject_of
 from scipy.linalg import expm
 
 from mmnn_pin import Recording, load_experiment

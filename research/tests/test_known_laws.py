@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from attacks import attacked, within
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from proofs import SLOW, attacked, within
+from proofs import SLOW
 from test_known import assert_pushed_within, run, still
 
 from mmnn_pin import load_experiment

@@ -21,22 +21,14 @@ from mmnn_pin import PD, Feedback, Recording, TorqueController, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.config import recorded_experiment
+from mmnn_pin.lab.psi import judgement as cache
 from mmnn_pin.lab.psi.psi import worst
 from mmnn_pin.lab.show.gallery import PICTURES
 from mmnn_pin.lab.show.psi import Judged, judgement
+from mmnn_pin.lab.show.psi_figures import frozen_figure, fvu_figure, ranks_figure, shares_figure
 from mmnn_pin.lab.show.report import report
 from mmnn_pin.safety import Safety
-from research.proof import proof as cache
-from research.proof.figures import (
-    COLOURS,
-    equality_figure,
-    frozen_figure,
-    fvu_figure,
-    lyapunov_figure,
-    ranks_figure,
-    shares_figure,
-    terms_figure,
-)
+from research.proof.figures import COLOURS, equality_figure, lyapunov_figure, terms_figure
 from research.proof.linear import LinearFit, least_squares, moving
 from research.proof.lyapunov import TERMS
 from research.proof.proof import Proof
@@ -328,11 +320,11 @@ def test_the_command_writes_its_figures_once(runs: dict[str, Recording], tmp_pat
 @compiled_only
 def test_the_report_tells_what_is_proved(runs: dict[str, Recording], proof: Proof) -> None:
     for recording in runs.values():
-        cache.PROOFS.pop(recording, None)
+        cache.KEPT.pop(recording, None)
     cache.keep(proof)
     page = Page(report(runs, with_replay=False).html)
     text = " ".join(" ".join(words) for words in page.texts.values())
-    assert {"proof", "plot-fvu", "plot-lyapunov"} <= set(page.ids)
+    assert {"learned", "plot-fvu", "plot-lyapunov"} <= set(page.ids)
     assert f"FVU online {judgement_number(proof)}" in text
     for words in ("FVU frozen, held out", "V grows in", f"{100 * proof.growth.samples:.0f}", "equality"):
         assert words in text

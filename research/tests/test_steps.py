@@ -6,9 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from attacks import told
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from proofs import KINDS, loop_of, subject_of, told
+from proofs import KINDS, loop_of, subject_of
 from robots import mobile_arm
 
 from mmnn_pin import Timing, load

@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from proofs import KINDS, SLOW, attacked, loop_of, subject_of, within
+from attacks import attacked, within
+from proofs import KINDS, SLOW, loop_of, subject_of
 from scipy.integrate import solve_ivp
 
 from mmnn_pin import Recording, load_experiment

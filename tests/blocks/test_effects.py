@@ -46,12 +46,12 @@ from mmnn_pin.sensing.effects import (
     READING,
     Encoders,
     FrozenEncoders,
-    Line,
+    MessageLine,
     Noise,
-    Odometry,
     Rates,
     Reading,
     Velocities,
+    WheelOdometry,
 )
 from mmnn_pin.sensing.settings import Sensor
 
@@ -305,9 +305,9 @@ def test_velocities_are_true_or_the_rates():
 def test_odometry_follows_the_arc_and_a_true_pose_is_the_robots():
     wire, pose = reading(2, 3, 5), np.array([1.0, 2.0, 0.3])
     wire.position[:3], wire.joints[:, MOVED] = (7.0, 8.0, 9.0), (0.1, 0.3)
-    Odometry(True, False, np.array([[0.5, 0.5], [-1.0, 1.0]]), pose).act(wire, 0, 0.0)
+    WheelOdometry(True, False, np.array([[0.5, 0.5], [-1.0, 1.0]]), pose).act(wire, 0, 0.0)
     np.testing.assert_allclose(wire.message[:3], [1.0 + 0.2 * math.cos(0.4), 2.0 + 0.2 * math.sin(0.4), 0.5])
-    Odometry(False, False, np.zeros((2, 2)), pose).act(wire, 0, 0.0)
+    WheelOdometry(False, False, np.zeros((2, 2)), pose).act(wire, 0, 0.0)
     np.testing.assert_array_equal(wire.message[:3], [7.0, 8.0, 9.0])
 
 
@@ -322,7 +322,7 @@ def test_a_line_delays_by_whole_measurements_loses_and_corrupts():
     wire.clock[:] = 0.0
     faults, uniforms = np.zeros((n, 2)), np.zeros((n, 2))
     uniforms[:, 1], faults[5, 0], faults[6, 1] = 0.5, -1.0, 100.0
-    line, got = Line(1, 0, 0.1, uniforms, faults, np.zeros((2, 1))), []
+    line, got = MessageLine(1, 0, 0.1, uniforms, faults, np.zeros((2, 1))), []
     for k in range(n):
         wire.message[0] = k
         line.act(wire, k, 0.0)

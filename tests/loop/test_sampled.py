@@ -24,19 +24,17 @@ from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sampled import HeldLoop, SampledLoop, sampled_loop
 from mmnn_pin.loop.stable_gains import require_stable
-from mmnn_pin.loop.stepper import Stepper
+from mmnn_pin.loop.stepper import Stepper, StepperSettings
 from mmnn_pin.loop.suited import Given, suited
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.base.base import Fixed, LinearErrors
 from mmnn_pin.model.base.differential import DifferentialDrive
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.robots import extra
 from mmnn_pin.reference import Hold, Line, Trajectory
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
-from research.studies.delay import FIVE, TENFOLD, study, swaying, variation
 
 STILL = Fixed.linear_errors(np.zeros(0), np.zeros(0))
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
@@ -188,11 +186,11 @@ def test_gains_that_a_refusal_says_hold(base: float, arm: float) -> None:
     """As `Stepper` judges them, at ten postures; a gain that is not to blame stays."""
     robot = load("platform_arm")
     try:
-        Stepper(robot, PD(Feedback(base, arm)), period=H).finish()
+        Stepper(robot, PD(Feedback(base, arm)), StepperSettings(period=H)).finish()
     except ConfigError as refused:
         assert "mmnn inspect ROBOT --gains" in refused.fix
         found = numbers_of(refused.fix)
-        Stepper(robot, PD(found), period=H).finish()
+        Stepper(robot, PD(found), StepperSettings(period=H)).finish()
         change = found.vector(robot.dimensions) / Feedback(base, arm).vector(robot.dimensions)
         assert (change <= 1.0).all() if "lower them" in refused.fix else (change > 1.0).any()
         assert "they are too low" not in refused.why or "change them" in refused.fix
@@ -413,23 +411,3 @@ def test_the_stiffness_of_gravity_moves_the_eigenvalues_of_a_pendulum() -> None:
     )  # fmt: skip
     assert held is not None
     assert np.abs(np.angle(np.linalg.eigvals(held.state))) == pytest.approx(np.sqrt(G / mass) * h, rel=1e-9)
-
-
-@pytest.mark.skipif(PLAIN, reason="runs of seconds")
-@pytest.mark.parametrize("name", ["platform_arm", *(pytest.param(name, marks=pytest.mark.long) for name in FIVE[1:])])
-def test_the_margin_is_within_a_tenth_of_the_delay_at_which_errors_grow_tenfold_in_five_seconds(name: str) -> None:
-    """Robots as they are, gravity and dry friction included; `research.studies.delay` bisects between these."""
-    if name not in ("platform_arm", "two_axis_arm") and name not in extra():
-        pytest.skip("example-robot-data is not installed")
-    robot = load(name)
-    margin, (rest, _) = swaying(robot, 0.0).delay_margin(), variation(swaying(robot, 0.0))
-    below, above = (variation(swaying(robot, share * margin))[0] for share in (0.9, 1.1))
-    assert below <= TENFOLD * rest < above
-
-
-@pytest.mark.long
-@pytest.mark.skipif(PLAIN, reason="runs of seconds")
-@pytest.mark.parametrize("name", [name for name in FIVE if name in ("platform_arm", "two_axis_arm") or name in extra()])
-def test_the_bisected_delay_is_within_a_tenth_of_the_margin(name: str) -> None:
-    found = study(name)
-    assert found.ratio == pytest.approx(1.0, abs=0.1)

@@ -24,7 +24,18 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.tree.body import parameters
-from mmnn_pin.reference import Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Table, Trajectory, Waypoints
+from mmnn_pin.reference import (
+    BaseTable,
+    Circle,
+    Eight,
+    Hold,
+    HolonomicPath,
+    Line,
+    MinimumJerk,
+    Sine,
+    Trajectory,
+    Waypoints,
+)
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Array, Dimensions
 from mmnn_pin.torque.controller import Feedback
@@ -130,7 +141,7 @@ def test_lyapunov_function_decreases_as_stated(error, v_ref, z):
 @pytest.mark.parametrize("heading", HEADINGS)
 @pytest.mark.parametrize("path", PATHS)
 def test_path_velocities_are_the_derivatives_of_its_poses(path, heading):
-    holonomic_path = Holonomic(PATHS[path], HEADINGS[heading])
+    holonomic_path = HolonomicPath(PATHS[path], HEADINGS[heading])
     t, h = np.linspace(0.2, 3.9, 38) + 0.013, 1e-5
     at, before, after = (holonomic_path.sample(times) for times in (t, t - h, t + h))
     rate = (after.pose - before.pose) / (2 * h)
@@ -145,27 +156,27 @@ def test_path_velocities_are_the_derivatives_of_its_poses(path, heading):
 
 def test_table_of_a_holonomic_path(tmp_path):
     t = np.linspace(0, 4, 201)
-    samples = Holonomic(PATHS["eight"], HEADINGS["sine"]).sample(t)
-    table = Table(t, samples.pose, samples.velocity)
+    samples = HolonomicPath(PATHS["eight"], HEADINGS["sine"]).sample(t)
+    table = BaseTable(t, samples.pose, samples.velocity)
     assert table.sideways
     np.testing.assert_allclose(
-        table.sample([1.234]).pose, Holonomic(PATHS["eight"], HEADINGS["sine"]).sample([1.234]).pose, atol=1e-5
+        table.sample([1.234]).pose, HolonomicPath(PATHS["eight"], HEADINGS["sine"]).sample([1.234]).pose, atol=1e-5
     )
     file = tmp_path / "path.csv"
     rows = np.column_stack([t, samples.pose, samples.velocity])
     np.savetxt(file, rows, delimiter=",", header="t,x,y,phi,vx,vy,w", comments="")
-    np.testing.assert_allclose(Table.read(file).velocity, samples.velocity)
+    np.testing.assert_allclose(BaseTable.read(file).velocity, samples.velocity)
     wrong = samples.velocity.copy()
     wrong[:, 1] += 0.3
     with pytest.raises(TrajectoryError, match=r"vy = .* m/s at t"):
-        Table(t, samples.pose, wrong)
+        BaseTable(t, samples.pose, wrong)
     with pytest.raises(TrajectoryError, match="moves sideways"):
-        Table(t, samples.pose, samples.velocity[:, [0, 2]])
+        BaseTable(t, samples.pose, samples.velocity[:, [0, 2]])
 
 
 def test_paths_and_bases_that_do_not_fit_are_refused():
     with pytest.raises(TrajectoryError, match="not a path"):
-        Holonomic("eight")  # type: ignore[arg-type]
+        HolonomicPath("eight")  # type: ignore[arg-type]
     robot = mecanum()
     with pytest.raises(TrajectoryError, match=r"\(v, w\) for a base of \(vx, vy, w\)"):
         Trajectory(PATHS["line"], (Hold(0.0),) * 2).table([0.0, 1.0], robot.dimensions)
@@ -181,7 +192,7 @@ def test_paths_and_bases_that_do_not_fit_are_refused():
 def test_sampled_loop_agrees_with_the_run(share):
     """A radius below 1 settles, one above grows, from a small error in a straight sideways motion."""
     robot, h = mecanum(), 0.01
-    path = Holonomic(Line(0.3), Hold(0.4))
+    path = HolonomicPath(Line(0.3), Hold(0.4))
     inverse = np.linalg.inv(mass(robot))
     gains = share * 2 / (h * np.linalg.eigvals(inverse @ np.diag(1 / np.diag(inverse))).real.max() * np.diag(inverse))
     trajectory = Trajectory(path, (Hold(0.0),) * 2)
@@ -210,7 +221,7 @@ def no_friction(robot: Robot) -> Robot:
 @pytest.mark.parametrize("kind", ["computed_torque", "two_layer"])
 def test_mecanum_follows_an_eight_while_it_turns(kind, engine):
     robot = mecanum()
-    trajectory = Trajectory(Holonomic(PATHS["eight"], Sine(0.5, 4.0)), (Sine(0.3, 3.0), Hold(0.2)))
+    trajectory = Trajectory(HolonomicPath(PATHS["eight"], Sine(0.5, 4.0)), (Sine(0.3, 3.0), Hold(0.2)))
     feedback = Feedback(base=(800.0, 800.0, 80.0), arm=5.0)
     controller = ComputedTorque(feedback) if kind == "computed_torque" else Neural(TwoLayer(hidden=6), feedback)
     timing = Timing(0.03 if config.DISABLE_JIT else 2.0, 0.002, 0.001)
@@ -239,7 +250,7 @@ def learning_loop(name: str, duration: float) -> Loop:
     ]
     quick = [f"kalman.{table}.state_pole=500.0" for table in ("regressor", "bilinear", "features", "residual")]
     experiment = load_experiment("chapter4", [*small, *gains, *quick, "robust.base=0.0", "robust.arm=0.0"])
-    trajectory = Trajectory(Holonomic(PATHS["eight"], Sine(0.5, 4.0)), (Sine(0.3, 3.0),))
+    trajectory = Trajectory(HolonomicPath(PATHS["eight"], Sine(0.5, 4.0)), (Sine(0.3, 3.0),))
     controller = experiment.controller(name, robot=robot)
     return Loop(robot, trajectory, controller, timing=Timing(duration, 0.002, 0.002), start=Start(moving=True))
 

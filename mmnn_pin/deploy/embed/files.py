@@ -45,14 +45,14 @@ class Export:
 
     @property
     def members(self) -> list[Root]:
-        """What the controller remembers, in the order of the struct: the large last, for short offsets of the rest."""
+        """Members of the struct in their order: large ones last, for short offsets of the rest."""
         roots = [*self.program.roots.values(), *self.program.pieces.values()]
         members = [root for root in roots if root.name in self.program.written and not root.parts]
         return sorted(members, key=lambda root: root.data.size > LARGE)
 
     @property
     def remembered(self) -> list[Root]:
-        """The same without integers and room to work in: what a checksum covers."""
+        """Members that a checksum covers: without integers and room to work in."""
         lasting = {id(root) for root in self.program.pieces.values()}
         first = ("row", "guide_now", "guide_aim", "guide_wanted")
         return [m for m in self.members if m.kind == "real" and (m.name in first or id(m) in lasting)]
@@ -95,7 +95,7 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     way = stepper.hardware.way
     program.dropped |= {"motor_states", "sent"}  # what only simulated motors and lines read
     program.dropped |= {program.memory(part, "unread").name for part in (way.totals.force, way.shorted)}
-    if b.control.torque.lead is None:
+    if b.ahead is None:
         program.dropped.add(program.memory(b.before, "before").name)
     learned = stepper.state
     if getattr(learned, "values", None) is not None and learned.values.size:

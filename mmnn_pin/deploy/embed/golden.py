@@ -29,7 +29,7 @@ PRIME = np.uint64(0x9E3779B97F4A7C15)
 
 @dataclass(frozen=True)
 class GoldenEvent:
-    """What comes at a sample.
+    """The inputs of one sample.
 
     Attributes:
         time: [s].
@@ -50,7 +50,7 @@ class GoldenEvent:
 
 @dataclass(frozen=True)
 class Answer:
-    """What the stepper answers.
+    """The outputs of one sample.
 
     Attributes:
         torque: (motors,) [N m or N].
@@ -106,7 +106,7 @@ def as_measured(asked: Array, d: Dimensions) -> Array:
 
 
 def answers(stepper: Stepper, events: list[GoldenEvent], remembered: Iterable[Array]) -> list[Answer]:
-    """What a stepper answers to events; `remembered` is the memory that goes into the checksums."""
+    """The answers of a stepper to events; `remembered` is the memory that goes into the checksums."""
     d, arrays, found = stepper.robot.dimensions, list(remembered), []
     powers = powers_of(sum(array.size for array in arrays))
     ends = np.cumsum((d.pose, d.base, d.arm))
@@ -125,12 +125,9 @@ def answers(stepper: Stepper, events: list[GoldenEvent], remembered: Iterable[Ar
 
 
 def powers_of(size: int) -> NDArray[np.uint64]:
-    """What every number of a checksum is multiplied with."""
-    powers = np.ones(size, np.uint64)
-    with np.errstate(over="ignore"):
-        for i in range(size - 2, -1, -1):
-            powers[i] = powers[i + 1] * PRIME
-    return powers
+    """Factors (size,) of the numbers in a checksum: powers of `PRIME`."""
+    rising = np.cumprod(np.full(size, PRIME), dtype=np.uint64)
+    return np.append(rising[:-1][::-1], np.uint64(1))[:size]
 
 
 def checksum(numbers: Array, powers: NDArray[np.uint64]) -> int:

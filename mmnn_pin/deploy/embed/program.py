@@ -136,7 +136,7 @@ class CProgram:
         return self.functions[key]
 
     def _sameness(self, part: Any, array: Array | None) -> Any:
-        """What must be equal in all calls for a part of an argument to be known; `VARIES` for one that never is."""
+        """A key that is equal in all calls where a part of an argument is known; `VARIES` for one that never is."""
         if array is not None:
             if isinstance(array.base, Root) and array.offset.is_known:
                 return array.base.name, array.offset.value
@@ -241,7 +241,7 @@ class CProgram:
         return self.lifted(value, full if isinstance(value, float | np.ndarray) else name)
 
     def name_of(self, owner: Any) -> str:
-        """How the parts of an object are called."""
+        """The name under which the parts of an object stand in C."""
         return self.names.get(id(owner), "")
 
     def macro(self, name: str, value: int | float) -> str:
@@ -295,7 +295,7 @@ class CProgram:
         return root
 
     def part_of(self, array: Array) -> Array:
-        """The same array in the member of a split block that it lies in, where that is known."""
+        """An array as a part of the member of a split block that it lies in, where that is known."""
         root = array.base
         assert isinstance(root, Root)
         if not all(one.is_known for one in (array.offset, *array.shape, *array.strides)):

@@ -147,7 +147,7 @@ def finished(
 
 
 def initial_of(kind: Any) -> str:
-    """What a variable of a kind begins with."""
+    """The first value of a variable of a kind, as C has it."""
     if isinstance(kind, str):
         return {"bool": "false", "real": "0.0"}.get(kind, "0")
     return "{{0}}" if isinstance(kind, int) else "NULL" if kind[0] == "pointer" else "{0}"

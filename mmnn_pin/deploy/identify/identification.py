@@ -36,7 +36,7 @@ from .equations import (
     measured_rows,
     still_speeds,
 )
-from .least_squares import Fit, base_parameters, weighted_fit
+from .least_squares import WeightedFit, base_parameters, weighted_fit
 from .log import Log
 from .odometry import Wheels, has_reference, wheels_of
 from .programme import BLOCKS, Blocks, Consistent, Prior, consistent_fit
@@ -54,7 +54,7 @@ MODELS = ("identified", "urdf", "friction", "least_squares", "urdf_file")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification(AsText):
-    """What came out; `print` shows it joint by joint.
+    """The result of an identification; `print` shows it joint by joint.
 
     Attributes:
         robot: The robot as its URDF has it.
@@ -78,7 +78,7 @@ class Identification(AsText):
     unknowns: Unknowns
     training: Equations
     held_out: Equations
-    fit: Fit
+    fit: WeightedFit
     consistent: Consistent
     prior: Prior
     follows: Bools
@@ -97,7 +97,7 @@ class Identification(AsText):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes it doubtful: efforts above their limits, joints that fit badly."""
+        """Warnings of efforts above their limits and of joints that fit badly."""
         errors = {model: self.errors(model) for model in ("identified", "least_squares", "urdf")}
         return (*self.beyond, *misfits(self.names, errors, self.follows))
 
@@ -153,7 +153,7 @@ class Identification(AsText):
         return relative(self.held_out, self.predicted(model, self.held_out))
 
     def error(self, model: str, rows: Bools | None = None) -> float:
-        """The same over some rows together, by default all that follow."""
+        """Held-out error of some rows together, by default of all that follow."""
         kept = self.held_out.only(self.follows if rows is None else rows)
         return together(kept, self.predicted(model, self.held_out))
 
@@ -188,7 +188,7 @@ def relative(of: Equations, predicted: Array) -> Array:
 
 
 def together(of: Equations, predicted: Array) -> float:
-    """The same over all rows that count."""
+    """RMS of measured minus predicted over RMS of measured, of all rows together that count."""
     error, size = (np.where(of.use, part, 0.0) for part in (of.y - predicted, of.y))
     return float(np.sqrt((error**2).sum() / (size**2).sum())) if size.any() else float("nan")
 

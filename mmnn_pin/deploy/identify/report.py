@@ -1,4 +1,4 @@
-"""What an identification found, as numbers with names: bodies in their links' frames, friction, errors, covariances."""
+"""The report of an identification: bodies in their links' frames, friction, errors, covariances, by name."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...reference.drive import Drive
+from ...reference.drive import RouteDrive
 from ...reference.wishes import BaseVelocity, Motion, Stand, Wish
 from ...signals import Array
 from . import messages as msg
@@ -136,7 +136,7 @@ class Asking:
                 unknown = f"no way from '{frame[0]}' to the odometry's frame by /tf"
                 inlet.refuse(str(made) if isinstance(made, Refused) else unknown)
                 return None
-            if isinstance(made, Drive):
+            if isinstance(made, RouteDrive):
                 made = made.placed(*seen_from(placed, self.base))
             self.route = None if isinstance(made, Stand) else (made, frame[0], placed, clock.now)
             return made if isinstance(made, Stand) else rest_of(made, 0.0, placed)

@@ -17,7 +17,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 import msgspec
 
 from ...disturbance import Disturbance
-from ...errors import ConfigError, InputError, RecordingError, UnknownName
+from ...errors import ConfigError, InputError, RecordingError, UnknownKey, UnknownName, keyed
 from ...files import parsed_toml, read_toml
 from ...model.base.overrides import Overrides
 from ...recording.recording import Recording
@@ -74,8 +74,7 @@ def load_as(kind: type[E], name_or_path: str | Path, overrides: Iterable[str], v
     except msgspec.ValidationError as error:
         raise of_override(config_error(error, path, table, kind), texts) from error
     except InputError as error:
-        error.file = error.file or path
-        raise of_override(error, texts) from None
+        raise of_override(error.but(file=error.file or path), texts) from None
 
 
 def recorded_experiment(recording: Recording) -> Experiment | None:
@@ -206,8 +205,7 @@ def with_starts(table: dict[str, Any], own: Mapping[str, Any], path: Path, overr
         try:
             start = merged(inherited(complete(beside(path, case["experiment"]))), inherited(own))
         except UnknownName as error:
-            error.file, error.key = path, f"cases.{name}.experiment"
-            raise
+            raise error.but(file=path, key=f"cases.{name}.experiment") from None
         for text in overrides:
             if not text.startswith("cases."):
                 override(start, text)
@@ -216,7 +214,7 @@ def with_starts(table: dict[str, Any], own: Mapping[str, Any], path: Path, overr
 
 
 def inherited(table: Mapping[str, Any]) -> dict[str, Any]:
-    """What another experiment takes over from this one."""
+    """The part of a table that another experiment takes over."""
     return {key: value for key, value in table.items() if key not in ITS_OWN}
 
 
@@ -227,7 +225,7 @@ def beside(path: Path, name: Any) -> Path:
 
 
 def from_its_folder(table: dict[str, Any], path: Path) -> dict[str, Any]:
-    """What a file says, with the files that it names from its own folder: robots and motions that are there."""
+    """The table of a file; robots and motions that lie in its folder are named from there."""
     reference = table.get("reference")
     for where, key in ((table, "robot"), (reference, "file")):
         name = where.get(key) if isinstance(where, dict) else None
@@ -300,12 +298,9 @@ def require_overrides(table: Any) -> None:
     Raises:
         InputError: A value out of range, with the key path of an experiment.
     """
-    with suppress(msgspec.ValidationError):  # reported with its path when the whole experiment is read
-        try:
-            msgspec.convert(table, Overrides)
-        except InputError as error:
-            error.key = f"overrides.{error.key}"
-            raise
+    # a wrong type is reported with its path when the whole experiment is read
+    with suppress(msgspec.ValidationError), keyed("overrides.{}".format):
+        msgspec.convert(table, Overrides)
 
 
 def require_disturbances(items: Any) -> None:
@@ -315,12 +310,9 @@ def require_disturbances(items: Any) -> None:
         ConfigError: A value out of range, with the key path of an experiment.
     """
     for i, item in enumerate(items if isinstance(items, list) else ()):
-        with suppress(msgspec.ValidationError):  # reported with its path when the whole experiment is read
-            try:
-                msgspec.convert(item, Disturbance)
-            except InputError as error:
-                error.key = f"disturbances.{i}.{(error.key or '').removeprefix('disturbances.')}"
-                raise
+        outside = f"disturbances.{i}.{{}}".format
+        with suppress(msgspec.ValidationError), keyed(lambda key, to=outside: to(key.removeprefix("disturbances."))):  # type: ignore[misc]
+            msgspec.convert(item, Disturbance)
 
 
 def config_error(
@@ -343,8 +335,12 @@ def config_error(
     if now := new_name(".".join(filter(None, (key, last))) if unknown else key or "", None if unknown else last):
         return ConfigError(f"'{last}' is now called '{now}'", fix=f"write {now}", file=path, key=key)
     if unknown:
-        message, known = f"unknown key '{unknown[1]}'", keys_of(kind)
-    elif missing := re.search(r"missing required field `(\w+)`", message):
+        known = keys_of(kind)
+        near = get_close_matches(unknown[1], known, n=1)
+        guess = f"did you mean '{near[0]}'? " if near else ""
+        fix = f"{guess}there is: {', '.join(known)}" if known else "leave it out"
+        return UnknownKey(unknown[1], fix=fix, file=path, key=key)
+    if missing := re.search(r"missing required field `(\w+)`", message):
         message, known = f"the key '{missing[1]}' is missing", tags_of(kind) if missing[1] == "type" else ()
     elif key and (wrong := re.fullmatch(r"Invalid value '(.*)'", message)):
         message, known = f"unknown type '{wrong[1]}'", tags_of(kind_at(key.rpartition(".")[0], table, root))
@@ -352,9 +348,7 @@ def config_error(
         message, known = f"unknown value '{wrong[1]}'", words_of(kind)
         known += ("or a number",) if float in get_args(kind) else ()
     if known:
-        near = get_close_matches(unknown[1], known, n=1) if unknown else ()
-        guess = f"did you mean '{near[0]}'? " if near else ""
-        return ConfigError(message, fix=f"{guess}there is: {', '.join(known)}", file=path, key=key)
+        return ConfigError(message, fix=f"there is: {', '.join(known)}", file=path, key=key)
     what, fix = wrong_type(message, value_at(table, key))
     return ConfigError(what, fix=fix, file=path, key=key)
 
@@ -378,7 +372,7 @@ def with_names(key: str, table: Any, root: type[Experiment]) -> str:
 
 
 def value_at(table: Any, key: str | None) -> Any:
-    """What a table holds at a key path; None where it holds nothing there."""
+    """The value in a table at a key path; None where there is none."""
     for part in key.split(".") if key else ():
         table = entry_of(table, part)
     return table if key else None
@@ -403,7 +397,7 @@ def kind_at(key: str | None, table: Any = None, root: type[Experiment] = Experim
 
 
 def entry_of(table: Any, part: str) -> Any:
-    """What a table or a list holds at a part of a key path; None where it does not."""
+    """The value in a table or a list at one part of a key path; None where there is none."""
     if isinstance(table, list):
         return table[int(part)] if part.isdecimal() and int(part) < len(table) else None
     return table.get(part) if isinstance(table, dict) else None
@@ -416,7 +410,7 @@ def keys_of(kind: Any) -> tuple[str, ...]:
 
 
 def tags_of(kind: Any) -> tuple[str, ...]:
-    """What a key `type` can say, for one kind of settings or several."""
+    """Values of the key `type` of one kind of settings or several."""
     kinds = get_args(kind) or (kind,)
     found = [k.__struct_config__.tag for k in kinds if isinstance(k, type) and issubclass(k, msgspec.Struct)]
     return tuple(str(tag) for tag in found if tag is not None)

@@ -11,14 +11,14 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from ...errors import ConfigError, InputError, TrajectoryError, UnknownName
+from ...errors import LENGTH, ConfigError, InputError, TrajectoryError, UnknownName
 from ...model.robot import Robot
 from ...reference import (
     BasePath,
     Circle,
     Eight,
     Hold,
-    Holonomic,
+    HolonomicPath,
     Line,
     MinimumJerk,
     Points,
@@ -44,7 +44,7 @@ from ...reference.hand import (
 )
 from ...reference.joint import JointProfile
 from ...reference.limits import Limits
-from ...reference.samples import Columns
+from ...reference.samples import TableColumns
 from ...reference.trajectory import still
 from ...settings import Settings, Timing, require_gain
 from ...settings.arguments import wrong_type
@@ -276,7 +276,7 @@ class ReferenceTables(Settings, frozen=True):
         path = make(BASE_PATHS, self.base, "reference.base")
         if layout.sideways:
             heading = self.heading
-            return Holonomic(path, None if heading is None else make(ARM_PROFILES, heading, "reference.heading"))
+            return HolonomicPath(path, None if heading is None else make(ARM_PROFILES, heading, "reference.heading"))
         if self.heading is not None:
             raise ConfigError(
                 "a heading for a differential drive",
@@ -299,11 +299,12 @@ class ReferenceTables(Settings, frozen=True):
                 f"{len(tables)} profiles for {n} arm joints",
                 fix="add one [[reference.arm]] per joint, or one [reference.arm] for all",
                 key="reference.arm",
+                code=LENGTH,
             )
         return tuple(make(ARM_PROFILES, table, f"reference.arm.{i}") for i, table in enumerate(tables))
 
 
-class HeldOut(ReferenceTables, frozen=True):
+class HeldOutReference(ReferenceTables, frozen=True):
     """A reference that no learner is trained on; `mmnn prove` judges a learner's knowledge on it.
 
     Args:
@@ -368,8 +369,7 @@ def make(kinds: dict[str, Any], table: dict[str, Any], key: str) -> Any:
         raise ConfigError(what, fix=fix, key=key + where) from error
     except InputError as error:  # of the object itself, which knows only the name of its argument
         first = error.what.partition(" ")[0]
-        error.key = error.key or (f"{key}.{first}" if first in known else key)
-        raise
+        raise error.but(key=error.key or (f"{key}.{first}" if first in known else key)) from error
 
 
 def as_long_as_its_file(table: dict[str, Any], own: Mapping[str, Any]) -> None:
@@ -387,6 +387,6 @@ def as_long_as_its_file(table: dict[str, Any], own: Mapping[str, Any]) -> None:
     with suppress(InputError, TypeError, ValueError, ZeroDivisionError):  # told when the file is read
         usual = Timing()
         period, duration = time.get("control_period", usual.control_period), time.get("duration", usual.duration)
-        end = float(Columns.read(reference["file"])["t"][-1])
+        end = float(TableColumns.read(reference["file"])["t"][-1])
         if 0 < end < duration:
             table["time"] = time | {"duration": round(math.floor(end / period + 1e-6) * period, 9)}

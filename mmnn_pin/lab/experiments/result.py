@@ -1,4 +1,4 @@
-"""What an experiment gave: its runs by controller, their numbers beside each other, and what shows them.
+"""The result of an experiment: its runs by controller, their numbers beside each other, tables and figures of them.
 
 How much of a learner's advantage over PD is gain, and how much is learning? A learner's robust term adds feedback, so
 part of what it wins it would win without its network. PD at the learner's own effective gain, sample by sample, has
@@ -28,7 +28,7 @@ from .thesis import beside_the_thesis, figure_ranges
 
 @dataclass(frozen=True, repr=False)
 class Result(Mapping[str, Recording]):
-    """What an experiment gave: its recordings by controller, and what shows them.
+    """The result of an experiment: its recordings by controller, tables and figures of them.
 
     In a notebook it shows its table and its errors; `print` shows the table.
 
@@ -151,7 +151,7 @@ class Result(Mapping[str, Recording]):
         return outliers(self.recordings, self.metrics)
 
     def improvements(self) -> dict[str, dict[str, Improvement]]:
-        """What of each learner's improvement over PD is gain and what is learning, see `improvements`."""
+        """Shares of gain and of learning in each learner's improvement over PD, see `improvements`."""
         return improvements(self.metrics, self.experiment.windows)
 
     def figure_ranges(self) -> list[dict[str, Any]]:
@@ -220,12 +220,12 @@ class Improvement:
 
     @property
     def gain(self) -> float:
-        """What the higher gain alone takes away from PD's error; negative where it adds to it."""
+        """The part of PD's error that the higher gain alone takes away; negative where it adds to it."""
         return self.pd - self.pd_effective
 
     @property
     def learning(self) -> float:
-        """What the network takes away from there; negative where it adds to it."""
+        """The part that the network takes away beyond that; negative where it adds to it."""
         return self.pd_effective - self.learner
 
     @property
@@ -276,7 +276,7 @@ def improvements(
 
 
 def unfair(experiment: Experiment, metrics: Mapping[str, Mapping[str, float]]) -> str:
-    """Why the learners are not compared on equal terms, with their mean effective gains; empty if they are.
+    """The reason why learners are not compared on equal terms, with their mean effective gains; empty if they are.
 
     Args:
         experiment: The experiment; its learners' robust terms and hidden units are compared.

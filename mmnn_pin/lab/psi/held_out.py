@@ -19,7 +19,7 @@ from ...kinematic import Kinematic
 from ...loop.before_run import Start
 from ...loop.loop import Loop
 from ...model.robot import Robot, carrying
-from ...reference import BasePath, Eight, Holonomic, Sine, Trajectory
+from ...reference import BasePath, Eight, HolonomicPath, Sine, Trajectory
 from ...settings import Timing
 from ...signals import Array, Layout
 from ...torque import CONTROLLERS
@@ -120,7 +120,7 @@ def usual(robot: Robot, h: float, rows: Array) -> HeldOut:
     profiles, period = arm_profiles(robot, q, qdot)
     duration, words = float(np.clip(lap or 3 * period, SHORTEST, LONGEST)), []
     if base is not None:
-        eight = base.path if isinstance(base, Holonomic) else base
+        eight = base.path if isinstance(base, HolonomicPath) else base
         assert isinstance(eight, Eight)
         words.append(f"an eight of {eight.length:.2g} x {eight.width:.2g} m, {lap:.3g} s a lap")
     if profiles:
@@ -141,7 +141,7 @@ def base_path(velocity: Array, sideways: bool) -> tuple[BasePath | None, float]:
     period = float(np.clip(bend / (FASTER * turning), SHORTEST, 2 * LONGEST)) if turning > 1e-6 else USUAL
     size = FASTER * (speed if speed > 1e-3 else SPEED) * period / length
     eight = Eight(float(size), float(ASPECT * size), period)
-    return (Holonomic(eight, Sine(0.5, period / 2)) if sideways else eight), period
+    return (HolonomicPath(eight, Sine(0.5, period / 2)) if sideways else eight), period
 
 
 def arm_profiles(robot: Robot, q: Array, qdot: Array) -> tuple[tuple[Sine, ...], float]:

@@ -16,7 +16,8 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...kinematic import Kinematic
-from ...loop.controller import Torque, context_of
+from ...loop.controller import context_of
+from ...loop.sample import Torque
 from ...model.base.overrides import Overrides
 from ...model.robot import Robot
 from ...model.robots import bundled, extra
@@ -88,7 +89,7 @@ class Stepper:
         self.row[:] = row
         self.psi_hat[:] = 0.0  # one that says nothing leaves it as it was
         self.row[self._torque] = self._sent  # a controller finds what was sent last
-        self.torque.step(float(row[self._time]))
+        self.torque.answer(float(row[self._time]))
         self._sent[:] = self.row[self._torque] = row[self._torque]
         self.torque.keep()
         return self.psi_hat

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from ...actuator.settings import Actuator, limits
-from ...disturbance import Block, DeadMotor, Disturbance, Frozen, Messages, Payload, Push, payload
+from ...disturbance import BlockedJoint, DeadMotor, Disturbance, FrozenEncoder, Messages, Payload, Push, payload
 from ...errors import RecordingError
 from ...kinematic import Kinematic, command
 from ...loop.latency import Latency
@@ -300,8 +300,8 @@ class Hardware:
             pick=np.inf if load is None else load.start,
             drop=np.inf if load is None else load.end,
             varies=changes and timing.steps_per_control > 1,
-            blocked=has(events, Block),
-            senses=has(events, Frozen, Messages),
+            blocked=has(events, BlockedJoint),
+            senses=has(events, FrozenEncoder, Messages),
         )
 
 

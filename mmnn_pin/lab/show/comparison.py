@@ -16,7 +16,7 @@ import numpy as np
 from ...plant.contact.plant import SLIPPING
 from ...recording.metrics import ERRORS, halves
 from ...recording.recording import Recording, as_columns, recorded_robot
-from ..experiments.cases import Matrix, Verdict
+from ..experiments.cases import CaseVerdict, Matrix
 from ..experiments.controllers import MODELS, ORACLES
 from ..experiments.hand import peak_speeds, speed_limit
 from ..experiments.result import Improvement, Result, unfair
@@ -76,7 +76,7 @@ def render(result: Result, colour: bool = False, width: int = WIDTH) -> str:
 
 
 def title(result: Result) -> str:
-    """What was run, which variant of it, on what, for how long, from which seed."""
+    """The experiment in one line: variant, robot, duration, seed."""
     experiment = result.experiment
     variant = f"variant {experiment.variant}, " if experiment.variant else ""
     variant += "contact plant, " if experiment.plant == "contact" else ""
@@ -107,7 +107,7 @@ def comparison(result: Result) -> Table:
 
 
 def notes_of(result: Result) -> tuple[str, ...]:
-    """What the marks and the words of the comparison mean."""
+    """Meanings of the marks and words in the comparison."""
     oracles = [name for name in result.recordings if name in ORACLES]
     notes = []
     if len(result.recordings) - len(oracles) > 1:
@@ -204,13 +204,13 @@ def other_rows(result: Result) -> Iterator[Row]:
 
 
 def margin_cell(recording: Recording) -> str:
-    """How much delay the linearised loop bears [ms]."""
+    """The delay that the linearised loop bears [ms]."""
     margin = recording.meta.get("delay_margin")
     return "-" if margin is None else f"{1e3 * margin:.3g}"
 
 
 def outcome_cell(recording: Recording) -> Cell:
-    """How a run ended; bad unless it was completed."""
+    """The end of a run; bad unless it was completed."""
     status = recording.outcome.status
     if status == "completed":
         return Cell("done", "good")
@@ -218,7 +218,7 @@ def outcome_cell(recording: Recording) -> Cell:
 
 
 def notes(result: Result) -> list[str]:
-    """What the user should know: how runs ended, what their weights show, which stand out, notes on the settings."""
+    """Notes for the user: ends of runs, runs that stand out, notes on the settings."""
     messages = {name: recording.outcome.message for name, recording in result.recordings.items()}
     ends = [text if text.startswith(name) else f"{name}: {text}" for name, text in messages.items() if text]
     return [*ends, *result.outliers(), *result.notes]
@@ -343,7 +343,7 @@ def render_cases(matrix: Matrix, colour: bool = False, width: int = CASES_WIDTH)
     )
 
 
-def verdict_cell(verdict: Verdict | None) -> Cell:
+def verdict_cell(verdict: CaseVerdict | None) -> Cell:
     """A verdict in a few words: how far off the run tracked, or when and why it stopped."""
     if verdict is None:
         return Cell("-")
@@ -361,7 +361,7 @@ def verdict_cell(verdict: Verdict | None) -> Cell:
 
 
 def render_readings(title: str, rows: list[dict[str, Any]], width: int = WIDTH) -> str:
-    """What each reading does to the learners, as text: a line for each, with its RMS errors and learned shares.
+    """The effect of each reading on the learners, as text: a line for each with RMS errors and learned shares.
 
     Args:
         title: Heads it.

@@ -33,7 +33,7 @@ RESIDUALS = {
 
 @dataclass(frozen=True)
 class Panel:
-    """What one axes shows.
+    """The content of one axes.
 
     Attributes:
         title: What it is, where it stands alone.
@@ -205,14 +205,14 @@ def weights(recordings: Recordings) -> Iterator[Panel]:
     "What should be zero: motion that the wheels forbid (contact plant), and energy out of nowhere.",
 )
 def residuals(recordings: Recordings) -> Iterator[Panel]:
-    """What should be zero."""
+    """Residuals that should be zero: of the wheels, of the energy."""
     for signal, (words, unit, scale) in RESIDUALS.items():
         if found := {n: (r.time, scale * r[signal]) for n, r in recordings.items() if signal in r}:
             yield Panel(words, unit, found)
 
 
 def recorded_hand(recording: Recording) -> list[HandErrors]:
-    """What a run did at the frames that its reference took along paths."""
+    """Errors of a run at the frames that its reference took along paths."""
     return hand_errors(recording, recorded_robot(recording)) if "hand" in recording and len(recording) else []
 
 

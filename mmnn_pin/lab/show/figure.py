@@ -1,4 +1,4 @@
-"""What all figures share: their register, one look per controller, marks, limits, legend, and how they are written.
+"""Register, looks of controllers, marks, limits, legend and files of all figures.
 
 A figure is a function with one line above it: `@figure("name")`. `mmnn plot`, an experiment's `plots`, the notebook and
 the pages of contests and studies find it by that name.
@@ -54,7 +54,7 @@ TOUCHED = ("axes.", "font.", "grid.", "legend.", "lines.", "mathtext.", "text.",
 
 @dataclass(frozen=True)
 class Style:
-    """How the curves of one controller look: an RGB hex colour, a dash pattern, a width in points."""
+    """Look of the curves of one controller: an RGB hex colour, a dash pattern, a width in points."""
 
     color: str
     dash: Dash
@@ -62,7 +62,7 @@ class Style:
 
     @property
     def line(self) -> Look:
-        """The same as keywords of matplotlib's `plot`; a solid line lies under the dashed ones and hides none."""
+        """Keywords of matplotlib's `plot`; a solid line lies under the dashed ones and hides none."""
         depth = 2.0 if self.dash[1] is None else 2.1
         return {"color": self.color, "linestyle": self.dash, "linewidth": self.width, "zorder": depth}
 
@@ -77,7 +77,7 @@ TRUTH: Look = {"color": "0.65", "linewidth": 3.5, "solid_capstyle": "round", "zo
 
 
 @dataclass(frozen=True)
-class Entry:
+class FigureEntry:
     """A figure in the register.
 
     Attributes:
@@ -91,7 +91,7 @@ class Entry:
     caption: str
 
 
-FIGURES: dict[str, dict[str, Entry]] = {"runs": {}, "judged": {}, "study": {}}  # by what they show
+FIGURES: dict[str, dict[str, FigureEntry]] = {"runs": {}, "judged": {}, "study": {}}  # by what they show
 
 
 def figure(
@@ -116,14 +116,14 @@ def figure(
                 raise RecordingError(f"nothing to plot for {name}", why=why, fix="choose another figure or recording")
             return drawn(*args, **kwargs)
 
-        FIGURES.setdefault(of, {})[name] = Entry(checked, lacks, caption)
+        FIGURES.setdefault(of, {})[name] = FigureEntry(checked, lacks, caption)
         return checked
 
     return register
 
 
 def signals(*names: str) -> Callable[[Mapping[str, Recording]], str]:
-    """What a figure of runs needs: one of these signals in one of the runs, or only runs."""
+    """The needs of a figure of runs: one of these signals in one of the runs, or only runs."""
 
     def lacks(recordings: Mapping[str, Recording]) -> str:
         if not recordings:
@@ -135,7 +135,7 @@ def signals(*names: str) -> Callable[[Mapping[str, Recording]], str]:
 
 
 def write_figures(
-    entries: Mapping[str, Entry], recordings: Mapping[str, Recording], folder: Path, force: bool = True
+    entries: Mapping[str, FigureEntry], recordings: Mapping[str, Recording], folder: Path, force: bool = True
 ) -> dict[str, Path]:
     """Draw the figures that these recordings have something for, then write them as PNG; name to file.
 
@@ -270,7 +270,7 @@ def run_label(name: str, recording: Recording) -> str:
 
 
 def legend_label(name: str, recording: Recording) -> str:
-    """The same for matplotlib."""
+    """Name of a run for a legend of matplotlib."""
     return plain(run_label(name, recording))
 
 

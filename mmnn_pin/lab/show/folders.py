@@ -14,7 +14,8 @@ from ..study.results import load_results
 from . import identified, study
 from .files import HtmlPage
 
-DATABASE, IDENTIFIED = "study.sqlite", "*.identified.json"
+RESULTS = ("results.jsonl", "study.sqlite")  # of studies; the second is of old versions, and refused in one line
+IDENTIFIED = "*.identified.json"
 
 
 @dataclass(frozen=True)
@@ -32,10 +33,10 @@ class FolderKind:
     page: Callable[[Any, str], HtmlPage]
 
 
-def databases(path: Path) -> list[Path]:
-    """The database of a study."""
-    inside = [path / DATABASE] if (path / DATABASE).is_file() else []
-    return [path] if path.suffix == ".sqlite" else inside
+def studies(path: Path) -> list[Path]:
+    """The results of a study."""
+    inside = [path / name for name in RESULTS if (path / name).is_file()]
+    return [path] if path.suffix in (".jsonl", ".sqlite") else inside[:1]
 
 
 def identifications(path: Path) -> list[Path]:
@@ -44,6 +45,6 @@ def identifications(path: Path) -> list[Path]:
 
 
 FOLDERS = {
-    "study": FolderKind(databases, load_results, study.page),
+    "study": FolderKind(studies, load_results, study.page),
     "identification": FolderKind(identifications, Path, identified.page),
 }

@@ -23,7 +23,7 @@ from ...shown import AsText, filled, shows
 from ..experiments.result import Result
 from ..study.sweep import Sweep
 from . import comparison, identified, plots, psi, psi_figures, robots, study, study_figures, thesis_figures
-from .figure import FIGURES, RC, Entry, save, write_figures
+from .figure import FIGURES, RC, FigureEntry, save, write_figures
 from .replay import page
 from .report import report
 from .table import WIDTH
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MODULES = (identified, plots, psi, psi_figures, robots, study_figures, thesis_figures)  # that register themselves
-PICTURES: Mapping[str, Entry] = ChainMap(FIGURES["judged"], FIGURES["runs"])  # of runs
+PICTURES: Mapping[str, FigureEntry] = ChainMap(FIGURES["judged"], FIGURES["runs"])  # of runs
 NOTEBOOK = ("errors", "path", "torque")
 MOST = 5_000_000  # bytes of a replay that goes into a notebook
 
@@ -110,7 +110,7 @@ def tables(result: Result) -> Shown:
 
 @shows(Sweep, "table")
 def sweep_table(sweep: Sweep) -> Shown:
-    """What every value of a factor did, as text."""
+    """The results at every value of a factor, as text."""
     return Shown(study.levels_text(sweep.results, sweep.key, columns()))
 
 

@@ -1,4 +1,4 @@
-"""What an identification found: tables for terminal and page, a figure of the motion held out, and the page."""
+"""Tables, figure and page of an identification."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def wheels_table(report: dict[str, Any]) -> Table:
 
 
 def payload_text(load: dict[str, Any]) -> str:
-    """What a hand carries, and how far the robot itself is trusted."""
+    """The load of a hand, and how far the robot itself is trusted, in words."""
     pairs = zip(load["com"], load["com_sd"], strict=True)
     centre = ", ".join("unknown" if sd is None else f"{1e3 * x:.0f} ± {1.96e3 * sd:.0f}" for x, sd in pairs)
     doubt = f"its bodies are taken as {percent(load['doubt'])} off"
@@ -153,7 +153,7 @@ def payload_text(load: dict[str, Any]) -> str:
 
 
 def excitation_text(found: dict[str, Any]) -> str:
-    """What a motion would determine, worst first."""
+    """The parameters that a motion would determine, worst first."""
     columns = (Column("combination", text=True, fold=True), Column("sd", "%"))
     every = found["base_parameters"]
     rows = [row_of(one["combination"], number(100 * one["sd"] / one["size"])) for one in every[:10]]
@@ -180,7 +180,7 @@ def base_table(report: dict[str, Any]) -> Table:
 
 
 def conditioned(report: dict[str, Any]) -> str:
-    """How well the motion tells the base parameters apart."""
+    """The condition of the base parameters: how well the motion tells them apart."""
     if report["condition"] is not None:
         return f"condition number of the weighted regressor {report['condition']:.3g}"
     every = report["base_parameters"]
@@ -188,7 +188,7 @@ def conditioned(report: dict[str, Any]) -> str:
 
 
 def unidentified(report: dict[str, Any]) -> list[str]:
-    """What stays at the URDF, a line each."""
+    """Parameters that stay at the URDF's values, a line each."""
     return [f"{name}: stays at the URDF: {why}" for name, why in report["not_identified"].items()]
 
 

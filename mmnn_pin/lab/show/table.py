@@ -7,6 +7,7 @@ or bad. It knows nothing of colours, widths or tags.
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 WIDTH = 100  # columns of a terminal
 HEIGHT = 25  # its rows; with both given, rich takes the width even where TERM=dumb
 LABELS = 0.4  # share of a terminal that texts left of numbers keep before the numbers go below each other
+UNBOUNDED = 100_000  # columns that no line needs
 NARROWEST = 24  # columns that a text beside others has at least
 Kind = Literal["", "best", "good", "bad", "warn", "dim"]
 STYLES: dict[Kind, str] = {"best": "bold", "good": "green", "bad": "bold red", "warn": "yellow", "dim": "dim"}
@@ -108,10 +110,11 @@ class Table:
 
 @dataclass(frozen=True)
 class TextLine:
-    """A line of text in a style of the terminal."""
+    """A line of text in a style of the terminal; a whole one, such as a command, is not wrapped."""
 
     text: str
     style: str = ""
+    whole: bool = False
 
 
 def row_of(*cells: str | Cell, ends: bool = False) -> Row:
@@ -144,9 +147,11 @@ def terminal_text(parts: Iterable[str | TextLine | Table], colour: bool = False,
                 for piece in folded(safe(part), width):
                     console.print(terminal_table(piece, width))
             else:
-                text = "\n".join(hanging("", line, width) for line in printable(part.text, "\n").split("\n"))
-                console.print(Text(text), style=part.style or None, soft_wrap=True)
-    return "\n".join(line.rstrip() for line in capture.get().splitlines())
+                room, text = UNBOUNDED if part.whole else width, printable(part.text, "\n")
+                lines = Text("\n".join(hanging("", line, room) for line in text.split("\n")))
+                console.print(lines, style=part.style or None, soft_wrap=True)
+    text = "\n".join(line.rstrip() for line in capture.get().splitlines())
+    return re.sub(r"\n{3,}", "\n\n", text)  # a table ends and begins with an empty line
 
 
 def safe(table: Table) -> Table:

@@ -30,7 +30,7 @@ from .choice import ASKED, MARGIN, Level, best_of, levels
 from .factors import Factor
 from .results import Results, require_patterns, units_of, value_of
 from .settings import StudySettings
-from .store import Stored
+from .store import TrialResult
 
 LIGHT, HEAVY = 0.8, 1.25  # masses of the robots that are tried, over those of the file
 RUNS = 8  # of every controller at every value: fewer give no interval of a median
@@ -196,14 +196,14 @@ def loops_of(made: Assembled, i: int, runs: int, masses: tuple[float, float]) ->
     return found
 
 
-def row_of(number: int, key: str, job: tuple[Any, int, str, Loop], run: Run) -> Stored:
+def row_of(number: int, key: str, job: tuple[Any, int, str, Loop], run: Run) -> TrialResult:
     """A run as the row of a study, with its delay margin and the one that is asked for."""
     (value, draw, controller, loop), end = job, run.outcome
     margins = {MARGIN: loop.delay_margin(), ASKED: loop.latency.margin + loop.latency.total}
-    return Stored(
+    return TrialResult(
         id=number, status=end.status, time=end.time, signal=end.signal, message=end.message,
         metrics=run.metrics | margins,
-        fingerprint="", point=draw, controller=controller, seed=draw, parameters={key: plain(value)}, finished="",
+        point=draw, controller=controller, seed=draw, parameters={key: plain(value)},
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ Echeandia and Wensing 2021, in moments). Symbols as in `mmnn_pin.model.tree.moti
 
 from __future__ import annotations
 
-from mmnn_pin.compiled import inlined, linked, spliced
+from mmnn_pin.compiled import inlined, linked
 
 from ...elementary import cos_sin
 from .motion import (
@@ -51,7 +51,7 @@ def _gravity(gravity: Vector3, frame: Vector3, level: int, position: Array) -> V
     return x, y, z
 
 
-@spliced
+@inlined
 def _sum_masses(links: Indices, numbers: Array, scratch: Array) -> None:
     """Moments of every body with all that it carries: `Sigma + d mc' + mc d' + m d d'` about a point d away."""
     for k in range(10):
@@ -76,7 +76,7 @@ def _sum_masses(links: Indices, numbers: Array, scratch: Array) -> None:
                 k += 1
 
 
-@spliced
+@inlined
 def _momentum(i: int, body: int, scratch: Array) -> tuple[Vector3, Vector3]:
     """Linear and angular momentum of a body with all that it carries, moving along axis i at rate 1."""
     w, s, mc = get(scratch, i, AT.w), get(scratch, i, AT.s), get(scratch, body, AT.all_moment)
@@ -87,7 +87,7 @@ def _momentum(i: int, body: int, scratch: Array) -> tuple[Vector3, Vector3]:
     return linear, angular
 
 
-@spliced
+@inlined
 def _couple(
     links: Indices, numbers: Array, i: int, j: int, linear: Vector3, angular: Vector3, scratch: Array, M: Array
 ) -> None:
@@ -102,7 +102,7 @@ def _couple(
                 M[first_j + b, first_i + a] += x
 
 
-@spliced
+@inlined
 def _mass(links: Indices, numbers: Array, rotors: Array, scratch: Array, M: Array) -> None:
     """`M = T' M_full T` after `place`, by composite bodies."""
     _sum_masses(links, numbers, scratch)
@@ -120,7 +120,7 @@ def _mass(links: Indices, numbers: Array, rotors: Array, scratch: Array, M: Arra
             _couple(links, numbers, i, base, linear, angular, scratch, M)
 
 
-@spliced
+@inlined
 def _push_base(
     numbers: Array, omega: float, g: Vector3, velocity: Vector3, acceleration: Vector3, scratch: Array
 ) -> None:
@@ -137,7 +137,7 @@ def _push_base(
     put(scratch, BASE.w, AT.torque, (0.0, 0.0, inertia * alpha + cx * ay - cy * ax))
 
 
-@spliced
+@inlined
 def _push(j: int, i: int, speed: float, speed_rate: float, scratch: Array) -> None:
     """Motion of the reference of body i on body j, and the force it takes, `F` and `N` of the heading."""
     omega_ref, alpha, k = get(scratch, j, AT.omega_ref), get(scratch, j, AT.alpha), AT.second
@@ -157,7 +157,7 @@ def _push(j: int, i: int, speed: float, speed_rate: float, scratch: Array) -> No
     put(scratch, i, AT.torque, torque)
 
 
-@spliced
+@inlined
 def _pull(links: Indices, numbers: Array, i: int, force: Vector3, torque: Vector3, scratch: Array, out: Array) -> None:
     """Add what joint i takes of a force, through its row of T."""
     tau = dot(get(scratch, i, AT.w), torque) + dot(get(scratch, i, AT.s), force)
@@ -166,7 +166,7 @@ def _pull(links: Indices, numbers: Array, i: int, force: Vector3, torque: Vector
         out[first + k] += numbers[i, NUMBER.weight + k] * tau
 
 
-@spliced
+@inlined
 def _inverse(
     links: Indices,
     numbers: Array,

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmnn_pin.compiled import compiled, inlined, spliced
+from mmnn_pin.compiled import compiled, inlined
 
 from ...by_address import by_address
 from ...elementary import cos_sin
@@ -184,13 +184,13 @@ def rate(links: Indices, numbers: Array, i: int, nu: Array) -> float:
     return x
 
 
-@spliced
+@inlined
 def base_rates(links: Indices, numbers: Array, nu: Array) -> Vector3:
     """`(vx, vy, w)` of the base."""
     return rate(links, numbers, BASE.vx, nu), rate(links, numbers, BASE.vy, nu), rate(links, numbers, BASE.w, nu)
 
 
-@spliced
+@inlined
 def locate(links: Indices, numbers: Array, position: Array, i: int, scratch: Array) -> None:
     """Rotation and origin of body i; its parent's are known."""
     j, q, k = links[i, LINK.parent], position[links[i, LINK.coordinate]], NUMBER.rotation
@@ -219,7 +219,7 @@ def first_moment(numbers: Array, i: int, scratch: Array) -> Vector3:
     return dot(rx, mc), dot(ry, mc), dot(rz, mc)
 
 
-@spliced
+@inlined
 def _weigh(numbers: Array, i: int, scratch: Array) -> None:
     """Moments of body i: `R mc`, `R Sigma R'`."""
     k = NUMBER.second
@@ -231,7 +231,7 @@ def _weigh(numbers: Array, i: int, scratch: Array) -> None:
     put(scratch, i, AT.second + 3, (dot(ry, y), dot(ry, z), dot(rz, z)))
 
 
-@spliced
+@inlined
 def _move(links: Indices, i: int, speed: float, scratch: Array) -> None:
     """Axis and lever of joint i, their rates, and the angular velocity of the body."""
     omega = get(scratch, links[i, LINK.parent], AT.omega)
@@ -247,7 +247,7 @@ def _move(links: Indices, i: int, speed: float, scratch: Array) -> None:
     put(scratch, i, AT.whirl, cross(omega, get(scratch, i, AT.moment)))
 
 
-@spliced
+@inlined
 def place(links: Indices, numbers: Array, position: Array, nu: Array, scratch: Array) -> None:
     """Places and motions of all bodies, into `scratch`: the dynamics start from them."""
     put(scratch, BASE.w, AT.omega, (0.0, 0.0, rate(links, numbers, BASE.w, nu)))

@@ -242,7 +242,7 @@ def cross(a: Array, b: Array) -> Array:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-class Friction:
+class ContactFriction:
     """Friction of a robot: in the joints as a damping, which MuJoCo's Euler takes implicitly, on the base as a force.
 
     Args:
@@ -279,7 +279,7 @@ class Friction:
             on_base(data, motion, -self.base[0] * v, -self.base[1] * w)
 
     def power(self, data: Any, motion: BaseMotion | None) -> float:
-        """What friction takes at this velocity [W]."""
+        """Power that friction takes at this velocity [W]."""
         lost = float(self.model.dof_damping[self.at] @ data.qvel[self.at] ** 2)
         if self.on_base and motion is not None:
             v, _, w = motion.velocity

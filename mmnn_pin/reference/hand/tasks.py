@@ -25,7 +25,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ...compiled import compiled, spliced
+from ...compiled import compiled, inlined
 from ...elementary import atan2, cos_sin
 from ...errors import ConfigError
 from ...model.robot import Robot, speed_limits
@@ -240,7 +240,7 @@ def add_frame(frame: FrameMotion, weights: Array, error: Array, rows: Array, H: 
                     H[j, m] += share * rows[i, m]
 
 
-@spliced
+@inlined
 def rotation_error(place: Array, target: Array, error: Array) -> None:
     """Rotation vector from the frame's orientation to the target's in the world, into error[3:6]."""
     trace = 0.0
@@ -320,7 +320,7 @@ def fill_bounds(q: Array, nu: Array, h: float, b: WholeBodyBounds, lower: Array,
         lower[p + k] = min((-most - now) / h, 0.0 if now < -most else math.inf)
 
 
-@spliced
+@inlined
 def brake(way: float, a: float, h: float) -> float:
     """Largest speed from which braking ends within a way; 0 beyond the end."""
     return a * (math.sqrt(h * h + 2.0 * way / a) - h) if way > 0.0 else 0.0

@@ -142,7 +142,7 @@ class WholeBody:
         self.solver.settings = {"primal_tol": TOLERANCE, "iter_limit": 1000}
 
     def _seen(self, task: Task) -> Any:
-        """What a task looks at: a chain, a point, or nothing."""
+        """The target that a task looks at: a chain, a point (3,) or nothing."""
         if not task.looks:
             return None
         return chain_of(self.robot, task.at) if isinstance(task.at, str) else np.array(task.at, float)

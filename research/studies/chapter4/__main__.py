@@ -21,7 +21,6 @@ from mmnn_pin.lab.experiments.config import find, variants
 from mmnn_pin.lab.experiments.result import Result
 from mmnn_pin.lab.show.figure import save
 from mmnn_pin.lab.show.gallery import write_pictures
-from mmnn_pin.loop.precompile import precompile
 from research.studies.document import Clock, write_rows
 
 from .calibration import Budget as Searches
@@ -76,7 +75,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--draws", type=int, default=Amount.draws, help=f"draws of the claim's test ({Amount.draws})")
     options = parser.parse_args(arguments)
-    precompile()
     amount = QUICK if options.quick else Amount(draws=options.draws)
     summary = study(amount, options.out)
     DOCUMENT.save(summary, options.out, options.publish)

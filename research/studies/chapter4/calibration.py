@@ -214,7 +214,7 @@ def left_by_jacobian(case: Case, numbers: Sequence[Number], best: Array, step: f
     sides = [run(case, numbers, middle + sign * step * np.eye(len(best))) for sign in (1, -1)]
     J = ((sides[0] - sides[1]) / (2 * step)).T / widths()[:, None]
     left = np.sqrt(np.diag(np.linalg.inv(np.eye(len(best)) + J.T @ J)))
-    return left, np.linalg.svd(J, compute_uv=False)
+    return left, np.asarray(np.linalg.svd(J, compute_uv=False), float)
 
 
 def widths() -> Array:

@@ -12,7 +12,7 @@ from msgspec.structs import replace as with_settings
 
 from mmnn_pin import Circle, Eight, Hold, Line, Loop, Robot, Sine, Trajectory, load
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.torque.controller import CompiledController
+from mmnn_pin.torque.controller import CompiledController, TorqueController
 from research.studies.rollouts import Rollout, roll_out, with_centre_of_mass, with_mount
 
 from .choices import Choice, with_choice
@@ -143,7 +143,9 @@ def motion(i: int) -> str:
     return list(REFERENCES)[i % len(REFERENCES)]
 
 
-def loop(experiment: Experiment, robot: Robot, reference: str, controller: CompiledController) -> Loop:
+def loop(
+    experiment: Experiment, robot: Robot, reference: str, controller: CompiledController | TorqueController
+) -> Loop:
     """The closed loop of a draw along a reference. The gains are not judged beforehand: divergence counts."""
     return Loop(
         robot=robot,

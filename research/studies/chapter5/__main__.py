@@ -15,7 +15,6 @@ from typing import Any
 from mmnn_pin import run_experiment
 from mmnn_pin.lab.show.figure import save
 from mmnn_pin.lab.show.gallery import write_pictures
-from mmnn_pin.loop.precompile import precompile
 from research.studies.document import Clock, write_rows
 
 from .calibration import CASES, Budget, calibrate, deviation, largest, taken
@@ -62,7 +61,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--rigs", type=int, default=Amount.rigs, help=f"drawn rigs of the ranking ({Amount.rigs})")
     options = parser.parse_args(arguments)
-    precompile()
     summary = study(QUICK if options.quick else Amount(rigs=options.rigs), options.out)
     DOCUMENT.save(summary, options.out, options.publish)
 

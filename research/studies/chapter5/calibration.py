@@ -145,7 +145,7 @@ def taken() -> dict[str, float]:
         "viscous": e.friction.arm,
         "gap": e.actuator.gap,
         "resolution": e.sensor.resolution,
-        "inertia": e.armature + e.actuator.rotor_inertia,
+        "inertia": e.armature + e.actuator.rotor_inertia,  # type: ignore[operator]
         "mu": e.one_layer.mu,
     }
     return {name: float(np.round(value, 9)) for name, value in found.items()}

@@ -15,7 +15,7 @@ from mmnn_pin import PD
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.signals import Array
-from mmnn_pin.torque.controller import CompiledController
+from mmnn_pin.torque.controller import CompiledController, TorqueController
 from mmnn_pin.torque.model_based import ScheduledPD
 from research.studies.rollouts import Rollout, roll_out
 
@@ -72,7 +72,7 @@ def run_all(places: Sequence[Place], name: str) -> list[Rollout]:
     return roll_out([loop_of(e, robot, controller(e, name)) for e, robot in places], KEPT)
 
 
-def controller(experiment: Experiment, name: str) -> CompiledController:
+def controller(experiment: Experiment, name: str) -> CompiledController | TorqueController:
     """A controller of the experiment, or `integral`.
 
     With G = 0 and weights from zero every hidden unit gives 1/2, whatever the input is. Four times the rate and a
@@ -136,7 +136,7 @@ def accuracy(rigs: int) -> dict[str, Any]:
             for name in NAMES
         }
         found[measure] = {
-            "same_winner": float(np.mean(np.equal(*better))),
+            "same_winner": float(np.mean([one == other for one, other in zip(*better, strict=True)])),
             "change": {name: float(np.median(values)) if values else None for name, values in changes.items()},
         }
     return found

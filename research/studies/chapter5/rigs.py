@@ -17,7 +17,7 @@ from scipy.special import expit
 from mmnn_pin import Loop, Recording, Robot, load_experiment
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.signals import Array
-from mmnn_pin.torque.controller import CompiledController
+from mmnn_pin.torque.controller import CompiledController, TorqueController
 from research.studies.search import Number
 
 Values = Mapping[str, Any]
@@ -80,7 +80,8 @@ def with_rig(experiment: Experiment, values: Values) -> Experiment:
     if "coulomb_1" in v:
         v["coulomb"] = (v["coulomb_1"], v["coulomb_2"])
     gap = v.get("gap", e.actuator.gap)
-    inertia = v.get("inertia", e.armature + (e.actuator.rotor_inertia if e.actuator.gap else 0.0))
+    of_file = e.armature + (e.actuator.rotor_inertia if e.actuator.gap else 0.0)  # type: ignore[operator]
+    inertia = v.get("inertia", of_file)
     names = {"viscous": "arm", "coulomb": "coulomb", "breakaway": "breakaway", "stribeck": "stribeck"}
     friction = with_settings(e.friction, **{key: v[name] for name, key in names.items() if name in v})
     time = with_settings(e.time, control_period=v.get("period", e.time.control_period))
@@ -121,7 +122,7 @@ def robot_of(experiment: Experiment) -> Robot:
     return robot.with_friction(f.arm)
 
 
-def loop_of(experiment: Experiment, robot: Robot, controller: CompiledController) -> Loop:
+def loop_of(experiment: Experiment, robot: Robot, controller: CompiledController | TorqueController) -> Loop:
     """The closed loop of one controller on a rig."""
     return experiment.loop(robot, controller)
 

@@ -13,7 +13,6 @@ from typing import Any
 
 from mmnn_pin.errors import StudyError
 from mmnn_pin.lab.experiments.cases import chosen_cases
-from mmnn_pin.loop.precompile import precompile
 from research.contest.contest import run_contest
 from research.contest.settings import load_contest
 from research.contest.show import write_figures
@@ -51,7 +50,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error(f"nothing is searched for {', '.join(unknown)}; there is: {', '.join(sorted(known))}")
     if not options.tune and (options.only or options.learner or options.again):
         parser.error("--only, --learner and --again go with --tune")
-    precompile()
     clock = Clock()
     if options.tune:
         for tuning in options.only or TUNINGS:

@@ -102,7 +102,8 @@ def passed_over(searches: dict[str, Any]) -> dict[str, list[str]]:
 
 def lost_from(late: dict[str, Any]) -> dict[str, list[str]]:
     """The least delay that loses a controller, in ms, to those controllers; "none" for the rest, at the end."""
-    found: dict[str, list[str]] = {f"{1e3 * delay:.0f} ms": [] for delay in late["delays"]} | {"none": []}
+    words = (*(f"{1e3 * delay:.0f} ms" for delay in late["delays"]), "none")
+    found: dict[str, list[str]] = {word: [] for word in words}
     for name, errors in late["errors"].items():
         lost = [delay for delay, one in zip(late["delays"], errors, strict=True) if one is None]
         found[f"{1e3 * lost[0]:.0f} ms" if lost else "none"].append(name)

@@ -105,7 +105,7 @@ class Errors:
     @classmethod
     def middle(cls, runs: list[Errors]) -> Errors:
         """Median of each."""
-        return cls(*(median(getattr(run, name) for run in runs) for name in cls.__dataclass_fields__))
+        return cls(**{name: median(getattr(run, name) for run in runs) for name in cls.__dataclass_fields__})
 
 
 def errors_of(task: Task, name: str, changes: Changes, seed: int, only: str = "") -> Errors:
@@ -135,7 +135,7 @@ def errors_of(task: Task, name: str, changes: Changes, seed: int, only: str = ""
             found[how].append(rms(run, SETTLED, held.duration))
     squares = [np.sqrt(np.mean(np.square(each), axis=0)) if each else np.full(2, np.nan) for each in found.values()]
     known = max(unexplained(task, controller, seed, state, body, carried, held) for held in judging.values())
-    return Errors(*trained, *squares[0], *squares[1], known)
+    return Errors(*[*trained, *squares[0], *squares[1], known])
 
 
 def world_of(task: Task, changes: Changes) -> World:
@@ -149,7 +149,7 @@ def world_of(task: Task, changes: Changes) -> World:
     held = [load.mass, load.at[0], load.start, load.end] if load else [0.0] * 4
     return World(
         law=law,
-        viscous=np.array([*f.base, f.arm, f.arm], float),
+        viscous=np.append(f.base, [f.arm, f.arm]).astype(float),
         dry=np.array([f.coulomb, f.breakaway, f.stribeck], float),
         rolling=changes.rolling,
         gap=gap,

@@ -22,7 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-URDF = Path(__file__).parents[2] / "urdf" / "platform_arm.urdf"
+URDF = Path(__file__).parents[3] / "urdf" / "platform_arm.urdf"
 STEP = 1e-4  # [s]
 SMOOTH, STICK, LUGRE = 0, 1, 2
 LAWS = {"smooth": SMOOTH, "stick": STICK, "lugre": LUGRE}

@@ -39,7 +39,7 @@ class Sensors:
         spread = noise * np.array([*sensor.pose_noise, *rates[:2], sensor.noise, sensor.noise, *rates[2:]], float)
         steps = np.array([sensor.wheel_resolution] * 2 + [sensor.resolution] * 2, float)
         period = 0.0 if sensor.velocity == "true" else h
-        return cls(spread, steps, period, np.linalg.inv(to_motors(body)), rng)
+        return cls(spread, steps, period, np.asarray(np.linalg.inv(to_motors(body)), float), rng)
 
     def read(self, state: Array) -> Array:
         """Pose, base velocity, angles and rates of the joints (9,) of a plant's state, with noise."""

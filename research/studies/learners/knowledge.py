@@ -125,7 +125,7 @@ def main(arguments: list[str]) -> None:
         for name in names:
             tell_time(name, settings)
         return
-    motions = ("training",)
+    motions: tuple[str, ...] = ("training",)
     for word, meant in (("after=poor", ("training", "poor")), ("only=poor", ("poor",)), ("only=rich", ("rich",))):
         if word in settings:
             settings.remove(word)

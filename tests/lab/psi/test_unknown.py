@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from proofs import SLOW, learner, loop_of
 
-from mmnn_pin import LearningLaw, load_experiment
-from mmnn_pin.lab.experiments.cases import chosen_cases
+from mmnn_pin import LearningLaw
 from mmnn_pin.lab.psi.excitation import (
     NOISE,
     Unknown,
@@ -25,12 +23,9 @@ from mmnn_pin.lab.psi.excitation import (
 )
 from mmnn_pin.lab.psi.learner import Learner
 from mmnn_pin.lab.psi.subject import Subject
-from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.one_layer import OneLayer
 from mmnn_pin.torque.two_layer import TwoLayer
-from research.contest.task import tasks_of
-from research.contest.trial import KEPT, findings_after
 
 LONG = pytest.mark.skipif(SLOW, reason="needs a long run")
 
@@ -179,25 +174,6 @@ def test_a_law_that_tells_its_features_is_judged_by_them():
     assert unknown(silent, subject.rows) == {} and signals_for(Silent()) != ()
     assert unknown(replace(own, controller=Bilinear(feedback=gains, learning=False)), subject.rows) == {}
     assert unknown(own, subject.rows[:0]) == {}
-
-
-@LONG
-def test_the_networks_say_it_after_the_poor_motion_and_not_after_the_rich_one():
-    """`one_layer` says it after both, as it says what no motion can change; rows of few signals tell the same."""
-    said = {}
-    experiment = chosen_cases(load_experiment("contest", ["contest.seeds=1"]), ["poor", "rich"])
-    for task in tasks_of(experiment, ("one_layer", "two_layer", "two_layer_residual")):
-        for name in task.experiment.controllers:
-            controller = task.controller(name)
-            loop = task.training(controller, 1)
-            (run,) = simulate_many([loop], keep={*KEPT, *signals_for(controller)})
-            state = controller.init(loop.context())
-            state.values[:] = run.final["controller_state"]
-            said[task.name, name] = " ".join(findings_after(task, name, controller, 1, run, state))
-    for name in ("two_layer", "two_layer_residual"):
-        assert "not excited: the run leaves" in said["poor", name] and said["rich", name] == ""
-    for motion in ("poor", "rich"):
-        assert re.search(r"units of its \w+'s network act as \d on random motion, so no", said[motion, "one_layer"])
 
 
 @LONG

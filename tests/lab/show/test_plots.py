@@ -287,10 +287,11 @@ def test_plots_need_no_display_and_load_matplotlib_late():
 
 
 def test_the_figure_of_contributing_draws_the_slip_of_every_wheel(monkeypatch):
-    (text,) = re.findall(r"```python\n(@figure.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.S)
-    monkeypatch.setitem(FIGURES["runs"], "slip", None)  # the register is as it was afterwards
-    names = dict(vars(plots))
-    exec("from __future__ import annotations\n" + text, names)
+    (text,) = re.findall(r"```python\n(@chart.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.S)
+    for register in (FIGURES["runs"], plots.curves.CHARTS):  # they are as they were afterwards
+        monkeypatch.setitem(register, "slip", None)
+    exec("from __future__ import annotations\n" + text, dict(vars(plots.curves)))
+    plots.figure("slip")(plots.stack_of("slip"))
     run = recording(layout=Layout(base=2, arm=2, full=7, motors=4, wheels=2))
     figure = FIGURES["runs"]["slip"].make({"pd": run})
     for i, wheel in enumerate(("left", "right")):

@@ -28,7 +28,7 @@ from mmnn_pin.lab.study.factors import Factor
 from mmnn_pin.lab.study.intervals import differ, quantile, rate
 from mmnn_pin.lab.study.results import Results, load_results, unit_of, value_of
 from mmnn_pin.lab.study.settings import Sampling, StudySettings, Success
-from mmnn_pin.lab.study.store import NAME, Stored, writing
+from mmnn_pin.lab.study.store import NAME, TrialResult, writing
 from mmnn_pin.lab.study.verdict import (
     bins_of,
     region_of,
@@ -214,8 +214,8 @@ def made(good: dict[str, np.ndarray], error: dict[str, np.ndarray], factors: dic
         for i, success in enumerate(successes):
             metrics = {"e.joint.peak": float(error[name][i]) if success else 2.0}
             values = {factor: column[i] for factor, column in factors.items()}
-            row = {"point": i, "controller": name, "seed": 1, "parameters": values, "fingerprint": "", "finished": ""}
-            rows.append(Stored(len(rows), "completed", 1.0, "", "", metrics, 0.1, "here", **row))
+            row = {"id": len(rows), "point": i, "controller": name, "seed": 1, "parameters": values}
+            rows.append(TrialResult(**row, status="completed", time=1.0, metrics=metrics))
     settings = StudySettings(
         experiment="chapter4",
         factors={name: Factor(uniform=(0.0, 1.0)) for name in factors},
@@ -320,11 +320,11 @@ def test_json_holds_the_same_numbers(done: Path, capsys) -> None:
 def test_a_half_done_study_says_so(done: Path, tmp_path: Path) -> None:
     (tmp_path / NAME).write_bytes((done / NAME).read_bytes())
     with writing(tmp_path / NAME) as store:
-        store.renumber({row.fingerprint: row.id for row in store.rows()[:20]})
+        store.rewrite(store.facts, store.results[:20])
     assert "20 runs of 48" in (said := render(load_results(tmp_path)))
     assert "28 runs are missing; the same command makes them" in said
     with writing(tmp_path / NAME) as store:
-        store.renumber({})
+        store.rewrite(store.facts, [])
     with pytest.raises(StudyError, match="holds no rows yet"):
         load_results(tmp_path)
 

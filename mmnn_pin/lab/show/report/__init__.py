@@ -11,10 +11,9 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -59,24 +58,13 @@ MOST = 4000  # points of a curve; of a longer one the extremes of this many stre
 LARGEST = 1e30  # what single precision and a plot can still hold
 
 
-@dataclass(frozen=True, repr=False)
-class Report(HtmlPage):
-    """A report."""
-
-    what: ClassVar[str] = "report"
-
-    def _repr_html_(self) -> str:
-        """The page within a notebook, isolated from it."""
-        return self.within("80vh")
-
-
 def report(
     recordings: Mapping[str, Recording],
     *,
     command: str = "",
     with_replay: bool = True,
     package_dirs: Sequence[str | Path] = (),
-) -> Report:
+) -> HtmlPage:
     """The report on some runs of one task.
 
     Args:
@@ -92,7 +80,7 @@ def report(
     result = result_of(recordings)
     charts = Charts(result.recordings)
     robots, without_robots = shown_or_why("robot", lambda: robots_of(result.recordings))
-    made: replay.Page | None = None
+    made: replay.ReplayPage | None = None
     without_replay: list[str] = []
     if with_replay:
         make = partial(replay.page, result.recordings, fps=FPS, package_dirs=package_dirs)
@@ -118,7 +106,7 @@ def report(
         config=json.dumps(json.loads(config), indent=2, ensure_ascii=False) if config else "",
         unpack=web_file("unpack.js", replay.__name__),
     )
-    return Report(text, warnings)
+    return HtmlPage(text, warnings, "report")
 
 
 def shown_or_why(what: str, make: Callable[[], T]) -> tuple[T | None, list[str]]:
@@ -130,7 +118,7 @@ def shown_or_why(what: str, make: Callable[[], T]) -> tuple[T | None, list[str]]
 
 
 def subject(result: Result) -> str:
-    """What was run on which robot, for how long, in one line; whether a stepper recorded it on hardware."""
+    """Experiment, robot and duration of the runs in one line, and whether a stepper recorded them on hardware."""
     experiment, runs = result.experiment, result.recordings.values()
     robots = dict.fromkeys(str(recording.meta.get("robot", "")) for recording in runs)
     parts = [result.name, f"variant {experiment.variant}" if experiment.variant else "", ", ".join(robots)]
@@ -222,7 +210,7 @@ def command_of(result: Result) -> str:
 
 
 def changes(one: Experiment, other: Experiment) -> list[str]:
-    """What `--set` makes of one experiment another, as `key.path=value`."""
+    """Changes `key.path=value` that make one experiment another."""
     before, after = (flat(msgspec.to_builtins(experiment)) for experiment in (one, other))
     return [
         f"{key}={json.dumps(value)}" for key, value in after.items() if before.get(key) != value and value is not None

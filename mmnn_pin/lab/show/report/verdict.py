@@ -33,8 +33,8 @@ FROZEN = {"same": "own trajectory", "held_out": "held out", "payload": "with a p
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What to know first.
+class ReportVerdict:
+    """The verdict on some runs.
 
     Attributes:
         headline: One sentence.
@@ -47,13 +47,13 @@ class Verdict:
     warnings: tuple[str, ...]
 
 
-def verdict(result: Result) -> Verdict:
+def verdict(result: Result) -> ReportVerdict:
     """The verdict on the runs of a result."""
-    return Verdict(headline(result), tuple(points(result)), tuple(warnings(result)))
+    return ReportVerdict(headline(result), tuple(points(result)), tuple(warnings(result)))
 
 
 def headline(result: Result) -> str:
-    """Which controller tracks best, and by how much; of a single run, how well it tracks."""
+    """The controller that tracks best, and by how much; of a single run, how well it tracks."""
     scores, judged = ranking(result)
     if len(judged) < 2:
         return alone(result, next(iter([*judged, *result.recordings])))
@@ -74,7 +74,7 @@ def headline(result: Result) -> str:
 
 
 def alone(result: Result, name: str) -> str:
-    """How well a run tracks that has none to compete with."""
+    """The errors of a run that has none to compete with."""
     recording, rms = result.recordings[name], []
     if (end := recording.outcome).status != "completed":
         return f"{name}: {end.status} at {end.time:.3g} s."
@@ -143,7 +143,7 @@ def percent(share: float) -> str:
 
 
 def points(result: Result) -> Iterator[str]:
-    """How the comparison is made, learning against gain, what is left to win, what the networks carry."""
+    """Explanations: how the comparison is made, learning against gain, what is left to win, what the networks carry."""
     scores, judged = ranking(result)
     if len(judged) > 1:
         yield (
@@ -185,7 +185,7 @@ def alike(result: Result) -> Iterator[str]:
 
 
 def gain_or_learning(learner: str, rows: Mapping[str, Improvement]) -> str:
-    """What of a learner's advantage over PD is left against PD at the learner's own gain."""
+    """The advantage of a learner over PD that is left against PD at the learner's own gain."""
     kept = [row for row in rows.values() if min(row.pd, row.pd_effective, row.learner) > 0]
     if not kept or not all(math.isfinite(row.total) for row in kept):
         return f"{learner} cannot be compared with pd."
@@ -199,7 +199,7 @@ def gain_or_learning(learner: str, rows: Mapping[str, Improvement]) -> str:
 
 
 def warnings(result: Result) -> Iterator[str]:
-    """What speaks against believing the numbers."""
+    """Reasons not to believe the numbers."""
     if text := unfair(result.experiment, result.metrics):
         yield f"{text[0].upper()}{text[1:]}."
     for name, recording in result.recordings.items():
@@ -228,7 +228,7 @@ def worse_somewhere(result: Result) -> Iterator[str]:
 
 
 def rivals_left_out(result: Result) -> Iterator[str]:
-    """That a learner did not meet PD with gravity or PID, where it did not."""
+    """A warning where a learner did not meet PD with gravity or PID."""
     if missing := rivals_missing(result):
         yield f"{' and '.join(missing)} did not run: this does not show whether a learner beats them"
 
@@ -253,7 +253,7 @@ def torques(result: Result) -> Iterator[str]:
 
 
 def unlike(result: Result) -> Iterator[str]:
-    """What the runs do not have in common though a comparison needs it."""
+    """Differences between the runs that a comparison must not have."""
     runs = list(result.recordings.values())
     shared = {"urdf_sha256": "robot files", "seed": "seeds", "plant": "plants", "versions": "versions"}
     for key, words in shared.items():

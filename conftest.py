@@ -91,7 +91,7 @@ def take_up() -> None:
 @cache
 def compile_once() -> None:
     from mmnn_pin.cli.output import compile_if_cold
-    from mmnn_pin.loop.precompile import when_compiling
+    from mmnn_pin.compiled import when_compiling
 
     compile_if_cold(hardware=True)
     when_compiling(lambda name: None)  # what else takes long on a busy machine is not told between the lines of a test
