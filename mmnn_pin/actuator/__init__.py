@@ -5,5 +5,3 @@
 
 from .effects import AHEAD, ROTOR_SPEED, STATES, SUM, Backlash, Drive, Motors
 from .settings import NEVER, Actuator, motor_places
-
-__all__ = ["AHEAD", "NEVER", "ROTOR_SPEED", "STATES", "SUM", "Actuator", "Backlash", "Drive", "Motors", "motor_places"]

@@ -27,25 +27,3 @@ from .supervisor import (
     press,
     supervise,
 )
-
-__all__ = [
-    "HAS_TRIPPED",
-    "RAMPING",
-    "RUNNING",
-    "SHORT",
-    "STEPPED_IN",
-    "STOPPING",
-    "TRIPPED",
-    "Safety",
-    "Supervisor",
-    "accept",
-    "has_ended",
-    "may_learn",
-    "new_state",
-    "no_supervisor",
-    "press",
-    "release",
-    "remarks",
-    "supervise",
-    "trip_of",
-]
