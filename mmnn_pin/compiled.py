@@ -1,25 +1,17 @@
 """How the arithmetic of the blocks is made fast: compiled by numba, with the linear algebra libraries on one thread.
 
-numba's own way is to take the code of every function into its callers, and to optimise all of it again at every level:
-a loop around a learner and a hardware model took half a minute. Here a function says how it is called:
+Compiled functions are plain `njit`, without the interpreter lock, in a file cache. A function says how it is called:
 
-    @linked     by its address: compiled once, for all callers. What is larger than a few lines.
-    @internal   so too, from compiled code alone (from Python a caller is compiled for it)
     @compiled   numba's own way
     @inlined    numba's own way, and always inlined; handing over arrays takes longer than a little arithmetic
-    @spliced    its source is copied into its callers
+    @linked     by its address: compiled once, for all callers (`linking`). What is larger than a few lines.
+    @internal   so too, from compiled code alone (from Python a caller is compiled for it)
 
-`run_plainly` has all of them run as plain Python until `run_compiled`, which is how a first run begins (`loop.early`).
-
-All run without the interpreter lock, and are kept in a file cache. numba's cache looks only at the file of the function
-itself, so an edited callee would run stale; here the cache folder is keyed by a hash of all sources of the package.
-`NUMBA_DISABLE_JIT=1` runs the same functions as plain Python. Large tuples go by address, too: `by_address`.
+numba's cache looks only at the file of the function itself, so an edited callee would run stale; here the cache folder
+is keyed by a hash of the sources that a function's module imports. `NUMBA_DISABLE_JIT=1` runs the same functions as
+plain Python. Large tuples go by address, too: `by_address`.
 
 Code that depends on the type of an argument is chosen with `by_type`, parts of flat arrays are cut by `parts`.
-
-numba optimises every function by itself, then with all that it calls at the lowest level, then at the highest; it links
-the runtime for memory into each, and looks for closures and for expressions of whole arrays. Functions here allocate
-nothing, are loops over numbers, and are optimised once (`Pipeline`): as fast, and a first run waits less.
 
 Our matrices are small: threads of a linear algebra library that wait for each other cost more than they compute. The
 command line limits them in the environment before numpy starts; in Python `@one_thread` does while a function runs.
@@ -34,29 +26,16 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from copy import copy
-from dataclasses import dataclass
-from functools import cache, cached_property, partial, wraps
-from importlib import import_module
+from functools import cache, wraps
 from multiprocessing import parent_process
-from operator import attrgetter
 from pathlib import Path
-from pickle import UnpicklingError
 from shutil import rmtree
 from tempfile import gettempdir
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
-from llvmlite.binding import add_symbol
-from numba.core.caching import IndexDataCacheFile
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
-from numba.core.compiler_machinery import AnalysisPass, PassManager, register_pass
-from numba.core.registry import CPUDispatcher
-from numba.core.runtime.nrt import rtsys
-from numba.core.typed_passes import NativeLowering, NopythonRewrites
-from numba.core.untyped_passes import InlineClosureLikes, LiteralUnroll, RewriteDynamicRaises, WithLifting
+from numba.core.event import Listener, register
 from numba.extending import overload
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
@@ -64,76 +43,97 @@ from threadpoolctl import ThreadpoolController
 from .files import make_private
 from .parts import spelled
 
-UNUSED = (InlineClosureLikes, LiteralUnroll, NopythonRewrites, RewriteDynamicRaises, WithLifting)  # of numba's passes
-MARKS = (b"@internal", b"@compiled", b"@linked", b"@inlined", b"@spliced")
+prepare: Any
+try:
+    if os.environ.get("MMNN_PLAIN_NUMBA", "0") == "1":
+        raise ImportError
+    from .linking import LEAN, prepare
+except ImportError:  # numba's insides are others
+    LEAN, prepare = {}, None
+
+PACKAGE = Path(__file__).parent
+MARKS = re.compile(rb"^ *@(internal|compiled|linked|inlined|by_address)", re.M)
+IMPORT = re.compile(r"^from (\.*)([\w.]*) import (\([^)]*\)|[^(\n]*)", re.M)
+CONSTANTS = (
+    "mmnn_pin.signals",
+    "mmnn_pin.parts",
+    "mmnn_pin.linking",
+)  # without compiled functions; these depend on them
 KEPT = 30 * 86400.0  # how long code of other versions is kept after its last use [s]
-MADE: list[Any] = []  # all compiled functions
-KINDS: dict[Any, type] = {}  # what those are that run as plain Python
 F = TypeVar("F", bound=Callable[..., Any])
-T = TypeVar("T")
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class Library(JITCodeLibrary):
-    """Code of a function and of those that it takes in, optimised once and without the runtime for memory."""
-
-    def add_linking_library(self, library: Any) -> None:
-        """Take in what is called."""
-        if library is not rtsys.library:
-            super().add_linking_library(library)
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        ll_module.data_layout = self._codegen._data_layout
-
-    def _optimize_final_module(self) -> None:
-        manager, builder = self._codegen._module_pass_manager()
-        manager.run(self._final_module, builder)
+# -- the cache folder of a module --------------------------------------------------------------------------------------
 
 
-class Face(Library):
-    """Stands for a function that is called by its address: there is no code in it."""
-
-    def finalize(self) -> None:
-        """Nothing is compiled."""
-        self._shared_module, self._finalized = self._final_module, True
-
-
-@register_pass(mutates_CFG=False, analysis_only=True)
-class NewLibrary(AnalysisPass):
-    """The library into which a function is lowered."""
-
-    _name = "new_library"
-
-    def __init__(self) -> None:
-        AnalysisPass.__init__(self)
-
-    def run_pass(self, state: Any) -> bool:
-        """Give it to the lowering pass."""
-        state.library = Library(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.library.enable_object_caching()
-        return False
+@cache
+def file_of(module: str) -> Path | None:
+    """The file of a module; None where it has none."""
+    root, *names = module.split(".")
+    if root != PACKAGE.name:
+        file = getattr(sys.modules.get(module), "__file__", None)
+        return Path(file) if file and Path(file).is_file() else None
+    place = PACKAGE.joinpath(*names)
+    files = (place / "__init__.py", place.with_suffix(".py"))
+    return next((file for file in files if file.is_file()), None)
 
 
-class Pipeline(CompilerBase):
-    """numba's passes for compiled code, without those that are not used."""
-
-    def define_pipelines(self) -> list[PassManager]:
-        """All passes in their order."""
-        passes = PassManager("lean")
-        for one, what in DefaultPassBuilder.define_nopython_pipeline(self.state).passes:
-            if one is NativeLowering:
-                passes.add_pass(NewLibrary, "new library")
-            if one not in UNUSED:
-                passes.add_pass(one, what)
-        passes.finalize()
-        return [passes]
+@cache
+def text_of(module: str) -> bytes:
+    """The source of a module; nothing where it has none."""
+    file = file_of(module)
+    return b"" if file is None else file.read_bytes()
 
 
-# Compiled functions allocate nothing; without numba's reference counts they run up to 1.5 times faster and compile in
-# less time. One that does allocate fails to compile, loudly.
-LEAN: dict[str, Any] = {"_nrt": False, "no_cfunc_wrapper": True, "pipeline_class": Pipeline}
+@cache
+def imports_of(module: str) -> dict[str, str]:
+    """The names that a module imports at its head from this package, and the modules that they come from."""
+    file, found = file_of(module), dict[str, str]()
+    parts = module.split(".") if file is not None and file.name == "__init__.py" else module.split(".")[:-1]
+    for dots, source, names in IMPORT.findall(text_of(module).decode()):
+        base = ".".join([*parts[: len(parts) - len(dots) + 1], *([source] if source else [])]) if dots else source
+        if base.split(".")[0] == PACKAGE.name:
+            for name in re.findall(r"(\w+)(?: +as +\w+)?", re.sub(r"#.*", "", names)):
+                found[name] = origin(base, name)
+    return found
+
+
+def origin(module: str, name: str) -> str:
+    """The module that a name comes from which another module hands on."""
+    if file_of(f"{module}.{name}") is not None:
+        return f"{module}.{name}"
+    file = file_of(module)
+    if file is not None and file.name == "__init__.py":
+        return imports_of(module).get(name, module)
+    return module
+
+
+@cache
+def has_compiled(module: str) -> bool:
+    """Whether compiled functions depend on the text of a module; a package is imported for what it hands on."""
+    file = file_of(module)
+    hands_on = file is not None and file.name == "__init__.py"
+    return hands_on or module in CONSTANTS or MARKS.search(text_of(module)) is not None
+
+
+@cache
+def source_key(module: str) -> str:
+    """A name for the sources that the compiled functions of a module depend on: its own, and what it imports."""
+    found, left = {module, *CONSTANTS}, [module]
+    while left:
+        new = {one for one in imports_of(left.pop()).values() if has_compiled(one)} - found
+        found |= new
+        left += new
+    if prepare is None:  # callers have the code of learners in them: all sources
+        files = (file.relative_to(PACKAGE.parent).with_suffix("").parts for file in PACKAGE.rglob("*.py"))
+        found |= {one for one in map(".".join, files) if has_compiled(one)}
+    digest = hashlib.sha256(numba.__version__.encode())  # of two versions neither reads what the other keeps
+    for one in sorted(found):
+        digest.update(one.encode() + b"\0" + text_of(one))
+    return digest.hexdigest()[:16]
 
 
 def cache_root() -> Path:
@@ -146,26 +146,26 @@ def cache_root() -> Path:
 
 
 @cache
-def cache_folder() -> Path | None:
-    """Folder for the code compiled from exactly these sources, None where nothing can be written."""
-    digest = hashlib.sha256(numba.__version__.encode())  # of two versions neither reads what the other keeps
-    package = Path(__file__).parent
-    for source in sorted(package.rglob("*.py")):
-        text = source.read_bytes()
-        if any(mark in text for mark in MARKS) or source.name in ("signals.py", "parts.py"):
-            digest.update(str(source.relative_to(package)).encode() + b"\0" + text)
+def cache_folder(module: str = "mmnn_pin.loop.compiled") -> Path | None:
+    """Folder for the code of a module compiled from exactly these sources, None where nothing can be written."""
     try:
-        root = private_root(cache_root().resolve(), digest.hexdigest()[:16])
-        if root is None:
+        root, name = checked_root(), source_key(module)
+        if root is None or make_private(root / name):
             return None
-        folder = root / digest.hexdigest()[:16]
-        if not any(folder.iterdir()):
-            with suppress(OSError):
-                forget(root)
-        os.utime(folder)  # used now
+        os.utime(root / name)  # used now
     except OSError:
         return None
-    return folder if os.access(folder, os.W_OK) else None
+    return root / name if os.access(root / name, os.W_OK) else None
+
+
+@cache
+def checked_root() -> Path | None:
+    """The folder for the code of all modules that only this user can write to, see `private_root`; None for none."""
+    root = private_root(cache_root().resolve(), source_key("mmnn_pin.compiled"))
+    if root is not None:
+        with suppress(OSError):
+            forget(root)
+    return root
 
 
 def private_root(root: Path, name: str) -> Path | None:
@@ -188,7 +188,7 @@ def private_root(root: Path, name: str) -> Path | None:
 
 
 def forget(root: Path) -> None:
-    """Remove the code of other versions that nothing has used for `KEPT`: each takes up to 150 MB."""
+    """Remove the code of other versions that nothing has used for `KEPT`: a version takes up to 150 MB."""
     for folder in root.iterdir():
         with suppress(OSError):  # another process removes it, too
             unused = time.time() - folder.stat().st_mtime > KEPT
@@ -196,166 +196,84 @@ def forget(root: Path) -> None:
                 rmtree(folder, ignore_errors=True)
 
 
-class OwnNames(IndexDataCacheFile):
-    """numba's cache files of a function, the code for each signature under a name of its own.
-
-    numba numbers them. Of two processes that compile at the same time each may give one number to another signature,
-    and then a run calls code that was made for other arguments, and crashes. Where one overwrites what the other has
-    entered in the index, that is compiled once more. A file that a crash left empty or cut off counts as none, and code
-    that does not fit on the disk is not kept.
-    """
-
-    def save(self, key: Any, data: Any) -> None:
-        """Keep code; first itself, then its name."""
-        with suppress(OSError):
-            self._keep(key, data)
-
-    def _keep(self, key: Any, data: Any) -> None:
-        entries = self._load_index()
-        name = entries.get(key) or self._data_name(int(hashlib.sha256(self._dump(key)).hexdigest()[:15], 16))
-        self._save_data(name, data)
-        self._save_index(entries | {key: name})
-
-    def load(self, key: Any) -> Any:
-        """What is kept; None for nothing that can be read."""
-        try:
-            return super().load(key)
-        except (OSError, EOFError, UnpicklingError):
-            return None
-
-    def _load_index(self) -> dict[Any, str]:
-        try:
-            return dict(super()._load_index())
-        except (EOFError, UnpicklingError):
-            return {}
-
-
 def is_warm() -> bool:
-    """Whether compiled code for these sources is already on disk (else the first run takes some seconds)."""
+    """Whether compiled code for these sources is already on disk (else the first run takes half a minute)."""
     folder = cache_folder()
     return os.environ.get("NUMBA_DISABLE_JIT", "0") == "1" or (folder is not None and any(folder.rglob("*.nbi")))
 
 
-def compiled(function: F, **options: Any) -> F:
-    """Compile a function of scalars and float64 arrays; division by zero gives inf or nan as in numpy."""
-    folder = cache_folder()
-    config: Any = numba.config
+# -- kinds of compiled functions ---------------------------------------------------------------------------------------
+
+
+def made(function: F, by_address: bool = False, from_python: bool = True, **options: Any) -> F:
+    """A compiled function; division by zero gives inf or nan as in numpy.
+
+    Args:
+        function: Of scalars, float64 arrays and named tuples of them.
+        by_address: Whether callers find it by its address.
+        from_python: Whether Python often calls it.
+        options: More of numba's.
+    """
+    folder, config = cache_folder(function.__module__), cast(Any, numba.config)
     before = config.CACHE_DIR
     config.CACHE_DIR = "" if folder is None else str(folder)
+    if prepare is not None and not from_python:
+        options |= {"no_cpython_wrapper": True}
     try:
-        given: dict[str, Any] = LEAN | options
-        made: Any = numba.njit(cache=folder is not None, nogil=True, error_model="numpy", **given)(function)
+        found: Any = numba.njit(cache=folder is not None, nogil=True, error_model="numpy", **LEAN, **options)(function)
     finally:
         config.CACHE_DIR = before
-    if hasattr(made, "add_overload"):
-        made.add_overload = partial(remember, made)
-        MADE.append(made)
-        if folder is not None:
-            made._cache._cache_file.__class__ = OwnNames
-    return cast(F, made)
+    if prepare is not None and hasattr(found, "add_overload"):
+        prepare(found, by_address, from_python)
+    return cast(F, found)
 
 
-def remember(dispatcher: Any, compilation: Any) -> None:
-    """Enter a compilation; from the cache it no longer says what is made ready before it, which its callers have to."""
-    compilation.library._reload_init.update(compilation.reload_init)
-    type(dispatcher).add_overload(dispatcher, compilation)
+def compiled(function: F) -> F:
+    """Compile a function."""
+    return made(function)
 
 
 def inlined(function: F) -> F:
-    """Compile a function also into its callers: handing over arrays takes longer than a little arithmetic."""
-    return without_wrapper(compiled(function, forceinline=True, no_cpython_wrapper=True))
+    """Compile a function into its callers: handing over arrays takes longer than a little arithmetic."""
+    return made(function, from_python=False, forceinline=True)
 
 
-def spliced(function: F) -> F:
-    """Copy a function into the source of its one or two callers: as fast, and nothing is compiled twice."""
-    return without_wrapper(compiled(function, inline="always", no_cpython_wrapper=True))
-
-
-def linked(function: F, **options: Any) -> F:
+def linked(function: F) -> F:
     """Compile a function once: its callers call it where it is, and do not take in its code and optimise it again."""
-    made: Any = compiled(function, **options)
-    if hasattr(made, "add_overload"):
-        made.add_overload = partial(publish, made)
-    return cast(F, made)
+    return made(function, by_address=True)
 
 
 def internal(function: F) -> F:
     """The same for a function that only compiled code calls: what hands over arguments from Python is not compiled."""
-    return without_wrapper(linked(function, no_cpython_wrapper=True))
+    return made(function, by_address=True, from_python=False)
 
 
-def without_wrapper(function: F) -> F:
-    """Let a function that was compiled for compiled callers be called from Python, too: by a caller made when asked."""
-    made: Any = function
-    if isinstance(made, CPUDispatcher):
-        made.__class__ = Internal
-    return function
+def plain(function: F) -> F:
+    """The function as plain Python; what it calls stays compiled."""
+    return cast(F, getattr(function, "py_func", function))
 
 
-class Internal(CPUDispatcher):
-    """What numba makes of a function; called from Python, it compiles a caller."""
+class Told(Listener):
+    """Hears from numba what is compiled, and tells its name.
 
-    def __call__(self, *args: Any) -> Any:
-        """Call it from Python."""
-        return self.caller(*args)
+    Args:
+        tell: Called with the name of a function before it is compiled.
+    """
 
-    @cached_property
-    def caller(self) -> Any:
-        """The function, for Python."""
-        given = ", ".join(self.py_func.__code__.co_varnames[: self.py_func.__code__.co_argcount])
-        call = spelled(f"def call({given}): return function({given})", function=self)
-        return numba.njit(nogil=True, error_model="numpy", **LEAN)(call)
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self.tell = tell
 
+    def on_start(self, event: Any) -> None:
+        """A function is going to be compiled."""
+        self.tell(event.data["dispatcher"].py_func.__name__)
 
-class Plain(CPUDispatcher):
-    """What numba makes of a function, while Python runs the function itself."""
-
-    def __call__(self, *args: Any) -> Any:
-        """Call it from Python."""
-        return self.py_func(*args)
+    def on_end(self, event: Any) -> None:
+        """It is compiled."""
 
 
-def run_plainly() -> None:
-    """From now on Python calls all functions that are made so far as plain Python: nothing is compiled for it."""
-    KINDS.update({made: made.__class__ for made in MADE if not isinstance(made, Plain)})
-    for made in KINDS:
-        made.__class__ = Plain
-
-
-def run_compiled(*functions: Any) -> None:
-    """The end of `run_plainly`, for some functions or for all."""
-    for made in functions or tuple(KINDS):
-        if made in KINDS:
-            made.__class__ = KINDS.pop(made)
-
-
-@dataclass(frozen=True)
-class Load:
-    """Makes a linked function ready before code that calls it, which comes from the cache."""
-
-    module: str
-    name: str
-    types: tuple[Any, ...]
-
-    def __call__(self) -> None:
-        """Compile the function for these types, or take it from the cache."""
-        attrgetter(self.name)(import_module(self.module)).compile(self.types)
-
-
-def publish(dispatcher: Any, compilation: Any) -> None:
-    """Enter what numba has compiled for some types under a name of its own, by which compiled callers find it."""
-    remember(dispatcher, compilation)
-    target, types, library = dispatcher.targetctx, compilation.signature.args, compilation.library
-    fndesc = copy(compilation.fndesc)
-    load = Load(fndesc.modname, fndesc.qualname, types)
-    given = str([(getattr(kind, "instance_class", None), kind) for kind in types])  # numba says no more than its name
-    name = f"{load.module}.{load.name}.{hashlib.sha256(given.encode()).hexdigest()[:16]}"
-    add_symbol(name, library.get_pointer_to_function(fndesc.llvm_func_name))
-    fndesc.mangled_name = name
-    face = Face(target.codegen(), name)
-    face._reload_init.add(load)
-    target.remove_user_function(compilation.entry_point)
-    target.insert_user_function(compilation.entry_point, fndesc, [face])
+def when_compiling(tell: Callable[[str], None]) -> None:
+    """From now on, tell the name of every function that this process compiles."""
+    register("numba:compile", Told(tell))
 
 
 @compiled
@@ -391,7 +309,7 @@ def by_type(stub: F, argument: str, choose: Callable[[type], Callable[..., Any]]
     def chosen(*types: Any) -> Any:
         return spelled(f"def call({given}): return function({given})", function=choose(types[place].instance_class))
 
-    options: Any = {"nogil": True, "error_model": "numpy", "_nrt": False}
+    options: Any = {"nogil": True, "error_model": "numpy"} | {name: LEAN[name] for name in LEAN if name == "_nrt"}
     # numba asks a function with the arguments of the stub
     resolve = spelled(f"def resolve({given}): return chosen({given})", chosen=chosen)
     overload(stub, jit_options=options, inline="always")(resolve)

@@ -16,6 +16,7 @@ from ..errors import ConfigError, InputError
 
 F = TypeVar("F", bound=Callable[..., Any])
 PACKAGE = Path(__file__).parent.parent
+PATH = click.Path(path_type=Path)
 
 
 def shared(function: F) -> F:
@@ -60,6 +61,20 @@ def understanding(function: F) -> F:
         return function(*args, overrides=kept, **kwargs)
 
     return with_all(ROBOT_OPTIONS, gathered)  # type: ignore[return-value]
+
+
+def judged_on(function: F) -> F:
+    """Add the options that say what a learner is judged on."""
+    load = click.option(
+        "--payload",
+        type=click.FloatRange(0, 1e6, min_open=True),
+        metavar="KG",
+        help="Load of the changed robot.  [default: a quarter of what the arm weighs]",
+    )
+    count = click.option(
+        "--windows", type=click.IntRange(1, 1000), default=5, show_default=True, help="Windows of the online FVU."
+    )
+    return load(count(function))
 
 
 def makes_runs(function: F) -> F:
@@ -191,8 +206,7 @@ PACKAGE_DIRS = click.option(
 )
 STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.argument("file", metavar="STUDY.toml", type=click.Path(path_type=Path)),
-    click.option("--workers", type=int, help="Threads or processes on this machine.  [default: one per core]"),
-    click.option("--processes", is_flag=True, help="Processes even where threads would do."),
+    click.option("--workers", type=int, help="Processes on this machine.  [default: one per core]"),
     click.option(
         "--cluster",
         metavar="ADDRESS",
@@ -200,7 +214,7 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
         " best by TLS (tls://...); see mmnn docs how-to/cluster.",
     ),
     CHANGES,
-    click.option("--out", type=click.Path(path_type=Path), help="Folder for the database.  [default: runs/STUDY]"),
+    click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.  [default: runs/STUDY]"),
 )
 OVERRIDES = (
     "base", "wheels", "radius", "wheel_radii", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro",

@@ -27,7 +27,7 @@ from ..disturbance import Forces
 from ..safety import Supervisor
 from ..sensing import Sensors, exact
 from ..sensing.effects import COUNT, RECEIVED, Reading
-from ..signals import INDEX, Array, IntArray
+from ..signals import EARLY, INDEX, Array, IntArray
 from .servo import Split
 
 APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
@@ -343,6 +343,22 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
         for i in range(tau.size):
             tau[i] += world.wire.force[i]
             hardware.way.totals.force[i] += world.wire.force[i]
+
+
+@compiled
+def load_at(time: float, world: World) -> float:
+    """0 before the payload comes, 1 while the robot carries it, 2 once it went, at a time [s]."""
+    if time + EARLY < world.pick:
+        return 0.0
+    return 1.0 if time + EARLY < world.drop else 2.0
+
+
+@compiled
+def shift_energy(load: float, gain: float, world: World) -> None:
+    """Note the energy that the payload has [J] as it comes and as it goes: it is no error of the balance."""
+    shift = world.shift
+    shift[0] += gain if load == 1.0 else -gain if shift[1] == 1.0 else 0.0
+    shift[1] = load
 
 
 @linked

@@ -1,4 +1,4 @@
-"""What the robot is: the file audited, its mobile base found, and its Pinocchio model with the motions left to it.
+"""The robot: its file audited, its base and arm understood, its Pinocchio model with the motions left to it.
 
 The names are loaded when first used, so that a controller that asks a base for its law does not load the rest.
 """
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from .robots import bundled
 
 __all__ = ["Base", "Robot", "Undecided", "Wheel", "bundled", "load"]
-
 _HOME = {"Base": "base.base", "Wheel": "base.base", "Undecided": "base.report", "Robot": "robot", "bundled": "robots"}
 
 

@@ -20,7 +20,7 @@ from ..settings.arguments import wrong_type
 from ..signals import Array
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
-from .base.report import Reading, Undecided, Unsupported
+from .base.report import BaseReading, Undecided, Unsupported
 from .dynamics import Dynamics
 from .robot import Robot, revolute
 from .urdf.expansion import Unexpanded
@@ -84,7 +84,7 @@ def hash_of(path: Path) -> str | None:
 
 
 def audited(path: Path, overrides: Overrides) -> list[Finding]:
-    """What there is to say about a file that the audit accepts, beside what the robot was refused for."""
+    """Findings about a file that the audit accepts, beside what the robot was refused for."""
     overrides, notes = with_file(path, overrides)
     return [
         *audit_file(path, overrides.strict, folders_of(path, overrides), overrides.xacro, overrides.without)[1],
@@ -98,7 +98,7 @@ def as_dict(finding: Finding) -> dict[str, Any]:
     return {name: getattr(finding, name) for name in names} | {"text": str(finding)}
 
 
-def reading_of(reading: Reading) -> dict[str, Any]:
+def reading_of(reading: BaseReading) -> dict[str, Any]:
     """One way to read a base, by names."""
     return {"kind": reading.kind, "for": list(reading.reasons), "against": list(reading.objections)}
 
@@ -143,7 +143,7 @@ INTERFACES = ("effort", "velocity", "position")  # the first that a joint offers
 
 
 def interfaces_of(robot: Robot) -> dict[str, Any]:
-    """What commands every motor's joint takes, by `ros2_control` and transmission tags, and the one that is used.
+    """Command interfaces of every motor's joint, by `ros2_control` and transmission tags, and the one that is used.
 
     A torque where it is offered, or where nothing is stated; else a velocity, else a position.
     """
@@ -253,7 +253,7 @@ A_TURN = 2 * math.pi  # an angle beyond this looks like degrees, but a wheel's
 
 
 def doubtful(robot: Robot, position: Array) -> list[str]:
-    """What a robot cannot, or can hardly, mean by a position (nv,): beyond a joint's limits, or angles in degrees."""
+    """Doubts about a position (nv,): beyond a joint's limits, or angles in degrees."""
     rest, found, wheels = robot.neutral_position(), [], {wheel.joint for wheel in robot.base.wheels}
     rows = zip(robot.position_names, position, rest, robot.lower, robot.upper, revolute(robot), strict=True)
     for name, q, at, low, high, turns in rows:

@@ -113,7 +113,7 @@ class Robot(Structure):
         return Dynamics(self).friction(self._nu(nu))
 
     def psi(self, q: ArrayLike, nu: ArrayLike, nu_ref: ArrayLike, nudot_ref: ArrayLike) -> Array:
-        """What a learner has to learn: `M nudot_ref + C nu_ref + gravity + friction`, (p,) [N, N m] (3.20), (3.21).
+        """True Psi, which a learner has to learn: `M nudot_ref + C nu_ref + gravity + friction`, (p,) (3.20), (3.21).
 
         With `nu_ref = nu` it is the torque that accelerates the robot by nudot_ref.
 
@@ -130,7 +130,7 @@ class Robot(Structure):
         return Dynamics(self).psi(self.position(q), self._nu(nu), *asked)
 
     def placement(self, frame: str, q: ArrayLike) -> Array:
-        """Where a link or a joint is in the world, a homogeneous (4, 4) matrix [m].
+        """Placement of a link or a joint in the world, a homogeneous (4, 4) matrix [m].
 
         Raises:
             UnknownName: The robot has no such link or joint.
@@ -224,7 +224,7 @@ class Robot(Structure):
 
 
 def carrying(robot: Robot, mass: float, joint: str = "", at: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:
-    """The same robot with a point mass on a link.
+    """A copy of a robot with a point mass on a link.
 
     Args:
         robot: The robot.

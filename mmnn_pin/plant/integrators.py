@@ -39,6 +39,7 @@ class Joints(NamedTuple):
         dry: (nv, 3) dry friction of the joints.
         viscous: (p,) viscous friction on nu.
         base: Number of base velocities.
+        sideways: Whether they are `(vx, vy, w)`.
     """
 
     T: Array
@@ -46,6 +47,7 @@ class Joints(NamedTuple):
     dry: Array
     viscous: Array
     base: int
+    sideways: bool
 
 
 @by_address
@@ -76,11 +78,11 @@ class Terms(NamedTuple):
 
 
 @linked
-def derivative(y: Array, tau: Array, base: int, terms: Terms) -> None:
-    """Time derivative of y, into `terms.ydot`, under the generalized torque tau (p,) with `base` base velocities."""
+def derivative(y: Array, tau: Array, joints: Joints, terms: Terms) -> None:
+    """Time derivative of y, into `terms.ydot`, under the generalized torque tau (p,)."""
     nv, p, rest, ydot = terms.v.size, tau.size, terms.rest, terms.ydot
     nu = y[nv : nv + p]
-    position_rate(y[:nv], nu, terms.v, base, ydot[:nv])
+    position_rate(y[:nv], nu, terms.v, joints.base, joints.sideways, ydot[:nv])
     power = 0.0
     for i in range(p):
         rest[i] = tau[i] - terms.h[i]
@@ -247,7 +249,7 @@ def euler(method: int, dt: float, joints: Joints, terms: Terms, tau: Array, y: A
         release(joints, terms)
     if implicit:
         stiffen(dt, joints, smooth, terms)
-    derivative(y, tau, joints.base, terms)
+    derivative(y, tau, joints, terms)
     if implicit:
         friction_ahead(dt, joints, smooth, terms)
     for i in range(p):
@@ -260,7 +262,7 @@ def euler(method: int, dt: float, joints: Joints, terms: Terms, tau: Array, y: A
         y[nv + i] = rest[i]
     new = y[nv : nv + p]
     spread(joints.T, new, v)
-    position_rate(y[:nv], new, v, joints.base, ydot[:nv])
+    position_rate(y[:nv], new, v, joints.base, joints.sideways, ydot[:nv])
     for i in range(nv):
         y[i] += dt * ydot[i]
     y[nv + p] += dt * work

@@ -24,6 +24,7 @@ from ..model.base.overrides import Overrides
 from ..model.loading import build
 from ..model.robot import Robot
 from ..settings.arguments import checked
+from ..shown import shown
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
 from .robot_file import document_of
@@ -198,8 +199,8 @@ class Recording:
         return f"<Recording: {self.summary()}>"
 
     def _repr_html_(self) -> str:
-        """Summary, plots and replay in a notebook; what shows recordings stands above them, so it is found by name."""
-        return str(import_module("mmnn_pin.lab.show.gallery").notebook_html(self))
+        """Summary, plots and replay in a notebook."""
+        return str(shown(self, "html"))
 
     @property
     def names(self) -> tuple[str, ...]:

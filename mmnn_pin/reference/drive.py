@@ -261,7 +261,7 @@ class RouteDrive(Motion):
             k = math.sqrt(max(1.0, float((np.abs(one.acceleration) / most).max(initial=0.0))))
             one = one if k == 1.0 else timed.sample(self.instants(k * timed.duration) / k)
         one = replace(one, velocity=one.velocity / k, acceleration=one.acceleration / (k * k))
-        if self.dimensions.base == 2:
+        if not self.dimensions.sideways:
             return np.hstack((one.pose, one.velocity, one.acceleration))
         c, s = angles.cos_sin(aside)
         (v, w), (vdot, wdot) = one.velocity.T, one.acceleration.T

@@ -170,7 +170,8 @@ class Follower:
             leave_home(part, self.guide)
             is_home(part, self.guide)
             brake(part, measured, self.guide)
-        between(self.sample, self.sample, 0.0, 1.0, self.dimensions.base, self.sample)
+        d = self.dimensions
+        between(self.sample, self.sample, 0.0, 1.0, d.base, d.sideways, self.sample)
         nearest_turn(0.0, 0.0)
         for array in (self.guide.now, self.guide.wanted, self.guide.pace, self.guide.kind, self.guide.home):
             array[:] = 0

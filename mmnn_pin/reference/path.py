@@ -47,11 +47,11 @@ class BasePath(ABC):
     """A motion of the base.
 
     Attributes:
-        nb: Number of base velocities, 2 for a differential drive, 3 for a holonomic base.
+        sideways: Whether its velocities are `(vx, vy, w)`, of a base that moves sideways, and not `(v, w)`.
         followable: True for a path that the base can follow by construction; others are checked when sampled.
     """
 
-    nb: int = 2
+    sideways: bool = False
     followable: ClassVar[bool] = False
 
     @abstractmethod

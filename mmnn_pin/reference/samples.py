@@ -18,8 +18,6 @@ from numpy.typing import ArrayLike
 from ..elementary.arrays import cos_sin
 from ..errors import TrajectoryError
 from ..files import LARGEST, read_bytes, reason
-from ..model.base import BY_SIZE
-from ..model.base.holonomic import moves_sideways
 from ..signals import Array
 from .joint import require_clock, within
 from .path import BasePath, BaseSamples, require_finite, times
@@ -55,11 +53,7 @@ class BaseTable(BasePath):
 
     def __post_init__(self) -> None:
         time, pose, velocity = (np.array(part, float) for part in (self.time, self.pose, self.velocity))
-        if (
-            time.ndim != 1
-            or pose.shape != (len(time), 3)
-            or velocity.shape not in ((len(time), nb) for nb in BY_SIZE if nb)
-        ):
+        if time.ndim != 1 or pose.shape != (len(time), 3) or velocity.shape not in ((len(time), 2), (len(time), 3)):
             raise TrajectoryError(
                 f"samples of shapes {time.shape}, {pose.shape}, {velocity.shape}",
                 fix="give (N,), (N, 3), (N, 2) or (N, 3)",
@@ -68,7 +62,7 @@ class BaseTable(BasePath):
         require_clock(time)
         pose[:, 2] = np.unwrap(pose[:, 2])
         check_followable(time, pose, velocity)
-        object.__setattr__(self, "nb", velocity.shape[1])
+        object.__setattr__(self, "sideways", has_vy(velocity))
         for name, part in (("time", time), ("pose", pose), ("velocity", velocity)):
             part.flags.writeable = False
             object.__setattr__(self, name, part)
@@ -87,7 +81,7 @@ class BaseTable(BasePath):
         """
         found = TableColumns.read(file, ("t", "x", "y", "phi"))
         with found.blamed():
-            return found.table(3 if "vy" in found else 2)
+            return found.table("vy" in found)
 
     @property
     def duration(self) -> float:
@@ -114,23 +108,28 @@ class BaseTable(BasePath):
         return BaseSamples(t, pose(at), velocity(at), velocity(at, 1))
 
 
+def has_vy(velocity: Array) -> bool:
+    """Whether velocities of a base are `(vx, vy, w)`, (N, 3), and not `(v, w)`, (N, 2)."""
+    return velocity.shape[1] == 3
+
+
 def in_three(velocity: Array) -> tuple[Array, Array, Array]:
     """Columns vx, vy, w of base velocities (N, nb); vy = 0 for a differential drive."""
     vx, w = velocity[:, 0], velocity[:, -1]
-    return vx, velocity[:, 1] if moves_sideways(velocity.shape[1]) else np.zeros_like(vx), w
+    return vx, velocity[:, 1] if has_vy(velocity) else np.zeros_like(vx), w
 
 
-def velocities(time: Array, pose: Array, nb: int) -> Array:
-    """Base velocities (N, nb) of poses (N, 3) at some times (N,): the slope of a cubic spline, in the pose's frame."""
+def velocities(time: Array, pose: Array, sideways: bool) -> Array:
+    """Base velocities (N, 2 or 3) of poses (N, 3) at times (N,): the slope of a cubic spline, in the pose's frame."""
     from scipy.interpolate import CubicSpline  # slow to import, seldom needed
 
     rate = CubicSpline(time, pose)(time, 1)
     c, s = cos_sin(pose[:, 2])
-    forward, sideways = rate[:, 0] * c + rate[:, 1] * s, rate[:, 1] * c - rate[:, 0] * s
-    return np.stack([forward, sideways, rate[:, 2]] if moves_sideways(nb) else [forward, rate[:, 2]], axis=1)
+    forward, aside = rate[:, 0] * c + rate[:, 1] * s, rate[:, 1] * c - rate[:, 0] * s
+    return np.stack([forward, aside, rate[:, 2]] if sideways else [forward, rate[:, 2]], axis=1)
 
 
-def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, nb: int) -> BaseTable:
+def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, sideways: bool) -> BaseTable:
     """A table of poses, with their own velocities where none are given.
 
     Raises:
@@ -138,11 +137,11 @@ def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, nb: i
     """
     t, poses = np.array(time, float), np.array(pose, float)
     if velocity is not None or t.ndim != 1 or poses.shape != (len(t), 3):
-        return BaseTable(t, poses, np.zeros((len(t), nb)) if velocity is None else np.array(velocity, float))
+        return BaseTable(t, poses, np.zeros((len(t), 2 + sideways)) if velocity is None else np.array(velocity, float))
     require_finite(time=t, pose=poses)
     require_clock(t)
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return BaseTable(t, poses, velocities(t, poses, nb))
+    return BaseTable(t, poses, velocities(t, poses, sideways))
 
 
 def require_within(
@@ -230,15 +229,15 @@ class TableColumns(Mapping[str, Array]):
     def __contains__(self, name: object) -> bool:
         return name in self._heads
 
-    def table(self, nb: int) -> BaseTable:
+    def table(self, sideways: bool) -> BaseTable:
         """The base's: `x, y, phi`, and `v, w` or `vx, vy, w` where they are there; errors as of `BaseTable`."""
-        names = ("vx", "vy", "w") if moves_sideways(nb) else ("v", "w")
+        names = ("vx", "vy", "w") if sideways else ("v", "w")
         missing = [name for name in names if name not in self]
         if missing and len(missing) < len(names):
             fix = f"give {', '.join(names)}, or none of them and the poses' own are taken"
             raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=self.file, line=1)
         given = None if missing else np.stack([self[n] for n in names], axis=1)
-        return table_of(self["t"], np.stack([self[n] for n in ("x", "y", "phi")], axis=1), given, nb)
+        return table_of(self["t"], np.stack([self[n] for n in ("x", "y", "phi")], axis=1), given, sideways)
 
     def require_seconds(self, unit: str) -> None:
         """Refuse times that another unit is written behind, or that look like milliseconds and have none.
@@ -315,7 +314,7 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
     forward, sideways = rate[:, 0] * cos + rate[:, 1] * sin, rate[:, 1] * cos - rate[:, 0] * sin
     if tolerance is None:
         tolerance = max(1e-3, 0.02 * float(max(abs(rate).max(), abs(velocity).max())))
-    holonomic = moves_sideways(velocity.shape[1])
+    holonomic = has_vy(velocity)
     worst = int(np.argmax(abs(sideways)))
     if not holonomic and abs(sideways[worst]) > tolerance:
         raise TrajectoryError(
@@ -347,7 +346,7 @@ def warnings(samples: BaseSamples, speed: float = 1e-3, duration: float = 0.5) -
         speed: `|vr|` below this counts as standing [m/s].
         duration: Shorter stretches are passed over [s].
     """
-    if samples.velocity.shape[1] != 2 or not len(samples.t):
+    if has_vy(samples.velocity) or not len(samples.t):
         return []
     standing = np.concatenate([[False], abs(samples.velocity[:, 0]) < speed, [False]])
     starts, ends = np.flatnonzero(np.diff(standing.astype(int))).reshape(-1, 2).T

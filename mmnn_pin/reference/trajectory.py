@@ -18,9 +18,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import TrajectoryError, UnknownName
-from ..model.base import BY_SIZE
-from ..model.base.holonomic import moves_sideways
+from ..errors import LENGTH, TrajectoryError, UnknownName
 from ..model.robot import Robot
 from ..settings.arguments import checked, require_types
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
@@ -121,7 +119,7 @@ class Trajectory:
         if base is not None and not nb:
             raise TrajectoryError(f"a path for {robot.name}", why="its base does not move", fix="leave it out")
         path = Line(0.0) if base is None and nb else base
-        if path is not None and moves_sideways(nb) and path.nb != nb:
+        if path is not None and robot.dimensions.sideways and not path.sideways:
             path = HolonomicPath(path)
         return cls(path, tuple(joints.get(name) or Hold(float(at[name])) for name in robot.joint_names))
 
@@ -194,7 +192,7 @@ class Trajectory:
         """
         if pose is not None and not robot.dimensions.base:
             raise TrajectoryError(f"poses for {robot.name}", why="its base does not move", fix="leave pose out")
-        path = None if pose is None else table_of(time, pose, velocity, robot.dimensions.base)
+        path = None if pose is None else table_of(time, pose, velocity, robot.dimensions.sideways)
         joints = {} if q is None else positions_of(robot, q)
         rates = {} if qdot is None else joints_of(robot, qdot)
         clock = np.asarray(time, float)
@@ -244,7 +242,7 @@ class Trajectory:
                 found.require_within(columns[name], robot.lower[i], robot.upper[i])
         with found.blamed():
             arm = {name: JointTable(found["t"], at, rates[name]) for name, at in joints.items()}
-            return cls.of(robot, found.table(nb) if moves else None, arm)
+            return cls.of(robot, found.table(robot.dimensions.sideways) if moves else None, arm)
 
     @property
     def duration(self) -> float:
@@ -293,16 +291,18 @@ class Trajectory:
             rates /= self.slowness * self.slowness
 
     def _require_fit(self, layout: Dimensions) -> None:
-        nb = self.base.nb if self.base is not None else 0
-        if nb != layout.base:
+        given = None if self.base is None else self.base.sideways
+        if given != (layout.sideways if layout.base else None):
+            names = {None: "no velocities", False: "(v, w)", True: "(vx, vy, w)"}
             raise TrajectoryError(
-                f"a base path of {nb} velocities for a base of {layout.base}",
-                why=", ".join(f"{size}: {kind.words}" for size, kind in sorted(BY_SIZE.items())),
+                f"a base path of {names[given]} for a base of {names[layout.sideways if layout.base else None]}",
                 fix="choose a path made for this base" if layout.base else "leave the base path out",
             )
         if len(self.arm) != layout.arm:
             raise TrajectoryError(
-                f"{len(self.arm)} arm profiles for {layout.arm} arm joints", fix=f"give {layout.arm} of them"
+                f"{len(self.arm)} arm profiles for {layout.arm} arm joints",
+                fix=f"give {layout.arm} of them",
+                code=LENGTH,
             )
 
 

@@ -158,7 +158,7 @@ def compare_base(measured: Array, dt: float, keep: float, nb: int, door: Door) -
         step = measured[2] - message[2]
         if i == 0:
             step = c * x + s * y
-        elif i == 1 and nb == 3:
+        elif i == 1 and door.sideways:
             step = c * y - s * x
         sense[DRIFT, i] = keep * (sense[DRIFT, i] + unexplained(step, dt * message[3 + i], dt * measured[3 + i]))
 

@@ -8,7 +8,6 @@ from typing import Any, Literal
 import numpy as np
 
 from ..elementary.matrices import pseudo_inverse
-from ..model.base import BY_SIZE
 from ..model.robot import Robot, limits, revolute, speed_limits
 from ..model.tree.twin import Twin
 from ..settings import Numbers, Settings, require_numbers
@@ -146,7 +145,7 @@ class Safety(Settings, frozen=True):
         numbers = [self.timeout, self.ramp, self.stop_time, self.torque_time, position, heading, bound]
         numbers += [self._calm_rate(robot, gains), period, math.inf if brakes == "none" else self.settle, self.rest]
         numbers += [float(brakes == "base"), FRESH * (arrivals or period), some(self.slowest)]
-        base = BY_SIZE[layout.base].per_velocity(some(self.speed), some(self.yaw_rate))
+        base = robot.base.per_velocity(some(self.speed), some(self.yaw_rate))
         wheels, turns, none = layout.motors - layout.arm, revolute(robot)[arm], np.full(layout.arm, np.inf)
         urdf = speed_limits(robot)
         joint_speed = limits(self.joint_speed, urdf[wheels:], "joint", "safety.joint_speed")
@@ -165,7 +164,7 @@ class Safety(Settings, frozen=True):
         fixed = [np.array(array, float, order="C") for array in arrays]
         places = np.zeros((0, 2), np.int64) if weights is None else weights
         *state, sense = views(new_state(layout) if values is None else values, layout)
-        door = Door(np.array(joints, float), np.array(rows, float), state[2], state[1], sense)
+        door = Door(np.array(joints, float), np.array(rows, float), state[2], state[1], sense, layout.sideways)
         return Supervisor._make([True, *fixed[:7], door, *fixed[7:], places, *state])
 
     def _calm_rate(self, robot: Robot, gains: Array) -> float:
@@ -184,7 +183,7 @@ def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
     """The supervisor of a run without one: it is off, and has a state (`new_state`) all the same."""
     nothing, none = np.zeros(0), np.zeros((0, 0))
     *state, sense = views(values, layout)
-    numbers: list[Any] = [False, *[nothing] * 7, Door(none, none, state[2], state[1], sense), none, none]
+    numbers: list[Any] = [False, *[nothing] * 7, Door(none, none, state[2], state[1], sense, False), none, none]
     return Supervisor._make([*numbers, np.zeros((0, 2), np.int64), *state])
 
 

@@ -8,8 +8,7 @@ from typing import NamedTuple
 from ..by_address import by_address
 from ..compiled import compiled, copy_to, entry, internal, linked
 from ..elementary import hypot
-from ..model.base.holonomic import moves_sideways
-from ..signals import EARLY, INDEX, Array, IntArray
+from ..signals import EARLY, INDEX, SIDEWAYS, Array, IntArray
 
 POSE, VELOCITY, Q, QDOT, ALPHA = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "alpha"))
 POSE_ERROR, JOINT_ERROR, STATE = INDEX["pose_error"], INDEX["e"], INDEX["safety"]
@@ -53,6 +52,7 @@ class Door(NamedTuple):
         state: (MARKS,) single numbers, the supervisor's.
         sense: (4, p) by how much positions have lately changed more than the velocities say; least speeds since a
             stop began; 1 where a stop does without feedback; jumps that were taken out of the joints' positions.
+        sideways: Whether the base velocity is `(vx, vy, w)`.
     """
 
     joints: Array
@@ -60,6 +60,7 @@ class Door(NamedTuple):
     message: Array
     state: Array
     sense: Array
+    sideways: bool
 
 
 @by_address
@@ -229,7 +230,7 @@ def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) 
     speeds, errors, numbers, state = supervisor.speed, supervisor.error, supervisor.numbers, supervisor.state
     for i in range(nb + n):
         speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
-        if moves_sideways(nb) and i < 2:  # the speed of a base that moves sideways, too
+        if at[SIDEWAYS] and i < 2:  # the speed of a base that moves sideways, too
             speed = hypot(row[at[VELOCITY]], row[at[VELOCITY] + 1])
         if speed > speeds[i]:
             trip(time, OVER_SPEED, i, speed, speeds[i], state)

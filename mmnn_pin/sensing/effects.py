@@ -19,7 +19,6 @@ from ..by_address import by_address
 from ..compiled import copy_to, internal, linked
 from ..elementary import cos_sin
 from ..elementary.matrices import product
-from ..model.base.holonomic import moves_sideways
 from ..parts import view
 from ..signals import EARLY, INDEX, Array, IntArray
 
@@ -258,11 +257,13 @@ class WheelOdometry(NamedTuple):
 
     Attributes:
         integrated: Whether it is integrated; the first one is true.
+        sideways: Whether the base velocity is `(vx, vy, w)`.
         W: (nb, nw) base velocity from the rates of the wheels.
         pose: (3,) state; (0,) for a fixed arm.
     """
 
     integrated: bool
+    sideways: bool
     W: Array
     pose: Array
 
@@ -276,7 +277,7 @@ class WheelOdometry(NamedTuple):
                     moved = wire.joints[j, MOVED]
                     ahead += self.W[0, j] * moved
                     turn += self.W[self.W.shape[0] - 1, j] * moved
-                    if moves_sideways(self.W.shape[0]):
+                    if self.sideways:
                         aside += self.W[1, j] * moved
                 heading = self.pose[2] + 0.5 * turn
                 c, s = cos_sin(heading)

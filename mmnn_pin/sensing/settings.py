@@ -150,7 +150,7 @@ class Sensor(Settings, frozen=True):
             ),
             Rates(self.velocity in ("observer", "model"), period, *derivative, turns),
             Velocities(self.velocity == "true", W, ESTIMATE if self.velocity == "model" else READING),
-            WheelOdometry(self.pose == "odometry", W, pose),
+            WheelOdometry(self.pose == "odometry", layout.sideways, W, pose),
             Noise(spread, np.array(self.pose_noise[: layout.pose], float), rates, poses),
             MessageLine(self.delay, self.jitter, float(self.loss), uniforms, faults, slots.reshape(-1, size)),
         )

@@ -284,8 +284,6 @@ class Adaptive(ParameterLearner):
     settings: AdaptiveSettings = field(default_factory=AdaptiveSettings)
     name: str = "adaptive"
 
-    lyapunov_part = "estimate"
-
     @property
     def notes(self) -> list[str]:
         """How many of the parameters matter."""

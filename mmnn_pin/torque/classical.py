@@ -200,7 +200,6 @@ class PID(CompiledController):
     name: str = "pid"
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "gain"
 
     def law(self, context: Context) -> Law:
         """The numbers of the law; errors as of `positive_gains`."""

@@ -297,8 +297,6 @@ class Concurrent(ParameterLearner):
     settings: ConcurrentSettings = field(default_factory=ConcurrentSettings)
     name: str = "concurrent"
 
-    lyapunov_part = "stack"
-
     @property
     def notes(self) -> list[str]:
         """How many of the parameters matter."""

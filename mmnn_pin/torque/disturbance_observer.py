@@ -112,7 +112,6 @@ class DisturbanceObserver(CompiledController):
     name: str = "disturbance_observer"
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "gain"
 
     def law(self, context: Context) -> Law:
         """The numbers of the law; errors as of `positive_gains`."""

@@ -8,7 +8,7 @@ accelerated evenly, and nu and a have the same sign only after it has turned; so
 memory. Both are those of the reference, and carry neither noise nor feedback. All units are odd and without a bias:
 friction changes its sign with the motion.
 
-W1 and W2 were fitted (`python -m studies.friction_features`) so that over many random joints a combination of the d
+W1 and W2 were fitted (`research.studies.friction_features`) so that over many random joints a combination of the d
 features, another one for each joint, says what is left of its friction when viscous and dry friction have had their
 share: features that are shared and a last layer that is adapted, as in Neural-Fly (O'Connell, Shi et al. 2022, Science
 Robotics 7(66)), with ridge regression in place of their discriminator. The last layer is learned online by

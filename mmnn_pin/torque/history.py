@@ -21,7 +21,7 @@ finitely many of them, unless entries have a lifetime.
 A replacement may still give up what alone told of some direction. Where that is not wanted there is a floor F that L
 never goes below: it begins at half the prior and goes half the way to L whenever L is `ABOVE` times as large, as
 a mean over all directions. F only grows, so that from any instant on P is at most F^-1 of that instant: what is known
-stays known, but for a factor (`lab.proof.known_laws`).
+stays known, but for a factor (`research.proof.known_laws`).
 """
 
 from __future__ import annotations

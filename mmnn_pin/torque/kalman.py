@@ -68,7 +68,6 @@ class Kalman(CompiledController):
     before: tuple[Array, Array] | None = None
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "covariance"
 
     def __post_init__(self) -> None:
         require_types(self)

@@ -85,7 +85,6 @@ class LearningLaw(TorqueController):
     learned: ClassVar[tuple[str, ...]] = ()
     knows_motion: ClassVar[bool] = False
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "gain"
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)

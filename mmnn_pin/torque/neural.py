@@ -98,7 +98,7 @@ class Inputs(Settings, frozen=True):
         """Scale and offset of every input, (nx,) each."""
         rows = self.rows(layout)
         scale, offset = np.full(rows.size, self.scale), np.zeros(rows.size)
-        if self.constant_yaw_rate is not None and layout.base == 2:
+        if self.constant_yaw_rate is not None and layout.base and not layout.sideways:
             wd = rows == layout.where("alpha").start + 1
             scale[wd], offset[wd] = 0.0, self.constant_yaw_rate
         if self.bias:
@@ -170,8 +170,6 @@ class Neural(CompiledController):
     inertia: tuple[float, ...] | None = None
     called: str = ""
     adds_model: bool = False
-
-    lyapunov_part = "networks"
 
     @property
     def networks(self) -> Neural:

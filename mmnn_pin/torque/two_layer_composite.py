@@ -320,7 +320,6 @@ class TwoLayerComposite(CompiledController):
     name: str = "two_layer_composite"
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "networks"
 
     @classmethod
     def build(cls, given: Given) -> Self:

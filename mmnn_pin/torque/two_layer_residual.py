@@ -41,7 +41,6 @@ class TwoLayerResidual(CompiledController):
     name: str = "two_layer_residual"
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "networks"
 
     @classmethod
     def build(cls, given: Given) -> Self:

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from robots import robot_of
 
-from mmnn_pin import PD, Stepper, load
+from mmnn_pin import PD, Stepper, StepperSettings, load
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.reference.wishes import JointGoal
 from mmnn_pin.safety import Safety, accept, new_state, release, trip_of
@@ -139,7 +139,7 @@ def test_without_a_limit_a_jump_is_a_motion():
 def test_a_stepper_holds_where_a_jump_began_and_goes_on_from_the_new_reading_after_a_reset():
     period, q = 0.002, np.array([0.3, 0.5])
     still = np.zeros(2)
-    with Stepper(ROBOT, PD(), period=period) as stepper:
+    with Stepper(ROBOT, PD(), StepperSettings(period=period)) as stepper:
         for k in range(60):
             read = q + np.array((1.5, 0.0)) if k >= 30 else q
             stepper.step(k * period, Measurement(np.zeros(3), still, read, still), JointGoal(q) if k == 1 else None)

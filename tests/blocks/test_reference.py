@@ -357,9 +357,9 @@ def test_table_rows_are_the_consecutive_reference_signals(base: BasePath | None,
 
 def test_trajectory_must_fit_the_robot() -> None:
     t = np.zeros(1)
-    with pytest.raises(TrajectoryError, match="velocities for a base of 3"):
-        Trajectory(Line(1)).table(t, Layout(base=3, arm=0, full=3, motors=3))
-    with pytest.raises(TrajectoryError, match="velocities for a base of 2"):
+    with pytest.raises(TrajectoryError, match=r"\(v, w\) for a base of \(vx, vy, w\)"):
+        Trajectory(Line(1)).table(t, Layout(base=3, arm=0, full=3, motors=3, sideways=True))
+    with pytest.raises(TrajectoryError, match=r"no velocities for a base of \(v, w\)"):
         Trajectory(None).table(t, Layout(base=2, arm=0, full=5, motors=2))
     with pytest.raises(TrajectoryError, match="1 arm profiles for 2"):
         Trajectory(Line(1), (Hold(0),)).table(t, Layout(base=2, arm=2, full=7, motors=4))

@@ -388,7 +388,7 @@ def test_a_stop_after_a_holonomic_base_was_too_fast_counts_both_directions():
     from mmnn_pin.safety.supervisor import NUMBERS, check_motion
     from mmnn_pin.signals import INDEX
 
-    layout = Layout(base=3, arm=0, full=3, motors=3, hardware=1)
+    layout = Layout(3, 0, 3, 3, "holonomic", True, hardware=1)
     row, at = layout.new_row(), layout.offsets
     supervisor = no_supervisor(layout, new_state(layout))._replace(numbers=np.full(NUMBERS, np.inf))
     row[at[INDEX["velocity"]] : at[INDEX["velocity"]] + 3] = 0.3, 0.4, 0.0

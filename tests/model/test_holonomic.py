@@ -19,7 +19,7 @@ from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sampled import sampled_loop
-from mmnn_pin.model.base.holonomic import holonomic_command
+from mmnn_pin.model.base.holonomic import HolonomicBase, holonomic_command
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
@@ -68,7 +68,8 @@ def mecanum(arm: int = 2) -> Robot:
     E_full = np.eye(nv)[:, [0, 1, 2, *robot.arm_index]]
     return replace(
         robot,
-        dimensions=Dimensions(base=3, arm=arm, full=nv, motors=p),
+        base=HolonomicBase(frame=robot.base.frame, floor=robot.base.floor),
+        dimensions=Dimensions(base=3, arm=arm, full=nv, motors=p, kind="holonomic", sideways=True),
         velocity_names=("vx", "vy", "w", *robot.joint_names),
         actuator_names=("push", "slide", "turn", *robot.joint_names),
         T=T,
@@ -157,7 +158,7 @@ def test_table_of_a_holonomic_path(tmp_path):
     t = np.linspace(0, 4, 201)
     samples = HolonomicPath(PATHS["eight"], HEADINGS["sine"]).sample(t)
     table = BaseTable(t, samples.pose, samples.velocity)
-    assert table.nb == 3
+    assert table.sideways
     np.testing.assert_allclose(
         table.sample([1.234]).pose, HolonomicPath(PATHS["eight"], HEADINGS["sine"]).sample([1.234]).pose, atol=1e-5
     )
@@ -177,13 +178,13 @@ def test_paths_and_bases_that_do_not_fit_are_refused():
     with pytest.raises(TrajectoryError, match="not a path"):
         HolonomicPath("eight")  # type: ignore[arg-type]
     robot = mecanum()
-    with pytest.raises(TrajectoryError, match="2 velocities for a base of 3"):
+    with pytest.raises(TrajectoryError, match=r"\(v, w\) for a base of \(vx, vy, w\)"):
         Trajectory(PATHS["line"], (Hold(0.0),) * 2).table([0.0, 1.0], robot.dimensions)
     experiment = load_experiment("track", ["reference.heading={type='hold', value=1.0}"])
     with pytest.raises(ConfigError, match="heading for a differential drive"):
         experiment.trajectory(mobile_arm(2).dimensions)
     path = experiment.trajectory(robot.dimensions).base
-    assert path is not None and path.nb == 3
+    assert path is not None and path.sideways
     np.testing.assert_allclose(path.sample([0.0, 1.0, 3.0]).pose[:, 2], 1.0)
 
 
@@ -197,7 +198,7 @@ def test_sampled_loop_agrees_with_the_run(share):
     trajectory = Trajectory(path, (Hold(0.0),) * 2)
     kinematic = Kinematic(holonomic=(2.0, 3.0, 1.0), K=2.0)
     v_ref = path.sample([0.0]).velocity[0]
-    verdict = sampled_loop(mass(robot), gains, v_ref, kinematic.base_gains(3), np.full(2, 2.0), h)
+    verdict = sampled_loop(mass(robot), gains, kinematic.linear_errors(robot.dimensions, v_ref), np.full(2, 2.0), h)
     assert verdict.stable == (share < 1)
     feedback = Feedback(base=tuple(gains[:3].tolist()), arm=tuple(gains[3:].tolist()))
     timing = Timing(0.3 if config.DISABLE_JIT else 3.0, h, h / 2)

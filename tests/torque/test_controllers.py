@@ -604,7 +604,6 @@ LOOPS = {
     "streaming",
     "sample",
     "batch",
-    "precompile",
     "recorded_robot",
 }
 USES = {"experiments", "proof", "contest", "study", "show"}

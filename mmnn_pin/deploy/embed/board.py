@@ -1,8 +1,8 @@
-"""What a stepper does at a sample, as functions that can be written as C: `Stepper.step` without Python's objects.
+"""The sample of a stepper as functions that can be written as C: `Stepper.step` without Python's objects.
 
-    measurement ─▶ [take] ─▶ [follow: a sample, a base velocity, or hold] ─▶ [Control.step] ─▶ [command]
+    measurement ─▶ [take] ─▶ [follow: a sample, a base velocity, or hold] ─▶ [sample] ─▶ [command]
 
-The arithmetic is the blocks' own: `safety.accept`, `reference.guide`, `loop.sample.Control`. Here is only what
+The arithmetic is the blocks' own: `safety.accept`, `reference.guide`, `loop.sample`. Here is only what
 `Stepper` and `Follower` decide between them. Motions and joint goals are planned in Python and handed in as samples.
 """
 
@@ -14,7 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...compiled import copy_to
-from ...loop.sample import Control
+from ...loop.hardware import Hardware
+from ...loop.machine import Machine
+from ...loop.sample import Controls, sample
 from ...loop.servo import Split
 from ...loop.stepper import Stepper
 from ...reference.follower import LARGEST
@@ -22,6 +24,7 @@ from ...reference.guide import ARM, BASE, SAMPLE, VELOCITY, Guide, advance, brak
 from ...safety import HAS_TRIPPED, Supervisor, accept, has_ended, press, release
 from ...safety.supervisor import GOOD, HEARD
 from ...signals import Array, IntArray
+from ...torque.law import Ahead, MotorLimits
 
 # What a sample can be asked: to go on, a full sample, a base velocity, to brake and stand.
 GO_ON, FOLLOW_SAMPLE, FOLLOW_VELOCITY, STAND = range(4)
@@ -32,7 +35,7 @@ CLOCK = 6
 
 
 class Board(NamedTuple):
-    """What a stepper has in memory.
+    """The memory of a stepper.
 
     Attributes:
         row: (width,) signals of the sample.
@@ -40,7 +43,8 @@ class Board(NamedTuple):
         received: (m,) pose, velocity, q, qdot in the row.
         incoming: (m,) the measurement that comes in.
         asked: (w,) the setpoint that comes in: a full sample, or the base velocity at its place.
-        control: Kinematic layer, torque law and supervisor.
+        control: What a control sample works on.
+        model, hardware, learner, limits, ahead, later: As of `loop.sample.sample`.
         guide: What makes the reference.
         supervisor: The supervisor.
         clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, has stepped,
@@ -60,7 +64,13 @@ class Board(NamedTuple):
     received: Array
     incoming: Array
     asked: Array
-    control: Control
+    control: Controls
+    model: Machine | None
+    hardware: Hardware
+    learner: Any
+    limits: MotorLimits | None
+    ahead: Ahead | None
+    later: Any
     guide: Guide
     supervisor: Supervisor
     clock: Array
@@ -83,7 +93,7 @@ class Fresh(Stepper):
 
 def board_of(stepper: Stepper) -> Board:
     """The memory of a stepper."""
-    guide, hardware = stepper.follower.guide, stepper.hardware
+    guide, hardware, torque = stepper.follower.guide, stepper.hardware, stepper.control.torque
     clock = np.zeros(CLOCK)
     clock[: RENEWED + 2] = -math.inf
     return Board(
@@ -92,7 +102,13 @@ def board_of(stepper: Stepper) -> Board:
         received=stepper.received,
         incoming=np.zeros(stepper.received.size),
         asked=np.zeros(guide.wanted.size),
-        control=stepper.control,
+        control=stepper.control.controls,
+        model=torque.model,
+        hardware=hardware,
+        learner=torque.learner,
+        limits=torque.limits,
+        ahead=torque.ahead,
+        later=torque.later,
         guide=guide,
         supervisor=hardware.way.supervisor,
         clock=clock,
@@ -132,7 +148,10 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
     advance(b.received, time - clock[LAST] if clock[STEPPED] > 0.0 else 0.0, b.guide)
     if clock[STEPPED] == 0.0:
         copy_to(b.guide.now, b.before)
-    b.control.step(time, b.guide.now, 0, b.before)
+    sample(
+        0, time, b.guide.now, b.before, b.control, b.model, b.hardware, b.learner, b.limits, b.ahead, b.later, b.split,
+        None,
+    )  # fmt: skip
     copy_to(b.guide.now, b.before)
     copy_to(b.command, b.motor_torque)
     if b.split is not None:

@@ -25,9 +25,9 @@ from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
 from ...model.tree.body import parameters
-from ...model.urdf.expansion import is_xacro
-from ...model.urdf.mechanism import Part
-from ...model.urdf.reading import MAX_BYTES
+from ...model.urdf.audit import BodyPart
+from ...model.urdf.reading import MAX_BYTES, is_xacro
+from ...shown import shows
 from ...signals import Array
 from ...torque.pseudo_inertia import pseudo_inertias
 from .identification import Identification
@@ -50,7 +50,7 @@ def transport(before: Array, after: Array) -> Array:
 
 def pseudo_inertia_of(link: etree._Element) -> Array:
     """Pseudo-inertia of a link's `<inertial>` in the link's frame, (4, 4)."""
-    part = Part.of(link, np.eye(4))
+    part = BodyPart.of(link, np.eye(4))
     R, centre = part.frame[:3, :3], part.frame[:3, 3]
     inertia = R @ part.inertia @ R.T
     P = np.zeros((4, 4))
@@ -241,6 +241,7 @@ def said_of(of: Identification) -> Overrides:
     return msgspec.structs.replace(robot.overrides, **known)
 
 
+@shows(Identification, "files")
 def write(of: Identification, out: str | Path, force: bool = False) -> dict[str, Path]:
     """Write the corrected URDF and what belongs to it; all files or none.
 

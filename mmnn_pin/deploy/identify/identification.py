@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from ...errors import ConfigError, RecordingError, UnknownName
 from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...settings.arguments import checked
-from ...settings.shown import AsText
+from ...shown import AsText, shown
 from ...signals import Array
 from .constants import constants_of
 from .equations import (
@@ -95,8 +94,8 @@ class Identification(AsText):
         ours, file = 100 * self.error("identified"), 100 * self.error("urdf")
         return f"<Identification: {self.robot.name}, held-out torque error {ours:.3g} %, with its URDF {file:.3g} %>"
 
-    def __str__(self) -> str:  # what shows it stands above it, so it is found by name
-        return str(import_module("mmnn_pin.lab.show.identified").text_of(self.to_dict()))
+    def __str__(self) -> str:
+        return str(shown(self, "text"))
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -106,7 +105,7 @@ class Identification(AsText):
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, for JSON: joints, base parameters, bodies, friction."""
-        found: dict[str, Any] = import_module("mmnn_pin.deploy.identify.report").report_of(self)
+        found: dict[str, Any] = shown(self, "report")
         return found
 
     def save(self, out: str | Path, *, force: bool = False) -> dict[str, Path]:
@@ -119,7 +118,7 @@ class Identification(AsText):
         Raises:
             RecordingError: A file exists or cannot be written.
         """
-        files: dict[str, Path] = import_module("mmnn_pin.deploy.identify.corrected").write(self, out, force)
+        files: dict[str, Path] = shown(self, "files", out, force)
         return files
 
     @property

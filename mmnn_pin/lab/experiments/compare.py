@@ -33,7 +33,7 @@ from .runner import run_experiment
 ENDLESS = 10.0  # duration of a run along a trajectory without an end [s]
 FIRST = 1.0  # the errors of the start are told apart from the later ones [s]
 DEFAULT = ("pd", "pd_gravity", "pid", "two_layer")
-TAKEN = ("robot", "reference", "controllers", "cases", "contest", "held_out")  # keys that the objects stand for
+TAKEN = ("robot", "reference", "controllers", "cases", "held_out")  # keys that the objects stand for
 LIKE = "track"  # the experiment whose kinematic gains and learners hold unless others are said
 OTHERWISE = ("title", "windows", "seed", "time", "actuator", "torque_limits")  # keys of it that do not
 LABEL = re.compile(r"[A-Za-z_][\w. -]*")
@@ -77,7 +77,7 @@ class Assembled(Experiment, frozen=True, kw_only=True):
         return self.own[name] if name in self.own else super().controller(name, gains, robot)
 
     def setting(self, values: Mapping[str, str]) -> str:
-        """How Python sets some of its keys."""
+        """The argument of `compare` that sets some of its keys."""
         pairs = ", ".join(f'"{key}": {value}' for key, value in values.items())
         return f"settings={{{pairs}}}"
 
@@ -87,7 +87,7 @@ class Assembled(Experiment, frozen=True, kw_only=True):
 
 
 def unlimited_notes(experiment: Experiment, robot: Robot) -> list[str]:
-    """That motors give more than their limits, where the robot has some and the experiment keeps none."""
+    """A note that motors give more than their limits, where the robot has some and the experiment keeps none."""
     if experiment.actuator.torque_limit is not None or not np.isfinite(robot.effort_limits).any():
         return []
     key = experiment.setting({"actuator.torque_limit": '"urdf"'})
@@ -235,7 +235,7 @@ def require_kind(value: Any, kind: type, key: str, fix: str) -> None:
 
 
 def ending(trajectory: Trajectory) -> float:
-    """How long a run along a trajectory takes [s]."""
+    """Duration of a run along a trajectory [s]."""
     return trajectory.duration if math.isfinite(trajectory.duration) else ENDLESS
 
 

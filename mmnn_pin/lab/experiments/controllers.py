@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from ...elementary.matrices import product
-from ...errors import ConfigError, InputError, UnknownName
+from ...errors import ConfigError, UnknownName, keyed
 from ...loop.suited import SCALED
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
@@ -268,8 +268,7 @@ def nominal_robot(nominal: Nominal, robot: Robot, said: Overrides) -> Robot:
     try:
         believed = load_with(nominal.robot, said) if nominal.robot else robot
     except UnknownName as error:
-        error.key = "nominal.robot"
-        raise
+        raise error.but(key="nominal.robot") from None
     alike = (believed.dimensions.dof, believed.dimensions.base) == (robot.dimensions.dof, robot.dimensions.base)
     if not alike or not np.array_equal(believed.T, robot.T):
         raise ConfigError(
@@ -277,11 +276,8 @@ def nominal_robot(nominal: Nominal, robot: Robot, said: Overrides) -> Robot:
             fix="name one with the same base and the same joints",
             key="nominal.robot",
         )
-    try:
+    with keyed(lambda key: "nominal.masses"):
         believed = believed.with_masses(nominal.masses)
-    except InputError as error:
-        error.key = "nominal.masses"
-        raise
     return believed if nominal.friction else believed.without_friction()
 
 

@@ -18,11 +18,10 @@ from lxml import etree
 from ...elementary import hypot
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .report import Reading, blind_fix, readings, undecided, unsupported
+from .report import BaseReading, blind_fix, readings, undecided, unsupported
 from .wheels import LOW, TRAIL, Candidate, coaxial, height_at, is_low, parallel, wheel_of
 
 MESHES = "link/*/geometry/mesh"
-
 MOST_PER_SIDE = 3  # wheels of a skid-steer base
 
 STEERED_NAMES = re.compile(
@@ -30,23 +29,14 @@ STEERED_NAMES = re.compile(
 )
 
 TRACK_NAMES = re.compile(r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?|flippers?)([_./ -]|$)", re.IGNORECASE)
-
 LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
-
 SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
-
 SWERVE = "swerve drive"
-
 STEERS = re.compile(r"tricycle|ackermann|bicycle|car[_-]?like", re.IGNORECASE)  # as plugins are called
-
 ROLLS = re.compile(r"diff[_-]?drive", re.IGNORECASE)
-
 PUSHED = "--base holonomic drives it by forces on its frame, its wheels standing still"
-
 MODULE_NAMES = re.compile(r"wheel|steer|caster", re.IGNORECASE)
-
 PROPELLERS, PROPELLER_NAMES = "vehicle with propellers", re.compile(r"thruster|propeller", re.IGNORECASE)
-
 DRONE_NAMES = re.compile(r"drone|copter|propeller|rotor|\buav|flying|(?<![a-z])prop_?\d", re.IGNORECASE)
 
 
@@ -90,7 +80,7 @@ def steering_named(rest: AtRest) -> str:
 
 
 def tracks(rest: AtRest, drives: Sequence[Candidate]) -> str:
-    """What tells that a machine with parallel wheels runs on tracks, empty when nothing does."""
+    """The sign that a machine with parallel wheels runs on tracks, empty when there is none."""
     on_root = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_horizontal(j)]
     alike = sum(abs(rest.axis(on_root[0]) @ rest.axis(j)) > 0.99 for j in on_root) if on_root else 0
     wheels = max(alike, len(drives))
@@ -239,26 +229,45 @@ def refuse_steered(rest: AtRest, wheels: list[Candidate]) -> None:
         Unsupported: By name.
         Undecided: What drives beside casters cannot be measured.
     """
-    steered, drives = [c for c in wheels if c.mount == "steering"], plain(wheels)
-    swivels = [c for c in wheels if c.mount == "swivel"]
-    legged = [c for c in wheels if c.mount == "leg"]
+    legged, drives = [c for c in wheels if c.mount == "leg"], plain(wheels)
     if len(legged) >= 2:
-        raise unsupported(
-            rest, "legged machine", f"its wheels hang on legs: {'; '.join(c.text for c in legged)}", legged
-        )
+        raise unsupported(rest, "legged machine", f"its wheels hang on legs: {in_texts(legged)}", legged)
+    if not drives:
+        require_measured(rest, wheels)
+    steered = steered_of(wheels)
+    if steered and drives:
+        raise unsupported(rest, "car-like base", f"wheels are steered: {in_texts(steered)}", steered)
+    if steered:
+        raise unsupported(rest, SWERVE, f"all its wheels are steered: {in_texts(wheels)}", wheels, turned_fix(wheels))
+    if not drives and any(c.mount == "swivel" for c in wheels):
+        why = f"all its wheels hang on swivels: {in_texts(wheels)}"
+        raise unsupported(rest, "base on powered casters", why, wheels, turned_fix(wheels))
+
+
+def steered_of(wheels: list[Candidate]) -> list[Candidate]:
+    """Wheels that steer; where nothing drives beside them, swivels do that do not trail: these are no casters."""
+    steered, swivels = ([c for c in wheels if c.mount == mount] for mount in ("steering", "swivel"))
+    if steered or plain(wheels):
+        return steered
+    return swivels if all(c.trail <= TRAIL for c in swivels) else []
+
+
+def require_measured(rest: AtRest, wheels: list[Candidate]) -> None:
+    """Refuse casters beside which low joints cannot be measured.
+
+    Raises:
+        Undecided: There are two or more of these.
+    """
     known = {c.joint.name for c in wheels}
     blind = [wheel_of(rest, j) for j in rest.document.joints.values() if is_low(rest, j) and j.name not in known]
-    if not drives and len(blind) >= 2:
+    if len(blind) >= 2:
         why = "what would drive them cannot be measured"
         raise undecided(rest, [*wheels, *blind], readings(rest, blind), why, blind_fix(blind))
-    if not drives and not steered and swivels and all(c.trail <= TRAIL for c in swivels):
-        steered = swivels  # what does not trail is no caster
-    if steered and drives:
-        raise unsupported(rest, "car-like base", f"wheels are steered: {'; '.join(c.text for c in steered)}", steered)
-    if steered or (swivels and not drives):
-        name = SWERVE if steered else "base on powered casters"
-        why = f"all its wheels {'are steered' if steered else 'hang on swivels'}: {'; '.join(c.text for c in wheels)}"
-        raise unsupported(rest, name, why, wheels, turned_fix(wheels))
+
+
+def in_texts(wheels: Sequence[Candidate]) -> str:
+    """Wheels in words."""
+    return "; ".join(c.text for c in wheels)
 
 
 def turned_fix(wheels: list[Candidate]) -> str:
@@ -281,25 +290,27 @@ def refuse_steered_pair(rest: AtRest, drives: list[Candidate], wheels: list[Cand
         Undecided: Nothing tells, or pieces contradict each other.
     """
     front = [c for c in wheels if c.mount == "swivel" and c.trail <= TRAIL]
-    told = list(driven(rest, drives, front))
-    steers, rolls = ([text for kind, text in told if kind == wanted] for wanted in ("car-like", "differential_drive"))
+    pieces = list(driven(rest, drives, front))
+    steers, rolls = ([text for kind, text in pieces if kind == one] for one in ("car-like", "differential_drive"))
+    if rolls and not steers:
+        return
+    names = ",".join(c.joint.name for c in drives)
     if front and steers and not rolls:
-        why = f"{'; '.join(c.text for c in front)} has no trail and steers: {', '.join(steers)}"
+        why = f"{in_texts(front)} has no trail and steers: {', '.join(steers)}"
         raise unsupported(rest, "car-like base", why, front)
     if front_axle(front, drives) and not rolls:
-        names = ",".join(c.joint.name for c in drives)
         fix = f"--wheels {names} if those in front are casters, --base fixed takes it as an arm"
-        why = f"two wheels on one axle are steered, without a trail: {'; '.join(c.text for c in front)}"
+        why = f"two wheels on one axle are steered, without a trail: {in_texts(front)}"
         raise unsupported(rest, "car-like base", why, front, fix)
-    if steers or (front and not rolls):
-        why = f"the file also speaks of steering: {', '.join(steers)}"
-        if not steers:
-            why = f"'{front[0].joint.name}' has no trail: a caster could not follow, a tricycle steers with it"
-        two = Reading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
-        car = Reading("car-like", tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
-        names = ",".join(c.joint.name for c in drives)
-        fix = f"--wheels {names} if what else stands on the floor are casters, --base fixed takes it as an arm"
-        raise undecided(rest, wheels, [two, car], why, fix)
+    if not (steers or front):
+        return
+    why = f"the file also speaks of steering: {', '.join(steers)}"
+    if not steers:
+        why = f"'{front[0].joint.name}' has no trail: a caster could not follow, a tricycle steers with it"
+    two = BaseReading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
+    car = BaseReading("car-like", tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
+    fix = f"--wheels {names} if what else stands on the floor are casters, --base fixed takes it as an arm"
+    raise undecided(rest, wheels, [two, car], why, fix)
 
 
 def front_axle(front: list[Candidate], drives: list[Candidate]) -> bool:
@@ -308,7 +319,7 @@ def front_axle(front: list[Candidate], drives: list[Candidate]) -> bool:
 
 
 def driven(rest: AtRest, drives: list[Candidate], front: list[Candidate]) -> Iterator[tuple[str, str]]:
-    """What plugins, controllers and motors say of two coaxial wheels and those that may steer: a kind, and the text."""
+    """Signs of plugins, controllers and motors whether two coaxial wheels drive or others steer: kind and text."""
     root = rest.document.root
     for element in root.iterfind("gazebo//*"):
         words = f"{element.get('filename', '')} {element.get('name', '')} {element.text or ''}"

@@ -1,4 +1,4 @@
-"""What the audit says about a file: `file:line: severity: element: what: why: fix [code]`, one line each."""
+"""The findings of the audit about a file: `file:line: severity: element: what: why: fix [code]`, one line each."""
 
 from __future__ import annotations
 

@@ -18,13 +18,9 @@ from typing import Literal
 from ...files import opened
 
 URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
-
 ABOVE, BELOW, VISITED = 2, 3, 1500  # levels searched above a package, levels below each of them, folders at most
-
 MARKS = (".git", ".catkin_workspace", ".rosinstall", "colcon.meta")  # of workspaces and repositories
-
 NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
-
 FIND = re.compile(r"^(?:file://)?\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)/*(.*)$")
 
 
@@ -122,7 +118,7 @@ def name_of(manifest: str) -> str:
 
 @dataclass(frozen=True)
 class MeshFile:
-    """Where a mesh is.
+    """Place of a mesh.
 
     Attributes:
         file: The file, None when it must not be opened or does not exist.

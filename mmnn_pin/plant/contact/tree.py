@@ -20,7 +20,6 @@ import pinocchio as pin
 
 from ...elementary import arrays, atan2, cos, cos_sin, hypot, sin
 from ...errors import ConfigError, RobotError
-from ...model.base.skid_steer import SkidSteer
 from ...model.reduction import COULOMB_SPEED
 from ...model.robot import Robot
 from ...signals import Array
@@ -129,9 +128,9 @@ def add_motors(mj: Any, spec: Any, robot: Robot) -> None:
 
 
 def add_ties(mj: Any, spec: Any, robot: Robot) -> None:
-    """A stiff equality for every mimic joint that moves, and one that turns a skid-steer side's wheels alike."""
+    """A stiff equality for every mimic joint that moves, and one that turns the wheels of a side alike."""
     ties = [(name, slave.master, slave.offset, slave.multiplier) for name, slave in robot.arm.slaves.items()]
-    if isinstance(robot.base, SkidSteer):
+    if robot.base.scrubs:
         for side in (1.0, -1.0):
             first, *others = (wheel for wheel in robot.base.wheels if wheel.y * side > 0)
             rim = first.sign * first.radius

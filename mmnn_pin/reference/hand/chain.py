@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from ...compiled import compiled, spliced
+from ...compiled import compiled, inlined
 from ...elementary import cos_sin
 from ...errors import ConfigError, RobotError, UnknownName
 from ...model.robot import Robot
@@ -131,7 +131,7 @@ def hands_of(robot: Robot) -> list[str]:
     return found
 
 
-@spliced
+@inlined
 def turn(R: Array, at: int, numbers: Array) -> None:
     """`R[at:at+9] = R[at:at+9] Q`, the (3, 3) Q from the first nine of a row, both row by row."""
     for i in range(3):
@@ -140,7 +140,7 @@ def turn(R: Array, at: int, numbers: Array) -> None:
             R[at + 3 * i + j] = a * numbers[j] + b * numbers[3 + j] + c * numbers[6 + j]
 
 
-@spliced
+@inlined
 def spin(R: Array, x: float, y: float, z: float, q: float) -> None:
     """`R = Rot((x, y, z), q) R`, the axis a unit vector in the world."""
     c, s = cos_sin(q)
@@ -152,7 +152,7 @@ def spin(R: Array, x: float, y: float, z: float, q: float) -> None:
         R[6 + j] = c * d + s * (x * b - y * a) + along * z
 
 
-@spliced
+@inlined
 def cross(a: Array, i: int, b: Array, j: int, out: Array, k: int, scale: float) -> None:
     """`out[k:k+3] += scale a[i:i+3] x b[j:j+3]`."""
     x = a[i + 1] * b[j + 2] - a[i + 2] * b[j + 1]
@@ -272,7 +272,7 @@ def slide(chain: Chain, i: int, q: float, rate: float, place: Array) -> None:
         w[3 + k] += w[18 + k] + w[15 + k]
 
 
-@spliced
+@inlined
 def heading(chain: Chain, position: Array, place: Array, axes: Array, w: Array, nu: Array) -> None:
     """The planar root's velocity is in its own frame: its axes turn with it, and it turns about its own origin."""
     T = chain.T
@@ -289,7 +289,7 @@ def heading(chain: Chain, position: Array, place: Array, axes: Array, w: Array, 
     cross(w, 9, w, 3, w, 6, 1.0)
 
 
-@spliced
+@inlined
 def jacobian(chain: Chain, place: Array, J: Array) -> None:
     """The columns of all joints, and `J S` of them."""
     links, T, axes, columns = chain.links, chain.T, chain.axes, chain.columns

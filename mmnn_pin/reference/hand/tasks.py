@@ -25,7 +25,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ...compiled import compiled, spliced
+from ...compiled import compiled, inlined
 from ...elementary import atan2, cos_sin
 from ...errors import ConfigError
 from ...model.robot import Robot, speed_limits
@@ -240,7 +240,7 @@ def add_frame(frame: FrameMotion, weights: Array, error: Array, rows: Array, H: 
                     H[j, m] += share * rows[i, m]
 
 
-@spliced
+@inlined
 def rotation_error(place: Array, target: Array, error: Array) -> None:
     """Rotation vector from the frame's orientation to the target's in the world, into error[3:6]."""
     trace = 0.0
@@ -320,14 +320,14 @@ def fill_bounds(q: Array, nu: Array, h: float, b: WholeBodyBounds, lower: Array,
         lower[p + k] = min((-most - now) / h, 0.0 if now < -most else math.inf)
 
 
-@spliced
+@inlined
 def brake(way: float, a: float, h: float) -> float:
     """Largest speed from which braking ends within a way; 0 beyond the end."""
     return a * (math.sqrt(h * h + 2.0 * way / a) - h) if way > 0.0 else 0.0
 
 
 @compiled
-def advance(pose: Array, q: Array, nu: Array, nudot: Array, h: float, c0: Array) -> None:
+def advance(pose: Array, q: Array, nu: Array, nudot: Array, sideways: bool, h: float, c0: Array) -> None:
     """Move pose, q and nu on by h, nudot held: exact but for the pose, which is Simpson's rule of its velocity.
 
     Args:
@@ -335,6 +335,7 @@ def advance(pose: Array, q: Array, nu: Array, nudot: Array, h: float, c0: Array)
         q: (n,).
         nu: (p,).
         nudot: (p,).
+        sideways: Whether the base velocity is `(vx, vy, w)`.
         h: [s].
         c0: (2,) scratch.
     """
@@ -347,7 +348,7 @@ def advance(pose: Array, q: Array, nu: Array, nudot: Array, h: float, c0: Array)
             c, sine = cos_sin(turned + s * w0 + 0.5 * s * s * dw)
             share = h / 6.0 if i != 1 else 4.0 * h / 6.0
             vx = nu[0] + s * nudot[0]
-            vy = nu[1] + s * nudot[1] if nb == 3 else 0.0
+            vy = nu[1] + s * nudot[1] if sideways else 0.0
             c0[0] += share * (c * vx - sine * vy)
             c0[1] += share * (sine * vx + c * vy)
         pose[0] += c0[0]

@@ -249,7 +249,7 @@ class WholeBody:
     def step(self, targets: Array) -> Array:
         """Solve, and move the state on by a period; the solution as in `solve`."""
         nudot = self.solve(targets)
-        advance(self.pose, self.q, self.nu, nudot, self.period, self.two)
+        advance(self.pose, self.q, self.nu, nudot, self.robot.dimensions.sideways, self.period, self.two)
         return nudot
 
     def _looking(self, i: int) -> Array:

@@ -14,7 +14,7 @@ from closed_form import inertial, joint
 from robots import dynamics, place, robot_of
 
 from benchmarks.identification import eight_with_sines
-from mmnn_pin import Feedback, Measurement, Setpoint, Stepper, Trajectory, load, load_experiment
+from mmnn_pin import Feedback, Measurement, Setpoint, Stepper, StepperSettings, Trajectory, load, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify.excitation import (
     NOISE,
@@ -130,7 +130,7 @@ def test_the_table_is_played_by_the_loop_and_by_the_stepper(
         asked = np.array([np.interp(found.time[early], run.time, column) for column in run[signal].T]).T
         np.testing.assert_allclose(asked, wanted[early], atol=1e-3 if signal == "qdot_ref" else 1e-5)
     assert run.outcome.status == "completed" and np.abs(run["true_e"]).max() < 0.2
-    stepper = Stepper(robot, PD(Feedback(base=100.0, arm=3.0)), period=0.01)
+    stepper = Stepper(robot, PD(Feedback(base=100.0, arm=3.0)), StepperSettings(period=0.01))
     wish = stepper.plan(Trajectory.from_csv(robot, file), float(found.time[-1]))
     measured = Measurement(found.pose[0], np.zeros(nb), found.position[0], np.zeros(found.position.shape[1]))
     for i in range(40):

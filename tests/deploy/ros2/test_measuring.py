@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
 
-from mmnn_pin import PD, Stepper, load
+from mmnn_pin import PD, Stepper, StepperSettings, load
 from mmnn_pin.deploy.ros2 import messages as msg
 from mmnn_pin.deploy.ros2.action import encoded
 from mmnn_pin.deploy.ros2.asking import Asking
@@ -292,7 +292,9 @@ def closed_loop(motion: Any, start: tuple[float, float, float], seconds: float) 
     """Poses and velocities (N, 5) of an exact unicycle whose wheels turn as they are told."""
     robot, n = ROBOT, ROBOT.dimensions.arm
     wheels = robot.actuator_names[:2]
-    stepper = Stepper(robot, PD(), safety=Safety(), period=0.01, interfaces=dict.fromkeys(wheels, "velocity"))
+    stepper = Stepper(
+        robot, PD(), StepperSettings(safety=Safety(), period=0.01, interfaces=dict.fromkeys(wheels, "velocity"))
+    )
     q, pose, nu, seen = robot.rest[robot.arm_index], np.array(start, float), np.zeros(2), []
     for k in range(round(seconds / 0.01)):
         measured = Measurement(pose.copy(), nu.copy(), q, np.zeros(n))
