@@ -96,6 +96,6 @@ class IdealPlant:
         d, p = self.dynamics, robot.dimensions.dof
         # writable copies: compiled code exists once for these, not again for read-only arrays
         arrays = robot.T.copy(), robot.damping.copy(), robot.dry, robot.viscous.copy()
-        self.joints = integrators.Joints(*arrays, robot.dimensions.base, robot.dimensions.sideways)
+        self.joints = integrators.PlantJoints(*arrays, robot.dimensions.base, robot.dimensions.sideways)
         scratch = np.zeros((p, p)), np.zeros(p), np.zeros((robot.dimensions.full, p + 2))
-        self.terms = integrators.Terms(d.v, d.M, d.h, d.F, self.hold, self.ydot, *scratch)
+        self.terms = integrators.PlantTerms(d.v, d.M, d.h, d.F, self.hold, self.ydot, *scratch)
