@@ -208,11 +208,10 @@ def excite(robot: Robot, limits: ExcitationLimits | None = None) -> ExcitingMoti
     refused: list[RefusedCandidate] = []
     while value == -np.inf or tried < 40 or clock.monotonic() < end:
         fresh = value == -np.inf
-        candidate = (
-            search.start(rng)
-            if fresh
-            else best + step * rng.standard_normal(best.shape) * (rng.random(best.shape) < 0.2)
-        )
+        if fresh:
+            candidate = search.start(rng)
+        else:
+            candidate = best + step * rng.standard_normal(best.shape) * (rng.random(best.shape) < 0.2)
         found = search.information(candidate)
         tried += 1
         if isinstance(found, RefusedCandidate):
@@ -261,9 +260,8 @@ class ExcitationSearch:
         speed = np.full(p, FAST)
         of_motor = dict(zip(robot.actuator_names, speed_limits(robot), strict=True))
         for i, name in enumerate(robot.joint_names):
-            speed[nb + i] = min(
-                of_motor.get(name, np.inf), FAST if not np.isfinite(of_motor.get(name, np.inf)) else np.inf
-            )
+            stated = of_motor.get(name, np.inf)
+            speed[nb + i] = stated if np.isfinite(stated) else FAST
         speed[:nb] = [BASE_TURN if name == "w" else BASE_SPEED for name in robot.velocity_names[:nb]]
         rest = robot.rest[robot.arm_index]
         low = np.maximum(robot.lower[robot.arm_index], rest - REACH)

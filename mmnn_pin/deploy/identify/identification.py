@@ -25,16 +25,7 @@ from ...settings.arguments import checked
 from ...shown import AsText, shown
 from ...signals import Array
 from .constants import constants_of
-from .equations import (
-    Bools,
-    Equations,
-    Unknowns,
-    chosen_cutoff,
-    coordinates,
-    equations,
-    measured_rows,
-    still_speeds,
-)
+from .equations import Bools, Equations, Unknowns, chosen_cutoff, coordinates, equations, measured_rows, still_speeds
 from .least_squares import WeightedFit, base_parameters, weighted_fit
 from .log import Log
 from .odometry import Wheels, has_reference, wheels_of
@@ -273,12 +264,7 @@ def fitted(
     """The fit to some equations, judged on others; see `identify`."""
     prior, friction = Prior.of(unknowns, training), friction_alone(training, unknowns)
     follows, why, chosen = following(training, unknowns, prior, friction, tell)
-    moves = np.array(
-        [
-            np.ptp(np.concatenate([coordinates(log, robot)[0][:, i] for log in logs])) > 1e-3
-            for i in range(robot.dimensions.dof)
-        ]
-    )
+    moves = np.ptp(np.concatenate([coordinates(log, robot)[0] for log in logs]), axis=0) > 1e-3
     used = training.only(follows)
     tell("fitting base parameters", 0.0)
     fit = weighted_fit(used, base_parameters(unknowns, follows, moves))
