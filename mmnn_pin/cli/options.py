@@ -1,4 +1,4 @@
-"""What the commands have in common: options, and examples at the end of their help."""
+"""Options that the commands have in common, and the examples at the end of their help."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ complete -o nosort -F %(complete_func)s_on %(prog_name)s
 
 @add_completion_class
 class Zsh(ZshComplete):
-    """The same in zsh, also in one that nobody has switched completion on in; fish needs nothing."""
+    """Completion in zsh without such a blank, also where nobody has switched completion on; fish needs nothing."""
 
     source_template = ZshComplete.source_template.replace(
         "        compadd -U -V unsorted -a completions\n",
