@@ -37,7 +37,7 @@ import fuzz_urdf
 import h5py
 import numpy as np
 
-from mmnn_pin.compiled import cache_root
+from mmnn_pin.compiled.folders import cache_root
 
 ROOT = Path(__file__).parent.parent
 SECONDS, WAITING, MEMORY = 10, 300, 1 << 30  # of a command: processor time, time, bytes

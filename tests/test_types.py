@@ -29,7 +29,7 @@ from mmnn_pin.lab.experiments.result import Result
 from mmnn_pin.lab.psi.judgement import Judgement
 from mmnn_pin.lab.study.choice import Level
 from mmnn_pin.loop.servo import Command
-from mmnn_pin.model.checks.properties import Report
+from mmnn_pin.model.checks.properties import CheckReport
 from mmnn_pin.shown import ShownPage, ShownPicture, ShownTable
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque.controller import ControllerState
@@ -52,7 +52,7 @@ assert_type(runs["pd"].errors(start=0.1)["x"].rms, float)
 found = sweep(robot, reference, "feedback.arm", [1.0, 5.0])
 assert_type(found.plot(), ShownPicture)
 assert_type(found.errors("pd")[5.0], Level)
-assert_type(check(robot), Report)
+assert_type(check(robot), CheckReport)
 assert_type(judge(Recording.open("run.h5")), Judgement)
 assert_type(identify(robot, "log.csv"), Identification)
 loop = Loop(robot, reference, PD(), timing=Timing(duration=0.1))

@@ -105,7 +105,8 @@ def compile_if_cold(hardware: bool = False) -> None:
     Args:
         hardware: Whether the run has sensors, motors, a supervisor or disturbances; then more is compiled.
     """
-    from ..compiled import cache_folder, is_warm
+    from ..compiled import is_warm
+    from ..compiled.folders import cache_folder
 
     tell_what_compiles()
     if not is_warm():

@@ -57,7 +57,7 @@ def new_hardware(
     sensor = late(loop)
     is_exact = sensor.exact and not (faults.any() or len(frozen) or len(geared))
     states = np.zeros((layout.motors, motor.STATES))
-    states[:, motor.ROTOR_SPEED] = product(true.E.T, nu)
+    motor.motor_state(states).rotor_speed[:] = product(true.E.T, nu)
     sensed = sensor.init(robot, faults)
     kinds, on = interfaces_of(robot, loop.interfaces)
     under_way = np.zeros((loop.latency.slots(timing), layout.motors))
@@ -65,7 +65,8 @@ def new_hardware(
     parts: tuple[Array, ...]
     parts = (sensed, states, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof), under_way)
     parts = (*parts, np.zeros(state_size(on, layout.arm)), np.zeros((slots, layout.motors)))
-    values, (sensed, states, guard, held, sent, under_way, rows, ring) = flat(parts)
+    values, (sensed, kept, guard, held, sent, under_way, rows, ring) = flat(parts)
+    states = motor.motor_state(kept)
     motors = loop.actuator.motors(true, timing.plant_step, dead, states)
     if true is not robot:
         motors = motors._replace(imperfect=True)

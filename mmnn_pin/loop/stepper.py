@@ -31,8 +31,7 @@ from ..reference.follower import LARGEST, Follower, require_shapes
 from ..reference.limits import Limits
 from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
-from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
-from ..safety.supervisor import GOOD, HEARD, PERIOD, STEADY
+from ..safety import Safety, accept, has_ended, press, release, remarks, trip_of
 from ..sensing import Sensor, observe
 from ..settings import Numbers, Settings, Timing, require_gain
 from ..settings.arguments import checked
@@ -271,18 +270,18 @@ class Stepper:
         courses = [self.follower.check(wish) for wish in wishes]
         if measurement is not None:
             self._take(measurement, time, time if measured is None else measured)
-        if not self.follower.stands and self.hardware.way.supervisor.state[GOOD] > 0.0:
+        if not self.follower.stands and self.hardware.way.supervisor.state.good[0] > 0.0:
             self.follower.stand(self.received)
         supervisor = self.hardware.way.supervisor
         self.received[:] = supervisor.message
         self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
         if self.past.longest > 0.0:
-            bring_up(self.row, self.at, time, supervisor.state[HEARD], self.follower.guide, self.past)
+            bring_up(self.row, self.at, time, supervisor.state.heard[0], self.follower.guide, self.past)
         self.control.step(time, self.follower.now, before=self.before if self.k >= 0 else None)
         self.before[:] = self.follower.now
         self._command()
-        if supervisor.state[PERIOD] > SLOW * self.period and not self.is_late:
-            self.is_late, steady = True, 1e3 * supervisor.state[STEADY]
+        if supervisor.state.period[0] > SLOW * self.period and not self.is_late:
+            self.is_late, steady = True, 1e3 * supervisor.state.steady[0]
             self._tell(f"stepped every {steady:.3g} ms, its period is {1e3 * self.period:.3g} ms")
         self.time, self.k, self.step_time = time, self.k + 1, perf_counter() - began
         return self.command
@@ -372,7 +371,7 @@ class Stepper:
     @property
     def tripped(self) -> bool:
         """Whether the supervisor has stopped the robot."""
-        return bool(self.hardware.way.supervisor.state[HAS_TRIPPED])
+        return bool(self.hardware.way.supervisor.state.tripped[0])
 
     @property
     def is_over(self) -> bool:
@@ -450,7 +449,7 @@ class Stepper:
         """Put a measurement into the row and before the supervisor."""
         supervisor = self.hardware.way.supervisor
         require_shapes("measurement", measurement, self.measured)
-        if supervisor.state[GOOD] > 0.0 and measured < supervisor.state[HEARD]:
+        if supervisor.state.good[0] > 0.0 and measured < supervisor.state.heard[0]:
             return
         parts = measurement.pose, measurement.velocity, measurement.q, measurement.qdot
         np.concatenate(parts, out=self.received, casting="unsafe")

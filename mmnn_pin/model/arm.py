@@ -187,14 +187,14 @@ def require_locked(rest: AtRest, overrides: Overrides, still: Iterable[str]) -> 
         raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
 
 
-def passive(rest: AtRest, own: list[str], slaves: dict[str, Slave]) -> list[str]:
+def passive(rest: AtRest, joints: list[str], slaves: dict[str, Slave]) -> list[str]:
     """Joints without a motor in a file that names the motors of others.
 
     None where it names at most those of heads and fingers: then the arm's own are said elsewhere.
     """
     driven = {slaves[name].master if name in slaves else name for name in motors_named(rest)}
-    main = set(own).difference(short_branches(rest, set(own), slaves))
-    return [name for name in own if name not in driven] if main & driven else []
+    main = set(joints).difference(short_branches(rest, set(joints), slaves))
+    return [name for name in joints if name not in driven] if main & driven else []
 
 
 def is_button(rest: AtRest, name: str) -> bool:
@@ -213,21 +213,21 @@ def freed(name: str, overrides: Overrides) -> bool:
 # -- branches of the tree ----------------------------------------------------------------------------------------------
 
 
-def short_branches(rest: AtRest, own: set[str], slaves: dict[str, Slave]) -> list[str]:
+def short_branches(rest: AtRest, candidates: set[str], slaves: dict[str, Slave]) -> list[str]:
     """Joints of heads and fingers, from the ends inwards: antennas lengthen no row of a head."""
     tree = tree_of(rest)
-    longest = max((tree[name].reach for name in own), default=0.0)
-    found: set[str] = set()
-    for name in sorted(own | slaves.keys(), key=lambda name: (-len(tree[name].above), name)):
+    longest = max((tree[name].reach for name in candidates), default=0.0)
+    short: set[str] = set()
+    for name in sorted(candidates | slaves.keys(), key=lambda name: (-len(tree[name].above), name)):
         branch = tree[name]
-        moving = [joint for joint in branch.carried if joint not in found]
+        moving = [joint for joint in branch.carried if joint not in short]
         in_row = max((1 + sum(up in branch.carried for up in tree[joint].above) for joint in moving), default=0)
         led = {slave for slave, its in slaves.items() if its.master in branch.carried}
-        siblings = [other for other in branch.beside if other in own or other in led]
-        at_end = sum(above in own for above in branch.above) >= ARM_JOINTS
+        siblings = [other for other in branch.beside if other in candidates or other in led]
+        at_end = sum(above in candidates for above in branch.above) >= ARM_JOINTS
         if siblings and branch.reach < SHORT * longest and (in_row < HEAD_JOINTS or at_end):
-            found |= own & {*branch.carried}
-    return [name for name in rest.document.joints if name in found]
+            short |= candidates & {*branch.carried}
+    return [name for name in rest.document.joints if name in short]
 
 
 @dataclass(frozen=True)

@@ -150,12 +150,12 @@ def interfaces_of(robot: Robot) -> dict[str, Any]:
     root = etree.fromstring(robot.urdf.encode())
     offered: dict[str, set[str]] = {name: set() for name in robot.actuator_names}
     for joint in root.iterfind("ros2_control/joint"):
-        found = {tag.get("name", "").rpartition("/")[2] for tag in joint.iterfind("command_interface")}
-        offered.get(joint.get("name", ""), set()).update(found.intersection(INTERFACES))
+        stated = {tag.get("name", "").rpartition("/")[2] for tag in joint.iterfind("command_interface")}
+        offered.get(joint.get("name", ""), set()).update(stated.intersection(INTERFACES))
     for joint in root.iterfind("transmission/joint"):
         words = " ".join(tag.text or "" for tag in joint.iter("hardwareInterface")).lower()
         offered.get(joint.get("name", ""), set()).update(name for name in INTERFACES if f"{name}joint" in words)
-    listed = {name: [one for one in INTERFACES if one in some] for name, some in offered.items()}
+    listed = {name: [kind for kind in INTERFACES if kind in some] for name, some in offered.items()}
     used = {name: (some or ["effort"])[0] for name, some in listed.items()}
     return {"interfaces": used, "interfaces_offered": listed}
 
@@ -254,7 +254,7 @@ A_TURN = 2 * math.pi  # an angle beyond this looks like degrees, but a wheel's
 
 def doubtful(robot: Robot, position: Array) -> list[str]:
     """Doubts about a position (nv,): beyond a joint's limits, or angles in degrees."""
-    rest, found, wheels = robot.neutral_position(), [], {wheel.joint for wheel in robot.base.wheels}
+    rest, doubts, wheels = robot.neutral_position(), [], {wheel.joint for wheel in robot.base.wheels}
     rows = zip(robot.position_names, position, rest, robot.lower, robot.upper, revolute(robot), strict=True)
     for name, q, at, low, high, turns in rows:
         unit = "rad" if turns else "m"
@@ -263,8 +263,8 @@ def doubtful(robot: Robot, position: Array) -> list[str]:
         if beyond or many:
             limits = f"beyond its limits {low:.4g} to {high:.4g} {unit}" if beyond else "more than a turn"
             degrees = f": if these are degrees, give {math.radians(q):.4g}" if many else ""
-            found.append(f"{name} = {q:.4g} {unit} is {limits}{degrees}")
-    return found
+            doubts.append(f"{name} = {q:.4g} {unit} is {limits}{degrees}")
+    return doubts
 
 
 def model_at(robot: Robot, position: Array, nu: Array) -> dict[str, Any]:

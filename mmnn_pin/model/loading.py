@@ -165,12 +165,12 @@ def settled(overrides: Overrides, base: Base) -> Overrides:
     """The overrides with a controllers' file replaced by what it led to: a recording stands alone."""
     if overrides.controllers_file is None:
         return overrides
-    found: dict[str, Any] = {"base": base.kind, "controllers_file": None}
+    result: dict[str, Any] = {"base": base.kind, "controllers_file": None}
     if base.wheels:
-        found |= {"wheels": tuple(wheel.joint for wheel in base.wheels), "track": base.track}
+        result |= {"wheels": tuple(wheel.joint for wheel in base.wheels), "track": base.track}
         alike = len({wheel.radius for wheel in base.wheels}) == 1 and not overrides.wheel_radii
-        found["radius"] = base.wheels[0].radius if alike else overrides.radius
-    return msgspec.structs.replace(overrides, **found)
+        result["radius"] = base.wheels[0].radius if alike else overrides.radius
+    return msgspec.structs.replace(overrides, **result)
 
 
 # -- Pinocchio's model -------------------------------------------------------------------------------------------------

@@ -178,10 +178,10 @@ class Regressor:
             nu_ref: (p,) reference velocities.
             nudot_ref: (p,) their time derivative.
         """
-        own = self.workspace()
-        own.position[:], own.nu[:] = position, nu
-        regress(own, np.array(nu_ref, float), np.array(nudot_ref, float))
-        return own.Y
+        work = self.workspace()
+        work.position[:], work.nu[:] = position, nu
+        regress(work, np.array(nu_ref, float), np.array(nudot_ref, float))
+        return work.Y
 
     def along(self, q: Array, nu: Array, nudot: Array) -> Array:
         """Y along a motion, (N, p, k): `Y theta = M nudot + C(q, nu) nu + gravity + friction`, the base at the origin.
@@ -191,10 +191,10 @@ class Regressor:
             nu: (N, p) velocities.
             nudot: (N, p) their time derivative.
         """
-        own = self.workspace()
-        out = np.zeros((len(q), *own.Y.shape))
+        work = self.workspace()
+        out = np.zeros((len(q), *work.Y.shape))
         q, nu, nudot = (np.ascontiguousarray(part, float) for part in (q, nu, nudot))
-        regress_along(own, np.zeros(3 if own.base else 0), q, nu, nudot, out)
+        regress_along(work, np.zeros(3 if work.base else 0), q, nu, nudot, out)
         return out
 
     def gram(self, samples: int = 200, seed: int = 0) -> Array:

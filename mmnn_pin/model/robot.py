@@ -201,12 +201,12 @@ class Robot(Structure):
         except (TypeError, ValueError):
             raise ConfigError("not a list of numbers", fix=f"give {', '.join(names)}", key=what) from None
         if array.shape != (len(names),):
-            found = (
+            given = (
                 f"{array.size} number{'s' * (array.size != 1)}"
                 if array.ndim == 1
                 else f"an array of shape {array.shape}"
             )
-            raise ConfigError(f"{found} where {self.name} has {len(names)}", fix=f"give {', '.join(names)}", key=what)
+            raise ConfigError(f"{given} where {self.name} has {len(names)}", fix=f"give {', '.join(names)}", key=what)
         if not np.isfinite(array).all():
             raise ConfigError(f"{array.tolist()} is not finite", fix=f"give {', '.join(names)}", key=what)
         return array
@@ -258,8 +258,8 @@ def revolute(robot: Robot) -> Array:
 def speed_limits(robot: Robot) -> Array:
     """Velocity limits of the URDF of every motor's joint, inf where it states none or 0, (motors,)."""
     names, limits = robot.full_velocity_names, robot.model.velocityLimit
-    found = [limits[names.index(name)] if name in names else math.inf for name in robot.actuator_names]
-    return np.array([limit if 0 < limit < 1e30 else math.inf for limit in found], float)
+    stated = [limits[names.index(name)] if name in names else math.inf for name in robot.actuator_names]
+    return np.array([limit if 0 < limit < 1e30 else math.inf for limit in stated], float)
 
 
 def limits(value: Literal["urdf", "none"] | Numbers | None, urdf: Array, kind: str, key: str) -> Array:

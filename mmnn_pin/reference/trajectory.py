@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from difflib import SequenceMatcher
 from html import escape
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,6 +35,7 @@ class SetpointSource(Protocol):
         """Write the setpoint of a time [s] in place, knowing what is measured."""
 
 
+@runtime_checkable
 class Watched(Protocol):
     """Frames that a trajectory takes along paths: where they should be and where they are, signals of a recording."""
 

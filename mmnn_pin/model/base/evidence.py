@@ -97,15 +97,15 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
     ]
 
 
-def verdict(found: list[Evidence]) -> Meaning | None:
+def verdict(pieces: list[Evidence]) -> Meaning | None:
     """The kind of base that the deciding pieces agree on, None when there are none or they disagree."""
-    meanings = {piece.meaning for piece in found if piece.decides}
+    meanings = {piece.meaning for piece in pieces if piece.decides}
     return meanings.pop() if len(meanings) == 1 else None
 
 
-def stated_rollers(found: list[Evidence]) -> dict[str, float]:
+def stated_rollers(pieces: list[Evidence]) -> dict[str, float]:
     """Roller angle of every wheel whose angle a piece states [rad]."""
-    return {piece.wheel: piece.roller for piece in found if not math.isnan(piece.roller)}
+    return {piece.wheel: piece.roller for piece in pieces if not math.isnan(piece.roller)}
 
 
 def rollers(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -157,8 +157,8 @@ def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     for joint in rest.document.root.iterfind("ros2_control/joint"):
         states[joint.get("name", "")] = joint.find("command_interface") is not None
         lines[joint.get("name", "")] = joint.sourceline
-    told = {wheel.joint.name: states[wheel.joint.name] for wheel in wheels if wheel.joint.name in states}
-    driven = [name for name, commanded in told.items() if commanded]
+    commanded_by_name = {wheel.joint.name: states[wheel.joint.name] for wheel in wheels if wheel.joint.name in states}
+    driven = [name for name, commanded in commanded_by_name.items() if commanded]
     if 0 < len(driven) < len(wheels):
         text = f"<ros2_control> commands only {', '.join(driven)} (line {lines[driven[0]]})"
         yield Evidence("skid_steer", text, lines[driven[0]])
@@ -256,19 +256,19 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
 
 def motors_named(rest: AtRest) -> dict[str, str]:
     """Joints that plugins, `ros2_control` commands or transmissions drive, each with where it stands."""
-    root, found = rest.document.root, dict[str, str]()
+    root, drivers = rest.document.root, dict[str, str]()
     for element in root.iterfind("transmission//*"):
         tag = str(element.tag).lower()
         if "joint" in tag and not tag.startswith("passive"):  # PR2's have flexJoint, gap_joint, passive_joint
-            found[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
+            drivers[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
     for element in root.iterfind("ros2_control/joint"):
         if element.find("command_interface") is not None:
-            found[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
+            drivers[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
     for element in root.iterfind("gazebo//*"):
         if MOVED.search(str(element.tag)) and not reads_only(element):
             for name in re.split(r"[\s,]+", element.text or ""):
-                found[name] = f"<{element.tag}> (line {element.sourceline})"
-    return {name: where for name, where in found.items() if name in rest.document.joints}
+                drivers[name] = f"<{element.tag}> (line {element.sourceline})"
+    return {name: where for name, where in drivers.items() if name in rest.document.joints}
 
 
 def reads_only(element: etree._Element) -> bool:
@@ -302,13 +302,15 @@ def stated(rest: AtRest, controllers: str | None, names: dict[str, float]) -> li
     Raises:
         ConfigError: The controllers' file cannot be read.
     """
-    found: list[Stated] = []
+    lengths: list[Stated] = []
     for element in rest.document.root.iterfind("gazebo//*"):
         if element.tag in names and not number_problem(text := (element.text or "").strip(), 1):
             value = float(text) * names[element.tag]
-            found.append(Stated(value, f"<{element.tag}> (line {element.sourceline})", value))
-    found += in_yaml(controllers, names)
-    return list({(round(one.value, 9), one.side): one for one in reversed(found) if one.value > 0}.values())[::-1]
+            lengths.append(Stated(value, f"<{element.tag}> (line {element.sourceline})", value))
+    lengths += in_yaml(controllers, names)
+    return list(
+        {(round(length.value, 9), length.side): length for length in reversed(lengths) if length.value > 0}.values()
+    )[::-1]
 
 
 def in_yaml(file: str | None, names: dict[str, float]) -> Iterator[Stated]:
@@ -332,8 +334,8 @@ def in_yaml(file: str | None, names: dict[str, float]) -> Iterator[Stated]:
 def multipliers(table: YamlTable, key: str, side: str) -> dict[str, float]:
     """Factors by which a table's controller multiplies one of its lengths on a side; ones are left out."""
     names = [name.format(side=side) for name in FACTORS.get(key, ())]
-    found = {name: number_of(table, name, 1.0) for name in names}
-    return {name: factor for name, factor in found.items() if factor not in (0.0, 1.0)}
+    factors = {name: number_of(table, name, 1.0) for name in names}
+    return {name: factor for name, factor in factors.items() if factor not in (0.0, 1.0)}
 
 
 # -- YAML files of the robot's controllers -----------------------------------------------------------------------------
@@ -405,9 +407,9 @@ def number_of(table: YamlTable, key: str, default: float) -> float:
 
 def beside(rest: AtRest) -> list[Path]:
     """YAML files of the package that a robot's file is in, and of those beside it that have its name."""
-    own = Path(package_of(str(rest.document.path.parent.absolute())))
-    stem = re.sub(r"_?(description|model|urdf)$", "", own.name)
-    folders = [own, *(f for f in siblings(own) if stem and f.name.startswith(stem) and f != own)]
+    package = Path(package_of(str(rest.document.path.parent.absolute())))
+    stem = re.sub(r"_?(description|model|urdf)$", "", package.name)
+    folders = [package, *(f for f in siblings(package) if stem and f.name.startswith(stem) and f != package)]
     files = [
         file for folder in folders for place in ("", "config", "params") for file in (folder / place).glob("*.y*ml")
     ]

@@ -51,12 +51,12 @@ def machine(rest: AtRest) -> tuple[str, str] | None:
     if feet := upright_along_y(rest):
         names = ", ".join(f"'{joint.name}'" for joint in feet)
         return "humanoid", f"with y up, it stands on two legs ({names}) and has limbs above them"
-    if told := steering_modules(rest):
-        return SWERVE, f"{len(told)} wheels, or their mounts, turn about vertical axes ({', '.join(told)})"
+    if joints := steering_modules(rest):
+        return SWERVE, f"{len(joints)} wheels, or their mounts, turn about vertical axes ({', '.join(joints)})"
     if names := propellers(rest):
         return PROPELLERS, f"{names} by their names, and nothing that rolls"
-    if told := list(rotors(rest)):
-        return "drone", f"{len(told)} equal rotors turn about vertical axes ({', '.join(told)})"
+    if joints := list(rotors(rest)):
+        return "drone", f"{len(joints)} equal rotors turn about vertical axes ({', '.join(joints)})"
     meshes = map(mesh_name, rest.document.root.iterfind(MESHES))
     if hit := DRONE_NAMES.search(" ".join([rest.document.root.get("name", ""), *rest.document.links, *meshes])):
         return "drone", f"'{hit[0]}' in its names, and nothing that carries it"
@@ -125,8 +125,8 @@ def chain(rest: AtRest, joint: Joint) -> list[Joint]:
 def height(rest: AtRest, joint: Joint) -> float:
     """Height of the lowest frame or primitive that a joint carries [m]."""
     links = rest.document.body(joint.child)
-    own = min(min(float(rest.placements[link][2, 3]), lowest(rest, link)) for link in links)
-    return min([own, *(height(rest, j) for j in rest.document.moving_children(joint.child))])
+    lowest_frame = min(min(float(rest.placements[link][2, 3]), lowest(rest, link)) for link in links)
+    return min([lowest_frame, *(height(rest, j) for j in rest.document.moving_children(joint.child))])
 
 
 def lowest(rest: AtRest, link: str) -> float:
@@ -142,13 +142,13 @@ def legs(rest: AtRest, joints: Sequence[Joint]) -> list[Joint]:
     hips = {j.name: float(rest.hub(j)[2]) for j in limbs}
     body = [link for link in rest.document.body(rest.document.root_link) if rest.mass(link) > 0]
     root = min((min(lowest(rest, link), rest.bottom(link)) for link in body), default=0.0)
-    found = []
+    first = []
     for joint in limbs:
         drop = hips[joint.name] - feet[joint.name]
         on_ground = feet[joint.name] - ground < SAME_HEIGHT * max(drop, 1e-9) + 1e-3
         if drop > 0 and on_ground and root - feet[joint.name] > 0.1 * drop:
-            found.append(joint)
-    return found if len(found) >= 2 else []
+            first.append(joint)
+    return first if len(first) >= 2 else []
 
 
 def legs_of_a_waist(rest: AtRest) -> list[Joint]:
@@ -174,20 +174,20 @@ def upright_along_y(rest: AtRest) -> list[Joint]:
     limbs = [j for j in trunk_joints(rest) if len(chain(rest, j)) > LEG_JOINTS]
     drops = {j.name: float(rest.hub(j)[1]) - reach(j) for j in limbs}
     longest = max(drops.values(), default=0.0)
-    found = [j for j in limbs if drops[j.name] > (1 - SAME_HEIGHT) * longest > 0]
-    rest_of = [j for j in limbs if j not in found and drops[j.name] < 0.5 * longest]
-    return found if len(found) == 2 and rest_of and len(limbs) == len(found) + len(rest_of) else []
+    feet = [j for j in limbs if drops[j.name] > (1 - SAME_HEIGHT) * longest > 0]
+    rest_of = [j for j in limbs if j not in feet and drops[j.name] < 0.5 * longest]
+    return feet if len(feet) == 2 and rest_of and len(limbs) == len(feet) + len(rest_of) else []
 
 
 def steering_modules(rest: AtRest) -> list[str]:
     """Names of three or more low joints about vertical axes on which names say that wheels are, and nothing turns."""
-    highest, found = height_at(rest, LOW), []
+    highest, names = height_at(rest, LOW), []
     for joint in trunk_joints(rest):
         words = [joint.name, joint.child, *map(mesh_name, rest.document.links[joint.child].iter("mesh"))]
         ends = rest.is_vertical(joint) and not rest.document.moving_children(joint.child)
         if ends and MODULE_NAMES.search(" ".join(words)) and rest.hub(joint)[2] <= highest:
-            found.append(joint.name)
-    return found if len(found) >= ROTORS else []
+            names.append(joint.name)
+    return names if len(names) >= ROTORS else []
 
 
 def rotors(rest: AtRest) -> Iterator[str]:
@@ -291,7 +291,7 @@ def refuse_steered_pair(rest: AtRest, drives: list[Candidate], wheels: list[Cand
     """
     front = [c for c in wheels if c.mount == "swivel" and c.trail <= TRAIL]
     pieces = list(driven(rest, drives, front))
-    steers, rolls = ([text for kind, text in pieces if kind == one] for one in ("car-like", "differential_drive"))
+    steers, rolls = ([text for kind, text in pieces if kind == wanted] for wanted in ("car-like", "differential_drive"))
     if rolls and not steers:
         return
     names = ",".join(c.joint.name for c in drives)
@@ -331,7 +331,7 @@ def driven(rest: AtRest, drives: list[Candidate], front: list[Candidate]) -> Ite
     moved = [e for e in root.iterfind("ros2_control/joint") if e.find("command_interface") is not None]
     for what, motors in (("<ros2_control>", moved), ("<transmission>", root.findall("transmission/joint"))):
         lines = {e.get("name"): e.sourceline for e in motors}
-        for kind, own, others in (("car-like", ahead, pair), ("differential_drive", pair, ahead)):
-            if lines.keys() & own and not lines.keys() & others:
-                name = sorted(lines.keys() & own)[0]
+        for kind, these, others in (("car-like", ahead, pair), ("differential_drive", pair, ahead)):
+            if lines.keys() & these and not lines.keys() & others:
+                name = sorted(lines.keys() & these)[0]
                 yield kind, f"{what} drives '{name}' (line {lines[name]})"

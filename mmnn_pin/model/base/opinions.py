@@ -134,20 +134,20 @@ def named_sides(rest: AtRest, base: Base) -> Iterator[Finding]:
     A simulator would drive the robot backwards, or not at all.
     """
     sides = {w.joint: "left" if w.y > 0 else "right" for w in base.wheels}
-    told: set[str] = set()
+    known: set[str] = set()
     for element in rest.document.root.iterfind("gazebo//*"):
         hit, name = SIDED.fullmatch(str(element.tag)), (element.text or "").strip()
-        if not hit or not name or told & {name, hit[1].lower()}:
+        if not hit or not name or known & {name, hit[1].lower()}:
             continue
         where, first = f"<{element.tag}> (line {element.sourceline})", base.wheels[0].joint
         if name not in rest.document.joints:
             text = f"{where} names '{name}', which the robot does not have"
             yield note(rest, "base-stated", first, text, "a simulator would not drive it", "name its joint")
-            told.add(name)
+            known.add(name)
         elif sides.get(name, hit[1].lower()) != hit[1].lower():
             text = f"{where} names '{name}', which is on the {sides[name]} seen along x of the root link"
             yield note(rest, "base-sides", name, text, "does the robot drive along -x?", "check it")
-            told |= {"left", "right"}
+            known |= {"left", "right"}
 
 
 def unasked(rest: AtRest, base: Base, overrides: Overrides) -> Iterator[Finding]:
@@ -159,10 +159,10 @@ def unasked(rest: AtRest, base: Base, overrides: Overrides) -> Iterator[Finding]
         return
     files = beside(rest)
     for name, used, names in (("track", base.track, TRACKS), ("radius", base.wheels[0].radius, RADII)):
-        found = [(file, one) for file in files for one in in_yaml(str(file), names)]
+        lengths = [(file, one) for file in files for one in in_yaml(str(file), names)]
         known = getattr(overrides, name) is not None or (name == "radius" and overrides.wheel_radii)
-        if not known and found and all(apart(one.value, used) for _, one in found):
-            file, one = found[0]
+        if not known and lengths and all(apart(one.value, used) for _, one in lengths):
+            file, one = lengths[0]
             text = f"{file} states a {name} of {one.value:.4g} m, the geometry has {used:.4g} m"
             fix = f"--controllers {file} where it is this robot's, --{name} {one.value:.6g} to use it"
             yield note(rest, "base-stated", base.wheels[0].joint, text, "taken is the geometry", fix)
@@ -238,16 +238,16 @@ def words_of(file: str) -> set[str]:
     return {word for table in tables_of(file) for entry in table.values() for word in entry.items}
 
 
-def agreed(found: list[Stated]) -> Stated | None:
+def agreed(lengths: list[Stated]) -> Stated | None:
     """The one length that is stated, best with multipliers; None where none is, several, or one that no robot has."""
-    same = len({round(one.value, 6) for one in found}) == 1
-    one = max(found, key=lambda one: one.value != one.nominal, default=None)
-    return one if one and same and SMALLEST <= one.value <= LARGEST else None
+    same = len({round(length.value, 6) for length in lengths}) == 1
+    length = max(lengths, key=lambda length: length.value != length.nominal, default=None)
+    return length if length and same and SMALLEST <= length.value <= LARGEST else None
 
 
-def corrects(one: Stated, measured: float) -> bool:
+def corrects(length: Stated, measured: float) -> bool:
     """Whether a length is one that the geometry bears out, times something."""
-    return one.value != one.nominal and not apart(one.nominal, measured)
+    return length.value != length.nominal and not apart(length.nominal, measured)
 
 
 def on_side(wheel: Wheel, side: str) -> bool:
@@ -255,9 +255,9 @@ def on_side(wheel: Wheel, side: str) -> bool:
     return (wheel.y > 0.0) == (side == "left")
 
 
-def taken_note(rest: AtRest, base: Base, name: str, one: Stated, measured: float) -> Finding:
+def taken_note(rest: AtRest, base: Base, name: str, length: Stated, measured: float) -> Finding:
     """A note that a length of the controllers is taken in the place of the geometry's."""
-    text = f"the {name} is taken as {one.value:.4g} m, as {one.text} has it; the geometry has {measured:.4g} m"
+    text = f"the {name} is taken as {length.value:.4g} m, as {length.text} has it; the geometry has {measured:.4g} m"
     fix = f"--{name.split()[-1]} {measured:.6g} for that of the geometry"
     return note(rest, "base-stated", base.wheels[0].joint, text, "the robot's driver works with it", fix)
 

@@ -196,10 +196,10 @@ def read_overrides(path: Path) -> Overrides:
         UnknownName: A key or a kind of base that does not exist.
     """
     try:
-        found = msgspec.convert(read_toml(path), Overrides)
-        folders = tuple(str(path.parent / folder) for folder in found.package_dirs)
-        file = None if found.controllers_file is None else str(path.parent / found.controllers_file)
-        return msgspec.structs.replace(found, package_dirs=folders, controllers_file=file)
+        overrides = msgspec.convert(read_toml(path), Overrides)
+        folders = tuple(str(path.parent / folder) for folder in overrides.package_dirs)
+        file = None if overrides.controllers_file is None else str(path.parent / overrides.controllers_file)
+        return msgspec.structs.replace(overrides, package_dirs=folders, controllers_file=file)
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, ConfigError | UnknownName):
             error.__cause__.file = path

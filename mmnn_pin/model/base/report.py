@@ -243,14 +243,14 @@ def weak_notes(rest: AtRest, names: Sequence[str], held: Array, limits: Array) -
         held: (n,) what gravity takes there [N m or N].
         limits: (n,) what their motors give; inf for those without a limit.
     """
-    found = []
+    notes = []
     for name, needed, limit in zip(names, np.abs(held), limits, strict=True):
         if needed > limit:
             unit = "N" if rest.document.joints[name].type == "prismatic" else "N m"
             what = f"effort of '{name}' is {limit:.3g} {unit}, and gravity takes {needed:.3g} {unit} where it rests"
             fix = f"correct effort in its <limit>, or --lock {name}"
-            found.append(note(rest, "arm-weak", name, what, "no controller holds it up", fix, about=name))
-    return found
+            notes.append(note(rest, "arm-weak", name, what, "no controller holds it up", fix, about=name))
+    return notes
 
 
 def friction_notes(rest: AtRest, damping: Array, coulomb: Array) -> list[Finding]:
@@ -411,8 +411,8 @@ def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:
     if not across:
         return "what turns on them is not round about the axle", blind_fix(wheels)
     c = next(c for c in wheels if c.joint.name in across)
-    axis, own = across[c.joint.name], in_words(c.joint.axis)
-    why = f"the cylinder on '{c.joint.name}' lies along {axis} in its link, and its joint turns about {own}"
+    axis, joint_axis = across[c.joint.name], in_words(c.joint.axis)
+    why = f"the cylinder on '{c.joint.name}' lies along {axis} in its link, and its joint turns about {joint_axis}"
     fix = "turn the cylinders or the <axis> of the joints, so that they agree"
     stated = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
     if bare := [f"'{name}'" for name, other in across.items() if other == axis and name not in stated]:

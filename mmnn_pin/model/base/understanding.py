@@ -152,11 +152,11 @@ def understand(document: Document, overrides: Overrides) -> Roles:
 def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
     """The mobile base of a robot at rest; errors as of `understand`."""
     overrides = overrides or Overrides()
-    found = understood(rest, overrides)
-    taken, findings = calibration(rest, found.base, overrides)
+    result = understood(rest, overrides)
+    taken, findings = calibration(rest, result.base, overrides)
     if taken:
-        found = understood(rest, msgspec.structs.replace(overrides, **taken))
-    return replace(found, findings=(*found.findings, *findings), taken=taken)
+        result = understood(rest, msgspec.structs.replace(overrides, **taken))
+    return replace(result, findings=(*result.findings, *findings), taken=taken)
 
 
 def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
@@ -167,19 +167,19 @@ def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
     named = [declared_wheel(rest, name, candidates, overrides) for name in overrides.wheels or ()]
     if overrides.base != "fixed":
         require_possible(overrides, candidates, named)
-    found = with_strays(rest, chosen(rest, candidates, named, overrides), overrides)
-    require_drive(rest, found.base, overrides)
-    require_motors(rest, found.base, overrides)
-    require_used(overrides, found.base)
+    result = with_strays(rest, chosen(rest, candidates, named, overrides), overrides)
+    require_drive(rest, result.base, overrides)
+    require_motors(rest, result.base, overrides)
+    require_used(overrides, result.base)
     drives = named if overrides.wheels is not None and overrides.base != "fixed" else candidates.wheels
     notes = [
-        *base_notes(rest, found.base, drives, overrides.radius is not None),
-        *buried_note(rest, found.base, candidates.floor),
-        *second_opinions(rest, found.base, drives, overrides),
-        *unasked(rest, found.base, overrides),
-        *(welded_note(rest, welded_cylinders(rest, candidates.floor)) if found.base.wheels else ()),
+        *base_notes(rest, result.base, drives, overrides.radius is not None),
+        *buried_note(rest, result.base, candidates.floor),
+        *second_opinions(rest, result.base, drives, overrides),
+        *unasked(rest, result.base, overrides),
+        *(welded_note(rest, welded_cylinders(rest, candidates.floor)) if result.base.wheels else ()),
     ]
-    return replace(found, findings=(*found.findings, *notes))
+    return replace(result, findings=(*result.findings, *notes))
 
 
 def chosen(rest: AtRest, candidates: Candidates, named: list[Candidate], overrides: Overrides) -> BaseResult:
@@ -201,16 +201,16 @@ def declared(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], ove
     return with_wheels(rest, drives, wheels, overrides)
 
 
-def with_strays(rest: AtRest, found: BaseResult, overrides: Overrides) -> BaseResult:
+def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseResult:
     """The base, and what else low on it turns without end: that is no arm, it stands still.
 
     Raises:
         Undecided: Nothing says what base they make, or they stand as high as the drive wheels.
     """
-    base, strays = found.base, strays_of(rest, found.base, overrides)
+    base, strays = result.base, strays_of(rest, result.base, overrides)
     few = len(strays) < ROUND_ABOUT and not mirrored(rest, strays)
     if not strays or (not base.columns and overrides.base is None and few):
-        return found
+        return result
     level = [j for j in strays if any(abs(rest.hub(j)[2] - hub) < TOUCHING * r for hub, r in hubs_of(rest, base))]
     if overrides.base is None and overrides.wheels is None and (not base.columns or len(level) >= 2):
         raise unclear_strays(rest, strays)
@@ -219,7 +219,7 @@ def with_strays(rest: AtRest, found: BaseResult, overrides: Overrides) -> BaseRe
     why = "low on the base and endless: hardly joints of an arm"
     fix = f"name them in --wheels if they drive, --free {strays[0].name} if it is the arm's"
     stray = note(rest, "base-stray", strays[0].name, f"joints that may be wheels stand still: {names}", why, fix)
-    return BaseResult(base, (*found.findings, stray))
+    return BaseResult(base, (*result.findings, stray))
 
 
 def strays_of(rest: AtRest, base: Base, overrides: Overrides) -> list[Joint]:
@@ -268,12 +268,12 @@ def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
 def odd_casters(rest: AtRest, base: Base) -> list[Joint]:
     """Swivels on the root's body, and what turns without end on each alone, no higher than the drive wheels' hubs."""
     highest = min((hub for hub, _ in hubs_of(rest, base)), default=-math.inf)
-    found = list[Joint]()
+    joints = list[Joint]()
     for joint in rest.document.moving_children(rest.document.root_link):
         carried = rest.document.moving_children(joint.child)
         ends = len(carried) == 1 and is_endless_end(rest, carried[0]) and rest.hub(carried[0])[2] <= highest
-        found += [joint, *carried] if ends and joint.turns_freely and rest.is_vertical(joint) else []
-    return found
+        joints += [joint, *carried] if ends and joint.turns_freely and rest.is_vertical(joint) else []
+    return joints
 
 
 def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:
@@ -377,16 +377,16 @@ def driven_pair(rest: AtRest, drives: list[Candidate]) -> tuple[list[Candidate],
     Wheels of the same size beside them may be those of a skid-steer base that turn with them.
     """
     motors = motors_named(rest)
-    own = [c for c in drives if c.joint.name in motors]
-    others = [c for c in drives if c not in own]
-    if len(drives) < 3 or len(own) != 2 or not coaxial(*own):
+    powered = [c for c in drives if c.joint.name in motors]
+    others = [c for c in drives if c not in powered]
+    if len(drives) < 3 or len(powered) != 2 or not coaxial(*powered):
         return drives, []
-    same = [c for c in others if abs(c.radius - own[0].radius) <= SAME_SIZE * own[0].radius]
+    same = [c for c in others if abs(c.radius - powered[0].radius) <= SAME_SIZE * powered[0].radius]
     if len(others) > 1 and same and not one_axle(drives):
         return drives, []
-    text = f"drive wheels by their motors: {', '.join(f'{c.joint.name} {motors[c.joint.name]}' for c in own)}"
+    text = f"drive wheels by their motors: {', '.join(f'{c.joint.name} {motors[c.joint.name]}' for c in powered)}"
     why = f"taken as free casters: {', '.join(c.joint.name for c in others)}"
-    return own, [note(rest, "base-driven", own[0].joint.name, text, why)]
+    return powered, [note(rest, "base-driven", powered[0].joint.name, text, why)]
 
 
 def parked(wheels: list[Candidate]) -> Base:
@@ -398,8 +398,8 @@ def parked(wheels: list[Candidate]) -> Base:
 
 def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResult:
     """A fixed arm, unless it walks, flies, is welded together or stands on welded wheels."""
-    if told := machine(rest):
-        name, why = told
+    if known := machine(rest):
+        name, why = known
         raise unsupported(rest, name, why, (), f"{PUSHED}; --base fixed parks it" if name == SWERVE else "")
     moving = [joint for joint in rest.document.joints.values() if joint.moves]
     welded = welded_wheels(rest, floor)
@@ -434,22 +434,22 @@ def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]
         text = f"taken as skid_steer: {len(drives)} wheels on one axle, twin tyres whose sides turn alike and scrub"
         found = skidding(rest, drives, wheels, overrides)
         return replace(found, findings=(note(rest, "base-evidence", drives[0].joint.name, text), *found.findings))
-    told = evidence(rest, drives, overrides.controllers_file)
+    pieces = evidence(rest, drives, overrides.controllers_file)
     if overrides.wheels is None and (why := tracks(rest, drives)):
         few = len(drives) <= 2 * MOST_PER_SIDE
         if overrides.base != "skid_steer" or not few:
             fix = "--base skid_steer if it runs on these wheels, --base fixed takes it as an arm" if few else ""
             raise unsupported(rest, "tracked machine", why, drives, fix)
-    meaning = overrides.base if overrides.base in ("holonomic", "skid_steer") else verdict(told)
+    meaning = overrides.base if overrides.base in ("holonomic", "skid_steer") else verdict(pieces)
     if meaning is None and (why := steering_named(rest)):
         raise unsupported(rest, "car-like base", why, drives)
     if meaning is None:
         why = "four parallel wheels roll the same whether they have rollers (mecanum) or skid"
-        if told:
+        if pieces:
             why += ", and the evidence does not decide"
         fix = "--base skid_steer for plain wheels, --base holonomic for mecanum wheels"
         raise undecided(rest, wheels, readings(rest, drives), why, fix)
-    cited = [piece for piece in told if piece.meaning == meaning]
+    cited = [piece for piece in pieces if piece.meaning == meaning]
     findings = [evidence_note(rest, meaning, cited)] if cited else []
     if meaning == "skid_steer":
         found = skidding(rest, drives, wheels, overrides)
@@ -461,13 +461,13 @@ def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]
 def along(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
     """A note where only some wheels of a skid-steer base have motors: the others are taken as turned by these."""
     motors = motors_named(rest)
-    own = [c.joint.name for c in drives if c.joint.name in motors]
-    if not 0 < len(own) < len(drives):
+    powered = [c.joint.name for c in drives if c.joint.name in motors]
+    if not 0 < len(powered) < len(drives):
         return []
-    text = f"of the wheels only {', '.join(own)} have motors: {motors[own[0]]}"
+    text = f"of the wheels only {', '.join(powered)} have motors: {motors[powered[0]]}"
     why = "the others are taken as turned along with those of their side, by a belt or chain"
-    fix = f"--wheels {','.join(own)} where they roll freely" if len(own) == 2 else ""
-    return [note(rest, "base-driven", own[0], text, why, fix)]
+    fix = f"--wheels {','.join(powered)} where they roll freely" if len(powered) == 2 else ""
+    return [note(rest, "base-driven", powered[0], text, why, fix)]
 
 
 # -- wheels that leave a doubt -----------------------------------------------------------------------------------------
@@ -526,20 +526,20 @@ def virtual_joints(document: Document) -> dict[str, str]:
 
     Their links are empty, but for the little mass that some simulators ask for.
     """
-    rest, link, found = AtRest(document), document.root_link, list[Joint]()
+    rest, link, chain = AtRest(document), document.root_link, list[Joint]()
     mass = NOTHING * sum(rest.masses.values())
-    while len(found) < 3:
+    while len(chain) < 3:
         below = document.moving_children(link)
         if len(below) != 1 or any(rest.mass(name) > mass or shaped(rest, name) for name in document.body(link)):
             return {}
-        found.append(below[0])
+        chain.append(below[0])
         link = below[0].child
     if not document.moving_children(link):  # they are all that it can do
         return {}
-    slides = [j for j in found if j.type == "prismatic" and rest.is_horizontal(j)]
-    turns = [j for j in found if j.type in ("revolute", "continuous") and rest.is_vertical(j)]
+    slides = [j for j in chain if j.type == "prismatic" and rest.is_horizontal(j)]
+    turns = [j for j in chain if j.type in ("revolute", "continuous") and rest.is_vertical(j)]
     crossed = len(slides) == 2 and len(turns) == 1 and abs(rest.axis(slides[0]) @ rest.axis(slides[1])) < HORIZONTAL
-    return {j.name: j.type for j in found} if crossed else {}
+    return {j.name: j.type for j in chain} if crossed else {}
 
 
 def shaped(rest: AtRest, link: str) -> bool:

@@ -128,16 +128,16 @@ def wheel_candidates(rest: AtRest, radius: float | None = None, given: bool = Fa
 
 def endless_rounds(rest: AtRest) -> list[Candidate]:
     """Joints that turn freely and may carry a wheel, in the order of the file; rollers on the rims of others apart."""
-    found = [c for joint in rest.document.joints.values() if (c := round_joint(rest, joint))]
-    rollers = {name for c in found for name in c.rollers}
-    return [c for c in found if c.joint.name not in rollers]
+    candidates = [c for joint in rest.document.joints.values() if (c := round_joint(rest, joint))]
+    rollers = {name for c in candidates for name in c.rollers}
+    return [c for c in candidates if c.joint.name not in rollers]
 
 
-def by_axis(rest: AtRest, found: list[Candidate]) -> tuple[list[Candidate], list[Candidate], list[Candidate]]:
+def by_axis(rest: AtRest, candidates: list[Candidate]) -> tuple[list[Candidate], list[Candidate], list[Candidate]]:
     """Those whose axis is level, those whose axis is tilted, those whose axis is upright."""
-    level = [c for c in found if rest.is_horizontal(c.joint)]
-    upright = [c for c in found if rest.is_vertical(c.joint)]
-    return level, [c for c in found if c not in level and c not in upright], upright
+    level = [c for c in candidates if rest.is_horizontal(c.joint)]
+    upright = [c for c in candidates if rest.is_vertical(c.joint)]
+    return level, [c for c in candidates if c not in level and c not in upright], upright
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,8 +249,8 @@ def standing_on(rest: AtRest, known: list[Candidate], floor: float) -> float:
     feet += [(s.lowest, s.radius) for link in body for s in rest.primitives[link] if s.rolls]
     level = min((bottom for bottom, _ in feet), default=math.nan)
     steady = [bottom for bottom, radius in feet if bottom - level <= TOUCHING * radius]
-    own = min((rest.bottom(link) for link in body), default=math.inf)
-    near = len(steady) >= ROUND_ABOUT and level - own <= SURE * feet[0][1]
+    lowest = min((rest.bottom(link) for link in body), default=math.inf)
+    near = len(steady) >= ROUND_ABOUT and level - lowest <= SURE * feet[0][1]
     wheels = [c for c in known if abs(c.bottom - level) <= SURE * c.radius]
     return level if near or (len(wheels) >= 4 and all(is_axle(rest, c, wheels, True) for c in wheels)) else floor
 
@@ -259,9 +259,9 @@ def limited_wheels(rest: AtRest, known: list[Candidate], floor: float) -> list[C
     """Round bodies on the floor whose revolute joints have limits and share an axis with each other or a wheel."""
     joints = [j for j in rest.document.joints.values() if j.type == "revolute" and not j.turns_freely]
     joints = [j for j in joints if rest.is_horizontal(j) and not rest.document.moving_children(j.child)]
-    found = [c for c in (wheel_of(rest, j) for j in joints) if not math.isnan(c.radius) and not moving_above(rest, c)]
-    ground = min([floor, *(c.bottom for c in found)])
-    low = [c for c in found if abs(c.bottom - ground) <= TOUCHING * c.radius]
+    rounds = [c for c in (wheel_of(rest, j) for j in joints) if not math.isnan(c.radius) and not moving_above(rest, c)]
+    ground = min([floor, *(c.bottom for c in rounds)])
+    low = [c for c in rounds if abs(c.bottom - ground) <= TOUCHING * c.radius]
     return [c for c in low if any(coaxial(c, o) for o in known + low if o is not c)]
 
 

@@ -205,9 +205,9 @@ def notes_of(robot: Robot) -> tuple[str, ...]:
     """Notes on limits that were not taken at their word where states were drawn, and on no friction."""
     names = zip(robot.position_names, unlimited(robot), robot.lower, strict=True)
     wide = ", ".join(name for name, free, low in names if free and np.isfinite(low))
-    found = [f"limits too wide to be meant, positions drawn within +-pi or +-1 m: {wide}"] if wide else []
+    notes = [f"limits too wide to be meant, positions drawn within +-pi or +-1 m: {wide}"] if wide else []
     smooth = not (robot.damping.any() or robot.coulomb.any() or robot.viscous.any())
-    return (*found, *[f"note: {NO_FRICTION}: nothing is lost in `passive`"] * smooth)
+    return (*notes, *[f"note: {NO_FRICTION}: nothing is lost in `passive`"] * smooth)
 
 
 def worse(a: float | None, b: float, at_least: bool) -> float:

@@ -123,8 +123,8 @@ def independence(T: Array) -> float:
 def missing_constraints(A: Array, T: Array) -> float:
     """Difference of rank A from nv - p, in rows: fewer would permit motions that T does not know."""
     rows = A / np.maximum(np.linalg.norm(A, axis=1, keepdims=True), np.finfo(float).tiny)
-    found = int(np.linalg.matrix_rank(rows, tol=EXACT)) if A.size else 0
-    return float(abs(T.shape[0] - T.shape[1] - found))
+    rank = int(np.linalg.matrix_rank(rows, tol=EXACT)) if A.size else 0
+    return float(abs(T.shape[0] - T.shape[1] - rank))
 
 
 def rate_along(function: Callable[[Array], Array], model: pin.Model, q: Array, v: Array, speed: float) -> Array:

@@ -197,8 +197,8 @@ class SecondKinematics:
 
 def largest_difference(ours: Mapping[str, Array], theirs: Mapping[str, Array]) -> float:
     """Largest difference of placements of the same links, see `SecondKinematics.residual`; nan where there is one."""
-    one, other = (np.array([placements[name] for name in ours]) for placements in (ours, theirs))
-    reach = max(1.0, float(np.linalg.norm(one[:, :3, 3], axis=1).max()))
-    difference = np.abs(one - other)
+    ours_by_link, theirs_by_link = (np.array([placements[name] for name in ours]) for placements in (ours, theirs))
+    reach = max(1.0, float(np.linalg.norm(ours_by_link[:, :3, 3], axis=1).max()))
+    difference = np.abs(ours_by_link - theirs_by_link)
     difference[:, :3, 3] /= reach
     return float(difference.max())

@@ -127,7 +127,7 @@ def audit(tree: LinkTree, path: Path, package_dirs: Sequence[str | Path] = ()) -
     turned = list(transposed(root))
     elements, unsound = Elements.of(root), [*bad_names(root), *bad_tree(root)]
     findings = [*turned, *unsound, *bad_joints(root), *bad_mimics(root)]
-    findings += [found for check in ELEMENT_CHECKS for found in check(elements)]
+    findings += [piece for check in ELEMENT_CHECKS for piece in check(elements)]
     if not unsound:  # bodies can be judged only in a sound tree
         findings += [*bad_bodies(tree), *no_inertials(tree), *gazebo_loops(root)]
     return [*findings, *bad_meshes(root, path, package_dirs)]

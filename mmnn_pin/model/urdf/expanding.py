@@ -126,11 +126,11 @@ def diagnosis(xacro: Any, error: Exception, texts: dict[str, str], job: dict[str
         place = next((file for file, content in texts.items() if giving(hit[1], content)), place)
     needed = named(texts.values(), USED) - named(texts.values(), STATED) - set(job["arguments"])
     bare = sorted({name for content in texts.values() for name in BARE if f"<{name} " in content})
-    found = {"error": text, "place": place, "needed": sorted(needed), "bare": bare}
+    facts = {"error": text, "place": place, "needed": sorted(needed), "bare": bare}
     if hit := re.search(NOT_DEFINED, text):
-        found["choices"] = choices(hit[1], [*texts.values()])
-        found["within"] = [macro.body.getAttribute("name") for macro in reversed(xacro.macrostack or ())]
-    return found
+        facts["choices"] = choices(hit[1], [*texts.values()])
+        facts["within"] = [macro.body.getAttribute("name") for macro in reversed(xacro.macrostack or ())]
+    return facts
 
 
 def named(texts: Iterable[str], pattern: re.Pattern[str]) -> set[str]:
@@ -141,12 +141,12 @@ def named(texts: Iterable[str], pattern: re.Pattern[str]) -> set[str]:
 def asked_first(text: str) -> dict[str, str]:
     """Arguments that a file's first tag asks for before it states their defaults, as files of UR do: the defaults."""
     hit = FIRST.search(text)
-    asked, found = USED.findall(hit[0]) if hit else [], dict[str, str]()
+    asked, defaults = USED.findall(hit[0]) if hit else [], dict[str, str]()
     for tag in ARGUMENT.findall(text) if asked else ():
         name, default = (re.search(rf"\s{key}=[\"']([^\"'$]*)[\"']", tag) for key in ("name", "default"))
         if name and default and name[1] in asked:
-            found.setdefault(name[1], default[1])
-    return found
+            defaults.setdefault(name[1], default[1])
+    return defaults
 
 
 def choices(name: str, texts: list[str]) -> list[str]:
@@ -171,13 +171,13 @@ def bare_calls(document: Any, texts: list[str], elements: list[str]) -> list[str
 
 def robots_own(document: Any, name: str) -> list[Any]:
     """Elements of a name that belong to the robot itself: a simulator's blocks have others called alike."""
-    found = []
+    elements = []
     for element in document.getElementsByTagName(name):
         above = element.parentNode
         while above.parentNode is not None and above.tagName in HOLDERS | BARE:
             above = above.parentNode
-        found += [element] if above.parentNode is None else []
-    return found
+        elements += [element] if above.parentNode is None else []
+    return elements
 
 
 class Lenient:
@@ -274,8 +274,8 @@ def elsewhere(file: str, known: dict[str, str]) -> str:
     if root is None:
         return file
     tail = os.path.relpath(file, root)
-    found = [str(place) for place in Path(root).rglob(os.path.basename(file)) if str(place).endswith(os.sep + tail)]
-    return found[0] if len(found) == 1 else file
+    places = [str(place) for place in Path(root).rglob(os.path.basename(file)) if str(place).endswith(os.sep + tail)]
+    return places[0] if len(places) == 1 else file
 
 
 # -- why it cannot be expanded -----------------------------------------------------------------------------------------

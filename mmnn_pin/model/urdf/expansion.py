@@ -226,13 +226,13 @@ def expanded(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
 
 def stamps(files: Iterable[str]) -> dict[str, tuple[int, int] | None]:
     """Time of change [ns] and size of files; None for one that is gone."""
-    found: dict[str, tuple[int, int] | None] = {}
+    states: dict[str, tuple[int, int] | None] = {}
     for file in files:
         with contextlib.suppress(OSError):
             state = os.stat(file)
-            found[file] = state.st_mtime_ns, state.st_size
-        found.setdefault(file, None)
-    return found
+            states[file] = state.st_mtime_ns, state.st_size
+        states.setdefault(file, None)
+    return states
 
 
 def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:

@@ -218,10 +218,10 @@ def audit_data(
         package_dirs: As in `read`.
     """
     path = Path(path)
-    root, found = parse_xml(data)
+    root, pieces = parse_xml(data)
     if root is not None:
-        found += audit(tree := LinkTree(root), path, package_dirs)
-    findings = settle(found, path, strict)
+        pieces += audit(tree := LinkTree(root), path, package_dirs)
+    findings = settle(pieces, path, strict)
     if root is None or any(f.severity == "error" and not f.joint for f in findings):
         return None, findings
     return Document.of(tree, path, hashlib.sha256(data).hexdigest(), findings), findings

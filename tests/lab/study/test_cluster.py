@@ -24,7 +24,7 @@ from places import ROOT
 from study_files import SHORT, numbers, planned, run_here, stored, written
 
 from mmnn_pin.cli import main
-from mmnn_pin.compiled import cache_folder
+from mmnn_pin.compiled.folders import cache_folder
 from mmnn_pin.errors import MmnnError, StudyError
 from mmnn_pin.lab.study import pools as dask
 from mmnn_pin.lab.study import worker
