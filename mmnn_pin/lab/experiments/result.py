@@ -59,9 +59,6 @@ class Result(Mapping[str, Recording]):
     def __len__(self) -> int:
         return len(self.recordings)
 
-    def __contains__(self, controller: object) -> bool:
-        return controller in self.recordings
-
     def __repr__(self) -> str:
         ends = (f"{name} {recording.outcome.status}" for name, recording in self.items())
         return f"<Result: {', '.join(ends)}>"
