@@ -52,8 +52,11 @@ def main():
     rclpy.init()
     planner, told = Planner(), {}
     told["there"] = planner.client.wait_for_server(timeout_sec=240.0)
-    told["unknown joint"] = planner.send(goal_of((0.0, 0.0), (0.1, 0.1), names=("arm_2_joint", "elbow"))).accepted
-    told["too fast"] = planner.send(goal_of((0.0, 0.0), (3.0, 0.0), step=0.02)).accepted
+    while planner.result(planner.send(goal_of())) != [6, -1, "no points"]:  # it is not active yet
+        time.sleep(0.2)
+    goal = goal_of((0.0, 0.0), (0.1, 0.1), names=("arm_2_joint", "elbow"))
+    told["unknown joint"] = planner.result(planner.send(goal))
+    told["too fast"] = planner.result(planner.send(goal_of((0.0, 0.0), (3.0, 0.0), step=0.02)))
     long = goal_of(*((0.2 + 1e-4 * i, 0.3) for i in range(6000)), (0.8, 0.3), step=0.05)
     handle = planner.send(long)  # more than one packet: fragments
     told["long"] = bool(handle and handle.accepted)
