@@ -10,7 +10,9 @@ The server's callbacks run in an executor; goals are judged by the control loop,
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from threading import Event
 from typing import Any
@@ -18,19 +20,21 @@ from typing import Any
 import numpy as np
 from control_msgs.action import FollowJointTrajectory
 from control_msgs.msg import JointTolerance
+from geometry_msgs.msg import Transform
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node as RosNode
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from ...reference.guide import ARM
+from ...reference.guide import ARM, BASE
 from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array, Setpoint
 from .outputs import stamp_of
-from .planned import INVALID_GOAL, OFF_GOAL, OFF_PATH, OKAY, Arm, Made, Planner, Refused, caught_up
-from .sensing import Clock, seconds
+from .planned import INVALID_GOAL, OFF_GOAL, OFF_PATH, OKAY, Arm, Made, Planner, Refused, Seen, caught_up
+from .sensing import Clock, Planar, seconds
 from .settings import Action
+from .whole_body import PARTS, base_points, whole_motion
 
 MOST_WAITING = 8
 KEEP = 300  # time that a result is kept [s]
@@ -42,10 +46,12 @@ class Goal:
 
     Attributes:
         handle: The server's.
-        last: (n,) where the joints are to end.
+        parts: Which parts of the robot it moves.
+        base: What the planner calls the base; empty where it does not move.
+        last: (n + 3,) where joints and base are to end.
         ends: When they are to be there, by the node's time [s].
-        on_way: (n,) largest errors on the way, inf for none.
-        at_end: (n,) likewise at the end.
+        on_way: (n + 3,) largest errors on the way, inf for none.
+        at_end: (n + 3,) likewise at the end.
         patience: Time after the end [s].
         over: Set at the end, when these hold:
         outcome: "succeed", "abort" or "canceled".
@@ -54,6 +60,8 @@ class Goal:
     """
 
     handle: ServerGoalHandle
+    parts: tuple[int, ...] = (ARM,)
+    base: str = ""
     last: Array = field(default_factory=lambda: np.zeros(0))
     ends: float = 0.0
     on_way: Array = field(default_factory=lambda: np.zeros(0))
@@ -70,7 +78,7 @@ class Goal:
         self.over.set()
 
 
-class ArmAction:
+class GoalAction:
     """The server of the action.
 
     Args:
@@ -78,6 +86,7 @@ class ArmAction:
         arm: The robot's arm.
         settings: Tolerances.
         planner: Makes motions.
+        place_of: Where a frame lies in the odometry's.
 
     Attributes:
         closed: Why no goal is followed at present; empty where one is.
@@ -85,8 +94,15 @@ class ArmAction:
         why: Why the last one could not.
     """
 
-    def __init__(self, node: RosNode, arm: Arm, settings: Action, planner: Planner) -> None:
-        self.arm, self.settings, self.planner = arm, settings, planner
+    def __init__(
+        self,
+        node: RosNode,
+        arm: Arm,
+        settings: Action,
+        planner: Planner,
+        place_of: Callable[[str], Planar | None],
+    ) -> None:
+        self.arm, self.settings, self.planner, self.place_of = arm, settings, planner, place_of
         self.closed, self.refused, self.why = "the node is not active", 0, ""
         self.came: deque[Goal] = deque()
         self.goals: dict[bytes, Goal] = {}
@@ -119,22 +135,21 @@ class ArmAction:
 
     # -- in the control loop -------------------------------------------------------------------------------------------
 
-    def poll(self, clock: Clock, reference: Array, measured: Array, stopped: bool) -> list[Wish]:
-        """Begin with goals that came, and judge the one that is followed; what the arm is to do then.
+    def poll(self, clock: Clock, now: Seen, stopped: bool) -> list[Wish]:
+        """Begin with goals that came, and judge the one that is followed; what the robot is to do then.
 
         Args:
             clock: The node's.
-            reference: (3, n) q, qdot, qddot of the arm's reference.
-            measured: (2, n) q, qdot.
+            now: Reference and measurement.
             stopped: Whether the supervisor has stopped the robot.
         """
         while self.came:
-            self._begin(self.came.popleft(), clock, reference, stopped)
-        return [] if self.active is None else self._judge(self.active, clock, reference, measured, stopped)
+            self._begin(self.came.popleft(), clock, now, stopped)
+        return [] if self.active is None else self._judge(self.active, clock, now, stopped)
 
-    def give_way(self, why: str) -> None:
-        """End the goal that is followed, as another motion takes its place."""
-        if self.active is not None:
+    def give_way(self, why: str, part: int | None = None) -> None:
+        """End the goal that is followed, as another motion takes its place, of a part or of all."""
+        if self.active is not None and (part is None or part in self.active.parts):
             self._end(self.active, "abort", OKAY, why)
 
     def close(self, why: str) -> None:
@@ -144,14 +159,22 @@ class ArmAction:
         for goal in list(self.goals.values()):
             goal.end("abort", INVALID_GOAL, why)
 
-    def _begin(self, goal: Goal, clock: Clock, reference: Array, stopped: bool) -> None:
+    def _begin(self, goal: Goal, clock: Clock, now: Seen, stopped: bool) -> None:
         """Plan the motion of a goal, and follow it when it is ready."""
-        now, asked, request = reference.copy(), clock.now, goal.handle.request
+        asked, request = clock.now, goal.handle.request
+        reference, base = now.reference.copy(), now.base.copy()
 
         def make() -> Made:
-            if stopped or not request.trajectory.points:
+            joints, several = request.trajectory, request.multi_dof_trajectory
+            if stopped or not (joints.points or several.points):
                 raise Refused("the supervisor has stopped the robot" if stopped else "no points")
-            return self.arm.motion(request.trajectory, now, clock.since(request.trajectory.header.stamp))
+            since = clock.since(several.header.stamp if several.points else joints.header.stamp)
+            if (points := base_points(joints, several)) is None:
+                return self.arm.motion(joints, reference, since)
+            goal.base, frame = points.name, (several if several.points else joints).header.frame_id.lstrip("/")
+            if (place := self.place_of(frame)) is None:
+                raise Refused(f"no way from '{frame}' to the odometry's frame by /tf")
+            return whole_motion(self.arm, joints, points, reference, base, place, since)
 
         def done(made: Made | Refused) -> Wish | None:
             if not isinstance(made, Motion):
@@ -161,7 +184,7 @@ class ArmAction:
                 return None
             self.give_way("another goal came")
             self._follow(goal, made, clock)
-            return caught_up(made, clock.now - asked)
+            return caught_up(made, clock.now - asked) if made.parts == (ARM,) else made
 
         self.planner.plan(make, done)
 
@@ -171,58 +194,81 @@ class ArmAction:
 
     def _follow(self, goal: Goal, made: Motion, clock: Clock) -> None:
         request, s = goal.handle.request, self.settings
-        goal.last = Setpoint.side_by_side(made.table, made.dimensions).q[-1].copy()
+        last = Setpoint.side_by_side(made.table[-1], made.dimensions)
+        goal.parts, goal.last = made.parts, np.append(last.q, last.pose)
         goal.ends = clock.now + (len(made.table) - 1) * made.period
-        goal.on_way = self._tolerances(request.path_tolerance, s.path_tolerance)
-        goal.at_end = self._tolerances(request.goal_tolerance, s.goal_tolerance)
+        names = [*self.arm.names, *(f"{goal.base}/{part}" for part in PARTS[: len(last.pose)])]
+        goal.on_way = tolerances(names, request.path_tolerance, s.path_tolerance)
+        goal.at_end = tolerances(names, request.goal_tolerance, s.goal_tolerance)
+        if BASE not in goal.parts:
+            goal.on_way[len(last.q) :] = goal.at_end[len(last.q) :] = np.inf
         goal.patience = seconds(request.goal_time_tolerance) or s.goal_time
         self.active = goal
 
-    def _judge(self, goal: Goal, clock: Clock, reference: Array, measured: Array, stopped: bool) -> list[Wish]:
+    def _judge(self, goal: Goal, clock: Clock, now: Seen, stopped: bool) -> list[Wish]:
         """Whether a goal is reached, or lost."""
-        error, left = np.abs(reference[0] - measured[0]), np.abs(goal.last - measured[0])
+        there = np.append(now.measured[0], now.pose)
+        error, left = np.abs(np.append(now.reference[0], now.base[:3]) - there), np.abs(goal.last - there)
         if stopped:
             self._end(goal, "abort", OFF_PATH, "the supervisor stopped the robot")
         elif goal.handle.is_cancel_requested:
             self._end(goal, "canceled", OKAY, "cancelled")
-            return [Stand((ARM,))]
+            return [Stand(goal.parts)]
         elif (error > goal.on_way).any():
             i = int(np.argmax(error - goal.on_way))
-            self._end(goal, "abort", OFF_PATH, f"{self.arm.names[i]} is {error[i]:.4g} off its way")
-            return [Stand((ARM,))]
+            self._end(goal, "abort", OFF_PATH, f"{self._name(goal, i)} is {error[i]:.4g} off its way")
+            return [Stand(goal.parts)]
         elif clock.now >= goal.ends and (left <= goal.at_end).all():
             self._end(goal, "succeed", OKAY, "")
         elif clock.now > goal.ends + goal.patience:
             i = int(np.argmax(left - goal.at_end))
-            self._end(goal, "abort", OFF_GOAL, f"{self.arm.names[i]} is {left[i]:.4g} off its goal")
+            self._end(goal, "abort", OFF_GOAL, f"{self._name(goal, i)} is {left[i]:.4g} off its goal")
         elif clock.now - self.told >= 1.0 / self.settings.rate:
             self.told = clock.now
-            goal.handle.publish_feedback(self._feedback(clock, reference, measured))
+            goal.handle.publish_feedback(self._feedback(goal, clock, now))
         return []
 
     def _end(self, goal: Goal, outcome: str, code: int, why: str) -> None:
         self.active = None
         goal.end(outcome, code, why)
 
-    def _feedback(self, clock: Clock, reference: Array, measured: Array) -> Any:
+    def _name(self, goal: Goal, i: int) -> str:
+        """A joint, or a part of the base's pose."""
+        n = len(self.arm.names)
+        return self.arm.names[i] if i < n else f"{goal.base}/{PARTS[i - n]}"
+
+    def _feedback(self, goal: Goal, clock: Clock, now: Seen) -> Any:
         names = ("positions", "velocities", "accelerations")
 
         def point(values: Array) -> JointTrajectoryPoint:
             rows = dict(zip(names, values.tolist(), strict=False))
             return JointTrajectoryPoint(**rows)
 
-        points = {"desired": reference, "actual": measured, "error": reference[:2] - measured}
+        points = {"desired": now.reference, "actual": now.measured, "error": now.reference[:2] - now.measured}
         told = {name: point(values) for name, values in points.items()}
         feedback = FollowJointTrajectory.Feedback(joint_names=list(self.arm.names), **told)
         feedback.header.stamp = stamp_of(clock.by_ros)
+        if BASE in goal.parts:
+            feedback.multi_dof_joint_names = [goal.base]
+            feedback.multi_dof_desired.transforms = [transform(now.base[:3])]
+            feedback.multi_dof_actual.transforms = [transform(now.pose)]
+            feedback.multi_dof_error.transforms = [transform(now.base[:3] - now.pose)]
         return feedback
 
-    def _tolerances(self, given: list[JointTolerance], default: float) -> Array:
-        """Tolerance of every joint; one of 0 says nothing, one below 0 that there is none."""
-        found = np.full(len(self.arm.names), default or np.inf)
-        for one in given:
-            if one.name not in self.arm.names:
-                continue
-            i = self.arm.names.index(one.name)
+
+def tolerances(names: Sequence[str], given: Sequence[JointTolerance], default: float) -> Array:
+    """Tolerance of every name; one of 0 says nothing, one below 0 that there is none."""
+    found = np.full(len(names), default or np.inf)
+    for one in given:
+        if one.name in names:
+            i = list(names).index(one.name)
             found[i] = one.position if one.position > 0.0 else found[i] if one.position == 0.0 else np.inf
-        return found
+    return found
+
+
+def transform(pose: Array) -> Transform:
+    """A pose (3,) in the plane as a message."""
+    made = Transform()
+    made.translation.x, made.translation.y = pose[:2].tolist()
+    made.rotation.z, made.rotation.w = math.sin(pose[2] / 2), math.cos(pose[2] / 2)
+    return made

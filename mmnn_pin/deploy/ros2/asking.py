@@ -16,17 +16,18 @@ from nav_msgs.msg import Path
 from rclpy.node import Node as RosNode
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from ...reference.guide import ARM, BASE
 from ...reference.wishes import BaseVelocity, Motion, Wish
 from ...signals import Array
 from .inlets import Inlet
 from .mapped import MappedRoute
 from .outputs import duration_of
-from .planned import Arm, Made, Planner, Refused, base_motion, caught_up
+from .planned import Arm, Made, Planner, Refused, Seen, base_motion, caught_up
 from .sensing import Clock, Tree
 from .settings import Heard, Node
 
 if TYPE_CHECKING:
-    from .action import ArmAction
+    from .action import GoalAction
 
 
 class Asking:
@@ -45,7 +46,8 @@ class Asking:
 
     def __init__(self, node: RosNode, arm: Arm, settings: Node, tree: Tree) -> None:
         self.arm, self.settings, self.planner = arm, settings, Planner()
-        self.action = action_of(node, arm, settings, self.planner) if arm.names else None
+        self.route = MappedRoute(settings.tf, tree)
+        self.action = action_of(node, arm, settings, self.planner, self.route)
 
         def listened(name: str, kind: type[Any], topic: Heard) -> Inlet:
             return Inlet(node, name, kind, reliable=True, publishers=topic.publishers)
@@ -57,7 +59,6 @@ class Asking:
         self.trajectory = listened("~/joint_trajectory", JointTrajectory, s.trajectory) if arm.names else None
         self.inlets = [inlet for inlet in (self.velocity, self.path, self.trajectory) if inlet is not None]
         self.base = np.zeros(0)
-        self.route = MappedRoute(s.tf, tree)
 
     def rehearse(self) -> None:
         """Make a motion of the arm and a path once: the first one takes longer, as libraries are loaded."""
@@ -73,26 +74,24 @@ class Asking:
             s = self.settings
             base_motion(path, s.path, s.limits, self.arm.robot, self.arm.period, start)
 
-    def poll(self, clock: Clock, reference: Array, base: Array, measured: Array, stopped: bool) -> tuple[Wish, ...]:
+    def poll(self, clock: Clock, now: Seen, stopped: bool) -> tuple[Wish, ...]:
         """What is asked from now on.
 
         Args:
             clock: The node's.
-            reference: (3, n) q, qdot, qddot of the arm's reference.
-            base: (3 + nb,) pose and velocity of the base's reference.
-            measured: (2, n) q, qdot.
+            now: Reference and measurement.
             stopped: Whether the supervisor has stopped the robot.
         """
         found: list[Wish] = []
-        self.base = base.copy()
+        self.base = now.base.copy()
         if self.velocity is not None and (message := self.velocity.newest()) is not None:
             found += self._base_velocity(self.velocity, message, clock)
         if self.trajectory is not None and (message := self.trajectory.newest()) is not None:
-            self._arm_motion(self.trajectory, message, clock, reference)
+            self._arm_motion(self.trajectory, message, clock, now.reference)
         if self.path is not None and (message := self.path.newest()) is not None:
             self._base_path(self.path, message, clock)
         if self.action is not None:
-            found += self.action.poll(clock, reference, measured, stopped)
+            found += self.action.poll(clock, now, stopped)
         found += self.planner.poll()
         found += self.route.placed_anew(clock.now)
         return tuple(found)
@@ -106,7 +105,7 @@ class Asking:
         if isinstance(when, str) or not all(map(math.isfinite, given)):
             inlet.refuse(when if isinstance(when, str) else "a velocity that is not finite")
             return []
-        self.route.followed = None
+        self.give_way("a velocity of the base came", BASE)
         return [BaseVelocity(given if self.arm.robot.dimensions.base == 3 else (given[0], given[2]))]
 
     def _arm_motion(self, inlet: Inlet, message: Any, clock: Clock, reference: Array) -> None:
@@ -120,7 +119,7 @@ class Asking:
                 inlet.refuse(str(made))
                 return None
             if self.action is not None:
-                self.action.give_way("another motion came")
+                self.action.give_way("another motion came", ARM)
             return caught_up(made, clock.now - asked) if isinstance(made, Motion) else made
 
         self.planner.plan(make, done)
@@ -138,15 +137,17 @@ class Asking:
             if isinstance(wish, str):
                 inlet.refuse(wish)
                 return None
+            if self.action is not None:
+                self.action.give_way("a path came", BASE)
             return wish
 
         self.planner.plan(make, done)
 
-    def give_way(self, why: str) -> None:
-        """Follow neither a path nor a goal of the action any more."""
+    def give_way(self, why: str, part: int | None = None) -> None:
+        """Follow neither a path nor a goal of the action any more, of a part or of all."""
         self.route.followed = None
         if self.action is not None:
-            self.action.give_way(why)
+            self.action.give_way(why, part)
 
     def open(self) -> None:
         """Follow goals of the action."""
@@ -160,12 +161,12 @@ class Asking:
             self.action.close(why)
 
 
-def action_of(node: RosNode, arm: Arm, settings: Node, planner: Planner) -> ArmAction | None:
+def action_of(node: RosNode, arm: Arm, settings: Node, planner: Planner, route: MappedRoute) -> GoalAction | None:
     """The server of the action; None, with a warning, where its messages are not there."""
     try:
-        from .action import ArmAction
+        from .action import GoalAction
     except ImportError:
         where = "apt install ros-$ROS_DISTRO-control-msgs; beside wheels see `mmnn docs how-to/ros2`"
         node.get_logger().warning(f"no action FollowJointTrajectory without the package control_msgs: {where}")
         return None
-    return ArmAction(node, arm, settings.action, planner)
+    return GoalAction(node, arm, settings.action, planner, route.place_of)

@@ -36,7 +36,7 @@ from ...torque.controller import CompiledController, TorqueController
 from .asking import Asking
 from .inlets import Inlet, Outlet
 from .outputs import Commands, diagnostics, stamp_of
-from .planned import Arm
+from .planned import Arm, Seen
 from .sensing import Clock, Sensing, Tree
 from .settings import Node
 from .wiring import odometry_topic
@@ -224,7 +224,7 @@ class Bridge:
         reference = follower.now[follower.q :].reshape(3, d.arm)
         arm = np.array([self.sensing.q[: d.arm], self.sensing.qdot[: d.arm]])
         base = follower.now[: d.pose + d.base]
-        asked = self.asking.poll(self.clock, reference, base, arm, self.stepper.tripped)
+        asked = self.asking.poll(self.clock, Seen(reference, arm, base, self.sensing.pose), self.stepper.tripped)
         measurement = self.sensing.measurement()
         measured = min(self.sensing.when, time) if measurement is not None else None
         try:

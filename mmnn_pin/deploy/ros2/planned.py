@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -49,6 +49,22 @@ class Refused(MmnnError):
     def __init__(self, why: str, code: int = INVALID_GOAL) -> None:
         self.code = code
         super().__init__(why)
+
+
+class Seen(NamedTuple):
+    """What the robot is to do at present, and what it does.
+
+    Attributes:
+        reference: (3, n) q, qdot, qddot of the arm's reference.
+        measured: (2, n) q, qdot.
+        base: (3 + nb,) pose and velocity of the base's reference.
+        pose: (3,) measured.
+    """
+
+    reference: Array
+    measured: Array
+    base: Array
+    pose: Array
 
 
 @dataclass(frozen=True)

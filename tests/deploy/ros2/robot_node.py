@@ -170,7 +170,7 @@ class Robot:
                     pose.pose.position.x, pose.pose.orientation.w = 0.05 * i, 1.0
                     path.poses.append(pose)
                 self.route.publish(path)
-        elif since > 0.5 and k % 5 == 0 and not self.active("silent_joystick"):
+        elif since > 0.5 and k % 5 == 0 and not (self.active("silent_joystick") or "no_joystick" in self.faults):
             command = TwistStamped() if "stamped" in self.faults else Twist()
             twist = command.twist if "stamped" in self.faults else command
             if "stamped" in self.faults:

@@ -42,10 +42,12 @@ def stood_safely(run: Drive, why: str) -> None:
 @pytest.mark.parametrize("distribution", EVERY)
 def test_a_robot_is_driven_through_what_can_be_borne(tmp_path: Path, domain: int, distribution: str) -> None:
     """Joints in another order, NaN in every third message, halves, a second publisher, a publisher that restarts."""
-    faults = "permuted_for@0.6", "nan_for@1.6", "half_for@2.2", "duplicate_for@3.2", "restart_for@4.2"
+    faults = ["permuted_for@0.6", "nan_for@1.6", "half_for@2.2", "restart_for@4.2"]
+    faults += ["duplicate_for@3.2"] if distribution == "kilted" else []  # before, rclpy does not say who speaks
     run = drive(tmp_path, distribution, domain, *faults, seconds=6.0)
     was_tracked(run)
-    assert "surplus" in run.lines and "not finite" in run.lines and "2 publishers (robot, robot)" in run.lines
+    assert "not finite" in run.lines
+    assert distribution != "kilted" or ("surplus" in run.lines and "2 publishers (robot, robot)" in run.lines)
     assert run.robot["diagnostics"] > 20
 
 
@@ -122,7 +124,8 @@ def test_another_domain_is_silence(tmp_path: Path, domain: int) -> None:
 @pytest.mark.parametrize("distribution", ["kilted", "jazzy"])
 def test_goals_of_the_action_are_followed(tmp_path: Path, domain: int, distribution: str) -> None:
     """As MoveIt sends them: refused, accepted, replaced, reached, cancelled; one of them longer than a packet."""
-    run = drive(tmp_path, distribution, domain, "no_plan", seconds=14.0, planner="planner_node.py")
+    faults = "no_plan", "no_joystick"
+    run = drive(tmp_path, distribution, domain, *faults, seconds=24.0, planner="planner_node.py")
     told = run.robot["planner"]
     assert run.code == 0 and told["there"] and told["long"] and told["accepted"], (told, run.lines)
     assert told["unknown joint"] == [6, -2, "joints elbow: there is arm_1_joint, arm_2_joint"]
@@ -130,7 +133,9 @@ def test_goals_of_the_action_are_followed(tmp_path: Path, domain: int, distribut
     assert told["reached"] == [4, 0, ""] and told["feedback"] > 5 and told["error"] < 0.2, told
     assert told["names"] == ["arm_1_joint", "arm_2_joint"]
     assert told["cancel"] == 1 and told["cancelled"] == [5, 0, "cancelled"]
-    assert np.abs(run.rows[-1, 8:10]).max() < 0.1  # it stands after the cancel
+    assert told["whole"] == [4, 0, ""] and told["base"][0] == ["world_joint"] and told["base"][1] > 0.2, told
+    assert told["sideways"][:2] == [6, -1] and "the base cannot roll to its point 1 at 2 s" in told["sideways"][2]
+    assert np.abs(run.rows[-1, 1:4] - (0.35, 0.19, 0.5)).max() < 0.03 and np.abs(run.rows[-1, 8:10]).max() < 0.1
 
 
 @pytest.mark.parametrize("distribution", EVERY)
