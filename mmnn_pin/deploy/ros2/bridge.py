@@ -44,6 +44,7 @@ from .wiring import odometry_topic
 WATCH = 0.2  # time between two looks at what is wrong [s]
 SWITCH = 2e-4  # how long another thread may hold the interpreter [s]
 COUNTS = ("surplus", "refused")  # of an inlet
+SETTLED = 5.0  # time in which nodes have heard of each other [s]
 FADE = 0.25  # time in which efforts end [s]
 ANSWER = 5.0  # longest wait for the loop's answer [s]
 MANY = 1000  # publishers of frames
@@ -348,7 +349,7 @@ class Bridge:
                 self._diagnose(self.health)
             if time - watched >= WATCH:
                 watched = time
-                self._watch()
+                self._watch(time)
             if time >= ends or self.hurry:
                 return
 
@@ -421,13 +422,16 @@ class Bridge:
         row, stamp, problem, counts = self.stepper.row.copy(), stamp_of(self.clock.by_ros), self.problem, self._counts()
         self.aside.submit(lambda: health.send(diagnostics(self.stepper, row, stamp, problem, counts)))
 
-    def _watch(self) -> None:
-        """Stop where a clock jumped or the loop is to end; say what is new."""
+    def _watch(self, time: float) -> None:
+        """Stop where a clock jumped, another node commands the robot, or the loop is to end; say what is new."""
+        crowd = self.commands.crowd()
+        if time < self.pace.begin + SETTLED:  # it came later than the other, which it had not heard of yet
+            self.leave = self.leave or crowd
         for why in (self.clock.jumped, self.leave):
             if why and not self.stepper.tripped:
                 self.stepper.stop(why)
                 self._say_once(why)
-        problems = [*self._dropped(), *self._silent()]
+        problems = [*self._dropped(), *self._silent(), *([crowd] if crowd else [])]
         if unheard := self.commands.unheard:
             problems.append(f"nobody reads {', '.join(unheard)}")
         if self.stepper.is_late:

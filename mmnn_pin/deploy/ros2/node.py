@@ -36,6 +36,7 @@ from .settings import Node, settings_of
 STOPS = (signal.SIGINT, signal.SIGTERM)
 LEAVING = 10.0  # longest time in which the control loop ends [s]
 THREADS = 4  # of the executor; a goal of the action keeps one until it is over
+DEACTIVATED = "deactivated"
 LOOK = 0.02  # time between two looks for work [s]
 SUCCESS, FAILURE, ERROR = (
     TransitionCallbackReturn.SUCCESS,
@@ -116,7 +117,7 @@ class ControllerNode(LifecycleNode):
         """Brake, hold, let efforts fade."""
         assert self.bridge is not None
         if self.is_wanted.is_set():
-            self.bridge.leave = self.bridge.leave or "deactivated"
+            self.bridge.leave = self.bridge.leave or DEACTIVATED
             self.is_done.wait(LEAVING)
         self.runs = False
         return ERROR if self.failure is not None else super().on_deactivate(state)
@@ -236,12 +237,12 @@ class ControllerNode(LifecycleNode):
         self.motion = None
         self.is_wanted.clear()
         self.is_done.set()
-        if self.is_managed and not self.bridge.leave:
+        if self.is_managed and not self.stopped and self.bridge.leave != DEACTIVATED:
             self.trigger_deactivate()
 
     def _may_go_on(self) -> bool:
         """Whether somebody deactivated it, who may activate it again."""
-        return self.bridge is not None and self.bridge.leave == "deactivated" and self.failure is None
+        return self.bridge is not None and self.bridge.leave == DEACTIVATED and self.failure is None
 
     def _end(self) -> None:
         """Leave the state that it is in."""

@@ -77,14 +77,21 @@ class Commands:
         """Topics of commands that nobody reads."""
         return [outlet.name for _, outlet, _, _ in self.outlets if not outlet.readers]
 
+    def crowd(self) -> str:
+        """Which other node sends commands, too; empty for none."""
+        for _, outlet, _, _ in self.outlets:
+            if others := outlet.others():
+                return f"{outlet.name}: {', '.join(others)} publishes it, too: one node controls a robot"
+        return ""
+
     @property
     def trouble(self) -> str:
         """Why nothing may be sent: nobody reads, asks for another quality, or another node sends; empty else."""
         for _, outlet, _, _ in self.outlets:
             if outlet.clash:
                 return f"{outlet.name}: its reader asks for another {outlet.clash}: set qos_overrides"
-            if others := outlet.others():
-                return f"{outlet.name}: {', '.join(others)} publishes it, too: one node controls a robot"
+        if crowd := self.crowd():
+            return crowd
         unheard = self.unheard
         return f"nobody reads {', '.join(unheard)}: load the robot's controllers" if unheard else ""
 
