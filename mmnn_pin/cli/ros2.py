@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -197,7 +195,7 @@ def control(
         "force": force,
     }
     more |= {"safety": loop.safety or Safety(torque="urdf"), "meta": {"config": experiment.to_json()}}
-    with of_settings(experiment):
+    with experiment.in_its_keys("set."):
         made = with_lines(lambda: Stepper.of(loop, **more), settings, file)
     with made as stepper, Bridge(stepper, settings, note) as node:
         motion = None
@@ -206,14 +204,3 @@ def control(
             seconds = min(seconds, experiment.time.duration)
         note(f"{robot.name} at {settings.rate:g} Hz in domain {settings.network.domain}, as {file} says")
         return node.run(wait, seconds, motion), bool(node.stopped)
-
-
-@contextlib.contextmanager
-def of_settings(experiment: Experiment) -> Iterator[None]:
-    """Errors of the loop within name keys of an experiment as the node's settings take them."""
-    try:
-        with experiment.in_its_keys():
-            yield
-    except ConfigError as error:
-        error.fix = re.sub(r"--set ('?)", r"--set \1set.", error.fix)
-        raise

@@ -368,16 +368,21 @@ class Experiment(LearnerTables, frozen=True):
         return " ".join(f"--set {shlex.quote(f'{key}={value}')}" for key, value in values.items())
 
     @contextmanager
-    def in_its_keys(self) -> Iterator[None]:
-        """Errors of its loops within name gains and servos as this experiment takes them."""
+    def in_its_keys(self, under: str = "") -> Iterator[None]:
+        """Errors of its loops within name gains and servos as this experiment takes them.
+
+        Args:
+            under: What stands before its keys where it is a table of other settings, such as `set.`.
+        """
         try:
             yield
         except ConfigError as error:
             if (values := error.values) is None:
                 raise
-            keys = {f"{values.table}.{name}": re.sub(r"\((.*)\)", r"[\1]", text) for name, text in values.texts.items()}
+            table = f"{under}{values.table}"
+            keys = {f"{table}.{name}": re.sub(r"\((.*)\)", r"[\1]", text) for name, text in values.texts.items()}
             if values.table == "feedback" and self.feedback.scaling != "none":
-                keys["feedback.scaling"] = '"none"'
+                keys[f"{table}.scaling"] = '"none"'
             raise error.but(fix=error.fix.replace(str(values), self.setting(keys))) from error
 
     def to_json(self) -> str:
