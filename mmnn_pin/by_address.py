@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import ctypes
 import struct
-from contextlib import suppress
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -37,11 +36,11 @@ from numba.extending import (
     unbox,
 )
 
-from .compiled import source_key
+from .compiled import folders
 
 AttributeTemplate: Any = None
-with suppress(ImportError):
-    from .linking import AttributeTemplate
+if not folders.PLAIN:
+    from .compiled.linking import AttributeTemplate
 
 T = TypeVar("T")
 WORD = ir.IntType(32)
@@ -49,10 +48,10 @@ WORD = ir.IntType(32)
 
 def by_address(kind: type[T]) -> type[T]:
     """The class of named tuples, of which compiled code is handed the address."""
+    if folders.PLAIN:
+        return kind
     more: dict[str, Any] = {name: getattr(kind, name) for name in ("__doc__", "__module__", "__qualname__")}
     more |= {"address": cached_property(address), "__getstate__": lambda value: None}  # a copy stands elsewhere
-    if AttributeTemplate is None:
-        return kind
     made = type(kind.__name__, (kind,), more)
     typeof_impl.register(made)(typed)
     return made
@@ -89,7 +88,7 @@ class Placed(types.Type):
 
     def __init__(self, tuple_type: Any) -> None:
         self.tuple_type, self.instance_class = tuple_type, tuple_type.instance_class
-        key = source_key(self.instance_class.__module__)  # an edited learner recompiles its callers, too
+        key = folders.source_key(self.instance_class.__module__)  # an edited learner recompiles its callers, too
         super().__init__(f"{self.instance_class} {tuple_type} by address {key}")  # numba says no more than its name
 
 

@@ -10,9 +10,8 @@ Compiled code sees it as a named tuple of views that `views` generates from the 
     state_of = views(State)                             # in compiled code: o = state_of(values, layout)
     layout = layout_of(State, {"samples": (1,), "W": (3, 4)})       # where the parts stand, whatever their order
 
-numba knows none of it: it would type and lower the arithmetic of every place, and for every element copy the whole
-array to the stack to reach one number. Typing and lowering were more than half of what a first run takes, so all of
-these are single instructions for numba here. Functions that allocate (not `LEAN`) keep numba's own elements.
+numba would type and lower the arithmetic of every place, which was much of what a first run takes: here a part is a few
+instructions, written with numba's public interface for extensions.
 """
 
 from __future__ import annotations
@@ -26,10 +25,10 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import lower_builtin, type_callable
-from numba.types import Array, Integer
 from numpy.typing import NDArray
 
 T = TypeVar("T")
+Array, Integer = types.Array, types.Integer
 
 # Parts of a flat array, by their number of dimensions.
 Vector = Annotated[NDArray[np.float64], 1]

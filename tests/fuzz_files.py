@@ -37,7 +37,7 @@ import fuzz_urdf
 import h5py
 import numpy as np
 
-from mmnn_pin.compiled import cache_root
+from mmnn_pin.compiled.folders import cache_root
 
 ROOT = Path(__file__).parent.parent
 SECONDS, WAITING, MEMORY = 10, 300, 1 << 30  # of a command: processor time, time, bytes
@@ -599,7 +599,6 @@ KINDS: dict[str, tuple[list[Mutation], list[str]]] = {
         [json_file("identified/two_axis_arm.identified.json"), raw("identified/two_axis_arm.identified.json")],
         ["report identified --html out/i.html"],
     ),
-    "node": ([*3 * [words("node.toml")], raw("node.toml")], ["ros2 node.toml --check"]),
 }
 
 

@@ -20,11 +20,13 @@ from hypothesis import strategies as st
 from numba import config, typeof
 from numba._dispatcher import compute_fingerprint
 
-from mmnn_pin import compiled as module
 from mmnn_pin import load_experiment
+from mmnn_pin.actuator import STATES, motor_state
 from mmnn_pin.by_address import by_address
-from mmnn_pin.compiled import KEPT, by_type, cache_folder, compiled, internal, linked, source_key
-from mmnn_pin.linking import OwnNames
+from mmnn_pin.compiled import by_type, compiled, internal, linked
+from mmnn_pin.compiled import folders as module
+from mmnn_pin.compiled.folders import KEPT, cache_folder, source_key
+from mmnn_pin.compiled.linking import OwnNames
 from mmnn_pin.loop.hardware import MotorSide
 from mmnn_pin.loop.latency import Transport
 from mmnn_pin.loop.servo_model import VelocityServo
@@ -208,7 +210,7 @@ def test_what_may_stand_in_one_place_differs_in_its_parts():
             learners[type(learner)] = learner
     assert len(learners) > 6
     one, two, whole = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1), np.int64)
-    sensors = [FrozenEncoders(two, one), MotorSide(whole, two)]
+    sensors = [FrozenEncoders(two, one), MotorSide(whole, motor_state(np.zeros((1, STATES))))]
     motors = [Transport(0.1, whole[0], two), VelocityServo(0.1, *[one] * 6, two)]
     for group in (learners.values(), sensors, motors):
         assert len({compute_fingerprint(value) for value in group}) == len(group)
@@ -426,7 +428,7 @@ def test_a_module_is_compiled_anew_when_what_it_calls_is_edited_and_no_other(mon
 
     assert changed_by("torque.adaptive") == {"torque.adaptive", "torque.concurrent"}
     assert changed_by("safety.door") == set(loops)  # `safety` hands it on
-    assert changed_by("model.tree.dynamics") == set(places) - {"torque.classical"}
+    assert changed_by("model.tree.dynamics") == set(places)
     assert changed_by("loop.loop") == set()
 
 

@@ -39,7 +39,6 @@ COMMANDS = {
     "state": "model platform_arm --at {}.json",
     "start": "run track --set time.duration=0.01 --controller adaptive --set adaptive.start={} --out out",
     "identified": "report {}.identified.json --html out.html",
-    "node": "ros2 {}.toml",
 }
 
 
@@ -187,7 +186,7 @@ def test_a_file_that_a_recording_names_for_its_motion_is_not_opened(
 # -- one door ----------------------------------------------------------------------------------------------------------
 
 OWN = {  # modules that open files of ours, of Python, of the system, or what has gone through `files` before
-    *("files.py", "compiled.py", "loop/batch.py", "cli/docs.py"),
+    *("files.py", "compiled/folders.py", "loop/batch.py", "cli/docs.py"),
     *("deploy/embed/source.py", "lab/experiments/thesis.py", "lab/show/files.py", "lab/show/replay/page.py"),
     *("lab/study/worker.py", "torque/friction_features.py", "torque/learning_law.py", "recording/versions.py"),
     *("recording/run_file.py", "lab/show/export.py", "lab/show/bag.py"),

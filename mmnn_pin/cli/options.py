@@ -1,4 +1,4 @@
-"""What the commands have in common: options, and examples at the end of their help."""
+"""Options that the commands have in common, and the examples at the end of their help."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
-from click.shell_completion import BashComplete, CompletionItem, ZshComplete, add_completion_class
+from click.shell_completion import CompletionItem
 
 from ..errors import ConfigError, InputError
 
@@ -90,40 +90,6 @@ def with_all(options: Sequence[Callable[[F], F]], function: F) -> F:
 # -- what a shell completes; imported is only what a press of the key needs --
 
 
-@add_completion_class
-class Bash(BashComplete):
-    """Completion in bash without a blank after what one goes on typing: `feedback.`, `adaptive.rate=`."""
-
-    source_template = (
-        BashComplete.source_template
-        + """
-%(complete_func)s_on() {
-    %(complete_func)s "$@"
-    [[ ${#COMPREPLY[@]} == 1 && ${COMPREPLY[0]} == *[.=] ]] && compopt -o nospace
-    return 0
-}
-complete -o nosort -F %(complete_func)s_on %(prog_name)s
-"""
-    )
-
-
-@add_completion_class
-class Zsh(ZshComplete):
-    """The same in zsh, also in one that nobody has switched completion on in; fish needs nothing."""
-
-    source_template = ZshComplete.source_template.replace(
-        "        compadd -U -V unsorted -a completions\n",
-        """        local -a unfinished=(${(M)completions:#*[.=]})
-        completions=(${completions:#*[.=]})
-        compadd -U -V unsorted -a completions
-        compadd -U -S '' -V unsorted -a unfinished
-""",
-    ).replace(
-        "    compdef %(complete_func)s",
-        "    (( $+functions[compdef] )) || { autoload -Uz compinit && compinit -i; }\n    compdef %(complete_func)s",
-    )
-
-
 def starting(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
     """The names that begin with what is typed, and files where none does."""
     found = [CompletionItem(name) for name in sorted(names) if name.startswith(incomplete)]
@@ -176,14 +142,17 @@ def controllers(context: click.Context, parameter: click.Parameter, incomplete: 
 
 def keys(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Keys of an experiment, a table after the other; nothing after the equals sign."""
+    return [] if "=" in incomplete else [CompletionItem(path) for path in paths(incomplete)]
+
+
+def paths(incomplete: str) -> list[str]:
+    """Key paths that begin so; where that is one table alone, its keys, so that a shell adds no blank after its dot."""
     from ..lab.experiments.config import keys_of, kind_at
 
-    if "=" in incomplete:
-        return []
     above, dot, _ = incomplete.rpartition(".")
-    paths = [f"{above}{dot}{key}" for key in keys_of(kind_at(above or None))]
-    ends = {path: "." if keys_of(kind_at(path)) else "=" for path in paths if path.startswith(incomplete)}
-    return [CompletionItem(f"{path}{end}") for path, end in ends.items()]
+    every = [f"{above}{dot}{key}" for key in keys_of(kind_at(above or None))]
+    found = [f"{path}{'.' if keys_of(kind_at(path)) else '='}" for path in every if path.startswith(incomplete)]
+    return paths(found[0]) if len(found) == 1 and found[0].endswith(".") else found
 
 
 FORCE = click.option("--force", is_flag=True, help="Replace existing files.")

@@ -105,7 +105,8 @@ def compile_if_cold(hardware: bool = False) -> None:
     Args:
         hardware: Whether the run has sensors, motors, a supervisor or disturbances; then more is compiled.
     """
-    from ..compiled import cache_folder, is_warm
+    from ..compiled import is_warm
+    from ..compiled.folders import cache_folder
 
     tell_what_compiles()
     if not is_warm():
@@ -254,7 +255,7 @@ def interruptible(show: Callable[P, None]) -> Iterator[Callable[P, None]]:
 
 
 def found_in(paths: tuple[Path, ...], what: str) -> Path | None:
-    """Where among some paths something else than runs is; None where it is not.
+    """The one path among some that holds something else than runs; None where none does.
 
     Args:
         paths: As the user named them.

@@ -16,9 +16,7 @@ from .output import BAD_INPUT, DONE, FAILED, answer, columns, note, progress_bar
 @click.command(
     short_help="Check the properties of a robot's model, with numbers.",
     epilog=examples(
-        "mmnn check platform_arm",
-        "mmnn check my_robot.urdf --samples 1000 --seed 7",
-        "mmnn check tiago --json",
+        "mmnn check platform_arm", "mmnn check my_robot.urdf --samples 1000 --seed 7", "mmnn check tiago --json"
     ),
 )
 @click.argument("robot", shell_complete=robots)

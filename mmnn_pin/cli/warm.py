@@ -46,7 +46,7 @@ def warm(
     """
     import msgspec
 
-    from ..compiled import checked_root
+    from ..compiled.folders import checked_root
     from ..lab.experiments.config import load_experiment
     from ..lab.experiments.runner import run_experiment
     from .run import about_robot, in_toml
@@ -61,7 +61,7 @@ def warm(
             msgspec.structs.replace(asked, time=timing), Path(experiment).stem, progress=show, leave_out=True
         )
     took, root = time.perf_counter() - began, checked_root()
-    told = {"experiment": result.name, "controllers": list(result.recordings), "seconds": took, "folder": str(root or "")}
+    told = {"experiment": result.name, "controllers": list(result), "seconds": took, "folder": str(root or "")}
     where = f"kept in {root}" if root else "and not kept: no folder can be written"
-    answer(as_json, lambda: told, lambda: f"{', '.join(result.recordings)}: compiled in {took:.1f} s, {where}")
+    answer(as_json, lambda: told, lambda: f"{', '.join(result)}: compiled in {took:.1f} s, {where}")
     return DONE

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..model.robot import Robot
 from ..recording.recording import Outcome
-from ..safety import HAS_TRIPPED, TRIPPED, remarks, trip_of
+from ..safety import TRIPPED, remarks, trip_of
 from ..signals import SIGNALS, Array, Layout
 from .compiled import CompiledLoop
 from .interruption import no_interruption
@@ -69,7 +69,7 @@ def to_the_end(
     if weights := loop.controller.weights(state):
         sink.weights(k * h, weights)
     supervisor = None if engine.hardware is None else engine.hardware.way.supervisor
-    if supervisor is not None and supervisor.on and supervisor.state[HAS_TRIPPED]:
+    if supervisor is not None and supervisor.on and supervisor.state.tripped[0]:
         return Outcome("tripped", *trip_of(supervisor.state, loop.robot))
     return Outcome("completed", samples * h)
 

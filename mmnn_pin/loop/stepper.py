@@ -31,8 +31,7 @@ from ..reference.follower import LARGEST, Follower, require_shapes
 from ..reference.limits import Limits
 from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
-from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
-from ..safety.supervisor import GOOD, HEARD, PERIOD, STEADY
+from ..safety import Safety, accept, has_ended, press, release, remarks, trip_of
 from ..sensing import Sensor, observe
 from ..settings import Numbers, Settings, Timing, require_gain
 from ..settings.arguments import checked
@@ -171,19 +170,21 @@ class Stepper:
         controller: CompiledController | TorqueController,
         settings: StepperSettings = StepperSettings(),  # noqa: B008 (frozen)
     ) -> None:
+        safety = settings.safety
+        assert safety is not None
         period, known = settings.period, Latency.of(settings.latency, settings.predict)
         timing = Timing(duration=period, control_period=period, plant_step=period)
         sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
         given = Given(settings.kinematic, period, known.total + known.margin, settings.lag)
         controller = suited(controller, robot, lambda: given)
         setup = Outside(
-            robot, controller, settings.kinematic, settings.safety, timing, settings.nominal, settings.seed,
+            robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency = period, settings.check_gains, known.total
-        self.safety, self.limits, layout = settings.safety, settings.limits, setup.layout
+        self.safety, self.limits, layout = safety, settings.limits, setup.layout
         self.follower, self.at = Follower(robot, self.limits, settings.setpoint_timeout), layout.offsets
         row = self.row = layout.new_row()
         self.received = row[layout.where("pose").start : layout.where("qdot").stop]
@@ -271,18 +272,18 @@ class Stepper:
         courses = [self.follower.check(wish) for wish in wishes]
         if measurement is not None:
             self._take(measurement, time, time if measured is None else measured)
-        if not self.follower.stands and self.hardware.way.supervisor.state[GOOD] > 0.0:
+        if not self.follower.stands and self.hardware.way.supervisor.state.good[0] > 0.0:
             self.follower.stand(self.received)
         supervisor = self.hardware.way.supervisor
         self.received[:] = supervisor.message
         self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
         if self.past.longest > 0.0:
-            bring_up(self.row, self.at, time, supervisor.state[HEARD], self.follower.guide, self.past)
+            bring_up(self.row, self.at, time, supervisor.state.heard[0], self.follower.guide, self.past)
         self.control.step(time, self.follower.now, before=self.before if self.k >= 0 else None)
         self.before[:] = self.follower.now
         self._command()
-        if supervisor.state[PERIOD] > SLOW * self.period and not self.is_late:
-            self.is_late, steady = True, 1e3 * supervisor.state[STEADY]
+        if supervisor.state.period[0] > SLOW * self.period and not self.is_late:
+            self.is_late, steady = True, 1e3 * supervisor.state.steady[0]
             self._tell(f"stepped every {steady:.3g} ms, its period is {1e3 * self.period:.3g} ms")
         self.time, self.k, self.step_time = time, self.k + 1, perf_counter() - began
         return self.command
@@ -339,9 +340,12 @@ class Stepper:
         self.past.times[:] = -math.inf
 
     def change(
-        self, controller: CompiledController | TorqueController | None = None, kinematic: Kinematic | None = None
+        self,
+        controller: CompiledController | TorqueController | None = None,
+        kinematic: Kinematic | None = None,
+        limits: Limits | None = None,
     ) -> None:
-        """Other gains or settings from the next sample on; what was learned stays. Call it between two samples.
+        """Other gains, settings or limits from the next sample on; what was learned stays. Call it between two samples.
 
         Raises:
             ConfigError: A controller that remembers something else, gains that are unstable; nothing has changed then.
@@ -352,7 +356,14 @@ class Stepper:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
             made = suited(controller, self.robot, lambda: Given(kinematic, self.period, delay, lag))
         setup = replace(self.setup, controller=made, kinematic=kinematic)
-        self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
+        before, self.limits = self.limits, limits or self.limits
+        try:
+            self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
+        except ConfigError:
+            self.limits = before
+            raise
+        if limits is not None:
+            self.follower.limit(self.robot, limits)
 
     def snapshot(self) -> Any:
         """A copy of what was learned, to start another stepper from (`state`)."""
@@ -372,7 +383,7 @@ class Stepper:
     @property
     def tripped(self) -> bool:
         """Whether the supervisor has stopped the robot."""
-        return bool(self.hardware.way.supervisor.state[HAS_TRIPPED])
+        return bool(self.hardware.way.supervisor.state.tripped[0])
 
     @property
     def is_over(self) -> bool:
@@ -450,7 +461,7 @@ class Stepper:
         """Put a measurement into the row and before the supervisor."""
         supervisor = self.hardware.way.supervisor
         require_shapes("measurement", measurement, self.measured)
-        if supervisor.state[GOOD] > 0.0 and measured < supervisor.state[HEARD]:
+        if supervisor.state.good[0] > 0.0 and measured < supervisor.state.heard[0]:
             return
         parts = measurement.pose, measurement.velocity, measurement.q, measurement.qdot
         np.concatenate(parts, out=self.received, casting="unsafe")

@@ -14,38 +14,15 @@ control sample, and asks `may_learn` whether the controller is still to be asked
 from .door import accept, release
 from .settings import Safety, new_state, no_supervisor, remarks, trip_of
 from .supervisor import (
-    HAS_TRIPPED,
     RAMPING,
     RUNNING,
-    SHORT,
     STEPPED_IN,
     STOPPING,
     TRIPPED,
     Supervisor,
+    SupervisorState,
     has_ended,
     may_learn,
     press,
     supervise,
 )
-
-__all__ = [
-    "HAS_TRIPPED",
-    "RAMPING",
-    "RUNNING",
-    "SHORT",
-    "STEPPED_IN",
-    "STOPPING",
-    "TRIPPED",
-    "Safety",
-    "Supervisor",
-    "accept",
-    "has_ended",
-    "may_learn",
-    "new_state",
-    "no_supervisor",
-    "press",
-    "release",
-    "remarks",
-    "supervise",
-    "trip_of",
-]

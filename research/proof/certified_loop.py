@@ -23,7 +23,6 @@ from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.safety import Safety
-from mmnn_pin.safety.supervisor import HEADING, POSITION
 from mmnn_pin.signals import Array, Layout
 from mmnn_pin.torque.controller import per_velocity
 
@@ -373,7 +372,7 @@ class Supervisor:
     def of(cls, safety: Safety, robot: Robot, period: float) -> Supervisor:
         """From settings."""
         its = safety.supervisor(robot, period, np.zeros(robot.dimensions.dof), np.zeros(robot.dimensions.arm))
-        position, heading = its.numbers[[POSITION, HEADING]]
+        position, heading = its.numbers.position, its.numbers.heading
         return cls(its.torque, its.speed, position, heading, its.error)
 
 

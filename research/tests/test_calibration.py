@@ -13,8 +13,6 @@ from mmnn_pin import Loop, load, load_experiment
 from mmnn_pin.lab.experiments.thesis import figure_intervals, figure_ranges
 from mmnn_pin.model.dynamics import Dynamics
 
-pytestmark = pytest.mark.lab
-
 pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
 SIMULATES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="runs of five seconds, uncompiled")

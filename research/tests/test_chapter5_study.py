@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from places import ROOT
 
-pytestmark = pytest.mark.lab
-
 pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
 SIMULATES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="runs of eight seconds, uncompiled")

@@ -10,8 +10,6 @@ import pytest
 from places import ROOT
 from scipy.stats import binomtest
 
-pytestmark = pytest.mark.lab
-
 pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
 SIMULATES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="runs of five seconds, uncompiled")

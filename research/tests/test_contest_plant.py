@@ -41,7 +41,6 @@ from research.studies.contest_plant.plant import (
 )
 from research.studies.contest_plant.sensors import Sensors
 
-pytestmark = pytest.mark.lab
 SHORT = ("time.duration=3.0", "windows=[[0.0, 1.0], [2.0, 3.0]]")
 numbers = st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6)
 

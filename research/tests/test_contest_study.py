@@ -22,8 +22,6 @@ from research.studies.contest.__main__ import main
 from research.studies.contest.search import OUTSIDE, TRIES, TUNINGS, spaces, taken, tuned, tuning_file
 from research.studies.document import DOCS, kept
 
-pytestmark = pytest.mark.lab
-
 SHORT = (
     *("time.duration=1.6", "time.control_period=0.0025", "time.plant_step=0.00125", "windows=[[0, 0.5], [0.8, 1.6]]"),
     *(f"held_out.{name}.duration=0.8" for name in ("similar", "tight", "circle")),

@@ -16,8 +16,6 @@ from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.psi.subject import Subject
 from research.proof.load import carried
 
-pytestmark = pytest.mark.lab
-
 STUDY = ROOT / "research" / "studies" / "learners" / "knowledge.py"
 
 

@@ -18,8 +18,6 @@ from research.studies.contest import __main__ as command
 from research.studies.contest.search import TUNINGS, Bench, changed_by, tuned, tuning_file
 from research.studies.contest.second_look import LIMIT, LIMITS, LOOKS, NOISE, Other, benches, holds, noisier, taken
 
-pytestmark = pytest.mark.lab
-
 QUICK = (
     *("time.duration=1.6", "time.control_period=0.0025", "time.plant_step=0.00125", "windows=[[0, 0.5], [0.8, 1.6]]"),
     *(f"held_out.{name}.duration=0.8" for name in ("similar", "tight", "circle")),

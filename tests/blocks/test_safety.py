@@ -385,16 +385,16 @@ def test_a_stop_brakes_the_base():
 
 def test_a_stop_after_a_holonomic_base_was_too_fast_counts_both_directions():
     from mmnn_pin.safety import new_state, no_supervisor
-    from mmnn_pin.safety.supervisor import NUMBERS, check_motion
+    from mmnn_pin.safety.supervisor import SupervisorNumbers, check_motion
     from mmnn_pin.signals import INDEX
 
     layout = Layout(3, 0, 3, 3, "holonomic", True, hardware=1)
     row, at = layout.new_row(), layout.offsets
-    supervisor = no_supervisor(layout, new_state(layout))._replace(numbers=np.full(NUMBERS, np.inf))
+    supervisor = no_supervisor(layout, new_state(layout))._replace(numbers=SupervisorNumbers(*[np.inf] * 14))
     row[at[INDEX["velocity"]] : at[INDEX["velocity"]] + 3] = 0.3, 0.4, 0.0
     for limit, tripped in ((0.51, 0.0), (0.49, 1.0)):
         check_motion(row, at, 0.0, supervisor._replace(speed=np.array([limit, limit, np.inf])))
-        assert supervisor.state[0] == tripped
+        assert supervisor.state.tripped[0] == tripped
 
 
 @pytest.mark.compiled
@@ -556,11 +556,9 @@ def test_limits_that_do_not_fit_the_robot_are_refused(name, of):
 @pytest.mark.parametrize("gain", [2.0, 10.0, 1000.0])
 def test_the_integral_of_a_stop_never_swings_the_arm(gain):
     """Routh: M s^3 + g s^2 + g K s + g K rate is stable for g > rate M."""
-    from mmnn_pin.safety.supervisor import HOLD_RATE
-
     robot = heavy_arm()
     inertia = Dynamics(robot).mass_matrix(np.zeros(2))[0, 0]
     assert np.roots([inertia, gain, 3.0 * gain, 3.0 * gain * 1.1 * gain / inertia]).real.max() > 0
-    rate = Safety(hold_rate=20.0).supervisor(robot, H, np.full(2, gain), np.full(2, 3.0)).numbers[HOLD_RATE]
+    rate = Safety(hold_rate=20.0).supervisor(robot, H, np.full(2, gain), np.full(2, 3.0)).numbers.hold_rate
     assert np.roots([inertia, gain, 3.0 * gain, 3.0 * gain * rate]).real.max() < 0
     assert rate == pytest.approx(min(20.0, 0.5 * gain / inertia))

@@ -69,7 +69,7 @@ def write_fuzzed(loop, folder, steps, seed):
         """The events, with trips and samples so far noted after each."""
         for event in events:
             yield event
-            seen.append((states[0], stepper.k))
+            seen.append((states.tripped[0], stepper.k))
 
     found = answers(stepper, watched(), [m.live for m in export.remembered])
     (folder / "selftest.c").write_text(selftest(export, events, found))

@@ -606,7 +606,7 @@ LOOPS = {
     "batch",
     "recorded_robot",
 }
-USES = {"experiments", "proof", "contest", "study", "show"}
+USES = {"experiments", "psi", "study", "show"}
 
 
 def imported(module: Path) -> Iterator[str]:

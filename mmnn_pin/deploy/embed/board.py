@@ -21,8 +21,7 @@ from ...loop.servo import Split
 from ...loop.stepper import Stepper
 from ...reference.follower import LARGEST
 from ...reference.guide import ARM, BASE, SAMPLE, VELOCITY, Guide, advance, brake, drive, stand, take_sample
-from ...safety import HAS_TRIPPED, Supervisor, accept, has_ended, press, release
-from ...safety.supervisor import GOOD, HEARD
+from ...safety import Supervisor, accept, has_ended, press, release
 from ...signals import Array, IntArray
 from ...torque.law import Ahead, MotorLimits
 
@@ -140,7 +139,7 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
         return BAD_SETPOINT
     if is_measured:
         take(b, time, measured)
-    if clock[STANDS] == 0.0 and b.supervisor.state[GOOD] > 0.0:
+    if clock[STANDS] == 0.0 and b.supervisor.state.good[0] > 0.0:
         stand(b.received, b.guide)
         clock[STANDS] = 1.0
     if clock[PAUSED] == 0.0:
@@ -183,7 +182,7 @@ def is_possible(b: Board, wish: int) -> bool:
 def take(b: Board, time: float, measured: float) -> None:
     """A measurement into the row and before the supervisor; `Stepper._take`."""
     state = b.supervisor.state
-    if state[GOOD] > 0.0 and measured < state[HEARD]:
+    if state.good[0] > 0.0 and measured < state.heard[0]:
         return
     fine = not math.isnan(measured)
     copy_to(b.incoming, b.received)
@@ -231,13 +230,13 @@ def resume(b: Board) -> None:
 
 def stop(b: Board) -> None:
     """An emergency stop from outside, from the next sample on; `Stepper.stop`."""
-    if b.supervisor.state[HAS_TRIPPED] == 0.0:
+    if b.supervisor.state.tripped[0] == 0.0:
         press(max(b.clock[LAST], 0.0), b.supervisor)
 
 
 def reset(b: Board) -> bool:
     """Go on after a trip from where the robot is measured; false without a fresh measurement; `Stepper.reset`."""
-    if b.supervisor.state[HAS_TRIPPED] == 0.0 or not release(b.clock[LAST], b.supervisor):
+    if b.supervisor.state.tripped[0] == 0.0 or not release(b.clock[LAST], b.supervisor):
         return False
     copy_to(b.supervisor.message, b.received)
     stand(b.received, b.guide)

@@ -122,8 +122,10 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
 def parts_of(stepper: Stepper) -> dict[str, int]:
     """The members that the state of supervisor, motors and servos is split into, in the order of its memory."""
     hardware = stepper.hardware
-    named = {f"supervisor_{name}": part for name, part in hardware.way.supervisor._asdict().items() if name != "values"}
-    named |= {"motor_states": hardware.motors.states, "sent": hardware.way.sent}
+    supervisor = hardware.way.supervisor
+    named = {f"supervisor_{name}": part for name, part in supervisor._asdict().items() if name != "values"}
+    named |= {f"supervisor_is_{name}": part for name, part in supervisor.state._asdict().items()}
+    named |= {"motor_states": hardware.motors.states.values, "sent": hardware.way.sent}
     if hardware.split is not None:
         named |= {f"servo_{name}": part for name, part in hardware.split._asdict().items()}
     whole, found = hardware.state, list[tuple[int, str, int]]()

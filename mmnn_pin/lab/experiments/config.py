@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import glob
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
@@ -35,7 +35,7 @@ SHORT_NUMBER = re.compile(r"[+-]?(\d+\.|\.\d+)([eE][+-]?\d+)?")  # TOML wants a 
 
 
 @checked
-def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), variant: str | None = None) -> Experiment:
+def load_experiment(name_or_path: str | Path, overrides: Sequence[str] = (), variant: str | None = None) -> Experiment:
     """Experiment by name or from a TOML file.
 
     Args:

@@ -1,6 +1,6 @@
 """The controllers of an experiment: their names and settings, and each of them made with what it may know of the robot.
 
-`mmnn_pin.torque` has the list; nothing here knows a single one of its learners.
+`mmnn_pin.torque` has the list, `learner_tables` their settings; nothing here knows a single one of its learners.
 """
 
 from __future__ import annotations
@@ -8,10 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from operator import attrgetter
-from types import new_class
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-import msgspec
 import numpy as np
 
 from ...elementary.matrices import product
@@ -57,39 +55,6 @@ def effective(controllers: Iterable[str]) -> dict[str, str]:
     return EFFECTIVE | {"pd_effective": next((name for name in ("two_layer", *STARTS) if name in names), "two_layer")}
 
 
-def tables_of_learners() -> dict[str, Any]:
-    """Settings of all learners by the key of an experiment; a table of tables where a key path has two parts."""
-    found: dict[str, Any] = {}
-    for entry in ENTRIES.values():
-        head, _, rest = entry.key.partition(".")
-        kind = entry.load_settings()
-        if kind is not None and rest:
-            found.setdefault(head, {})[rest] = kind
-        elif kind is not None:
-            found[head] = kind
-    return {key: struct_of(key, kind) if isinstance(kind, dict) else kind for key, kind in found.items()}
-
-
-def struct_of(name: str, kinds: dict[str, Any]) -> Any:
-    """Settings with one table of each kind, an attribute of this module: a pickled one is looked for there."""
-    content: dict[str, Any] = {key: msgspec.field(default_factory=kind) for key, kind in kinds.items()}
-    content |= {"__annotations__": dict(kinds), "__module__": __name__, "__doc__": f"The {name} learners, by table."}
-    options = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
-    globals()[name] = new_class(name, (Settings,), options, lambda namespace: namespace.update(content))
-    return globals()[name]
-
-
-if TYPE_CHECKING:
-
-    class LearnerTables(Settings, frozen=True):
-        """The tables of all learners, by the keys that the list of controllers says."""
-
-        def __getattr__(self, name: str) -> Any: ...
-
-else:
-    LearnerTables = struct_of("LearnerTables", tables_of_learners())
-
-
 def renamed(config: dict[str, Any]) -> dict[str, Any]:
     """The config of a recording that an older version made, with the keys and values of today."""
     config = {RENAMED.get(key, key): value for key, value in config.items()}
@@ -111,7 +76,7 @@ def table_at(config: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def new_name(key: str, value: Any = None) -> str:
-    """What a key path, or a value that stands there, is called now; empty for one that was never called otherwise."""
+    """Today's name of a key path, or of a value that stands there; empty for one that was never called otherwise."""
     return RENAMED_VALUES.get(key, {}).get(value, "") if isinstance(value, str) else RENAMED.get(key, "")
 
 
@@ -182,7 +147,7 @@ class Nominal(Settings, frozen=True):
 
 @dataclass(frozen=True)
 class Granted:
-    """What a controller is told of its robot: of `torque.controller.Told` what its entry grants.
+    """The knowledge of a controller about its robot: the part of `torque.controller.Told` that its entry grants.
 
     Attributes:
         entry: The controller.
@@ -198,7 +163,7 @@ class Granted:
 
     @property
     def motion(self) -> Regressor:
-        """How the robot moves; errors as of `true`."""
+        """The regressor of the robot, its way to move; errors as of `true`."""
         return Regressor.of(self.true("motion"))
 
     @property
@@ -213,7 +178,7 @@ class Granted:
 
     @property
     def parameters(self) -> Array:
-        """Its parameters, (k,), with which a regressor of the robot gives its Psi; errors as of `nominal_robot`."""
+        """Parameters (k,) of the nominal robot, for a regressor of the robot; errors as of `nominal_robot`."""
         return parameters(nominal_robot(self.model, self.true("parameters"), self.overrides))
 
     @property
@@ -237,7 +202,7 @@ class Granted:
 
 
 def machine_of(robot: Robot) -> Machine:
-    """What a learner may know of a robot without knowing how it moves: names, and of its joints the ends and motors."""
+    """The facts of a robot that do not tell how it moves: names, and ends and motors of its joints."""
     n, limits = robot.dimensions.arm, robot.effort_limits
     joints = (
         product(np.abs(robot.E), limits)[robot.dimensions.dof - n :]

@@ -36,18 +36,10 @@ from ...settings import Settings, Timing, require_gains
 from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ...torque.neural import Inputs, Robust
-from .controllers import (
-    CONTROLLERS,
-    DEFAULT,
-    EFFECTIVE,
-    LearnerTables,
-    Learning,
-    Nominal,
-    RobustOf,
-    new_controller,
-)
+from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, Learning, Nominal, RobustOf, new_controller
 from .hand import hand_motion
 from .laws import resolved
+from .learner_tables import LearnerTables
 from .references import HeldOutReference, ReferenceTables
 
 PLACES = 10  # along the reference at which inertias are looked at that scale bandwidths

@@ -152,10 +152,7 @@ def write_bag(recording: Recording, path: Path, about: dict[str, Any]) -> None:
     robot = recorded_robot(recording)
     frames = frames_of(recording, robot)
     still = [transform(frame, 0, stamp(0)) for frame in frames if not frame.moves]
-    once = (
-        ("/robot_description", TEXT, {"data": recording.urdf}),
-        ("/tf_static", TRANSFORMS, {"transforms": still}),
-    )
+    once = (("/robot_description", TEXT, {"data": recording.urdf}), ("/tf_static", TRANSFORMS, {"transforms": still}))
     nanoseconds = np.rint(1e9 * recording.time).astype(np.int64).tolist()
     with path.open("wb") as file, Writer(file) as writer:
         for topic, schema, message in once:
@@ -182,11 +179,7 @@ def attach(writer: Writer, about: dict[str, Any]) -> None:
 def topics_of(recording: Recording, robot: Robot, frames: Sequence[Frame]) -> Iterator[Topic]:
     """The topics of every row: name, message type, and the message of a row at its stamp."""
     moving = [frame for frame in frames if frame.moves]
-    yield (
-        "/tf",
-        TRANSFORMS,
-        lambda row, at: {"transforms": [transform(frame, row, at) for frame in moving]},
-    )
+    yield ("/tf", TRANSFORMS, lambda row, at: {"transforms": [transform(frame, row, at) for frame in moving]})
     yield "/joint_states", JOINT_STATE, joint_states(recording, robot)
     if "q_ref" in recording:
         labels = list(recording.labels("q_ref"))
@@ -199,11 +192,7 @@ def topics_of(recording: Recording, robot: Robot, frames: Sequence[Frame]) -> It
             if velocity.shape[1] != 3:  # a differential drive has no vy
                 velocity = np.insert(velocity, 1, 0.0, axis=1)
             child = f"{names[1]}_reference" if suffix else names[1]
-            yield (
-                topic,
-                ODOMETRY,
-                partial(odometry, (names[0], child), recording[f"pose{suffix}"], velocity),
-            )
+            yield (topic, ODOMETRY, partial(odometry, (names[0], child), recording[f"pose{suffix}"], velocity))
     for signal in recording.names[1:]:  # all but the time
         fields, table = field_names(recording.labels(signal)), as_columns(recording[signal])
         schema = signal_message(signal, fields, column_units(recording, signal))

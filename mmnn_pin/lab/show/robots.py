@@ -238,9 +238,8 @@ def properties_text(report: CheckReport, columns: int = WIDTH) -> str:
             ranks = " -> ".join(map(str, found.growth))
             parts.append(f"  {where}: rank {ranks} of {found.coordinates} by Lie brackets")
     failed = [name for name, p in report.properties.items() if not p.passed]
-    return terminal_text(
-        [*parts, "", f"FAILED: {', '.join(failed)}" if failed else "all properties hold"], width=columns
-    )
+    parts += ["", f"FAILED: {', '.join(failed)}" if failed else "all properties hold"]
+    return terminal_text(parts, width=columns)
 
 
 # -- the robots of runs ------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -64,12 +64,9 @@ class Plan:
     def __len__(self) -> int:
         return len(self.points) * len(self.seeds) * len(self.controllers)
 
-    def fingerprints(self) -> Iterator[str]:
-        """Fingerprint of every run, in order."""
-        yield from self._fingerprints
-
     @cached_property
-    def _fingerprints(self) -> tuple[str, ...]:
+    def fingerprints(self) -> tuple[str, ...]:
+        """Fingerprint of every run, in order."""
         found: list[str] = []
         other_robots = any(path.partition(".")[0] in ROBOT for path in paths_of(self.study.settings.factors))
         for point, seed in itertools.product(self.points, self.seeds):
@@ -82,7 +79,7 @@ class Plan:
     @cached_property
     def digest(self) -> str:
         """Hash of all fingerprints."""
-        return hashlib.sha256(" ".join(self._fingerprints).encode()).hexdigest()
+        return hashlib.sha256(" ".join(self.fingerprints).encode()).hexdigest()
 
     def trial(self, i: int) -> Trial:
         """Run i.
@@ -199,14 +196,13 @@ class Plan:
         return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
-def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int | None = None, judged: str = "") -> Plan:
+def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int | None = None) -> Plan:
     """The runs of a study, every point judged.
 
     Args:
         study: The study.
         sampling_seed: Seed of the draws in place of the study's.
         points: Number of draws in place of the study's.
-        judged: Digest of a plan whose points were judged before: they are not judged again.
 
     Raises:
         InputError: A change or a factor names no setting, or a point makes no experiment; with the line.
@@ -231,7 +227,7 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
     if len(plan) > MOST:
         what, fix = f"{len(plan)} runs", f"at most {MOST} are taken"
         raise study.placed(ConfigError(what, fix=fix, key="sampling.points"))
-    for point in () if judged and plan.digest == judged else plan.points:
+    for point in plan.points:
         plan.experiment(point, plan.seeds[0])
     return plan
 

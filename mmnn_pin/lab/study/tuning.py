@@ -106,9 +106,6 @@ class Scorer:
     points: int | None = None
     sampling_seed: int | None = None
 
-    def __post_init__(self) -> None:
-        self.handed: dict[str, Any] = {}
-
     def score(self, gains: Mapping[str, Any]) -> Score:
         """Run all draws with a set of gains.
 
@@ -119,7 +116,7 @@ class Scorer:
         if complaints := list(violations(plan)):
             return Score(np.zeros(0), self.tune.quantile, len(complaints) / len(judged(plan)), complaints[0])
         metric, runs = np.full(len(plan), math.inf), [(dict[str, Any](), 0)] * len(plan)
-        for result in execute(self.pool, plan, range(len(plan)), self.handed):
+        for result in execute(self.pool, plan, range(len(plan))):
             if result.status == "failed":
                 raise MmnnError(f"a run failed: {result.message}")
             metric[result.id] = worth(result.status, result.metrics, self.tune.objective)

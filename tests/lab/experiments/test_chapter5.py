@@ -29,8 +29,6 @@ from mmnn_pin.signals import Layout
 from mmnn_pin.torque.neural import Inputs, Neural
 from mmnn_pin.torque.two_layer import TwoLayer
 
-pytestmark = pytest.mark.lab
-
 FILE = bundled()["chapter5"]
 LEARNERS = ("two_layer_zero", "two_layer_random", "one_layer")
 DEGREES = 180 / np.pi

@@ -31,8 +31,6 @@ from mmnn_pin.lab.show.thesis_figures import (
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.signals import Dimensions
 
-pytestmark = pytest.mark.lab
-
 
 def recording(controller: str, layout: Dimensions = MOBILE, variant: str = "fair", rows: int = 40) -> Recording:
     config = f'{{"variant": "{variant}"}}'

@@ -24,7 +24,7 @@ from places import ROOT
 from study_files import SHORT, numbers, planned, run_here, stored, written
 
 from mmnn_pin.cli import main
-from mmnn_pin.compiled import cache_folder
+from mmnn_pin.compiled.folders import cache_folder
 from mmnn_pin.errors import MmnnError, StudyError
 from mmnn_pin.lab.study import pools as dask
 from mmnn_pin.lab.study import worker
@@ -166,7 +166,7 @@ def test_a_cluster_gives_the_local_rows_while_workers_die_and_join(
     here = planned(tmp_path / "here", study)
     local = run_here(here, tmp_path / "here")
     plan = planned(tmp_path / "there", study)
-    assert len(list(plan.fingerprints())) == 96
+    assert len(list(plan.fingerprints)) == 96
     assert any(name.endswith(".stl") for bundle in plan.bundles.values() for name in bundle.files)
     victims = [cluster.processes[2]]
 

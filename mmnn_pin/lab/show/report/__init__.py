@@ -32,16 +32,7 @@ from ...experiments.result import Result
 from ...psi.judgement import judgement_of, with_part
 from .. import replay
 from ..comparison import tables_of
-from ..curves import (
-    CHARTS,
-    Curve,
-    Panel,
-    Recordings,
-    chart,
-    controller_of,
-    learners,
-    require_comparable,
-)
+from ..curves import CHARTS, Curve, Panel, Recordings, chart, controller_of, learners, require_comparable
 from ..figure import in_the_dark, run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, fill_template, web_file
 from ..psi_figures import sliced
@@ -138,11 +129,7 @@ def runs_of(result: Result) -> list[dict[str, str]]:
     for name, style in styles_of(result.recordings).items():
         recording = result.recordings[name]
         about = CONTROLLERS.get(controller_of(name, recording), "a controller of your own")
-        look = {
-            "dash": dash(style.dash[1]),
-            "color": style.color,
-            "dark": in_the_dark(style.color),
-        }
+        look = {"dash": dash(style.dash[1]), "color": style.color, "dark": in_the_dark(style.color)}
         runs.append({"name": run_label(name, recording), "about": about, **look})
     return runs
 

@@ -24,8 +24,6 @@ from mmnn_pin.signals import INDEX, Array, Layout
 from mmnn_pin.torque.neural import Inputs
 from mmnn_pin.torque.two_layer import numerical_rank, two_layer_update
 
-pytestmark = pytest.mark.lab
-
 HERE = Path(__file__)
 DOCUMENT = ROOT / "docs" / "thesis" / "errata.md"
 SECONDS = 0.04 if numba.config.DISABLE_JIT else 1.0

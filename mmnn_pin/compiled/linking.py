@@ -24,7 +24,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import CPUDispatcher
 from numba.core.typing.templates import AttributeTemplate as AttributeTemplate
 
-from .parts import spelled
+from ..parts import spelled
 
 # Compiled functions allocate nothing; without numba's reference counts they run up to 1.5 times faster and compile in
 # less time. One that does allocate fails to compile, loudly.
