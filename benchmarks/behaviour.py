@@ -32,7 +32,18 @@ import numpy as np
 from behaviour_worker import ORDINARY, RESUMED
 
 HERE = Path(__file__).resolve().parent
-CLI = "import sys; from mmnn_pin.cli import main; sys.exit(main(sys.argv[1:]))"
+CLI = """import sys
+from contextlib import suppress
+from mmnn_pin.cli import main, mmnn
+given = sys.argv[1:]
+with suppress(ImportError):  # before it stood beside the package
+    from research.contest.command import contest
+    from research.prove import prove
+    mmnn.add_command(prove)
+    mmnn.add_command(contest)
+    given = given[1:] if given[:2] == ["run", "contest"] else given
+sys.exit(main(given))
+"""
 # Datasets that were renamed: old name to new name.
 RENAMED = {"final/memory": "final/controller_state", "final/rig_memory": "final/hardware_state"}
 # Keys of JSON that were renamed.

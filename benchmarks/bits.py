@@ -14,7 +14,7 @@ controller, hardware and plant at the end; of a study's rows the metrics. Settin
     unoptimised  numba's optimisation switched off
     python       no numba (NUMBA_DISABLE_JIT=1): the compiled text as plain Python, over the first samples
 
-A study's rows are made in threads, in processes and on a local Dask cluster besides, and must be the same there; and so
+A study's rows are made here, in a process and on a local Dask cluster besides, and must be the same there; and so
 must a run of both engines. On the contact plant MuJoCo moves the robot with its own arithmetic and the platform's libm:
 its hash is told and not judged.
 """
@@ -32,7 +32,6 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -147,23 +146,22 @@ def dask() -> Iterator[Any]:
 
 
 def study(place: str) -> Callable[[Hash, float], None]:
-    """The rows of a small study, made in threads, in processes or on a cluster."""
+    """The rows of a small study, made in this process, in another or on a cluster."""
 
     def case(digest: Hash, duration: float) -> None:
         from mmnn_pin.lab.study.execution import execute
         from mmnn_pin.lab.study.plan import plan_of
-        from mmnn_pin.lab.study.pools import processes, threads
+        from mmnn_pin.lab.study.pools import here, processes
         from mmnn_pin.lab.study.settings import load_study
 
         pools: dict[str, Callable[[], AbstractContextManager[Any]]]
-        pools = {"threads": lambda: threads(2), "processes": lambda: processes(1), "Dask": dask}
+        pools = {"this process": here, "processes": lambda: processes(1), "Dask": dask}
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "bits.toml"
             file.write_text(STUDY.format(duration=duration))
             plan = plan_of(load_study(file, ()))
             with pools[place]() as pool:
-                groups = execute(pool, plan, range(len(plan)))
-                done = {row.id: result for row, result in chain.from_iterable(groups)}
+                done = {result.id: result for result in execute(pool, plan, range(len(plan)))}
         for _, result in sorted(done.items()):
             assert result.status == "completed", (result.status, result.message)
             digest.update(json.dumps(result.metrics, sort_keys=True).encode())
@@ -200,13 +198,13 @@ def references(digest: Hash, duration: float) -> None:
 
     from mmnn_pin import Circle, Eight, Line, Sine
     from mmnn_pin.reference import MinimumJerk, Waypoints
-    from mmnn_pin.reference.holonomic import Holonomic
+    from mmnn_pin.reference.holonomic import HolonomicPath
 
     t, corners = np.linspace(0.0, 20.0, 5001), ((0.0, 0.0), (4.0, 0.3), (4.5, 4.0), (0.3, 3.0))
     turning = Sine(0.7, 9.0, 0.1, 0.3)
     paths: list[Any] = [
         Line(0.3, (0.1, 0.2, 0.7), 1.0), Circle(1.3, 0.4, (0.1, 0.2, 0.7), -1, 1.0), Waypoints(corners, 0.5, 0.4),
-        Eight(3.0, 1.5, 20.0, (0.1, 0.2, 0.7), 2.0), Holonomic(Eight(3.0, 1.5, 20.0), turning),
+        Eight(3.0, 1.5, 20.0, (0.1, 0.2, 0.7), 2.0), HolonomicPath(Eight(3.0, 1.5, 20.0), turning),
     ]  # fmt: skip
     for path in paths:
         samples = path.sample(t)
@@ -236,7 +234,7 @@ CASES: dict[str, Callable[[Hash, float], None]] = {
     "rk4 two_layer": run("two_layer", "time.integrator=rk4", "time.plant_step=0.0005"),
     "resumed two_layer": resumed,
     "batch two_layer": batch,
-    "study two_layer in threads": study("threads"),
+    "study two_layer in this process": study("this process"),
     "study two_layer in processes": study("processes"),
     "study two_layer on Dask": study("Dask"),
     "contact two_layer": run("two_layer", "plant=contact"),
@@ -315,7 +313,7 @@ def main() -> int:
     engines = [(name, f"{name}, ordinary") for name in first if f"{name}, ordinary" in first]
     changed = [f"{one} is not {other}" for one, other in engines if first[one] != first[other]]
     if len({first[name] for name in STUDIES if name in first and "skipped" not in first[name]}) > 1:
-        changed.append("study rows differ between threads, processes and Dask")
+        changed.append("study rows differ between this process, others and Dask")
     if given.settings is not None and platform.machine() not in ("x86_64", "AMD64"):
         given.settings = ["unoptimised", "python"]  # the others name features of x86
     for setting in given.settings or (SETTINGS if given.settings is not None else ()):

@@ -3,14 +3,12 @@
     python benchmarks/first.py --rounds 3                       this version, four commands
     python benchmarks/first.py --rounds 3 --before FOLDER       in turn with a checkout of another version
 
-Wall clock and processor time of the command and of what it waits for; a process that goes on compiling afterwards is
-waited for between two commands, its time does not count.
+Wall clock and processor time of the command and of what it waits for.
 """
 
 from __future__ import annotations
 
 import argparse
-import fcntl
 import os
 import subprocess
 import sys
@@ -43,15 +41,7 @@ def first_run(package: Path, arguments: list[str]) -> tuple[float, float]:
         clock = time.perf_counter() - began
         if status:
             sys.exit(f"{' '.join(command)} ended with {status}")
-        wait_for_others(Path(folder) / "cache")
         return clock, used.ru_utime + used.ru_stime
-
-
-def wait_for_others(cache: Path) -> None:
-    """Wait until no process holds a lock in a cache folder."""
-    for lock in cache.rglob("compiling"):
-        with lock.open("r+") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
 
 
 def main() -> None:

@@ -40,7 +40,7 @@ from mmnn_pin.deploy.identify.equations import (
     low_pass,
     still_speeds,
 )
-from mmnn_pin.deploy.identify.excitation import Limits, Search, eight_with_sines, excite
+from mmnn_pin.deploy.identify.excitation import ExcitationLimits, ExcitationSearch, eight_with_sines, excite
 from mmnn_pin.deploy.identify.identification import MODELS, Identification, following, friction_alone, scaled
 from mmnn_pin.deploy.identify.least_squares import base_parameters, weighted_fit
 from mmnn_pin.deploy.identify.log import Log
@@ -170,9 +170,9 @@ def excitation(robot: Robot, seconds: float) -> dict[str, Any]:
     Worst standard deviations are over the base parameters' sizes. The eight leaves some of them undetermined, so they
     are compared over those that it determines.
     """
-    limits = Limits(seconds=seconds)
+    limits = ExcitationLimits(seconds=seconds)
     found = excite(robot, limits)
-    search = Search.of(robot, limits)
+    search = ExcitationSearch.of(robot, limits)
     eight = eight_with_sines(search, float(found.time[-1]))
     there, table = np.isfinite(eight.sd), {"duration": float(found.time[-1]), "tried": found.tried}
     names = [found.base.name(i, search.unknowns.labels, 2) for i in range(len(there))]
@@ -199,7 +199,7 @@ def simulated(robot: Robot, seed: int = 0) -> tuple[Unknowns, Array, Log]:
         np.random.default_rng(seed),
         Unknowns(robot, Regressor.of(robot), tuple(range(robot.dimensions.dof))),
     )
-    motion, theta = excite(robot, Limits(duration=60.0, seconds=0.0, seed=seed)), unknowns.prior.copy()
+    motion, theta = excite(robot, ExcitationLimits(duration=60.0, seconds=0.0, seed=seed)), unknowns.prior.copy()
     bodies = unknowns.regressor.inertial // BODY
     theta[: BODY * bodies] *= np.repeat(rng.uniform(0.7, 1.3, bodies), BODY)
     alone = unknowns.matrix(motion.position, motion.nu, motion.nudot)
@@ -278,7 +278,7 @@ def payload_coverage(robot: Robot, draws: int, seed: int = 1) -> Iterator[dict[s
         seed: Of the noise and of the robots.
     """
     unknowns = Unknowns(robot, Regressor.of(robot), tuple(range(robot.dimensions.dof)))
-    motion, at = excite(robot, Limits(duration=12.0, seconds=0.0, seed=seed)), np.array([0.02, -0.03, 0.12])
+    motion, at = excite(robot, ExcitationLimits(duration=12.0, seconds=0.0, seed=seed)), np.array([0.02, -0.03, 0.12])
     u = unknowns.matrix(motion.position, motion.nu, motion.nudot) @ unknowns.prior @ np.linalg.pinv(robot.E).T
     position = {name: motion.position[:, i] for i, name in enumerate(robot.joint_names)}
     log = Log.of(motion.time, position, {name: u[:, i] for i, name in enumerate(robot.actuator_names)})

@@ -93,7 +93,7 @@ def compiled_parts() -> dict[str, Part]:
     at, row, b, w = e.at, engine.row, engine.true.body, engine.true.work
     nu_ref, nudot_ref, psi, tau = (row[layout.where(name)] for name in ("nu_ref", "nudot_ref", "psi", "torque"))
     state = engine.state.values
-    joints = Joints(b.T, b.damping, b.dry, b.viscous, b.base)
+    joints = Joints(b.T, b.damping, b.dry, b.viscous, b.base, b.sideways)
     terms_at = Terms(w.v, w.M, w.h, w.F, w.hold, w.ydot, w.L, w.rest, w.grip)
     return {
         "reference, measurement, velocity command": lambda n: repeat_before(

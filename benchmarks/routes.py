@@ -20,7 +20,6 @@ from workload import arm_loop, chain, find_tiago, peer_work, thesis_loop
 
 from mmnn_pin import Loop, load
 from mmnn_pin.loop.batch import simulate_many
-from mmnn_pin.loop.side_by_side import ready
 from mmnn_pin.recording.recorder import Recorder
 
 SECONDS, FOLDER = float(sys.argv[1]), Path(sys.argv[2])
@@ -78,7 +77,6 @@ def whole(loop: Loop) -> Prepare:
 def batch(kind: str, runs: int, threads: int) -> Prepare:
     """`simulate_many` on the thesis robot, the same or with other masses in every run (made anew every time)."""
     loop = thesis_loop(SECONDS)
-    ready(loop)
 
     def run() -> dict[str, Any]:
         factors = np.random.default_rng(0).uniform(0.8, 1.2, runs)

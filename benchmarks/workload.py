@@ -121,7 +121,7 @@ def peer_work(duration: float) -> dict[str, Array]:
     robust = np.array([controller.robust.base] * nb + [controller.robust.arm] * layout.arm, float)
     numbers = {
         "period": PERIOD,
-        "kanayama": loop.kinematic.base_gains(),
+        "kanayama": loop.kinematic.base_gains(layout),
         "K": loop.kinematic.arm_gains(layout),
         "k": controller.feedback.vector(layout),
         "Kz": robust,

@@ -3,8 +3,8 @@
 import numpy as np
 
 from mmnn_pin import TorqueController, load_experiment
-from mmnn_pin.lab.proof.held_out import START
-from mmnn_pin.lab.proof.psi import fvu
+from mmnn_pin.lab.psi.held_out import START
+from mmnn_pin.lab.psi.psi import fvu
 
 
 class PI(TorqueController):

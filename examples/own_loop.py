@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mmnn_pin import PD, Feedback, Measurement, Stepper, load
+from mmnn_pin import PD, Feedback, Measurement, Stepper, StepperSettings, load
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference.wishes import BaseVelocity, JointGoal
 from mmnn_pin.safety import Safety
@@ -28,7 +28,7 @@ class Driver:
 
 if __name__ == "__main__":
     robot, limits = load("platform_arm"), Safety(torque=50.0, speed=1.0, joint_error=0.5)
-    with Stepper(robot, PD(Feedback(15.0, 20.0, "inertia")), safety=limits, period=0.002) as stepper:
+    with Stepper(robot, PD(Feedback(15.0, 20.0, "inertia")), StepperSettings(safety=limits, period=0.002)) as stepper:
         driver, drive = Driver(robot, stepper.period), BaseVelocity((0.3, 0.2))
         for k in range(2000):  # pacing is yours: here there is none
             setpoint = drive if k % 50 == 0 else JointGoal((0.8, -0.5)) if k == 1 else None

@@ -23,96 +23,27 @@ The names here are those that most people need; they are loaded when first used.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+import lazy_loader
 
-if TYPE_CHECKING:  # for editors and type checkers; a test holds it against HOME
-    from .deploy.embed import embed
-    from .deploy.identify.identification import identify
-    from .errors import InputError
-    from .lab.experiments.compare import compare
-    from .lab.experiments.config import load_experiment
-    from .lab.experiments.runner import run_experiment
-    from .lab.proof.certified_run import prove
-    from .lab.study.sweep import sweep
-    from .loop.loop import Loop
-    from .loop.stepper import Stepper
-    from .model.checks.properties import check
-    from .model.loading import load
-    from .model.robot import Robot
-    from .recording.recording import Recording
-    from .reference import Circle, Eight, Hold, Line, Sine, Trajectory
-    from .settings import Timing
-    from .signals import Measurement, Setpoint
-    from .torque.controller import Feedback, TorqueController
-    from .torque.learning_law import LearningLaw
-    from .torque.model_based import PD
-    from .torque.neural import Neural
+from .shown import ABOVE
 
 __version__ = "0.3.0"
-
-HOME = {
-    "model.loading": ("load",),
-    "model.robot": ("Robot",),
-    "model.checks.properties": ("check",),
-    "reference": ("Circle", "Eight", "Hold", "Line", "Sine", "Trajectory"),
-    "torque.controller": ("Feedback", "TorqueController"),
-    "torque.learning_law": ("LearningLaw",),
-    "torque.model_based": ("PD",),
-    "torque.neural": ("Neural",),
-    "signals": ("Measurement", "Setpoint"),
-    "settings": ("Timing",),
-    "loop.loop": ("Loop",),
-    "loop.stepper": ("Stepper",),
-    "recording.recording": ("Recording",),
-    "lab.experiments.compare": ("compare",),
-    "lab.experiments.config": ("load_experiment",),
-    "lab.experiments.runner": ("run_experiment",),
-    "lab.study.sweep": ("sweep",),
-    "lab.proof.certified_run": ("prove",),
-    "deploy.identify.identification": ("identify",),
-    "deploy.embed": ("embed",),
-    "errors": ("InputError",),
-}
-WHERE = {name: module for module, names in HOME.items() for name in names}
-
-__all__ = [
-    "PD",
-    "Circle",
-    "Eight",
-    "Feedback",
-    "Hold",
-    "InputError",
-    "LearningLaw",
-    "Line",
-    "Loop",
-    "Measurement",
-    "Neural",
-    "Recording",
-    "Robot",
-    "Setpoint",
-    "Sine",
-    "Stepper",
-    "Timing",
-    "TorqueController",
-    "Trajectory",
-    "check",
-    "compare",
-    "embed",
-    "identify",
-    "load",
-    "load_experiment",
-    "prove",
-    "run_experiment",
-    "sweep",
-]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in WHERE:
-        raise AttributeError(f"module 'mmnn_pin' has no attribute '{name}'")
-    return getattr(import_module(f"mmnn_pin.{WHERE[name]}"), name)
+__getattr__, loaded, __all__ = lazy_loader.attach_stub(__name__, __file__)  # the names of __init__.pyi
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return [*loaded(), "__version__"]
+
+
+def above() -> None:
+    """Import what shows and writes results, here and in what is installed above the package."""
+    from importlib.metadata import entry_points
+
+    from .deploy.identify import corrected  # noqa: F401
+    from .lab.show import gallery  # noqa: F401
+
+    for point in entry_points(group="mmnn_pin.show"):
+        point.load()
+
+
+ABOVE.append(above)

@@ -24,17 +24,32 @@ from typing import Any, TypeVar
 
 import numba
 import numpy as np
-from numba.core import cgutils, types
-from numba.core.datamodel import models, register_default
-from numba.core.imputils import impl_ret_borrowed, lower_getattr_generic
-from numba.core.typing.templates import AttributeTemplate, infer_getattr
-from numba.extending import NativeValue, typeof_impl, unbox
+from llvmlite import ir
+from numba import types
+from numba.extending import (
+    NativeValue,
+    infer_getattr,
+    lower_getattr_generic,
+    models,
+    register_model,
+    typeof_impl,
+    unbox,
+)
+
+from .compiled import folders
+
+AttributeTemplate: Any = None
+if not folders.PLAIN:
+    from .compiled.linking import AttributeTemplate
 
 T = TypeVar("T")
+WORD = ir.IntType(32)
 
 
 def by_address(kind: type[T]) -> type[T]:
     """The class of named tuples, of which compiled code is handed the address."""
+    if folders.PLAIN:
+        return kind
     more: dict[str, Any] = {name: getattr(kind, name) for name in ("__doc__", "__module__", "__qualname__")}
     more |= {"address": cached_property(address), "__getstate__": lambda value: None}  # a copy stands elsewhere
     made = type(kind.__name__, (kind,), more)
@@ -73,10 +88,11 @@ class Placed(types.Type):
 
     def __init__(self, tuple_type: Any) -> None:
         self.tuple_type, self.instance_class = tuple_type, tuple_type.instance_class
-        super().__init__(f"{self.instance_class} {tuple_type} by address")  # numba says no more than its name
+        key = folders.source_key(self.instance_class.__module__)  # an edited learner recompiles its callers, too
+        super().__init__(f"{self.instance_class} {tuple_type} by address {key}")  # numba says no more than its name
 
 
-@register_default(Placed)
+@register_model(Placed)
 class Address(models.PrimitiveModel):
     """A marked tuple in compiled code."""
 
@@ -96,26 +112,30 @@ def take(kind: Placed, value: Any, c: Any) -> NativeValue:
     place = c.pyapi.object_getattr_string(value, "address")
     number = c.pyapi.long_as_voidptr(place)
     c.pyapi.decref(place)
-    failed = cgutils.is_not_null(c.builder, c.pyapi.err_occurred())
+    error = c.pyapi.err_occurred()
+    failed = c.builder.icmp_unsigned("!=", error, ir.Constant(error.type, None))
     return NativeValue(c.builder.bitcast(number, c.context.get_value_type(kind)), is_error=failed)
 
 
-@infer_getattr
-class Field(AttributeTemplate):
+class Field:
     """The type of a marked tuple's field."""
 
     key = Placed
 
-    def generic_resolve(self, kind: Placed, name: str) -> Any:  # type: ignore[override]
+    def generic_resolve(self, kind: Placed, name: str) -> Any:
         """The field's type, None for no field."""
         fields = kind.tuple_type.fields
         return kind.tuple_type.types[fields.index(name)] if name in fields else None
 
 
-@lower_getattr_generic(Placed)
 def read(context: Any, builder: Any, kind: Placed, place: Any, name: str) -> Any:
     """Read a field; that it never changes is said, so that it is read once."""
     i = kind.tuple_type.fields.index(name)
-    found = builder.load(cgutils.gep_inbounds(builder, place, 0, i))
+    found = builder.load(builder.gep(place, [WORD(0), WORD(i)], inbounds=True))
     found.set_metadata("invariant.load", builder.module.add_metadata([]))
-    return impl_ret_borrowed(context, builder, kind.tuple_type.types[i], found)
+    return found
+
+
+if AttributeTemplate is not None:
+    infer_getattr(type("Fields", (Field, AttributeTemplate), {}))
+    lower_getattr_generic(Placed)(read)

@@ -7,19 +7,16 @@ and where this package is. A worker that is handed the user's own classes looks 
 
 from __future__ import annotations
 
-import atexit
 import ctypes
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
-from typing import IO, Any
 
 PR_SET_PDEATHSIG = 1  # of Linux: the signal that a process gets when its parent has ended
 LOOK_EVERY = 0.5  # whether the parent still lives, where the system does not tell [s]
@@ -47,48 +44,6 @@ def search_path() -> list[str]:
 def environment() -> dict[str, str]:
     """Environment of a process of ours; the interpreter needs `-P` besides."""
     return os.environ | {"PYTHONPATH": os.pathsep.join(search_path())}
-
-
-def begin_beside(
-    module: str, *arguments: str, read: IO[bytes], more: Mapping[str, str] | None = None, keep: Sequence[int] = ()
-) -> subprocess.Popen[bytes]:
-    """Begin a module in a process of its own, which goes on when this one is over, but not when this one is killed.
-
-    Args:
-        module: Its dotted name; its first argument is what it gives to `end_if_killed`.
-        arguments: More of them.
-        read: Its standard input.
-        more: Variables of its environment.
-        keep: Descriptors that it inherits.
-    """
-    watched, held = os.pipe()
-    atexit.register(let_go, held)
-    command, quiet = [sys.executable, "-P", "-m", module, str(watched), *arguments], subprocess.DEVNULL
-    streams: dict[str, Any] = {"stdin": read, "stdout": quiet, "stderr": quiet, "pass_fds": (watched, *keep)}
-    try:
-        return subprocess.Popen(command, **streams, env=environment() | dict(more or {}), start_new_session=True)
-    finally:
-        os.close(watched)
-
-
-def let_go(held: int) -> None:
-    """Tell a process that its parent ends as it should."""
-    with suppress(OSError):  # it has ended itself
-        os.write(held, b".")
-
-
-def end_if_killed(watched: int) -> None:
-    """End this process when its parent is killed.
-
-    Args:
-        watched: What `begin_beside` gave.
-    """
-
-    def watch() -> None:
-        if not os.read(watched, 1):
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def end_with(parent: int) -> None:

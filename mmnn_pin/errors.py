@@ -1,4 +1,4 @@
-"""What can go wrong, said in one line: `where: error: what: why: fix`.
+"""Errors of this package, each said in one line: `where: error: what: why: fix`.
 
 Every error of this package derives from `MmnnError`. An `InputError` is the user's to mend (the command line
 exits with 2); its children carry the evidence as attributes and say what would have been right.
@@ -6,10 +6,13 @@ exits with 2); its children carry the evidence as attributes and say what would 
 
 from __future__ import annotations
 
+import copy
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 
 def printable(text: str, keep: str = "") -> str:
@@ -26,6 +29,23 @@ class MmnnError(Exception):
     """Root of all errors raised by mmnn_pin."""
 
 
+@dataclass(frozen=True)
+class Values:
+    """Values of settings that would mend an error; as text they are as Python writes them.
+
+    Attributes:
+        table: Key of the settings, such as `feedback`.
+        texts: Name to value, as Python writes it.
+    """
+
+    table: str
+    texts: Mapping[str, str]
+
+    def __str__(self) -> str:
+        values = ", ".join(f"{name}={text}" for name, text in self.texts.items())
+        return f"{self.table}={self.table.capitalize()}({values})"
+
+
 class InputError(MmnnError):
     """Bad input: a file, a name, a value.
 
@@ -36,6 +56,8 @@ class InputError(MmnnError):
         file: File the input came from.
         line: Line in that file, counted from 1.
         key: Key path inside a config, e.g. `time.control_period`.
+        code: What kind of problem it is, for programs: `LENGTH`; empty for one that no program asks for.
+        values: What would mend it; `fix` has them as text.
 
     >>> try:
     ...     load("platform_arm").gravity([0.0, 0.0])
@@ -53,14 +75,23 @@ class InputError(MmnnError):
         file: str | Path | None = None,
         line: int | None = None,
         key: str | None = None,
+        code: str = "",
+        values: Values | None = None,
     ) -> None:
         self.what, self.why, self.fix = what, why, fix
         self.file, self.line, self.key = file, line, key
+        self.code, self.values = code, values
         self.option = ""  # of the command line that gave the key its value
         super().__init__(what)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return restored, (type(self), self.args, self.__dict__)  # an error comes back from a process as it was
+
+    def but(self, **changes: Any) -> Self:
+        """The same error with other attributes: as it is told from further outside."""
+        found = copy.copy(self)
+        found.__dict__.update(changes)
+        return found
 
     def __str__(self) -> str:
         given = self.option and self.key and self.line is None  # else a file has the key, on that line
@@ -68,6 +99,15 @@ class InputError(MmnnError):
         where = [str(part) for part in (self.file, self.line, key) if part is not None]
         text = ": ".join(part for part in (self.what, self.why, self.fix) if part)
         return f"{':'.join(where)}: error: {text}" if where else f"error: {text}"
+
+
+@contextmanager
+def keyed(outside: Callable[[str], str]) -> Iterator[None]:
+    """Errors within name their key as it is from outside; empty stands for none on either side."""
+    try:
+        yield
+    except InputError as error:
+        raise error.but(key=outside(error.key or "") or None) from error
 
 
 def restored(kind: type[InputError], args: tuple[Any, ...], content: dict[str, Any]) -> InputError:
@@ -93,14 +133,23 @@ class RecordingError(InputError):
     """A recording that cannot be written or read."""
 
 
-class BatchError(InputError):
-    """A batch whose processes cannot go on."""
-
-
 class StudyError(InputError):
     """A study whose database or workers cannot be used."""
 
 
+class UnknownKey(ConfigError):
+    """A key that settings do not have.
+
+    Args:
+        name: Of the key, the last part of its path.
+    """
+
+    def __init__(self, name: str, **told: Any) -> None:
+        self.name = name
+        super().__init__(f"unknown key '{name}'", **told)
+
+
+LENGTH = "length"  # the code of a list that is as long as another robot needs it
 SHOWN = 60  # names in a message: a robot may have hundreds of links
 
 

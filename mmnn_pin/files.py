@@ -45,7 +45,7 @@ def reason(error: Exception) -> str:
 
 
 def way_out(error: Exception) -> str:
-    """What to do about an error that is the disk's, the place's or the name's; empty for others."""
+    """Advice for an error of the disk, the place or the name; empty for others."""
     number = getattr(error, "errno", None)
     if number in FULL:
         return "make room on the disk, and give the same command again"
@@ -283,7 +283,7 @@ def make_private(folder: Path) -> str:
 
 
 def way_in(folder: Path) -> str:
-    """How others can put files into a folder, also one that is still to be made; empty where they cannot.
+    """The way by which others can put files into a folder, also one to be made; empty where there is none.
 
     It looks at the folders above up to the user's own one, or to one whose entries only their owners can replace.
     """

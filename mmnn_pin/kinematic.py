@@ -13,10 +13,11 @@ import numpy as np
 
 from .compiled import compiled, internal
 from .elementary import cos_sin
-from .model.base import BY_SIZE, velocity_command
+from .model.base import kind_of, velocity_command
+from .model.base.base import LinearErrors
 from .parts import view
 from .settings import Settings, one_or_each, require_gains
-from .signals import INDEX, Array, Dimensions, IntArray
+from .signals import INDEX, SIDEWAYS, Array, Dimensions, IntArray
 
 POSE_REF, VELOCITY_REF, ACCELERATION_REF = INDEX["pose_ref"], INDEX["velocity_ref"], INDEX["acceleration_ref"]
 Q_REF, QDOT_REF, QDDOT_REF = INDEX["q_ref"], INDEX["qdot_ref"], INDEX["qddot_ref"]
@@ -75,7 +76,7 @@ def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
             view(row, at, VELOCITY_REF),
             view(row, at, ACCELERATION_REF),
         )
-        velocity_command(error, v_ref, a_ref, velocity, gains, alpha, alphadot)
+        velocity_command(at[SIDEWAYS], error, v_ref, a_ref, velocity, gains, alpha, alphadot)
         for i in range(nb):
             z[i] = alpha[i] - velocity[i]  # Eqn. 3.6
             nu_ref[i], nudot_ref[i] = alpha[i], alphadot[i]
@@ -110,17 +111,21 @@ class Kinematic(Settings, frozen=True):
     def __post_init__(self) -> None:
         require_gains(self, "kinematic")
 
-    def base_gains(self, base: int = 2) -> Array:
-        """Gains of the law of a base with this many velocities, (3,); zeros for a fixed arm, which has none."""
-        names = BY_SIZE[base].gain_names
+    def base_gains(self, layout: Dimensions) -> Array:
+        """Gains of the law of a robot's base, (3,); zeros for a fixed arm, which has none."""
+        names = kind_of(layout).gain_names
         return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
-    def pose_weights(self, base: int) -> Array | None:
-        """What the squares of the errors of a base's velocities count in its pose error, (base,); None for all alike.
+    def linear_errors(self, layout: Dimensions, v_ref: Array) -> LinearErrors:
+        """The pose error under the law for small errors at a reference velocity (nb,), see `Base.linear_errors`."""
+        return kind_of(layout).linear_errors(v_ref, self.base_gains(layout))
+
+    def pose_weights(self, layout: Dimensions) -> Array | None:
+        """Weights of the squares of the errors of a base's velocities in its pose error, (base,); None for all alike.
 
         They are second derivatives of the Lyapunov function of the pose error (`Base.pose_weights`).
         """
-        return BY_SIZE[base].pose_weights(self.base_gains(base))
+        return kind_of(layout).pose_weights(self.base_gains(layout))
 
     def arm_gains(self, layout: Dimensions) -> Array:
         """K for every joint, shape (n,).

@@ -10,27 +10,22 @@ Compiled code sees it as a named tuple of views that `views` generates from the 
     state_of = views(State)                             # in compiled code: o = state_of(values, layout)
     layout = layout_of(State, {"samples": (1,), "W": (3, 4)})       # where the parts stand, whatever their order
 
-numba knows none of it: it would type and lower the arithmetic of every place, and for every element copy the whole
-array to the stack to reach one number. Typing and lowering were more than half of what a first run takes, so all of
-these are single instructions for numba here. Functions that allocate (not `LEAN`) keep numba's own elements.
+numba would type and lower the arithmetic of every place, which was much of what a first run takes: here a part is a few
+instructions, written with numba's public interface for extensions.
 """
 
 from __future__ import annotations
 
 import math
-import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from itertools import accumulate
 from typing import Annotated, Any, TypeVar, cast, get_type_hints
 
 import numpy as np
 from llvmlite import ir
-from numba.core import types
-from numba.core.imputils import lower_builtin
+from numba import types
 from numba.core.types import Array, Integer
-from numba.core.typing import signature
-from numba.core.typing.templates import AbstractTemplate, infer_global
-from numba.np.arrayobj import getitem_array_tuple, getitem_arraynd_intp, setitem_array
+from numba.extending import lower_builtin, type_callable
 from numpy.typing import NDArray
 
 T = TypeVar("T")
@@ -154,14 +149,9 @@ def instruction(function: Any, typed: Callable[..., Any], code: Callable[..., An
         code: Writes the code, as one of numba's lowering functions.
         kinds: Classes of the arguments' types.
     """
-
-    def generic(template: Any, args: Any, kws: Any) -> Any:
-        made = typed(*args)
-        given = [one if isinstance(one, Array) else types.intp for one in args]
-        return None if made is None else signature(made, *given)
-
-    template = type(function.__name__, (AbstractTemplate,), {"key": function, "generic": generic})
-    infer_global(function, types.Function(template))
+    names = ", ".join(function.__code__.co_varnames[: function.__code__.co_argcount])
+    choose = spelled(f"def choose({names}): return typed({names})", typed=typed)
+    type_callable(function)(lambda context: choose)
     lower_builtin(function, *kinds)(code)
 
 
@@ -173,7 +163,11 @@ def part_type(values: Any, *places: Any) -> Any:
 
 def part_code(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
     """The code of a part by its start and sizes."""
-    return make(given.return_type, context, builder, (given.args[0], arguments[0]), iter(arguments[1:]))
+    places = (
+        context.cast(builder, value, kind, types.intp)
+        for value, kind in zip(arguments[1:], given.args[1:], strict=True)
+    )
+    return make(given.return_type, context, builder, (given.args[0], arguments[0]), places)
 
 
 def view_type(row: Any, at: Any, signal: Any) -> Any:
@@ -184,7 +178,8 @@ def view_type(row: Any, at: Any, signal: Any) -> Any:
 
 def view_code(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
     """The code of a signal in a row."""
-    row, at, signal = arguments
+    row, at, _ = arguments
+    signal = context.cast(builder, arguments[2], given.args[2], types.intp)
     start, end = load(builder, at, signal), load(builder, at, builder.add(signal, WORD(1)))
     places = iter((start, builder.sub(end, start)))
     return make(given.return_type, context, builder, (given.args[0], row), places)
@@ -223,58 +218,3 @@ def load(builder: Any, array: Any, place: Any) -> Any:
 for ndim, part in PARTS.items():
     instruction(cast(Any, part), part_type, part_code, Array, *[Integer] * (ndim + 1))
 instruction(view, view_type, view_code, Array, Array, Integer)
-
-
-def is_plain(context: Any, kind: Any, places: Sequence[Any]) -> bool:
-    """Whether an element of whole numbers or floats in a whole array is meant, in a function that allocates nothing."""
-    dtype = kind.dtype in (types.float64, types.int64)
-    whole = len(places) == kind.ndim and all(isinstance(one, Integer) for one in places)
-    return dtype and whole and kind.layout == "C" and kind.aligned and not context.enable_nrt
-
-
-def element(context: Any, builder: Any, array: Any, places: Sequence[tuple[Any, Any]]) -> Any:
-    """The address of an element, by types and values of its indices; negative ones count from the end."""
-    place = None
-    for axis, (kind, given) in enumerate(places):
-        literal = isinstance(kind, types.IntegerLiteral)
-        index = WORD(kind.literal_value) if literal else context.cast(builder, given, kind, types.intp)
-        size = builder.extract_value(array, (SHAPE, axis))
-        if kind.signed and not (isinstance(index, ir.Constant) and index.constant >= 0):
-            behind = builder.icmp_signed("<", index, WORD(0))
-            index = builder.select(behind, builder.add(index, size), index)
-        place = index if place is None else builder.add(builder.mul(place, size), index)
-    return builder.gep(builder.extract_value(array, DATA), [place])
-
-
-def kinds(place: Any) -> tuple[Any, ...]:
-    """Types of indices."""
-    return tuple(getattr(place, "types", (place,)))
-
-
-def indices(kind: Any, value: Any, builder: Any) -> list[tuple[Any, Any]]:
-    """Types and values of indices."""
-    if not hasattr(kind, "types"):
-        return [(kind, value)]
-    return [(one, builder.extract_value(value, i)) for i, one in enumerate(kind.types)]
-
-
-@lower_builtin(operator.getitem, Array, Integer)
-@lower_builtin(operator.getitem, Array, types.BaseTuple)
-def get(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
-    """The code that reads an element."""
-    kind, place = given.args
-    if not is_plain(context, kind, kinds(place)):
-        own = getitem_array_tuple if isinstance(place, types.BaseTuple) else getitem_arraynd_intp
-        return own(context, builder, given, arguments)
-    return builder.load(element(context, builder, arguments[0], indices(place, arguments[1], builder)))
-
-
-@lower_builtin(operator.setitem, Array, types.Any, types.Any)
-def put(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
-    """The code that writes an element."""
-    kind, place, value = given.args
-    if not is_plain(context, kind, kinds(place)) or not isinstance(value, types.Number):
-        return setitem_array(context, builder, given, arguments)
-    number = context.cast(builder, arguments[2], value, kind.dtype)
-    builder.store(number, element(context, builder, arguments[0], indices(place, arguments[1], builder)))
-    return context.get_dummy_value()

@@ -1,8 +1,8 @@
 """The wires between the blocks: one flat row of float64 per control sample, and named views into it.
 
 A row holds every signal of one control sample. The compiled blocks read and write slices of it; a recording is
-the rows one after the other. `Layout` says what stands where; `Setpoint`, `Measurement`, `VelocityCommand`
-and `State` are views for people, refreshed in place at every sample (copy what you want to keep).
+the rows one after the other. `Layout` says what stands where; `Setpoint`, `Measurement` and
+`VelocityCommand` are views for people, refreshed in place at every sample (copy what you want to keep).
 
 Notation: `nb` base velocities (2 for a differential drive `(v, w)`, 3 for a holonomic base `(vx, vy, w)`, 0 for a
 fixed arm), `n` arm joints, `p = nb + n`, `nv` velocities of the full Pinocchio model. Poses are those of the
@@ -75,25 +75,30 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
 )
 # Compiled code freezes these numbers: this file is part of the key of the compiled code's cache.
 INDEX = {name: i for i, (name, *_) in enumerate(SIGNALS)}
+SIDEWAYS = len(SIGNALS) + 1  # behind the offsets of a layout: `Dimensions.sideways`
 HAND = ("x", "y", "z", "qx", "qy", "qz", "qw")  # columns of a frame, in the world
 EARLY = 5e-10  # half a nanosecond early counts, as times are rounded [s]
 
 
 @dataclass(frozen=True)
 class Dimensions:
-    """How many of everything a robot has.
+    """Numbers of velocities, joints and motors of a robot, and its kind of base.
 
     Args:
-        base: Number of base velocities nb (0, 2 or 3).
+        base: Number of base velocities nb.
         arm: Number of arm joints n.
         full: Number of velocities nv of the full model (pose and all joints).
         motors: Number of actuators.
+        kind: Kind of the base, a key of `model.base.KINDS`; empty where nobody asks for it.
+        sideways: Whether the base velocities are `(vx, vy, w)` and not `(v, w)`. Compiled code knows a base by it.
     """
 
     base: int
     arm: int
     full: int
     motors: int
+    kind: str = ""
+    sideways: bool = False
 
     @property
     def pose(self) -> int:
@@ -108,7 +113,7 @@ class Dimensions:
 
 @dataclass(frozen=True)
 class Layout(Dimensions):
-    """Where each signal stands in a row: a robot's dimensions, and what is recorded of a run beside its motion.
+    """Places of the signals in a row: a robot's dimensions, and what is recorded of a run beside its motion.
 
     Args:
         wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
@@ -126,21 +131,22 @@ class Layout(Dimensions):
     def of(cls, dimensions: Dimensions, wheels: int = 0, hardware: int = 0, lead: int = 0, hands: int = 0) -> Layout:
         """Layout of the rows of a robot with these dimensions."""
         d = dimensions
-        return cls(d.base, d.arm, d.full, d.motors, wheels, hardware, lead, hands)
+        return cls(d.base, d.arm, d.full, d.motors, d.kind, d.sideways, wheels, hardware, lead, hands)
 
     @cached_property
     def offsets(self) -> NDArray[np.int64]:
-        """Start of every signal in the order of `SIGNALS`, and the width of the row, shape (len(SIGNALS) + 1,)."""
+        """Start of every signal in the order of `SIGNALS`, width of the row, and `sideways`: (len(SIGNALS) + 2,)."""
         size = {"pose": self.pose, "base": self.base, "arm": self.arm, "all": self.dof, "full": self.full}
         size |= {"motor": self.motors, "wheel": self.wheels, "floor": min(1, self.wheels), "1": 1, "2": 2}
         size |= {"rig": self.hardware, "rig motor": self.hardware * self.motors, "rig all": self.hardware * self.dof}
         size |= {"lead all": self.lead * self.dof, "hand": len(HAND) * self.hands}
-        return np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
+        starts = np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
+        return np.append(starts, int(self.sideways))
 
     @cached_property
     def width(self) -> int:
         """Number of float64 in a row."""
-        return int(self.offsets[-1])
+        return int(self.offsets[len(SIGNALS)])
 
     def where(self, name: str) -> slice:
         """Slice of a signal in a row.
@@ -177,7 +183,7 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Setpoint(View):
-    """What the robot should do at one instant: the signals `pose_ref` ... `qddot_ref` of a row and of a recording.
+    """The reference at one instant: the signals `pose_ref` ... `qddot_ref` of a row and of a recording.
 
     Attributes:
         pose: (3,) pose of the control frame in the world [m, m, rad]; (0,) for a fixed arm.
@@ -213,7 +219,7 @@ class Setpoint(View):
 
 @dataclass(frozen=True, slots=True)
 class Measurement(View):
-    """What the sensors say: all that a controller may know of the robot's state.
+    """The sensors' readings: all that a controller may know of the robot's state.
 
     Attributes:
         pose: (3,) pose of the control frame in the world, phi unwrapped [m, m, rad].
@@ -234,7 +240,7 @@ class Measurement(View):
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand(View):
-    """What the kinematic layer asks of the torque controller, thesis (3.3), (3.6), (3.10), (3.11).
+    """The kinematic layer's demand on the torque controller, thesis (3.3), (3.6), (3.10), (3.11).
 
     Attributes:
         alpha: (nb,) commanded base velocity [m/s, rad/s].
@@ -259,16 +265,3 @@ class VelocityCommand(View):
     r: Array
     nu_ref: Array
     nudot_ref: Array
-
-
-@dataclass(frozen=True, slots=True)
-class State(View):
-    """The true state of the plant; controllers never see it.
-
-    Attributes:
-        position: (nv,) pose of the control frame, then the angle or travel of every joint of the full model.
-        nu: (p,) base velocity and arm joint velocities.
-    """
-
-    position: Array
-    nu: Array

@@ -31,21 +31,16 @@ import mmnn_pin.files
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.embed import export
 from mmnn_pin.deploy.identify import excitation, identification
-from mmnn_pin.lab.contest import contest
-from mmnn_pin.lab.contest.task import Demand, Task
-from mmnn_pin.lab.proof import certified_run, proof
-from mmnn_pin.lab.show import contest as contest_pages
+from mmnn_pin.lab.psi import judgement
 from mmnn_pin.lab.show import files as pages
 from mmnn_pin.lab.show import study as study_pages
-from mmnn_pin.lab.study import store, tuning
+from mmnn_pin.lab.study import store, tuning, worker
 from mmnn_pin.recording import recorder, run_file
 
 COMMANDS = {
     "run": "run x.toml --out {out}",
-    "run contest": "run contest --case eight --controller two_layer --out {out}",
     "plot": "plot run.h5 --out {out}/a.png",
     "plot as svg": "plot run.h5 --out {out}/a.svg",
-    "plot of a contest": "plot contest --what contest-fvu --out {out}",
     "replay": "replay run.h5 --html {out}/a.html",
     "report": "report run.h5 --no-replay --html {out}/a.html",
     "report of a study": "report db --html {out}/a.html",
@@ -57,24 +52,23 @@ COMMANDS = {
     "study": "study short.toml --out {out}",
     "one row of a study": "study short.toml --row 1 --out {out}",
     "tune": "tune tuning.toml --out {out}",
-    "prove": "prove run.h5 --plots {out}",
+    "judge": "judge run.h5 --plots {out}",
     "identify": "identify log.csv --robot two_axis_arm --even-if-worse --out {out}",
     "excite": "excite two_axis_arm --duration 10 --seconds 0 --out {out}/a.csv",
     "embed": "embed track --controller pd --no-check --steps 3 --out {out}/c",
 }
-GROWING = ("run", "run contest", "study", "one row of a study", "tune")  # these keep what was done before
+GROWING = ("run", "contest", "study", "one row of a study", "tune")  # these keep what was done before
 SAYING = ("list", "export run.h5 --to csv --out {out}", "run x.toml --out {out}")
 # Those of the default tests are the other ones: these write, and go on, with the same functions.
-LONG = ("plot as svg", "plot of a contest", "report of a study", "prove", "excite", "embed")
-LONG += ("run contest", "one row of a study", "tune", "export as npz", "export of a study")
+LONG = ("plot as svg", "report of a study", "judge", "excite", "embed")
+LONG += ("one row of a study", "tune", "export as npz", "export of a study")
 QUICK = [name for name in COMMANDS if name not in LONG]
 SIZES = (0, 3000, 40_000)  # bytes of a file on a full disk
 
 
 # What takes long and writes nothing, by module and name.
 COMPUTED = (
-    (proof, "Proof"),
-    (certified_run, "certified_run"),
+    (judgement, "Judgement"),
     (excitation, "excite"),
     (identification, "identify"),
     (study_pages, "page"),
@@ -92,13 +86,7 @@ def prepare(folder: Path) -> None:
     (folder / "x.toml").write_text(sound_files.EXPERIMENT)
     (folder / "tuning.toml").write_text(sound_files.TUNING.replace("check = 2", "check = 0"))
     sound_files.study(folder)
-    sound_files.contest(folder / "contest")
     sound_files.motion(folder / "log.csv")
-
-
-def quick_trial(task: Task, controller: str, *_: Any) -> tuple[list[Any], float]:
-    """A trial of a contest whose numbers are invented: the runs are not what is tested."""
-    return sound_files.invented(controller, 0.01), 1e-5
 
 
 def called(command: str, out: Path, *more: str) -> dict[str, Any]:
@@ -172,7 +160,7 @@ def jumping_clock() -> Iterator[None]:
     """The wall clock of every module that looks at it."""
     times = itertools.cycle((2e9, 1e9, 3e9, 0.0))
     with contextlib.ExitStack() as patches:
-        for module in (recorder, pages, store):
+        for module in (recorder, pages, worker):
             patches.enter_context(patch.object(module, "datetime", Jumping))
         patches.enter_context(patch.object(time, "time", lambda: next(times)))
         yield
@@ -244,18 +232,10 @@ def work(folder: Path, quick: bool) -> dict[str, Any]:
         file = folder / "x.toml"
         file.write_text(file.read_text().replace('title = "Broken"', "plots = []"))
     os.chdir(folder)
-    demand = Demand(("a", "b"), (0.4, 0.4), (0.2, 0.2))
     found: dict[str, Any] = {}
     with contextlib.ExitStack() as patches:
-        for holder, name, value in (
-            (contest, "run_trial", quick_trial),
-            (contest, "demand", lambda task: demand),
-            (Task, "rows", None),
-            *((module, name, once(getattr(module, name))) for module, name in COMPUTED),
-        ):
-            patches.enter_context(patch.object(holder, name, value))
-        if quick:
-            patches.enter_context(patch.object(contest_pages, "write_figures", lambda standing, folder: {}))
+        for module, name in COMPUTED:
+            patches.enter_context(patch.object(module, name, once(getattr(module, name))))
         for name in QUICK if quick else COMMANDS:
             begun = time.process_time()
             (place := folder / "places" / name.replace(" ", "_")).mkdir(parents=True)

@@ -11,14 +11,11 @@ from test_holonomic import PATHS, mecanum
 
 from mmnn_pin import PD, Hold, Loop, Neural, Sine, Timing, Trajectory
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.proof.periods import Periods
-from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.lab.proof.tube_search import Search
+from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recording import Recording
-from mmnn_pin.reference import Holonomic
-from mmnn_pin.signals import Array
+from mmnn_pin.reference import HolonomicPath
 from mmnn_pin.torque.neural import Robust
 from mmnn_pin.torque.one_layer import OneLayer
 from mmnn_pin.torque.two_layer import TwoLayer
@@ -41,7 +38,7 @@ def loop_of(
 ) -> Loop:
     """A loop that starts off its reference."""
     robot = robot_of_kind(kind)
-    base = {0: None, 2: PATHS["eight"], 3: Holonomic(PATHS["eight"], Sine(0.5, 4.0))}[robot.dimensions.base]
+    base = {0: None, 2: PATHS["eight"], 3: HolonomicPath(PATHS["eight"], Sine(0.5, 4.0))}[robot.dimensions.base]
     start = Start(pose_offset=(0.05, -0.04, 0.2) if base else (0.0, 0.0, 0.0), joint_offset=0.1, moving=True)
     settings = {
         "robot": robot,
@@ -70,46 +67,10 @@ def subject_of(kind: str, recording: Recording) -> Subject:
     if kind != "holonomic":
         return Subject.of(recording)
     subject = Subject.of.__func__  # the classmethod, around the robot of the test
-    import mmnn_pin.lab.proof.subject as module
+    import mmnn_pin.lab.psi.subject as module
 
     original, module.recorded_robot = module.recorded_robot, lambda recording: robot_of_kind(kind)
     try:
         return subject(Subject, recording)
     finally:
         module.recorded_robot = original
-
-
-def attacked(search: Search, first: int, last: int, wanted: int, eps: Array, noise: float = 1.0) -> Array:
-    """States (periods, m) of the true loop under errors of Psi (K, p) with the signs worst for one error at the end.
-
-    Velocities are told with errors at `noise` times their bound, of the worst signs, too.
-    """
-    periods, steps, rows = search.periods, search.steps, search.periods.subject.rows
-    Z, signs, wrong = np.eye(search.sums.m)[wanted], {}, {}
-    for j in range(search.ends[last] - 1, search.starts[first] - 1, -1):
-        signs[j], Z = np.sign(Z @ steps.B(j)), Z @ steps.P(j)
-        wrong[j] = -noise * search.told * np.sign(signs[j] @ steps.answers[j])
-    y = search.reached[search.starts[first]]
-    found = [y]
-    for j in range(search.starts[first], search.ends[last]):
-        asked = told(periods, rows[j], y, wrong[j]) + eps[steps.of[j]] * signs[j]
-        y = periods.after(rows[j], rows[j + 1], y, asked)
-        found.append(y)
-    return np.array(found)
-
-
-def told(periods: Periods, row: Array, y: Array, noise: Array) -> Array:
-    """The torque of a state whose velocities are told with an error; Psi is that of the true velocity."""
-    (position, nu), wrong = periods.placed(row, y), y.copy()
-    wrong[-len(noise) :] += noise
-    where, (seen, _, measured) = periods.layout.where, periods.seen(row, wrong)
-    nu_ref, nudot_ref = seen[where("nu_ref")], seen[where("nudot_ref")]
-    psi = periods.dynamics.psi(position, nu, nu_ref, nudot_ref)
-    return np.asarray(periods.gain * (nu_ref - measured) + psi)
-
-
-def within(search: Search, first: int, reached: Array, size: Array) -> bool:
-    """Whether states (periods, m) from a block on are in a tube (K, m), at every period."""
-    start, m = search.starts[first], reached.shape[1]
-    blocks = np.minimum(np.searchsorted(search.ends, start + np.arange(len(reached)), side="left"), len(size) - 1)
-    return bool((np.abs(reached) <= size[np.maximum(blocks, first), :m]).all())

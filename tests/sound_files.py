@@ -8,7 +8,6 @@ from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import trimesh
 from motions import simulated
@@ -18,13 +17,8 @@ from study_files import SHORT, planned
 
 from mmnn_pin import load
 from mmnn_pin.cli import main
-from mmnn_pin.lab.contest.contest import About, AboutTask
-from mmnn_pin.lab.contest.task import Demand
-from mmnn_pin.lab.contest.trial import Tracking, Trial, TrialResult
-from mmnn_pin.lab.experiments.config import load_experiment
-from mmnn_pin.lab.study.execution import missing_rows, probe
+from mmnn_pin.lab.study.execution import missing_trials, probe
 from mmnn_pin.lab.study.store import NAME, writing
-from mmnn_pin.lab.study.worker import JobResult
 
 EXPERIMENT = """
 experiment = "track"
@@ -98,7 +92,6 @@ def sound_files(
     (folder / "robot.urdf").write_bytes((ROOT / "urdf" / "platform_arm.urdf").read_bytes())
     meshes(folder / "meshes")
     study(folder)
-    contest(folder / "contest")
     logs(folder)
     if tuned:
         command(f"tune {folder / 'tuning.toml'} --out {folder / 'tuned'}")
@@ -148,42 +141,10 @@ def command(line: str) -> None:
 
 
 def study(folder: Path) -> None:
-    """A study's file, and its database with rows of invented numbers."""
+    """A study's file, and results with invented numbers."""
     plan = planned(folder, STUDY)
     found = probe(plan)
     with writing(folder / "db" / NAME) as store:
-        prints = list(plan.fingerprints())
-        for number in missing_rows(store, plan, found, False):
-            row = plan.row(number)
-            metrics = dict.fromkeys(found.units, 0.01 * number)
-            done = JobResult(number, ("completed", "diverged")[number % 4 == 3], 0.004, "", "", metrics, 0.1, "here")
-            store.add(prints[number], row.point, row.controller, row.seed, row.parameters, done)
-
-
-def contest(folder: Path) -> None:
-    """The folder of a contest with rows of invented numbers."""
-    folder.mkdir()
-    asked = load_experiment("contest")
-    who, trials = ("pd", "two_layer", "computed_torque"), {}
-    for k, name in enumerate(who):
-        trials[f"eight/{name}"] = Trial(f"{k:016x}", 1e-5, invented(name, 0.01 * (k + 1)))
-    demand = Demand(("wheel_left_joint", "wheel_right_joint"), (0.4, 0.4), (0.2, 0.2))
-    plain = msgspec.json.decode(msgspec.structs.replace(asked, cases={}).to_json())
-    about = About("contest", plain, who, {"eight": AboutTask("An eight", who, demand)})
-    (folder / "contest.json").write_bytes(msgspec.json.encode(about))
-    (folder / "rows.json").write_bytes(msgspec.json.encode(trials))
-
-
-def invented(controller: str, error: float) -> list[TrialResult]:
-    """What two seeds of a controller would give in a contest."""
-    axes = ("x", "y", "phi", "arm_1_joint", "arm_2_joint")
-    return [
-        TrialResult(
-            task="eight", controller=controller, seed=seed, outcome="completed", ended=20.0, effort=3.0, torque=0.5,
-            kick=0.6, rms=dict.fromkeys(axes, error), peak=dict.fromkeys(axes, 0.02),
-            peak_of_all=dict.fromkeys(axes, 0.1), online_fvu=0.1, online_worst=0.3, frozen_fvu=0.2,
-            frozen_worst=0.4, frozen_on={"similar": 0.2}, findings=(), since=0.0, curve=[[0.1] * 5, [0.01] * 5],
-            held_out={"similar": dict.fromkeys(("frozen", "learning"), Tracking("completed", {"x": 0.01}))},
-        )
-        for seed in (0, 1)
-    ]  # fmt: skip
+        for number in missing_trials(store, plan, found, False):
+            status, metrics = ("completed", "diverged")[number % 4 == 3], dict.fromkeys(found.units, 0.01 * number)
+            store.add(plan.trial(number).result(status, time=0.004, metrics=metrics, seconds=0.1))

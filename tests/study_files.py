@@ -6,11 +6,11 @@ import math
 from pathlib import Path
 from typing import Any
 
-from mmnn_pin.lab.study.execution import fill, missing_rows, probe
+from mmnn_pin.lab.study.execution import fill, missing_trials, probe
 from mmnn_pin.lab.study.plan import Plan, plan_of
-from mmnn_pin.lab.study.pools import Pool, threads
+from mmnn_pin.lab.study.pools import Pool, here
 from mmnn_pin.lab.study.settings import load_study
-from mmnn_pin.lab.study.store import NAME, Stored, reading, writing
+from mmnn_pin.lab.study.store import NAME, TrialResult, reading, writing
 
 SHORT = """
 title = "Short"
@@ -54,21 +54,20 @@ def planned(folder: Path, text: str = SHORT, *overrides: str) -> Plan:
     return plan_of(load_study(written(folder, text), overrides))
 
 
-def run_here(plan: Plan, folder: Path, pool: Any = None, force: bool = False) -> list[Stored]:
+def run_here(plan: Plan, folder: Path, pool: Any = None, force: bool = False) -> list[TrialResult]:
     """Make a study's missing rows and give back all."""
-    with writing(folder / NAME) as store, pool or threads(2) as made:
+    with writing(folder / NAME) as store, pool or here() as made:
         assert isinstance(made, Pool)
-        fill(store, plan, missing_rows(store, plan, probe(plan), force), made)
-        return store.rows()
+        fill(store, plan, missing_trials(store, plan, probe(plan), force), made)
+    return stored(folder)
 
 
-def stored(folder: Path) -> list[Stored]:
-    """Rows of a database."""
-    with reading(folder / NAME) as store:
-        return store.rows()
+def stored(folder: Path) -> list[TrialResult]:
+    """Results of a study."""
+    return reading(folder / NAME).results
 
 
-def numbers(rows: list[Stored]) -> list[tuple[Any, ...]]:
+def numbers(rows: list[TrialResult]) -> list[tuple[Any, ...]]:
     """What must not depend on where and when a row was made; nan as a text, so that it equals itself."""
     return [
         (

@@ -19,23 +19,11 @@ from places import ROOT
 NAMES = {*sys.stdlib_module_names, *packages_distributions(), "mmnn_pin", "sitecustomize", "usercustomize"}
 PLANT = "import os\nopen({marker!r}, 'a').write(__name__ + '\\n')\nos._exit(0)\n"
 BEGIN = """
-import json, os, sys, time
+import sys
 from pathlib import Path
-from tempfile import TemporaryFile
 import mmnn_pin as mm
-from mmnn_pin.children import begin_beside
-def beside(module, text, *arguments):
-    with TemporaryFile() as read:
-        read.write(json.dumps(text).encode()); read.seek(0)
-        return begin_beside(module, *arguments, read=read, more={"NUMBA_DISABLE_JIT": "1"})
 """
 KINDS = {
-    "first run": 'code = beside("mmnn_pin.loop.early", {"form": None}).wait(); assert code == 0, code',
-    "side by side": """
-out = Path(sys.argv[1]) / "program"
-beside("mmnn_pin.loop.side_by_side", [], str(out)).wait()
-assert out.read_bytes() == b""
-""",
     "study": """
 from mmnn_pin.lab.study.pools import number_of, processes
 with processes(1) as pool:
@@ -119,17 +107,6 @@ if __name__ == "__main__":
         print(*pool.executor._processes, flush=True)
         time.sleep(600)
 """
-COMPILER = """
-import os, sys, time
-from mmnn_pin.children import begin_beside
-end, held = os.pipe()
-process = begin_beside("sleeper", read=os.fdopen(end, "rb"))
-print(process.pid, flush=True)
-time.sleep(float(sys.argv[1]))
-"""
-SLEEPER = (
-    "import sys, time\nfrom mmnn_pin.children import end_if_killed\nend_if_killed(int(sys.argv[1]))\ntime.sleep(60)\n"
-)
 WATCHED = """
 import os, sys, time
 from mmnn_pin import children
@@ -176,7 +153,6 @@ def started(tmp_path: Path) -> Iterator[list[subprocess.Popen[str]]]:
 def start(tmp_path: Path, text: str, *arguments: str) -> subprocess.Popen[str]:
     """A script, begun."""
     (tmp_path / "script.py").write_text(text)
-    (tmp_path / "sleeper.py").write_text(SLEEPER)
     variables = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
     command = [sys.executable, str(tmp_path / "script.py"), *arguments]
     heeds = partial(signal.signal, signal.SIGHUP, signal.SIG_DFL)  # also where the tests were started with nohup
@@ -185,7 +161,7 @@ def start(tmp_path: Path, text: str, *arguments: str) -> subprocess.Popen[str]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
-@pytest.mark.parametrize("text", [WORKERS, COMPILER, WATCHED], ids=["workers", "compiler", "watched"])
+@pytest.mark.parametrize("text", [WORKERS, WATCHED], ids=["workers", "watched"])
 def test_a_parent_that_is_killed_takes_its_processes_along(text, end, tmp_path, started) -> None:
     started.append(process := start(tmp_path, text, "600"))
     assert process.stdout is not None
@@ -193,14 +169,3 @@ def test_a_parent_that_is_killed_takes_its_processes_along(text, end, tmp_path, 
     assert numbers and all(map(is_alive, numbers))
     process.send_signal(end)
     assert are_over(numbers)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_what_compiles_for_later_runs_goes_on_when_a_run_is_over(tmp_path, started) -> None:
-    started.append(process := start(tmp_path, COMPILER, "2"))
-    assert process.stdout is not None
-    number = int(process.stdout.readline())
-    assert process.wait(60) == 0
-    time.sleep(1.0)
-    assert is_alive(number)
-    os.kill(number, signal.SIGKILL)

@@ -20,10 +20,13 @@ from hypothesis import strategies as st
 from numba import config, typeof
 from numba._dispatcher import compute_fingerprint
 
-from mmnn_pin import compiled as module
 from mmnn_pin import load_experiment
+from mmnn_pin.actuator import STATES, motor_state
 from mmnn_pin.by_address import by_address
-from mmnn_pin.compiled import KEPT, MADE, OwnNames, by_type, cache_folder, compiled, internal, linked
+from mmnn_pin.compiled import by_type, compiled, internal, linked
+from mmnn_pin.compiled import folders as module
+from mmnn_pin.compiled.folders import KEPT, cache_folder, source_key
+from mmnn_pin.compiled.linking import OwnNames
 from mmnn_pin.loop.hardware import MotorSide
 from mmnn_pin.loop.latency import Transport
 from mmnn_pin.loop.servo_model import VelocityServo
@@ -207,7 +210,7 @@ def test_what_may_stand_in_one_place_differs_in_its_parts():
             learners[type(learner)] = learner
     assert len(learners) > 6
     one, two, whole = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1), np.int64)
-    sensors = [FrozenEncoders(two, one), MotorSide(whole, two)]
+    sensors = [FrozenEncoders(two, one), MotorSide(whole, motor_state(np.zeros((1, STATES))))]
     motors = [Transport(0.1, whole[0], two), VelocityServo(0.1, *[one] * 6, two)]
     for group in (learners.values(), sensors, motors):
         assert len({compute_fingerprint(value) for value in group}) == len(group)
@@ -309,13 +312,7 @@ def test_what_a_linked_function_raises_reaches_the_caller():
 
 
 MODULE = """
-from mmnn_pin.compiled import MADE, OwnNames, by_type, compiled, internal, linked
-from mmnn_pin.loop.hardware import MotorSide
-from mmnn_pin.loop.latency import Transport
-from mmnn_pin.loop.servo_model import VelocityServo
-from mmnn_pin.sensing import FrozenEncoders
-from mmnn_pin.torque import CONTROLLERS
-from mmnn_pin.torque.controller import CompiledController
+from mmnn_pin.compiled import compiled, internal, linked
 
 @internal
 def low(x):
@@ -410,7 +407,51 @@ def test_code_that_the_disk_does_not_take_is_not_kept(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is kept")
 def test_all_compiled_functions_keep_their_code_under_own_names():
-    assert all(isinstance(made._cache._cache_file, OwnNames) for made in MADE)
+    functions = (read_all, doubled, root)  # type: ignore[unused-ignore]
+    assert all(isinstance(one._cache._cache_file, OwnNames) for one in functions)  # type: ignore[attr-defined]
+
+
+def test_a_module_is_compiled_anew_when_what_it_calls_is_edited_and_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    loops = ("loop.compiled", "loop.sample")
+    places = ("torque.adaptive", "torque.concurrent", "torque.classical", *loops, "model.tree.body")
+    modules = [f"mmnn_pin.{place}" for place in places]
+
+    def changed_by(edited: str) -> set[str]:
+        before = {one: source_key(one) for one in modules}
+        text_of = module.text_of
+        monkeypatch.setattr(module, "text_of", lambda one: text_of(one) + b"#" * (one == f"mmnn_pin.{edited}"))
+        source_key.cache_clear()
+        changed = {one.removeprefix("mmnn_pin.") for one in modules if source_key(one) != before[one]}
+        monkeypatch.undo()
+        source_key.cache_clear()
+        return changed
+
+    assert changed_by("torque.adaptive") == {"torque.adaptive", "torque.concurrent"}
+    assert changed_by("safety.door") == set(loops)  # `safety` hands it on
+    assert changed_by("model.tree.dynamics") == set(places)
+    assert changed_by("loop.loop") == set()
+
+
+@compiles
+def test_without_numbas_insides_the_same_bits() -> None:
+    text = "from mmnn_pin.elementary import sin; from mmnn_pin.compiled import prepare; print(prepare, sin(0.3).hex())"
+    answers = [
+        subprocess.run(
+            [sys.executable, "-c", text], env=os.environ | {"MMNN_PLAIN_NUMBA": plain}, capture_output=True, text=True
+        ).stdout.split()[-1]
+        for plain in "01"
+    ]
+    assert answers[0] == answers[1]
+
+
+def folder_of_a_new_process() -> Path | None:
+    """The cache folder as it is found anew."""
+    found = module.private_root(module.cache_root().resolve(), source_key("mmnn_pin.compiled"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "checked_root", lambda: found)
+        if found is not None:
+            module.forget(found)
+        return cache_folder.__wrapped__()
 
 
 def test_code_of_other_versions_that_nothing_uses_is_removed_and_nothing_else(
@@ -423,10 +464,11 @@ def test_code_of_other_versions_that_nothing_uses_is_removed_and_nothing_else(
         (folder / "deep" / ("notes.txt" if folder == alike else "code.nbi")).write_bytes(b"code")
         age = 2 * 86400.0 if folder == used else KEPT + 60.0
         os.utime(folder, (time.time() - age,) * 2)
-    own = cache_folder.__wrapped__()  # as a new process has it
-    assert own is not None and set(tmp_path.iterdir()) == {own, used, foreign, alike}
+    own = folder_of_a_new_process()
+    assert own is not None and own.exists() and not old.exists()
+    assert used.exists() and foreign.exists() and alike.exists()
     os.utime(own, (0.0, 0.0))
-    assert cache_folder.__wrapped__() == own and time.time() - own.stat().st_mtime < 60.0
+    assert folder_of_a_new_process() == own and time.time() - own.stat().st_mtime < 60.0
 
 
 def test_code_is_not_taken_from_a_folder_that_others_can_write_to(
@@ -439,12 +481,17 @@ def test_code_is_not_taken_from_a_folder_that_others_can_write_to(
     shared.chmod(0o777)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(shared))
     monkeypatch.setattr(module, "gettempdir", lambda: str(others))
-    found = cache_folder.__wrapped__()
-    assert found.parent == others / f"mmnn_pin-{os.getuid()}" and found.stat().st_mode & 0o777 == 0o700
+    found = folder_of_a_new_process()
+    assert (
+        found is not None
+        and found.parent == others / f"mmnn_pin-{os.getuid()}"
+        and found.stat().st_mode & 0o777 == 0o700
+    )
     assert not any(shared.iterdir())
     (line,) = capsys.readouterr().err.splitlines()
     assert f"warning: compiled code is not taken from {shared}: others can write to {shared} (mode 777)" in line
     found.parent.chmod(0o777)
-    assert cache_folder.__wrapped__() is None and "it is not kept" in capsys.readouterr().err
+    assert folder_of_a_new_process() is None and "it is not kept" in capsys.readouterr().err
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "own"))  # as the line says
-    assert cache_folder.__wrapped__().parent == tmp_path / "own" and capsys.readouterr().err == ""
+    found = folder_of_a_new_process()
+    assert found is not None and found.parent == tmp_path / "own" and capsys.readouterr().err == ""

@@ -19,7 +19,7 @@ from mmnn_pin.torque.adaptive import Adaptive
 from mmnn_pin.torque.learning_law import LearningLaw
 
 ODD = [*WRONG, "pd", np.zeros(2), np.zeros((2, 2)), ["a"], ((1, 2), (3,)), lambda: 1, object(), {"x": "y"}, 10**400]
-LONG = ("check", "compare", "embed", "identify", "prove", "run_experiment", "sweep", "Recording", "Robot")
+LONG = ("check", "compare", "embed", "identify", "judge", "run_experiment", "sweep", "Recording", "Robot")
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def sound(tmp_path_factory) -> dict[str, dict[str, Any]]:
         "identify": {"robot": robot, "logs": []},
         "load": {"robot": "two_axis_arm"},
         "load_experiment": {"name_or_path": "track"},
-        "prove": {},
+        "judge": {},
         "run_experiment": {"experiment": load_experiment("track"), "name": "track"},
         "sweep": {"robot": robot, "trajectory": path, "key": "time.control_period", "values": [0.002]},
         "Robot": {field: getattr(robot, field) for field in robot.__dataclass_fields__},

@@ -20,8 +20,8 @@ from places import ROOT
 from mmnn_pin import PD, Feedback, Recording, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.files import opened, read_bytes
-from mmnn_pin.lab.proof.held_out import held_out
-from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.lab.psi.held_out import held_out
+from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.model.urdf.reading import audit_data
 
 PATIENCE = 10.0  # [s] of processor time and of the clock
@@ -186,7 +186,7 @@ def test_a_file_that_a_recording_names_for_its_motion_is_not_opened(
 # -- one door ----------------------------------------------------------------------------------------------------------
 
 OWN = {  # modules that open files of ours, of Python, of the system, or what has gone through `files` before
-    *("files.py", "compiled.py", "loop/early.py", "loop/side_by_side.py", "loop/batch.py", "cli/docs.py"),
+    *("files.py", "compiled/folders.py", "loop/batch.py", "cli/docs.py"),
     *("deploy/embed/source.py", "lab/experiments/thesis.py", "lab/show/files.py", "lab/show/replay/page.py"),
     *("lab/study/worker.py", "torque/friction_features.py", "torque/learning_law.py", "recording/versions.py"),
     *("recording/run_file.py", "lab/show/export.py", "lab/show/bag.py"),

@@ -30,7 +30,7 @@ READ = (
     "--without-load",
     "--package-dir",
 )  # paths that commands only read
-KEEPING = ("run contest", "study", "tune")  # the same command goes on with what is there
+KEEPING = ("contest", "study", "tune")  # the same command goes on with what is there
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""What strangers hand in beside recordings: values of wrong types, rows of a database, requests to the server."""
+"""What strangers hand in beside recordings: values of wrong types, results of a study, requests to the server."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import importlib
 import json
 import pkgutil
 import random
-import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, redirect_stdout
+from contextlib import redirect_stdout
 from http.client import HTTPConnection
 from io import StringIO
+from typing import Any
 
 import pytest
 from random_options import tried
-from sound_files import contest, study
+from sound_files import study
 
 import mmnn_pin
 from mmnn_pin.cli import main, mmnn
 from mmnn_pin.errors import ConfigError, MmnnError, StudyError
-from mmnn_pin.lab.show.replay.page import Page
+from mmnn_pin.lab.show.replay.page import ReplayPage
 from mmnn_pin.lab.study.results import load_results
 from mmnn_pin.lab.study.store import NAME
 from mmnn_pin.lab.study.verdict import verdict
@@ -90,7 +90,7 @@ def test_a_name_that_no_file_can_have_is_one_line(tmp_path, monkeypatch, capsys)
         assert said.count("\n") == 1 and "internal error" not in said, said
 
 
-# -- a study's database ------------------------------------------------------------------------------------------------
+# -- a study's results ------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -100,35 +100,33 @@ def sound(tmp_path_factory) -> bytes:
     return (folder / "db" / NAME).read_bytes()
 
 
-ROWS = {
-    "UPDATE rows SET metrics = '{' WHERE id = 1": "metrics of row 1 cannot be read",
-    'UPDATE rows SET metrics = \'{"effort": "x"}\' WHERE id = 1': "row 1 cannot be read: Expected",
-    "UPDATE rows SET parameters = '[]' WHERE id = 1": "row 1 cannot be read: Expected `object`",
-    "UPDATE rows SET parameters = '{}' WHERE id = 1": "row 1 cannot be read: its masses.root is None",
-    "UPDATE rows SET controller = 'x' WHERE id = 1": "row 1 cannot be read: its controller 'x' is none of the study's",
-    "UPDATE rows SET status = 'won' WHERE id = 1": "row 1 cannot be read: Invalid enum value 'won'",
-    "UPDATE rows SET time = 'x' WHERE id = 1": "row 1 cannot be read: Expected `float`",
-    "UPDATE meta SET value = '3' WHERE key = 'controllers'": "the fact 'controllers' cannot be read: this is a whole",
-    "UPDATE meta SET value = '[[[' WHERE key = 'units'": "the fact 'units' cannot be read",
-    "DELETE FROM meta WHERE key = 'units'": "it does not hold the fact 'units'",
-    "DELETE FROM meta WHERE key = 'file'": "it does not hold the fact 'file'",
-    "UPDATE meta SET value = '{\"factors\": 3}' WHERE key = 'settings'": "its settings cannot be read",
-    "CREATE VIEW more AS SELECT 1": "the view 'more' cannot be read",
-    "CREATE TRIGGER more AFTER INSERT ON rows BEGIN SELECT 1; END": "the trigger 'more' cannot be read",
-    "DROP TABLE rows": "cannot read the database: no such table: rows",
+LINES: dict[str, tuple[int, str, Any, str]] = {  # number of the line, key, value (None: none), what is said
+    "a metric": (2, "metrics", {"effort": "x"}, "line 2 cannot be read: metrics[...]: this is a text, give a number"),
+    "parameters": (2, "parameters", [], "line 2 cannot be read: parameters: this is a list, give a table"),
+    "no parameters": (2, "parameters", {}, "row 0 cannot be read: its masses.root is None"),
+    "controller": (3, "controller", "x", "row 1 cannot be read: its controller 'x' is none of the study's"),
+    "status": (3, "status", "won", "line 3 cannot be read: status: Invalid enum value 'won'"),
+    "time": (3, "time", "x", "line 3 cannot be read: time: this is a text, give a number"),
+    "controllers": (1, "controllers", 3, "controllers: this is a whole number, give a list"),
+    "units": (1, "units", [[[]]], "units: this is a list, give a table"),
+    "no units": (1, "units", None, "the key 'units' is missing"),
+    "settings": (1, "settings", {"factors": 3}, "its settings cannot be read"),
 }
 
 
-@pytest.mark.parametrize("change", ROWS)
-def test_a_database_that_we_did_not_write_is_one_line(change, sound, tmp_path):
+@pytest.mark.parametrize("change", LINES)
+def test_results_that_we_did_not_write_are_one_line(change, sound, tmp_path):
+    number, key, value, words = LINES[change]
     file = tmp_path / NAME
     file.write_bytes(sound)
     assert len(load_results(file).rows) == 6
-    with closing(sqlite3.connect(file)) as db, db:
-        db.execute(change)
+    lines = sound.decode().splitlines(keepends=True)
+    table = json.loads(lines[number - 1]) | {key: value}
+    lines[number - 1] = json.dumps({name: v for name, v in table.items() if v is not None}) + "\n"
+    file.write_text("".join(lines))
     with pytest.raises(StudyError) as raised:
         load_results(file)
-    assert ROWS[change] in str(raised.value) and "\n" not in str(raised.value)
+    assert words in str(raised.value) and "\n" not in str(raised.value)
     assert str(raised.value).startswith(f"{file}: error: ")
     with redirect_stdout(StringIO()):
         assert main(["export", str(file), "--to", "csv", "--out", str(tmp_path / "out")]) == 2
@@ -137,62 +135,25 @@ def test_a_database_that_we_did_not_write_is_one_line(change, sound, tmp_path):
 
 @pytest.mark.parametrize("point", [2**63 - 1, -(2**63), 10**12])
 def test_numbers_of_points_are_names_and_no_places(point, sound, tmp_path):
-    (file := tmp_path / NAME).write_bytes(sound)
-    with closing(sqlite3.connect(file)) as db, db:
-        db.execute(f"UPDATE rows SET point = {point} WHERE point = 1")
-    (tmp_path / "sound.sqlite").write_bytes(sound)
-    found, expected = (verdict(load_results(one)) for one in (file, tmp_path / "sound.sqlite"))
+    (file := tmp_path / NAME).write_bytes(sound.replace(b'"point": 1,', f'"point": {point},'.encode()))
+    (tmp_path / "sound.jsonl").write_bytes(sound)
+    found, expected = (verdict(load_results(one)) for one in (file, tmp_path / "sound.jsonl"))
     assert (found.controller, found.success) == (expected.controller, expected.success)
 
 
-def test_a_text_of_a_gigabyte_is_not_read(sound, tmp_path):
+@pytest.mark.parametrize("end", [b"", b"\n"])
+def test_a_line_of_a_gigabyte_is_not_read(end, sound, tmp_path):
     file = tmp_path / NAME
-    file.write_bytes(sound)
-    with closing(sqlite3.connect(file)) as db, db:
-        db.execute("UPDATE rows SET metrics = zeroblob(60000000) WHERE id = 1")
-    with pytest.raises(StudyError, match="cannot read the database: string or blob too big"):
+    file.write_bytes(sound + b" " * 60_000_000 + end)
+    with pytest.raises(StudyError, match="cannot read the results: a line is too long"):
         load_results(file)
 
 
-def test_a_damaged_text_in_the_list_of_tables_is_one_line(sound, tmp_path):
+def test_a_text_that_is_no_utf8_is_one_line(sound, tmp_path):
     file = tmp_path / NAME
-    file.write_bytes(sound.replace(b"CREATE TABLE rows", b"CREATE TABLE ro\xffs", 1))
-    with pytest.raises(StudyError, match="cannot read the database: "):
+    file.write_bytes(sound.replace(b"completed", b"compl\xffted", 1))
+    with pytest.raises(StudyError, match="line 2 cannot be read: 'utf-8' codec can't decode"):
         load_results(file)
-
-
-def test_a_contest_that_lost_windows_of_a_curve_is_drawn_as_far_as_all_go(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    contest(tmp_path / "contest")
-    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
-    rows["eight/two_layer"]["rows"][0]["curve"].pop()
-    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
-    with redirect_stdout(StringIO()):
-        assert main(["plot", "contest", "--what", "contest-learning", "--out", "out"]) == 0
-
-
-def test_a_contest_with_a_squared_error_below_0_is_one_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    contest(tmp_path / "contest")
-    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
-    rows["eight/two_layer"]["rows"][0]["curve"][0][0] = -1.0
-    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
-    assert main(["report", "contest", "--html", "out.html"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "the curve of two_layer has a squared error below 0" in line
-
-
-@pytest.mark.parametrize("value", [1e300, -1.0])
-def test_a_contest_with_an_error_that_is_none_is_one_line(value, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    contest(tmp_path / "contest")
-    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
-    first = rows["eight/two_layer"]["rows"][0]["rms"]
-    first[next(iter(first))] = value
-    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
-    assert main(["report", "contest", "--html", "out.html"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert f"an error of {value:g}" in line
 
 
 # -- the replay's server -----------------------------------------------------------------------------------------------
@@ -211,7 +172,7 @@ def test_a_contest_with_an_error_that_is_none_is_one_line(value, tmp_path, monke
     ],
 )
 def test_a_foreign_page_gets_nothing_from_the_server(headers, status):
-    with Page("<p>mine</p>", (), 0, 0).served(0) as url:
+    with ReplayPage("<p>mine</p>").served(0) as url:
         host, port = url.removeprefix("http://").rstrip("/").split(":")
         assert host == "127.0.0.1"
         connection = HTTPConnection(host, int(port), timeout=10)

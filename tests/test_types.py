@@ -20,17 +20,17 @@ from numpy.typing import NDArray
 
 from mmnn_pin import (
     PD, Hold, LearningLaw, Line, Loop, Neural, Recording, Robot, Sine, Stepper, Timing, TorqueController, Trajectory,
-    check, compare, embed, identify, load, load_experiment, prove, run_experiment, sweep,
+    check, compare, embed, identify, judge, load, load_experiment, run_experiment, sweep,
 )
 from mmnn_pin.deploy.embed.export import Embedded
 from mmnn_pin.deploy.identify.identification import Identification
 from mmnn_pin.elementary import sin
 from mmnn_pin.lab.experiments.result import Result
-from mmnn_pin.lab.proof.certified_run import Proved
+from mmnn_pin.lab.psi.judgement import Judgement
 from mmnn_pin.lab.study.choice import Level
 from mmnn_pin.loop.servo import Command
-from mmnn_pin.model.checks.properties import Report
-from mmnn_pin.settings.shown import Page, Picture, Table
+from mmnn_pin.model.checks.properties import CheckReport
+from mmnn_pin.shown import Page, Picture, Table
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque.controller import ControllerState
 
@@ -52,8 +52,8 @@ assert_type(runs["pd"].errors(start=0.1)["x"].rms, float)
 found = sweep(robot, reference, "feedback.arm", [1.0, 5.0])
 assert_type(found.plot(), Picture)
 assert_type(found.errors("pd")[5.0], Level)
-assert_type(check(robot), Report)
-assert_type(prove(Recording.open("run.h5")), Proved)
+assert_type(check(robot), CheckReport)
+assert_type(judge(Recording.open("run.h5")), Judgement)
 assert_type(identify(robot, "log.csv"), Identification)
 loop = Loop(robot, reference, PD(), timing=Timing(duration=0.1))
 assert_type(loop.run(), Recording)

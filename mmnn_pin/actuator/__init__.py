@@ -3,7 +3,7 @@
 `Actuator` in `settings` makes the list of effects, `effects` has one class for each.
 """
 
-from .effects import AHEAD, ROTOR_SPEED, STATES, SUM, Backlash, Drive, Motors
+from .effects import STATES, Backlash, Drive, Motors, MotorState, motor_state
 from .settings import NEVER, Actuator, motor_places
 
-__all__ = ["AHEAD", "NEVER", "ROTOR_SPEED", "STATES", "SUM", "Actuator", "Backlash", "Drive", "Motors", "motor_places"]
+__all__ = ["NEVER", "STATES", "Actuator", "Backlash", "Drive", "MotorState", "Motors", "motor_places", "motor_state"]

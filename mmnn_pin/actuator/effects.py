@@ -21,9 +21,36 @@ from ..by_address import by_address
 from ..compiled import compiled, internal
 from ..signals import EARLY, Array, IntArray
 
-# State of a motor: torque of its current loop, how far its rotor is ahead of the joint, the rotor's speed, the current
-# that it draws from the supply, the sum of what it gave to the joint in this control period, what it gave last.
-TORQUE, AHEAD, ROTOR_SPEED, DRAWN, SUM, GIVEN, STATES = range(7)
+
+@by_address
+class MotorState(NamedTuple):
+    """What the motors remember, as views of their state.
+
+    Attributes:
+        values: (motors, STATES) the state, a row for each motor.
+        torque: (motors,) of the current loop [N m or N].
+        ahead: (motors,) how far the rotor is ahead of the joint [rad or m].
+        rotor_speed: (motors,) [rad/s or m/s].
+        drawn: (motors,) current from the supply [A].
+        sum: (motors,) of what the joints got in this control period.
+        given: (motors,) what they got last.
+    """
+
+    values: Array
+    torque: Array
+    ahead: Array
+    rotor_speed: Array
+    drawn: Array
+    sum: Array
+    given: Array
+
+
+STATES = len(MotorState._fields) - 1
+
+
+def motor_state(values: Array) -> MotorState:
+    """The state of motors (motors, STATES) with its views."""
+    return MotorState(values, *values.T)
 
 
 @by_address
@@ -48,7 +75,7 @@ class Motors(NamedTuple):
     """The motors of one run: whether they are imperfect, their state, what they pass on, and the effects."""
 
     imperfect: bool
-    states: Array
+    states: MotorState
     wire: Drive
     effects: tuple[Any, ...]
 
@@ -58,13 +85,13 @@ class MotorSpeed(NamedTuple):
     """The speed at which a motor turns: its rotor's where the gear has a gap, else its joint's."""
 
     gap: Array
-    states: Array
+    states: MotorState
 
     @internal
     def act(self, wire: Drive, k: int, time: float) -> None:
         """Write the motors' speeds."""
         for i in range(wire.speed.size):
-            wire.speed[i] = self.states[i, ROTOR_SPEED] if self.gap[i] > 0.0 else wire.joint[i]
+            wire.speed[i] = self.states.rotor_speed[i] if self.gap[i] > 0.0 else wire.joint[i]
 
 
 @by_address
@@ -102,7 +129,7 @@ class Supply(NamedTuple):
     levels: float  # steps of the PWM between 0 and the voltage, 0 for none
     constant: Array  # (motors,) kt [N m/A]
     resistance: Array  # (motors,) of the windings [Ohm]
-    states: Array
+    states: MotorState
 
     @internal
     def act(self, wire: Drive, k: int, time: float) -> None:
@@ -123,7 +150,7 @@ def sagged(supply: Supply) -> float:
     """Voltage of the battery under what the motors drew in the last step [V]."""
     voltage = supply.voltage
     for i in range(supply.constant.size):
-        voltage -= supply.battery * supply.states[i, DRAWN]
+        voltage -= supply.battery * supply.states.drawn[i]
     return voltage
 
 
@@ -160,15 +187,15 @@ class CurrentLoop(NamedTuple):
     """A first-order lag: `decay = exp(-dt / lag)` of what is missing is left after a step."""
 
     decay: Array
-    states: Array
+    states: MotorState
 
     @internal
     def act(self, wire: Drive, k: int, time: float) -> None:
         """Let the torques follow."""
         for i in range(wire.torque.size):
             u = wire.torque[i]
-            self.states[i, TORQUE] = u + self.decay[i] * (self.states[i, TORQUE] - u)
-            wire.torque[i] = self.states[i, TORQUE]
+            self.states.torque[i] = u + self.decay[i] * (self.states.torque[i] - u)
+            wire.torque[i] = self.states.torque[i]
 
 
 @by_address
@@ -191,7 +218,7 @@ class Battery(NamedTuple):
                 current = wire.torque[i] / supply.constant[i]
                 needed = supply.resistance[i] * current + supply.constant[i] * wire.speed[i]
                 drawn = min(max(needed / voltage, -1.0), 1.0) * current
-            supply.states[i, DRAWN] = drawn
+            supply.states.drawn[i] = drawn
 
 
 @by_address
@@ -222,7 +249,7 @@ class Backlash(NamedTuple):
     stiffness: Array  # (motors,) k of the flank
     damping: Array  # (motors,) c of the flank
     friction: Array  # (motors,) Coulomb friction of the rotor
-    states: Array
+    states: MotorState
 
     @internal
     def act(self, wire: Drive, k: int, time: float) -> None:
@@ -231,8 +258,8 @@ class Backlash(NamedTuple):
         for i in range(wire.torque.size):
             if self.gap[i] > 0.0:
                 u, joint, J, rubs = wire.torque[i], wire.joint[i], self.rotor[i], self.friction[i]
-                free = slowed(self.states[i, ROTOR_SPEED] + dt * u / J, dt * rubs / J)
-                before, half, torque = self.states[i, AHEAD], 0.5 * self.gap[i], 0.0
+                free = slowed(self.states.rotor_speed[i] + dt * u / J, dt * rubs / J)
+                before, half, torque = self.states.ahead[i], 0.5 * self.gap[i], 0.0
                 ahead = before + dt * (free - joint)
                 if abs(ahead) > half:
                     flank = half if ahead > 0.0 else -half
@@ -240,7 +267,7 @@ class Backlash(NamedTuple):
                     grip = dt * self.stiffness[i] + self.damping[i]
                     push = self.stiffness[i] * (before - flank) - grip * joint
                     most = 1.0 + dt * grip / J
-                    pushed = slowed((self.states[i, ROTOR_SPEED] + dt * (u - push) / J) / most, dt * rubs / (J * most))
+                    pushed = slowed((self.states.rotor_speed[i] + dt * (u - push) / J) / most, dt * rubs / (J * most))
                     torque = push + grip * pushed
                     if torque * flank <= 0.0:
                         torque = 0.0
@@ -249,8 +276,8 @@ class Backlash(NamedTuple):
                         free, torque = touching, J * (free - touching) / dt
                     else:
                         free = pushed
-                self.states[i, ROTOR_SPEED] = free
-                self.states[i, AHEAD] += dt * (free - joint)
+                self.states.rotor_speed[i] = free
+                self.states.ahead[i] += dt * (free - joint)
                 wire.torque[i] = torque
 
 
@@ -258,14 +285,14 @@ class Backlash(NamedTuple):
 class Meter(NamedTuple):
     """What the joints get, now and as the sum over a control period: the signal `applied`."""
 
-    states: Array
+    states: MotorState
 
     @internal
     def act(self, wire: Drive, k: int, time: float) -> None:
         """Write both down."""
         for i in range(wire.torque.size):
-            self.states[i, GIVEN] = wire.torque[i]
-            self.states[i, SUM] += wire.torque[i]
+            self.states.given[i] = wire.torque[i]
+            self.states.sum[i] += wire.torque[i]
 
 
 @compiled

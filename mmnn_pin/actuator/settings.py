@@ -33,11 +33,13 @@ from .effects import (
     Meter,
     Motors,
     MotorSpeed,
+    MotorState,
     ShortedWindings,
     SpeedLimit,
     Supply,
     TorqueConstant,
     TorqueLimit,
+    motor_state,
 )
 
 PLACES = 20  # at which a rotor is compared with what it drives
@@ -105,14 +107,14 @@ class Actuator(Settings, frozen=True):
         """Whether every motor gives what is asked for, at once."""
         return self in PERFECT
 
-    def motors(self, robot: Robot, dt: float, dead: Array = NEVER, states: Array | None = None) -> Motors:
+    def motors(self, robot: Robot, dt: float, dead: Array = NEVER, states: MotorState | None = None) -> Motors:
         """The motors of a robot: their effects in the order in which a command meets them.
 
         Args:
             robot: The robot.
             dt: Step of the plant [s].
             dead: (k, 3) windows of time without current: motor, start, end [s].
-            states: (motors, STATES) their state; None for a new one, at rest.
+            states: Their state; None for a new one, at rest.
 
         Raises:
             ConfigError: Not one number per motor; a rotor heavier than what its gear drives, a brake too strong for the
@@ -120,7 +122,7 @@ class Actuator(Settings, frozen=True):
         """
         count, dt = robot.dimensions.motors, float(dt)
         if states is None:
-            states = np.zeros((count, STATES))
+            states = motor_state(np.zeros((count, STATES)))
 
         def of(name: str) -> Array:
             return np.array(one_or_each(getattr(self, name), count, "motor", f"actuator.{name}"))

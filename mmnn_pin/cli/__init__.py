@@ -14,6 +14,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import click
 
@@ -25,30 +26,48 @@ from .embed import embed
 from .identify import excite, identify
 from .options import examples
 from .output import BAD_INPUT, DONE, FAILED, STOPPED, answer, note, say
-from .results import export, plot, prove, replay, report
+from .results import export, judge, plot, replay, report
 from .robot import check, inspect, model
 from .ros2 import ros2
 from .run import list_, readings, run
 from .study import study, tune
+from .warm import warm
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
 
 for _library in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(_library, "1")  # see compiled.py; read when numpy is imported
 
 
-class Commands(click.Group):
+def beside() -> EntryPoints:
+    """Commands that are installed beside the package."""
+    from importlib.metadata import entry_points
+
+    return entry_points(group="mmnn_pin.commands")
+
+
+class CommandGroup(click.Group):
     """The commands by name."""
 
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the commands, also of those that are installed beside the package."""
+        return sorted({*self.commands, *beside().names})
+
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """A command.
+        """A command, or what an installed one says of itself.
 
         Raises:
             UnknownName: There is none of that name.
         """
-        if cmd_name not in self.commands and ctx.resilient_parsing:  # a shell completes
+        if cmd_name in self.commands:
+            return self.commands[cmd_name]
+        if cmd_name in (there := beside()).names:
+            command: click.Command = there[cmd_name].load()
+            return command
+        if ctx.resilient_parsing:  # a shell completes
             return None
-        if cmd_name not in self.commands:
-            raise UnknownName("command", cmd_name, self.commands)
-        return self.commands[cmd_name]
+        raise UnknownName("command", cmd_name, self.list_commands(ctx))
 
 
 def tell_version(context: click.Context, _: click.Parameter, asked: bool) -> None:
@@ -62,9 +81,9 @@ def tell_version(context: click.Context, _: click.Parameter, asked: bool) -> Non
 
 
 @click.group(
-    cls=Commands,
+    cls=CommandGroup,
     invoke_without_command=True,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True},
     epilog=examples(
         "mmnn inspect my_robot.urdf                      what the file says, and what is wrong with it",
         "mmnn run track --robot my_robot.urdf            drive it along an eight, with six controllers",
@@ -96,7 +115,7 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-JUDGING = (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, list_, docs)
+JUDGING = (run, study, tune, readings, model, plot, judge, replay, report, export, inspect, check, list_, warm, docs)
 DEPLOYING = (ros2, embed, identify, excite)
 for command in (*JUDGING, *DEPLOYING):
     mmnn.add_command(command)

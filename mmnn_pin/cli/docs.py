@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-import textwrap
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any, get_args
 
@@ -39,18 +37,18 @@ def title(page: Path) -> str:
 
 
 def meanings(kind: Any) -> dict[str, str]:
-    """What the docstrings of a class and of those that it derives from say of its fields."""
+    """Meanings of a class's fields, as its docstring says them and those of the classes that it derives from."""
     docs = [inspect.getdoc(each) or "" for each in reversed(getattr(kind, "__mro__", ()))]
     return {found["name"]: " ".join(found["text"].split()) for doc in docs for found in ARGUMENT.finditer(doc)}
 
 
 def first_line(thing: Any) -> str:
-    """What a thing is, in the first line of its docstring."""
+    """The first line of a thing's docstring."""
     return (inspect.getdoc(thing) or "").partition("\n")[0]
 
 
 def meaning(key: str) -> str:
-    """What a key of an experiment means, as its class says it, and its subkeys; empty for one that there is not."""
+    """The meaning of an experiment's key, as its class says it, and its subkeys; empty for one that there is not."""
     from ..lab.experiments.config import keys_of, kind_at
 
     above, _, name = key.rpartition(".")
@@ -63,9 +61,10 @@ def meaning(key: str) -> str:
 
 def subkeys(key: str, kind: Any) -> Iterator[str]:
     """The keys of a table with defaults and meanings, a line each; of tables with a `type`, type by type."""
+    from ..lab.experiments import references
+
     if key in FREE:
-        kinds = getattr(import_module("mmnn_pin.lab.experiments.references"), FREE[key])
-        for name, one in kinds.items():
+        for name, one in getattr(references, FREE[key]).items():
             fields = inspect.signature(one).parameters.values()
             defaults = {p.name: "required" if p.default is p.empty else f"default: {shown(p.default)}" for p in fields}
             yield from table_lines(f'type = "{name}"', one, defaults)
@@ -78,18 +77,13 @@ def subkeys(key: str, kind: Any) -> Iterator[str]:
 
 def table_lines(heading: str, kind: Any, defaults: dict[str, str]) -> Iterator[str]:
     """A heading and the keys of a kind of table, each with its default and its meaning."""
+    from ..lab.show.table import hanging
+
     said, width = meanings(kind), max(map(len, defaults), default=0)
     what = f": {first_line(kind)}" if heading.startswith("type") else ""
-    yield "\n" + textwrap.fill(heading + what, columns(), subsequent_indent="  ")
+    yield "\n" + hanging("", heading + what, columns())
     for name, default in defaults.items():
-        yield hanging(f"  {name:{width}}  ", f"{said.get(name, '')} [{default}]".lstrip())
-
-
-def hanging(name: str, text: str) -> str:
-    """A name and a text behind it, whose lines stand below each other."""
-    room = textwrap.TextWrapper(columns(), break_long_words=False, break_on_hyphens=False)
-    room.initial_indent, room.subsequent_indent = name, " " * len(name)
-    return room.fill(text)
+        yield hanging(f"  {name:{width}}  ", f"{said.get(name, '')} [{default}]".lstrip(), columns())
 
 
 def default_of(field: msgspec.structs.FieldInfo) -> str:
@@ -133,7 +127,7 @@ def public(name: str) -> str:
 
 
 def python_names() -> dict[str, str]:
-    """What `from mmnn_pin import ...` has."""
+    """The names that `from mmnn_pin import ...` has."""
     import mmnn_pin
 
     return {name: first_line(getattr(mmnn_pin, name)) for name in mmnn_pin.__all__ if not name.startswith("_")}
@@ -162,9 +156,10 @@ def experiment_keys() -> dict[str, str]:
 
 
 def paths() -> dict[str, str]:
-    """What `type` may be in the tables of a reference."""
-    kinds = import_module("mmnn_pin.lab.experiments.references")
-    return {key: ", ".join(getattr(kinds, name)) for key, name in FREE.items()}
+    """The values of `type` in the tables of a reference."""
+    from ..lab.experiments import references
+
+    return {key: ", ".join(getattr(references, name)) for key, name in FREE.items()}
 
 
 LISTED: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
@@ -177,13 +172,13 @@ LISTED: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
 
 
 def listed(name: str) -> str:
-    """A page that is written from the code; empty for one that there is not."""
-    if name not in LISTED:
-        return ""
+    """A page of `LISTED`, written from the code."""
+    from ..lab.show.table import hanging
+
     heading, content = LISTED[name]
     found = content()
     width = max(map(len, found))
-    return "\n".join([f"# {heading}\n", *(hanging(f"{key:{width}}  ", text) for key, text in found.items())])
+    return "\n".join([f"# {heading}\n", *(hanging(f"{key:{width}}  ", text, columns()) for key, text in found.items())])
 
 
 def names(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -214,8 +209,9 @@ def docs(page: str | None, as_json: bool) -> int:
         answer(as_json, lambda: found, lambda: "\n".join(f"{name:30}{heading}" for name, heading in found.items()))
         return DONE
     name = page.removeprefix("docs/").removesuffix(".md")
-    text = there[name].read_text("utf-8") if name in there else listed(name) or meaning(page) or public(page)
-    if not text:
+    if name in there:
+        text = there[name].read_text("utf-8")
+    elif not (text := listed(name) if name in LISTED else meaning(page) or public(page)):
         raise UnknownName("page, key or name", page, [*there, *LISTED])
     answer(as_json, lambda: {"page": page, "text": text}, lambda: text.rstrip())
     return DONE

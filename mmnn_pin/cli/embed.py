@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import ConfigError
-from .options import CHANGES, VARIANT, controllers, examples, experiments, robots, shared, understanding
+from .options import CHANGES, PATH, VARIANT, controllers, examples, experiments, shared, understanding
 from .output import DONE, FAILED, answer
-from .run import about_robot, in_toml, told_from_where
+from .run import ROBOT, about_robot, in_toml, told_from_where
 
 if TYPE_CHECKING:
     from ..deploy.embed import Embedded
-    from ..deploy.embed.in_the_loop import Comparison
+    from ..deploy.embed.in_the_loop import RunComparison
     from ..reference.limits import Limits
 
 
@@ -30,24 +30,22 @@ if TYPE_CHECKING:
 )
 @click.argument("experiment", shell_complete=experiments)
 @VARIANT
-@click.option(
-    "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
-)
+@ROBOT
 @click.option(
     "--controller", metavar="NAME", required=True, shell_complete=controllers, help="The controller, see `mmnn list`."
 )
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the files.")
+@click.option("--out", type=PATH, required=True, help="Folder for the files.")
 @click.option("--force", is_flag=True, help="Write into a folder that exists.")
 @click.option("--single", is_flag=True, help="Numbers of 32 bits: not the bits of Python; the self-test says how far.")
 @click.option("--no-diagnostics", is_flag=True, help="Leave out what only reports how well the motion excites.")
-@click.option("--steps", type=click.IntRange(1, 100_000), default=1000, show_default=True, help="Of the self-test.")
+@click.option("--steps", type=click.IntRange(1, 100_000), default=1000, help="Of the self-test.")
 @click.option(
     "--limits",
     metavar="KEY=VALUE",
     multiple=True,
     help="A limit of the references, such as speed=0.5, joint_acceleration=[2, 2] or samples=exact; repeatable.",
 )
-@click.option("--cc", metavar="COMMAND", default="cc", show_default=True, help="Compiler for the self-test.")
+@click.option("--cc", metavar="COMMAND", default="cc", help="Compiler for the self-test.")
 @click.option("--no-check", is_flag=True, help="Write the files without compiling them.")
 @click.option(
     "--memory", type=click.IntRange(1), metavar="KB", help="Largest memory of the controller.  [default: 512]"
@@ -134,8 +132,8 @@ def limits_of(changes: tuple[str, ...]) -> Limits:
         raise ConfigError(what, fix=fix, key="--limits") from error
 
 
-def told(made: Embedded, run: Comparison | None, checked: str) -> str:
-    """What was written, for people, and what came of a run in the loop."""
+def told(made: Embedded, run: RunComparison | None, checked: str) -> str:
+    """The files that were written, for people, and how a run in the loop ended."""
     size = "" if made.code_bytes is None else f", {made.code_bytes / 1000:.1f} kB of code and constants"
     of = f" ({made.initial_bytes / 1000:.1f} kB of them initial values; {made.compiler})" if size else ""
     loop = ""

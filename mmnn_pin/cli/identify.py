@@ -10,7 +10,7 @@ import click
 
 from ..errors import ConfigError
 from ..files import require_free
-from .options import FORCE, examples, numbers, robots, run_command, shared, understanding
+from .options import FORCE, PATH, examples, numbers, robots, run_command, shared, understanding
 from .output import DONE, FAILED, answer, look, named, progress_bar, styled, warn, wrote
 
 if TYPE_CHECKING:
@@ -38,20 +38,14 @@ HEADERS = (
         "mmnn identify fit.csv --held-out other.csv --robot my_arm.urdf --stribeck 0.05",
     ),
 )
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=PATH)
 @click.option(
     "--robot",
     required=True,
     shell_complete=robots,
     help="A bundled name, a name of example-robot-data, or a URDF file.",
 )
-@click.option(
-    "--out",
-    default=Path("identified"),
-    show_default=True,
-    type=click.Path(path_type=Path),
-    help="Folder, or NAME.urdf.",
-)
+@click.option("--out", default=Path("identified"), type=PATH, help="Folder, or NAME.urdf.")
 @click.option("--columns", metavar="SIGNAL=HEADER", multiple=True, help=HEADERS)
 @click.option("--rate", type=click.FloatRange(1.0, 1e5), metavar="HZ", help="Rows per second of a table without times.")
 @click.option("--degrees", is_flag=True, help="Angles are in degrees.")
@@ -60,17 +54,13 @@ HEADERS = (
     help="Torque at the joint per unit of its recorded effort, for motor currents; '?' finds it. Repeatable.",
 )  # fmt: skip
 @click.option(
-    "--held-out",
-    multiple=True,
-    metavar="LOG",
-    type=click.Path(path_type=Path),
-    help="Judge on this log.  [default: the last third of each]",
+    "--held-out", multiple=True, metavar="LOG", type=PATH, help="Judge on this log.  [default: the last third of each]"
 )
 @click.option("--cutoff", type=float, metavar="HZ", help="Low-pass on motion and torque.  [default: by the motion]")
 @click.option("--stribeck", type=float, metavar="V", help="Fit Stribeck friction with this velocity, rad/s or m/s.")
 @click.option("--payload", is_flag=True, help="Find what the hand of ROBOT carries, and write nothing.")
 @click.option(
-    "--without-load", multiple=True, metavar="LOG", type=click.Path(path_type=Path),
+    "--without-load", multiple=True, metavar="LOG", type=PATH,
     help="The motion of --payload with an empty hand: it separates the load from the robot's own errors.",
 )  # fmt: skip
 @click.option("--joint", default="", help="Joint whose link carries the payload.  [default: the last of the arm]")
@@ -158,7 +148,7 @@ def what_it_changes(found: Identification, robot: str, urdf: Path, overrides: di
 
 
 def why_nothing(found: Identification) -> str:
-    """Why a fit is not written."""
+    """The reason why a fit is not written."""
     if found.plausible and not found.helps_in_urdf:
         return "what a URDF can hold of the fit predicts no better than the URDF; what helps are constants and rotors"
     if found.plausible:
@@ -203,30 +193,21 @@ def carried(
     ),
 )
 @click.argument("robot", shell_complete=robots)
+@click.option("--out", type=PATH, default=Path("excitation.csv"), help="The CSV file.")
+@click.option("--duration", type=float, default=40.0, metavar="S", help="Length of the motion.")
+@click.option("--space", type=float, default=1.0, metavar="M", help="How far the base may go to either side.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("excitation.csv"), show_default=True, help="The CSV file."
-)
-@click.option("--duration", type=float, default=40.0, show_default=True, metavar="S", help="Length of the motion.")
-@click.option(
-    "--space", type=float, default=1.0, show_default=True, metavar="M", help="How far the base may go to either side."
-)
-@click.option(
-    "--share",
-    type=float,
-    default=0.8,
-    show_default=True,
-    help="Share of the limits of position, speed and torque that it may use.",
+    "--share", type=float, default=0.8, help="Share of the limits of position, speed and torque that it may use."
 )
 @click.option(
     "--clearance",
     type=float,
     default=0.06,
-    show_default=True,
     metavar="M",
     help="Radius of the spheres along the links that are kept apart.",
 )
-@click.option("--seconds", type=float, default=20.0, show_default=True, metavar="S", help="Time to look for it.")
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Of the search.")
+@click.option("--seconds", type=float, default=20.0, metavar="S", help="Time to look for it.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, help="Of the search.")
 @FORCE
 @understanding
 @shared
@@ -254,13 +235,13 @@ def excite(
     from ..model.loading import load
 
     require_free(out, force)
-    limits = excitation.Limits(duration, space, share, clearance, seconds, seed)
+    limits = excitation.ExcitationLimits(duration, space, share, clearance, seconds, seed)
     found = excitation.excite(load(robot, **overrides), limits)
     found.save(out, force)
     report = found.to_dict() | {"file": str(out)}
 
     def text() -> str:
-        """What was found, and how to drive it: as it is, for it keeps its own share of the limits, by a learner.
+        """The motion that was found, and the command that drives it: unscaled, for it keeps its share of the limits.
 
         Such motions ask for torques that the feedback of a light joint, which has to bear delay, is too weak for.
         """

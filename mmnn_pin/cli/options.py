@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
-from click.shell_completion import BashComplete, CompletionItem, ZshComplete, add_completion_class
+from click.shell_completion import CompletionItem
 
 from ..errors import ConfigError, InputError
 
 F = TypeVar("F", bound=Callable[..., Any])
 PACKAGE = Path(__file__).parent.parent
+PATH = click.Path(path_type=Path)
 
 
 def shared(function: F) -> F:
@@ -62,6 +63,20 @@ def understanding(function: F) -> F:
     return with_all(ROBOT_OPTIONS, gathered)  # type: ignore[return-value]
 
 
+def judged_on(function: F) -> F:
+    """Add the options that say what a learner is judged on."""
+    load = click.option(
+        "--payload",
+        type=click.FloatRange(0, 1e6, min_open=True),
+        metavar="KG",
+        help="Load of the changed robot.  [default: a quarter of what the arm weighs]",
+    )
+    count = click.option(
+        "--windows", type=click.IntRange(1, 1000), default=5, show_default=True, help="Windows of the online FVU."
+    )
+    return load(count(function))
+
+
 def makes_runs(function: F) -> F:
     """Add argument and options of a command that makes the runs of a study: which file, where they are made."""
     return with_all(STUDY_OPTIONS, function)
@@ -73,40 +88,6 @@ def with_all(options: Sequence[Callable[[F], F]], function: F) -> F:
 
 
 # -- what a shell completes; imported is only what a press of the key needs --
-
-
-@add_completion_class
-class Bash(BashComplete):
-    """Completion in bash without a blank after what one goes on typing: `feedback.`, `adaptive.rate=`."""
-
-    source_template = (
-        BashComplete.source_template
-        + """
-%(complete_func)s_on() {
-    %(complete_func)s "$@"
-    [[ ${#COMPREPLY[@]} == 1 && ${COMPREPLY[0]} == *[.=] ]] && compopt -o nospace
-    return 0
-}
-complete -o nosort -F %(complete_func)s_on %(prog_name)s
-"""
-    )
-
-
-@add_completion_class
-class Zsh(ZshComplete):
-    """The same in zsh, also in one that nobody has switched completion on in; fish needs nothing."""
-
-    source_template = ZshComplete.source_template.replace(
-        "        compadd -U -V unsorted -a completions\n",
-        """        local -a unfinished=(${(M)completions:#*[.=]})
-        completions=(${completions:#*[.=]})
-        compadd -U -V unsorted -a completions
-        compadd -U -S '' -V unsorted -a unfinished
-""",
-    ).replace(
-        "    compdef %(complete_func)s",
-        "    (( $+functions[compdef] )) || { autoload -Uz compinit && compinit -i; }\n    compdef %(complete_func)s",
-    )
 
 
 def starting(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
@@ -161,14 +142,17 @@ def controllers(context: click.Context, parameter: click.Parameter, incomplete: 
 
 def keys(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Keys of an experiment, a table after the other; nothing after the equals sign."""
+    return [] if "=" in incomplete else [CompletionItem(path) for path in paths(incomplete)]
+
+
+def paths(incomplete: str) -> list[str]:
+    """Key paths that begin so; where that is one table alone, its keys, so that a shell adds no blank after its dot."""
     from ..lab.experiments.config import keys_of, kind_at
 
-    if "=" in incomplete:
-        return []
     above, dot, _ = incomplete.rpartition(".")
-    paths = [f"{above}{dot}{key}" for key in keys_of(kind_at(above or None))]
-    ends = {path: "." if keys_of(kind_at(path)) else "=" for path in paths if path.startswith(incomplete)}
-    return [CompletionItem(f"{path}{end}") for path, end in ends.items()]
+    every = [f"{above}{dot}{key}" for key in keys_of(kind_at(above or None))]
+    found = [f"{path}{'.' if keys_of(kind_at(path)) else '='}" for path in every if path.startswith(incomplete)]
+    return paths(found[0]) if len(found) == 1 and found[0].endswith(".") else found
 
 
 FORCE = click.option("--force", is_flag=True, help="Replace existing files.")
@@ -191,8 +175,7 @@ PACKAGE_DIRS = click.option(
 )
 STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.argument("file", metavar="STUDY.toml", type=click.Path(path_type=Path)),
-    click.option("--workers", type=int, help="Threads or processes on this machine.  [default: one per core]"),
-    click.option("--processes", is_flag=True, help="Processes even where threads would do."),
+    click.option("--workers", type=int, help="Processes on this machine.  [default: one per core]"),
     click.option(
         "--cluster",
         metavar="ADDRESS",
@@ -200,7 +183,7 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
         " best by TLS (tls://...); see mmnn docs how-to/cluster.",
     ),
     CHANGES,
-    click.option("--out", type=click.Path(path_type=Path), help="Folder for the database.  [default: runs/STUDY]"),
+    click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.  [default: runs/STUDY]"),
 )
 OVERRIDES = (
     "base", "wheels", "radius", "wheel_radii", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro",

@@ -1,7 +1,7 @@
-"""What commands print, their exit codes, and what the paths that they are given hold.
+"""Output of the commands, their exit codes, and the runs, studies and contests that paths hold.
 
 Results go to standard output, all else to standard error. A path may hold a recording, a folder of recordings, a study
-or a contest.
+or what else a folder may hold.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
 EVERY = 10.0  # between two lines of progress [s]
 NARROW, WIDTH, WIDE = 40, 100, 200  # columns that tables are made for: at least, without a terminal, at most
 STYLE = f"\ufdd0{token_hex(8)}\ufdd1"  # in place of what begins a style of ours: no text of others has it
-STUDY, CONTEST, IDENTIFIED = "study.sqlite", ("contest.json", "rows.json"), "*.identified.json"  # their files
 
 
 def say(text: str) -> None:
@@ -53,7 +52,7 @@ def say(text: str) -> None:
 
 
 def look() -> dict[str, Any]:
-    """How text for standard output looks: in colours on a terminal; as wide as that or COLUMNS, else as it is."""
+    """Look of text on standard output: in colours on a terminal; as wide as that or COLUMNS, else as it is."""
     colour = sys.stdout.isatty()
     if not colour and not os.environ.get("COLUMNS", "").isdigit():
         return {}
@@ -101,21 +100,18 @@ def warn(text: str) -> None:
 
 
 def compile_if_cold(hardware: bool = False) -> None:
-    """Compile what a run needs, unless that was done, and announce it on standard error.
+    """Announce on standard error what a first run compiles, and what is compiled from now on.
 
     Args:
         hardware: Whether the run has sensors, motors, a supervisor or disturbances; then more is compiled.
     """
-    from ..compiled import cache_folder, is_warm
-    from ..loop.early import wait
+    from ..compiled import is_warm
+    from ..compiled.folders import cache_folder
 
-    tell = tell_what_compiles()
-    wait(tell)
+    tell_what_compiles()
     if not is_warm():
         note("first run of this version: compiling takes about half a minute, later runs start at once")
-        from ..loop.precompile import precompile
-
-        precompile(tell)
+        return
     folder = cache_folder()
     if hardware and folder is not None and not (announced := folder / "hardware was announced").exists():
         parts = "sensors, motors, a supervisor or disturbances"
@@ -124,30 +120,10 @@ def compile_if_cold(hardware: bool = False) -> None:
             announced.touch()
 
 
-@contextmanager
-def before_it_is_compiled(hardware: bool = False) -> Iterator[None]:
-    """Within it a first run gives its result before all is compiled, where it can be (`loop.early`), and says so.
-
-    Args:
-        hardware: As of `compile_if_cold`.
-    """
-    from ..compiled import cache_folder, is_warm
-    from ..loop.early import early, is_compiling
-
-    plain = os.environ.get("NUMBA_DISABLE_JIT", "0") == "1"
-    if plain or cache_folder() is None or (is_warm() and not is_compiling()):
-        compile_if_cold(hardware)
-        yield
-        return
-    note("first run of this version: compiling, for later runs, goes on beside it for half a minute")
-    with early(tell_what_compiles()):
-        yield
-
-
 @cache
 def tell_what_compiles() -> Callable[[str], None]:
     """From now on, a line on standard error every 10 s while something is compiled; what tells it."""
-    from ..loop.precompile import when_compiling
+    from ..compiled import when_compiling
 
     tell = compiling_lines()
     when_compiling(tell)
@@ -155,7 +131,7 @@ def tell_what_compiles() -> Callable[[str], None]:
 
 
 def compiling_lines(now: Callable[[], float] = time.monotonic) -> Callable[[str], None]:
-    """What prints a name at most every 10 s; where it was not called for 10 s, the time counts from its next call.
+    """A function that prints a name at most every 10 s, counted anew where nobody called it for 10 s.
 
     Args:
         now: The clock [s].
@@ -229,20 +205,20 @@ def counter(what: str, total: int, done: int = 0) -> Iterator[Callable[[int, str
 
 
 @contextmanager
-def proving(recordings: Mapping[str, Recording]) -> Iterator[None]:
-    """Within it what takes long of the runs' proofs is told on standard error, as of `mmnn prove`."""
-    from ..lab.proof.proof import QUICK, Proof, keep
+def judging(recordings: Mapping[str, Recording]) -> Iterator[None]:
+    """Within it what takes long of the runs' judgements is told on standard error, as of `mmnn judge`."""
+    from ..lab.psi.judgement import Judgement, keep
 
     with progress_bar() as show:
         for name, recording in recordings.items():
             show(f"{name}, reading", 0.0)
-            with suppress(InputError):  # one that holds too little for a proof
-                keep(Proof(recording, budget=QUICK, progress=partial(tell, show, name)))
+            with suppress(InputError):  # one that holds too little
+                keep(Judgement(recording, progress=partial(tell, show, name)))
         yield
 
 
 def tell(show: Callable[[str, float], None], name: str, what: str, fraction: float) -> None:
-    """Progress of a part of a run's proof."""
+    """Progress of a part of a run's judgement."""
     show(f"{name}, {what}", fraction)
 
 
@@ -279,22 +255,18 @@ def interruptible(show: Callable[P, None]) -> Iterator[Callable[P, None]]:
 
 
 def found_in(paths: tuple[Path, ...], what: str) -> Path | None:
-    """The database of a study, the folder of a contest or the JSON of an identification among some paths; None without.
+    """Where among some paths something else than runs is; None where it is not.
 
     Args:
-        paths: As the user named them: a database or such a JSON, a folder that holds one, or the folder of a contest.
-        what: "study", "contest" or "identification".
+        paths: As the user named them.
+        what: A kind of `lab.show.folders`.
 
     Raises:
         ConfigError: It is not the only path.
     """
-    if what == "study":
-        inside = [path / STUDY for path in paths if (path / STUDY).is_file()]
-        found = [*(path for path in paths if path.suffix == ".sqlite"), *inside]
-    elif what == "contest":
-        found = [path for path in paths if any((path / name).is_file() for name in CONTEST)]
-    else:
-        found = [file for path in paths for file in (path, *path.glob(IDENTIFIED)) if file.match(IDENTIFIED)]
+    from ..lab.show.folders import FOLDERS
+
+    found = [file for path in paths for file in FOLDERS[what].finds(path)]
     if found and max(len(paths), len(found)) > 1:
         raise ConfigError(f"a {what} among other runs", fix="name it alone", file=found[0])
     return found[0] if found else None
@@ -349,7 +321,7 @@ def one_run(path: Path) -> Recording:
 
 
 def folders_of(path: Path) -> list[Path]:
-    """Folders with recordings in a folder: the tasks of a contest, the cases of an experiment."""
+    """Folders with recordings in a folder: such as the cases of an experiment."""
     return sorted({file.parent for file in path.glob("*/*.h5")})
 
 

@@ -1,4 +1,4 @@
-"""`mmnn plot`, `prove`, `replay`, `report` and `export`: what is made of recordings, of a study, of a contest."""
+"""`mmnn plot`, `judge`, `replay`, `report` and `export`: what is made of recordings, or of a study."""
 
 from __future__ import annotations
 
@@ -14,20 +14,19 @@ import click
 
 from ..errors import ConfigError
 from ..files import require_free
-from .options import FORCE, PACKAGE_DIRS, examples, law, numbers, shared
+from .options import FORCE, PACKAGE_DIRS, PATH, examples, judged_on, law, shared
 from .output import (
     DONE,
-    FAILED,
     answer,
     compile_if_cold,
     folders_of,
     found_in,
+    judging,
     look,
     named,
     one_run,
     open_runs,
     progress_bar,
-    proving,
     styled,
     targets,
     warn,
@@ -35,18 +34,27 @@ from .output import (
 )
 
 if TYPE_CHECKING:
+    from ..lab.show.files import HtmlPage
     from ..recording.recording import Recording
 
-RUNS = click.argument("runs", nargs=-1, required=True, metavar="RUN...", type=click.Path(path_type=Path))
+RUNS = click.argument("runs", nargs=-1, required=True, metavar="RUN...", type=PATH)
+ONE_RUN = click.argument("run", metavar="RUN", type=PATH)
 LARGE = 50_000_000  # bytes of an exported file from which it is told how to have less
 TO = ("csv", "npz", "parquet", "mcap")
 
 
 def whats(of: str = "runs") -> tuple[str, ...]:
-    """Names of all figures of runs, of a study, or of a contest."""
-    from ..lab.show.gallery import OF, PICTURES
+    """Names of all figures of runs, or of a kind of folder."""
+    from ..lab.show.gallery import FIGURES, PICTURES
 
-    return tuple(PICTURES if of == "runs" else OF[of])
+    return tuple(PICTURES if of == "runs" else FIGURES[of])
+
+
+def plotted() -> list[str]:
+    """Kinds of folders that have figures."""
+    from ..lab.show.gallery import FIGURES
+
+    return [kind for kind in FIGURES if kind not in ("runs", "judged")]
 
 
 class FigureName(click.Choice[str]):
@@ -60,7 +68,7 @@ class FigureName(click.Choice[str]):
     @cached_property
     def choices(self) -> tuple[str, ...]:  # type: ignore[override]
         """The names."""
-        return (*whats(), *whats("study"), *whats("contest"))
+        return (*whats(), *(name for kind in plotted() for name in whats(kind)))
 
 
 @click.command(
@@ -71,8 +79,6 @@ class FigureName(click.Choice[str]):
         "mmnn plot runs/chapter4 --what figure-4.2 --what gains --out plots",
         "mmnn plot runs/chapter4/two_layer.h5 --what path --out path.svg",
         "mmnn plot runs/robustness --what study-errors      errors against the factors of a study",
-        "mmnn plot runs/contest --out plots                 the figures of a contest",
-        "mmnn plot runs/contest/eight --what fvu            the runs of one of its tasks, first seed",
     ),
 )
 @RUNS
@@ -81,36 +87,35 @@ class FigureName(click.Choice[str]):
     "whats",
     type=FigureName(),
     multiple=True,
-    help="What to draw; repeatable; study-... and contest-... of their folders.  [default: errors; of a folder all]",
+    help="What to draw; repeatable; study-... of the folder of a study.  [default: errors; of a folder all]",
 )
-@click.option("--out", type=click.Path(path_type=Path), help="A .png, .svg or .pdf file, or a folder.  [default: .]")
+@click.option("--out", type=PATH, help="A .png, .svg or .pdf file, or a folder.  [default: .]")
 @FORCE
 @law
 @shared
 def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force: bool, as_json: bool) -> int:
-    """Plot recordings side by side. RUN is a recording, a folder of them, or the folder of one study or contest."""
-    from ..lab.contest.contest import opened
+    """Plot recordings side by side. RUN is a recording, a folder of them, or the folder of one study."""
     from ..lab.show.curves import require_comparable
     from ..lab.show.figure import FIGURES, save
-    from ..lab.show.gallery import OF, PICTURES
-    from ..lab.study.results import load_results
+    from ..lab.show.folders import FOLDERS
+    from ..lab.show.gallery import PICTURES
 
-    kind, folder = next(((kind, path) for kind in OF if (path := found_in(runs, kind))), ("runs", None))
+    kind, folder = next(((kind, path) for kind in plotted() if (path := found_in(runs, kind))), ("runs", None))
     require_whats(whats, kind, folder)
     if folder is None:
         every = open_runs(runs)
         require_comparable(every)
         recordings = by_name(every)
         about: dict[str, Any] = {"runs": [str(recording.path) for recording in recordings.values()]}
-        make, wanted = (lambda what: PICTURES[what](recordings)), whats or ("errors",)
+        make, wanted = (lambda what: PICTURES[what].make(recordings)), whats or ("errors",)
     else:
-        content, about = (load_results if kind == "study" else opened)(folder), {kind: str(folder)}
-        make, wanted = (lambda what: OF[kind][what](content)), whats or tuple(OF[kind])
+        content, about = FOLDERS[kind].opened(folder), {kind: str(folder)}
+        make, wanted = (lambda what: FIGURES[kind][what].make(content)), whats or tuple(FIGURES[kind])
     files = pictures(out or Path("."), tuple(dict.fromkeys(wanted)))
     for file in files.values():
         require_free(file, force, "picture")
-    proved = kind == "runs" and any(what in FIGURES["proof"] for what in files)
-    with proving(recordings) if proved else nullcontext():
+    judged = kind == "runs" and any(what in FIGURES["judged"] for what in files)
+    with judging(recordings) if judged else nullcontext():
         figures = {what: make(what) for what in files}
     for what, figure in figures.items():
         save(figure, files[what], force)
@@ -119,7 +124,7 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
 
 
 def require_whats(chosen: tuple[str, ...], kind: str, folder: Path | None) -> None:
-    """Refuse plots of runs for a study or a contest, and the other way round.
+    """Refuse plots of runs for a folder of another kind, and the other way round.
 
     Raises:
         ConfigError: With the name of the first.
@@ -128,11 +133,11 @@ def require_whats(chosen: tuple[str, ...], kind: str, folder: Path | None) -> No
         if what in whats(kind):
             continue
         if folder is None:
-            other = next(each for each in ("study", "contest") if what in whats(each))
+            other = next(each for each in plotted() if what in whats(each))
             raise ConfigError(f"'{what}' is a figure of a {other}", fix=f"name a {other}'s folder", key="--what")
-        if kind == "contest" and (folders := ", ".join(map(str, folders_of(folder)))):
-            fix = f"name the folder of a task: {folders}"
-            raise ConfigError(f"'{what}' is a plot of the runs of one task", fix=fix, file=folder, key="--what")
+        if folder.is_dir() and what in whats() and (folders := ", ".join(map(str, folders_of(folder)))):
+            fix = f"name one of its folders: {folders}"
+            raise ConfigError(f"'{what}' is a plot of the runs of one folder", fix=fix, file=folder, key="--what")
         fix = f"there is: {', '.join(whats(kind))}"
         raise ConfigError(f"'{what}' is no figure of a {kind}", fix=fix, file=folder, key="--what")
 
@@ -165,94 +170,50 @@ def pictures(out: Path, whats: tuple[str, ...]) -> dict[str, Path]:
 
 
 @click.command(
-    short_help="Tell whether a run learned Psi, and whether its Lyapunov function falls.",
+    short_help="Tell whether a run learned Psi, or only followed it.",
     epilog=examples(
-        "mmnn prove runs/chapter4/two_layer.h5",
-        "mmnn prove runs/track/two_layer.h5 --payload 3 --plots proof",
-        "mmnn prove runs/certified/two_layer.h5 --disturbance v=5",
-        "mmnn prove runs/track/concurrent.h5 --tube         what its errors cannot exceed",
-        "mmnn prove runs/track/MyLaw.h5 --law my_law.py     a law of your own",
+        "mmnn judge runs/chapter4/two_layer.h5",
+        "mmnn judge runs/track/two_layer.h5 --payload 3 --plots judged",
+        "mmnn judge runs/track/MyLaw.h5 --law my_law.py     a law of your own",
     ),
 )
-@click.argument("run", metavar="RUN", type=click.Path(path_type=Path))
-@click.option(
-    "--payload",
-    type=click.FloatRange(0, 1e6, min_open=True),
-    metavar="KG",
-    help="Load of the changed robot.  [default: a quarter of what the arm weighs]",
-)
-@click.option(
-    "--windows", type=click.IntRange(1, 1000), default=5, show_default=True, help="Windows of the online FVU."
-)
-@click.option(
-    "--every-period", is_flag=True, help="Check the equality over every control period, however long it takes."
-)
-@click.option(
-    "--region",
-    metavar="SIZE=VALUE",
-    multiple=True,
-    help="Certify errors within these sizes, not the largest region that is found; all of pose=M, arm=SIZE, energy=J.",
-)
-@click.option("--tube", is_flag=True, help="Bound the errors of all motions along this reference, too (seconds).")
-@click.option(
-    "--disturbance",
-    metavar="VELOCITY=FORCE",
-    multiple=True,
-    help="Certify against an external force up to this, as v=5; repeatable.",
-)
+@ONE_RUN
+@judged_on
 @click.option("--plots", type=click.Path(path_type=Path), metavar="DIR", help="Write the figures to this folder.")
 @FORCE
 @law
 @shared
-def prove(
-    run: Path,
-    payload: float | None,
-    windows: int,
-    every_period: bool,
-    region: tuple[str, ...],
-    disturbance: tuple[str, ...],
-    tube: bool,
-    plots: Path | None,
-    force: bool,
-    as_json: bool,
-) -> int:
-    """Judge one recording: whether it learned Psi, whether its Lyapunov function falls, and what is guaranteed.
+def judge(run: Path, payload: float | None, windows: int, plots: Path | None, force: bool, as_json: bool) -> int:
+    """Judge one recording: whether it learned Psi, or only followed it.
 
     Psi: the fraction of its variance that the estimate leaves unexplained (FVU), online and with final weights held,
-    on the run's own trajectory, on another one and with a payload. Lyapunov function: V, its derivative term by term,
-    when and why it grows. Equality: whether the energy of the errors changes as the model says (mmnn docs
-    explanation/proof). Certificate: a region that the loop provably never leaves, the bound it ends up in, how fast
-    it may learn (mmnn docs explanation/theory). Exit code 1 when a run violates one of them.
+    on the run's own trajectory, on another one and with a payload (mmnn docs explanation/proof). What it was excited
+    with, and what the run leaves undetermined.
     """
-    from ..lab.proof.balance import BUDGET
-    from ..lab.proof.certified_run import prove as judge
-    from ..lab.proof.psi import how_to_know
-    from ..lab.proof.subject import Subject
-    from ..lab.show.proof.figures import write_proof
-    from ..lab.show.proof.text import render, render_certificate
+    from ..lab.psi.judgement import judge as judgement
+    from ..lab.show.psi import render
+    from ..lab.show.psi_figures import write_judged
 
-    wanted, forces = numbers(region, "--region"), numbers(disturbance, "--disturbance")
+    recording = to_judge(run)
+    with progress_bar() as show:
+        found = judgement(recording, payload=payload, windows=windows, progress=show)
+    files = {} if plots is None else write_judged(found, plots, force)
+    written = {} if plots is None else {"files": named(files)}
+    text = styled(render(found, **look()))
+    answer(as_json, lambda: found.to_dict() | written, lambda: "\n".join((text, wrote(files.values()))).rstrip())
+    return DONE
+
+
+def to_judge(run: Path) -> Recording:
+    """A run that is to be judged, compiled what that needs."""
+    from ..lab.psi.psi import how_to_know
+    from ..lab.psi.subject import Subject
+
     recording = one_run(run)
     if recording.meta.get("law") and (how := how_to_know(Subject.of(recording))):
         warn(how)
     compile_if_cold()
-    with progress_bar() as show:
-        found = judge(
-            recording, payload=payload, windows=windows, budget=float("inf") if every_period else BUDGET,
-            region=wanted, disturbance=forces, tube=tube, progress=show,
-        )  # fmt: skip
-
-    def both() -> str:
-        return f"{render(found.proof, **look())}\n{render_certificate(found.certificate, **look())}"
-
-    files = {} if plots is None else write_proof(found.proof, plots, force)
-    written = {} if plots is None else {"files": named(files)}
-    answer(
-        as_json,
-        lambda: found.to_dict() | written,
-        lambda: "\n".join((styled(both()), wrote(files.values()))).rstrip(),
-    )
-    return DONE if found.holds else FAILED
+    return recording
 
 
 @click.command(
@@ -265,16 +226,10 @@ def prove(
     ),
 )
 @RUNS
-@click.option(
-    "--html",
-    type=click.Path(path_type=Path),
-    help="Write the page to this file and open nothing; missing folders are made.",
-)
+@click.option("--html", type=PATH, help="Write the page to this file and open nothing; missing folders are made.")
 @FORCE
-@click.option("--fps", type=click.FloatRange(0.1, 1000), default=60, show_default=True, help="Frames kept per second.")
-@click.option(
-    "--port", type=click.IntRange(0, 65535), default=7007, show_default=True, help="Or the next that is free."
-)
+@click.option("--fps", type=click.FloatRange(0.1, 1000), default=60, help="Frames kept per second.")
+@click.option("--port", type=click.IntRange(0, 65535), default=7007, help="Or the next that is free.")
 @click.option("--no-browser", is_flag=True, help="Only print the address.")
 @PACKAGE_DIRS
 @shared
@@ -331,13 +286,11 @@ def has_display() -> bool:
         "mmnn report runs/chapter4/pd.h5 runs/chapter4/two_layer.h5 --html two.html",
         "mmnn report runs/track --html track.html --no-replay        without the robot's meshes",
         "mmnn report runs/robustness --html robustness.html          a study",
-        "mmnn report runs/contest --html contest.html                a contest, all tasks",
-        "mmnn report runs/contest/eight --html eight.html            the runs of one of its tasks",
         "mmnn report identified --html identified.html               what mmnn identify wrote",
     ),
 )
 @RUNS
-@click.option("--html", required=True, type=click.Path(path_type=Path), help="The page.")
+@click.option("--html", required=True, type=PATH, help="The page.")
 @FORCE
 @click.option("--no-replay", is_flag=True, help="Leave the replay out.")
 @PACKAGE_DIRS
@@ -348,31 +301,21 @@ def report(
 ) -> int:
     """Write a report on runs of one task: verdict, numbers, plots, replay, robot, origin, in one HTML file.
 
-    RUN is a recording or a folder of them, one study, one contest, or what `mmnn identify` wrote.
+    RUN is a recording or a folder of them, one study, or what `mmnn identify` wrote.
     """
-    from ..lab.show.report import report as make
+    from ..lab.show.folders import FOLDERS
+    from ..lab.show.gallery import report as make
 
     require_free(html, force)
     command = shlex.join(["mmnn", "report", *map(str, runs), "--html", str(html)])
-    if (study := found_in(runs, "study")) is not None:
-        from ..lab.show.study import page as study_page
-        from ..lab.study.results import load_results
-
-        about: dict[str, Any] = {"study": str(study)}
-        made = study_page(load_results(study), command)
-    elif (contest := found_in(runs, "contest")) is not None:
-        from ..lab.contest.contest import opened
-        from ..lab.show.contest import page as contest_page
-
-        about, made = {"contest": str(contest)}, contest_page(opened(contest), command)
-    elif (identified := found_in(runs, "identification")) is not None:
-        from ..lab.show.identified import page as identified_page
-
-        about, made = {"identification": str(identified)}, identified_page(identified, command)
+    kind, place = next(((kind, path) for kind in FOLDERS if (path := found_in(runs, kind))), ("runs", None))
+    if place is not None:
+        about: dict[str, Any] = {kind: str(place)}
+        made: HtmlPage = FOLDERS[kind].page(FOLDERS[kind].opened(place), command)
     else:
         recordings = by_name(open_runs(runs))
         about = {"runs": [str(recording.path) for recording in recordings.values()]}
-        with proving(recordings):
+        with judging(recordings):
             made = make(recordings, command=command, with_replay=not no_replay, package_dirs=package_dirs)
     for warning in made.warnings:
         warn(warning)
@@ -397,7 +340,7 @@ def report(
 )
 @RUNS
 @click.option("--to", type=click.Choice(TO), required=True, help="The format.")
-@click.option("--out", type=click.Path(path_type=Path), help="A file, or a folder.  [default: beside the recording]")
+@click.option("--out", type=PATH, help="A file, or a folder.  [default: beside the recording]")
 @click.option("--signals", metavar="NAME,...", help="Signals of a table beside the time.  [default: all]")
 @click.option("--rate", type=float, metavar="HZ", help="Rows per second at most, samples of the run.  [default: all]")
 @FORCE
@@ -413,11 +356,11 @@ def export(
 ) -> int:
     """Write recordings as tables (csv, npz, parquet) or as MCAP. RUN is a recording, or a folder with recordings.
 
-    RUN may also be one study, its folder or its database: its rows are written as csv or parquet.
+    RUN may also be one study, its folder or its results.jsonl: its rows are written as csv or parquet.
     MCAP holds joint states, transforms, odometry and all signals as messages of ROS 2. Parquet and MCAP need
     `pip install 'mmnn_pin[export]'`.
     """
-    from ..lab.show.export import Part, export_study
+    from ..lab.show.export import RecordingPart, export_study
     from ..lab.show.export import export as write
 
     chosen = tuple(name.strip() for name in (signals or "").split(",") if name.strip())
@@ -436,7 +379,7 @@ def export(
         for file in files.values():
             require_free(file, force)
         for recording in recordings.values():
-            Part.of(recording, chosen, rate)
+            RecordingPart.of(recording, chosen, rate)
         for run, recording in recordings.items():
             write(recording, files[run], to, force=force, signals=chosen, rate=rate)
     large = [file for file in files.values() if file.stat().st_size > LARGE]

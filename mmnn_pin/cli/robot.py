@@ -9,21 +9,19 @@ from typing import Any
 import click
 
 from ..errors import RobotError
-from .options import examples, robots, shared, understanding
+from .options import PATH, examples, robots, shared, understanding
 from .output import BAD_INPUT, DONE, FAILED, answer, columns, note, progress_bar, warn
 
 
 @click.command(
     short_help="Check the properties of a robot's model, with numbers.",
     epilog=examples(
-        "mmnn check platform_arm",
-        "mmnn check my_robot.urdf --samples 1000 --seed 7",
-        "mmnn check tiago --json",
+        "mmnn check platform_arm", "mmnn check my_robot.urdf --samples 1000 --seed 7", "mmnn check tiago --json"
     ),
 )
 @click.argument("robot", shell_complete=robots)
-@click.option("--samples", type=click.IntRange(1, 1_000_000), default=100, show_default=True, help="Random states.")
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Their seed.")
+@click.option("--samples", type=click.IntRange(1, 1_000_000), default=100, help="Random states.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, help="Their seed.")
 @understanding
 @shared
 def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_json: bool) -> int:
@@ -97,9 +95,7 @@ def inspect(robot: str, gains: bool, overrides: dict[str, Any], as_json: bool) -
     ),
 )
 @click.argument("robot", shell_complete=robots)
-@click.option(
-    "--at", "state", metavar="STATE.json", type=click.Path(path_type=Path), help="The state.  [default: at rest]"
-)
+@click.option("--at", "state", metavar="STATE.json", type=PATH, help="The state.  [default: at rest]")
 @understanding
 @shared
 def model(robot: str, state: Path | None, overrides: dict[str, Any], as_json: bool) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,13 +13,12 @@ import click
 
 from ..errors import InputError
 from ..files import read_toml
-from .options import CHANGES, VARIANT, cases, controllers, examples, experiments, robots, shared, understanding
+from .options import CHANGES, PATH, VARIANT, cases, controllers, examples, experiments, robots, shared, understanding
 from .output import (
     DONE,
     FAILED,
     STOPPED,
     answer,
-    before_it_is_compiled,
     columns,
     compile_if_cold,
     interruptible,
@@ -29,14 +27,15 @@ from .output import (
     note,
     progress_bar,
     styled,
-    warn,
     wrote,
 )
 
 if TYPE_CHECKING:
-    from ..lab.contest.standing import Standing
     from ..lab.experiments.experiment import Experiment
 
+ROBOT = click.option(
+    "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
+)
 MOST = 8  # names of cases that a line of `mmnn list` shows
 
 
@@ -51,17 +50,12 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
         "mmnn run track --plant contact                     wheels that may slip, in MuJoCo",
         "mmnn run faults                                    noise, delays, weak motors, pushes, lost messages",
         "mmnn run chapter4 --variant figures                the thesis's simulation, one of its variants",
-        "mmnn run contest                                   all controllers on all tasks; takes minutes",
-        "mmnn run contest --case eight --controller adaptive --set contest.seeds=2",
-        "mmnn run contest --case eight --controller my_law.py:MyLaw     a law of your own beside the others",
         "mmnn run my_experiment.toml --json > result.json",
     ),
 )
 @click.argument("experiment", shell_complete=experiments)
 @VARIANT
-@click.option(
-    "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
-)
+@ROBOT
 @click.option(
     "--controller",
     "controllers",
@@ -76,14 +70,14 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
     shell_complete=cases,
     metavar="NAME",
     multiple=True,
-    help="Only this case, or this task of a contest, see `mmnn list`; repeatable.",
+    help="Only this case, see `mmnn list`; repeatable.",
 )
 @CHANGES
 @click.option("--plant", metavar="NAME", help="ideal, or contact: wheels that may slip, in MuJoCo.")
 @click.option("--seed", type=int, help="The seed; short for --set seed=N.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=PATH,
     help="Folder for the files; where it has such files, a numbered one.  [default: runs/EXPERIMENT[-VARIANT]]",
 )
 @click.option("--force", is_flag=True, help="Replace what is already in that folder.")
@@ -110,12 +104,6 @@ def run(
 
     An experiment with cases runs all controllers in each of them and gives every run a verdict (exit code 1 if one
     fails).
-
-    A contest (a file with a table [contest], such as the bundled one) runs all controllers on several tasks, each with
-    several seeds, and then on trajectories that none of them was trained on, once with the weights held fixed and once
-    with learning on. It prints a table per task and whether the targets are met, draws figures, and goes on where it
-    was stopped; `mmnn docs explanation/contest` explains its numbers. The controllers that others are compared with run
-    even if --controller leaves them out.
     """
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment
@@ -128,22 +116,14 @@ def run(
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
     require_plots(asked.plots)
     taken = folder
-    if not force and asked.contest is None:  # a contest goes on where it was stopped
+    if not force:
         folder = unused(folder, files_of(asked) if out else None)
     elsewhere = f"{taken} has runs already: these go to {folder} (--force replaces them)" if folder != taken else ""
-    by_name = (
-        bool(controllers)
-        or any(change.startswith("controllers") for change in settings)
-        or says_controllers(experiment)
-    )
+    said = bool(controllers) or any(change.startswith("controllers") for change in settings)
+    by_name = said or says_controllers(experiment)
     hardware = bool(asked.cases) or has_hardware(asked)
     with told_from_where(experiment, variant, asked, changes):
-        if asked.contest is None and not asked.cases and asked.plant == "ideal" and asked.reference.hand is None:
-            with before_it_is_compiled(hardware):
-                return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
         compile_if_cold(hardware)
-        if asked.contest is not None:
-            return run_contest(asked, name, folder, force, as_json)
         if asked.cases:
             return run_cases(asked, name, folder, force, as_json, elsewhere)
         return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
@@ -205,7 +185,7 @@ def announced(text: str) -> Iterator[Callable[[str, float], None]]:
 
 
 def files_of(asked: Experiment) -> list[str]:
-    """What a run writes into its folder: recordings by case, and plots."""
+    """Files that a run writes into its folder: recordings by case, and plots."""
     folders = [f"{case}/" for case in asked.cases] or [""]
     runs = [f"{folder}{name}.h5" for folder in folders for name in asked.controllers]
     return [*runs, *(f"{plot}.png" for plot in asked.plots)]
@@ -229,6 +209,7 @@ def run_one(
     from ..lab.show.comparison import notes, render
     from ..lab.show.gallery import write_pictures
     from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
+    from ..lab.show.table import hanging
 
     with announced(elsewhere) as progress:
         result = run_experiment(asked, name, out=folder, force=force, progress=progress, leave_out=not by_name)
@@ -237,7 +218,7 @@ def run_one(
     def text() -> str:
         remarks = [f"note: {note}" for note in (*worse_somewhere(result), *rivals_left_out(result), *notes(result))]
         files = [recording.path for recording in result.recordings.values() if recording.path]
-        verdict = textwrap.fill(headline(result), columns(), break_long_words=False, break_on_hyphens=False)
+        verdict = hanging("", headline(result), columns())
         return "\n".join([styled(render(result, **look())), "", verdict, *remarks, wrote([*files, *pictures.values()])])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
@@ -257,40 +238,6 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
     files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {command}"
     answer(as_json, matrix.to_dict, lambda: f"{styled(render_cases(matrix, **look()))}\n\n{files}")
     return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
-
-
-def run_contest(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
-    """Run a contest, draw and print what came of it; the exit code."""
-    from ..lab.contest.contest import run_contest as run_all
-    from ..lab.show.contest import write_figures
-
-    with progress_bar() as show, interruptible(show) as progress:
-        standing = run_all(asked, name, out=folder, force=force, progress=progress, warn=warn)
-    pictures = write_figures(standing, folder)
-    answer(
-        as_json,
-        lambda: standing.to_dict() | {"plots": named(pictures)},
-        lambda: contest_text(standing, folder, list(pictures.values())),
-    )
-    return STOPPED if standing.interrupted else DONE if standing.completed else FAILED
-
-
-def contest_text(standing: Standing, folder: Path, pictures: list[Path]) -> str:
-    """A contest as text: its tables, what failed, what to know, where the files are."""
-    from ..lab.show.contest import findings, render
-
-    lines = [styled(render(standing, **look())), ""]
-    lines += [f"failed: {controller} on {task}: {error}" for (task, controller), error in standing.failed.items()]
-    lines += [f"note: {note}" for note in findings(standing)]
-    lines += [wrote([folder / "rows.json", folder / "rows.csv", *pictures])] if standing.trials else []
-    lines.append(
-        f"wrote {folder}/TASK/CONTROLLER.h5, the first seed's; look at one with mmnn plot, prove, report or replay;"
-        f" mmnn report {folder} --html contest.html makes one page of all"
-    )
-    if standing.interrupted:
-        done, rest = len(standing.trials), len(standing.missing)
-        lines.append(f"stopped: {done} of {done + rest} are done and kept; the same command goes on with the rest")
-    return "\n".join(lines)
 
 
 def in_toml(**values: object) -> list[str]:
@@ -313,7 +260,7 @@ def about_robot(robot: str | None, overrides: dict[str, Any]) -> list[str]:
 def list_(as_json: bool) -> int:
     """List the bundled experiments with their cases, robots, the controllers and the references.
 
-    A contest's cases are its tasks. Controllers are listed with what they know and what they learn.
+    Controllers are listed with what they know and what they learn.
     """
     from ..lab.experiments.config import bundled, variants
     from ..lab.experiments.controllers import CONTROLLERS
@@ -338,10 +285,14 @@ def list_(as_json: bool) -> int:
 
 
 def list_text(there_is: dict[str, dict[str, Any]], width: int) -> str:
-    """What there is, in lines of at most `width` columns; variants and cases behind their experiments.
+    """Experiments, robots, controllers and references in lines of at most `width` columns.
+
+    Variants and cases stand behind their experiments.
 
     Robots are named with the files that they come from, which stay whole, in groups by folder.
     """
+    from ..lab.show.table import hanging
+
     titles = dict(there_is["experiments"])
     for option in ("variant", "case"):
         for name, known in there_is[f"{option}s"].items():
@@ -353,22 +304,16 @@ def list_text(there_is: dict[str, dict[str, Any]], width: int) -> str:
         groups.setdefault(f"robots in {folder}", {})[name] = str(Path(file).relative_to(folder))
     groups["controllers"] = there_is["controllers"]
     groups |= {f"references of the {part}": kinds for part, kinds in there_is["references"].items()}
-    return "\n".join(
-        "\n".join([kind, *(hanging(name, text, width) for name, text in group.items())])
+    lines = {
+        kind: [hanging(f"  {name:24}", text, width) if text else f"  {name}" for name, text in group.items()]
         for kind, group in groups.items()
-    )
+    }
+    return "\n".join("\n".join([kind, *group]) for kind, group in lines.items())
 
 
 def robot_folder(file: Path) -> Path:
     """The folder that the robots beside a file share: that of example-robot-data, or its own."""
     return next((folder for folder in file.parents if folder.match("example-robot-data/robots")), file.parent)
-
-
-def hanging(name: str, text: str, width: int) -> str:
-    """A name and what it is, the lines of the text below each other; a file is not broken."""
-    room = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
-    room.initial_indent, room.subsequent_indent = f"  {name:24}", " " * 26
-    return room.fill(text) if text else f"  {name}"
 
 
 @click.command(

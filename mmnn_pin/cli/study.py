@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..lab.study.execution import Probe
     from ..lab.study.plan import Plan
     from ..lab.study.pools import Pool
-    from ..lab.study.worker import JobResult
+    from ..lab.study.store import TrialResult
 
 STOPPED_TEXT = "stopped by Ctrl-C; the same command goes on with what is missing"
 
@@ -44,7 +44,6 @@ STOPPED_TEXT = "stopped by Ctrl-C; the same command goes on with what is missing
 def study(
     file: Path,
     workers: int | None,
-    processes: bool,
     cluster: str | None,
     row: int | None,
     settings: tuple[str, ...],
@@ -52,7 +51,7 @@ def study(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Make every run of STUDY.toml that is not in its database yet, then print what came out.
+    """Make every run of STUDY.toml that is not stored yet, then print what came out.
 
     A run that diverges is a row like any other. Rows are stored while it goes on: after Ctrl-C, a kill or a crash the
     same command goes on with what is missing. `mmnn docs how-to/studies` explains the file.
@@ -77,7 +76,7 @@ def study(
     require_at_hand(plan, cluster)
     for remark in window_notes(plan.base):
         warn(remark)
-    stopped = make(plan, known, folder, choose(known, workers, processes, cluster), force)
+    stopped = make(plan, known, folder, choose(known, workers, cluster), force)
     with before_the_first(stopped):
         results = load_results(folder)
     answer(
@@ -120,37 +119,36 @@ def require_at_hand(plan: Plan, cluster: str | None) -> None:
             raise ConfigError(f"the controller {name} is a file on this machine", why=why, fix=fix, key="--cluster")
 
 
-def choose(known: Probe, workers: int | None, processes: bool, cluster: str | None) -> AbstractContextManager[Pool]:
+def choose(known: Probe, workers: int | None, cluster: str | None) -> AbstractContextManager[Pool]:
     """Where the runs are made."""
     from ..errors import ConfigError
     from ..lab.study import pools
     from ..loop.batch import require_memory
 
     if cluster is not None:
-        if workers is not None or processes:
+        if workers is not None:
             fix = "say on the cluster how many workers there are"
-            raise ConfigError("--cluster with --workers or --processes", fix=fix, key="--cluster")
+            raise ConfigError("--cluster with --workers", fix=fix, key="--cluster")
         return pools.cluster(cluster)
     require_memory(known.bytes_per_run * pools.number_of(workers))
-    return pools.processes(workers) if processes or not known.compiled else pools.threads(workers)
+    return pools.local(workers)
 
 
 def make(plan: Plan, known: Probe, folder: Path, where: AbstractContextManager[Pool], force: bool) -> bool:
     """Make the missing runs and count them on standard error; whether Ctrl-C ended them."""
-    from ..lab.study.execution import fill, missing_rows
+    from ..lab.study.execution import fill, missing_trials
     from ..lab.study.store import NAME, writing
 
     with writing(folder / NAME) as store:
-        missing = missing_rows(store, plan, known, force)
+        missing = missing_trials(store, plan, known, force)
         if not missing:
             return False
         before, begun, ended = len(plan) - len(missing), time.monotonic(), []
         try:
             with where as pool, counter("runs", len(plan), before) as show, interruptible(show) as advance:
-                done = f", {before} of them done" if before else ""
-                note(f"{len(plan)} runs{done}, on {pool.place}{f' ({pool.crew})' * bool(pool.crew)}")
+                note(f"{len(plan)} runs{f', {before} of them done' * bool(before)}, on {pool.place}")
 
-                def progress(result: JobResult) -> None:
+                def progress(result: TrialResult) -> None:
                     ended.append(result.status)
                     lost = len(ended) - ended.count("completed")
                     rate = len(ended) / max(time.monotonic() - begun, 1e-3)
@@ -177,7 +175,6 @@ def make(plan: Plan, known: Probe, folder: Path, where: AbstractContextManager[P
 def tune(
     file: Path,
     workers: int | None,
-    processes: bool,
     cluster: str | None,
     settings: tuple[str, ...],
     out: Path | None,
@@ -202,7 +199,7 @@ def tune(
     known = probe(plan_of(study))
     compile_if_cold()
     folder, stopped = out or Path("runs") / study.name, False
-    with choose(known, workers, processes, cluster) as pool:
+    with choose(known, workers, cluster) as pool:
         try:
             with counter("trials", trials) as show, interruptible(show) as advance:
 

@@ -1,4 +1,4 @@
-"""What happens to a robot during a run: pushes, a payload, joints that fail or block, messages that are lost or wrong.
+"""Disturbances of a run: pushes, a payload, joints that fail or block, messages that are lost or wrong.
 
 A disturbance is a table of its own, `[[disturbances]]` with a `type`. Pushes are generalized forces on one velocity of
 nu: they are the `f` of `M nudot + C nu + gravity + friction = tau + f`, and the signal `disturbance` records them.
@@ -7,11 +7,11 @@ nu: they are the `f` of `M nudot + C nu + gravity + friction = tau + f`, and the
 
 from .effects import BRAKE, Forces, Pushes, block
 from .settings import (
-    Block,
-    Commands,
+    BlockedJoint,
+    CommandFault,
     DeadMotor,
     Disturbance,
-    Frozen,
+    FrozenEncoder,
     Messages,
     Payload,
     Push,
@@ -27,12 +27,12 @@ from .settings import (
 
 __all__ = [
     "BRAKE",
-    "Block",
-    "Commands",
+    "BlockedJoint",
+    "CommandFault",
     "DeadMotor",
     "Disturbance",
     "Forces",
-    "Frozen",
+    "FrozenEncoder",
     "Messages",
     "Payload",
     "Push",

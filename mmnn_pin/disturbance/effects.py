@@ -19,7 +19,7 @@ BRAKE = 1e4  # torque or force by which a blocked joint is held [N m or N]
 
 @by_address
 class Forces(NamedTuple):
-    """What the world does to a robot over one step of the plant: force (p,) on nu [N, N m]."""
+    """Forces of the world on a robot over one step of the plant, (p,) on nu [N, N m]."""
 
     force: Array
 

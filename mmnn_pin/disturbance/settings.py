@@ -116,7 +116,7 @@ class DeadMotor(Window, frozen=True, kw_only=True, tag="dead_motor"):
     joint: str
 
 
-class Block(Window, frozen=True, kw_only=True, tag="block"):
+class BlockedJoint(Window, frozen=True, kw_only=True, tag="block"):
     """A joint that is blocked, a wheel or one of the arm: held by friction of 1e4 N m; needs the integrator "stick".
 
     Args:
@@ -126,7 +126,7 @@ class Block(Window, frozen=True, kw_only=True, tag="block"):
     joint: str
 
 
-class Frozen(Window, frozen=True, kw_only=True, tag="frozen_encoder"):
+class FrozenEncoder(Window, frozen=True, kw_only=True, tag="frozen_encoder"):
     """An encoder that keeps its reading.
 
     Args:
@@ -137,7 +137,7 @@ class Frozen(Window, frozen=True, kw_only=True, tag="frozen_encoder"):
 
 
 class Messages(Window, frozen=True, kw_only=True, tag="messages"):
-    """What happens to the messages of the sensors.
+    """Messages of the sensors that are lost, late or wrong.
 
     Args:
         fault: "lost": none arrives, as when their process was killed. "late": late by `delay` measurements more.
@@ -165,8 +165,8 @@ class Messages(Window, frozen=True, kw_only=True, tag="messages"):
             raise ConfigError(f"{self.size}", fix="use a finite number", key="disturbances.size")
 
 
-class Commands(Window, frozen=True, kw_only=True, tag="commands"):
-    """What happens to the torque commands on their way to the motors.
+class CommandFault(Window, frozen=True, kw_only=True, tag="commands"):
+    """Torque commands that are lost or wrong on their way to the motors.
 
     Args:
         fault: "lost": none arrives and the motors keep what they had. "nan": what arrives is not a number.
@@ -175,7 +175,7 @@ class Commands(Window, frozen=True, kw_only=True, tag="commands"):
     fault: Literal["lost", "nan"]
 
 
-Disturbance = Push | Payload | DeadMotor | Block | Frozen | Messages | Commands
+Disturbance = Push | Payload | DeadMotor | BlockedJoint | FrozenEncoder | Messages | CommandFault
 
 
 def require_in_time(disturbances: Sequence[Disturbance], duration: float) -> None:
@@ -284,7 +284,7 @@ def lateness(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
 
 
 def corruption(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
-    """What is added to all numbers of every message, (measurements,)."""
+    """The number that is added to all numbers of every message, (measurements,)."""
     added = np.zeros(timing.measurements)
     times = np.arange(timing.measurements) * timing.measurement_period
     for _, one in of_type(Messages, disturbances):
@@ -297,9 +297,9 @@ def corruption(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
 
 
 def commands(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
-    """What becomes of every torque command, (samples,): 0 it arrives, 1 it is lost, 2 it is not a number."""
+    """The fate of every torque command, (samples,): 0 it arrives, 1 it is lost, 2 it is not a number."""
     fate = np.zeros(timing.samples)
     times = np.arange(timing.samples) * timing.control_period
-    for _, one in of_type(Commands, disturbances):
+    for _, one in of_type(CommandFault, disturbances):
         fate[one.times(times)] = 1.0 if one.fault == "lost" else 2.0
     return fate

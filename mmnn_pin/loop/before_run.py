@@ -10,7 +10,7 @@ import numpy as np
 from ..elementary import cos_sin
 from ..elementary.matrices import product
 from ..errors import ConfigError
-from ..model.base import BY_SIZE
+from ..model.base import kind_of
 from ..model.robot import Robot
 from ..settings import LARGEST, Numbers, Settings, Timing, one_or_each, require_gains
 from ..settings.arguments import shortly
@@ -77,7 +77,7 @@ class Bounds(Settings, frozen=True):
 
     def vector(self, layout: Dimensions) -> Array:
         """Bounds on |nu|, (p,)."""
-        base = BY_SIZE[layout.base].per_velocity(self.speed, self.yaw_rate)
+        base = kind_of(layout).per_velocity(self.speed, self.yaw_rate)
         return np.array(base + [self.joint_speed] * layout.arm, float)
 
 

@@ -1,20 +1,15 @@
-"""A run as it goes: which samples come next, what is done with their rows, and how it ends.
-
-The stepping itself is left to whoever drives the course: an engine alone (`drive`), or several side by side
-(`batch.simulate_together`).
-"""
+"""A run as it goes: which samples come next, what is done with their rows, and how it ends."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
 from ..model.robot import Robot
 from ..recording.recording import Outcome
-from ..safety import HAS_TRIPPED, TRIPPED, remarks, trip_of
+from ..safety import TRIPPED, remarks, trip_of
 from ..signals import SIGNALS, Array, Layout
 from .compiled import CompiledLoop
 from .interruption import no_interruption
@@ -22,22 +17,6 @@ from .ordinary import OrdinaryLoop
 from .setup import Setup, Sink
 
 Engine = CompiledLoop | OrdinaryLoop
-Course = Generator[tuple[int, int], int, Outcome]  # gives the samples to be stepped, takes what `advance` answers
-
-
-def drive(engine: Engine, course: Course) -> Outcome:
-    """Step an engine along its course to the end."""
-    try:
-        asked = next(course)
-        while True:
-            try:
-                bad = engine.advance(*asked)
-            except BaseException as error:
-                asked = course.throw(error)  # rows that are done are handed over first
-            else:
-                asked = course.send(bad)
-    except StopIteration as ended:
-        return cast(Outcome, ended.value)
 
 
 def to_the_end(
@@ -48,7 +27,7 @@ def to_the_end(
     first: int,
     progress: Callable[[float], None] | None,
     cancelled: Callable[[], bool],
-) -> Course:
+) -> Outcome:
     """A run to its end, to divergence, to a trip or to an interruption.
 
     Args:
@@ -68,7 +47,7 @@ def to_the_end(
             engine.counter[0] = 0
             failure, bad = None, -1
             try:
-                bad = yield k, min(k + len(engine.rows), (k // every + 1) * every, samples)
+                bad = engine.advance(k, min(k + len(engine.rows), (k // every + 1) * every, samples))
             except (Exception, KeyboardInterrupt) as error:
                 failure = error
             with no_interruption():  # rows and time told agree
@@ -90,7 +69,7 @@ def to_the_end(
     if weights := loop.controller.weights(state):
         sink.weights(k * h, weights)
     supervisor = None if engine.hardware is None else engine.hardware.way.supervisor
-    if supervisor is not None and supervisor.on and supervisor.state[HAS_TRIPPED]:
+    if supervisor is not None and supervisor.on and supervisor.state.tripped[0]:
         return Outcome("tripped", *trip_of(supervisor.state, loop.robot))
     return Outcome("completed", samples * h)
 
@@ -105,7 +84,7 @@ def with_remarks(outcome: Outcome, engine: Engine, robot: Robot) -> Outcome:
 
 def diverged(row: Array, layout: Layout, column: int, time: float, sink: Sink) -> Outcome:
     """Outcome of a run whose row went bad at a column; a row that is still finite is kept."""
-    i = int(np.searchsorted(layout.offsets, column, side="right") - 1)
+    i = int(np.searchsorted(layout.offsets[: len(SIGNALS)], column, side="right") - 1)
     signal, value = f"{SIGNALS[i][0]}[{column - layout.offsets[i]}]", row[column]
     if np.isfinite(row).all():
         sink.append_block(row[None], np.zeros(1))

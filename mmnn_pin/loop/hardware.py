@@ -18,16 +18,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from .. import actuator as motor
 from .. import safety
-from ..actuator import Motors
+from ..actuator import Motors, MotorState
 from ..by_address import by_address
 from ..compiled import compiled, copy_to, entry, internal, linked
 from ..disturbance import Forces
-from ..safety import Supervisor
+from ..safety import Supervisor, SupervisorState
 from ..sensing import Sensors, exact
 from ..sensing.effects import COUNT, RECEIVED, Reading
-from ..signals import INDEX, Array, IntArray
+from ..signals import EARLY, INDEX, Array, IntArray
 from .servo import Split
 
 APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
@@ -72,20 +71,20 @@ class MotorSide(NamedTuple):
 
     Attributes:
         geared: (k, 3) motor, its joint's place in the position, and in nu (negative for a wheel).
-        states: (motors, STATES) state of the motors.
+        states: State of the motors.
     """
 
     geared: IntArray
-    states: Array
+    states: MotorState
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Put positions and speeds of the motors in place of those of their joints."""
         for i in range(self.geared.shape[0]):
-            state = self.states[self.geared[i, 0]]
-            wire.position[self.geared[i, 1]] += state[motor.AHEAD]
+            j = self.geared[i, 0]
+            wire.position[self.geared[i, 1]] += self.states.ahead[j]
             if self.geared[i, 2] >= 0:
-                wire.nu[self.geared[i, 2]] = state[motor.ROTOR_SPEED]
+                wire.nu[self.geared[i, 2]] = self.states.rotor_speed[j]
 
 
 @by_address
@@ -116,13 +115,13 @@ class Totals(NamedTuple):
 
     Attributes:
         imperfect: Whether the motors are.
-        states: (motors, STATES) state of the motors, with the sum of what they gave.
+        states: State of the motors, with the sum of what they gave.
         command: (motors,) torques that reach the motors [N m or N].
         force: (p,) sum of what the world did.
     """
 
     imperfect: bool
-    states: Array
+    states: MotorState
     command: Array
     force: Array
 
@@ -211,12 +210,17 @@ def pass_through(effects: tuple[Any, ...], wire: Any, k: int, time: float) -> No
 
 
 @overload(pass_through, strict=False)
-def unrolled(effects: Any, wire: Any, k: int, time: float) -> Any:
-    """The same for compiled code, a line per effect: its class, which is its type, says which function it is."""
-    names: dict[str, Any] = {f"act_{i}": kind.instance_class.act for i, kind in enumerate(effects.types)}
-    lines = [f"    {name}(effects[{i}], wire, k, time)" for i, name in enumerate(names)]
-    exec("\n".join(["def every_effect(effects, wire, k, time):", *lines]), names)
-    return names["every_effect"]
+def first_and_others(effects: Any, wire: Any, k: int, time: float) -> Any:
+    """The same for compiled code: the first effect, whose type says which function it is, then the others."""
+    if not effects.types:
+        return lambda effects, wire, k, time: None
+    act = effects.types[0].instance_class.act
+
+    def through(effects: Any, wire: Any, k: int, time: float) -> None:
+        act(effects[0], wire, k, time)
+        pass_through(effects[1:], wire, k, time)
+
+    return through
 
 
 @linked
@@ -253,7 +257,7 @@ def sense(
 
 
 @compiled
-def is_stopped(on: bool, state: Array) -> bool:
+def is_stopped(on: bool, state: SupervisorState) -> bool:
     """Whether a supervisor that is there does without the controller, by its state."""
     return on and not safety.may_learn(state)
 
@@ -285,7 +289,7 @@ def send(k: int, time: float, row: Array, at: IntArray, weights: Array, way: Way
     command, states = way.totals.command, way.totals.states
     for j in range(command.size):
         command[j] = entry(way.E_inv, j, tau)
-        states[j, motor.SUM] = 0.0
+        states.sum[j] = 0.0
     way.totals.force[:] = 0.0
 
 
@@ -305,7 +309,7 @@ def shorted(doing: float, supervisor: Supervisor) -> int:
         return 0
     if doing == safety.RAMPING:
         return int(supervisor.torque.size)
-    return int(supervisor.torque.size - supervisor.K.size) if supervisor.numbers[safety.SHORT] > 0.0 else 0
+    return int(supervisor.torque.size - supervisor.K.size) if supervisor.numbers.short > 0.0 else 0
 
 
 @compiled
@@ -345,11 +349,27 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
             hardware.way.totals.force[i] += world.wire.force[i]
 
 
+@compiled
+def load_at(time: float, world: World) -> float:
+    """0 before the payload comes, 1 while the robot carries it, 2 once it went, at a time [s]."""
+    if time + EARLY < world.pick:
+        return 0.0
+    return 1.0 if time + EARLY < world.drop else 2.0
+
+
+@compiled
+def shift_energy(load: float, gain: float, world: World) -> None:
+    """Note the energy that the payload has [J] as it comes and as it goes: it is no error of the balance."""
+    shift = world.shift
+    shift[0] += gain if load == 1.0 else -gain if shift[1] == 1.0 else 0.0
+    shift[1] = load
+
+
 @linked
 def note(steps: int, row: Array, at: IntArray, totals: Totals) -> None:
     """What motors and pushes gave on average over a control period, into its row, once it is over."""
     for j in range(at[APPLIED + 1] - at[APPLIED]):
-        mean = totals.states[j, motor.SUM] / steps if totals.imperfect else totals.command[j]
+        mean = totals.states.sum[j] / steps if totals.imperfect else totals.command[j]
         row[at[APPLIED] + j] = mean if math.isfinite(mean) else 0.0  # the motion has just left all bounds
     for i in range(at[DISTURBANCE + 1] - at[DISTURBANCE]):
         row[at[DISTURBANCE] + i] = totals.force[i] / steps

@@ -28,12 +28,11 @@ import numpy as np
 from ..compiled import compiled, copy_to, linked
 from ..elementary import cos_sin
 from ..errors import ConfigError
-from ..model.base.holonomic import moves_sideways
 from ..model.robot import Robot
 from ..reference.guide import BASE, Guide
 from ..reference.guide import VELOCITY as VELOCITY_LED
 from ..settings import Numbers, Timing
-from ..signals import INDEX, Array, IntArray
+from ..signals import INDEX, SIDEWAYS, Array, IntArray
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.law import Ahead, constant_gain
 from ..torque.learning_law import LearningLaw
@@ -136,7 +135,7 @@ def catch_up(row: Array, at: IntArray, setpoint: Array, then: Array, age: float)
         v, last, half = at[VELOCITY_REF] - first, at[VELOCITY_REF] - first + nb - 1, 0.5 * age
         turn = half * (setpoint[last] + then[last])
         along = half * (setpoint[v] + then[v])
-        aside = half * (setpoint[v + 1] + then[v + 1]) if moves_sideways(nb) else 0.0
+        aside = half * (setpoint[v + 1] + then[v + 1]) if at[SIDEWAYS] else 0.0
         c, s = cos_sin(setpoint[2] - 0.5 * turn)
         row[at[POSE]] += c * along - s * aside
         row[at[POSE] + 1] += s * along + c * aside
@@ -258,9 +257,8 @@ def look_ahead(row: Array, at: IntArray, before: Array, ahead: Ahead) -> None:
 @compiled
 def travel(row: Array, at: IntArray, d: float, pose: int, to: Array) -> None:
     """Move the pose that stands at a place of a row as the reference moves its own in d seconds."""
-    sideways = moves_sideways(at[VELOCITY_REF + 1] - at[VELOCITY_REF])
     vx, w = row[at[VELOCITY_REF]], row[at[VELOCITY_REF + 1] - 1]
-    vy = row[at[VELOCITY_REF] + 1] if sideways else 0.0
+    vy = row[at[VELOCITY_REF] + 1] if at[SIDEWAYS] else 0.0
     c, s = cos_sin(row[at[POSE_REF] + 2] + 0.5 * d * w)
     to[pose] += d * (c * vx - s * vy)
     to[pose + 1] += d * (s * vx + c * vy)

@@ -35,12 +35,12 @@ from ..torque.controller import CompiledController, Context, ControllerState, To
 from .before_run import Bounds, Start, lags, require_first, require_nominal, require_seed, samples_between
 from .compiled import CompiledLoop
 from .controller import state_from, with_findings
-from .course import Course, Engine, drive, to_the_end, with_remarks
+from .course import Engine, to_the_end, with_remarks
 from .latency import Latency
 from .lead import delays
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
-from .sample import Plan
+from .plan import Plan
 from .sampled import delay_margin
 from .servo import Servo
 from .servo_model import linear_servos
@@ -230,7 +230,7 @@ class Loop:
             controller=self.controller,
             context=self.context(),
             believed=self.believed,
-            gains=self.kinematic.base_gains(self.layout.base),
+            gains=self.kinematic.base_gains(self.layout),
             K=self.kinematic.arm_gains(self.layout),
             bounds=self.bounds.vector(self.layout),
             setpoints=self.table(),
@@ -377,20 +377,9 @@ class Loop:
             progress: Called after every block with the simulated time [s].
             cancelled: Asked after every block; true ends the run as interrupted.
         """
-        return drive(engine, self.course(engine, sink, first, progress, cancelled))
-
-    def course(
-        self,
-        engine: Engine,
-        sink: Sink,
-        first: int = 0,
-        progress: Callable[[float], None] | None = None,
-        cancelled: Callable[[], bool] = bool,
-    ) -> Course:
-        """What `stream` does but for the stepping; arguments as there."""
         if self.trajectory.watched is not None:
             sink = Watching(sink, self.trajectory.watched.writer(self.robot, self.layout))
-        outcome = yield from to_the_end(self, self.samples_between_weights, engine, sink, first, progress, cancelled)
+        outcome = to_the_end(self, self.samples_between_weights, engine, sink, first, progress, cancelled)
         return with_remarks(outcome, engine, self.robot)
 
 

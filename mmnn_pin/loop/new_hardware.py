@@ -57,7 +57,7 @@ def new_hardware(
     sensor = late(loop)
     is_exact = sensor.exact and not (faults.any() or len(frozen) or len(geared))
     states = np.zeros((layout.motors, motor.STATES))
-    states[:, motor.ROTOR_SPEED] = product(true.E.T, nu)
+    motor.motor_state(states).rotor_speed[:] = product(true.E.T, nu)
     sensed = sensor.init(robot, faults)
     kinds, on = interfaces_of(robot, loop.interfaces)
     under_way = np.zeros((loop.latency.slots(timing), layout.motors))
@@ -65,7 +65,8 @@ def new_hardware(
     parts: tuple[Array, ...]
     parts = (sensed, states, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof), under_way)
     parts = (*parts, np.zeros(state_size(on, layout.arm)), np.zeros((slots, layout.motors)))
-    values, (sensed, states, guard, held, sent, under_way, rows, ring) = flat(parts)
+    values, (sensed, kept, guard, held, sent, under_way, rows, ring) = flat(parts)
+    states = motor.motor_state(kept)
     motors = loop.actuator.motors(true, timing.plant_step, dead, states)
     if true is not robot:
         motors = motors._replace(imperfect=True)
@@ -162,7 +163,7 @@ def frozen_encoders(loop: Setup) -> Array:
     robot = loop.robot
     wheels = [wheel.joint for wheel in robot.base.wheels] if robot.dimensions.base else []
     names = [*wheels, *robot.joint_names]
-    windows = disturbance.windows(disturbance.Frozen, loop.disturbances, names)
+    windows = disturbance.windows(disturbance.FrozenEncoder, loop.disturbances, names)
     found = [
         (
             robot.position_names.index(names[int(i)]),
@@ -184,7 +185,7 @@ def world_of(loop: Setup, rng: np.random.Generator) -> World:
     """
     robot, timing, first = loop.robot, loop.timing, loop.robot.dimensions.pose
     pushes = disturbance.pushes(loop.disturbances, robot, timing.plant_step, timing.samples, rng)
-    blocked = disturbance.windows(disturbance.Block, loop.disturbances, robot.position_names[first:])
+    blocked = disturbance.windows(disturbance.BlockedJoint, loop.disturbances, robot.position_names[first:])
     blocked[:, 0] += first
     if len(blocked) and timing.integrator != "stick" and loop.plant == "ideal":
         why, fix = "only there is friction that holds", "use time.integrator = 'stick'"
@@ -202,13 +203,13 @@ def supervisor_of(loop: Setup, state: ControllerState | object, values: Array) -
     if loop.safety is None:
         return safety.no_supervisor(layout, values)
     brakes = np.broadcast_to(actuator.brake, layout.motors)
+    stops_base = bool(layout.base) and bool(np.all(brakes[: layout.motors - layout.arm] > 0.0))
     return loop.safety.supervisor(
         loop.robot,
         timing.control_period,
         stopping_gains(loop),
         loop.kinematic.arm_gains(layout),
-        short=bool(layout.base) and bool(np.all(brakes[: layout.motors - layout.arm] > 0.0)),
-        brakes=bool(np.any(brakes > 0)),
+        brakes="base" if stops_base else "some" if np.any(brakes > 0) else "none",
         arrivals=max(timing.control_period, timing.measurement_period),
         weights=weights,
         values=values,
@@ -223,8 +224,9 @@ def require_read_encoders(loop: Setup) -> None:
     """
     if loop.sensor.velocity != "true" or loop.sensor.pose != "true":
         return
+    wheels = [wheel.joint for wheel in loop.robot.base.wheels]
     for i, one in enumerate(loop.disturbances):
-        if isinstance(one, disturbance.Frozen) and one.joint in [wheel.joint for wheel in loop.robot.base.wheels]:
+        if isinstance(one, disturbance.FrozenEncoder) and one.joint in wheels:
             why = "pose and velocity of the base are measured as they are"
             fix = "use sensor.velocity = 'difference' or sensor.pose = 'odometry'"
             raise ConfigError(f"nobody reads the encoder of '{one.joint}'", why=why, fix=fix, key=f"disturbances.{i}")

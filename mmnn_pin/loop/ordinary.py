@@ -17,9 +17,10 @@ from ..plant.contact.plant import ContactPlant
 from ..plant.ideal import IdealPlant
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
-from ..signals import EARLY, Array
-from .hardware import Hardware, act, note, sense
-from .sample import Control, Plan, after_torque
+from ..signals import Array
+from .hardware import Hardware, act, load_at, note, sense, shift_energy
+from .plan import Plan
+from .sample import Control, after_torque
 
 PATIENCE = 0.2  # [s] of wall clock after which a block of samples is handed over
 
@@ -136,18 +137,15 @@ class OrdinaryLoop:
         plant.step(hardware.tau, world.wire.force)
 
     def pick_up(self, time: float) -> None:
-        """Carry the payload from its time to its end; what energy comes and goes is no error of the balance."""
-        loaded, hardware = self.plan.loaded, self.hardware
-        if loaded is None or hardware is None or time + EARLY < hardware.world.pick:
+        """Carry the payload from its time to its end."""
+        if self.plan.loaded is None or self.hardware is None:
             return
-        shift, now = hardware.world.shift, 1.0 if time + EARLY < hardware.world.drop else 2.0
-        if shift[1] != now:
-            before, carries = self.energy(), shift[1] == 1.0
-            if now == 1.0 or carries:
-                self.plant.carry(loaded if now == 1.0 else self.plan.true)
-                gain = self.energy() - before if now == 1.0 else before - self.energy()
-                shift[0] += gain if now == 1.0 else -gain
-            shift[1] = now
+        world, loaded = self.hardware.world, self.plan.loaded
+        if (load := load_at(time, world)) != world.shift[1]:
+            before = self.energy()
+            self.plant.carry(loaded if load == 1.0 else self.plan.true)
+            gain = self.energy() - before
+            shift_energy(load, gain if load == 1.0 else -gain, world)
 
     def energy(self) -> float:
         """Kinetic and potential energy at the plant's state [J]."""
@@ -156,7 +154,7 @@ class OrdinaryLoop:
 
     def rehearse(self, samples: int) -> None:
         """Ask the controller at some samples without moving, and without a supervisor: what fails, fails now."""
-        self.control.hardware = None
+        self.control.equip(None)
         for k in range(samples):
             exact(self.row, self.at, self.plant.position, self.plant.nu, self.arm)
             self.control.step(k * self.plan.timing.control_period, self.plan.setpoints[k])

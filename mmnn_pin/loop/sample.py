@@ -2,37 +2,132 @@
 
     time, measurement, setpoint -> [kinematic] -> [torque] -> [safety] -> torque to the motors
 
-`Control.step` is that sample for the ordinary loop and for a loop of one's own (`stepper`); the compiled loop calls the
-same compiled functions. All of it happens in one row of signals. `before_torque` is what comes before the controller,
-`after_torque` what only a simulation knows: the true state, the energy balance and the guard.
+`sample` is the order of it, for the ordinary loop, the compiled loop and a loop of one's own (`stepper`). All of it
+happens in one row of signals. `before_torque` is what comes before the controller, `law_torque` what a controller of
+this package does, `after_torque` what only a simulation knows: the true state, the energy balance and the guard.
+
+Where a controller is plain Python, `sample` runs as plain Python, too; what it calls stays compiled.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import kinematic
-from ..compiled import compiled, copy_to, entry, linked
-from ..elementary.matrices import pseudo_inverse
+from ..by_address import by_address
+from ..compiled import by_type, compiled, copy_to, entry, internal, linked, plain
+from ..errors import ConfigError, InputError, RobotError
+from ..model.dynamics import Dynamics
+from ..model.reduction import as_measured
 from ..model.robot import Robot
+from ..model.tree.body import evaluate
+from ..model.tree.twin import Terms, psi_of
 from ..parts import vector, view
-from ..plant.contact.feet import Contact
-from ..settings import Timing
-from ..signals import INDEX, Array, IntArray, Layout
+from ..signals import INDEX, Array, IntArray, Measurement, Setpoint, VelocityCommand
+from ..torque import law
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from .controller import Torque
+from ..torque.law import Ahead, MotorLimits, Packed, estimate, limit, settle
+from ..torque.learning_law import LearningLaw, Sample, blamed, norms
 from .hardware import Hardware, is_stopped, send
-from .lead import Lead, catch_up, reference_then
-from .servo import answered, ask
-from .servo_model import LinearServos
+from .lead import Lead, catch_up, look_ahead, reference_then
+from .machine import Machine, new_machine
+from .plan import Plan
+from .servo import Split, answered, ask
 
 TIME, POSITION, NU, POSE_REF, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
-ALPHA, Q_REF, TORQUE, MOTOR_TORQUE = (INDEX[n] for n in ("alpha", "q_ref", "torque", "motor_torque"))
+VELOCITY, Q, QDOT, ALPHA, Q_REF = (INDEX[n] for n in ("velocity", "q", "qdot", "alpha", "q_ref"))
+NU_REF, NUDOT_REF, PSI_HAT = (INDEX[n] for n in ("nu_ref", "nudot_ref", "psi_hat"))
+TORQUE, MOTOR_TORQUE = INDEX["torque"], INDEX["motor_torque"]
 TRUE_POSE_ERROR, TRUE_Z, TRUE_E = (INDEX[n] for n in ("true_pose_error", "true_z", "true_e"))
 ENERGY, WORK, RESIDUAL = (INDEX[n] for n in ("energy", "work", "energy_residual"))
+
+
+@by_address
+class Controls(NamedTuple):
+    """What every control sample works on.
+
+    Attributes:
+        row: (width,) row of signals.
+        at: Offsets of the signals.
+        gains: (3,) of the kinematic layer.
+        K: (n,) gain of the filtered arm error [1/s].
+        law: The numbers of the law.
+        state: (size,) the controller's state.
+        setpoints: The setpoint of every control sample, (samples, ...).
+        then: Room for the reference of a measurement that is late.
+        age: By how much measurements are brought up to now [s].
+        h: Control period [s].
+    """
+
+    row: Array
+    at: IntArray
+    gains: Array
+    K: Array
+    law: Packed
+    state: Array
+    setpoints: Array
+    then: Array
+    age: float
+    h: float
+
+
+@linked
+def sample(
+    k: int,
+    time: float,
+    setpoint: Array,
+    before: Array,
+    controls: Controls,
+    model: Machine | None,
+    hardware: Hardware | None,
+    learner: Any,
+    limits: MotorLimits | None,
+    ahead: Ahead | None,
+    later: Any,
+    split: Split | None,
+    own: Torque | None,
+) -> None:
+    """Write everything of a control sample up to the torque into the row, which has the measurement.
+
+    Args:
+        k: Number of the sample.
+        time: [s].
+        setpoint: The signals `pose_ref` ... `qddot_ref` side by side.
+        before: The setpoint of the sample before, from which Psi_hat may lead.
+        controls: What is worked on.
+        model: The robot that the controller believes in; None where it uses no model.
+        hardware: Sensors, motors, supervisor and disturbances; None for an ideal robot.
+        learner: What the controller learns with beside networks; None for nothing.
+        limits: What Psi_hat is kept within; None for nothing.
+        ahead: Where Psi_hat leads; None where it does not.
+        later: The learner with its weights held, which is asked there.
+        split: The rows that take a velocity, which are the hardware's; None where all take effort.
+        own: A controller in plain Python, which is asked in place of the law; None for one of this package.
+    """
+    row, at, asked = controls.row, controls.at, True
+    if controls.age > 0.0:
+        reference_then(controls.setpoints, k, controls.age / controls.h, controls.then)
+        catch_up(row, at, setpoint, controls.then, controls.age)
+    before_torque(row, at, time, setpoint, controls.gains, controls.K)
+    if hardware is not None:
+        asked = not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
+    if split is not None and asked:
+        ask(row, at, split)
+    if asked:
+        if ahead is not None:
+            look_ahead(row, at, before, ahead)
+        if own is not None:
+            own.answer(time)
+        else:
+            law_torque(controls, model, learner, limits, ahead, later)
+    if split is not None:
+        answered(row, at, not asked, split)
+    if hardware is not None:
+        send(k, time, row, at, controls.state, hardware.way)
+    if learner is not None and asked:
+        settle(row, at, learner, controls.state)
 
 
 @linked
@@ -50,6 +145,55 @@ def before_torque(row: Array, at: IntArray, time: float, setpoint: Array, gains:
     row[at[TIME]] = time
     copy_to(setpoint, vector(row, at[POSE_REF], at[POSE] - at[POSE_REF]))
     kinematic.command(row, at, gains, K)
+
+
+@linked
+def law_torque(
+    controls: Controls, model: Machine | None, learner: Any, limits: MotorLimits | None, ahead: Ahead | None, later: Any
+) -> None:
+    """Psi_hat and torque of a controller of this package; arguments as of `sample`."""
+    row, at, state = controls.row, controls.at, controls.state
+    if ahead is not None:
+        estimate_ahead(at, state, model, ahead, later)
+    if model is not None:
+        model_psi(row, at, model)
+    if learner is not None:
+        estimate(row, at, learner, state)
+    if ahead is not None:  # networks have learned by now: their weights are those of this sample's psi_hat
+        law.step(ahead.row, at, ahead.law, state, None, None)
+    law.step(row, at, controls.law, state, limits, ahead)
+
+
+@compiled
+def estimate_ahead(at: IntArray, state: Array, model: Machine | None, ahead: Ahead, later: Any) -> None:
+    """What model and learner say where the torque acts, into the row there: a learner says first, then learns."""
+    if model is not None:
+        model_psi(ahead.row, at, model)
+    if later is not None:
+        estimate(ahead.row, at, later, state)
+
+
+def model_psi(row: Array, at: IntArray, model: Any) -> None:
+    """Psi of the robot that a controller believes in at the measured state, into psi_hat."""
+    if isinstance(model, Machine):
+        machine_psi(row, at, model)
+    else:
+        model.psi(row, at)
+
+
+by_type(model_psi, "model", lambda kind: machine_psi)
+
+
+@internal
+def machine_psi(row: Array, at: IntArray, model: Machine) -> None:
+    """`model_psi` of a robot as arrays."""
+    body, work, psi_hat = model.body, model.work, view(row, at, PSI_HAT)
+    as_measured(
+        body.offset, body.columns, view(row, at, POSE), view(row, at, VELOCITY), view(row, at, Q),
+        view(row, at, QDOT), model.position, model.nu,
+    )  # fmt: skip
+    evaluate(body, work, model.position, model.nu)
+    psi_of(body, work, model.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), psi_hat)
 
 
 @linked
@@ -113,56 +257,163 @@ def true_errors(row: Array, at: IntArray, position: Array, nu: Array, arm: IntAr
         row[at[TRUE_E] + i] = row[at[Q_REF] + i] - position[arm[i]]
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """What an engine needs of a loop, looked up and checked.
+class Unflattened:
+    """A robot that a controller believes in and that is no arrays: Pinocchio evaluates it."""
 
-    Attributes:
-        robot: The robot, as all but its plant take it.
-        true: The true robot, which may roll on wheels of other radii.
-        layout: Where the signals stand in a row.
-        timing: Periods.
+    def __init__(self, robot: Robot, terms: Terms) -> None:
+        self.terms, self.arm_map = terms, robot.arm_map()
+        self.position, self.nu = robot.neutral_position(), np.zeros(robot.dimensions.dof)
+
+    def psi(self, row: Array, at: IntArray) -> None:
+        """See `model_psi`."""
+        measured = (view(row, at, signal) for signal in (POSE, VELOCITY, Q, QDOT))
+        as_measured(*self.arm_map, *measured, self.position, self.nu)
+        self.terms.refresh(self.position, self.nu)
+        self.terms.refresh_psi(view(row, at, NU_REF), view(row, at, NUDOT_REF), view(row, at, PSI_HAT))
+
+
+def believed_model(robot: Robot) -> Any:
+    """A robot that a controller believes in, for `sample`: a `Machine`, else `Unflattened`."""
+    try:
+        return new_machine(robot, None, robot.neutral_position(), np.zeros(robot.dimensions.dof))
+    except RobotError:
+        return Unflattened(robot, Dynamics(robot))
+
+
+class Torque:
+    """One controller wired to one row; the same face for compiled and for Python controllers.
+
+    Args:
         controller: The controller.
         context: What it is told before the run.
-        believed: The robot that it believes in, where it uses a model.
-        gains: (3,) of the kinematic layer.
-        K: (n,) gain of the filtered arm error [1/s].
-        bounds: (p,) on |nu|, beyond which a state counts as lost.
-        setpoints: The setpoint of every control sample, (samples, ...).
-        loaded: The robot once it has picked up its payload; None without one.
-        contact: The floor of the contact plant; None for the ideal plant.
-        block: Samples that an engine hands over at a time.
-        latency: Known delay between measurement and torque, for the check of the gains [s].
-        lag: Time constant of the motors, one number or one per motor, for the same [s].
-        servo: What the servos of velocity interfaces amount to, for the same; None without any.
-        lead: How Psi_hat looks ahead to where the torque acts; None where it does not.
-        age: By how much measurements are brought up to now [s].
+        row: The row it reads and writes.
+        nominal: The robot that a controller believes in which uses a model and brings none.
+        state: Its state.
+        lead: How Psi_hat looks ahead; None where it does not.
+
+    Attributes:
+        law: The law of a compiled controller.
+        model, learner, limits, ahead, later: As of `sample`.
+        compiled: Whether compiled code can ask it.
     """
 
-    robot: Robot
-    true: Robot
-    layout: Layout
-    timing: Timing
-    controller: TorqueController | CompiledController
-    context: Context
-    believed: Robot
-    gains: Array
-    K: Array
-    bounds: Array
-    setpoints: Array
-    loaded: Robot | None = None
-    contact: Contact | None = None
-    block: int = 1
-    latency: float = 0.0
-    lag: float | tuple[float, ...] = 0.0
-    servo: LinearServos | None = None
-    lead: Lead | None = None
-    age: float = 0.0
+    def __init__(
+        self,
+        controller: TorqueController | CompiledController,
+        context: Context,
+        row: Array,
+        nominal: Robot,
+        state: Any,
+        lead: Lead | None = None,
+    ) -> None:
+        layout = context.layout
+        self.controller, self.state, self.row, self.at = controller, state, row, layout.offsets
+        self.limits, self.learner, self.model = context.limits, None, None
+        self.ahead, self.later = (None, None) if lead is None else (lead.ahead, lead.learner)
+        self.psi_hat = row[layout.where("psi_hat")]
+        numbers = law.constant_gain(np.zeros(layout.dof))
+        if isinstance(controller, CompiledController):
+            self.law = controller.law(context)
+            self.learner, numbers = self.law.learner, self.law.numbers
+            if controller.uses_model:
+                self.model = believed_model(controller.model or nominal)
+        values = state.values if isinstance(state, ControllerState) else np.zeros(0)
+        nothing = np.zeros(0)
+        self.controls = Controls(row, self.at, nothing, nothing, numbers, values, nothing[None], nothing, 0.0, 1.0)
+        self.compiled = isinstance(controller, CompiledController) and not isinstance(self.model, Unflattened)
+        if isinstance(controller, TorqueController):
+            self._wire(controller, context)
 
-    @property
-    def E_inv(self) -> Array:
-        """(motors, p) motor torques from the torque on nu."""
-        return pseudo_inverse(self.robot.E)
+    def _wire(self, controller: TorqueController, context: Context) -> None:
+        """Views of the row for a controller in plain Python."""
+        layout, row = context.layout, self.row
+        self.layout = layout
+        self.setpoint, self.measurement = Setpoint.of(row, layout), Measurement.of(row, layout)
+        self.command = VelocityCommand.of(row, layout)
+        self.torque = row[layout.where("torque")]
+        self.gain, self.weight_norm = row[layout.where("effective_gain")], row[layout.where("weight_norm")]
+        if isinstance(controller, LearningLaw):
+            self.sample, self.K = Sample.of(row, context), controller.feedback_gain(layout)
+            self.later_sample = self.sample if self.ahead is None else Sample.of(self.ahead.row, context)
+
+    def answer(self, time: float) -> None:
+        """Write psi_hat, robust, effective_gain and torque of this sample, at a time [s], into the row."""
+        if isinstance(self.controller, TorqueController):
+            try:
+                if isinstance(self.controller, LearningLaw):
+                    self._learning_law(time, self.controller)
+                else:
+                    self._python(time, self.controller)
+            except InputError:
+                raise
+            except Exception as error:
+                raise blamed(error, self.controller) from error
+            return
+        function = law_torque if self.compiled else plain(law_torque)
+        function(self.controls, self.model, self.learner, self.limits, self.ahead, self.later)
+
+    def keep(self) -> None:
+        """Let a learner remember the torque in the row: the one of the law, or what a supervisor made of it."""
+        if self.learner is not None:
+            settle(self.row, self.at, self.learner, self.controls.state)
+
+    def features(self) -> Array | None:
+        """What the weights were multiplied with at the last step, (rows, k) or (k,); None where it is not told."""
+        if isinstance(self.controller, LearningLaw):
+            return self.controller.features(self.sample, self.state)
+        if isinstance(self.controller, CompiledController):
+            return self.controller.features(self.law, self.state)
+        return None
+
+    def _python(self, time: float, controller: TorqueController) -> None:
+        """Torque of a controller in plain Python, and its Psi_hat if it tells one."""
+        answer = controller.step(time, self.setpoint, self.measurement, self.command, self.state)
+        torque, psi_hat = answer if isinstance(answer, tuple) and len(answer) == 2 else (answer, None)
+        self.torque[:] = self._of_shape("torque", torque)
+        if psi_hat is not None:
+            self.psi_hat[:] = self._of_shape("Psi_hat", psi_hat)
+            if self.limits is not None:
+                self._answer(self.torque - self.psi_hat)
+
+    def _learning_law(self, time: float, controller: LearningLaw) -> None:
+        """`tau = K s + Psi_hat` of a law in plain Python, and what it learns."""
+        if self.ahead is not None:
+            self.later_sample.refresh(time + self.ahead.time)
+            self.ahead.row[self.layout.where("psi_hat")] = self._of_shape(
+                "Psi_hat", controller.estimate(self.later_sample, self.state)
+            )
+        self.sample.refresh(time)
+        self.psi_hat[:] = self._of_shape("Psi_hat", controller.estimate(self.sample, self.state))
+        self.gain[:] = self.K
+        self.weight_norm[:] = norms(controller.weights(self.state), self.layout)
+        self._answer(self.K * self.sample.s)
+        if controller.learning:
+            controller.learn(self.sample, self.state)
+
+    def _answer(self, feedback: Array) -> None:
+        """The torque: a feedback (p,) and Psi_hat, this within the motors' limits where it is to be."""
+        sent = self.psi_hat
+        if self.ahead is not None:
+            sent = self.row[self.layout.where("psi_applied")]
+            law.lead(self.psi_hat, self.ahead.row[self.layout.where("psi_hat")], self.ahead.share, sent)
+            if self.limits is not None:
+                limit(sent, feedback, self.limits)
+        if self.limits is not None:
+            limit(self.psi_hat, feedback, self.limits)
+        self.torque[:] = feedback + sent
+
+    def _of_shape(self, what: str, values: Any) -> Any:
+        """The same, if there is one number per velocity.
+
+        Raises:
+            ConfigError: There is not.
+        """
+        if np.shape(values) != self.torque.shape:
+            raise ConfigError(
+                f"controller '{self.controller.name}' returned a {what} of shape {np.shape(values)}",
+                fix=f"return an array of shape {self.torque.shape}",
+            )
+        return values
 
 
 class Control:
@@ -173,38 +424,31 @@ class Control:
         row: The row that they read and write.
         state: The controller's state.
         hardware: With the supervisor, or None.
+
+    Attributes:
+        blocks: What follows in the arguments of `sample`.
     """
 
     def __init__(self, plan: Plan, row: Array, state: Any, hardware: Hardware | None) -> None:
-        self.row, self.at, self.hardware = row, plan.layout.offsets, hardware
-        self.gains, self.K, self.age, self.back = plan.gains, plan.K, plan.age, plan.age / plan.timing.control_period
-        self.setpoints, self.then = plan.setpoints, plan.setpoints[0].copy()
-        self.torque = Torque(plan.controller, plan.context, row, plan.believed, state, plan.lead)
-        self.weights = state.values if isinstance(state, ControllerState) else np.zeros(0)
+        self.torque = torque = Torque(plan.controller, plan.context, row, plan.believed, state, plan.lead)
+        self.controls = torque.controls._replace(
+            gains=plan.gains,
+            K=plan.K,
+            setpoints=plan.setpoints,
+            then=plan.setpoints[0].copy(),
+            age=plan.age,
+            h=plan.timing.control_period,
+        )
+        self.sample = sample if torque.compiled else plain(sample)
+        self.equip(hardware)
+
+    def equip(self, hardware: Hardware | None) -> None:
+        """Put a hardware model, or None, behind the controller."""
+        torque, own = self.torque, None if self.torque.compiled else self.torque
+        self.hardware, split = hardware, None if hardware is None else hardware.split
+        learned = torque.learner, torque.limits, torque.ahead, torque.later
+        self.blocks = (self.controls, torque.model, hardware, *learned, split, own)
 
     def step(self, time: float, setpoint: Array, k: int = 0, before: Array | None = None) -> None:
-        """Write everything of a control sample up to the torque into the row, which has the measurement.
-
-        Args:
-            time: [s].
-            setpoint: The signals `pose_ref` ... `qddot_ref` side by side.
-            k: Number of the sample, where commands may get lost on their way.
-            before: The setpoint of the sample before, from which Psi_hat may lead; None for the same one.
-        """
-        if self.age > 0.0:
-            reference_then(self.setpoints, k, self.back, self.then)
-            catch_up(self.row, self.at, setpoint, self.then, self.age)
-        before_torque(self.row, self.at, time, setpoint, self.gains, self.K)
-        hardware = self.hardware
-        asked = hardware is None or not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
-        split = None if hardware is None else hardware.split
-        if split is not None and asked:
-            ask(self.row, self.at, split)
-        if asked:
-            self.torque.step(time, setpoint if before is None else before)
-        if split is not None:
-            answered(self.row, self.at, not asked, split)
-        if hardware is not None:
-            send(k, time, self.row, self.at, self.weights, hardware.way)
-            if asked:
-                self.torque.keep()
+        """One `sample`; `before` is None for the setpoint itself."""
+        self.sample(k, time, setpoint, setpoint if before is None else before, *self.blocks)

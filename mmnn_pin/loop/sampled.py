@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from ..compiled import one_thread
-from ..model.base import BY_SIZE
+from ..model.base.base import LinearErrors
 from ..model.dynamics import Dynamics
 from ..signals import Array, IntArray, Setpoint
 from ..torque.classical import Gravity, Integrator
@@ -31,7 +31,7 @@ from ..torque.controller import CompiledController
 from ..torque.learning_law import LearningLaw
 from ..torque.model_based import PD, ScheduledPD
 from .before_run import Start, lags, viscous_friction
-from .sample import Plan
+from .plan import Plan
 from .servo_model import LinearServos
 
 TOLERANCE = 1e-9
@@ -64,30 +64,28 @@ class SampledLoop:
 def sampled_loop(
     M: Array,
     gains: Array,
-    v_ref: Array,
-    base_gains: Array,
+    law: LinearErrors,
     K: Array,
     h: float,
     friction: Array | None = None,
     servos: LinearServos | None = None,
 ) -> SampledLoop:
-    """Spectral radius of the held PD loop at one mass matrix and reference velocity.
+    """Spectral radius of the held PD loop at one mass matrix and law of the base.
 
     Args:
         M: (p, p) reduced mass matrix.
         gains: (p,) gain on `[z; r]`.
-        v_ref: (nb,) reference velocity, (vr, wr) or (vxr, vyr, wr).
-        base_gains: (3,) kx, ky, kth; of a holonomic base kx, ky, kphi.
+        law: The pose error under the law of the base, at a reference velocity.
         K: (n,) gain of the filtered arm error [1/s].
         h: Control period [s].
         friction: Viscous friction on nu, (p,) or a matrix (p, p); None for none.
         servos: Of servo rows, whose gains are 0; None for none.
     """
-    held = held_loop(M, v_ref, base_gains, K, h, friction, servos=servos)
+    held = held_loop(M, law, K, h, friction, servos=servos)
     if held is None:
         return SampledLoop(np.inf, 2.0 / (h * np.diag(np.linalg.inv(M))))
     radius = float(np.abs(np.linalg.eigvals(held.closed(gains))).max())
-    first = (3 if len(v_ref) else 0) + len(K)
+    first = len(law.rates) + len(K)
     nu = slice(first, first + len(M))
     limits = (1.0 + np.diag(held.state)[nu]) / np.diag(held.torque[nu])
     return SampledLoop(radius, limits if servos is None else np.where(servos.on > 0.0, np.inf, limits))
@@ -152,8 +150,7 @@ class HeldLoop:
 
 def held_loop(
     M: Array,
-    v_ref: Array,
-    base_gains: Array,
+    law: LinearErrors,
     K: Array,
     h: float,
     friction: Array | None = None,
@@ -166,8 +163,8 @@ def held_loop(
     With `lag` (p,), time constants of first-order motors, their torques are further states where it is not 0 [s];
     `stiffness` (n, n) is the derivative of gravity by the joints [N m/rad]. `servos` hold velocities: see `behind`.
     """
-    p, nb = len(M), len(v_ref)
-    poses, n = (3 if nb else 0), len(M) - len(v_ref)
+    p, nb, poses = len(M), len(law.command), len(law.rates)
+    n = p - nb
     lagging = np.flatnonzero(lag) if lag is not None else np.zeros(0, int)
     motion = poses + n + p
     size = motion + len(lagging)
@@ -175,7 +172,6 @@ def held_loop(
     nu = slice(poses + n, motion)
     B[nu] = M_inv = np.asarray(np.linalg.inv(M), float)
     of_base = slice(poses + n, poses + n + nb)
-    law = BY_SIZE[nb].linear_errors(v_ref, base_gains)
     A[:poses, :poses], A[:poses, of_base], errors[:nb, :poses] = law
     rates = np.zeros((p, size))  # of nu_ref: what nudot_ref feeds back
     if nb:
@@ -264,7 +260,7 @@ def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | N
     for i in np.unique(np.linspace(0, len(plan.setpoints) - 1, places).astype(int)):
         position, _ = Start().state(robot, plan.setpoints[i])
         v_ref = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
-        loop = v_ref, plan.gains, plan.K, h, friction, lag
+        loop = robot.base.linear_errors(v_ref, plan.gains), plan.K, h, friction, lag
         found.append(held_loop(dynamics.mass_matrix(position), *loop, servos=servo))
         if isinstance(plan.controller, PD | ScheduledPD):
             springs = (share * gains_of(plan))[robot.dimensions.base :] * plan.K
@@ -374,4 +370,5 @@ def verdicts(plan: Plan, other: Array | None = None) -> Iterator[SampledLoop]:
     for i in np.unique(np.linspace(0, len(plan.setpoints) - 1, 10).astype(int)):
         position, _ = Start().state(robot, plan.setpoints[i])
         velocity = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
-        yield sampled_loop(dynamics.mass_matrix(position), gains, velocity, plan.gains, plan.K, h, friction, plan.servo)
+        law = robot.base.linear_errors(velocity, plan.gains)
+        yield sampled_loop(dynamics.mass_matrix(position), gains, law, plan.K, h, friction, plan.servo)

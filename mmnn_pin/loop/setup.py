@@ -27,7 +27,7 @@ from .before_run import lags, require_nominal
 from .controller import context_of
 from .latency import Latency
 from .lead import Lead, delays, lead_of, leads
-from .sample import Plan
+from .plan import Plan
 from .servo import Servo
 from .servo_model import linear_servos
 from .suited import postures
@@ -145,7 +145,7 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
         lag=setup.lags,
         way=setup.known.way(setup.timing),
         unseen=unseen_by(setup),
-        pose_weights=setup.kinematic.pose_weights(setup.robot.dimensions.base),
+        pose_weights=setup.kinematic.pose_weights(setup.robot.dimensions),
     )
 
 
@@ -270,7 +270,7 @@ def plan_outside(setup: Outside) -> Plan:
     """
     robot, layout, believed = setup.robot, setup.layout, believed_by(setup)
     require_nominal(believed, robot)
-    gains, K = setup.kinematic.base_gains(layout.base), setup.kinematic.arm_gains(layout)
+    gains, K = setup.kinematic.base_gains(layout), setup.kinematic.arm_gains(layout)
     bounds, context = np.full(layout.dof, np.inf), setup.context()
     blocks = setup.timing, setup.controller, context, believed, gains, K, bounds, postures(robot)
     plan, servo = Plan(robot, robot, layout, *blocks), linear_servos(robot, setup.interfaces, setup.servo, False)

@@ -4,23 +4,31 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
 from ..compiled import one_thread
-from ..errors import ConfigError
-from ..model.base import BY_SIZE
+from ..errors import ConfigError, Values
 from ..settings import Numbers
 from ..signals import Array
-from .sample import Plan
+from .plan import Plan
 from .sampled import SampledLoop, delay_margin, gains_of, judges, slowest, verdicts
 from .servo_model import servos_on
 
 SHARES = np.geomspace(1.0, 0.01, 25)  # of the gains that are tried
 ROOM = 1.5  # times the gains that are advised, the loop holds, too
 LEAST = 0.2  # of that share, where gains are too low
+CHANGE = "change"  # gains that are too low for others
 FASTER = (2.0, 4.0, 8.0, 16.0, 32.0)  # times the bandwidth of simulated servos
+
+
+class Cure(NamedTuple):
+    """Gains that hold: what to do with those that were given, and to which values."""
+
+    word: str
+    values: Values
 
 
 @one_thread
@@ -44,7 +52,9 @@ def require_stable_gains(plan: Plan) -> None:
         require_margin(plan)
 
 
-def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h: float, cure: str = "") -> None:
+def require_stable(
+    verdict: SampledLoop, gains: Array, names: tuple[str, ...], h: float, cure: Cure | None = None
+) -> None:
     """Refuse gains that make the sampled PD loop unstable; `cure` says which do not.
 
     Raises:
@@ -57,18 +67,20 @@ def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h
         for name, gain, limit in zip(names, gains, verdict.gain_limits, strict=True)
         if gain > 0.5 * limit
     ]
+    low = "they are too low for " if cure and cure.word == CHANGE else ""
     raise ConfigError(
         f"the sampled PD loop is unstable: spectral radius {verdict.radius:.4g} > 1, the torque held for {h:g} s",
         why="gains near or above their limit, 2 / (h (M^-1)_ii) without friction: "
-        + ("; ".join(over) or f"none, {'they are too low for ' * cure.startswith('change')}the kinematic gains"),
-        fix=(cure or "lower the gains, or ")
+        + ("; ".join(over) or f"none, {low}the kinematic gains"),
+        fix=(f"{cure.word} them, {cure.values}, or " if cure else "lower the gains, or ")
         + "leave them out and let suitable ones be chosen (mmnn inspect ROBOT --gains prints "
         "them), or shorten the control or sensor period",
         key="feedback",
+        values=cure.values if cure else None,
     )
 
 
-def cured(plan: Plan, limits: Array) -> str:
+def cured(plan: Plan, limits: Array) -> Cure | None:
     """Gains that hold as a fix: each at most the same share of its limit; or, if need be, not far below that.
 
     Args:
@@ -76,16 +88,16 @@ def cured(plan: Plan, limits: Array) -> str:
         limits: (p,) `SampledLoop.gain_limits`, the smallest along the setpoints.
 
     Returns:
-        Nothing where none is found.
+        None where none is found.
     """
     own = gains_of(plan)
     limits = np.where(np.isfinite(limits), limits, 0.0)
-    for word, least in (("lower", 0.0), ("change", LEAST)):
+    for word, least in (("lower", 0.0), (CHANGE, LEAST)):
         for share in SHARES[1:]:
             gains = two_digits(np.clip(own, least * share * limits, share * limits))
             if all(holds(plan, f * gains) for f in (1.0, ROOM)):
-                return f"{word} them, {in_a_call(gains, plan)}, or "
-    return ""
+                return Cure(word, feedback_values(gains, plan))
+    return None
 
 
 def require_servo_rows(plan: Plan, what: str) -> None:
@@ -101,24 +113,26 @@ def require_servo_rows(plan: Plan, what: str) -> None:
     servos = plan.servo
     if servos is None:
         return
-    b, nb = in_short(servos.law.bandwidth), plan.robot.dimensions.base
+    b = in_short(servos.law.bandwidth)
     for share in SHARES[1:]:
         gains, K = two_digits(share * plan.gains), two_digits(share * plan.K)
         if all(holds(replace(plan, gains=f * gains, K=f * K)) for f in (1.0, ROOM)):
-            names = BY_SIZE[nb].gain_names
+            names = plan.robot.base.gain_names
             base = zip(names, np.split(gains, len(names)), strict=True) if names else ()
-            values = [f"{name}={in_short(as_given(part))}" for name, part in (*base, *([("K", K)] if K.size else []))]
+            every = (*base, *([("K", K)] if K.size else []))
+            values = Values("kinematic", {name: in_short(as_given(part)) for name, part in every})
             why = f"the gains of the kinematic layer are too high for servos with a bandwidth of {b} 1/s"
-            fix = f"lower them, kinematic=Kinematic({', '.join(values)}), or shorten the control or sensor period"
-            raise ConfigError(what, why=why, fix=fix, key="kinematic")
+            fix = f"lower them, {values}, or shorten the control or sensor period"
+            raise ConfigError(what, why=why, fix=fix, key="kinematic", values=values)
     weak = f"simulated servos with a bandwidth of {b} 1/s are too slow for it"
     tries = [("gain", factor, "the servos' law answers an error too strongly") for factor in (0.5, 0.2, 0.0)]
     for name, factor, why in (*tries, *(("bandwidth", factor, weak) for factor in FASTER if servos.simulated)):
         value = as_given(two_digits(factor * np.atleast_1d(getattr(servos.law, name))))
         law = msgspec.structs.replace(servos.law, **{name: value})
         if holds(replace(plan, servo=servos_on(plan.robot, servos.on, law, servos.simulated))):
-            fix = f"servo=Servo({name}={in_short(value)}), or shorten the control or sensor period"
-            raise ConfigError(what, why=why, fix=fix, key=f"servo.{name}")
+            values = Values("servo", {name: in_short(value)})
+            fix = f"{values}, or shorten the control or sensor period"
+            raise ConfigError(what, why=why, fix=fix, key=f"servo.{name}", values=values)
 
 
 def require_margin(plan: Plan) -> None:
@@ -133,12 +147,12 @@ def require_margin(plan: Plan) -> None:
     what = f"the loop does not bear a latency of {1e3 * delay:.3g} ms"
     require_servo_rows(plan, what)
     share = largest_share(plan)
-    fix = "lower the gains of the kinematic layer, or shorten the latency"
+    fix, less = "lower the gains of the kinematic layer, or shorten the latency", None
     if share > 0.0:
-        less = in_a_call(share * gains_of(plan), plan)
+        less = feedback_values(share * gains_of(plan), plan)
         fix = f"lower the feedback to {share:.4f} of it, {less}, or shorten the latency"
     why = f"its delay margin is {1e3 * margin:.3g} ms"
-    raise ConfigError(what, why=why, fix=fix, key="latency")
+    raise ConfigError(what, why=why, fix=fix, key="latency", values=less)
 
 
 def largest_share(plan: Plan) -> float:
@@ -167,15 +181,10 @@ def known_delay(plan: Plan) -> float:
     return plan.latency + (plan.servo.law.delay if plan.servo is not None and plan.servo.simulated else 0.0)
 
 
-def in_a_call(gains: Array, plan: Plan) -> str:
-    """Gains on s (p,) as a call in Python has them."""
-    nb, names = plan.robot.dimensions.base, ("base", "arm")
-    parts = [
-        f"{name}={in_short(as_given(part))}"
-        for name, part in zip(names, np.split(gains, [nb]), strict=True)
-        if part.size
-    ]
-    return f"feedback=Feedback({', '.join(parts)})"
+def feedback_values(gains: Array, plan: Plan) -> Values:
+    """Gains on s (p,) as settings."""
+    parts = zip(("base", "arm"), np.split(gains, [plan.robot.dimensions.base]), strict=True)
+    return Values("feedback", {name: in_short(as_given(part)) for name, part in parts if part.size})
 
 
 def in_short(numbers: Numbers) -> str:

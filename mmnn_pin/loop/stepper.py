@@ -16,12 +16,13 @@ from time import perf_counter
 from types import TracebackType
 from typing import Any, Self
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..elementary.arrays import is_below
 from ..elementary.matrices import product
-from ..errors import ConfigError
+from ..errors import ConfigError, UnknownName
 from ..kinematic import Kinematic
 from ..model.robot import Robot
 from ..recording.recorder import Recorder
@@ -30,10 +31,9 @@ from ..reference.follower import LARGEST, Follower, require_shapes
 from ..reference.limits import Limits
 from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
-from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
-from ..safety.supervisor import GOOD, HEARD, PERIOD, STEADY
+from ..safety import Safety, accept, has_ended, press, release, remarks, trip_of
 from ..sensing import Sensor, observe
-from ..settings import Numbers, Timing, require_gain
+from ..settings import Numbers, Settings, Timing, require_gain
 from ..settings.arguments import checked
 from ..signals import Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
@@ -53,30 +53,14 @@ from .suited import Given, suited
 from .suited_safety import suited_safety
 
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
-ALIKE = (
-    "kinematic", "safety", "nominal", "seed", "within_limits", "check_gains", "weights_interval", "interfaces", "servo",
-    "lead",
-)  # fmt: skip
 SLOW = 1.5  # times its period that a stepper's samples are apart when it is said
 MOST_TOLD = 20  # trips that a recording tells of
 
 
-class Stepper:
-    """Kinematic layer, controller and supervisor of a robot, one control sample per call.
-
-        stepper = Stepper(robot, PD(Feedback(30.0, 60.0, "inertia")), safety=Safety(torque="urdf"))
-        while not stepper.is_over:
-            command = stepper.step(time, measurement, setpoint)     # send command.effort, then
-            stepper.record()
-
-    `step` does not touch the disk, keeps no memory, and all that it calls has been compiled before. It starts where the
-    robot is measured first, at rest or braking. A setpoint is one of `reference.wishes`, or a tuple of one for the base
-    and one for the arm, or None to go on; full samples (`Setpoint`) and base velocities have to be renewed.
+class StepperSettings(Settings, frozen=True):
+    """What a `Stepper` may be told beside its robot and its controller.
 
     Args:
-        robot: The robot.
-        controller: A controller of this package or a `TorqueController` of your own. Gains that you do not give suit
-            the robot (`loop.suited`); those given as bandwidths are multiplied with the robot's effective inertias.
         kinematic: Gains of the kinematic layer.
         safety: Limits of the supervisor.
         period: Control period [s].
@@ -102,6 +86,61 @@ class Stepper:
         state: What a controller has learned, of `snapshot` or of a recording (it is copied); None for a new one.
         weights_interval: Time between two records of the weights [s].
 
+    Raises:
+        ConfigError: No supervisor, or numbers out of range.
+    """
+
+    kinematic: Kinematic = CALM
+    safety: Safety | None = Safety()
+    period: float = 0.002
+    limits: Limits = Limits()
+    setpoint_timeout: float = 0.5
+    nominal: Robot | None = None
+    seed: int = 0
+    within_limits: bool | None = None
+    latency: float | Latency = 0.0
+    predict: bool | None = None
+    lag: Numbers = 0.0
+    lead: bool = False
+    filtered: float = 0.0
+    observer: float = 0.0
+    interfaces: Mapping[str, str] = {}
+    servo: Servo = Servo()
+    check_gains: bool = True
+    path: str | Path | None = None
+    force: bool = False
+    meta: Mapping[str, Any] = {}
+    state: Any = None
+    weights_interval: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.safety is None:
+            why, fix = "the motors are real: something must stand before them", "give safety=Safety()"
+            raise ConfigError("a stepper without a supervisor", why=why, fix=fix, key="safety")
+        require_gain(self.setpoint_timeout, "setpoint_timeout")
+        require_seed(self.seed)
+        if not isinstance(self.lag, int | float):
+            msgspec.structs.force_setattr(self, "lag", tuple(self.lag))
+
+
+class Stepper:
+    """Kinematic layer, controller and supervisor of a robot, one control sample per call.
+
+        stepper = Stepper(robot, PD(Feedback(30.0, 60.0, "inertia")), StepperSettings(safety=Safety(torque="urdf")))
+        while not stepper.is_over:
+            command = stepper.step(time, measurement, setpoint)     # send command.effort, then
+            stepper.record()
+
+    `step` does not touch the disk, keeps no memory, and all that it calls has been compiled before. It starts where the
+    robot is measured first, at rest or braking. A setpoint is one of `reference.wishes`, or a tuple of one for the base
+    and one for the arm, or None to go on; full samples (`Setpoint`) and base velocities have to be renewed.
+
+    Args:
+        robot: The robot.
+        controller: A controller of this package or a `TorqueController` of your own. Gains that you do not give suit
+            the robot (`loop.suited`); those given as bandwidths are multiplied with the robot's effective inertias.
+        settings: Everything else.
+
     Attributes:
         row: (width,) all signals of the last sample; those of `setup.UNKNOWN` mean nothing.
         measured: The last good measurement, views into the row.
@@ -113,14 +152,13 @@ class Stepper:
         is_late: Whether it has been stepped more slowly than its period says, by far.
 
     Raises:
-        ConfigError: No supervisor, gains that are unstable when sampled, numbers out of range, or a state of another
-            controller.
+        ConfigError: Gains that are unstable when sampled, numbers out of range, or a state of another controller.
         RecordingError: The recording cannot be written.
 
     >>> from mmnn_pin.safety import Safety
     >>> robot = load("platform_arm")
     >>> at_rest = Measurement(np.zeros(3), np.zeros(2), q=np.zeros(2), qdot=np.zeros(2))
-    >>> with Stepper(robot, PD(), safety=Safety(torque="urdf")) as stepper:
+    >>> with Stepper(robot, PD(), StepperSettings(safety=Safety(torque="urdf"))) as stepper:
     ...     stepper.step(0.0, at_rest, None).motor_effort.shape
     (4,)
     """
@@ -130,48 +168,22 @@ class Stepper:
         self,
         robot: Robot,
         controller: CompiledController | TorqueController,
-        *,
-        kinematic: Kinematic = CALM,
-        safety: Safety | None = Safety(),  # noqa: B008 (frozen)
-        period: float = 0.002,
-        limits: Limits = Limits(),  # noqa: B008
-        setpoint_timeout: float = 0.5,
-        nominal: Robot | None = None,
-        seed: int = 0,
-        within_limits: bool | None = None,
-        latency: float | Latency = 0.0,
-        predict: bool | None = None,
-        lag: Numbers = 0.0,
-        lead: bool = False,
-        filtered: float = 0.0,
-        observer: float = 0.0,
-        interfaces: Mapping[str, str] | None = None,
-        servo: Servo = Servo(),  # noqa: B008
-        check_gains: bool = True,
-        path: str | Path | None = None,
-        force: bool = False,
-        meta: Mapping[str, Any] | None = None,
-        state: Any = None,
-        weights_interval: float = 0.1,
+        settings: StepperSettings = StepperSettings(),  # noqa: B008 (frozen)
     ) -> None:
-        if safety is None:
-            why, fix = "the motors are real: something must stand before them", "give safety=Safety()"
-            raise ConfigError("a stepper without a supervisor", why=why, fix=fix, key="safety")
-        require_gain(setpoint_timeout, "setpoint_timeout")
-        known = Latency.of(latency, predict)
+        period, known = settings.period, Latency.of(settings.latency, settings.predict)
         timing = Timing(duration=period, control_period=period, plant_step=period)
-        require_seed(seed)
-        lag = lag if isinstance(lag, int | float) else tuple(lag)
-        sensor = Sensor(velocity="model", bandwidth=observer) if observer else Sensor()
-        controller = suited(controller, robot, lambda: Given(kinematic, period, known.total + known.margin, lag))
+        sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
+        given = Given(settings.kinematic, period, known.total + known.margin, settings.lag)
+        controller = suited(controller, robot, lambda: given)
         setup = Outside(
-            robot, controller, kinematic, safety, timing, nominal, seed, within_limits, sensor=sensor,
-            known=known, interfaces=dict(interfaces or {}), servo=servo, lead=lead, lag=lag, filtered=filtered,
+            robot, controller, settings.kinematic, settings.safety, timing, settings.nominal, settings.seed,
+            settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
+            servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
-        self.period, self.check_gains, self.latency, layout = period, check_gains, known.total, setup.layout
-        self.safety, self.limits = safety, limits
-        self.follower, self.at = Follower(robot, limits, setpoint_timeout), layout.offsets
+        self.period, self.check_gains, self.latency = period, settings.check_gains, known.total
+        self.safety, self.limits, layout = settings.safety, settings.limits, setup.layout
+        self.follower, self.at = Follower(robot, self.limits, settings.setpoint_timeout), layout.offsets
         row = self.row = layout.new_row()
         self.received = row[layout.where("pose").start : layout.where("qdot").stop]
         self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
@@ -181,13 +193,13 @@ class Stepper:
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()
         self.is_late = False
-        self.every, self.weighed = samples_between(weights_interval, period), -1
+        self.every, self.weighed = samples_between(settings.weights_interval, period), -1
         now = self.follower.now
         self.past, self.before = Past.of(known.caught_up(timing), period, now), now.copy()
-        self._equip(setup, state_from(controller, setup.context(), state))
+        self._equip(setup, state_from(controller, setup.context(), settings.state))
         self._rehearse()
-        facts = facts_of(self.setup, seed) | {"loop": "outside"}
-        self.recorder = Recorder(layout, facts | dict(meta or {}), path, force, KNOWN)
+        facts = facts_of(self.setup, settings.seed) | {"loop": "outside"} | dict(settings.meta)
+        self.recorder = Recorder(layout, facts, settings.path, settings.force, KNOWN)
         self._weigh(0)
 
     @classmethod
@@ -198,12 +210,31 @@ class Stepper:
 
         Args:
             loop: The closed loop.
-            more: Arguments of `Stepper` that it does not say.
+            more: Fields of `StepperSettings` that it does not say.
+
+        Raises:
+            UnknownName: There is no such field.
         """
-        said: dict[str, Any] = {name: getattr(loop, name) for name in ALIKE}
-        said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag, "latency": loop.latency}
-        said |= {"limits": Limits(samples="exact")}
-        return cls(loop.robot, loop.controller, **(said | {"filtered": loop.smoothing} | more))
+        said = {
+            "kinematic": loop.kinematic,
+            "safety": loop.safety,
+            "period": loop.timing.control_period,
+            "limits": Limits(samples="exact"),
+            "nominal": loop.nominal,
+            "seed": loop.seed,
+            "within_limits": loop.within_limits,
+            "latency": loop.latency,
+            "lag": loop.actuator.lag,
+            "lead": loop.lead,
+            "filtered": loop.smoothing,
+            "interfaces": loop.interfaces,
+            "servo": loop.servo,
+            "check_gains": loop.check_gains,
+            "weights_interval": loop.weights_interval,
+        } | more
+        for name in set(said) - set(StepperSettings.__struct_fields__):
+            raise UnknownName("setting of a stepper", name, StepperSettings.__struct_fields__, key=name)
+        return cls(loop.robot, loop.controller, StepperSettings(**said))
 
     def step(
         self,
@@ -239,18 +270,18 @@ class Stepper:
         courses = [self.follower.check(wish) for wish in wishes]
         if measurement is not None:
             self._take(measurement, time, time if measured is None else measured)
-        if not self.follower.stands and self.hardware.way.supervisor.state[GOOD] > 0.0:
+        if not self.follower.stands and self.hardware.way.supervisor.state.good[0] > 0.0:
             self.follower.stand(self.received)
         supervisor = self.hardware.way.supervisor
         self.received[:] = supervisor.message
         self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
         if self.past.longest > 0.0:
-            bring_up(self.row, self.at, time, supervisor.state[HEARD], self.follower.guide, self.past)
+            bring_up(self.row, self.at, time, supervisor.state.heard[0], self.follower.guide, self.past)
         self.control.step(time, self.follower.now, before=self.before if self.k >= 0 else None)
         self.before[:] = self.follower.now
         self._command()
-        if supervisor.state[PERIOD] > SLOW * self.period and not self.is_late:
-            self.is_late, steady = True, 1e3 * supervisor.state[STEADY]
+        if supervisor.state.period[0] > SLOW * self.period and not self.is_late:
+            self.is_late, steady = True, 1e3 * supervisor.state.steady[0]
             self._tell(f"stepped every {steady:.3g} ms, its period is {1e3 * self.period:.3g} ms")
         self.time, self.k, self.step_time = time, self.k + 1, perf_counter() - began
         return self.command
@@ -350,7 +381,7 @@ class Stepper:
     @property
     def tripped(self) -> bool:
         """Whether the supervisor has stopped the robot."""
-        return bool(self.hardware.way.supervisor.state[HAS_TRIPPED])
+        return bool(self.hardware.way.supervisor.state.tripped[0])
 
     @property
     def is_over(self) -> bool:
@@ -428,7 +459,7 @@ class Stepper:
         """Put a measurement into the row and before the supervisor."""
         supervisor = self.hardware.way.supervisor
         require_shapes("measurement", measurement, self.measured)
-        if supervisor.state[GOOD] > 0.0 and measured < supervisor.state[HEARD]:
+        if supervisor.state.good[0] > 0.0 and measured < supervisor.state.heard[0]:
             return
         parts = measurement.pose, measurement.velocity, measurement.q, measurement.qdot
         np.concatenate(parts, out=self.received, casting="unsafe")
@@ -451,7 +482,7 @@ class Stepper:
 
     def _rehearse(self) -> None:
         """Compile all that a step calls, and forget it."""
-        kept = self.hardware.state.copy(), self.control.weights.copy()
+        kept = self.hardware.state.copy(), self.control.controls.state.copy()
         supervisor = self.hardware.way.supervisor
         is_below(self.received, LARGEST)
         accept(self.row, self.at, 0.0, 0.0, True, supervisor.door)
@@ -461,4 +492,4 @@ class Stepper:
         has_ended(0.0, supervisor.numbers, supervisor.state)
         bring_up(self.row, self.at, 0.0, 0.0, self.follower.guide, self.past)
         self.past.times[:] = -math.inf
-        self.hardware.state[:], self.control.weights[:], self.row[:] = *kept, 0.0
+        self.hardware.state[:], self.control.controls.state[:], self.row[:] = *kept, 0.0

@@ -138,9 +138,10 @@ def fit(robot: Robot, feedback: Feedback, given: Given) -> Fit:
         return Fit(inertia, 1.0)
     full = feedback.scaled(layout, inertia).vector(layout)
     worst = np.argsort([-np.abs(np.linalg.eigvals(Gamma * full)).max() for Gamma in held])[:JUDGED]
-    gains, K, slow = given.kinematic.base_gains(layout.base), given.kinematic.arm_gains(layout), lags(robot, given.lag)
+    K, slow = given.kinematic.arm_gains(layout), lags(robot, given.lag)
     velocities = Setpoint.side_by_side(table, layout).velocity
-    loops = [held_loop(masses[i], velocities[i], gains, K, h, friction, slow) for i in worst]
+    laws = {i: given.kinematic.linear_errors(layout, velocities[i]) for i in worst}
+    loops = [held_loop(masses[i], laws[i], K, h, friction, slow) for i in worst]
     share = 1.0
     while share > LEAST:
         k = ROOM * feedback.scaled(layout, inertia, share).vector(layout)

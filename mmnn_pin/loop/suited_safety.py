@@ -21,7 +21,7 @@ from ..model.robot import revolute, speed_limits
 from ..safety import Safety
 from ..signals import Array, Setpoint
 from .before_run import Start, viscous_friction
-from .sample import Plan
+from .plan import Plan
 from .sampled import gains_of, judges, sampled_loop
 
 OVER = 1.5
@@ -95,11 +95,12 @@ def longest_period(plan: Plan) -> float:
     for setpoint in plan.setpoints:
         position, _ = Start().state(robot, setpoint)
         velocity = Setpoint.side_by_side(setpoint, robot.dimensions).velocity
-        places.append((dynamics.mass_matrix(position).copy(), velocity))
+        law = robot.base.linear_errors(velocity, plan.gains)
+        places.append((dynamics.mass_matrix(position).copy(), law))
 
     def bears(h: float) -> bool:
-        for k, (M, velocity) in enumerate(places):
-            if not sampled_loop(M, gains, velocity, plan.gains, plan.K, h, friction, plan.servo).stable:
+        for k, (M, law) in enumerate(places):
+            if not sampled_loop(M, gains, law, plan.K, h, friction, plan.servo).stable:
                 places.insert(0, places.pop(k))
                 return False
         return True

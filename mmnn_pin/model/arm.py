@@ -24,14 +24,11 @@ from .base.base import Base
 from .base.evidence import motors_named
 from .base.overrides import Overrides
 from .base.wheels import alike_on_root, is_low
-from .urdf.document import Document, Joint
+from .urdf.document import Document, Joint, number
 from .urdf.shapes import AtRest
-from .urdf.xml import number
 
 SHORT = 1 / 3  # a branch is short below this fraction of the longest chain's reach
-
 BUTTON = 0.02  # [m] longest travel of a button
-
 HEAD_JOINTS, ARM_JOINTS = 4, 3  # a head has fewer joints than the first, fingers have at least the second before them
 
 WHY = {
@@ -74,27 +71,32 @@ def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
         UnknownName: A joint or link that the robot does not have.
         ConfigError: A lock on a drive wheel or outside the limits, or a tip that no joint carries.
     """
-    document, slaves, wheels = rest.document, slaves_of(rest.document), {wheel.joint for wheel in base.wheels}
-    moving = [joint for joint in document.joints.values() if joint.moves and joint.name not in wheels]
+    joints, slaves, wheels = rest.document.joints, slaves_of(rest.document), {wheel.joint for wheel in base.wheels}
+    moving = [joint.name for joint in joints.values() if joint.moves and joint.name not in wheels]
     reasons = dict.fromkeys(base.locked, WHY["base"])
     reasons |= dict.fromkeys(user_locks(rest, overrides, wheels, base.locked), WHY["user"])
-    own = [j.name for j in moving if j.name not in reasons and j.name not in slaves]
-    stiff = [name for name in own if document.joints[name].lower == document.joints[name].upper]
-    stiff = stiff if base.columns or len(stiff) < len(own) else []  # all of an arm: nobody wrote their limits
-    reasons |= unwanted(rest, own, stiff, slaves, overrides)
-    locked = {}
-    for joint in moving:
-        if joint.name in reasons:
-            locked[joint.name] = position_of(joint, overrides)
+    free = [name for name in moving if name not in reasons and name not in slaves]
+    reasons |= unwanted(rest, free, rigid_joints(rest, base, free), slaves, overrides)
+    locked = {name: position_of(joints[name], overrides) for name in moving if name in reasons}
+    masters = {*free, *wheels}.difference(locked)
     for name, slave in slaves.items():  # a slave stands still with its master
-        if (name not in locked and not (slave.master in own or slave.master in wheels)) or slave.master in locked:
-            at = locked.get(slave.master, document.joints[slave.master].rest)
-            locked.setdefault(name, slave.at(at))
+        if slave.master in locked or (name not in locked and slave.master not in masters):
+            locked.setdefault(name, slave.at(locked.get(slave.master, joints[slave.master].rest)))
             reasons.setdefault(name, f"follows '{slave.master}', which stands still")
-    arm = tuple(name for name in own if name not in locked)
-    following = {name: slave for name, slave in slaves.items() if name not in locked and name not in wheels}
-    in_file = [name for name in document.joints if name in locked]
-    return Arm(arm, {name: locked[name] for name in in_file}, {name: reasons[name] for name in in_file}, following)
+    still = [name for name in joints if name in locked]
+    return Arm(
+        joints=tuple(name for name in free if name not in locked),
+        locked={name: locked[name] for name in still},
+        reasons={name: reasons[name] for name in still},
+        slaves={name: slave for name, slave in slaves.items() if name not in locked and name not in wheels},
+    )
+
+
+def rigid_joints(rest: AtRest, base: Base, free: list[str]) -> list[str]:
+    """Joints whose limits are one value; none of a fixed arm all of whose joints are so: nobody wrote their limits."""
+    joints = rest.document.joints
+    stiff = [name for name in free if joints[name].lower == joints[name].upper]
+    return stiff if base.columns or len(stiff) < len(free) else []
 
 
 def user_locks(rest: AtRest, overrides: Overrides, wheels: Iterable[str], held: Iterable[str]) -> list[str]:
@@ -124,7 +126,7 @@ def user_locks(rest: AtRest, overrides: Overrides, wheels: Iterable[str], held: 
 
 
 def position_of(joint: Joint, overrides: Overrides) -> float:
-    """Where a locked joint stands.
+    """Position of a locked joint [rad or m].
 
     Raises:
         ConfigError: Outside its limits.
@@ -139,7 +141,7 @@ def position_of(joint: Joint, overrides: Overrides) -> float:
 
 
 def unwanted(
-    rest: AtRest, own: list[str], stiff: list[str], slaves: dict[str, Slave], overrides: Overrides
+    rest: AtRest, free: list[str], stiff: list[str], slaves: dict[str, Slave], overrides: Overrides
 ) -> dict[str, str]:
     """Joints that are not of the manipulator, and why.
 
@@ -147,39 +149,52 @@ def unwanted(
         UnknownName: The tip is no link.
         ConfigError: No joint leads to it, or a joint is freed that is not locked.
     """
-    rigid = dict.fromkeys(passive(rest, own, slaves), WHY["passive"]) | dict.fromkeys(stiff, WHY["rigid"])
-    own = [name for name in own if name not in rigid or freed(name, overrides)]
+    rigid = dict.fromkeys(passive(rest, free, slaves), WHY["passive"]) | dict.fromkeys(stiff, WHY["rigid"])
+    ours = [name for name in free if name not in rigid or freed(name, overrides)]
     if overrides.arm_tip is not None:
-        if overrides.arm_tip not in rest.document.links:
-            raise UnknownName("link", overrides.arm_tip, rest.document.links, file=rest.document.path, key="arm_tip")
-        leading = {j.name for j in rest.document.moving_ancestors(overrides.arm_tip)}
-        leading |= {slaves[name].master for name in leading & slaves.keys()}
-        if not leading & set(own):
-            fix = "name a link that the arm carries"
-            raise ConfigError(
-                f"no joint leads to '{overrides.arm_tip}'", fix=fix, file=rest.document.path, key="arm_tip"
-            )
-        still = dict.fromkeys([name for name in own if name not in leading], WHY["tip"])
+        leading = leading_to(rest, overrides.arm_tip, ours, slaves)
+        still = {name: WHY["tip"] for name in ours if name not in leading}
     else:
-        still = dict.fromkeys(short_branches(rest, set(own), slaves), WHY["short"])
-        still |= {name: WHY["button"] for name in own if name not in still and is_button(rest, name)}
+        still = dict.fromkeys(short_branches(rest, set(ours), slaves), WHY["short"])
+        still |= {name: WHY["button"] for name in ours if name not in still and is_button(rest, name)}
     still |= rigid
-    low = [j for j in rest.document.joints.values() if is_low(rest, j)]  # which a base takes for its own
+    require_locked(rest, overrides, still)
+    return {name: why for name, why in still.items() if not freed(name, overrides)}
+
+
+def leading_to(rest: AtRest, tip: str, free: list[str], slaves: dict[str, Slave]) -> set[str]:
+    """Joints between the root and the arm's tip, and those that they follow; errors as of `unwanted`."""
+    if tip not in rest.document.links:
+        raise UnknownName("link", tip, rest.document.links, file=rest.document.path, key="arm_tip")
+    leading = {j.name for j in rest.document.moving_ancestors(tip)}
+    leading |= {slaves[name].master for name in leading & slaves.keys()}
+    if not leading & set(free):
+        fix = "name a link that the arm carries"
+        raise ConfigError(f"no joint leads to '{tip}'", fix=fix, file=rest.document.path, key="arm_tip")
+    return leading
+
+
+def require_locked(rest: AtRest, overrides: Overrides, still: Iterable[str]) -> None:
+    """Refuse to free joints that are not locked; those that a base may take for its own can be freed.
+
+    Raises:
+        ConfigError: One moves anyhow.
+    """
+    low = [j for j in rest.document.joints.values() if is_low(rest, j)]
     known = {*still, "all", *(j.name for j in (*low, *alike_on_root(rest)))}
     idle = [name for name in overrides.free if name not in known]
     if idle:
         raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
-    return {name: why for name, why in still.items() if not freed(name, overrides)}
 
 
-def passive(rest: AtRest, own: list[str], slaves: dict[str, Slave]) -> list[str]:
+def passive(rest: AtRest, joints: list[str], slaves: dict[str, Slave]) -> list[str]:
     """Joints without a motor in a file that names the motors of others.
 
     None where it names at most those of heads and fingers: then the arm's own are said elsewhere.
     """
     driven = {slaves[name].master if name in slaves else name for name in motors_named(rest)}
-    main = set(own).difference(short_branches(rest, set(own), slaves))
-    return [name for name in own if name not in driven] if main & driven else []
+    main = set(joints).difference(short_branches(rest, set(joints), slaves))
+    return [name for name in joints if name not in driven] if main & driven else []
 
 
 def is_button(rest: AtRest, name: str) -> bool:
@@ -198,21 +213,21 @@ def freed(name: str, overrides: Overrides) -> bool:
 # -- branches of the tree ----------------------------------------------------------------------------------------------
 
 
-def short_branches(rest: AtRest, own: set[str], slaves: dict[str, Slave]) -> list[str]:
+def short_branches(rest: AtRest, candidates: set[str], slaves: dict[str, Slave]) -> list[str]:
     """Joints of heads and fingers, from the ends inwards: antennas lengthen no row of a head."""
     tree = tree_of(rest)
-    longest = max((tree[name].reach for name in own), default=0.0)
-    found: set[str] = set()
-    for name in sorted(own | slaves.keys(), key=lambda name: (-len(tree[name].above), name)):
+    longest = max((tree[name].reach for name in candidates), default=0.0)
+    short: set[str] = set()
+    for name in sorted(candidates | slaves.keys(), key=lambda name: (-len(tree[name].above), name)):
         branch = tree[name]
-        moving = [joint for joint in branch.carried if joint not in found]
+        moving = [joint for joint in branch.carried if joint not in short]
         in_row = max((1 + sum(up in branch.carried for up in tree[joint].above) for joint in moving), default=0)
         led = {slave for slave, its in slaves.items() if its.master in branch.carried}
-        siblings = [other for other in branch.beside if other in own or other in led]
-        at_end = sum(above in own for above in branch.above) >= ARM_JOINTS
+        siblings = [other for other in branch.beside if other in candidates or other in led]
+        at_end = sum(above in candidates for above in branch.above) >= ARM_JOINTS
         if siblings and branch.reach < SHORT * longest and (in_row < HEAD_JOINTS or at_end):
-            found |= own & {*branch.carried}
-    return [name for name in rest.document.joints if name in found]
+            short |= candidates & {*branch.carried}
+    return [name for name in rest.document.joints if name in short]
 
 
 @dataclass(frozen=True)
@@ -257,7 +272,7 @@ def tree_of(rest: AtRest) -> dict[str, Branch]:
 
 
 def own_reach(rest: AtRest, joint: Joint) -> float:
-    """How far the body on a joint reaches: to its farthest frame, or as a rod with that centre of mass would [m]."""
+    """Reach of the body on a joint: to its farthest frame, or as a rod with that centre of mass would [m]."""
     hub = rest.hub(joint)
     frames = [math.dist(rest.placements[link][:3, 3], hub) for link in rest.document.body(joint.child)]
     rod = 2 * math.dist(rest.centre(joint.child), hub) if rest.mass(joint.child) > 0 else 0.0

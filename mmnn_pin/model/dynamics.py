@@ -112,17 +112,22 @@ class Dynamics:
         reduction.configuration(position, nu, self.T, self.frame, self.q_index, self.is_continuous, self.q, self.v)
         pin.crba(self.model, self.data, self.q)
         pin.nonLinearEffects(self.model, self.data, self.q, self.v)
-        reduction.reduced_terms(
-            self.T, self.M_full, self.h_full, self.v, nu, self.damping, self.dry, self.viscous, self.half,
-            self.M, self.h, self.F,
-        )  # fmt: skip
+        reduction.reduce(self.T, self.M_full, self.half, self.M)
+        reduction.friction(self.T, self.v, nu, self.damping, self.dry, self.viscous, self.F)
+        reduction.project(self.T, self.h_full, self.h)
+        self.h += self.F
 
     def refresh_psi(self, nu_ref: Array, nudot_ref: Array, psi: Array) -> None:
         """True Psi at the place and velocity last refreshed, written to psi (p,)."""
         pin.computeCoriolisMatrix(self.model, self.data, self.q, self.v)
         if self.feels_gravity:
             pin.computeGeneralizedGravity(self.model, self.data, self.q)
-        reduction.psi(self.T, self.M, self.C_full, self.g_full, self.F, nu_ref, nudot_ref, self.w, self.f, psi)
+        reduction.spread(self.T, nu_ref, self.w)
+        self.f[:] = self.g_full
+        reduction.add_product(self.C_full, self.w, self.f)
+        reduction.project(self.T, self.f, psi)
+        psi += self.F
+        reduction.add_product(self.M, nudot_ref, psi)
 
     def potential(self) -> float:
         """Potential energy at the place last refreshed [J]."""

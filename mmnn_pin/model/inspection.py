@@ -20,7 +20,7 @@ from ..settings.arguments import wrong_type
 from ..signals import Array
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
-from .base.report import Reading, Undecided, Unsupported
+from .base.report import BaseReading, Undecided, Unsupported
 from .dynamics import Dynamics
 from .robot import Robot, revolute
 from .urdf.expansion import Unexpanded
@@ -84,7 +84,7 @@ def hash_of(path: Path) -> str | None:
 
 
 def audited(path: Path, overrides: Overrides) -> list[Finding]:
-    """What there is to say about a file that the audit accepts, beside what the robot was refused for."""
+    """Findings about a file that the audit accepts, beside what the robot was refused for."""
     overrides, notes = with_file(path, overrides)
     return [
         *audit_file(path, overrides.strict, folders_of(path, overrides), overrides.xacro, overrides.without)[1],
@@ -98,7 +98,7 @@ def as_dict(finding: Finding) -> dict[str, Any]:
     return {name: getattr(finding, name) for name in names} | {"text": str(finding)}
 
 
-def reading_of(reading: Reading) -> dict[str, Any]:
+def reading_of(reading: BaseReading) -> dict[str, Any]:
     """One way to read a base, by names."""
     return {"kind": reading.kind, "for": list(reading.reasons), "against": list(reading.objections)}
 
@@ -143,19 +143,19 @@ INTERFACES = ("effort", "velocity", "position")  # the first that a joint offers
 
 
 def interfaces_of(robot: Robot) -> dict[str, Any]:
-    """What commands every motor's joint takes, by `ros2_control` and transmission tags, and the one that is used.
+    """Command interfaces of every motor's joint, by `ros2_control` and transmission tags, and the one that is used.
 
     A torque where it is offered, or where nothing is stated; else a velocity, else a position.
     """
     root = etree.fromstring(robot.urdf.encode())
     offered: dict[str, set[str]] = {name: set() for name in robot.actuator_names}
     for joint in root.iterfind("ros2_control/joint"):
-        found = {tag.get("name", "").rpartition("/")[2] for tag in joint.iterfind("command_interface")}
-        offered.get(joint.get("name", ""), set()).update(found.intersection(INTERFACES))
+        stated = {tag.get("name", "").rpartition("/")[2] for tag in joint.iterfind("command_interface")}
+        offered.get(joint.get("name", ""), set()).update(stated.intersection(INTERFACES))
     for joint in root.iterfind("transmission/joint"):
         words = " ".join(tag.text or "" for tag in joint.iter("hardwareInterface")).lower()
         offered.get(joint.get("name", ""), set()).update(name for name in INTERFACES if f"{name}joint" in words)
-    listed = {name: [one for one in INTERFACES if one in some] for name, some in offered.items()}
+    listed = {name: [kind for kind in INTERFACES if kind in some] for name, some in offered.items()}
     used = {name: (some or ["effort"])[0] for name, some in listed.items()}
     return {"interfaces": used, "interfaces_offered": listed}
 
@@ -253,8 +253,8 @@ A_TURN = 2 * math.pi  # an angle beyond this looks like degrees, but a wheel's
 
 
 def doubtful(robot: Robot, position: Array) -> list[str]:
-    """What a robot cannot, or can hardly, mean by a position (nv,): beyond a joint's limits, or angles in degrees."""
-    rest, found, wheels = robot.neutral_position(), [], {wheel.joint for wheel in robot.base.wheels}
+    """Doubts about a position (nv,): beyond a joint's limits, or angles in degrees."""
+    rest, doubts, wheels = robot.neutral_position(), [], {wheel.joint for wheel in robot.base.wheels}
     rows = zip(robot.position_names, position, rest, robot.lower, robot.upper, revolute(robot), strict=True)
     for name, q, at, low, high, turns in rows:
         unit = "rad" if turns else "m"
@@ -263,8 +263,8 @@ def doubtful(robot: Robot, position: Array) -> list[str]:
         if beyond or many:
             limits = f"beyond its limits {low:.4g} to {high:.4g} {unit}" if beyond else "more than a turn"
             degrees = f": if these are degrees, give {math.radians(q):.4g}" if many else ""
-            found.append(f"{name} = {q:.4g} {unit} is {limits}{degrees}")
-    return found
+            doubts.append(f"{name} = {q:.4g} {unit} is {limits}{degrees}")
+    return doubts
 
 
 def model_at(robot: Robot, position: Array, nu: Array) -> dict[str, Any]:

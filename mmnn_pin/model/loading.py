@@ -26,37 +26,30 @@ from ..elementary.matrices import product
 from ..errors import RobotError
 from ..settings.arguments import checked
 from ..signals import Array, Dimensions
-from .arm import Arm, choose_arm
+from .arm import Arm
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
-from .base.report import arm_notes, friction_notes, printed_notes, settle, unsupported, weak_notes, weld_notes
-from .base.standing import require_rolling, welded
-from .base.understanding import find_base
+from .base.report import friction_notes, printed_notes, settle, weak_notes
+from .base.understanding import understand
 from .dynamics import Dynamics
-from .maps import configuration_indices, constraint_rows, motion_map, motor_map
 from .robot import Robot
 from .robots import find
-from .structure import read_only
+from .structure import configuration_indices, constraint_rows, motion_map, motor_map, read_only
+from .urdf.audit import BodyPart
 from .urdf.document import Document, Joint
-from .urdf.finding import excused
-from .urdf.mechanism import Part
+from .urdf.finding import Finding, excused
 from .urdf.reading import read
 from .urdf.shapes import AtRest
 
 ROOT_NAMES = ("root_vx", "root_vy", "root_w")
-
-PUSHES = ("base_x", "base_y", "base_turn")  # motors of a base without wheels
-
 _stderr_lock = threading.Lock()
 STATES = 8
-
 SINGULAR = 1e-12  # smallest eigenvalue of the mass matrix scaled to a unit diagonal
-
 INDISTINCT = 1e-15  # smallest eigenvalue over the largest entry, unscaled: less is lost in a double
 
 
 @checked
-def load(
+def load(  # noqa: PLR0913 - options of a file, by name
     robot: str | Path,
     *,
     base: str | None = None,
@@ -128,9 +121,9 @@ def load_with(robot: str | Path, overrides: Overrides) -> Robot:
     """`load` with all that is said in one; arguments and errors as there."""
     path = find(robot)
     overrides, notes = with_file(path, overrides)
-    built = build(
-        read(path, overrides.strict, folders_of(path, overrides), overrides.xacro, overrides.without), overrides
-    )
+    folders = folders_of(path, overrides)
+    document = read(path, overrides.strict, folders, overrides.xacro, overrides.without)
+    built = build(document, overrides)
     return replace(built, findings=(*built.findings, *notes))
 
 
@@ -147,40 +140,37 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
         RobotError: The base is undecided or of a kind not supported, or the dynamics are singular.
     """
     overrides = overrides or Overrides()
-    document, welds = welded(document)
-    rest = AtRest(document, folders_of(document.path, overrides))
-    found = find_base(rest, overrides)
-    require_rolling(rest, found.base, welds, overrides)
-    arm = choose_arm(rest, found.base, overrides)
-    if not found.base.columns and not arm.joints:
-        raise unsupported(
-            rest, "single rigid body", "no joint of it moves", (), "--free JOINT moves one that is locked"
-        )
-    model, printed = pinocchio_model(document, mobile=found.base.root_size > 0)
-    audited = excused(document.findings, arm.locked, arm.joints, alone=not found.base.columns)
+    roles = understand(document, overrides)
+    document, base, arm = roles.document, roles.base, roles.arm
+    model, printed = pinocchio_model(document, mobile=base.root_size > 0)
+    audited = excused(document.findings, arm.locked, arm.joints, alone=not base.columns)
     require_sane(document, model, set(arm.locked))
-    notes = (*arm_notes(rest, arm), *weld_notes(rest, welds), *printed_notes(rest, printed))
-    findings = (*settle(audited, found.findings, overrides.strict), *notes)
-    said = settled(msgspec.structs.replace(overrides, **found.taken), found.base)
-    robot = replace(assemble(document, found.base, arm, model), findings=findings, overrides=said)
+    findings = (*settle(audited, roles.findings), *roles.notes, *printed_notes(roles.rest, printed))
+    said = settled(msgspec.structs.replace(overrides, **roles.taken), base)
+    robot = replace(assemble(document, base, arm, model), findings=findings, overrides=said)
     require_finite(document, robot)
+    return replace(robot, findings=(*findings, *strength_notes(roles.rest, robot)))
+
+
+def strength_notes(rest: AtRest, robot: Robot) -> list[Finding]:
+    """Motors that cannot hold their joints where the robot rests, and that there is no friction."""
     held = Dynamics(robot).gravity(robot.neutral_position())[robot.dimensions.base :]
     limits = dict(zip(robot.actuator_names, robot.effort_limits, strict=True))
-    weak = weak_notes(rest, robot.joint_names, held, np.array([limits[name] for name in robot.joint_names]))
-    smooth = friction_notes(rest, robot.damping, robot.coulomb)
-    return replace(robot, findings=(*robot.findings, *weak, *smooth))
+    efforts = np.array([limits[name] for name in robot.joint_names])
+    weak = weak_notes(rest, robot.joint_names, held, efforts)
+    return [*weak, *friction_notes(rest, robot.damping, robot.coulomb)]
 
 
 def settled(overrides: Overrides, base: Base) -> Overrides:
-    """What is said with a controllers' file replaced by what it led to: a recording stands alone."""
+    """The overrides with a controllers' file replaced by what it led to: a recording stands alone."""
     if overrides.controllers_file is None:
         return overrides
-    found: dict[str, Any] = {"base": base.kind, "controllers_file": None}
+    result: dict[str, Any] = {"base": base.kind, "controllers_file": None}
     if base.wheels:
-        found |= {"wheels": tuple(wheel.joint for wheel in base.wheels), "track": base.track}
+        result |= {"wheels": tuple(wheel.joint for wheel in base.wheels), "track": base.track}
         alike = len({wheel.radius for wheel in base.wheels}) == 1 and not overrides.wheel_radii
-        found["radius"] = base.wheels[0].radius if alike else overrides.radius
-    return msgspec.structs.replace(overrides, **found)
+        result["radius"] = base.wheels[0].radius if alike else overrides.radius
+    return msgspec.structs.replace(overrides, **result)
 
 
 # -- Pinocchio's model -------------------------------------------------------------------------------------------------
@@ -236,7 +226,7 @@ def place(document: Document, model: pin.Model) -> None:
     for name, link in document.links.items():
         j, at = carried(name)
         if j and link.find("inertial") is not None:
-            part = Part.of(link, at)
+            part = BodyPart.of(link, at)
             R = part.frame[:3, :3]
             inertia = pin.Inertia.Zero()  # filled, not constructed: what is not positive is judged later
             inertia.mass, inertia.lever, inertia.inertia = part.mass, part.frame[:3, 3], product(R, part.inertia, R.T)
@@ -247,7 +237,7 @@ def place(document: Document, model: pin.Model) -> None:
 
 @contextmanager
 def captured_stderr() -> Iterator[list[str]]:
-    """What C++ code prints on standard error meanwhile; the list is filled on leaving."""
+    """Lines that C++ code prints on standard error meanwhile; the list is filled on leaving."""
     lines: list[str] = []
     with _stderr_lock, tempfile.TemporaryFile() as file:
         sys.stderr.flush()
@@ -273,7 +263,7 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
     arm = replace(arm, joints=tuple(name for name in names if name in arm.joints))
     driven = (w.joint for w in base.wheels if document.joints[w.joint].mimics is None)
     motors = (*driven, *arm.joints)
-    pushes, rows = PUSHES if base.is_pushed else (), {name: i for i, name in enumerate(names, root)}
+    pushes, rows = base.pushes, {name: i for i, name in enumerate(names, root)}
     T, E_full = motion_map(base, rows, arm), motor_map(base, rows, motors)
     q_index, is_continuous = configuration_indices(model, root)
     at_rest = [0.0] * root + [arm.locked.get(joint.name, joint.rest) for joint in joints]
@@ -286,7 +276,12 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
         base=base,
         arm=arm,
         dimensions=Dimensions(
-            base=len(base.velocity_names), arm=len(arm.joints), full=model.nv, motors=E_full.shape[1]
+            base=len(base.velocity_names),
+            arm=len(arm.joints),
+            full=model.nv,
+            motors=E_full.shape[1],
+            kind=base.kind,
+            sideways=base.sideways,
         ),
         joint_names=arm.joints,
         velocity_names=base.velocity_names + arm.joints,

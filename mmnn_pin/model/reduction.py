@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ..compiled import compiled, linked
 from ..elementary import cos_sin, exp, tanh
 from ..signals import Array, IntArray
-from .base.holonomic import moves_sideways
 
 # Dry friction is `level(speed) tanh(speed / COULOMB_SPEED)` where it is a smooth force. [rad/s or m/s]
 COULOMB_SPEED = 0.01
@@ -99,13 +98,22 @@ def spread(T: Array, nu: Array, v: Array) -> None:
 
 
 @compiled
-def position_rate(position: Array, nu: Array, v: Array, base: int, rate: Array) -> None:
-    """Time derivative of the position, (nv,): `qdot_v = S(phi) v` (2.18) for the pose, `T nu` for the joints."""
+def position_rate(position: Array, nu: Array, v: Array, base: int, sideways: bool, rate: Array) -> None:
+    """Time derivative of the position, (nv,): `qdot_v = S(phi) v` (2.18) for the pose, `T nu` for the joints.
+
+    Args:
+        position: (nv,).
+        nu: (p,) independent velocities.
+        v: (nv,) `T nu`.
+        base: Number of base velocities.
+        sideways: Whether they are `(vx, vy, w)`.
+        rate: (nv,) written.
+    """
     first = 0
     if base:
         first = 3
         c, s = cos_sin(position[2])
-        vx, vy = nu[0], nu[1] if moves_sideways(base) else 0.0
+        vx, vy = nu[0], nu[1] if sideways else 0.0
         rate[0], rate[1], rate[2] = c * vx - s * vy, s * vx + c * vy, nu[base - 1]
     for i in range(first, position.size):
         rate[i] = v[i]
@@ -170,52 +178,11 @@ def reduce(T: Array, full: Array, half: Array, out: Array) -> None:
 
 
 @compiled
-def reduced_terms(
-    T: Array,
-    M_full: Array,
-    h_full: Array,
-    v: Array,
-    nu: Array,
-    damping: Array,
-    dry: Array,
-    viscous: Array,
-    half: Array,
-    M: Array,
-    h: Array,
-    F: Array,
-) -> None:
-    """Reduced mass matrix M, bias `h = T' h_full + F` with `h_full = C_full v + g_full`, and friction F."""
-    reduce(T, M_full, half, M)
-    friction(T, v, nu, damping, dry, viscous, F)
-    project(T, h_full, h)
-    for j in range(nu.size):
-        h[j] += F[j]
-
-
-@compiled
-def psi(
-    T: Array,
-    M: Array,
-    C_full: Array,
-    g_full: Array,
-    F: Array,
-    nu_ref: Array,
-    nudot_ref: Array,
-    w: Array,
-    f: Array,
-    out: Array,
-) -> None:
-    """`M nudot_ref + T' (C_full T nu_ref + g_full) + F`, written to out (p,); w and f (nv,) are scratch."""
-    spread(T, nu_ref, w)
-    for i in range(w.size):
-        f[i] = g_full[i]
-        for k in range(w.size):
-            f[i] += C_full[i, k] * w[k]
-    project(T, f, out)
+def add_product(A: Array, x: Array, out: Array) -> None:
+    """`out += A x`, in place."""
     for i in range(out.size):
-        out[i] += F[i]
-        for j in range(out.size):
-            out[i] += M[i, j] * nudot_ref[j]
+        for j in range(x.size):
+            out[i] += A[i, j] * x[j]
 
 
 @compiled

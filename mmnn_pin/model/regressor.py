@@ -16,7 +16,7 @@ a]` (a without gravity). It adds `m xbar' V_j' A xbar` to the torque of joint j,
     tr(P sym(A' V_j)),      P = int xbar xbar' dm = [Sigma, mc; mc', m],
 
 which is linear in the ten numbers of the pseudo-inertia P (Wensing, Kim, Slotine 2018, IEEE RA-L 3(1)), and these are
-the ten numbers that a `Tree` holds of a body. The factorisation is that of the tree, `Mdot = C + C'`, as Slotine and
+the ten numbers of a body in a `BodyTree`. The factorisation is that of the tree, `Mdot = C + C'`, as Slotine and
 Li 1987 (Int. J. Robotics Research 6(3)) ask for. Rotors and friction of joints are linear as well; each joint acts on
 nu through its row of T.
 """
@@ -37,16 +37,29 @@ from ..errors import RobotError
 from ..signals import IntArray
 from .reduction import COULOMB_SPEED, as_measured
 from .tree.dynamics import psi_again
-from .tree.motion import AT, BASE, LINK, NUMBER, Array, Tree, Vector, add, along, cross, dot, get, new_scratch, place
+from .tree.motion import (
+    AT,
+    BASE,
+    LINK,
+    NUMBER,
+    Array,
+    BodyTree,
+    Vector3,
+    add,
+    along,
+    cross,
+    dot,
+    get,
+    new_scratch,
+    place,
+)
 from .tree.tree import TOLERANCE, configuration, flatten
 
 if TYPE_CHECKING:
     from .robot import Robot
 
 BODY = 10  # parameters of a body: m, mc (3), second moments xx xy xz yy yz zz [kg, kg m, kg m^2]
-
 MOMENTS = ("m", "mx", "my", "mz", "xx", "xy", "xz", "yy", "yz", "zz")
-
 RANK = 1e-9  # relative size under which a singular value of stacked regressors counts as zero
 
 
@@ -68,7 +81,7 @@ class Massless(NamedTuple):
         Y: (p, k) the regressor.
     """
 
-    tree: Tree
+    tree: BodyTree
     joints: Array
     base: int
     first: int
@@ -115,7 +128,7 @@ class Regressor:
         full = flatten(model, T, robot.neutral_position(), frame, absorb=False)
         theta, moving = inertial_parameters(full, layout.base), moving_joints(T, layout.base)
         offset, arm = robot.arm_map()
-        turning = robot.base.kind == "skid_steer"
+        turning = robot.base.scrubs
         massless = without_masses(full, T, layout.base, offset, arm, coulomb_speed, turning)
         names = robot.full_velocity_names
         bodies = ("root",) * bool(layout.base) + tuple(names[i] for i in full.links[BASE.w + 1 :, 2])
@@ -148,7 +161,7 @@ class Regressor:
         return np.concatenate([BODY * b + np.arange(BODY) for b in ends or [0]]).astype(np.int64)
 
     def workspace(self) -> Massless:
-        """The same arrays with a memory of its own to work in."""
+        """The arrays with a memory of their own to work in."""
         m = self.massless
         return m._replace(
             scratch=m.scratch.copy(), position=m.position.copy(), nu=m.nu.copy(), out=m.out.copy(), Y=m.Y.copy()
@@ -165,10 +178,10 @@ class Regressor:
             nu_ref: (p,) reference velocities.
             nudot_ref: (p,) their time derivative.
         """
-        own = self.workspace()
-        own.position[:], own.nu[:] = position, nu
-        regress(own, np.array(nu_ref, float), np.array(nudot_ref, float))
-        return own.Y
+        work = self.workspace()
+        work.position[:], work.nu[:] = position, nu
+        regress(work, np.array(nu_ref, float), np.array(nudot_ref, float))
+        return work.Y
 
     def along(self, q: Array, nu: Array, nudot: Array) -> Array:
         """Y along a motion, (N, p, k): `Y theta = M nudot + C(q, nu) nu + gravity + friction`, the base at the origin.
@@ -178,10 +191,10 @@ class Regressor:
             nu: (N, p) velocities.
             nudot: (N, p) their time derivative.
         """
-        own = self.workspace()
-        out = np.zeros((len(q), *own.Y.shape))
+        work = self.workspace()
+        out = np.zeros((len(q), *work.Y.shape))
         q, nu, nudot = (np.ascontiguousarray(part, float) for part in (q, nu, nudot))
-        regress_along(own, np.zeros(3 if own.base else 0), q, nu, nudot, out)
+        regress_along(work, np.zeros(3 if work.base else 0), q, nu, nudot, out)
         return out
 
     def gram(self, samples: int = 200, seed: int = 0) -> Array:
@@ -204,7 +217,7 @@ class Regressor:
         return np.asarray(np.linalg.qr(kept)[0])
 
     def unit(self, samples: int = 200, seed: int = 0) -> Array:
-        """The same directions scaled so that random motion excites each with 1, (k, number of base parameters).
+        """Identifiable directions, scaled so that random motion excites each with 1, (k, number of base parameters).
 
         With these columns W, `W' gram() W = 1`, and the eigenvalues of `W' G W` are the excitation of a motion whose
         mean `Y' Y` is G, relative to random motion.
@@ -249,9 +262,9 @@ class Regressor:
 
 
 def without_masses(
-    tree: Tree, T: Array, base: int, offset: Array, arm: Array, coulomb_speed: float, turning: bool = False
+    tree: BodyTree, T: Array, base: int, offset: Array, arm: Array, coulomb_speed: float, turning: bool = False
 ) -> Massless:
-    """What a tree says of the motion, and memory to work in.
+    """The kinematics of a tree, and memory to work in.
 
     Args:
         tree: A tree with a body for every joint that moves (`flatten(..., absorb=False)`).
@@ -299,7 +312,7 @@ def with_any_inertias(model: pin.Model, seed: int = 0) -> pin.Model:
 # -- how theta is laid out ---------------------------------------------------------------------------------------------
 
 
-def inertial_parameters(tree: Tree, base: int) -> Array:
+def inertial_parameters(tree: BodyTree, base: int) -> Array:
     """The ten numbers of every body of a tree, one after the other."""
     return np.array(tree.numbers[first_body(base) :, NUMBER.mass : NUMBER.weight].ravel())
 
@@ -407,11 +420,12 @@ def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
             Y[i, rough + count] = joints[k, i] * dry
     turning = first + 3 * count + known.base
     if turning < Y.shape[1]:
-        Y[1, turning] = tanh(nu[1] / known.coulomb_speed)
+        w = known.base - 1
+        Y[w, turning] = tanh(nu[w] / known.coulomb_speed)
 
 
 @compiled
-def turned(scratch: Array, i: int, a: Vector) -> Vector:
+def turned(scratch: Array, i: int, a: Vector3) -> Vector3:
     """A vector along O in the axes of body i."""
     k = AT.rotation
     x, y, z = get(scratch, i, k), get(scratch, i, k + 3), get(scratch, i, k + 6)

@@ -113,7 +113,7 @@ class Robot(Structure):
         return Dynamics(self).friction(self._nu(nu))
 
     def psi(self, q: ArrayLike, nu: ArrayLike, nu_ref: ArrayLike, nudot_ref: ArrayLike) -> Array:
-        """What a learner has to learn: `M nudot_ref + C nu_ref + gravity + friction`, (p,) [N, N m] (3.20), (3.21).
+        """True Psi, which a learner has to learn: `M nudot_ref + C nu_ref + gravity + friction`, (p,) (3.20), (3.21).
 
         With `nu_ref = nu` it is the torque that accelerates the robot by nudot_ref.
 
@@ -130,7 +130,7 @@ class Robot(Structure):
         return Dynamics(self).psi(self.position(q), self._nu(nu), *asked)
 
     def placement(self, frame: str, q: ArrayLike) -> Array:
-        """Where a link or a joint is in the world, a homogeneous (4, 4) matrix [m].
+        """Placement of a link or a joint in the world, a homogeneous (4, 4) matrix [m].
 
         Raises:
             UnknownName: The robot has no such link or joint.
@@ -201,12 +201,12 @@ class Robot(Structure):
         except (TypeError, ValueError):
             raise ConfigError("not a list of numbers", fix=f"give {', '.join(names)}", key=what) from None
         if array.shape != (len(names),):
-            found = (
+            given = (
                 f"{array.size} number{'s' * (array.size != 1)}"
                 if array.ndim == 1
                 else f"an array of shape {array.shape}"
             )
-            raise ConfigError(f"{found} where {self.name} has {len(names)}", fix=f"give {', '.join(names)}", key=what)
+            raise ConfigError(f"{given} where {self.name} has {len(names)}", fix=f"give {', '.join(names)}", key=what)
         if not np.isfinite(array).all():
             raise ConfigError(f"{array.tolist()} is not finite", fix=f"give {', '.join(names)}", key=what)
         return array
@@ -224,7 +224,7 @@ class Robot(Structure):
 
 
 def carrying(robot: Robot, mass: float, joint: str = "", at: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:
-    """The same robot with a point mass on a link.
+    """A copy of a robot with a point mass on a link.
 
     Args:
         robot: The robot.
@@ -258,8 +258,8 @@ def revolute(robot: Robot) -> Array:
 def speed_limits(robot: Robot) -> Array:
     """Velocity limits of the URDF of every motor's joint, inf where it states none or 0, (motors,)."""
     names, limits = robot.full_velocity_names, robot.model.velocityLimit
-    found = [limits[names.index(name)] if name in names else math.inf for name in robot.actuator_names]
-    return np.array([limit if 0 < limit < 1e30 else math.inf for limit in found], float)
+    stated = [limits[names.index(name)] if name in names else math.inf for name in robot.actuator_names]
+    return np.array([limit if 0 < limit < 1e30 else math.inf for limit in stated], float)
 
 
 def limits(value: Literal["urdf", "none"] | Numbers | None, urdf: Array, kind: str, key: str) -> Array:

@@ -68,7 +68,7 @@ def extra() -> dict[str, Path]:
 
 
 def package_dirs_of(path: Path) -> tuple[Path, ...]:
-    """Where `package://example-robot-data/...` points for a file of that package; empty for any other file."""
+    """Folders that `package://example-robot-data/...` points to for a file of that package; none for any other file."""
     folder = robot_data()
     if folder is None or not path.absolute().is_relative_to(folder.absolute()):
         return ()

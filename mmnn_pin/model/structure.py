@@ -1,4 +1,4 @@
-"""What a robot is made of: its Pinocchio model and the motions that its wheels permit.
+"""The structure of a robot: its Pinocchio model and the motions that its wheels permit.
 
 All velocities of the full model follow from the independent ones, `nu = [base velocity; arm joint velocities]`:
 
@@ -30,7 +30,6 @@ from ..signals import Array, Dimensions
 from .arm import Arm
 from .base.base import Base
 from .base.overrides import Overrides
-from .maps import constraint_rows, motion_map
 from .urdf.finding import Finding
 from .urdf.packages import environment
 
@@ -173,7 +172,7 @@ class Structure:
         return offset, columns
 
     def with_masses(self, factors: float | Mapping[str, float]) -> Self:
-        """The same robot with the inertias of its moving bodies scaled (mass and rotational inertia alike).
+        """A copy with the inertias of its moving bodies scaled (mass and rotational inertia alike).
 
         Args:
             factors: One factor for all bodies, or a factor per joint that carries the body (`root` for a mobile base).
@@ -195,7 +194,7 @@ class Structure:
         return replace(self, model=model, masses=masses)
 
     def with_radii(self, factors: float | Mapping[str, float]) -> Self:
-        """The same robot on drive wheels of other radii, its hubs as much higher, so that it stands as before.
+        """A copy on drive wheels of other radii, its hubs as much higher, so that it stands as before.
 
         Args:
             factors: One factor for all drive wheels, or a factor per joint of one.
@@ -227,7 +226,7 @@ class Structure:
         return replace(self, model=model, base=base, T=T, A=A, E=E)
 
     def with_armature(self, inertia: ArrayLike) -> Self:
-        """The same robot with the rotors of its arm's motors, seen through their gears; a URDF does not know them.
+        """A copy with the rotors of its arm's motors, seen through their gears; a URDF does not know them.
 
         They are added to the diagonal of the mass matrix; the gyroscopic effects of their spin are left out.
 
@@ -247,7 +246,7 @@ class Structure:
         return replace(self, model=model)
 
     def with_friction(self, viscous: ArrayLike) -> Self:
-        """The same robot with viscous friction on nu besides that of its joints.
+        """A copy with viscous friction on nu besides that of its joints.
 
         Args:
             viscous: (p,) coefficients, or one number for all [N s/m, N m s].
@@ -265,7 +264,7 @@ class Structure:
         breakaway: float | Sequence[float] | Array = 1.0,
         stribeck: float = 0.05,
     ) -> Self:
-        """The same robot with more friction in the gears of its arm, beside that of its URDF.
+        """A copy with more friction in the gears of its arm, beside that of its URDF.
 
         Args:
             viscous: One number or (n,) [N m s or N s/m].
@@ -287,7 +286,7 @@ class Structure:
         return replace(self, damping=read_only(damping), **more)
 
     def without_friction(self) -> Self:
-        """The same robot with no friction at all: of its joints, of its gears, of its base."""
+        """A copy with no friction at all: of its joints, of its gears, of its base."""
         none, smooth = read_only(np.zeros(self.dimensions.full)), read_only(np.ones(self.dimensions.full))
         viscous = read_only(np.zeros(self.dimensions.dof))
         return replace(self, damping=none, coulomb=none, viscous=viscous, breakaway=smooth)
@@ -304,7 +303,7 @@ class Structure:
         return coulomb + more * np.exp(-((v / speed) ** 2))
 
     def facts(self) -> dict[str, Any]:
-        """What a recording should know of it, enough for `recorded_robot` to build it again."""
+        """Facts for a recording, enough for `recorded_robot` to build it again."""
         stated, ros = self.overrides.stated(), environment()
         if "package_dirs" in stated:  # who builds it again may stand in another folder
             stated["package_dirs"] = tuple(map(os.path.abspath, stated["package_dirs"]))
@@ -347,3 +346,79 @@ def read_only(array: Array) -> Array:
     """The array, closed for writing."""
     array.flags.writeable = False
     return array
+
+
+# -- its maps, put together from those of base and arm -----------------------------------------------------------------
+
+
+def motion_map(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
+    """T, (nv, p): the root moves with the base, wheels roll, the arm moves freely, slaves follow, the rest stands.
+
+    Args:
+        base: The mobile base.
+        rows: Velocity index of every joint in the full model.
+        arm: The manipulator.
+    """
+    nb, root = len(base.velocity_names), base.root_size
+    T = np.zeros((root + len(rows), nb + len(arm.joints)))
+    T[:root, :nb] = base.root_map[:root]
+    for wheel, rates in zip(base.wheels, base.wheel_map, strict=True):
+        T[rows[wheel.joint], :nb] = rates
+    for i, name in enumerate(arm.joints):
+        T[rows[name], nb + i] = 1.0
+    for name, slave in arm.slaves.items():
+        T[rows[name]] = slave.multiplier * T[rows[slave.master]]
+    return T
+
+
+def constraint_rows(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
+    """A, (nc, nv): no lateral slip of the control frame (2.6), no slip under each wheel, slaves follow, locks hold.
+
+    Args:
+        base: The mobile base.
+        rows: Velocity index of every joint in the full model.
+        arm: The manipulator.
+    """
+    root = base.root_size
+    slip = np.zeros((len(base.slip_rows), root + len(rows)))
+    slip[:, :root] = base.slip_rows[:, :root]
+    rolling = np.zeros((len(base.wheels), root + len(rows)))
+    for row, wheel, rim in zip(rolling, base.wheels, base.rolling_rows, strict=True):
+        row[:root] = rim
+        row[rows[wheel.joint]] = -wheel.sign * wheel.radius
+    still = np.zeros((len(arm.locked), root + len(rows)))
+    for row, name in zip(still, arm.locked, strict=True):
+        row[rows[name]] = 1.0
+    following = np.zeros((len(arm.slaves), root + len(rows)))
+    for row, (name, slave) in zip(following, arm.slaves.items(), strict=True):
+        row[rows[slave.master]] = -slave.multiplier
+        row[rows[name]] = 1.0
+    return np.vstack((slip, rolling, still, following))
+
+
+def motor_map(base: Base, rows: Mapping[str, int], motors: tuple[str, ...]) -> Array:
+    """E_full, (nv, n_u): a motor on every wheel and arm joint; a base without wheels is pushed along its own axes.
+
+    Args:
+        base: The mobile base.
+        rows: Velocity index of every joint in the full model.
+        motors: Joints with a motor.
+    """
+    root = base.root_size
+    nv = root + len(rows)
+    on_joints = np.eye(nv)[:, [rows[name] for name in motors]]
+    if not base.pushes:
+        return on_joints
+    pushes = np.zeros((nv, 3))
+    pushes[:root] = base.to_control.T
+    return np.hstack((pushes, on_joints))
+
+
+def configuration_indices(model: pin.Model, root: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    """Place in q of each velocity's joint, and whether q holds its cosine and sine; the root fills the first 3."""
+    first = 2 if root else 1
+    q_index = np.array([*range(root), *list(model.idx_qs)[first:]], dtype=np.int64)
+    doubled = [0, 0, 1][:root] + [int(size == 2) for size in list(model.nqs)[first:]]
+    is_continuous = np.array(doubled, dtype=np.uint8)
+    q_index.flags.writeable = is_continuous.flags.writeable = False
+    return q_index, is_continuous

@@ -52,4 +52,4 @@ class Plant(Protocol):
         """Write what only this plant knows into a row of signals."""
 
     def findings(self) -> list[str]:
-        """What to tell of the run so far, a line each."""
+        """Findings of the run so far, a line each."""

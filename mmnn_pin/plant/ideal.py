@@ -102,7 +102,7 @@ class IdealPlant:
         self._derivative(self.trial, tau)
 
     def _derivative(self, y: Array, tau: Array) -> None:
-        integrators.derivative(y, tau, self.joints.base, self.terms)
+        integrators.derivative(y, tau, self.joints, self.terms)
 
     def _take(self, robot: Robot) -> None:
         """Dynamics of a robot, and its arrays for the integrators."""
@@ -110,6 +110,6 @@ class IdealPlant:
         d, p = self.dynamics, robot.dimensions.dof
         # writable copies: compiled code exists once for these, not again for read-only arrays
         arrays = robot.T.copy(), robot.damping.copy(), robot.dry, robot.viscous.copy()
-        self.joints = integrators.Joints(*arrays, robot.dimensions.base)
+        self.joints = integrators.Joints(*arrays, robot.dimensions.base, robot.dimensions.sideways)
         scratch = np.zeros((p, p)), np.zeros(p), np.zeros((robot.dimensions.full, p + 2))
         self.terms = integrators.Terms(d.v, d.M, d.h, d.F, self.hold, self.ydot, *scratch)

@@ -39,6 +39,7 @@ class Joints(NamedTuple):
         dry: (nv, 3) dry friction of the joints.
         viscous: (p,) viscous friction on nu.
         base: Number of base velocities.
+        sideways: Whether they are `(vx, vy, w)`.
     """
 
     T: Array
@@ -46,6 +47,7 @@ class Joints(NamedTuple):
     dry: Array
     viscous: Array
     base: int
+    sideways: bool
 
 
 @by_address
@@ -76,11 +78,11 @@ class Terms(NamedTuple):
 
 
 @linked
-def derivative(y: Array, tau: Array, base: int, terms: Terms) -> None:
-    """Time derivative of y, into `terms.ydot`, under the generalized torque tau (p,) with `base` base velocities."""
+def derivative(y: Array, tau: Array, joints: Joints, terms: Terms) -> None:
+    """Time derivative of y, into `terms.ydot`, under the generalized torque tau (p,)."""
     nv, p, rest, ydot = terms.v.size, tau.size, terms.rest, terms.ydot
     nu = y[nv : nv + p]
-    position_rate(y[:nv], nu, terms.v, base, ydot[:nv])
+    position_rate(y[:nv], nu, terms.v, joints.base, joints.sideways, ydot[:nv])
     power = 0.0
     for i in range(p):
         rest[i] = tau[i] - terms.h[i]
@@ -180,7 +182,20 @@ def stick(dt: float, joints: Joints, terms: Terms) -> None:
             and becomes that with it; to F is added what the impulses are. A row of `grip` becomes the response of nu to
             an impulse on a joint, that of the joint itself, and the impulse.
     """
-    T, dry, v, hold, grip, new, F = joints.T, joints.dry, terms.v, terms.hold, terms.grip, terms.rest, terms.F
+    prepare_grip(joints, terms)
+    for _ in range(SWEEPS):
+        if sweep(dt, joints, terms) < 1e-13:
+            break
+    T, grip, p = joints.T, terms.grip, terms.F.size
+    for i in range(T.shape[0]):
+        for j in range(p):
+            terms.F[j] -= T[i, j] * grip[i, p + 1] / dt
+
+
+@internal
+def prepare_grip(joints: Joints, terms: Terms) -> None:
+    """Responses to impulses into the rows of `terms.grip`, which begin with no impulse."""
+    T, dry, hold, grip = joints.T, joints.dry, terms.hold, terms.grip
     nv, p = T.shape
     for i in range(nv):
         grip[i, p + 1] = 0.0
@@ -191,25 +206,27 @@ def stick(dt: float, joints: Joints, terms: Terms) -> None:
             substitute(terms.L, answer)
             for j in range(p):
                 grip[i, p] += T[i, j] * answer[j]
-    for _ in range(SWEEPS):
-        change = 0.0
-        for i in range(nv):
-            if (dry[i, 0] == 0.0 and hold[i] == 0.0) or grip[i, p] <= 0.0:
-                continue
-            speed = 0.0
-            for j in range(p):
-                speed += T[i, j] * new[j]
-            most = (dry_level(v[i], dry[i]) + hold[i]) * dt
-            step = min(max(grip[i, p + 1] - speed / grip[i, p], -most), most) - grip[i, p + 1]
-            grip[i, p + 1] += step
-            change = max(change, abs(step) / most)
-            for j in range(p):
-                new[j] += step * grip[i, j]
-        if change < 1e-13:
-            break
+
+
+@internal
+def sweep(dt: float, joints: Joints, terms: Terms) -> float:
+    """One impulse after the other as the present velocity asks; the largest change of one, over its limit."""
+    T, dry, v, hold, grip, new = joints.T, joints.dry, terms.v, terms.hold, terms.grip, terms.rest
+    nv, p = T.shape
+    change = 0.0
     for i in range(nv):
+        if (dry[i, 0] == 0.0 and hold[i] == 0.0) or grip[i, p] <= 0.0:
+            continue
+        speed = 0.0
         for j in range(p):
-            F[j] -= T[i, j] * grip[i, p + 1] / dt
+            speed += T[i, j] * new[j]
+        most = (dry_level(v[i], dry[i]) + hold[i]) * dt
+        step = min(max(grip[i, p + 1] - speed / grip[i, p], -most), most) - grip[i, p + 1]
+        grip[i, p + 1] += step
+        change = max(change, abs(step) / most)
+        for j in range(p):
+            new[j] += step * grip[i, j]
+    return change
 
 
 @linked
@@ -232,7 +249,7 @@ def euler(method: int, dt: float, joints: Joints, terms: Terms, tau: Array, y: A
         release(joints, terms)
     if implicit:
         stiffen(dt, joints, smooth, terms)
-    derivative(y, tau, joints.base, terms)
+    derivative(y, tau, joints, terms)
     if implicit:
         friction_ahead(dt, joints, smooth, terms)
     for i in range(p):
@@ -245,7 +262,7 @@ def euler(method: int, dt: float, joints: Joints, terms: Terms, tau: Array, y: A
         y[nv + i] = rest[i]
     new = y[nv : nv + p]
     spread(joints.T, new, v)
-    position_rate(y[:nv], new, v, joints.base, ydot[:nv])
+    position_rate(y[:nv], new, v, joints.base, joints.sideways, ydot[:nv])
     for i in range(nv):
         y[i] += dt * ydot[i]
     y[nv + p] += dt * work

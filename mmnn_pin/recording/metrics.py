@@ -1,4 +1,4 @@
-"""What a run is judged by: peak and RMS of every error, torque effort, learned share, effective gain.
+"""Metrics of a run: peak and RMS of every error, torque effort, learned share, effective gain.
 
 A `Reducer` takes rows as they come, so that a run in a batch needs no memory for its signals; `metrics` puts a whole
 recording through the same reducer.

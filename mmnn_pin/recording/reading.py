@@ -21,7 +21,7 @@ import h5py
 from ..errors import RecordingError
 from ..files import reason
 from ..settings.arguments import shortly
-from .run_file import FORMAT, FORMAT_VERSION, Arrays, Columns, decode, endless_heap
+from .run_file import FORMAT, FORMAT_VERSION, Arrays, SignalColumns, decode, endless_heap
 from .schema import Damaged, facts_problem, require_plain, signal_problem, time_problem
 
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_LZF}
@@ -36,7 +36,7 @@ AGAIN = "take it from a copy, or run it again"
 
 @dataclass(frozen=True)
 class Contents:
-    """What a file holds beside its numbers.
+    """The contents of a file beside its numbers.
 
     Attributes:
         columns: Units and labels of the signals that can be read.
@@ -47,7 +47,7 @@ class Contents:
         damage: What cannot be read, as `signals/z`, and why.
     """
 
-    columns: dict[str, Columns]
+    columns: dict[str, SignalColumns]
     rows: int
     meta: dict[str, Any]
     texts: dict[str, str]
@@ -101,7 +101,7 @@ def is_hdf5(path: Path) -> bool:
 
 @contextmanager
 def hdf5_errors(path: Path, where: str = "the recording") -> Iterator[None]:
-    """Whatever a damaged file makes HDF5 raise, as ours."""
+    """Raise as a `RecordingError` whatever a damaged file makes HDF5 raise within."""
     try:
         yield
     except RecordingError:
@@ -333,13 +333,13 @@ class Examined:
             why = f"with it the file says it holds {self.declared / 1e6:,.0f} MB, and has {held / 1e6:,.1f} MB"
             raise RecordingError(f"{where} is not read", why=why, fix=AGAIN, file=self.path)
 
-    def columns_of(self, name: str, table: h5py.Dataset, meta: Mapping[str, Any]) -> Columns | None:
+    def columns_of(self, name: str, table: h5py.Dataset, meta: Mapping[str, Any]) -> SignalColumns | None:
         """Unit and labels of a signal; None where they are not as they must be."""
         try:
             unit, labels = attribute(table, "unit"), attribute(table, "labels")
             if not isinstance(unit, str) or not (isinstance(labels, tuple) and labels):
                 raise Damaged("its unit or its labels are no texts")
-            about = Columns(unit, labels)
+            about = SignalColumns(unit, labels)
             if problem := signal_problem(name, table.shape[1] if table.ndim == 2 else 1, about, meta):
                 raise Damaged(problem)
             return about

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import ConfigError, UnknownName
 from ..signals import HAND, SIGNALS, Array, Layout
 from .recording import Outcome, Recording, from_file
-from .run_file import Arrays, Columns, RunFile, decode, encode
+from .run_file import Arrays, RunFile, SignalColumns, decode, encode
 from .schema import facts_problem
 from .versions import versions
 
@@ -179,7 +179,7 @@ class Recorder:
 class _Memory:
     """Keeps a run as a list of blocks; signals are taken out of them when they are asked for."""
 
-    def __init__(self, layout: Layout, columns: Mapping[str, Columns]) -> None:
+    def __init__(self, layout: Layout, columns: Mapping[str, SignalColumns]) -> None:
         self.columns = columns
         self.kept = np.concatenate([np.arange(layout.width)[layout.where(name)] for name in columns])
         self.ends = np.cumsum([len(about.labels) for about in columns.values()])
@@ -217,7 +217,7 @@ def buffer_rows(layout: Layout) -> int:
 
 
 def _facts(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """What is known of the run, when it was made and by which versions; as it will read back."""
+    """Facts of the run, with when it was made and by which versions; as they will read back."""
     facts = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "versions": dict(versions()), **meta}
     if "urdf" in facts:
         facts.setdefault("urdf_sha256", hashlib.sha256(facts["urdf"].encode()).hexdigest())
@@ -228,7 +228,7 @@ def _facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     return facts
 
 
-def _columns(layout: Layout, facts: Mapping[str, Any]) -> dict[str, Columns]:
+def _columns(layout: Layout, facts: Mapping[str, Any]) -> dict[str, SignalColumns]:
     """Unit and labels of every signal that this robot has."""
     velocities = _names(facts, "velocity_names", layout.dof)
     labels = {
@@ -245,7 +245,7 @@ def _columns(layout: Layout, facts: Mapping[str, Any]) -> dict[str, Columns]:
     for name, kind, *_ in SIGNALS:
         if size := layout.where(name).stop - layout.where(name).start:
             own = (name,) if size == 1 else tuple(f"{name}[{i}]" for i in range(size))
-            columns[name] = Columns(layout.unit(name), labels.get(kind.split()[-1], own))
+            columns[name] = SignalColumns(layout.unit(name), labels.get(kind.split()[-1], own))
     return columns
 
 

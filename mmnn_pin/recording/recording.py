@@ -24,10 +24,11 @@ from ..model.base.overrides import Overrides
 from ..model.loading import build
 from ..model.robot import Robot
 from ..settings.arguments import checked
+from ..shown import shown
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
 from .robot_file import document_of
-from .run_file import Arrays, Columns, Places, RunFile
+from .run_file import Arrays, Places, RunFile, SignalColumns
 from .tracking import Errors, prismatic_joints
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ class Recording:
     def __init__(
         self,
         *,
-        columns: Mapping[str, Columns],
+        columns: Mapping[str, SignalColumns],
         rows: int,
         read: Callable[[str], Arrays],
         meta: Mapping[str, Any],
@@ -198,8 +199,8 @@ class Recording:
         return f"<Recording: {self.summary()}>"
 
     def _repr_html_(self) -> str:
-        """Summary, plots and replay in a notebook; what shows recordings stands above them, so it is found by name."""
-        return str(import_module("mmnn_pin.lab.show.gallery").notebook_html(self))
+        """Summary, plots and replay in a notebook."""
+        return str(shown(self, "html"))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -305,7 +306,7 @@ class Recording:
         return self._read("timing/step_time")["step_time"]
 
     def summary(self) -> str:
-        """What was run, how it ended and how much was recorded, in one or two lines."""
+        """Controller and robot, how the run ended and how much was recorded, in one or two lines."""
         who = " on ".join(str(self.meta[key]) for key in ("controller", "robot") if key in self.meta)
         end = f"{self.outcome.status} at t = {self.outcome.time:g} s, {self._rows:,} rows"
         return "\n".join(line for line in (f"{who}: {end}" if who else end, self.outcome.message) if line)
@@ -318,7 +319,7 @@ class Recording:
         if where in self.damage:
             raise RecordingError(f"{where} is damaged", why=self.damage[where], fix=AGAIN, file=self.path)
 
-    def _about(self, name: str) -> Columns:
+    def _about(self, name: str) -> SignalColumns:
         self._require_intact(f"signals/{name}")
         if name not in self._columns:
             raise UnknownName("signal", str(name), self._columns, file=self.path)
@@ -334,7 +335,7 @@ class Recording:
 
 
 def from_file(path: Path, rows: int) -> Callable[[str], Arrays]:
-    """What reads the arrays of a file with so many rows, when they are asked for."""
+    """A reader of the arrays of a file with so many rows, which reads them when they are asked for."""
     return lambda where: read_arrays(path, where, {"weights": -1, "final": None}.get(where, rows))
 
 

@@ -19,11 +19,10 @@ import msgspec
 from ..errors import InputError
 from ..files import read_bytes
 from ..model.base.overrides import Overrides
-from ..model.urdf.document import Document
-from ..model.urdf.expansion import is_xacro, read_text
+from ..model.urdf.document import Document, text_of
+from ..model.urdf.expansion import read_text
 from ..model.urdf.packages import FIND, locate, packages
-from ..model.urdf.reading import MAX_BYTES, parse
-from ..model.urdf.xml import parse_xml, text_of
+from ..model.urdf.reading import MAX_BYTES, is_xacro, parse, parse_xml
 
 UNSEEN = "elsewhere://"  # before the name of a mesh that is not looked for
 INCLUDES = re.compile(r"<\s*(?:\w+:)?include\s[^<>]*?filename\s*=\s*[\"']([^\"'<>]+)[\"']")

@@ -51,7 +51,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class Columns:
+class SignalColumns:
     """The columns of one signal: their unit and one label each."""
 
     unit: str
@@ -103,7 +103,7 @@ class RunFile:
         path: Path,
         force: bool,
         layout: Layout | Places,
-        columns: Mapping[str, Columns],
+        columns: Mapping[str, SignalColumns],
         meta: Mapping[str, Any],
         texts: Mapping[str, str],
         expected: int = 0,
@@ -332,7 +332,7 @@ def _chunk_rows(expected: int) -> int:
 
 
 @lru_cache(maxsize=16)
-def _empty(columns: tuple[tuple[str, Columns], ...], chunk_rows: int) -> bytes:
+def _empty(columns: tuple[tuple[str, SignalColumns], ...], chunk_rows: int) -> bytes:
     """Image of a file with the empty tables of some signals, and nothing else."""
     with _in_memory() as file:
         file.attrs["format"], file.attrs["format_version"], file.attrs["complete"] = FORMAT, FORMAT_VERSION, False

@@ -1,4 +1,4 @@
-"""What a recording must be, whoever made it: the types of its facts, the units and columns of its signals, its time.
+"""The schema of a recording: types of its facts, units and columns of its signals, its time.
 
 The recorder holds to it, and every file is held against it when it is opened (`reading`).
 """
@@ -14,14 +14,14 @@ import numpy as np
 
 from ..settings.arguments import shortly, wrong_type
 from ..signals import HAND, SIGNALS, Array
-from .run_file import Columns
+from .run_file import SignalColumns
 
 KIND = {name: (kind.split()[-1], base, arm) for name, kind, base, arm in SIGNALS}
 MOST_TEXT, DEEPEST = 1000, 32  # letters of a name, levels of a value
 LONGEST = 2.0**31  # s: what a stamp of ROS 2 can tell
 
 
-class Facts(msgspec.Struct, frozen=True):
+class RunFacts(msgspec.Struct, frozen=True):
     """Types of what is known of a run: the attributes of a recording. Others may stand there, too."""
 
     robot: str = ""
@@ -70,11 +70,11 @@ class Damaged(Exception):
 
 def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
     """The first fact of a wrong type: its name, what is wrong and what to give; None where there is none."""
-    for name in Facts.__struct_fields__:
+    for name in RunFacts.__struct_fields__:
         if name not in meta:
             continue
         try:
-            msgspec.convert({name: meta[name]}, Facts)
+            msgspec.convert({name: meta[name]}, RunFacts)
         except msgspec.ValidationError as error:
             return (name, *wrong_type(error, meta[name]))
     for name in ("velocity_names", "position_names", "actuator_names"):
@@ -89,8 +89,8 @@ def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
     return None
 
 
-def signal_problem(name: str, width: int, about: Columns, meta: Mapping[str, Any]) -> str:
-    """What is wrong with unit and columns of a signal; empty where they are as the facts of the run want them."""
+def signal_problem(name: str, width: int, about: SignalColumns, meta: Mapping[str, Any]) -> str:
+    """The fault in unit or columns of a signal; empty where they are as the facts of the run want them."""
     if name not in KIND:
         return "this mmnn_pin knows no such signal"
     kind, base, arm = KIND[name]
@@ -116,7 +116,7 @@ def signal_problem(name: str, width: int, about: Columns, meta: Mapping[str, Any
 
 
 def time_problem(time: Array) -> str:
-    """What is wrong with the time of the rows: it must be finite, below `LONGEST`, increase; empty if all is well."""
+    """The fault in the time of the rows, which must be finite, below `LONGEST` and increase; empty without one."""
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
         return f"row {bad[0]} is at {time[bad[0]]} s"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnknownName
-from ..model.urdf.xml import parse_xml
+from ..model.urdf.reading import parse_xml
 from ..signals import Array
 
 

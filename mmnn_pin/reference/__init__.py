@@ -4,20 +4,21 @@ A base path gives the pose of the control frame and, in the reference's own fram
 derivative, all of them analytic. `Trajectory` puts base and arm together.
 """
 
-from .holonomic import Holonomic
+from .holonomic import HolonomicPath
 from .joint import Hold, JointProfile, JointSamples, JointTable, MinimumJerk, Points, Sine, Sines
 from .path import BasePath, BaseSamples, Circle, Eight, Line, Waypoints
-from .samples import Table, check_followable, warnings
+from .samples import BaseTable, check_followable, warnings
 from .timed import Smoothed, Timed
 from .trajectory import SetpointSource, Trajectory
 
 __all__ = [
     "BasePath",
     "BaseSamples",
+    "BaseTable",
     "Circle",
     "Eight",
     "Hold",
-    "Holonomic",
+    "HolonomicPath",
     "JointProfile",
     "JointSamples",
     "JointTable",
@@ -28,7 +29,6 @@ __all__ = [
     "Sine",
     "Sines",
     "Smoothed",
-    "Table",
     "Timed",
     "Trajectory",
     "Waypoints",

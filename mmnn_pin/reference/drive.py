@@ -120,7 +120,7 @@ def derivatives(curve: Curve) -> Array:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Drive(Motion):
+class RouteDrive(Motion):
     """A motion of the base along a route; it begins anew from the reference's pose and velocity when it is taken over.
 
     Attributes:
@@ -159,8 +159,8 @@ class Drive(Motion):
             blocks += drive.turned(at, route.heading)
         return replace(drive, blocks=blocks, table=drive.chained(blocks, start))
 
-    def placed(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> Drive:
-        """The same from a pose (3,) and a velocity (nb,) of the reference, at rest without one."""
+    def placed(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> RouteDrive:
+        """The drive from a pose (3,) and a velocity (nb,) of the reference, at rest without one."""
         v = np.zeros(self.dimensions.base) if velocity is None else np.array(velocity, float)
         at, rests = np.array(pose, float), bool((abs(v) < REST).all())
         if rests and self.begins is not None and (abs(at - self.begins) < REST).all():
@@ -200,7 +200,7 @@ class Drive(Motion):
         return self.rows(replace(self.limits, path=arc, pace=rate, **free), aside)
 
     def from_rest(self, pose: Array) -> list[Array]:
-        """What leads along the route from rest at a pose (3,)."""
+        """Blocks of samples that lead along the route from rest at a pose (3,)."""
         legs, blocks = self.route.legs, list[Array]()
         s, away = legs[0].nearest(pose) if legs else (0.0, 0.0)
         if not legs or (len(legs) == 1 and legs[0].path.span - s < REACHED):
@@ -261,7 +261,7 @@ class Drive(Motion):
             k = math.sqrt(max(1.0, float((np.abs(one.acceleration) / most).max(initial=0.0))))
             one = one if k == 1.0 else timed.sample(self.instants(k * timed.duration) / k)
         one = replace(one, velocity=one.velocity / k, acceleration=one.acceleration / (k * k))
-        if self.dimensions.base == 2:
+        if not self.dimensions.sideways:
             return np.hstack((one.pose, one.velocity, one.acceleration))
         c, s = angles.cos_sin(aside)
         (v, w), (vdot, wdot) = one.velocity.T, one.acceleration.T

@@ -1,4 +1,4 @@
-"""What a robot follows while it runs: takes wishes as they come, and makes the setpoint of every sample.
+"""The follower takes wishes as they come while a robot runs, and makes the setpoint of every sample.
 
 The arithmetic is `guide`'s; here is what base and arm follow at present, since when, and what becomes of it when it is
 over, when nothing more comes, and in a pause.
@@ -176,7 +176,8 @@ class Follower:
             leave_home(part, self.guide)
             is_home(part, self.guide)
             brake(part, measured, self.guide)
-        between(self.sample, self.sample, 0.0, 1.0, self.dimensions.base, self.sample)
+        d = self.dimensions
+        between(self.sample, self.sample, 0.0, 1.0, d.base, d.sideways, self.sample)
         nearest_turn(0.0, 0.0)
         for array in (self.guide.now, self.guide.wanted, self.guide.pace, self.guide.kind, self.guide.home):
             array[:] = 0

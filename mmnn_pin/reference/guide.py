@@ -45,12 +45,13 @@ NEAR = 1e-6  # beyond a joint's end that is none [rad or m]
 
 
 class Guide(NamedTuple):
-    """What makes setpoints: limits as numbers, the wishes, and the reference as it is.
+    """The guide of a robot's reference: limits as numbers, the wishes, and the reference as it is.
 
     A setpoint is flat: pose, velocity, acceleration of the base, q, qdot, qddot of the arm side by side.
 
     Attributes:
         base: (3, nb) largest speeds and accelerations of the base, see `Limits.of_base`.
+        sideways: Whether its velocities are `(vx, vy, w)`.
         wheels: (m, nb) speeds of the wheels by those of the base, over their limits.
         arm: (4, n) limits of the joints, see `Limits.of_arm`.
         ends: (2, n) where the joints' reference must stay [rad or m].
@@ -67,6 +68,7 @@ class Guide(NamedTuple):
     """
 
     base: Array
+    sideways: bool
     wheels: Array
     arm: Array
     ends: Array
@@ -98,6 +100,7 @@ def new_guide(robot: Robot, limits: Limits) -> Guide:
     rows, speeds, arm = robot.E.T[:wheels, : d.base], speed_limits(robot)[:wheels], limits.of_arm(robot)
     return Guide(
         base=limits.of_base(d),
+        sideways=d.sideways,
         wheels=np.ascontiguousarray((rows / speeds[:, None])[np.isfinite(speeds)]),
         arm=arm,
         ends=ends,
@@ -133,7 +136,7 @@ def stand(measured: Array, guide: Guide) -> None:
     copy_to(now, guide.wanted)
     guide.kind[:], guide.fresh[:], guide.home[:] = HOLD, 0, 0
     if nb:
-        take_pace(now, nb, guide.pace)
+        take_pace(now, nb, guide)
 
 
 @compiled
@@ -159,7 +162,7 @@ def brake(part: int, measured: Array, guide: Guide) -> None:
         share = min(max(done / asked, 0.0), 1.0) if asked > 0.0 else 0.0
         for i in range(nb):
             now[3 + i] *= share
-        take_pace(now, nb, guide.pace)
+        take_pace(now, nb, guide)
 
 
 @compiled
@@ -257,28 +260,29 @@ def ramp(measured: Array, dt: float, guide: Guide) -> None:
     if is_led:
         copy_to(measured[:3], now[:3])
     else:
-        roll(now[:3], middle[nb:], dt)
+        roll(now[:3], middle[nb:], guide.sideways, dt)
     for i in range(nb):
         middle[nb + i] = 2.0 * (velocity[i] - middle[nb + i]) / dt if dt > 0.0 else 0.0
-    take_pace(now, nb, guide.pace)
+    take_pace(now, nb, guide)
 
 
 @compiled
-def roll(pose: Array, velocity: Array, dt: float) -> None:
+def roll(pose: Array, velocity: Array, sideways: bool, dt: float) -> None:
     """Move a pose (3,) on by a velocity in its own frame, by the middle of the step."""
     w = velocity[velocity.size - 1]
     middle = pose[2] + 0.5 * w * dt
     c, s = cos_sin(middle)
-    sideways = velocity[1] if velocity.size == 3 else 0.0
-    pose[0] += (c * velocity[0] - s * sideways) * dt
-    pose[1] += (s * velocity[0] + c * sideways) * dt
+    aside = velocity[1] if sideways else 0.0
+    pose[0] += (c * velocity[0] - s * aside) * dt
+    pose[1] += (s * velocity[0] + c * aside) * dt
     pose[2] += w * dt
 
 
 @compiled
-def take_pace(sample: Array, nb: int, pace: Array) -> None:
+def take_pace(sample: Array, nb: int, guide: Guide) -> None:
     """The rates of a pose (3,) that rolls as a sample says, in its own frame."""
-    pace[0], pace[1], pace[2] = sample[3], sample[4] if nb == 3 else 0.0, sample[2 + nb]
+    pace = guide.pace
+    pace[0], pace[1], pace[2] = sample[3], sample[4] if guide.sideways else 0.0, sample[2 + nb]
 
 
 @compiled
@@ -287,7 +291,7 @@ def within_reach(velocity: Array, guide: Guide) -> float:
     nb, over = velocity.size, 1.0
     for i in range(nb):
         over = max(over, abs(velocity[i]) / guide.base[0, i])
-    if nb == 3:
+    if guide.sideways:
         over = max(over, hypot(velocity[0], velocity[1]) / guide.base[0, 0])
     for j in range(guide.wheels.shape[0]):
         speed = 0.0
@@ -360,7 +364,7 @@ def follow_pose(dt: float, guide: Guide) -> None:
     sampled, fresh = guide.kind[BASE] == SAMPLE, guide.fresh[BASE] > 0
     velocity, before = wanted[3 : 3 + nb], now[3 + nb : 3 + 2 * nb]
     if sampled and not fresh:
-        roll(wanted[:3], velocity, dt)
+        roll(wanted[:3], velocity, guide.sideways, dt)
         wanted[3 + nb : 3 + 2 * nb] = 0.0
     stays, exact = guide.home[0] > 0, sampled and guide.exact[0] > 0
     if sampled:
@@ -373,7 +377,7 @@ def follow_pose(dt: float, guide: Guide) -> None:
     guide.home[0] = 1 if stays else 0
     if stays:
         copy_to(wanted[: 3 + 2 * nb], now[: 3 + 2 * nb])
-        take_pace(wanted, nb, guide.pace)
+        take_pace(wanted, nb, guide)
     else:
         for i in range(nb):
             before[i] = before[i] / dt if dt > 0.0 else 0.0
@@ -392,7 +396,7 @@ def is_next(dt: float, guide: Guide) -> bool:
         bend = min(own, guide.base[2, i]) if guide.home[0] > 0 else guide.base[1, i]
         moved = about if i == nb - 1 else along if i == 0 else across
         is_one = is_one and in_one_step(0.0, here, moved, then, bend, dt)
-    return is_one and (nb == 3 or abs(across) <= 0.5 * guide.base[1, 0] * dt * dt + ROUNDING)
+    return is_one and (guide.sideways or abs(across) <= 0.5 * guide.base[1, 0] * dt * dt + ROUNDING)
 
 
 @compiled
@@ -408,7 +412,7 @@ def come_nearer(dt: float, guide: Guide) -> bool:
     for i in range(3):  # along the wanted heading, across it, and about
         speed, ahead, rate, at = wanted[3], c * (x - wanted[0]) + s * (y - wanted[1]), cd * pace[0] - sd * pace[1], 0
         if i == 1:
-            speed, ahead = wanted[4] if nb == 3 else 0.0, c * (y - wanted[1]) - s * (x - wanted[0])
+            speed, ahead = wanted[4] if guide.sideways else 0.0, c * (y - wanted[1]) - s * (x - wanted[0])
             rate = sd * pace[0] + cd * pace[1]
         elif i == 2:
             speed, ahead, rate, at = w, phi - wanted[2], pace[2], nb - 1
@@ -436,7 +440,7 @@ def come_nearer(dt: float, guide: Guide) -> bool:
             change[i] -= (1.0 - share) * now[3 + i]
             now[3 + i] *= share
         now[0], now[1], now[2] = x, y, phi
-        roll(now[:3], now[3 : 3 + nb], dt)
-        take_pace(now, nb, pace)
+        roll(now[:3], now[3 : 3 + nb], guide.sideways, dt)
+        take_pace(now, nb, guide)
         return False
     return is_there

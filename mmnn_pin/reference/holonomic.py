@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
-from ..model.base.holonomic import Holonomic as HolonomicBase
 from .joint import JointProfile
 from .path import BasePath, BaseSamples, times, turned
 from .samples import in_three
 
 
 @dataclass(frozen=True)
-class Holonomic(BasePath):
+class HolonomicPath(BasePath):
     """A path driven while the base turns as it likes.
 
     With the path's world velocity `p = (xdot, ydot)` and the heading `psi`, the velocity in the reference's own frame
@@ -30,14 +29,14 @@ class Holonomic(BasePath):
         TrajectoryError: The path is not one of a mobile base.
     """
 
-    nb: ClassVar[int] = len(HolonomicBase.velocity_names)  # type: ignore[misc]
+    sideways: ClassVar[bool] = True  # type: ignore[misc]
     followable: ClassVar[bool] = True
 
     path: BasePath
     heading: JointProfile | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.path, BasePath) or not self.path.nb:
+        if not isinstance(self.path, BasePath):
             raise TrajectoryError(f"{self.path!r} is not a path of a base", fix="give a Line, an Eight, Waypoints, ...")
 
     def sample(self, t: ArrayLike) -> BaseSamples:

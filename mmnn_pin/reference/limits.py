@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ..errors import ConfigError
-from ..model.base import BY_SIZE
+from ..model.base import kind_of
 from ..model.robot import Robot, speed_limits
 from ..model.robot import limits as limits_of
 from ..settings import Numbers, Settings, one_or_each, require_numbers
@@ -64,7 +64,7 @@ class Limits(Settings, frozen=True):
 
     def of_base(self, dimensions: Dimensions) -> Array:
         """Speeds, accelerations, and accelerations that a motion may bring along of the base's velocities, (3, nb)."""
-        per_velocity, none = BY_SIZE[dimensions.base].per_velocity, math.inf
+        per_velocity, none = kind_of(dimensions).per_velocity, math.inf
         brought = (none if a is None else a for a in (self.acceleration, self.yaw_acceleration))
         rows = [(self.speed, self.yaw_rate), self.accelerations, brought]
         return np.array([per_velocity(*row) for row in rows], float).reshape(3, dimensions.base)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..compiled import compiled, copy_to
 from ..elementary import cos_sin, nearest_turn
 from ..errors import ConfigError, TrajectoryError
-from ..model.base import BY_SIZE
+from ..model.base import kind_of
 from ..signals import Array, Dimensions, IntArray, Setpoint
 from .guide import ARM, AT_REST, BASE, NEAR, Guide, roll
 from .trajectory import Trajectory
@@ -73,7 +73,7 @@ class Motion:
             raise TrajectoryError(f"{duration:g} s in samples of {period:g} s", fix=fix)
         d, t = dimensions, instants(duration, period)
         parts = (*((BASE,) if trajectory.base is not None else ()), *((ARM,) if trajectory.arm else ()))
-        moved = Dimensions(d.base if BASE in parts else 0, d.arm if ARM in parts else 0, d.full, d.motors)
+        moved = replace(d, base=d.base if BASE in parts else 0, arm=d.arm if ARM in parts else 0)
         part = trajectory.table(t, moved)
         table = np.zeros((len(t), d.pose + 2 * d.base + 3 * d.arm))
         start = 0 if BASE in parts else d.pose + 2 * d.base
@@ -128,7 +128,7 @@ class Motion:
 
     @cached_property
     def columns(self) -> slice:
-        """Those of a flat setpoint that it is for."""
+        """The columns of a flat setpoint that the motion is for."""
         q = self.dimensions.pose + 2 * self.dimensions.base
         return slice(0 if BASE in self.parts else q, None if ARM in self.parts else q)
 
@@ -168,7 +168,7 @@ class Motion:
             row = self.table[k]
         else:
             k, row = int(place), self.room
-            between(self.table[k], self.table[k + 1], place - k, self.period, d.base, row)
+            between(self.table[k], self.table[k + 1], place - k, self.period, d.base, d.sideways, row)
         wanted[self.columns] = row[self.columns]
         if self.is_moved:
             x, y, turn = self.shift
@@ -181,7 +181,7 @@ class Motion:
         return place <= last + ON_SAMPLE
 
     def placed(self, pose: Array, velocity: Array | None = None) -> Motion:
-        """The same, its path beginning at a pose (3,) where it is to start from here.
+        """The motion with its path beginning at a pose (3,), where it is to start from here.
 
         Args:
             pose: Of the reference.
@@ -196,7 +196,7 @@ class Motion:
         return replace(self, from_here=False, shift=shift)
 
     def at_nearest_turn(self, now: Array, is_endless: IntArray) -> Self:
-        """The same, moved by whole turns to begin near a reference.
+        """The motion, moved by whole turns to begin near a reference.
 
         Args:
             now: Flat setpoint.
@@ -218,7 +218,7 @@ def instants(duration: float, period: float) -> Array:
 
 
 @compiled
-def between(a: Array, b: Array, share: float, period: float, nb: int, sample: Array) -> None:
+def between(a: Array, b: Array, share: float, period: float, nb: int, sideways: bool, sample: Array) -> None:
     """A sample between two (w,): cubics of the joints by their rates; the base rolls as its velocity changes.
 
     Args:
@@ -227,6 +227,7 @@ def between(a: Array, b: Array, share: float, period: float, nb: int, sample: Ar
         share: Of the period since the former.
         period: Between the two [s].
         nb: Base velocities.
+        sideways: Whether they are `(vx, vy, w)`.
         sample: (w,) the result.
     """
     pose, dt = 3 if nb else 0, share * period
@@ -236,7 +237,7 @@ def between(a: Array, b: Array, share: float, period: float, nb: int, sample: Ar
         for i in range(nb):
             change = (b[pose + i] - a[pose + i]) / period
             sample[pose + i], sample[pose + nb + i] = a[pose + i] + 0.5 * change * dt, change
-        roll(sample[:3], sample[pose : pose + nb], dt)
+        roll(sample[:3], sample[pose : pose + nb], sideways, dt)
         for i in range(nb):
             sample[pose + i] = a[pose + i] + sample[pose + nb + i] * dt
     for i in range(q, q + n):
@@ -279,7 +280,7 @@ def require_within(motion: Motion, guide: Guide, names: Sequence[str], start: Ar
         ConfigError: The joint or the velocity that is, and by how much.
     """
     d = motion.dimensions
-    setpoints, nb = Setpoint.side_by_side(motion.table, d), d.base
+    setpoints = Setpoint.side_by_side(motion.table, d)
     if ARM in motion.parts:
         away = np.maximum(guide.ends[0] - setpoints.q, setpoints.q - guide.ends[1])  # turns have no ends
         away = np.maximum(away - np.maximum(guide.ends[0] - start, start - guide.ends[1]).clip(0.0) - NEAR, 0.0)
@@ -296,7 +297,7 @@ def require_within(motion: Motion, guide: Guide, names: Sequence[str], start: Ar
         require_slower(fastest, guide.arm[0], names, "/s", "joint_speed")
         require_slower(motion.bends, guide.arm[3], names, "/s^2", "joint_acceleration", slack=BETWEEN)
     if BASE in motion.parts:
-        names, v, a = BY_SIZE[nb].velocity_names, setpoints.velocity, setpoints.acceleration
+        names, v, a = kind_of(d).velocity_names, setpoints.velocity, setpoints.acceleration
         for limit, found, kind in ((guide.base[0], v, ("speed", "yaw_rate")), (guide.base[2], a, BENDS)):
             keys = [kind[name == "w"] for name in names]
             require_slower(np.abs(found).max(axis=0), limit, names, "/s" if found is v else "/s^2", *keys)

@@ -1,4 +1,4 @@
-"""What paths of the base are made of: a curve driven with a smooth progress, differentiated by the chain rule.
+"""Paths of the base: a curve driven with a smooth progress, differentiated by the chain rule.
 
 The paths of a differential drive are curves `(x(s), y(s))` driven with a smooth `s(t)`. With `g = |d(x, y)/ds|`
 (negative when driven tail first) and heading `phi(s)`:
@@ -47,11 +47,11 @@ class BasePath(ABC):
     """A motion of the base.
 
     Attributes:
-        nb: Number of base velocities, 2 for a differential drive, 3 for a holonomic base.
+        sideways: Whether its velocities are `(vx, vy, w)`, of a base that moves sideways, and not `(v, w)`.
         followable: True for a path that the base can follow by construction; others are checked when sampled.
     """
 
-    nb: int = 2
+    sideways: bool = False
     followable: ClassVar[bool] = False
 
     @abstractmethod
@@ -257,7 +257,7 @@ class Eight(BasePath):
 
     @property
     def span(self) -> float:
-        """What one lap adds to its parameter."""
+        """The parameter's growth over one lap [rad]."""
         return float(np.copysign(2 * np.pi, self.period))
 
     def curve(self, s: Array) -> Curve:
@@ -312,7 +312,7 @@ def turned(point: tuple[Array, Array], angle: ArrayLike) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Pieces:
+class Bends:
     """Bends (a straight is a bend of turn 0) one after the other; each field is (m,)."""
 
     s: Array  # path length at the start
@@ -370,7 +370,7 @@ class Waypoints(BasePath):
             )
 
     @cached_property
-    def _pieces(self) -> Pieces:
+    def _pieces(self) -> Bends:
         return rounded(np.asarray(self.points, float), self.radius)
 
     @property
@@ -380,7 +380,7 @@ class Waypoints(BasePath):
 
     @property
     def span(self) -> float:
-        """What the path adds to its parameter, its length [m]."""
+        """The parameter's growth over the whole path, its length [m]."""
         return self.length
 
     @property
@@ -408,7 +408,7 @@ class Waypoints(BasePath):
         return Curve(p.x[i] + length * x, p.y[i] + length * y, phi, np.full_like(s, forward), 0, k, dk)
 
 
-def rounded(points: Array, radius: float) -> Pieces:
+def rounded(points: Array, radius: float) -> Bends:
     """Straights and bends along points (k, 2), none of them sharper than `radius`.
 
     Raises:
@@ -438,7 +438,7 @@ def rounded(points: Array, radius: float) -> Pieces:
     return _chain(points[0], heading, legs, turns, reach * radius, radius)
 
 
-def _chain(start: Array, first: float, legs: Array, turns: Array, reach: Array, radius: float) -> Pieces:
+def _chain(start: Array, first: float, legs: Array, turns: Array, reach: Array, radius: float) -> Bends:
     """Alternating straights and bends from a point (2,) and a heading; empty ones are left out."""
     straight = legs - np.append(reach, 0) - np.append(0, reach)
     length, turn = np.zeros(2 * len(legs) - 1), np.zeros(2 * len(legs) - 1)
@@ -447,4 +447,4 @@ def _chain(start: Array, first: float, legs: Array, turns: Array, reach: Array, 
     dx, dy = (length * part for part in turned(bend(1.0, turn), heading))
     x, y, s = start[0] + np.cumsum(dx) - dx, start[1] + np.cumsum(dy) - dy, np.cumsum(length) - length
     keep = length > 1e-9
-    return Pieces(s[keep], length[keep], x[keep], y[keep], heading[keep], turn[keep])
+    return Bends(s[keep], length[keep], x[keep], y[keep], heading[keep], turn[keep])

@@ -88,7 +88,7 @@ class Leg:
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """What a planner asks of a base.
+    """The route that a planner asks of a base.
 
     Args:
         legs: Ways from rest to rest; none where all poses are in one place.
@@ -139,7 +139,7 @@ def leg_of(points: Array, headings: Array) -> Leg:
 
 
 def onward(points: Array) -> Array:
-    """Those of points (k, 2) that come further than all before, along a polygon through their corners."""
+    """The points of (k, 2) that come further than all before, along a polygon through their corners."""
     kept = corners(points, FOLD)
     on = np.isin(np.arange(len(points)), kept)
     for first, last in pairwise(kept):

@@ -18,8 +18,6 @@ from numpy.typing import ArrayLike
 from ..elementary.arrays import cos_sin
 from ..errors import TrajectoryError
 from ..files import LARGEST, read_bytes, reason
-from ..model.base import BY_SIZE
-from ..model.base.holonomic import moves_sideways
 from ..signals import Array
 from .joint import require_clock, within
 from .path import BasePath, BaseSamples, require_finite, times
@@ -34,7 +32,7 @@ SEPARATORS = ",;\t"  # of cells; the one that the first line has most of
 
 
 @dataclass(frozen=True, eq=False)
-class Table(BasePath):
+class BaseTable(BasePath):
     """A reference given by samples, from any planner; between them the pose is a cubic Hermite spline.
 
     Args:
@@ -55,11 +53,7 @@ class Table(BasePath):
 
     def __post_init__(self) -> None:
         time, pose, velocity = (np.array(part, float) for part in (self.time, self.pose, self.velocity))
-        if (
-            time.ndim != 1
-            or pose.shape != (len(time), 3)
-            or velocity.shape not in ((len(time), nb) for nb in BY_SIZE if nb)
-        ):
+        if time.ndim != 1 or pose.shape != (len(time), 3) or velocity.shape not in ((len(time), 2), (len(time), 3)):
             raise TrajectoryError(
                 f"samples of shapes {time.shape}, {pose.shape}, {velocity.shape}",
                 fix="give (N,), (N, 3), (N, 2) or (N, 3)",
@@ -68,13 +62,13 @@ class Table(BasePath):
         require_clock(time)
         pose[:, 2] = np.unwrap(pose[:, 2])
         check_followable(time, pose, velocity)
-        object.__setattr__(self, "nb", velocity.shape[1])
+        object.__setattr__(self, "sideways", has_vy(velocity))
         for name, part in (("time", time), ("pose", pose), ("velocity", velocity)):
             part.flags.writeable = False
             object.__setattr__(self, name, part)
 
     @classmethod
-    def read(cls, file: str | Path) -> Table:
+    def read(cls, file: str | Path) -> BaseTable:
         """Table from a CSV file with the columns `t, x, y, phi, v, w`, in any order, others ignored.
 
         Cells are separated by commas, semicolons or tabs.
@@ -85,9 +79,9 @@ class Table(BasePath):
         Raises:
             TrajectoryError: A column is missing or a value is not a number (with the line), or as for the class.
         """
-        found = Columns.read(file, ("t", "x", "y", "phi"))
+        found = TableColumns.read(file, ("t", "x", "y", "phi"))
         with found.blamed():
-            return found.table(3 if "vy" in found else 2)
+            return found.table("vy" in found)
 
     @property
     def duration(self) -> float:
@@ -114,35 +108,40 @@ class Table(BasePath):
         return BaseSamples(t, pose(at), velocity(at), velocity(at, 1))
 
 
+def has_vy(velocity: Array) -> bool:
+    """Whether velocities of a base are `(vx, vy, w)`, (N, 3), and not `(v, w)`, (N, 2)."""
+    return velocity.shape[1] == 3
+
+
 def in_three(velocity: Array) -> tuple[Array, Array, Array]:
     """Columns vx, vy, w of base velocities (N, nb); vy = 0 for a differential drive."""
     vx, w = velocity[:, 0], velocity[:, -1]
-    return vx, velocity[:, 1] if moves_sideways(velocity.shape[1]) else np.zeros_like(vx), w
+    return vx, velocity[:, 1] if has_vy(velocity) else np.zeros_like(vx), w
 
 
-def velocities(time: Array, pose: Array, nb: int) -> Array:
-    """Base velocities (N, nb) of poses (N, 3) at some times (N,): the slope of a cubic spline, in the pose's frame."""
+def velocities(time: Array, pose: Array, sideways: bool) -> Array:
+    """Base velocities (N, 2 or 3) of poses (N, 3) at times (N,): the slope of a cubic spline, in the pose's frame."""
     from scipy.interpolate import CubicSpline  # slow to import, seldom needed
 
     rate = CubicSpline(time, pose)(time, 1)
     c, s = cos_sin(pose[:, 2])
-    forward, sideways = rate[:, 0] * c + rate[:, 1] * s, rate[:, 1] * c - rate[:, 0] * s
-    return np.stack([forward, sideways, rate[:, 2]] if moves_sideways(nb) else [forward, rate[:, 2]], axis=1)
+    forward, aside = rate[:, 0] * c + rate[:, 1] * s, rate[:, 1] * c - rate[:, 0] * s
+    return np.stack([forward, aside, rate[:, 2]] if sideways else [forward, rate[:, 2]], axis=1)
 
 
-def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, nb: int) -> Table:
+def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, sideways: bool) -> BaseTable:
     """A table of poses, with their own velocities where none are given.
 
     Raises:
-        TrajectoryError: As of `Table`.
+        TrajectoryError: As of `BaseTable`.
     """
     t, poses = np.array(time, float), np.array(pose, float)
     if velocity is not None or t.ndim != 1 or poses.shape != (len(t), 3):
-        return Table(t, poses, np.zeros((len(t), nb)) if velocity is None else np.array(velocity, float))
+        return BaseTable(t, poses, np.zeros((len(t), 2 + sideways)) if velocity is None else np.array(velocity, float))
     require_finite(time=t, pose=poses)
     require_clock(t)
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return Table(t, poses, velocities(t, poses, nb))
+    return BaseTable(t, poses, velocities(t, poses, sideways))
 
 
 def require_within(
@@ -173,7 +172,7 @@ def require_within(
         raise TrajectoryError(what, fix=fix, file=file, line=line)
 
 
-class Columns(Mapping[str, Array]):
+class TableColumns(Mapping[str, Array]):
     """The columns of a CSV file by the names in its first line, (N,) each, read when they are asked for.
 
     What a name has in square brackets behind it, a unit, is left out.
@@ -188,7 +187,7 @@ class Columns(Mapping[str, Array]):
         self.file, self._heads, self._lines = file, list(heads), lines
 
     @classmethod
-    def read(cls, file: str | Path, needed: Sequence[str] = ("t",)) -> Columns:
+    def read(cls, file: str | Path, needed: Sequence[str] = ("t",)) -> TableColumns:
         """The columns of a file.
 
         Raises:
@@ -230,15 +229,15 @@ class Columns(Mapping[str, Array]):
     def __contains__(self, name: object) -> bool:
         return name in self._heads
 
-    def table(self, nb: int) -> Table:
-        """The base's: `x, y, phi`, and `v, w` or `vx, vy, w` where they are there; errors as of `Table`."""
-        names = ("vx", "vy", "w") if moves_sideways(nb) else ("v", "w")
+    def table(self, sideways: bool) -> BaseTable:
+        """The base's: `x, y, phi`, and `v, w` or `vx, vy, w` where they are there; errors as of `BaseTable`."""
+        names = ("vx", "vy", "w") if sideways else ("v", "w")
         missing = [name for name in names if name not in self]
         if missing and len(missing) < len(names):
             fix = f"give {', '.join(names)}, or none of them and the poses' own are taken"
             raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=self.file, line=1)
         given = None if missing else np.stack([self[n] for n in names], axis=1)
-        return table_of(self["t"], np.stack([self[n] for n in ("x", "y", "phi")], axis=1), given, nb)
+        return table_of(self["t"], np.stack([self[n] for n in ("x", "y", "phi")], axis=1), given, sideways)
 
     def require_seconds(self, unit: str) -> None:
         """Refuse times that another unit is written behind, or that look like milliseconds and have none.
@@ -315,7 +314,7 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
     forward, sideways = rate[:, 0] * cos + rate[:, 1] * sin, rate[:, 1] * cos - rate[:, 0] * sin
     if tolerance is None:
         tolerance = max(1e-3, 0.02 * float(max(abs(rate).max(), abs(velocity).max())))
-    holonomic = moves_sideways(velocity.shape[1])
+    holonomic = has_vy(velocity)
     worst = int(np.argmax(abs(sideways)))
     if not holonomic and abs(sideways[worst]) > tolerance:
         raise TrajectoryError(
@@ -338,7 +337,7 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
 
 
 def warnings(samples: BaseSamples, speed: float = 1e-3, duration: float = 0.5) -> list[str]:
-    """What is allowed but should be known: stretches where the kinematic law does not stabilise the base.
+    """Warnings of stretches where the kinematic law does not stabilise the base.
 
     With `vr = 0` Kanayama's law, thesis (3.3), leaves the lateral and the heading error without feedback.
 
@@ -347,7 +346,7 @@ def warnings(samples: BaseSamples, speed: float = 1e-3, duration: float = 0.5) -
         speed: `|vr|` below this counts as standing [m/s].
         duration: Shorter stretches are passed over [s].
     """
-    if samples.velocity.shape[1] != 2 or not len(samples.t):
+    if has_vy(samples.velocity) or not len(samples.t):
         return []
     standing = np.concatenate([[False], abs(samples.velocity[:, 0]) < speed, [False]])
     starts, ends = np.flatnonzero(np.diff(standing.astype(int))).reshape(-1, 2).T

@@ -42,7 +42,7 @@ class Drivable(Protocol):
 
     @property
     def span(self) -> float:
-        """What the whole of it adds to its parameter; negative against it."""
+        """The parameter's growth over the whole curve; negative where it is driven against it."""
 
     def curve(self, s: Array) -> Curve:
         """The geometry at s (k,)."""

@@ -1,4 +1,4 @@
-"""What the whole robot should do: setpoints, from a path of the base and profiles of the arm's joints.
+"""Trajectories of the whole robot: setpoints from a path of the base and profiles of the arm's joints.
 
 A `SetpointSource` says at every sample where the robot should be. A `Trajectory` is one, which also knows it ahead:
 `Trajectory.table` samples it for a loop, so that nothing of it is computed between the steps.
@@ -13,30 +13,29 @@ from dataclasses import dataclass
 from difflib import SequenceMatcher
 from html import escape
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import TrajectoryError, UnknownName
-from ..model.base import BY_SIZE
-from ..model.base.holonomic import moves_sideways
+from ..errors import LENGTH, TrajectoryError, UnknownName
 from ..model.robot import Robot
 from ..settings.arguments import checked, require_types
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
-from .holonomic import Holonomic
+from .holonomic import HolonomicPath
 from .joint import Hold, JointProfile, JointTable, Points
 from .path import BasePath, Line, Waypoints, require_positive, times
-from .samples import Columns, check_followable, require_within, table_of
+from .samples import TableColumns, check_followable, require_within, table_of
 
 
 class SetpointSource(Protocol):
-    """What says where the robot should be, sample by sample: a trajectory, a planner, a joystick, ..."""
+    """A source of setpoints, sample by sample: a trajectory, a planner, a joystick, ..."""
 
     def write(self, time: float, measurement: Measurement, setpoint: Setpoint) -> None:
         """Write the setpoint of a time [s] in place, knowing what is measured."""
 
 
+@runtime_checkable
 class Watched(Protocol):
     """Frames that a trajectory takes along paths: where they should be and where they are, signals of a recording."""
 
@@ -45,7 +44,7 @@ class Watched(Protocol):
         """Their names, and whether they should also be turned as the path says."""
 
     def writer(self, robot: Robot, layout: Layout) -> Callable[[Array], None]:
-        """What writes `hand_ref` and `hand` into rows (k, width) of a robot's run."""
+        """A function that writes `hand_ref` and `hand` into rows (k, width) of a robot's run."""
 
 
 POSITION_WORDS = {"position", "positions", "pos", "q", "angle", "joint", "measured", "actual"}
@@ -55,7 +54,7 @@ STANDING = 5.0  # time of an arm's motion where no base says one [s]
 
 @dataclass(frozen=True, repr=False)
 class Trajectory:
-    """What the whole robot should do over time: a source of setpoints that knows them ahead.
+    """A motion of the whole robot over time: a source of setpoints that knows them ahead.
 
     Made of a path and profiles; or by `of`, `from_waypoints`, `from_arrays` or `from_csv`, which know the robot: parts
     that you do not give stand still, the arm where it rests and the base at the origin.
@@ -121,8 +120,8 @@ class Trajectory:
         if base is not None and not nb:
             raise TrajectoryError(f"a path for {robot.name}", why="its base does not move", fix="leave it out")
         path = Line(0.0) if base is None and nb else base
-        if path is not None and moves_sideways(nb) and path.nb != nb:
-            path = Holonomic(path)
+        if path is not None and robot.dimensions.sideways and not path.sideways:
+            path = HolonomicPath(path)
         return cls(path, tuple(joints.get(name) or Hold(float(at[name])) for name in robot.joint_names))
 
     @classmethod
@@ -194,7 +193,7 @@ class Trajectory:
         """
         if pose is not None and not robot.dimensions.base:
             raise TrajectoryError(f"poses for {robot.name}", why="its base does not move", fix="leave pose out")
-        path = None if pose is None else table_of(time, pose, velocity, robot.dimensions.base)
+        path = None if pose is None else table_of(time, pose, velocity, robot.dimensions.sideways)
         joints = {} if q is None else positions_of(robot, q)
         rates = {} if qdot is None else joints_of(robot, qdot)
         clock = np.asarray(time, float)
@@ -216,7 +215,7 @@ class Trajectory:
 
         Columns of other names are left alone, but not one that looks like a joint which has none.
         """
-        found, nb = Columns.read(file), robot.dimensions.base
+        found, nb = TableColumns.read(file), robot.dimensions.base
         names = {name: f"position.{name}" for name in robot.joint_names}
         for head in found:
             kind, _, joint = head.partition(".")
@@ -244,7 +243,7 @@ class Trajectory:
                 found.require_within(columns[name], robot.lower[i], robot.upper[i])
         with found.blamed():
             arm = {name: JointTable(found["t"], at, rates[name]) for name, at in joints.items()}
-            return cls.of(robot, found.table(nb) if moves else None, arm)
+            return cls.of(robot, found.table(robot.dimensions.sideways) if moves else None, arm)
 
     @property
     def duration(self) -> float:
@@ -300,16 +299,18 @@ class Trajectory:
             rates /= self.slowness * self.slowness
 
     def _require_fit(self, layout: Dimensions) -> None:
-        nb = self.base.nb if self.base is not None else 0
-        if nb != layout.base:
+        given = None if self.base is None else self.base.sideways
+        if given != (layout.sideways if layout.base else None):
+            names = {None: "no velocities", False: "(v, w)", True: "(vx, vy, w)"}
             raise TrajectoryError(
-                f"a base path of {nb} velocities for a base of {layout.base}",
-                why=", ".join(f"{size}: {kind.words}" for size, kind in sorted(BY_SIZE.items())),
+                f"a base path of {names[given]} for a base of {names[layout.sideways if layout.base else None]}",
                 fix="choose a path made for this base" if layout.base else "leave the base path out",
             )
         if len(self.arm) != layout.arm:
             raise TrajectoryError(
-                f"{len(self.arm)} arm profiles for {layout.arm} arm joints", fix=f"give {layout.arm} of them"
+                f"{len(self.arm)} arm profiles for {layout.arm} arm joints",
+                fix=f"give {layout.arm} of them",
+                code=LENGTH,
             )
 
 

@@ -1,4 +1,4 @@
-"""What a robot may be asked to do while it runs, beside a full `Setpoint` per sample; `guide` makes setpoints of it.
+"""Wishes for a robot that runs, beside a full `Setpoint` per sample; `guide` makes setpoints of them.
 
     HOLD                              brake and stand
     BaseVelocity((0.3, 0.1))          what a joystick or a navigation stack sends

@@ -14,14 +14,13 @@ control sample, and asks `may_learn` whether the controller is still to be asked
 from .door import accept, release
 from .settings import Safety, new_state, no_supervisor, remarks, trip_of
 from .supervisor import (
-    HAS_TRIPPED,
     RAMPING,
     RUNNING,
-    SHORT,
     STEPPED_IN,
     STOPPING,
     TRIPPED,
     Supervisor,
+    SupervisorState,
     has_ended,
     may_learn,
     press,
@@ -29,15 +28,14 @@ from .supervisor import (
 )
 
 __all__ = [
-    "HAS_TRIPPED",
     "RAMPING",
     "RUNNING",
-    "SHORT",
     "STEPPED_IN",
     "STOPPING",
     "TRIPPED",
     "Safety",
     "Supervisor",
+    "SupervisorState",
     "accept",
     "has_ended",
     "may_learn",

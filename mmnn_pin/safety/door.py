@@ -14,27 +14,14 @@ from ..compiled import compiled, copy_to, internal, linked
 from ..elementary import cos_sin, nearest_turn
 from ..signals import INDEX, Array, IntArray
 from .supervisor import (
-    ACTED,
-    ARRIVED,
-    BAD,
-    BLIND,
-    COMMANDED,
     CONTRADICTION,
     DRIFT,
     EXPLAINS,
-    FRESH,
-    GIVEN_UP,
-    GOOD,
-    HAS_TRIPPED,
-    HEARD,
-    HELD,
     IS_FREE,
     JUMP,
     JUMPED,
-    LIMIT,
     LOWER,
     OFFSET,
-    PERIOD,
     PLAUSIBLE,
     TURN,
     UPPER,
@@ -65,20 +52,20 @@ def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, door
     state, message, measured, fine = door.state, door.message, row[at[POSE] : at[QDOT + 1]], True
     for i in range(measured.size):
         fine = fine and math.isfinite(measured[i])
-    state[HELD] = 0.0 if fine else 1.0
+    state.held[0] = 0.0 if fine else 1.0
     if not fine or not is_new:
         if not fine and is_new:
-            state[BAD] += 1.0
+            state.bad[0] += 1.0
         copy_to(message, measured)
         return
     n = door.joints.shape[1]
-    if state[GOOD] > 0.0:
+    if state.good[0] > 0.0:
         go_on(measured, time, now, door)
     else:
         for i in range(n):
             measured[measured.size - 2 * n + i] = between_ends(measured[measured.size - 2 * n + i], i, door)
     copy_to(measured, message)
-    state[HEARD], state[ARRIVED], state[GOOD] = time, now, state[GOOD] + 1.0
+    state.heard[0], state.arrived[0], state.good[0] = time, now, state.good[0] + 1.0
 
 
 def release(time: float, supervisor: Supervisor) -> bool:
@@ -87,10 +74,11 @@ def release(time: float, supervisor: Supervisor) -> bool:
     Joints are where they are read then, jumps included.
     """
     state, door, n = supervisor.state, supervisor.door, supervisor.place.size
-    if state[GOOD] == 0.0 or time - state[ARRIVED] > supervisor.numbers[FRESH]:
+    if state.good[0] == 0.0 or time - state.arrived[0] > supervisor.numbers.fresh:
         return False
-    state[HAS_TRIPPED : LIMIT + 1] = 0.0
-    state[COMMANDED], state[ACTED], state[BLIND], state[GIVEN_UP], state[PERIOD] = time, 0.0, -1.0, 0.0, 0.0
+    for mark in (state.tripped, state.time, state.code, state.place, state.value, state.limit):
+        mark[0] = 0.0
+    state.commanded[0], state.acted[0], state.blind[0], state.given_up[0], state.period[0] = time, 0.0, -1.0, 0.0, 0.0
     for i in range(n):
         q, j = door.message.size - 2 * n + i, door.rows.shape[1] - n + i
         if door.sense[OFFSET, j] != 0.0:
@@ -123,7 +111,7 @@ def go_on(measured: Array, time: float, now: float, door: Door) -> None:
         door: The supervisor's.
     """
     message, joints, sense, n = door.message, door.joints, door.sense, door.joints.shape[1]
-    first, nb, dt = measured.size - 2 * n, door.rows.shape[1] - n, max(time - door.state[HEARD], 0.0)
+    first, nb, dt = measured.size - 2 * n, door.rows.shape[1] - n, max(time - door.state.heard[0], 0.0)
     keep = max(0.0, 1.0 - dt / MEMORY)
     if nb > 0:
         ahead = min(max(dt * message[first - 1], -FARTHEST), FARTHEST)
@@ -158,7 +146,7 @@ def compare_base(measured: Array, dt: float, keep: float, nb: int, door: Door) -
         step = measured[2] - message[2]
         if i == 0:
             step = c * x + s * y
-        elif i == 1 and nb == 3:
+        elif i == 1 and door.sideways:
             step = c * y - s * x
         sense[DRIFT, i] = keep * (sense[DRIFT, i] + unexplained(step, dt * message[3 + i], dt * measured[3 + i]))
 

@@ -8,22 +8,14 @@ from typing import Any, Literal
 import numpy as np
 
 from ..elementary.matrices import pseudo_inverse
-from ..model.base import BY_SIZE
 from ..model.robot import Robot, limits, revolute, speed_limits
 from ..model.tree.twin import Twin
 from ..settings import Numbers, Settings, require_numbers
 from ..signals import Array, Dimensions, IntArray
 from .supervisor import (
-    BAD,
     BAD_WEIGHTS,
-    BLIND,
-    CODE,
-    COMMANDED,
     DEAF,
-    HAS_TRIPPED,
-    HEARD,
     JUMPED,
-    LIMIT,
     LOST,
     MARKS,
     OFF_HEADING,
@@ -32,14 +24,12 @@ from .supervisor import (
     OVER_SPEED,
     OVER_TORQUE,
     OVER_WHEEL,
-    PLACE,
     PRESSED,
-    REFUSED,
-    TIME,
     TOO_SLOW,
-    VALUE,
     Door,
     Supervisor,
+    SupervisorNumbers,
+    SupervisorState,
 )
 
 MAY_BE_ZERO = ("torque_time", "stop_time", "settle", "hold_rate", "ramp")
@@ -121,8 +111,7 @@ class Safety(Settings, frozen=True):
         gains: Array,
         K: Array,
         *,
-        short: bool = False,
-        brakes: bool = True,
+        brakes: Literal["base", "some", "none"] = "some",
         arrivals: float = 0.0,
         weights: IntArray | None = None,
         values: Array | None = None,
@@ -134,8 +123,7 @@ class Safety(Settings, frozen=True):
             period: Control period [s].
             gains: (p,) feedback that brakes and holds, on the velocities.
             K: (n,) gain of the filtered arm error.
-            short: Whether shorted windings brake the base.
-            brakes: Whether they brake anything; else nothing does but feedback.
+            brakes: What shorted windings brake: the base, some velocities, or none, and then only feedback brakes.
             arrivals: Time between two measurements [s]; 0 for the control period.
             weights: (k, 2) start and stop of every array of weights in the controller's state; None for none.
             values: State, from `new_state`; None for a new one.
@@ -146,9 +134,9 @@ class Safety(Settings, frozen=True):
         layout, arm = robot.dimensions, robot.arm_index
         position, heading, bound = some(self.position_error), some(self.heading_error), some(self.weights)
         numbers = [self.timeout, self.ramp, self.stop_time, self.torque_time, position, heading, bound]
-        numbers += [self._calm_rate(robot, gains), period, self.settle if brakes else math.inf, self.rest]
-        numbers += [float(short), FRESH * (arrivals or period), some(self.slowest)]
-        base = BY_SIZE[layout.base].per_velocity(some(self.speed), some(self.yaw_rate))
+        numbers += [self._calm_rate(robot, gains), period, math.inf if brakes == "none" else self.settle, self.rest]
+        numbers += [float(brakes == "base"), FRESH * (arrivals or period), some(self.slowest)]
+        base = robot.base.per_velocity(some(self.speed), some(self.yaw_rate))
         wheels, turns, none = layout.motors - layout.arm, revolute(robot)[arm], np.full(layout.arm, np.inf)
         urdf = speed_limits(robot)
         joint_speed = limits(self.joint_speed, urdf[wheels:], "joint", "safety.joint_speed")
@@ -163,12 +151,14 @@ class Safety(Settings, frozen=True):
         speed = np.array([*base, *joint_speed], float)
         joints = [math.tau * turns, robot.lower[arm], robot.upper[arm], fastest, jump, np.isinf(joint_speed)]
         rows = [contradiction, np.where(np.isfinite(contradiction), speed, np.inf)]
-        arrays = [numbers, torque, speed, gains, error, K, wheel_speed, robot.E, pseudo_inverse(robot.E)]
+        arrays = [torque, speed, gains, error, K, wheel_speed, robot.E, pseudo_inverse(robot.E)]
         fixed = [np.array(array, float, order="C") for array in arrays]
         places = np.zeros((0, 2), np.int64) if weights is None else weights
         *state, sense = views(new_state(layout) if values is None else values, layout)
-        door = Door(np.array(joints, float), np.array(rows, float), state[2], state[1], sense)
-        return Supervisor._make([True, *fixed[:7], door, *fixed[7:], places, *state])
+        door = Door(np.array(joints, float), np.array(rows, float), state[2], state[1], sense, layout.sideways)
+        return Supervisor._make(
+            [True, SupervisorNumbers(*map(float, numbers)), *fixed[:6], door, *fixed[6:], places, *state]
+        )
 
     def _calm_rate(self, robot: Robot, gains: Array) -> float:
         """`M qddot = g (K (e + I) - qdot)`, `Idot = rate e` is stable for `rate < g / M` (Routh); half at most."""
@@ -183,10 +173,11 @@ def some(value: float | str | None) -> float:
 
 
 def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
-    """What stands in a run that nobody supervises; it has a state (`new_state`) all the same."""
+    """The supervisor of a run without one: it is off, and has a state (`new_state`) all the same."""
     nothing, none = np.zeros(0), np.zeros((0, 0))
     *state, sense = views(values, layout)
-    numbers: list[Any] = [False, *[nothing] * 7, Door(none, none, state[2], state[1], sense), none, none]
+    zeros = SupervisorNumbers(*[0.0] * len(SupervisorNumbers._fields))
+    numbers: list[Any] = [False, zeros, *[nothing] * 6, Door(none, none, state[2], state[1], sense, False), none, none]
     return Supervisor._make([*numbers, np.zeros((0, 2), np.int64), *state])
 
 
@@ -194,26 +185,32 @@ def new_state(layout: Dimensions, start: float = 0.0) -> Array:
     """State of a supervisor before its first measurement at a time [s]."""
     message = layout.pose + layout.base + 2 * layout.arm
     values = np.zeros(MARKS + message + 6 * layout.dof + layout.motors + 2 * layout.arm)
-    values[HEARD] = values[COMMANDED] = start
-    values[BLIND] = -1.0
+    state = marks_of(values)
+    state.heard[0] = state.commanded[0] = start
+    state.blind[0] = -1.0
     return values
 
 
-def views(values: Array, layout: Dimensions) -> list[Array]:
+def views(values: Array, layout: Dimensions) -> list[Any]:
     """A supervisor's state and views of its parts, in the order of `Supervisor`, and the sense of its door."""
     message, p, n = layout.pose + layout.base + 2 * layout.arm, layout.dof, layout.arm
-    *parts, sense = np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n, p]))
-    return [values, *parts, sense.reshape(4, p)]
+    _, *parts, sense = np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n, p]))
+    return [values, marks_of(values), *parts, sense.reshape(4, p)]
 
 
-def trip_of(state: Array, robot: Robot) -> tuple[float, str, str]:
+def marks_of(values: Array) -> SupervisorState:
+    """The single numbers at the beginning of a supervisor's state."""
+    return SupervisorState._make(values[i : i + 1] for i in range(MARKS))
+
+
+def trip_of(state: SupervisorState, robot: Robot) -> tuple[float, str, str]:
     """When a run tripped [s], the signal that passed its limit, and a line that says by how much.
 
     Args:
-        state: Of the supervisor, (MARKS,) or all of it.
+        state: Of the supervisor.
         robot: The robot.
     """
-    code, i, time = int(state[CODE]), int(state[PLACE]), float(state[TIME])
+    code, i, time = int(state.code[0]), int(state.place[0]), float(state.time[0])
     if code == BAD_WEIGHTS:
         return time, f"weights[{i}]", f"tripped at t = {time:g} s: weights are not finite"
     if code == PRESSED:
@@ -222,7 +219,7 @@ def trip_of(state: Array, robot: Robot) -> tuple[float, str, str]:
     names |= {OVER_WHEEL: robot.actuator_names, JUMPED: robot.joint_names}
     name = names[code][i] if code in names else ""
     unit = SLIDING[code] if name and slides(robot, name) else UNIT[code]
-    value, limit, nb = state[VALUE], state[LIMIT], robot.dimensions.base
+    value, limit, nb = state.value[0], state.limit[0], robot.dimensions.base
     if code == TOO_SLOW:
         what = f"the control period is {1e3 * value:.3g} ms, and it may be {1e3 * limit:.3g} ms"
         return time, SIGNAL[code], f"tripped at t = {time:g} s: {what}"
@@ -242,10 +239,10 @@ def slides(robot: Robot, name: str) -> bool:
     return str(kind).startswith(("JointModelP", "JointModelMimicP"))
 
 
-def remarks(state: Array, robot: Robot, status: str) -> list[str]:
+def remarks(state: SupervisorState, robot: Robot, status: str) -> list[str]:
     """Lines on a run that ended with a status: what was refused, and that it had tripped before."""
-    lines = [trip_of(state, robot)[2]] if state[HAS_TRIPPED] and status != "tripped" else []
-    for place, kind in ((BAD, "measurement"), (REFUSED, "command")):
-        if count := int(state[place]):
+    lines = [trip_of(state, robot)[2]] if state.tripped[0] and status != "tripped" else []
+    for refused, kind in ((state.bad, "measurement"), (state.refused, "command")):
+        if count := int(refused[0]):
             lines.append(f"refused {count} {kind}{'s' if count > 1 else ''} with numbers that are not finite")
     return lines

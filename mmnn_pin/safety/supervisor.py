@@ -8,8 +8,7 @@ from typing import NamedTuple
 from ..by_address import by_address
 from ..compiled import compiled, copy_to, entry, internal, linked
 from ..elementary import hypot
-from ..model.base.holonomic import moves_sideways
-from ..signals import EARLY, INDEX, Array, IntArray
+from ..signals import EARLY, INDEX, SIDEWAYS, Array, IntArray
 
 POSE, VELOCITY, Q, QDOT, ALPHA = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "alpha"))
 POSE_ERROR, JOINT_ERROR, STATE = INDEX["pose_error"], INDEX["e"], INDEX["safety"]
@@ -18,12 +17,6 @@ PSI_HAT, TORQUE = INDEX["psi_hat"], INDEX["torque"]
 # What the signal `safety` says of a sample: nothing done, a torque clipped or a value held, stopping under feedback,
 # ramping to zero torque without measurements.
 RUNNING, STEPPED_IN, STOPPING, RAMPING = 0.0, 1.0, 2.0, 3.0
-# Numbers of the settings.
-TIMEOUT, RAMP, STOP_TIME, TORQUE_TIME, POSITION, HEADING, WEIGHTS, HOLD_RATE, H = range(9)
-SETTLE, REST, SHORT, FRESH, SLOWEST, NUMBERS = range(9, 15)
-# Numbers of the state.
-HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, HELD, REFUSED, ACTED = range(13)
-ARRIVED, BLIND, GIVEN_UP, SAMPLED, PERIOD, LAST_PERIOD, STEADY, IN_A_ROW, MARKS = range(13, 22)
 TURN, LOWER, UPPER, EXPLAINS, JUMP, IS_FREE = range(6)  # of a door's joints
 CONTRADICTION, MOST = range(2)  # of its rows
 DRIFT, LEAST, WITHOUT, OFFSET = range(4)  # of its sense
@@ -41,6 +34,84 @@ FASTER, HALF = 1.25, 0.5  # times the least speed in a stop, times the limit: be
 
 
 @by_address
+class SupervisorNumbers(NamedTuple):
+    """The settings that are single numbers, see `Safety`; inf for no limit.
+
+    Attributes:
+        timeout, ramp, stop_time, torque_time: Times [s].
+        position, heading: Limits of the pose error [m, rad].
+        weights: Bound on the weights of a network.
+        hold_rate: Of the integral that holds the arm [1/s].
+        h: Control period [s].
+        settle: Time after which a stop that does not bring the robot to rest is given up [s].
+        rest: Speed below which it rests.
+        short: 1 where shorted windings brake the base, else 0.
+        fresh: Age of a measurement beyond which a stop does without [s].
+        slowest: Longest control period [s].
+    """
+
+    timeout: float
+    ramp: float
+    stop_time: float
+    torque_time: float
+    position: float
+    heading: float
+    weights: float
+    hold_rate: float
+    h: float
+    settle: float
+    rest: float
+    short: float
+    fresh: float
+    slowest: float
+
+
+@by_address
+class SupervisorState(NamedTuple):
+    """What a supervisor remembers as single numbers, each a view (1,) of its state.
+
+    Attributes:
+        tripped: 1 once something tripped: at a time, for a reason, at a place, with a value beyond a limit.
+        heard, arrived: When the last good measurement was taken, and when it came [s].
+        commanded: When the last good command came [s].
+        good, bad: How many measurements were good, how many were refused.
+        held: 1 while a measurement that is not finite is replaced by the last good one.
+        refused: How many commands were refused.
+        acted: 1 once a stop has noted where it began.
+        blind: When a stop went without feedback, -1 while it has some [s].
+        given_up: 1 once feedback did not bring the robot to rest in time.
+        sampled: Time of the last sample [s].
+        period, last_period, steady: The control period on average, at last, and at last without pauses [s].
+        in_a_row: How many periods in a row were too long.
+    """
+
+    tripped: Array
+    time: Array
+    code: Array
+    place: Array
+    value: Array
+    limit: Array
+    heard: Array
+    commanded: Array
+    good: Array
+    bad: Array
+    held: Array
+    refused: Array
+    acted: Array
+    arrived: Array
+    blind: Array
+    given_up: Array
+    sampled: Array
+    period: Array
+    last_period: Array
+    steady: Array
+    in_a_row: Array
+
+
+MARKS = len(SupervisorState._fields)
+
+
+@by_address
 class Door(NamedTuple):
     """What measurements pass, as arrays: few, because a program of your own hands them over at every measurement.
 
@@ -50,16 +121,18 @@ class Door(NamedTuple):
         rows: (2, p) by how much position and velocity may contradict each other in a stop, and velocities beyond which
             a stop drives on what it should brake.
         message: The last good measurement: pose, velocity, q, qdot.
-        state: (MARKS,) single numbers, the supervisor's.
+        state: Single numbers, the supervisor's.
         sense: (4, p) by how much positions have lately changed more than the velocities say; least speeds since a
             stop began; 1 where a stop does without feedback; jumps that were taken out of the joints' positions.
+        sideways: Whether the base velocity is `(vx, vy, w)`.
     """
 
     joints: Array
     rows: Array
     message: Array
-    state: Array
+    state: SupervisorState
     sense: Array
+    sideways: bool
 
 
 @by_address
@@ -68,7 +141,7 @@ class Supervisor(NamedTuple):
 
     Attributes:
         on: Whether there is one; the others are empty if not.
-        numbers: (NUMBERS,) settings that are single numbers.
+        numbers: Settings that are single numbers.
         torque: (motors,) torque limits.
         speed: (p,) speed limits.
         gains: (p,) feedback that brakes and holds.
@@ -79,7 +152,7 @@ class Supervisor(NamedTuple):
         E, E_inv: (p, motors) torque on nu from motor torques, and back.
         weights: (k, 2) start and stop of every array of weights in the controller's state.
         values: State: all of the following.
-        state: (MARKS,) single numbers.
+        state: Single numbers.
         message: The last good measurement: pose, velocity, q, qdot.
         last: (p,) the last torque.
         above: (motors,) how long every motor has asked for more than its limit [s].
@@ -89,7 +162,7 @@ class Supervisor(NamedTuple):
     """
 
     on: bool
-    numbers: Array
+    numbers: SupervisorNumbers
     torque: Array
     speed: Array
     gains: Array
@@ -101,7 +174,7 @@ class Supervisor(NamedTuple):
     E_inv: Array
     weights: IntArray
     values: Array
-    state: Array
+    state: SupervisorState
     message: Array
     last: Array
     above: Array
@@ -111,23 +184,23 @@ class Supervisor(NamedTuple):
 
 
 @linked
-def has_ended(time: float, numbers: Array, state: Array) -> bool:
+def has_ended(time: float, numbers: SupervisorNumbers, state: SupervisorState) -> bool:
     """Whether a tripped run has shown its stop for long enough."""
-    return state[HAS_TRIPPED] > 0.0 and time - state[TIME] >= numbers[STOP_TIME] - EARLY
+    return state.tripped[0] > 0.0 and time - state.time[0] >= numbers.stop_time - EARLY
 
 
 @compiled
-def may_learn(state: Array) -> bool:
+def may_learn(state: SupervisorState) -> bool:
     """Whether the controller is to be asked: there is a measurement, and nothing has tripped."""
-    return state[HAS_TRIPPED] == 0.0 and state[GOOD] > 0.0
+    return state.tripped[0] == 0.0 and state.good[0] > 0.0
 
 
 @internal
-def trip(time: float, code: int, place: int, value: float, limit: float, state: Array) -> None:
+def trip(time: float, code: int, place: int, value: float, limit: float, state: SupervisorState) -> None:
     """Stop, for the first reason that comes up."""
-    if state[HAS_TRIPPED] == 0.0:
-        state[HAS_TRIPPED], state[TIME], state[CODE], state[PLACE] = 1.0, time, float(code), float(place)
-        state[VALUE], state[LIMIT] = value, limit
+    if state.tripped[0] == 0.0:
+        state.tripped[0], state.time[0], state.code[0], state.place[0] = 1.0, time, float(code), float(place)
+        state.value[0], state.limit[0] = value, limit
 
 
 def press(time: float, supervisor: Supervisor) -> None:
@@ -148,30 +221,30 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
         supervisor: The supervisor.
     """
     tau, state, numbers = row[at[TORQUE] : at[TORQUE + 1]], supervisor.state, supervisor.numbers
-    step_in = bound_weights(time, weights, supervisor) or state[HELD] > 0.0 or state[GOOD] == 0.0
+    step_in = bound_weights(time, weights, supervisor) or state.held[0] > 0.0 or state.good[0] == 0.0
     check_period(time, state, numbers)
-    if state[GOOD] > 0.0:
+    if state.good[0] > 0.0:
         check_motion(row, at, time, supervisor)
     fine = arrived
     for i in range(tau.size):
         fine = fine and math.isfinite(tau[i])
     for i in range(at[PSI_HAT], at[TORQUE]):  # what else came with a broken command is no number either
         row[i] = row[i] if math.isfinite(row[i]) else 0.0
-    if state[HAS_TRIPPED] == 0.0:
+    if state.tripped[0] == 0.0:
         if fine:
-            state[COMMANDED] = time
+            state.commanded[0] = time
         else:
-            state[REFUSED] += arrived
+            state.refused[0] += arrived
             step_in = True
             copy_to(supervisor.last, tau)
-        if state[GOOD] == 0.0:
+        if state.good[0] == 0.0:
             tau[:] = 0.0
-        if time - state[HEARD] > numbers[TIMEOUT] + EARLY:
-            trip(time, DEAF, 0, time - state[HEARD], numbers[TIMEOUT], state)
-        elif time - state[COMMANDED] > numbers[TIMEOUT] + EARLY:
-            trip(time, LOST, 0, time - state[COMMANDED], numbers[TIMEOUT], state)
+        if time - state.heard[0] > numbers.timeout + EARLY:
+            trip(time, DEAF, 0, time - state.heard[0], numbers.timeout, state)
+        elif time - state.commanded[0] > numbers.timeout + EARLY:
+            trip(time, LOST, 0, time - state.commanded[0], numbers.timeout, state)
     row[at[STATE]] = STEPPED_IN if step_in else RUNNING
-    if state[HAS_TRIPPED] > 0.0:
+    if state.tripped[0] > 0.0:
         stop(row, at, time, supervisor)
     clipped = clip(time, tau, supervisor)
     if clipped and row[at[STATE]] == RUNNING:
@@ -180,33 +253,33 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
 
 
 @internal
-def check_period(time: float, state: Array, numbers: Array) -> None:
+def check_period(time: float, state: SupervisorState, numbers: SupervisorNumbers) -> None:
     """Trip on a control period that is too long on average or several times in a row; a pause alone does not count."""
-    if state[PERIOD] == 0.0:
-        state[PERIOD] = state[LAST_PERIOD] = state[STEADY] = numbers[H]
-        state[IN_A_ROW] = 0.0
+    if state.period[0] == 0.0:
+        state.period[0] = state.last_period[0] = state.steady[0] = numbers.h
+        state.in_a_row[0] = 0.0
     else:
-        period = time - state[SAMPLED]
-        state[STEADY] = min(period, min(state[LAST_PERIOD], GAP * numbers[SLOWEST]))
-        state[PERIOD] += (state[STEADY] - state[PERIOD]) / SAMPLES
-        state[LAST_PERIOD] = period
-        state[IN_A_ROW] = state[IN_A_ROW] + 1.0 if period > numbers[SLOWEST] else 0.0
-    state[SAMPLED] = time
-    if state[PERIOD] > numbers[SLOWEST] or state[IN_A_ROW] >= TOO_MANY:
-        trip(time, TOO_SLOW, 0, max(state[PERIOD], state[STEADY]), numbers[SLOWEST], state)
+        period = time - state.sampled[0]
+        state.steady[0] = min(period, min(state.last_period[0], GAP * numbers.slowest))
+        state.period[0] += (state.steady[0] - state.period[0]) / SAMPLES
+        state.last_period[0] = period
+        state.in_a_row[0] = state.in_a_row[0] + 1.0 if period > numbers.slowest else 0.0
+    state.sampled[0] = time
+    if state.period[0] > numbers.slowest or state.in_a_row[0] >= TOO_MANY:
+        trip(time, TOO_SLOW, 0, max(state.period[0], state.steady[0]), numbers.slowest, state)
 
 
 @internal
 def bound_weights(time: float, weights: Array, supervisor: Supervisor) -> bool:
     """Scale weights back onto their bound; true if some were beyond it."""
-    beyond, places, most = False, supervisor.weights, supervisor.numbers[WEIGHTS]
+    beyond, places, most = False, supervisor.weights, supervisor.numbers.weights
     for k in range(places.shape[0]):
         beyond = bound(weights[places[k, 0] : places[k, 1]], most, time, k, supervisor.state) or beyond
     return beyond
 
 
 @internal
-def bound(W: Array, most: float, time: float, k: int, state: Array) -> bool:
+def bound(W: Array, most: float, time: float, k: int, state: SupervisorState) -> bool:
     """Scale the weights of one network onto their bound, or trip where they are no numbers; true if beyond it."""
     squares = 0.0
     for i in range(W.size):
@@ -229,7 +302,7 @@ def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) 
     speeds, errors, numbers, state = supervisor.speed, supervisor.error, supervisor.numbers, supervisor.state
     for i in range(nb + n):
         speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
-        if moves_sideways(nb) and i < 2:  # the speed of a base that moves sideways, too
+        if at[SIDEWAYS] and i < 2:  # the speed of a base that moves sideways, too
             speed = hypot(row[at[VELOCITY]], row[at[VELOCITY] + 1])
         if speed > speeds[i]:
             trip(time, OVER_SPEED, i, speed, speeds[i], state)
@@ -240,10 +313,10 @@ def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) 
     if at[POSE_ERROR + 1] > at[POSE_ERROR]:
         away = hypot(row[at[POSE_ERROR]], row[at[POSE_ERROR] + 1])
         turned = abs(row[at[POSE_ERROR] + 2])
-        if away > numbers[POSITION]:
-            trip(time, OFF_PATH, 0, away, numbers[POSITION], state)
-        if turned > numbers[HEADING]:
-            trip(time, OFF_HEADING, 2, turned, numbers[HEADING], state)
+        if away > numbers.position:
+            trip(time, OFF_PATH, 0, away, numbers.position, state)
+        if turned > numbers.heading:
+            trip(time, OFF_HEADING, 2, turned, numbers.heading, state)
     for i in range(n):
         if abs(row[at[JOINT_ERROR] + i]) > errors[i]:
             trip(time, OFF_JOINT, i, abs(row[at[JOINT_ERROR] + i]), errors[i], state)
@@ -263,35 +336,35 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     """Brake the base and hold the arm; blind, or where that does not help, let the torque go to zero."""
     tau, state, numbers = row[at[TORQUE] : at[TORQUE + 1]], supervisor.state, supervisor.numbers
     p, n, stale, place = tau.size, supervisor.place.size, supervisor.stale, supervisor.place
-    if time - state[TIME] > numbers[SETTLE] and moves(row, at, p, n, numbers[REST]):
-        state[GIVEN_UP] = 1.0
-    if state[GIVEN_UP] > 0.0 or state[GOOD] == 0.0 or time - state[ARRIVED] > numbers[FRESH]:
-        if state[BLIND] < 0.0:
-            state[BLIND], state[ACTED] = time, 0.0
-        row[at[STATE]], left = RAMPING, numbers[RAMP] - (time - state[BLIND])
+    if time - state.time[0] > numbers.settle and moves(row, at, p, n, numbers.rest):
+        state.given_up[0] = 1.0
+    if state.given_up[0] > 0.0 or state.good[0] == 0.0 or time - state.arrived[0] > numbers.fresh:
+        if state.blind[0] < 0.0:
+            state.blind[0], state.acted[0] = time, 0.0
+        row[at[STATE]], left = RAMPING, numbers.ramp - (time - state.blind[0])
         for i in range(p):  # these factors multiply to a straight line
-            tau[i] = supervisor.last[i] * left / (left + numbers[H]) if left > 0.0 else 0.0
+            tau[i] = supervisor.last[i] * left / (left + numbers.h) if left > 0.0 else 0.0
         return
-    row[at[STATE]], state[BLIND] = STOPPING, -1.0
-    if state[ACTED] == 0.0:  # hold the arm where it is now
-        state[ACTED] = 1.0
+    row[at[STATE]], state.blind[0] = STOPPING, -1.0
+    if state.acted[0] == 0.0:  # hold the arm where it is now
+        state.acted[0] = 1.0
         for i in range(n):
             place[i], supervisor.integral[i] = row[at[Q] + i], 0.0
         for i in range(p):
-            stale[i] = supervisor.last[i] if state[CODE] == LOST and time == state[TIME] else 0.0
+            stale[i] = supervisor.last[i] if state.code[0] == LOST and time == state.time[0] else 0.0
             supervisor.door.sense[LEAST, i] = abs(row[at[VELOCITY] + i] if i < p - n else row[at[QDOT] + i - (p - n)])
     lose(row, at, supervisor)
-    slow = min(1.0, BORNE * numbers[SLOWEST] / state[STEADY])
-    fade = max(0.0, numbers[RAMP] - (time - state[TIME])) / (numbers[RAMP] + numbers[H])
+    slow = min(1.0, BORNE * numbers.slowest / state.steady[0])
+    fade = max(0.0, numbers.ramp - (time - state.time[0])) / (numbers.ramp + numbers.h)
     for i in range(p - n):
         speed = plausible(row[at[VELOCITY] + i], i, supervisor.door)
-        brake = 0.0 if numbers[SHORT] > 0.0 else -supervisor.gains[i] * speed
+        brake = 0.0 if numbers.short > 0.0 else -supervisor.gains[i] * speed
         tau[i] = (fade * stale[i] + slow * brake) * trust(i, supervisor.door)
     for i in range(n):
         e, j = place[i] - row[at[Q] + i], p - n + i
         if supervisor.above[supervisor.above.size - n + i] == 0.0 or e * supervisor.integral[i] < 0.0:
-            supervisor.integral[i] += numbers[H] * numbers[HOLD_RATE] * e
-        K = supervisor.K[i] if slow == 1.0 else min(supervisor.K[i], BORNE / state[STEADY])
+            supervisor.integral[i] += numbers.h * numbers.hold_rate * e
+        K = supervisor.K[i] if slow == 1.0 else min(supervisor.K[i], BORNE / state.steady[0])
         hold = K * (e + supervisor.integral[i]) - plausible(row[at[QDOT] + i], j, supervisor.door)
         tau[j] = (fade * stale[j] + slow * supervisor.gains[j] * hold) * trust(j, supervisor.door)
 
@@ -350,8 +423,8 @@ def clip(time: float, tau: Array, supervisor: Supervisor) -> bool:
         u, limit = entry(supervisor.E_inv, j, tau), supervisor.torque[j]
         over = abs(u) > limit
         clipped = clipped or over
-        above[j] = above[j] + numbers[H] if over else 0.0
-        if above[j] > numbers[TORQUE_TIME] + EARLY:
+        above[j] = above[j] + numbers.h if over else 0.0
+        if above[j] > numbers.torque_time + EARLY:
             trip(time, OVER_TORQUE, j, abs(u), limit, supervisor.state)
     if clipped:
         within(tau, supervisor.E, supervisor.E_inv, supervisor.torque)

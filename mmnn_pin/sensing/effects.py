@@ -1,4 +1,4 @@
-"""What happens to a measurement on its way from the robot to the controller: one class per effect, compiled.
+"""Effects on a measurement on its way from the robot to the controller: one class per effect, compiled.
 
 It passes through them in this order:
 
@@ -19,7 +19,6 @@ from ..by_address import by_address
 from ..compiled import copy_to, internal, linked
 from ..elementary import cos_sin
 from ..elementary.matrices import product
-from ..model.base.holonomic import moves_sideways
 from ..parts import view
 from ..signals import EARLY, INDEX, Array, IntArray
 
@@ -58,7 +57,7 @@ def exact(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -
 
 @by_address
 class Reading(NamedTuple):
-    """What goes from the robot to the controller; the effects change it one after the other.
+    """The signal from the robot to the controller; the effects change it one after the other.
 
     Attributes:
         position: (nv,) true position, on which the encoders sit.
@@ -253,16 +252,18 @@ def observe(sensors: Sensors, velocity: Array, q: Array, received: Array) -> Non
 
 
 @by_address
-class Odometry(NamedTuple):
+class WheelOdometry(NamedTuple):
     """The pose: the true one, or integrated from the wheels along the chord of the arc (its middle heading).
 
     Attributes:
         integrated: Whether it is integrated; the first one is true.
+        sideways: Whether the base velocity is `(vx, vy, w)`.
         W: (nb, nw) base velocity from the rates of the wheels.
         pose: (3,) state; (0,) for a fixed arm.
     """
 
     integrated: bool
+    sideways: bool
     W: Array
     pose: Array
 
@@ -276,7 +277,7 @@ class Odometry(NamedTuple):
                     moved = wire.joints[j, MOVED]
                     ahead += self.W[0, j] * moved
                     turn += self.W[self.W.shape[0] - 1, j] * moved
-                    if moves_sideways(self.W.shape[0]):
+                    if self.sideways:
                         aside += self.W[1, j] * moved
                 heading = self.pose[2] + 0.5 * turn
                 c, s = cos_sin(heading)
@@ -317,7 +318,7 @@ class Noise(NamedTuple):
 
 
 @by_address
-class Line(NamedTuple):
+class MessageLine(NamedTuple):
     """The line to the controller: messages are late, out of order, lost or corrupted, and the newest one counts.
 
     Attributes:

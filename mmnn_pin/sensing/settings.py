@@ -1,4 +1,4 @@
-"""What a robot's sensors do to the truth, as settings, and as a list of effects for one robot and one run."""
+"""A robot's sensors, as settings, and as a list of effects for one robot and one run."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from .effects import (
     ESTIMATE,
     READING,
     Encoders,
-    Line,
+    MessageLine,
     Noise,
-    Odometry,
     Rates,
     Reading,
     Sensors,
     Velocities,
+    WheelOdometry,
 )
 
 
@@ -150,9 +150,9 @@ class Sensor(Settings, frozen=True):
             ),
             Rates(self.velocity in ("observer", "model"), period, *derivative, turns),
             Velocities(self.velocity == "true", W, ESTIMATE if self.velocity == "model" else READING),
-            Odometry(self.pose == "odometry", W, pose),
+            WheelOdometry(self.pose == "odometry", layout.sideways, W, pose),
             Noise(spread, np.array(self.pose_noise[: layout.pose], float), rates, poses),
-            Line(self.delay, self.jitter, float(self.loss), uniforms, faults, slots.reshape(-1, size)),
+            MessageLine(self.delay, self.jitter, float(self.loss), uniforms, faults, slots.reshape(-1, size)),
         )
         return Sensors(period, wire, effects)
 

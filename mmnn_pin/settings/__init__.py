@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import ConfigError, InputError
+from ..errors import LENGTH, ConfigError, InputError
 from ..signals import Array
 from .arguments import require_fit, shortly, wrong_type
 
@@ -169,7 +169,7 @@ def one_or_each(
     fix += f": {', '.join(names)}" if names else ""
     if values.shape not in ((), (count,)):
         kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
-        raise ConfigError(f"{values.size} numbers for {count} {kinds}", fix=fix, key=key)
+        raise ConfigError(f"{values.size} numbers for {count} {kinds}", fix=fix, key=key, code=LENGTH)
     if least is not None and not (np.isfinite(values) & (values >= least)).all():
         raise ConfigError(f"{values.tolist()} cannot be used", fix=f"{fix}, finite and >= {least:g}", key=key)
     return np.full(count, values)

@@ -6,15 +6,13 @@ Any sequence stands for a list, any number for a float, whatever numpy makes num
 
 from __future__ import annotations
 
+import builtins
 import collections.abc
 import inspect
 import re
 import sys
-import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, wraps
-from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
@@ -39,8 +37,7 @@ NAMES |= {NoneType: "null", Path: "path"}
 P = ParamSpec("P")
 R = TypeVar("R")
 FORMERLY = {"guess": "prior"}  # texts that an older version took
-LARGEST_FLOAT = sys.float_info.max
-NUMBERS: dict[Any, Any] = {bool: (bool, np.bool_), int: Integral, float: Real}
+UNIONS = (Union, UnionType)
 HOW = {"Robot": 'load("platform_arm")', "CompiledController": "PD()"}  # what needs a word more
 HOW |= {"Trajectory": "Trajectory.of(robot, base=Line(0.3))"}
 HOW |= {"Loop": "Loop(robot, trajectory, PD())", "Experiment": 'load_experiment("track")'}
@@ -113,75 +110,70 @@ def misfit(value: Any, kind: Any) -> tuple[str, str]:
     return shortly(value) if fix.startswith(there) else f"{shortly(value)} is {there}", f"give {fix}"
 
 
+class Names(dict[str, Any]):
+    """Names of a module; of one that only a type checker imports nothing is asked."""
+
+    def __missing__(self, name: str) -> Any:
+        return getattr(builtins, name, Any)
+
+
 @lru_cache(None)
 def hints(owner: Any) -> dict[str, Any]:
-    """Types of the fields of a class or the arguments of a function, without those that only a type checker knows."""
-    found = {}
-    for one in reversed(owner.__mro__) if isinstance(owner, type) else (owner,):
-        names = vars(sys.modules.get(getattr(one, "__module__", ""), object))
-        for name, kind in vars(one).get("__annotations__", getattr(one, "__annotations__", {})).items():
-            with suppress(NameError, AttributeError, TypeError, SyntaxError):
-                found[name] = eval(kind, dict(names)) if isinstance(kind, str) else kind
+    """Types of the fields of a class or of the arguments of a function."""
+    found: dict[str, Any] = {}
+    for one in reversed(getattr(owner, "__mro__", (owner,))):
+        names = Names(vars(sys.modules[one.__module__]))
+        found |= inspect.get_annotations(one, locals=names, eval_str=True)
     return found
 
 
 def fits(value: Any, kind: Any) -> bool:
     """Whether a value is of an annotated type; any sequence stands for a list, any number for a float."""
-    return type(value) is kind or test_of(kind)(value)
+    if type(value) is kind or kind in (Any, object):
+        return True
+    test, parts = test_of(kind)
+    if test is not None:
+        return test(value)
+    if isinstance(value, str | bytes) and get_origin(kind) not in (None, Literal):
+        return False  # a text is no list
+    try:
+        msgspec.convert(bare(value), kind)
+    except msgspec.ValidationError:
+        return False
+    except TypeError:  # of items of several classes
+        items = value.values() if isinstance(value, Mapping) else value
+        return isinstance(value, get_origin(kind)) and all(fits(item, parts[-1]) for item in items)
+    return True
 
 
 @lru_cache(None)  # a robot's thirty fields are looked at for each of its variants
-def test_of(kind: Any) -> Callable[[Any], bool]:
-    """Whether a value is of an annotated type, as a function of the value."""
-    origin, parts = get_origin(kind), get_args(kind)
-    if kind in (Any, object) or isinstance(kind, TypeVar):
-        return lambda value: True
-    if origin in (Union, UnionType):
-        numeric = [part for part in parts if is_numbers(part)]  # `ArrayLike` beside them has texts
-        parts = tuple(part for part in parts if part is NoneType or get_origin(part)) if numeric else parts
-        return lambda value: any(fits(value, part) for part in (*numeric, *parts))
-    if origin is Literal:
-        return lambda value: any(type(value) is type(part) and value == part for part in parts)
+def test_of(kind: Any) -> tuple[Callable[[Any], bool] | None, tuple[Any, ...]]:
+    """The test of a value for unions, numbers, functions and classes, None where msgspec knows; the kind's parts."""
+    parts = parts_of(kind)
+    if get_origin(kind) in UNIONS:
+        return lambda value: any(fits(value, part) for part in parts), parts
     if is_numbers(kind):
-        return is_numeric
-    if origin is not None:
-        return test_of_items(origin, parts)
-    if kind in NUMBERS:
-        return lambda value: is_number(value, kind)
-    if getattr(kind, "_is_protocol", False):
-        names = typing._get_protocol_attrs(kind)  # type: ignore[attr-defined]
-        return lambda value: all(hasattr(value, name) for name in names)
-    return lambda value: not isinstance(kind, type) or isinstance(value, kind)
+        return is_numeric, parts
+    if get_origin(kind) is collections.abc.Callable:
+        return callable, parts
+    of_its_own = isinstance(kind, type) and get_origin(kind) is None and kind not in NAMES
+    return (lambda value: isinstance(value, kind)) if of_its_own else None, parts
 
 
-def test_of_items(origin: Any, parts: tuple[Any, ...]) -> Callable[[Any], bool]:
-    """Whether a value is a list, a table, a function with items of annotated types, as a function of the value."""
-    if origin is collections.abc.Callable:
-        return callable
-    if issubclass(origin, Mapping):
-        key, item = parts
-        return lambda value: (
-            isinstance(value, Mapping) and all(fits(k, key) and fits(v, item) for k, v in value.items())
-        )
-    if not issubclass(origin, Iterable):
-        return lambda value: isinstance(value, origin)
-    return lambda value: is_list(value, origin, parts)
+def parts_of(kind: Any) -> tuple[Any, ...]:
+    """Types that a type is made of; of a union with numpy's `ArrayLike` not the texts that this has beside numbers."""
+    parts = get_args(kind)
+    if get_origin(kind) in UNIONS and any(map(is_numbers, parts)):
+        return tuple(p for p in parts if is_numbers(p) or p is NoneType or get_origin(p))
+    return parts
 
 
-def is_list(value: Any, origin: Any, parts: tuple[Any, ...]) -> bool:
-    """Whether a value is a list with items of annotated types."""
-    if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable) or not getattr(value, "ndim", 1):
-        return False
-    if not isinstance(value, Sequence | np.ndarray):
-        return not issubclass(origin, Sequence)  # what may be gone once it has been looked at
-    kinds = parts[:1] * len(value) if origin is not tuple or parts[-1] is ... else parts
-    return len(kinds) == len(value) and all(map(fits, value, kinds))
-
-
-def is_number(value: Any, kind: Any) -> bool:
-    """Whether a value is a number of a kind, or true or false."""
-    too_large = kind is float and isinstance(value, int) and abs(value) > LARGEST_FLOAT
-    return isinstance(value, NUMBERS[kind]) and (kind is bool or not isinstance(value, bool)) and not too_large
+def bare(value: Any) -> Any:
+    """Numbers of numpy as Python's, and all sequences as lists."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    is_list = isinstance(value, Sequence) and not isinstance(value, str | bytes)
+    return [bare(item) for item in value] if is_list else value
 
 
 def is_numbers(kind: Any) -> bool:
@@ -201,10 +193,8 @@ def is_numeric(value: Any) -> bool:
 
 def wanted(kind: Any) -> str:
     """What to give, in words."""
-    origin, parts = get_origin(kind), get_args(kind)
-    if origin in (Union, UnionType):
-        if any(map(is_numbers, parts)):  # what else `ArrayLike` stands for, such as texts, is not meant
-            parts = tuple(part for part in parts if is_numbers(part) or isinstance(get_origin(part), type))
+    origin, parts = get_origin(kind), parts_of(kind)
+    if origin in UNIONS:
         return " or ".join(dict.fromkeys(wanted(part) for part in parts if part is not NoneType))
     if origin is Literal:
         return " or ".join(map(repr, parts))
@@ -214,10 +204,9 @@ def wanted(kind: Any) -> str:
         return "a function"
     if origin is tuple and parts[-1] is not ...:
         return f"{len(parts)} values: {', '.join(map(wanted, parts))}"
-    if origin is not None and issubclass(origin, Mapping):
-        return f"a table, each value {wanted(parts[1])}"
     if origin is not None:
-        return f"a list, each item {wanted(parts[0])}"
+        is_table = issubclass(origin, Mapping)
+        return f"a table, each value {wanted(parts[1])}" if is_table else f"a list, each item {wanted(parts[0])}"
     name = getattr(kind, "__name__", str(kind))
     such = f", such as {HOW[name]}" if name in HOW else ""
     return KINDS.get(NAMES.get(kind, ""), f"{'an' if name[0] in 'AEIOU' else 'a'} {name}") + such

@@ -66,7 +66,7 @@ class Entry:
 
 
 def found(place: str) -> Any:
-    """What stands at a place `module:name` of this package."""
+    """The object at a place `module:name` of this package."""
     module, _, name = place.partition(":")
     return getattr(import_module(f"{__name__}.{module}"), name)
 

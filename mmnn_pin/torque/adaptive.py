@@ -177,7 +177,7 @@ class Adaptation(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What an adaptive controller remembers: theta (k,), the number of samples, the sum of `Y' Y` (k, k)."""
+    """State of an adaptive controller: theta (k,), the number of samples, the sum of `Y' Y` (k, k)."""
 
     theta: Vector
     samples: Vector
@@ -284,8 +284,6 @@ class Adaptive(ParameterLearner):
     settings: AdaptiveSettings = field(default_factory=AdaptiveSettings)
     name: str = "adaptive"
 
-    lyapunov_part = "estimate"
-
     @property
     def notes(self) -> list[str]:
         """How many of the parameters matter."""
@@ -302,7 +300,7 @@ class Adaptive(ParameterLearner):
         return Law(constant_gain(K), self.adaptation(context, K))
 
     def adaptation(self, context: Context, K: Array, tracking: float = 1.0) -> Adaptation:
-        """What it learns with, the gradient of the tracking error times a factor."""
+        """The adaptation's numbers: the gradient of the tracking error times a factor."""
         own, start = self.settings, self.start()
         scale, first, every = scales(self.regressor, K), self.regressor.inertial, self._rates
         roots = np.array([cholesky(P) for P in pseudo_inertias(start[:first])]).reshape(-1, 4, 4)
@@ -404,7 +402,7 @@ class Adaptive(ParameterLearner):
 
     @cached_property
     def _start(self) -> Array:
-        """The same, computed once: a prior looks at many positions."""
+        """The parameters of `start`, (k,), computed once: a prior looks at many positions."""
         first, own = self.regressor.inertial, self.settings
         prior = prior_of(self.regressor, gains_of(self.regressor, self.feedback), own.mass, own.size, own.slowest)
         if not self.informed or self.nominal is None:

@@ -91,7 +91,7 @@ class Prediction(NamedTuple):
 
 
 class Composite(NamedTuple):
-    """What a composite adaptive controller remembers: its estimate, what the filter does, Q (k, k) and b (k,)."""
+    """State of a composite adaptive controller: its estimate, that of the filter, Q (k, k) and b (k,)."""
 
     estimate: Estimate
     filtered: Filtered
@@ -104,7 +104,7 @@ composite_of = views(Composite)
 
 @linked
 def estimate(row: Array, at: IntArray, p: Prediction, state: Array) -> None:
-    """What the control period before this sample says; Psi_hat; the update of theta along s, and down the error."""
+    """Take in the last control period, write Psi_hat, and update theta along s and down the prediction error."""
     a, o = p.adaptation, composite_of(state, p.layout)
     f, known, nb = p.filter, a.known, a.known.base
     now = int(o.estimate.samples[0]) % p.every == 0
@@ -161,7 +161,7 @@ def follow(p: Prediction, o: Composite) -> None:
 
 @internal
 def left(p: Prediction, o: Composite) -> None:
-    """What the estimate leaves of the integrals, `b - Q theta_hat`, into p.gradient."""
+    """The rest of the integrals that the estimate leaves, `b - Q theta_hat`, into p.gradient."""
     times(o.Q, o.estimate.theta, p.gradient)
     for j in range(p.gradient.size):
         p.gradient[j] = o.b[j] - p.gradient[j]
@@ -330,7 +330,7 @@ class AdaptiveComposite(Adaptive):
         return {**super().shapes(context), **parts(context, context.layout.dof, k), "Q": (k, k), "b": (k,)}
 
     def facts(self) -> dict[str, Any]:
-        """Those of `Adaptive`, and the prediction error's."""
+        """The facts of `Adaptive`, and the prediction error's."""
         return super().facts() | {"composite": plain(self.composite)}
 
     def features(self, law: Law, state: ControllerState) -> Array | None:

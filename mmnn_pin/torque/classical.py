@@ -1,4 +1,4 @@
-"""What an engineer tries before any learner: PD with the gravity of the URDF, and PID.
+"""Classical controllers, to try before any learner: PD with the gravity of the URDF, and PID.
 
     pd_gravity    tau = K s + g(q),           g(q) = T' g_full(q)
     pid           tau = K s + I,              I' = rate K s,              s = [z; r] = nu_ref - nu
@@ -145,7 +145,7 @@ class Integrator(NamedTuple):
 
 
 class Integral(NamedTuple):
-    """What it remembers: I (p,) of the next sample, and that of the last one."""
+    """State of the integral: I (p,) of the next sample, and that of the last one."""
 
     integral: Vector
     used: Vector
@@ -200,7 +200,6 @@ class PID(CompiledController):
     name: str = "pid"
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "gain"
 
     def law(self, context: Context) -> Law:
         """The numbers of the law; errors as of `positive_gains`."""
@@ -219,7 +218,7 @@ class PID(CompiledController):
         return {"integral": state["integral"]}
 
     def features(self, law: Law, state: ControllerState) -> Array:
-        """What the integral is multiplied with: every velocity has its own."""
+        """The integral's factor, 1: every velocity has its own."""
         return np.eye(state["integral"].size)
 
     def learning_gain(self, state: ControllerState, context: Context) -> Array:

@@ -158,7 +158,7 @@ class History(NamedTuple):
 
 
 class Recalled(NamedTuple):
-    """What a concurrent learner remembers: w (k,), the number of samples, what the filter does, the stack."""
+    """State of a concurrent learner: w (k,), the number of samples, that of the filter, the stack."""
 
     w: Vector
     samples: Vector
@@ -297,8 +297,6 @@ class Concurrent(ParameterLearner):
     settings: ConcurrentSettings = field(default_factory=ConcurrentSettings)
     name: str = "concurrent"
 
-    lyapunov_part = "stack"
-
     @property
     def notes(self) -> list[str]:
         """How many of the parameters matter."""
@@ -371,7 +369,7 @@ class Concurrent(ParameterLearner):
 
     @cached_property
     def _start(self) -> Array:
-        """The same, computed once: a prior looks at many positions."""
+        """The parameters of `start`, (k0,), computed once: a prior looks at many positions."""
         if self.informed and self.nominal is not None:
             return np.array(self.nominal)
         own = AdaptiveSettings()
@@ -382,7 +380,7 @@ class Concurrent(ParameterLearner):
         return np.asarray(self.start() + self.basis @ state["w"])
 
     def knowledge(self, state: ControllerState) -> tuple[Array, Array | None]:
-        """The same and its covariance, (k0, k0), as the stack has it."""
+        """The estimate as parameters (k0,), and its covariance (k0, k0) as the stack has it."""
         return self.theta(state), np.asarray(self.basis @ state["P"] @ self.basis.T)
 
     def weights(self, state: ControllerState) -> dict[str, Array]:

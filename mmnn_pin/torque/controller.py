@@ -263,12 +263,10 @@ class Controller(ABC):
         name: Name in tables, plots and recordings.
         notes: Things the user should be told before a run.
         within_limits: Whether Psi_hat stays within what the feedback leaves of the motors, unless the loop says.
-        lyapunov_part: Name of the weights' part of its Lyapunov function (`lab.proof.proof`); None for none.
     """
 
     name: str = "custom"
     within_limits: ClassVar[bool] = False
-    lyapunov_part: ClassVar[str | None] = None
 
     @property
     def notes(self) -> list[str]:
@@ -287,13 +285,6 @@ class Controller(ABC):
         """Settings that a recording should hold; of a learner enough for `from_facts` to make it again."""
         return {}
 
-    def learning_gain(self, state: Any, context: Context) -> ArrayLike | None:
-        """Gamma where the law follows s by `W' = Gamma Phi' s + ...`, if it has features Phi; None for another law.
-
-        One number, (k,) for a diagonal or (k, k), positive definite; W' is per second. `mmnn prove` needs it for V.
-        """
-        return None
-
     def findings(self, state: Any) -> list[str]:
         """What the state shows after a run that the user should be told, such as "not excited"."""
         return []
@@ -305,16 +296,8 @@ class Controller(ABC):
 
     @property
     def excited_by(self) -> tuple[str, ...]:
-        """Signals of a run by which `lab.proof.excitation` judges what it excited; none where `findings` say it."""
+        """Signals of a run by which `lab.psi.excitation` judges what it excited; none where `findings` say it."""
         return ()
-
-    def prior_deviation(self, state: ControllerState) -> Array | None:
-        """Standard deviation of every weight (k, m) before anything was learned; None without a prior."""
-        return None
-
-    def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
-        """The weights (k,) that say true parameters theta (k0,), from a state before a run; None if they say others."""
-        return None
 
 
 class TorqueController(Controller):

@@ -83,7 +83,7 @@ class Correction(NamedTuple):
 
 
 class Corrected(NamedTuple):
-    """What a correction remembers.
+    """State of a correction.
 
     Attributes:
         w: (k,) its weights.
@@ -220,6 +220,6 @@ def follow_error(row: Array, at: IntArray, c: Correction, gain: Array, changed: 
 
 @compiled
 def find_cut(row: Array, at: IntArray, o: Corrected) -> None:
-    """What the motors' limits took of the Psi_hat of this sample (p,), into o.cut."""
+    """The part of this sample's Psi_hat (p,) that the motors' limits took, into o.cut."""
     for i in range(o.cut.size):
         o.cut[i] = o.asked[i] - row[at[PSI_HAT] + i]

@@ -72,7 +72,7 @@ class Observer(NamedTuple):
 
 
 class Observed(NamedTuple):
-    """What it remembers: d_hat (p,)."""
+    """State of the observer: d_hat (p,)."""
 
     d: Vector
 
@@ -112,7 +112,6 @@ class DisturbanceObserver(CompiledController):
     name: str = "disturbance_observer"
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "gain"
 
     def law(self, context: Context) -> Law:
         """The numbers of the law; errors as of `positive_gains`."""
@@ -130,7 +129,7 @@ class DisturbanceObserver(CompiledController):
         return {"d": state["d"]}
 
     def features(self, law: Law, state: ControllerState) -> Array:
-        """What the estimate is multiplied with: every velocity has its own."""
+        """The estimate's factor, 1: every velocity has its own."""
         return np.eye(state["d"].size)
 
     def learning_gain(self, state: ControllerState, context: Context) -> Array:

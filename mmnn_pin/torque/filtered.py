@@ -83,7 +83,7 @@ class Filter(NamedTuple):
 
 
 class Filtered(NamedTuple):
-    """What a filter remembers.
+    """State of a filter.
 
     Attributes:
         clock: (2,) time of the last sample [s], and how many have followed one another.

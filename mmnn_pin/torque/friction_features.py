@@ -8,7 +8,7 @@ accelerated evenly, and nu and a have the same sign only after it has turned; so
 memory. Both are those of the reference, and carry neither noise nor feedback. All units are odd and without a bias:
 friction changes its sign with the motion.
 
-W1 and W2 were fitted (`python -m studies.friction_features`) so that over many random joints a combination of the d
+W1 and W2 were fitted (`research.studies.friction_features`) so that over many random joints a combination of the d
 features, another one for each joint, says what is left of its friction when viscous and dry friction have had their
 share: features that are shared and a last layer that is adapted, as in Neural-Fly (O'Connell, Shi et al. 2022, Science
 Robotics 7(66)), with ridge regression in place of their discriminator. The last layer is learned online by
@@ -39,7 +39,7 @@ INPUTS = SPEEDS.size + ACCELERATIONS.size + WAYS.size
 WEIGHTS = "friction_features.json"
 
 
-class Friction(NamedTuple):
+class FrictionFeatures(NamedTuple):
     """The learned functions, and room to work in.
 
     Attributes:
@@ -62,15 +62,15 @@ def shipped() -> tuple[Array, Array]:
     return np.array(found["W1"]), np.array(found["W2"])
 
 
-def friction() -> Friction:
+def friction() -> FrictionFeatures:
     """The learned functions with room of their own to work in."""
     W1, W2 = shipped()
-    return Friction(W1.copy(), W2.copy(), np.zeros(W1.shape[1]), np.zeros(len(W1)))
+    return FrictionFeatures(W1.copy(), W2.copy(), np.zeros(W1.shape[1]), np.zeros(len(W1)))
 
 
 @compiled
 def inputs(nu: float, a: float, u: Array) -> None:
-    """What the first layer sees of a velocity and its acceleration [SI units], (INPUTS,), into u."""
+    """The inputs of the first layer, of a velocity and its acceleration [SI units], (INPUTS,), into u."""
     way, place = nu * abs(nu) / (2.0 * (abs(a) + SLOWEST)), 0
     for i in range(SPEEDS.size):
         u[place] = tanh(nu / SPEEDS[i])
@@ -84,7 +84,7 @@ def inputs(nu: float, a: float, u: Array) -> None:
 
 
 @internal
-def features(f: Friction, nu: float, a: float, phi: Array) -> None:
+def features(f: FrictionFeatures, nu: float, a: float, phi: Array) -> None:
     """The features (d,) of a velocity and its acceleration [SI units], into phi."""
     inputs(nu, a, f.u)
     for j in range(f.hidden.size):
@@ -100,7 +100,7 @@ def features(f: Friction, nu: float, a: float, phi: Array) -> None:
 
 
 @internal
-def beside(row: Array, at: IntArray, f: Friction, Phi: Array) -> None:
+def beside(row: Array, at: IntArray, f: FrictionFeatures, Phi: Array) -> None:
     """Features of the reference's motion, and a constant for each velocity, into the last columns of Phi (p, k)."""
     p, nb = Phi.shape[0], at[VELOCITY_REF + 1] - at[VELOCITY_REF]
     for i in range(p):
@@ -110,7 +110,7 @@ def beside(row: Array, at: IntArray, f: Friction, Phi: Array) -> None:
 
 
 @internal
-def columns(f: Friction, i: int, nu: float, a: float, Phi: Array) -> None:
+def columns(f: FrictionFeatures, i: int, nu: float, a: float, Phi: Array) -> None:
     """Features and constant of velocity i into its row of Phi (p, k); other columns there stay."""
     (p, k), d = Phi.shape, f.W2.shape[0]
     first = k - p - p * d + i * d

@@ -21,7 +21,7 @@ finitely many of them, unless entries have a lifetime.
 A replacement may still give up what alone told of some direction. Where that is not wanted there is a floor F that L
 never goes below: it begins at half the prior and goes half the way to L whenever L is `ABOVE` times as large, as
 a mean over all directions. F only grows, so that from any instant on P is at most F^-1 of that instant: what is known
-stays known, but for a factor (`lab.proof.known_laws`).
+stays known, but for a factor (`research.proof.known_laws`).
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ def put(s: Stack, w: Scratch, place: int, Phi: Array, y: Array, share: float) ->
 
 @internal
 def spread(s: Stack, w: Scratch, Phi: Array, sign: float) -> None:
-    """What an equation that comes (1) or goes (-1) makes of P and of every G_i."""
+    """Update P and every G_i by an equation that comes (1) or goes (-1)."""
     p, k = Phi.shape
     image(s, w, Phi)
     if not math.isfinite(log_det_with(w, sign)):

@@ -38,7 +38,7 @@ from .kalman_settings import (
 from .law import constant_gain
 from .linear import Linear, Parts
 from .prior import identified, within_prior
-from .random_features import BILINEAR, GENERIC, Random, at_rest, fill, new_random, paired, size
+from .random_features import BILINEAR, GENERIC, Movement, Random, at_rest, fill, new_random, paired, size
 
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
 SAMPLES = 300  # of random motion
@@ -68,7 +68,6 @@ class Kalman(CompiledController):
     before: tuple[Array, Array] | None = None
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "covariance"
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -104,7 +103,7 @@ class Kalman(CompiledController):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """What it is called in experiments."""
+        """Name in experiments, tables and recordings."""
         return self.settings.section.replace(".", "_")
 
     @property
@@ -188,7 +187,7 @@ class Kalman(CompiledController):
         return own.pole
 
     def correction(self, context: Context) -> Correction | None:
-        """What follows the tracking error, with room of its own to work in; None for the others."""
+        """The correction by the tracking error, with room of its own to work in; None without one."""
         own = self.settings
         if not isinstance(own, KalmanFrictionSettings) or own.correction == 0.0:
             return None
@@ -249,7 +248,8 @@ class Kalman(CompiledController):
         for one in Phi:
             q, (nu, nu_ref, nudot_ref) = rng.uniform(lower, upper), standard_normal(rng, (3, p))
             if random is not None and state is not None:
-                fill(random, state["a"], state["b"], q, nu[: p - n], nu[p - n :], nu_ref, nudot_ref, one[0])
+                movement = Movement(np.zeros(0), q, nu[: p - n], nu[p - n :], nu_ref, nudot_ref)
+                fill(random, state["a"], state["b"], movement, one[0])
             elif self.regressor is not None:
                 known = self.regressor.massless
                 position = known.offset + product(known.arm, q)

@@ -304,7 +304,7 @@ def update(n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, s
     if int(n.kind[0]) == ONE_LAYER:
         one_layer_update(W, sigma, s, rates[0], rates[2], n.dt[0])
     else:
-        two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], n.dt[0])
+        two_layer_update(W, V, x, net, sigma, s, rates, n.dt[0])
         project(V, rates[5])
     project(W, rates[4])
 

@@ -85,7 +85,6 @@ class LearningLaw(TorqueController):
     learned: ClassVar[tuple[str, ...]] = ()
     knows_motion: ClassVar[bool] = False
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "gain"
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
@@ -101,14 +100,14 @@ class LearningLaw(TorqueController):
 
     @abstractmethod
     def estimate(self, sample: Sample, state: ControllerState) -> Array:
-        """What is taken for Psi at this sample, (p,) [N, N m]: `M nudot_ref + C nu_ref + gravity + friction`."""
+        """The estimate of `Psi = M nudot_ref + C nu_ref + gravity + friction` at this sample, (p,) [N, N m]."""
 
     @abstractmethod
     def learn(self, sample: Sample, state: ControllerState) -> None:
         """Change the state in place; called after `estimate` of the same sample."""
 
     def features(self, sample: Sample, state: ControllerState) -> Array | None:
-        """What the weights are multiplied with, if Psi_hat is linear in them; `mmnn prove` reports their excitation.
+        """The features that multiply the weights, if Psi_hat is linear in them; `mmnn prove` reports their excitation.
 
         (p, k) where all components share the k weights, (k,) where each has its own; None for none of these.
         """
@@ -128,7 +127,7 @@ class LearningLaw(TorqueController):
         return None
 
     def learning_gain(self, state: ControllerState, context: Context) -> ArrayLike | None:
-        """What `gain` says."""
+        """The law's Gamma, as `gain` gives it."""
         return self.gain(state)
 
     def weights(self, state: ControllerState) -> dict[str, Array]:

@@ -36,9 +36,9 @@ from ..signals import INDEX, Array, IntArray
 from .correction import Corrected, Correction, correct, desired, find_cut, follow_error
 from .factored import add, dot, measure, quadratic, times, variance
 from .filtered import Filter, Filtered, low_pass, period, remember
-from .friction_features import Friction, beside, follow
+from .friction_features import FrictionFeatures, beside, follow
 from .law import KERNELS, Kernels
-from .random_features import Random, fill
+from .random_features import Movement, Random, fill
 
 POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
 Z, R = INDEX["z"], INDEX["r"]
@@ -84,7 +84,7 @@ class Linear(NamedTuple):
 
     known: Massless | None
     random: Random | None
-    friction: Friction | None
+    friction: FrictionFeatures | None
     correction: Correction | None
     filter: Filter
     gain: Array
@@ -107,7 +107,7 @@ class Linear(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """What a linear learner remembers.
+    """State of a linear learner.
 
     Attributes:
         W: (m, k) weights, transposed: a column of W is a row here.
@@ -143,7 +143,10 @@ parts_of = views(Parts)
 @linked
 def estimate(row: Array, at: IntArray, a: Linear, state: Array) -> None:
     """Psi_hat and gain of one sample, then the update of the weights."""
-    learn(row, at, a, a.known, a.random, a.friction, a.correction, parts_of(state, a.layout))
+    o = parts_of(state, a.layout)
+    respond(row, at, a, a.known, a.random, a.friction, a.correction, o)
+    if a.learning:
+        learn(row, at, a, a.known, a.random, a.friction, a.correction, o)
 
 
 @linked
@@ -155,11 +158,11 @@ def settle(row: Array, at: IntArray, a: Linear, state: Array) -> None:
 
 
 @internal
-def learn(
-    row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None, friction: Friction | None,
-    correction: Correction | None, o: Parts,
+def respond(
+    row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None,
+    friction: FrictionFeatures | None, correction: Correction | None, o: Parts,
 ) -> None:  # fmt: skip
-    """Psi_hat and gain of one sample, then the update of the weights.
+    """Psi_hat and gain of one sample.
 
     Args:
         row: (width,) row of signals; psi_hat, effective_gain and weight_norm are written.
@@ -171,11 +174,10 @@ def learn(
         correction: `a.correction`, likewise; it has features of `known`.
         o: What it remembers.
     """
-    p = a.gain.size
     nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
     velocity, qdot = row[at[VELOCITY] : at[Q]], row[at[QDOT] : at[QDOT + 1]]
-    features(a, known, random, o, row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], velocity, qdot, nu_ref,
-             nudot_ref)  # fmt: skip
+    pose, q = row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]]
+    features(a, known, random, o, Movement(pose, q, velocity, qdot, nu_ref, nudot_ref))
     if friction is not None:
         beside(row, at, friction, a.Phi)
     if correction is not None and known is not None:
@@ -183,8 +185,14 @@ def learn(
     say(row, at, a, o)
     if correction is not None:
         correct(row, at, correction, o.corrected)
-    if not a.learning:
-        return
+
+
+@internal
+def learn(
+    row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None,
+    friction: FrictionFeatures | None, correction: Correction | None, o: Parts,
+) -> None:  # fmt: skip
+    """The update of the weights by one sample; arguments as of `respond`."""
     if correction is not None:
         follow_error(row, at, correction, a.gain, o.counts[5] > 0.0, o.corrected)
     f, now = a.filter, int(o.counts[0]) % a.every == 0 or o.counts[5] > 0.0
@@ -198,9 +206,9 @@ def learn(
     if friction is not None:
         follow(f, o.filtered, o.moved, a.Phi)
     if counts:
-        nb = p - f.q.size
-        features(a, known, random, o, f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot)
-        for i in range(p):
+        nb = f.nu.size - f.q.size
+        features(a, known, random, o, Movement(f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot))
+        for i in range(f.nu.size):
             f.torque[i] -= a.psi0[i]
         low_pass(f, a.Phi, o.filtered)
         if a.alarm > 0.0:
@@ -213,14 +221,11 @@ def learn(
 
 
 @internal
-def features(
-    a: Linear, known: Massless | None, random: Random | None, o: Parts, pose: Array, q: Array, velocity: Array,
-    qdot: Array, nu_ref: Array, nudot_ref: Array,
-) -> None:  # fmt: skip
-    """Phi and Psi_0 at a state, into a.Phi and a.psi0."""
+def features(a: Linear, known: Massless | None, random: Random | None, o: Parts, m: Movement) -> None:
+    """Phi and Psi_0 of a movement, into a.Phi and a.psi0."""
     if known is not None:
-        measured(known, pose, velocity, q, qdot)
-        regress(known, nu_ref, nudot_ref)
+        measured(known, m.pose, m.velocity, m.q, m.qdot)
+        regress(known, m.nu_ref, m.nudot_ref)
         if random is None:
             for i in range(a.Phi.shape[0]):
                 copy_to(known.Y[i], a.Phi[i, : known.Y.shape[1]])
@@ -228,7 +233,7 @@ def features(
             for i in range(a.psi0.size):
                 a.psi0[i] = dot(known.Y[i], a.theta0, a.theta0.size)
     if random is not None:
-        fill(random, o.a, o.b, q, velocity, qdot, nu_ref, nudot_ref, a.Phi[0])
+        fill(random, o.a, o.b, m, a.Phi[0])
 
 
 @internal

@@ -80,7 +80,7 @@ class ComputedTorque(ConstantGain):
         return cls(given.feedback, given.told.nominal if given.name == "nominal" else None, given.name)
 
     def facts(self) -> dict[str, Any]:
-        """What it gets of its model."""
+        """The facts of its model; none where it believes the loop's."""
         return {} if self.model is None else {"model": self.model.facts()}
 
     @property

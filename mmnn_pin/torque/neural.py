@@ -52,7 +52,7 @@ MEASURED = (
 
 
 class Inputs(Settings, frozen=True):
-    """What the networks see.
+    """The inputs of the networks.
 
     Args:
         signals: Names of signals, each one measured or computed from measured ones; default (3.24).
@@ -98,7 +98,7 @@ class Inputs(Settings, frozen=True):
         """Scale and offset of every input, (nx,) each."""
         rows = self.rows(layout)
         scale, offset = np.full(rows.size, self.scale), np.zeros(rows.size)
-        if self.constant_yaw_rate is not None and layout.base == 2:
+        if self.constant_yaw_rate is not None and layout.base and not layout.sideways:
             wd = rows == layout.where("alpha").start + 1
             scale[wd], offset[wd] = 0.0, self.constant_yaw_rate
         if self.bias:
@@ -171,11 +171,9 @@ class Neural(CompiledController):
     called: str = ""
     adds_model: bool = False
 
-    lyapunov_part = "networks"
-
     @property
     def networks(self) -> Neural:
-        """Itself."""
+        """The controller of the networks: this one."""
         return self
 
     @property
@@ -185,7 +183,7 @@ class Neural(CompiledController):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """What it is called, or the name of the network."""
+        """Name in tables and recordings: the given one, or that of the network."""
         return self.called or self.network.name
 
     @property
@@ -319,7 +317,7 @@ class Neural(CompiledController):
         return cls(network=network, **read_facts(cls, facts, *(key for key in facts if key != "network")))
 
     def findings(self, state: ControllerState) -> list[str]:
-        """What the weights show after a run: layers that have collapsed to rank one, and those on their bound."""
+        """Findings in the weights after a run: layers that have collapsed to rank one, and those on their bound."""
         layers = {name: W for name, W in self.weights(state).items() if np.isfinite(W).all()}
         collapsed = [name for name, W in layers.items() if min(W.shape) > 1 and numerical_rank(W) == 1]
         held = [] if self.projection is None else self._held(layers, state)

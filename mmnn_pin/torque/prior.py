@@ -1,4 +1,4 @@
-"""What a learner that knows the kinematics takes a robot for before it has moved: balls at the joints.
+"""Priors of learners that know the kinematics: before it has moved a robot is balls at its joints.
 
 Which balls? A prior multiplies `nudot_ref`, which holds `K edot`, so a prior much heavier than the robot is a feedback
 that the control period does not stand: 2 kg in every joint of a servo arm of 50 g. Masses are unknown, but the feedback
@@ -106,7 +106,7 @@ class ParameterLearner(CompiledController):
 
     @cached_property
     def _start(self) -> Array:
-        """The same, computed once: a prior looks at many positions."""
+        """The parameters of `start`, (k,), computed once: a prior looks at many positions."""
         raise NotImplementedError
 
 
@@ -238,7 +238,7 @@ def scales(regressor: Regressor, K: Array) -> Array:
 
 
 def identified(file: str, labels: Sequence[str], key: str) -> tuple[Array, Array]:
-    """What `mmnn identify` found: parameters of these names (k,), and their covariance (k, k).
+    """Parameters of some names (k,) and their covariance (k, k), as `mmnn identify` found them.
 
     Args:
         file: `NAME.identified.json`.

@@ -112,59 +112,86 @@ def new_random(kind: int, p: int, pairs: IntArray, eps: float, centre: Array, sc
     return Random(kind, len(pairs), units, pairs, scale.size, eps, centre, scale, *room)
 
 
-@compiled
-def fill(
-    r: Random, a: Array, b: Array, q: Array, velocity: Array, qdot: Array, nu_ref: Array, nudot_ref: Array, phi: Array
-) -> None:
-    """The features at a state, (k,), into phi.
+class Movement(NamedTuple):
+    """A movement, of which features are computed: how the robot stands and moves, and how it should move.
 
-    Args:
-        r: The numbers.
-        a: (units, inputs) what was drawn.
-        b: (units,) likewise.
+    Attributes:
+        pose: (3,) pose of the base, (0,) for a fixed arm.
         q: (n,) joints.
         velocity: (nb,) velocity of the base.
         qdot: (n,) rates of the joints.
         nu_ref: (p,) reference velocities.
         nudot_ref: (p,) their time derivatives.
+    """
+
+    pose: Array
+    q: Array
+    velocity: Array
+    qdot: Array
+    nu_ref: Array
+    nudot_ref: Array
+
+
+@compiled
+def fill(r: Random, a: Array, b: Array, m: Movement, phi: Array) -> None:
+    """The features of a movement, (k,), into phi.
+
+    Args:
+        r: The numbers.
+        a: (units, inputs) what was drawn.
+        b: (units,) likewise.
+        m: The movement.
         phi: (k,) written.
     """
-    n, nb, p = q.size, velocity.size, nu_ref.size
+    p, nb = m.nu_ref.size, m.velocity.size
     first = phi.size - 2 * p
     for i in range(p):
-        speed = velocity[i] if i < nb else qdot[i - nb]
+        speed = m.velocity[i] if i < nb else m.qdot[i - nb]
         phi[first + i], phi[first + p + i] = speed, tanh(speed / r.eps)
-    nu, x = phi[first : first + p], r.x
+    fill_functions(r, a, b, m, phi[first : first + p])
+    fill_terms(r, m, phi[first : first + p])
+    last = r.t.size - 1
+    for c in range(last + 1):
+        phi[c] = r.t[c]
+    for c in range(r.number):
+        term = r.pairs[c, 1]
+        phi[last + 1 + c] = r.g[r.pairs[c, 0]] * (r.t[term] if term >= 0 else 1.0)
+
+
+@compiled
+def fill_functions(r: Random, a: Array, b: Array, m: Movement, nu: Array) -> None:
+    """The random functions (units,) of a movement with the velocity nu (p,), into r.g; the rest as of `fill`."""
+    n, p, x = m.q.size, nu.size, r.x
     for i in range(n):
-        x[i] = r.scale[i] * (q[i] - r.centre[i])
+        x[i] = r.scale[i] * (m.q[i] - r.centre[i])
     if r.kind == GENERIC:
         for i in range(p):
             x[n + i] = r.scale[n + i] * nu[i]
-            x[n + p + i] = r.scale[n + p + i] * nu_ref[i]
-            x[n + 2 * p + i] = r.scale[n + 2 * p + i] * nudot_ref[i]
+            x[n + p + i] = r.scale[n + p + i] * m.nu_ref[i]
+            x[n + 2 * p + i] = r.scale[n + 2 * p + i] * m.nudot_ref[i]
     for u in range(r.units):
         total = b[u]
         for i in range(r.inputs):
             total += a[u, i] * x[i]
         r.g[u] = tanh(total)
-    t, last = r.t, r.t.size - 1
+
+
+@compiled
+def fill_terms(r: Random, m: Movement, nu: Array) -> None:
+    """The terms (terms,) of a movement with the velocity nu (p,), into r.t."""
+    p, t = nu.size, r.t
     for i in range(p):
-        t[i] = nudot_ref[i]
+        t[i] = m.nudot_ref[i]
     if r.kind == GENERIC:
         for i in range(p):
-            t[p + i] = nu_ref[i]
+            t[p + i] = m.nu_ref[i]
     else:
         place = p
         for i in range(p):
             for j in range(i, p):
-                t[place] = 0.5 * (nu[i] * nu_ref[j] + nu[j] * nu_ref[i])
+                t[place] = 0.5 * (nu[i] * m.nu_ref[j] + nu[j] * m.nu_ref[i])
                 place += 1
-    t[last] = 1.0
-    for c in range(last + 1):
-        phi[c] = t[c]
-    for c in range(r.number):
-        term = r.pairs[c, 1]
-        phi[last + 1 + c] = r.g[r.pairs[c, 0]] * (t[term] if term >= 0 else 1.0)
+    t[t.size - 1] = 1.0
 
 
 def at_rest(random: Random, k: int) -> NDArray[np.bool_]:

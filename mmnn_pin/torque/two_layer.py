@@ -136,9 +136,7 @@ def weighted_sum(W: Array, sigma: Array, psi_hat: Array) -> float:
 
 
 @internal
-def two_layer_update(
-    W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array, F: float, G: float, kappa: float, dt: float
-) -> None:
+def two_layer_update(W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array, rates: Array, dt: float) -> None:
     """One step of the update law (3.48), (3.49), both lines with the weights as they were before.
 
     Args:
@@ -148,12 +146,10 @@ def two_layer_update(
         net: (h,) `V' x`.
         sigma: (h,) hidden outputs.
         s: (m,) error.
-        F: Rate of W.
-        G: Rate of V.
-        kappa: Leakage (e-modification).
+        rates: F of W, G of V, kappa of the leakage (e-modification); what follows them is not read.
         dt: 1 for rates per sample (Appendix B), the control period for rates per second.
     """
-    norm = 0.0
+    F, G, kappa, norm = rates[0], rates[1], rates[2], 0.0
     for i in range(s.size):
         norm += s[i] * s[i]
     leak = kappa * math.sqrt(norm)

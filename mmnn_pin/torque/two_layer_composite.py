@@ -138,7 +138,7 @@ class Experience(NamedTuple):
 
 
 class Experienced(NamedTuple):
-    """What such a network remembers.
+    """State of the networks with their kept samples.
 
     Attributes:
         networks: The networks' own state.
@@ -227,7 +227,42 @@ def teach(a: Experience, o: Networks, x: Array, torque: Array) -> None:
 
 @internal
 def descend(a: Experience, W: Array, V: Array, x: Array, torque: Array, unit: Array) -> None:
-    """One normalised step of one network."""
+    """One normalised step of one network.
+
+    Args:
+        a: The numbers of the law.
+        W: (h, m) output weights, updated.
+        V: (nx, h) hidden weights, updated.
+        x: (nx,) input.
+        torque: (m,) that the output should be.
+        unit: (m,) what torques are measured by.
+    """
+    mu = a.rate / squared_slope(a, W, V, x, torque, unit)
+    if not math.isfinite(mu):
+        return
+    net, sigma, e, sum_w, sum_v = a.net, a.sigma, a.error, 0.0, 0.0
+    for j in range(W.shape[0]):
+        back = 0.0
+        for i in range(W.shape[1]):
+            back += W[j, i] * e[i] / (unit[i] * unit[i])
+            W[j, i] += mu * sigma[j] * e[i]
+            part = W[j, i] / unit[i]
+            sum_w += part * part
+        net[j] = mu * sigma[j] * (1.0 - sigma[j]) * back
+    for i in range(x.size):
+        for j in range(W.shape[0]):
+            V[i, j] += x[i] * net[j]
+            sum_v += V[i, j] * V[i, j]
+    shrink(W, sum_w, a.radius[0])
+    shrink(V, sum_v, a.radius[1])
+
+
+@internal
+def squared_slope(a: Experience, W: Array, V: Array, x: Array, torque: Array, unit: Array) -> float:
+    """One and the squares of the output's slopes by all weights; hidden outputs into a.sigma, the error into a.error.
+
+    Arguments as of `descend`.
+    """
     h, m, nx = W.shape[0], W.shape[1], x.size
     net, sigma, e = a.net, a.sigma, a.error
     for j in range(h):
@@ -248,23 +283,7 @@ def descend(a: Experience, W: Array, V: Array, x: Array, torque: Array, unit: Ar
             e[i] -= W[j, i] * sigma[j]
             part = slope * W[j, i] / unit[i]
             square += inputs * (part * part)
-    mu, sum_w, sum_v = a.rate / square, 0.0, 0.0
-    if not math.isfinite(mu):
-        return
-    for j in range(h):
-        back = 0.0
-        for i in range(m):
-            back += W[j, i] * e[i] / (unit[i] * unit[i])
-            W[j, i] += mu * sigma[j] * e[i]
-            part = W[j, i] / unit[i]
-            sum_w += part * part
-        net[j] = mu * sigma[j] * (1.0 - sigma[j]) * back
-    for i in range(nx):
-        for j in range(h):
-            V[i, j] += x[i] * net[j]
-            sum_v += V[i, j] * V[i, j]
-    shrink(W, sum_w, a.radius[0])
-    shrink(V, sum_v, a.radius[1])
+    return square
 
 
 @linked
@@ -301,7 +320,6 @@ class TwoLayerComposite(CompiledController):
     name: str = "two_layer_composite"
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "networks"
 
     @classmethod
     def build(cls, given: Given) -> Self:
@@ -423,7 +441,7 @@ class TwoLayerComposite(CompiledController):
         return np.array(found)
 
     def findings(self, state: ControllerState) -> list[str]:
-        """What the weights show, and whether the run excited what they would have to know of other motions."""
+        """Findings in the weights, and whether the run excited what they would have to know of other motions."""
         found = self.networks.findings(state)
         if not self.learning or not np.isfinite(state.values).all() or state["counts"][1] == 0:
             return found

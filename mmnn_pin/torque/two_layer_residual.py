@@ -41,7 +41,6 @@ class TwoLayerResidual(CompiledController):
     name: str = "two_layer_residual"
 
     within_limits: ClassVar[bool] = True
-    lyapunov_part = "networks"
 
     @classmethod
     def build(cls, given: Given) -> Self:
@@ -72,7 +71,7 @@ class TwoLayerResidual(CompiledController):
 
     @property
     def notes(self) -> list[str]:
-        """What the network has to say."""
+        """The network's notes."""
         return self.networks.notes
 
     def law(self, context: Context) -> Law:
@@ -99,7 +98,7 @@ class TwoLayerResidual(CompiledController):
         return self.networks.facts() | {"model": model}
 
     def findings(self, state: ControllerState) -> list[str]:
-        """What the network's weights show."""
+        """Findings in the network's weights."""
         return self.networks.findings(state)
 
     @classmethod

@@ -179,9 +179,9 @@ def two_masses(torque, duration, dt, inertia=0.05, gear=None, rotor=(0.0, 0.0), 
     """Rotor and joint of a given inertia by our backlash: times, (N, 5) lead, rotor's speed, joint's, torque, angle."""
     names = "gap", "rotor_inertia", "stiffness", "damping", "rotor_friction"
     numbers = (np.array([(gear or GEAR).get(name, 0.0)]) for name in names)
-    states, rows, angle = np.zeros((1, motor.STATES)), [], 0.0
-    backlash, wire, state = Backlash(dt, *numbers, states), Drive(*np.zeros((3, 1)), np.zeros(1, np.int64)), states[0]
-    state[motor.AHEAD], state[motor.ROTOR_SPEED] = rotor
+    states, rows, angle = motor.motor_state(np.zeros((1, motor.STATES))), [], 0.0
+    backlash, wire = Backlash(dt, *numbers, states), Drive(*np.zeros((3, 1)), np.zeros(1, np.int64))
+    states.ahead[0], states.rotor_speed[0] = rotor
     times = dt * np.arange(round(duration / dt))
     for t in times:
         wire.torque[0], wire.joint[0] = torque(t + 0.5 * dt), speed
@@ -189,7 +189,7 @@ def two_masses(torque, duration, dt, inertia=0.05, gear=None, rotor=(0.0, 0.0), 
         flank = wire.torque[0]
         speed += dt * flank / inertia
         angle += dt * speed
-        rows.append((state[motor.AHEAD], state[motor.ROTOR_SPEED], speed, flank, angle))
+        rows.append((states.ahead[0], states.rotor_speed[0], speed, flank, angle))
     return times + dt, np.array(rows)
 
 
@@ -425,9 +425,9 @@ def test_a_brake_too_strong_for_the_step_is_refused():
     with pytest.raises(ConfigError, match=r"actuator\.brake.*'axle'.*less than 50"):
         Actuator(brake=51.0).motors(robot, DT)
     motors = Actuator(brake=1e4, gap=0.1, rotor_inertia=0.01).motors(robot, DT)
-    motors.states[0, motor.ROTOR_SPEED] = 3.0
+    motors.states.rotor_speed[0] = 3.0
     step(motors, 0.0, 0.0, 1)
-    assert motors.states[0, motor.ROTOR_SPEED] == pytest.approx(3.0 / (1 + DT * 1e4 / 0.01))
+    assert motors.states.rotor_speed[0] == pytest.approx(3.0 / (1 + DT * 1e4 / 0.01))
 
 
 def test_a_battery_that_breaks_down_is_refused():

@@ -16,7 +16,7 @@ from test_holonomic import mecanum
 
 from mmnn_pin import load
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.reference.drive import Drive
+from mmnn_pin.reference.drive import RouteDrive
 from mmnn_pin.reference.follower import Follower
 from mmnn_pin.reference.guide import ARM, BASE
 from mmnn_pin.reference.limits import Limits
@@ -165,7 +165,7 @@ class Promise(RuleBasedStateMachine):
         way = way + np.vstack((np.zeros(2), np.cumsum(far * self.rng.normal(size=(points, 2)), axis=0)))
         unknown = np.full(len(way), np.nan)
         route = Route.of(way, unknown, np.zeros(len(way), bool))
-        motion = Drive.along(route, self.robot, self.limits, 1.0, PERIOD)
+        motion = RouteDrive.along(route, self.robot, self.limits, 1.0, PERIOD)
         self.follower.check(motion)
         self.base_kind, self.base_goal = "path", way[-1]
         for k in range(steps):

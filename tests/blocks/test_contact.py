@@ -23,7 +23,7 @@ from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.model import Robot, load
-from mmnn_pin.model.base.holonomic import Holonomic
+from mmnn_pin.model.base.holonomic import HolonomicBase
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.plant.contact.feet import Contact, Patch, feet_of
 from mmnn_pin.plant.ideal import IdealPlant
@@ -531,7 +531,7 @@ def test_a_base_on_two_wheels_is_refused() -> None:
 def test_wheels_with_rollers_are_refused() -> None:
     this = robot_of(Drive().urdf(), base="differential_drive")
     with pytest.raises(RobotError, match="cannot carry the holonomic base"):
-        feet_of(replace(this, base=Holonomic(wheels=this.base.wheels, frame=this.base.frame)))
+        feet_of(replace(this, base=HolonomicBase(wheels=this.base.wheels, frame=this.base.frame)))
 
 
 def test_an_inertia_that_no_body_can_have_is_refused() -> None:

@@ -19,7 +19,17 @@ from robots import fixed_arm, mobile_arm, robot_of
 from test_safety import heavy_arm
 
 from mmnn_pin import PD, Feedback, Hold, Line, Loop, Sine, Timing, TorqueController, Trajectory, load, load_experiment
-from mmnn_pin.disturbance import Block, Commands, DeadMotor, Forces, Frozen, Messages, Payload, Push, pushes
+from mmnn_pin.disturbance import (
+    BlockedJoint,
+    CommandFault,
+    DeadMotor,
+    Forces,
+    FrozenEncoder,
+    Messages,
+    Payload,
+    Push,
+    pushes,
+)
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.dynamics import Dynamics
@@ -131,7 +141,7 @@ def test_pushes_change_momentum_and_energy_by_what_they_are(shape, integrator):
 
 def test_without_pushes_nothing_is_recorded_of_them():
     assert "disturbance" not in run_of().names
-    assert not run_of(Commands(fault="lost", start=0.09))["disturbance"].any()
+    assert not run_of(CommandFault(fault="lost", start=0.09))["disturbance"].any()
 
 
 # --- A payload --------------------------------------------------------------------------------------------------------
@@ -215,8 +225,8 @@ def test_a_base_without_an_arm_can_be_loaded_too():
 
 
 def test_a_base_with_a_blocked_wheel_pivots_about_it():
-    pushing = Given([60.0, 0.0, 0.0, 0.0])
-    run = run_of(Block(joint=LEFT, start=0.1), duration=0.3, controller=pushing, integrator="stick", start=Start())
+    pushing, block = Given([60.0, 0.0, 0.0, 0.0]), BlockedJoint(joint=LEFT, start=0.1)
+    run = run_of(block, duration=0.3, controller=pushing, integrator="stick", start=Start())
     blocked = run.time > 0.1 + 2 * H
     wheel = ROBOT.position_names.index(LEFT)
     turned = run["nu"] @ ROBOT.T[wheel]
@@ -234,7 +244,7 @@ def test_a_base_with_a_blocked_wheel_pivots_about_it():
 
 def test_a_blocked_joint_stays_and_comes_free_again():
     name = ROBOT.joint_names[0]
-    run = run_of(Block(joint=name, start=0.02, end=0.06), integrator="stick", controller=PD(THESIS))
+    run = run_of(BlockedJoint(joint=name, start=0.02, end=0.06), integrator="stick", controller=PD(THESIS))
     held = (run.time > 0.02 + 2 * H) & (run.time < 0.06 + 1e-9)
     assert np.abs(run["qdot"][held, 0]).max() < 1e-9 and np.abs(run["qdot"][held, 1]).max() > 1e-3
     assert np.abs(run["qdot"][~held, 0]).max() > 0.1 and abs(run["qdot"][-1, 0]) > 0.1
@@ -252,7 +262,7 @@ def test_a_dead_motor_gives_nothing_while_it_is_dead():
 
 
 def test_a_frozen_encoder_keeps_its_reading_and_its_rate_is_zero():
-    run = run_of(Frozen(joint=ROBOT.joint_names[0], start=0.03, end=0.07))
+    run = run_of(FrozenEncoder(joint=ROBOT.joint_names[0], start=0.03, end=0.07))
     frozen = (run.time > 0.03 - 1e-9) & (run.time < 0.07 - 1e-9)
     kept = run["position"][int(np.argmax(frozen)) - 1, ROBOT.arm_index[0]]
     np.testing.assert_array_equal(run["q"][frozen, 0], kept)
@@ -263,12 +273,12 @@ def test_a_frozen_encoder_keeps_its_reading_and_its_rate_is_zero():
 
 def test_a_frozen_wheel_encoder_halves_what_the_base_thinks_it_does():
     sensor = Sensor(velocity="difference", pose="odometry")
-    run = run_of(Frozen(joint=LEFT, start=0.05), sensor=sensor)
+    run = run_of(FrozenEncoder(joint=LEFT, start=0.05), sensor=sensor)
     late = run.time > 0.06
     right = run["nu"][late] @ ROBOT.T[ROBOT.position_names.index(RIGHT)] * ROBOT.base.wheels[1].radius
     np.testing.assert_allclose(run["velocity"][late, 0], 0.5 * right, rtol=0.05, atol=2e-3)
     with pytest.raises(ConfigError, match=r"disturbances\.0.*nobody reads the encoder"):
-        run_of(Frozen(joint=LEFT, start=0.05))
+        run_of(FrozenEncoder(joint=LEFT, start=0.05))
 
 
 # --- Messages and commands --------------------------------------------------------------------------------------------
@@ -304,7 +314,7 @@ def test_a_spike_is_in_every_tenth_message():
     np.testing.assert_allclose(off, np.where((k >= 10) & (k < 40) & (k % 10 == 0), 0.05, 0.0), atol=1e-12)
 
 
-@pytest.mark.parametrize("event", [Messages(fault="nan", start=0.04), Commands(fault="nan", start=0.04)])
+@pytest.mark.parametrize("event", [Messages(fault="nan", start=0.04), CommandFault(fault="nan", start=0.04)])
 def test_what_is_no_number_ends_an_unsupervised_run_and_is_not_recorded(event):
     run = run_of(event)
     assert run.outcome.status == "diverged" and run.outcome.time == pytest.approx(0.04) and len(run) == 20
@@ -312,7 +322,7 @@ def test_what_is_no_number_ends_an_unsupervised_run_and_is_not_recorded(event):
 
 
 def test_lost_commands_leave_the_torque_that_was_there():
-    run = run_of(Commands(fault="lost", start=0.04, end=0.06))
+    run = run_of(CommandFault(fault="lost", start=0.04, end=0.06))
     k = np.arange(len(run))
     lost = (k >= 20) & (k < 30)
     np.testing.assert_array_equal(run["torque"][lost], np.tile(run["torque"][19], (10, 1)))
@@ -327,8 +337,8 @@ def test_lost_commands_leave_the_torque_that_was_there():
     [
         (lambda: Push(on="v", force=1.0, start=-1.0), r"disturbances\.start.*0 <= start < end"),
         (lambda: Push(on="v", force=1.0, start=2.0, end=1.0), r"disturbances\.start"),
-        (lambda: Block(joint="a", start=math.nan), r"disturbances\.start"),
-        (lambda: Frozen(joint="a", start=math.inf), r"disturbances\.start"),
+        (lambda: BlockedJoint(joint="a", start=math.nan), r"disturbances\.start"),
+        (lambda: FrozenEncoder(joint="a", start=math.inf), r"disturbances\.start"),
         (lambda: Push(on="v", force=math.nan), r"disturbances\.force"),
         (lambda: Push(on="v", force=1e12), r"disturbances\.force"),
         (lambda: Push(on="v", force=1.0, frequency=0.0), r"disturbances\.frequency"),
@@ -352,15 +362,15 @@ def test_numbers_out_of_range_are_refused(make, text):
         (Push(on="elbow", force=1.0), r"disturbances\.1\.on: error: unknown velocity 'elbow'.*there is: v, w"),
         (Payload(mass=1.0, joint="elbow"), r"disturbances\.1\.joint: error: unknown joint 'elbow'"),
         (DeadMotor(joint="elbow"), r"disturbances\.1\.joint.*unknown joint 'elbow'.*wheel_left_joint"),
-        (Block(joint="elbow"), r"disturbances\.1\.joint"),
-        (Frozen(joint="elbow"), r"disturbances\.1\.joint"),
+        (BlockedJoint(joint="elbow"), r"disturbances\.1\.joint"),
+        (FrozenEncoder(joint="elbow"), r"disturbances\.1\.joint"),
         (Push(on="v", force=1.0, start=0.01, end=0.0105), r"disturbances\.1\.end.*the plant's step"),
-        (Block(joint=LEFT), r"time\.integrator.*a blocked joint.*'stick'"),
+        (BlockedJoint(joint=LEFT), r"time\.integrator.*a blocked joint.*'stick'"),
     ],
 )
 def test_what_does_not_fit_the_robot_or_the_run_is_refused(event, text):
     with pytest.raises((ConfigError, UnknownName), match=text):
-        run_of(Commands(fault="lost", start=0.05), event)
+        run_of(CommandFault(fault="lost", start=0.05), event)
 
 
 @pytest.mark.parametrize("event", ["type='push', on='v', force=1", "type='payload', mass=1", "type='block', joint='a'"])

@@ -11,11 +11,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from robots import robot_of
 
-from mmnn_pin import PD, Stepper, load
+from mmnn_pin import PD, Stepper, StepperSettings, load
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.reference.wishes import JointGoal
 from mmnn_pin.safety import Safety, accept, new_state, release, trip_of
-from mmnn_pin.safety.supervisor import GOOD, HAS_TRIPPED, TURN
+from mmnn_pin.safety.supervisor import TURN
 from mmnn_pin.signals import Layout, Measurement
 
 ROBOT = load("platform_arm")
@@ -40,7 +40,7 @@ class Entrance:
 
     @property
     def tripped(self):
-        return bool(self.supervisor.state[HAS_TRIPPED])
+        return bool(self.supervisor.state.tripped[0])
 
 
 def wrapped(angle, seam):
@@ -133,13 +133,13 @@ def test_without_a_limit_a_jump_is_a_motion():
     door, still = Entrance(Safety()), np.zeros(2)
     door.take(0.0, np.zeros(3), still, [0.3, 0.5], still)
     assert door.take(0.01, np.zeros(3), still, [2.0, 0.5], still)[5] == 2.0 and not door.tripped
-    assert door.supervisor.state[GOOD] == 2.0
+    assert door.supervisor.state.good[0] == 2.0
 
 
 def test_a_stepper_holds_where_a_jump_began_and_goes_on_from_the_new_reading_after_a_reset():
     period, q = 0.002, np.array([0.3, 0.5])
     still = np.zeros(2)
-    with Stepper(ROBOT, PD(), period=period) as stepper:
+    with Stepper(ROBOT, PD(), StepperSettings(period=period)) as stepper:
         for k in range(60):
             read = q + np.array((1.5, 0.0)) if k >= 30 else q
             stepper.step(k * period, Measurement(np.zeros(3), still, read, still), JointGoal(q) if k == 1 else None)

@@ -15,11 +15,7 @@ from scipy.signal import lfilter
 
 from mmnn_pin.actuator import NEVER, effects
 from mmnn_pin.actuator.effects import (
-    DRAWN,
-    GIVEN,
-    ROTOR_SPEED,
     STATES,
-    SUM,
     Backlash,
     Battery,
     CurrentLoop,
@@ -32,6 +28,7 @@ from mmnn_pin.actuator.effects import (
     Supply,
     TorqueConstant,
     TorqueLimit,
+    motor_state,
 )
 from mmnn_pin.disturbance import BRAKE, Forces, Pushes, block
 from mmnn_pin.disturbance.effects import NOISE, SINE, STEP
@@ -46,12 +43,12 @@ from mmnn_pin.sensing.effects import (
     READING,
     Encoders,
     FrozenEncoders,
-    Line,
+    MessageLine,
     Noise,
-    Odometry,
     Rates,
     Reading,
     Velocities,
+    WheelOdometry,
 )
 from mmnn_pin.sensing.settings import Sensor
 
@@ -83,8 +80,8 @@ def reading(encoders=2, pose=0, size=4, modelled=False):
 
 
 def test_a_motor_turns_as_its_rotor_behind_a_gap_and_else_as_its_joint():
-    states, wire = np.zeros((3, STATES)), drive(speed=(1.0, 2.0, 3.0))
-    states[:, ROTOR_SPEED] = 9.0
+    states, wire = motor_state(np.zeros((3, STATES))), drive(speed=(1.0, 2.0, 3.0))
+    states.rotor_speed[:] = 9.0
     MotorSpeed(np.array([0.0, 0.1, 0.0]), states).act(wire, 0, 0.0)
     np.testing.assert_array_equal(wire.speed, [1.0, 9.0, 3.0])
 
@@ -100,15 +97,15 @@ def test_torque_constant_torque_limit_and_speed_limit():
 
 
 def test_a_supply_gives_the_torque_of_its_voltage_and_a_battery_sags_by_the_power_drawn():
-    states, wire = np.zeros((3, STATES)), drive((100.0, -100.0, 1.0), (5.0, 5.0, 5.0))
+    states, wire = motor_state(np.zeros((3, STATES))), drive((100.0, -100.0, 1.0), (5.0, 5.0, 5.0))
     supply = Supply(24.0, 0.1, 0.0, np.full(3, 0.5), np.full(3, 0.4), states)
-    states[:, DRAWN] = 10.0, 5.0, 0.0
+    states.drawn[:] = 10.0, 5.0, 0.0
     supply.act(wire, 0, 0.0)
     volts = np.clip(0.4 * np.array([100.0, -100.0, 1.0]) / 0.5 + 0.5 * 5.0, -22.5, 22.5)
     np.testing.assert_allclose(wire.torque, 0.5 * (volts - 2.5) / 0.4)
     Battery(supply).act(wire, 0, 0.0)
     power = volts * wire.torque / 0.5  # of the windings, which the battery gives at its voltage
-    np.testing.assert_allclose(states[:, DRAWN] * 22.5, power)
+    np.testing.assert_allclose(states.drawn[:] * 22.5, power)
 
 
 def test_a_dead_motor_has_no_torque_while_its_window_is_open():
@@ -135,7 +132,7 @@ def test_the_dead_zone_of_contributing_is_one():
 
 def test_a_current_loop_is_a_first_order_filter():
     commands, decay = RNG.normal(size=50), 0.8
-    effect = CurrentLoop(np.full(3, decay), np.zeros((3, STATES)))
+    effect = CurrentLoop(np.full(3, decay), motor_state(np.zeros((3, STATES))))
     given = []
     for u in commands:
         wire = drive((u, u, u))
@@ -151,18 +148,18 @@ def test_shorted_windings_brake_the_first_motors_implicitly_in_a_rotor():
 
 
 def test_inside_its_gap_a_rotor_turns_freely_and_the_joint_feels_nothing():
-    one, states = np.ones(1), np.zeros((1, STATES))
+    one, states = np.ones(1), motor_state(np.zeros((1, STATES)))
     wire = Drive(np.array([0.3]), np.zeros(1), np.zeros(1), np.zeros(1, np.int64))
     Backlash(0.001, 0.1 * one, 0.02 * one, 500.0 * one, 0.5 * one, 0.0 * one, states).act(wire, 0, 0.0)
-    assert wire.torque[0] == 0.0 and states[0, ROTOR_SPEED] == pytest.approx(0.001 * 0.3 / 0.02)
+    assert wire.torque[0] == 0.0 and states.rotor_speed[0] == pytest.approx(0.001 * 0.3 / 0.02)
 
 
 def test_a_meter_sums_what_the_joints_get():
-    states = np.zeros((3, STATES))
+    states = motor_state(np.zeros((3, STATES)))
     for _ in range(2):
         Meter(states).act(drive(), 0, 0.0)
-    np.testing.assert_array_equal(states[:, SUM], 2 * THREE)
-    np.testing.assert_array_equal(states[:, GIVEN], THREE)
+    np.testing.assert_array_equal(states.sum[:], 2 * THREE)
+    np.testing.assert_array_equal(states.given[:], THREE)
 
 
 # --- Commands and pushes ----------------------------------------------------------------------------------------------
@@ -206,8 +203,8 @@ def test_encoders_round_to_their_steps_and_tell_how_far_they_moved():
 
 
 def test_an_encoder_on_the_motor_reads_the_rotor():
-    states, wire = np.zeros((1, STATES)), reading()
-    states[0, 1], states[0, ROTOR_SPEED] = 0.02, 3.0
+    states, wire = motor_state(np.zeros((1, STATES))), reading()
+    states.ahead[0], states.rotor_speed[0] = 0.02, 3.0
     MotorSide(np.array([[0, 1, 1]]), states).act(wire, 0, 0.0)
     np.testing.assert_array_equal((wire.position, wire.nu), ([0.0, 0.02], [0.0, 3.0]))
 
@@ -305,9 +302,9 @@ def test_velocities_are_true_or_the_rates():
 def test_odometry_follows_the_arc_and_a_true_pose_is_the_robots():
     wire, pose = reading(2, 3, 5), np.array([1.0, 2.0, 0.3])
     wire.position[:3], wire.joints[:, MOVED] = (7.0, 8.0, 9.0), (0.1, 0.3)
-    Odometry(True, np.array([[0.5, 0.5], [-1.0, 1.0]]), pose).act(wire, 0, 0.0)
+    WheelOdometry(True, False, np.array([[0.5, 0.5], [-1.0, 1.0]]), pose).act(wire, 0, 0.0)
     np.testing.assert_allclose(wire.message[:3], [1.0 + 0.2 * math.cos(0.4), 2.0 + 0.2 * math.sin(0.4), 0.5])
-    Odometry(False, np.zeros((2, 2)), pose).act(wire, 0, 0.0)
+    WheelOdometry(False, False, np.zeros((2, 2)), pose).act(wire, 0, 0.0)
     np.testing.assert_array_equal(wire.message[:3], [7.0, 8.0, 9.0])
 
 
@@ -322,7 +319,7 @@ def test_a_line_delays_by_whole_measurements_loses_and_corrupts():
     wire.clock[:] = 0.0
     faults, uniforms = np.zeros((n, 2)), np.zeros((n, 2))
     uniforms[:, 1], faults[5, 0], faults[6, 1] = 0.5, -1.0, 100.0
-    line, got = Line(1, 0, 0.1, uniforms, faults, np.zeros((2, 1))), []
+    line, got = MessageLine(1, 0, 0.1, uniforms, faults, np.zeros((2, 1))), []
     for k in range(n):
         wire.message[0] = k
         line.act(wire, k, 0.0)

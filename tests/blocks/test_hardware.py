@@ -18,7 +18,7 @@ from robots import fixed_arm, mobile_arm
 
 from mmnn_pin import PD, Feedback, Hold, Line, Loop, Neural, Sine, Timing, Trajectory, load, load_experiment
 from mmnn_pin.actuator import Actuator
-from mmnn_pin.disturbance import Block, Commands, DeadMotor, Frozen, Messages, Payload, Push
+from mmnn_pin.disturbance import BlockedJoint, CommandFault, DeadMotor, FrozenEncoder, Messages, Payload, Push
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.show.plots import torque_figure
@@ -84,23 +84,23 @@ EVENTS = {
     "noise": Push(on="w", shape="noise", force=20.0),
     "payload": Payload(mass=2.0, start=2 * T, at=(0.2, 0.0, 0.0)),
     "dead motor": DeadMotor(joint=LEFT, start=T, end=3 * T),
-    "blocked wheel": Block(joint=LEFT, start=T, end=3 * T),
-    "blocked joint": Block(joint=ARM, start=T),
-    "frozen encoder": Frozen(joint=ARM, start=T, end=3 * T),
+    "blocked wheel": BlockedJoint(joint=LEFT, start=T, end=3 * T),
+    "blocked joint": BlockedJoint(joint=ARM, start=T),
+    "frozen encoder": FrozenEncoder(joint=ARM, start=T, end=3 * T),
     "lost messages": Messages(fault="lost", start=T, end=2 * T),
     "late messages": Messages(fault="late", delay=3, start=T, end=3 * T),
     "shuffled messages": Messages(fault="shuffled", delay=3, start=T),
     "spikes": Messages(fault="spike", size=0.01, start=T),
-    "lost commands": Commands(fault="lost", start=T, end=2 * T),
+    "lost commands": CommandFault(fault="lost", start=T, end=2 * T),
 }
 TIMEOUTS = Safety(timeout=T / 2, ramp=T / 2, stop_time=2 * T)
 SUPERVISED = {
     "messages that are no numbers": (Messages(fault="nan", start=T, end=1.3 * T),),
     "no numbers from the start": (Messages(fault="nan", end=0.3 * T),),
-    "commands that are no numbers": (Commands(fault="nan", start=T, end=1.3 * T),),
+    "commands that are no numbers": (CommandFault(fault="nan", start=T, end=1.3 * T),),
     "silent sensors": (Messages(fault="lost", start=T),),
     "sensors that come back": (Messages(fault="lost", start=T, end=2 * T),),
-    "silent controller": (Commands(fault="lost", start=T),),
+    "silent controller": (CommandFault(fault="lost", start=T),),
 }
 ALL = {
     "actuator": structs.replace(GEAR, lag=0.002, torque_limit="urdf", voltage=48.0, torque_constant=0.5, resistance=0.5,
@@ -108,7 +108,7 @@ ALL = {
     "sensor": structs.replace(ROUGH, side="motor"),
     "safety": Safety(torque="urdf", timeout=2 * T, position_error=0.5, weights=5.0),
     "disturbances": (*(EVENTS[name] for name in ("step", "noise", "payload", "late messages", "lost commands")),
-                     Frozen(joint=LEFT, start=2 * T, end=3 * T), Block(joint=LEFT, start=4 * T)),
+                     FrozenEncoder(joint=LEFT, start=2 * T, end=3 * T), BlockedJoint(joint=LEFT, start=4 * T)),
 }  # fmt: skip
 TRIPPED = {**ALL, "safety": Safety(joint_speed=1.65, stop_time=9.0)}
 
@@ -121,7 +121,7 @@ CASES |= {"all": ALL, "all, tripped": TRIPPED}
 
 
 def loop_of(case, controller=None, robot=ROBOT, trajectory=None, **more):
-    stick = case.get("disturbances", ()) and any(isinstance(one, Block) for one in case["disturbances"])
+    stick = case.get("disturbances", ()) and any(isinstance(one, BlockedJoint) for one in case["disturbances"])
     timing = Timing(DURATION, integrator="stick" if stick else "semi_implicit_euler")
     controller = controller or Neural(TwoLayer(), WEAK, robust=None)
     trajectory = trajectory or Trajectory(Line(0.3), (Sine(0.5, 2.0), Hold(0.4)))
@@ -155,7 +155,7 @@ def test_both_engines_do_the_same(name):
 @pytest.mark.parametrize("controller", [PD(WEAK), Neural(OneLayer(), WEAK), ComputedTorque(WEAK)], ids=str)
 @pytest.mark.parametrize("integrator", ["rk4", "stick"])
 def test_both_engines_do_the_same_with_every_controller(controller, integrator):
-    events = tuple(one for one in ALL["disturbances"] if not isinstance(one, Block))
+    events = tuple(one for one in ALL["disturbances"] if not isinstance(one, BlockedJoint))
     loop = loop_of({**ALL, "disturbances": events}, controller, nominal=ROBOT.with_masses(1.2))
     loop = replace(loop, timing=Timing(DURATION, 0.004, 0.001, 0.002, integrator))
     require_equal(*(replace(loop, engine=engine).run() for engine in ("ordinary", "compiled")))
@@ -325,7 +325,7 @@ def test_the_tables_and_commands_of_the_page_load():
 
 
 def test_a_replay_colours_what_the_supervisor_did():
-    events = (Commands(fault="nan", start=T, end=1.5 * T), Messages(fault="lost", start=2 * T))
+    events = (CommandFault(fault="nan", start=T, end=1.5 * T), Messages(fault="lost", start=2 * T))
     run = loop_of({"safety": Safety(timeout=T, ramp=T, stop_time=T), "disturbances": events}).run()
     assert run.outcome.status == "tripped"
     found = {(event.kind, event.text.partition(":")[0]): event for event in events_of(run)}
@@ -399,7 +399,7 @@ def test_on_wheels_that_grip_it_is_the_same_as_on_wheels_that_roll(name):
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="says nothing of compiled code")
 def test_on_the_floor_a_blocked_wheel_turns_the_base():
-    run = contact_of({"disturbances": (Block(joint=LEFT, start=0.05),)}, 0.4).run()
+    run = contact_of({"disturbances": (BlockedJoint(joint=LEFT, start=0.05),)}, 0.4).run()
     wheel = ROBOT.position_names.index(LEFT)
     late = run.time > 0.1
     turned = np.diff(run["position"][late, wheel]) / 0.002

@@ -284,6 +284,8 @@ def test_one_gain_serves_all_joints_or_each_has_its_own() -> None:
     layout = Layout(2, 2, 7, 4)
     np.testing.assert_array_equal(Kinematic(K=3.0).arm_gains(layout), [3, 3])
     np.testing.assert_array_equal(Kinematic(K=(3.0, 4.0)).arm_gains(layout), [3, 4])
-    np.testing.assert_array_equal(Kinematic(1.0, 2.0, 3.0).base_gains(), [1, 2, 3])
+    np.testing.assert_array_equal(
+        Kinematic(1.0, 2.0, 3.0).base_gains(Layout(2, 2, 7, 4, "differential_drive")), [1, 2, 3]
+    )
     with pytest.raises(ConfigError, match=r"3 numbers for 2 joints.*one number or one per joint"):
         Kinematic(K=(1.0, 2.0, 3.0)).arm_gains(layout)

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "model"))
 from test_holonomic import mecanum
 
 from mmnn_pin import load
-from mmnn_pin.reference.drive import NEAR, REACHED, TINY, Drive, Joined
+from mmnn_pin.reference.drive import NEAR, REACHED, TINY, Joined, RouteDrive
 from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.route import FOLD, Route, corners
 from mmnn_pin.reference.timed import Smoothed
@@ -42,8 +42,8 @@ def route_of(points: ArrayLike, headings: ArrayLike = NO) -> Route:
     return Route.of(points, headings, headings == 0.0)
 
 
-def drive_of(points: ArrayLike, headings: ArrayLike = NO, robot=ROBOT) -> Drive:
-    return Drive.along(route_of(points, headings), robot, LIMITS, LATERAL, PERIOD)
+def drive_of(points: ArrayLike, headings: ArrayLike = NO, robot=ROBOT) -> RouteDrive:
+    return RouteDrive.along(route_of(points, headings), robot, LIMITS, LATERAL, PERIOD)
 
 
 def totals(table: Array) -> tuple[float, float, float]:

@@ -28,7 +28,7 @@ from mmnn_pin import (
     run_experiment,
 )
 from mmnn_pin.actuator import Actuator
-from mmnn_pin.disturbance import Block, Commands, Messages, Payload, Push
+from mmnn_pin.disturbance import BlockedJoint, CommandFault, Messages, Payload, Push
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.dynamics import Dynamics
@@ -269,7 +269,7 @@ def test_before_the_first_good_measurement_nothing_moves_and_nothing_is_judged()
 
 
 def test_a_command_that_is_not_finite_is_refused():
-    for fault in (Commands(fault="nan", start=0.04, end=0.05), None):
+    for fault in (CommandFault(fault="nan", start=0.04, end=0.05), None):
         own = None if fault else Given(lambda t: [math.nan if 0.039 < t < 0.049 else 7.0, 0, 0, 0])
         run = run_of(SAFE, controller=own, disturbances=(fault,) if fault else ())
         assert run.outcome.status == "completed" and "refused 5 commands" in run.outcome.message
@@ -277,7 +277,7 @@ def test_a_command_that_is_not_finite_is_refused():
         last = int(np.argmax(bad)) - 1
         np.testing.assert_array_equal(run["torque"][bad], np.tile(run["torque"][last], (5, 1)))
         np.testing.assert_array_equal(states(run), np.where(bad, STEPPED_IN, RUNNING))
-    assert run_of(None, disturbances=(Commands(fault="nan", start=0.04),)).outcome.status == "diverged"
+    assert run_of(None, disturbances=(CommandFault(fault="nan", start=0.04),)).outcome.status == "diverged"
 
 
 def test_a_measurement_that_is_too_old_trips_and_the_torque_ramps_to_zero():
@@ -298,7 +298,7 @@ def test_late_measurements_count_as_old():
 
 
 def test_a_command_that_is_too_old_trips_and_fades_under_the_stop():
-    run = run_of(SAFE, 0.2, disturbances=(Commands(fault="lost", start=0.04),))
+    run = run_of(SAFE, 0.2, disturbances=(CommandFault(fault="lost", start=0.04),))
     require_tripped(run, "command[0]", 0.038 + 0.02 + H)
     assert "age of the command 0.022 s, 0.002 s over its limit of 0.02 s" in run.outcome.message
     k = round(run.outcome.time / H)
@@ -308,7 +308,7 @@ def test_a_command_that_is_too_old_trips_and_fades_under_the_stop():
     stale = np.clip(1 - (np.arange(len(run) - k) + 1) * H / (SAFE.ramp + H), 0, 1)[:, None] * run["torque"][19, :2]
     np.testing.assert_allclose(run["torque"][k:, :2], feedback[k:] + stale, atol=1e-9)
     assert (states(run)[k:] == STOPPING).all()
-    short = run_of(SAFE, disturbances=(Commands(fault="lost", start=0.04, end=0.058),))
+    short = run_of(SAFE, disturbances=(CommandFault(fault="lost", start=0.04, end=0.058),))
     assert short.outcome.status == "completed"
 
 
@@ -385,16 +385,16 @@ def test_a_stop_brakes_the_base():
 
 def test_a_stop_after_a_holonomic_base_was_too_fast_counts_both_directions():
     from mmnn_pin.safety import new_state, no_supervisor
-    from mmnn_pin.safety.supervisor import NUMBERS, check_motion
+    from mmnn_pin.safety.supervisor import SupervisorNumbers, check_motion
     from mmnn_pin.signals import INDEX
 
-    layout = Layout(base=3, arm=0, full=3, motors=3, hardware=1)
+    layout = Layout(3, 0, 3, 3, "holonomic", True, hardware=1)
     row, at = layout.new_row(), layout.offsets
-    supervisor = no_supervisor(layout, new_state(layout))._replace(numbers=np.full(NUMBERS, np.inf))
+    supervisor = no_supervisor(layout, new_state(layout))._replace(numbers=SupervisorNumbers(*[np.inf] * 14))
     row[at[INDEX["velocity"]] : at[INDEX["velocity"]] + 3] = 0.3, 0.4, 0.0
     for limit, tripped in ((0.51, 0.0), (0.49, 1.0)):
         check_motion(row, at, 0.0, supervisor._replace(speed=np.array([limit, limit, np.inf])))
-        assert supervisor.state[0] == tripped
+        assert supervisor.state.tripped[0] == tripped
 
 
 @pytest.mark.compiled
@@ -512,10 +512,10 @@ def test_the_worst_day_of_all_ends_in_a_stop():
     """Everything at once, with noise and motors; nothing is not finite."""
     events = (
         Messages(fault="nan", start=0.02, end=0.03),
-        Commands(fault="lost", start=0.04, end=0.05),
+        CommandFault(fault="lost", start=0.04, end=0.05),
         Payload(mass=3.0, start=0.05),
         Push(on="v", force=200.0, shape="noise"),
-        Block(joint=ROBOT.base.wheels[0].joint, start=0.06),
+        BlockedJoint(joint=ROBOT.base.wheels[0].joint, start=0.06),
     )
     safety = Safety(torque="urdf", position_error=0.003, timeout=0.02, stop_time=0.02)
     run = run_of(safety, 0.4, disturbances=events, sensor=Sensor(noise=1e-4, velocity="filtered", wheel_noise=1e-4),
@@ -556,11 +556,9 @@ def test_limits_that_do_not_fit_the_robot_are_refused(name, of):
 @pytest.mark.parametrize("gain", [2.0, 10.0, 1000.0])
 def test_the_integral_of_a_stop_never_swings_the_arm(gain):
     """Routh: M s^3 + g s^2 + g K s + g K rate is stable for g > rate M."""
-    from mmnn_pin.safety.supervisor import HOLD_RATE
-
     robot = heavy_arm()
     inertia = Dynamics(robot).mass_matrix(np.zeros(2))[0, 0]
     assert np.roots([inertia, gain, 3.0 * gain, 3.0 * gain * 1.1 * gain / inertia]).real.max() > 0
-    rate = Safety(hold_rate=20.0).supervisor(robot, H, np.full(2, gain), np.full(2, 3.0)).numbers[HOLD_RATE]
+    rate = Safety(hold_rate=20.0).supervisor(robot, H, np.full(2, gain), np.full(2, 3.0)).numbers.hold_rate
     assert np.roots([inertia, gain, 3.0 * gain, 3.0 * gain * rate]).real.max() < 0
     assert rate == pytest.approx(min(20.0, 0.5 * gain / inertia))

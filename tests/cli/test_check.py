@@ -63,11 +63,11 @@ def test_same_seed_same_numbers(capsys):
 
 
 def test_a_broken_property_exits_with_1(capsys, monkeypatch):
-    class Broken(properties.Terms):
+    class Broken(properties.FullTerms):
         def coriolis(self, q: Array, v: Array) -> Array:
             return 0 * super().coriolis(q, v)
 
-    monkeypatch.setattr(properties, "Terms", Broken)
+    monkeypatch.setattr(properties, "FullTerms", Broken)
     code, out, _ = run(capsys, "platform_arm", "--samples", "2", "--json")
     assert code == 1 and json.loads(out)["properties"]["property_2"]["pass"] is False
     code, out, _ = run(capsys, "platform_arm", "--samples", "2")

@@ -36,7 +36,7 @@ def test_damaged_files_are_told_a_way_out(run: Path, tmp_path: Path, capsys: pyt
     cut.write_bytes(run.read_bytes()[:20_000])
     other.write_text("no HDF5")
     assert refused(["replay", str(cut), "--html", str(page)], capsys).endswith(": take it from a copy, or run it again")
-    assert refused(["prove", str(other)], capsys).endswith(": name a file that `mmnn run` wrote")
+    assert refused(["judge", str(other)], capsys).endswith(": name a file that `mmnn run` wrote")
     broken = tmp_path / "broken.toml"
     broken.write_text("title = my run\n")
     for command in ("run", "study"):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mmnn_pin import PD, Feedback, load_experiment
 from mmnn_pin.cli import main, output
 from mmnn_pin.errors import printable
-from mmnn_pin.lab.show.table import STYLES, Cell, Column, Line, Row, Table, terminal_text
+from mmnn_pin.lab.show.table import STYLES, Cell, Column, Row, Table, TextLine, terminal_text
 
 HOSTILE = "\x1b]0;PWN\x07\x1b[31mred\u202e\x9b2J[bold]\\r\n"
 STYLE = re.compile(r"\x1b\[[0-9;]*m")
@@ -38,7 +38,7 @@ def test_what_is_printed_of_a_text_steers_nothing(text: str) -> None:
 @given(texts, texts, st.sampled_from(["", *STYLES]))
 def test_styles_of_tables_are_ours_alone(name: str, other: str, kind: str) -> None:
     table = Table("t", (Column(name, text=True, group=other), Column("x")), (Row((Cell(other, kind), Cell(name))),))
-    plain, shown = (terminal_text([table, Line(name, "bold")], colour, 80) for colour in (False, True))
+    plain, shown = (terminal_text([table, TextLine(name, "bold")], colour, 80) for colour in (False, True))
     assert not steers(plain) and not steers(STYLE.sub("", shown))
     assert output.safe(output.styled(shown)) == shown and not steers(output.safe(shown))
 

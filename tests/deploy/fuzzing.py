@@ -11,7 +11,7 @@ from mmnn_pin import load_experiment
 from mmnn_pin.deploy.embed.board import FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND, Fresh
 from mmnn_pin.deploy.embed.export import supervised
 from mmnn_pin.deploy.embed.files import files_of, selftest, translated
-from mmnn_pin.deploy.embed.golden import PAUSE, RESET, RESUME, STOP, Event, answers, as_measured
+from mmnn_pin.deploy.embed.golden import PAUSE, RESET, RESUME, STOP, GoldenEvent, answers, as_measured
 from mmnn_pin.reference.limits import Limits
 
 
@@ -41,7 +41,7 @@ def fuzzed(loop, period, steps, seed):
         action = int(rng.choice([0, STOP, RESET, PAUSE, RESUME], p=[0.94, 0.005, 0.035, 0.005, 0.015]))
         measured = time + period * rng.choice([0.0, -1.0, 5.0, -900.0, np.nan], p=[0.9, 0.06, 0.02, 0.01, 0.01])
         is_lost = rng.random() < 0.05
-        events.append(Event(now, None if is_lost else received, float(measured), wish, sent, action))
+        events.append(GoldenEvent(now, None if is_lost else received, float(measured), wish, sent, action))
     return events
 
 
@@ -69,9 +69,9 @@ def write_fuzzed(loop, folder, steps, seed):
         """The events, with trips and samples so far noted after each."""
         for event in events:
             yield event
-            seen.append((states[0], stepper.k))
+            seen.append((states.tripped[0], stepper.k))
 
     found = answers(stepper, watched(), [m.live for m in export.remembered])
-    (folder / "selftest.c").write_text(selftest(export, events, found, "fuzzed"))
+    (folder / "selftest.c").write_text(selftest(export, events, found))
     tripped, samples = np.diff(np.array(seen), axis=0).T
     return Fuzzed(len({answer.checksum for answer in found}), int((tripped > 0).sum()), int((samples == 0).sum()))

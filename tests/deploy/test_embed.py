@@ -33,7 +33,7 @@ from mmnn_pin.deploy.embed.export import embed, supervised
 from mmnn_pin.deploy.embed.files import files_of, plain, quoted, translated
 from mmnn_pin.deploy.embed.golden import as_measured
 from mmnn_pin.deploy.embed.in_the_loop import HOST, Linked, build
-from mmnn_pin.deploy.embed.program import Program
+from mmnn_pin.deploy.embed.program import CProgram
 from mmnn_pin.deploy.embed.source import Untranslatable
 from mmnn_pin.deploy.embed.values import Number
 from mmnn_pin.elementary import angles, exponentials, two_doubles
@@ -502,7 +502,7 @@ def assertion(x: float) -> float:
     ],
 )
 def test_an_unknown_construct_stops_the_export_with_function_and_line(function, what, line):
-    program = Program(write)
+    program = CProgram(write)
     with pytest.raises(Untranslatable, match=re.escape(what)) as caught:
         program.function(program.source(function), {"x": Number("real", "x")})
     assert f"in '{function.__name__}'" in caught.value.what

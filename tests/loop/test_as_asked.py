@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmnn_pin import PD, Stepper, load
+from mmnn_pin import PD, Stepper, StepperSettings, load
 from mmnn_pin.deploy.ros2.planned import Arm, Refused
 from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import JointGoal
@@ -49,7 +49,7 @@ class Robot:
         self.q, self.v, self.seam, self.k = np.array(q, float), np.zeros(3), seam, 0
         self.endless = [end is None for end in ends]
         more = {} if limits is None else {"limits": limits}
-        self.stepper = Stepper(self.robot, PD(), safety=Safety(torque="urdf"), period=PERIOD, **more)
+        self.stepper = Stepper(self.robot, PD(), StepperSettings(safety=Safety(torque="urdf"), period=PERIOD, **more))
         self.arm = Arm.of(self.robot, {}, limits or Limits(), PERIOD)
         self.places, self.asked = [], []
 

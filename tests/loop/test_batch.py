@@ -212,7 +212,7 @@ def nothing_runs(monkeypatch):
     def begun(*arguments):
         raise AssertionError("something ran")
 
-    monkeypatch.setattr(batch, "begun", begun)
+    monkeypatch.setattr(batch, "simulate", begun)
 
 
 def wrong_size() -> ControllerState:

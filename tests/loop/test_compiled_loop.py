@@ -34,6 +34,7 @@ from mmnn_pin import (
 from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.loop.before_run import Bounds, Start
+from mmnn_pin.loop.sample import Unflattened
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.tree import body
 from mmnn_pin.torque.model_based import ComputedTorque, ScheduledPD
@@ -66,7 +67,8 @@ def loop(controller=None, robot: Robot = ROBOT, duration: float = LONG, periods=
 
 def both(closed: Loop, **arguments) -> list[Recording]:
     """By the ordinary loop with Pinocchio's dynamics in plant and controller, and by the compiled one."""
-    with patch("mmnn_pin.plant.ideal.terms_of", Dynamics), patch("mmnn_pin.loop.controller.terms_of", Dynamics):
+    believed = patch("mmnn_pin.loop.sample.believed_model", lambda robot: Unflattened(robot, Dynamics(robot)))
+    with patch("mmnn_pin.plant.ideal.terms_of", Dynamics), believed:
         ordinary = replace(closed, engine="ordinary").run(**arguments)
     return [ordinary, replace(closed, engine="compiled").run(**arguments)]
 
@@ -360,3 +362,11 @@ def test_a_nominal_robot_that_cannot_be_flattened_counts_too(monkeypatch):
     monkeypatch.setattr(body, "flatten", refuse)
     assert loop(ComputedTorque(GAINS), duration=SHORT, nominal=odd).run().meta["loop"] == "ordinary"
     assert loop(PD(GAINS), duration=SHORT, nominal=odd).run().meta["loop"] == "compiled"  # it is not asked
+
+
+def test_samples_that_the_run_or_its_block_does_not_have_are_refused() -> None:
+    engine = loop(duration=SHORT, engine="compiled").engine_at()
+    for first, last in ((0, len(engine.rows) + 1), (0, 10**6), (10**6, 10**6 + 1), (-1, 0), (2, 1)):
+        with pytest.raises(ConfigError, match="at a time"):
+            engine.advance(first, last)
+    assert engine.counter[0] == 0 and engine.advance(0, 1) == -1 and engine.counter[0] == 1

@@ -16,7 +16,6 @@ from mmnn_pin import load_experiment
 from mmnn_pin.lab.experiments.cases import with_case
 from mmnn_pin.loop.ordinary import OrdinaryLoop
 from mmnn_pin.loop.stepper import Stepper
-from mmnn_pin.safety import HAS_TRIPPED
 from mmnn_pin.sensing.effects import RECEIVED
 from mmnn_pin.signals import Array, Measurement, Setpoint
 
@@ -57,7 +56,7 @@ class Beside:
         one = Setpoint(*(getattr(wanted, name).copy() for name in Setpoint.__slots__))
         command = self.stepper.step(time, heard, one, measured=min(when, time))
         self.own.step(time, setpoint, k, before)
-        tripped = hardware.way.supervisor.state[HAS_TRIPPED] > 0.0
+        tripped = hardware.way.supervisor.state.tripped[0] > 0.0
         if not tripped and command.effort.tolist() != self.engine.row[d.where("torque")].tolist():
             self.different.append(time)
 

@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numba import config
 
-from mmnn_pin import PD, Stepper, load
+from mmnn_pin import PD, Stepper, StepperSettings, load
 from mmnn_pin.loop.servo import Servo
 from mmnn_pin.model.robot import speed_limits
 from mmnn_pin.reference.limits import Limits
@@ -114,7 +114,7 @@ def by(interface, kinds):
 def drive(robot, wish, seconds, reach=math.inf, period=0.01):
     """Wheels that follow at once, up to a speed; distance, speed and largest wheel command of every sample."""
     wheels = dict.fromkeys(robot.actuator_names, "velocity")
-    stepper = Stepper(robot, PD(), period=period, interfaces=wheels)
+    stepper = Stepper(robot, PD(), StepperSettings(period=period, interfaces=wheels))
     pose, velocity, found = np.zeros(3), np.zeros(2), []
     for k in range(round(seconds / period)):
         measured = Measurement(pose.copy(), velocity.copy(), NONE, NONE)
@@ -163,7 +163,9 @@ def test_full_samples_that_wheels_do_not_follow_leave_nothing_to_make_up_for_aft
 @pytest.mark.parametrize("jump", [np.zeros(3), np.array([0.0, 0.0, 2.0])])
 def test_a_base_whose_odometry_freezes_or_turns_trips_before_it_is_far(made, jump):
     robot, period = made(wheeled(20.0)), 0.01
-    stepper = Stepper(robot, PD(), period=period, interfaces=dict.fromkeys(robot.actuator_names, "velocity"))
+    stepper = Stepper(
+        robot, PD(), StepperSettings(period=period, interfaces=dict.fromkeys(robot.actuator_names, "velocity"))
+    )
     pose, velocity, frozen = np.zeros(3), np.zeros(2), None
     for k in range(1500):
         if k == 100:
@@ -193,7 +195,9 @@ def test_a_blocked_joint_winds_nothing_up(made, interface, seconds):
     kinds = ("revolute", "revolute")
     text = urdf(kinds)
     robot, plant, period = made(text), Arm(text, kinds, [0.0, 0.0]), 0.01
-    stepper = Stepper(robot, PD(), period=period, interfaces=by(interface, kinds), safety=Safety(joint_error=1.0))
+    stepper = Stepper(
+        robot, PD(), StepperSettings(period=period, interfaces=by(interface, kinds), safety=Safety(joint_error=1.0))
+    )
     q, sent, speeds = [], [], []
     for k in range(round((seconds + 4.0) / period)):
         held = 0.5 if k * period < seconds else None
@@ -220,7 +224,11 @@ def test_a_goal_is_reached_and_a_stop_on_the_way_stands_whatever_the_period_is_r
     text = urdf(kinds)
     for stops_at in (math.inf, 1.0):
         plant, period = Arm(text, kinds, [0.0, 0.0]), told * slower
-        stepper = Stepper(made(text), PD(), period=told, interfaces=by(interface, kinds), safety=Safety(slowest="none"))
+        stepper = Stepper(
+            made(text),
+            PD(),
+            StepperSettings(period=told, interfaces=by(interface, kinds), safety=Safety(slowest="none")),
+        )
         fastest, there = 0.0, None
         for k in range(round(6.0 / period)):
             if there is None and k * period >= stops_at:
@@ -244,8 +252,8 @@ def test_a_sent_position_stays_in_reach_between_the_ends_and_moves_within_the_sp
     kinds, period = ("revolute", "revolute"), 0.02
     robot = made(urdf(kinds))
     stepper = Stepper(
-        robot, PD(), period=period, interfaces=by("position", kinds), safety=Safety(joint_error="none"),
-        limits=Limits(joint_speed=speed), servo=Servo(bandwidth=20.0), latency=0.01,
+        robot, PD(), StepperSettings(period=period, interfaces=by("position", kinds), safety=Safety(joint_error="none"),
+        limits=Limits(joint_speed=speed), servo=Servo(bandwidth=20.0), latency=0.01),
     )  # fmt: skip
     most, before = min(speed, SPEED), None
     for k in range(12):
@@ -266,7 +274,7 @@ def paced(made, times, told=0.002, safety=None):
     """A goal under gravity-free dynamics, sampled at some times; the stepper and the fastest joint."""
     kinds = ("revolute", "revolute")
     text = urdf(kinds, friction=0.0)
-    stepper = Stepper(made(text), PD(), period=told, safety=safety or Safety(torque="urdf"))
+    stepper = Stepper(made(text), PD(), StepperSettings(period=told, safety=safety or Safety(torque="urdf")))
     plant = Arm(text, kinds, [0.0, 0.0])
     fastest = 0.0
     for k, (now, then) in enumerate(pairwise(times)):
@@ -311,7 +319,11 @@ def test_a_joint_that_runs_away_trips_before_it_is_02_rad_beyond_its_load(made, 
     """A joint that a fault drives off at its own speed, whatever it is commanded."""
     kinds = ("continuous", "revolute")
     robot = made(urdf(kinds, friction=0.0))
-    stepper, period, q = Stepper(robot, PD(), period=0.002, interfaces=by(interface, kinds)), 0.002, np.zeros(2)
+    stepper, period, q = (
+        Stepper(robot, PD(), StepperSettings(period=0.002, interfaces=by(interface, kinds))),
+        0.002,
+        np.zeros(2),
+    )
     bound = stepper.setup.safety.joint_error[0]
     for k in range(1000):
         stepper.step(k * period, Measurement(NONE, NONE, q.copy(), np.array([SPEED, 0.0]) * (k > 50)), None)
@@ -326,7 +338,7 @@ def test_a_joint_or_a_wheel_that_is_too_fast_trips_by_the_urdf_alone(made):
     arm, base = made(urdf(("revolute",))), made(wheeled(3.0))
     for robot, nu in ((arm, 1.6 * SPEED), (base, 1.6 * 0.3)):
         for share in (0.9, 1.0):
-            stepper = Stepper(robot, PD(), safety=Safety(joint_error="none"))
+            stepper = Stepper(robot, PD(), StepperSettings(safety=Safety(joint_error="none")))
             n, nb = robot.dimensions.arm, robot.dimensions.base
             fast = Measurement(
                 np.zeros(3 * (nb > 0)), share * nu * np.eye(1, nb)[0], np.zeros(n), np.full(n, share * nu)
@@ -336,7 +348,7 @@ def test_a_joint_or_a_wheel_that_is_too_fast_trips_by_the_urdf_alone(made):
         assert stepper.tripped and "speed of" in trip_of(stepper.hardware.way.supervisor.state, robot)[2]
     assert speed_limits(base).tolist() == [3.0, 3.0]
     off = Safety(wheel_speed="none", joint_error="none")
-    stepper = Stepper(base, PD(), safety=off)
+    stepper = Stepper(base, PD(), StepperSettings(safety=off))
     stepper.step(0.0, Measurement(np.zeros(3), np.array([5.0, 0.0]), NONE, NONE), None)
     assert not stepper.tripped
 
@@ -378,7 +390,7 @@ def test_after_a_trip_the_robot_comes_to_rest_whatever_its_sensors_say(made, kin
     text = urdf(kinds)
     robot, plant = made(text), Arm(text, kinds, rng.uniform(-1.0, 1.0, 2))
     safety = Safety(torque="urdf", joint_error="none")
-    stepper = Stepper(robot, PD(), period=period, interfaces=by(interface, kinds), safety=safety)
+    stepper = Stepper(robot, PD(), StepperSettings(period=period, interfaces=by(interface, kinds), safety=safety))
     plant.v[:] = speed * SPEED * rng.uniform(0.5, 1.0, 2)
     start, then, began = plant.q.copy(), None, plant.v.copy()
     for k in range(1500):

@@ -13,7 +13,7 @@ from numba import config
 from robots import fixed_arm
 from test_skid_steer import rover
 
-from mmnn_pin import PD, Feedback, Line, Loop, Sine, Timing, Trajectory, load, prove
+from mmnn_pin import PD, Feedback, Line, Loop, Sine, Timing, Trajectory, load
 from mmnn_pin.cli import main
 from mmnn_pin.disturbance import Payload
 from mmnn_pin.errors import ConfigError, UnknownName
@@ -128,12 +128,6 @@ def test_by_odometry_a_line_is_too_long_by_the_factor():
     run = loop_with(1.03, 1.0, sensor=Sensor(velocity="difference", pose="odometry")).run()
     driven = run["position"][-1, 0] - run["position"][0, 0]
     assert driven == pytest.approx(1.03 * (run["pose"][-1, 0] - run["pose"][0, 0]), rel=1e-5)
-
-
-def test_prove_holds_the_run_to_the_true_robot():
-    found = prove(loop_with({LEFT: 1.05}).run()).to_dict()
-    assert found["equality"]["holds"] and found["equality"]["steps"] < 1e-9
-    assert "other radii" in found["certificate"]["why_not"]
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -23,19 +24,19 @@ from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sampled import HeldLoop, SampledLoop, sampled_loop
 from mmnn_pin.loop.stable_gains import require_stable
-from mmnn_pin.loop.stepper import Stepper
+from mmnn_pin.loop.stepper import Stepper, StepperSettings
 from mmnn_pin.loop.suited import Given, suited
 from mmnn_pin.model import Robot, load
+from mmnn_pin.model.base.base import Fixed, LinearErrors
+from mmnn_pin.model.base.differential import DifferentialDrive
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.robots import extra
 from mmnn_pin.reference import Hold, Line, Trajectory
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
-from studies.delay import FIVE, TENFOLD, study, swaying, variation
 
-NONE = np.zeros(0)
+STILL = Fixed.linear_errors(np.zeros(0), np.zeros(0))
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 
 
@@ -71,6 +72,13 @@ def held_loop(
     return Phi, Gamma, np.stack([torque(d) for d in columns], axis=1)
 
 
+def judged(loop: dict[str, Array | float]) -> dict[str, Any]:
+    """The same with the law of the base in the place of its reference and gains."""
+    rest = {name: value for name, value in loop.items() if name not in ("v_ref", "base_gains")}
+    base = DifferentialDrive if np.size(loop["v_ref"]) else Fixed
+    return rest | {"law": base.linear_errors(np.asarray(loop["v_ref"]), np.asarray(loop["base_gains"]))}
+
+
 def random_loop(seed: int, nb: int) -> dict[str, Array | float]:
     rng = np.random.default_rng(seed)
     p = nb + 2
@@ -98,7 +106,7 @@ def test_radius_is_the_growth_of_the_held_loop(seed: int, nb: int) -> None:
         power = power @ power
         scale = np.linalg.norm(power)
         power, log_scale = power / scale, 2 * log_scale + np.log(scale)
-    verdict = sampled_loop(**loop)  # type: ignore[arg-type]
+    verdict = sampled_loop(**judged(loop))  # type: ignore[arg-type]
     assert np.log(verdict.radius) == pytest.approx(log_scale / periods, abs=2e-3)
 
 
@@ -107,7 +115,7 @@ def test_radius_is_the_growth_of_the_held_loop(seed: int, nb: int) -> None:
 def test_one_mass_is_stable_up_to_twice_its_mass_over_the_period(mass: float, h: float, fraction: float) -> None:
     """`nu_next = (1 - h k / M) nu`: the limit is k = 2 M / h."""
     gain = fraction * 2 * mass / h
-    verdict = sampled_loop(np.array([[mass]]), np.array([gain]), NONE, np.ones(3), np.zeros(1), h)
+    verdict = sampled_loop(np.array([[mass]]), np.array([gain]), STILL, np.zeros(1), h)
     assert verdict.gain_limits == pytest.approx([2 * mass / h])
     assert verdict.radius == pytest.approx(max(1.0, abs(1 - 2 * fraction)), rel=1e-9)  # 1: the position, without K
     if abs(fraction - 1) > 1e-6:
@@ -121,7 +129,7 @@ def test_one_joint_with_position_gain(k: float, K: float) -> None:
     M, h = 3.0, 0.02
     a = 2 * k
     b = a * K
-    verdict = sampled_loop(np.array([[M]]), np.array([a * M / h]), NONE, np.ones(3), np.array([2 * K / h]), h)
+    verdict = sampled_loop(np.array([[M]]), np.array([a * M / h]), STILL, np.array([2 * K / h]), h)
     assert verdict.radius == pytest.approx(np.abs(np.roots([1, a + b - 2, 1 - a + b])).max(), rel=1e-7)
     if min(abs(k - 1), abs(K - 1)) > 1e-6:
         assert verdict.stable == (max(k, K) < 1)
@@ -131,7 +139,7 @@ def test_friction_makes_a_held_mass_decay() -> None:
     M, h, k, D = 2.0, 0.05, 90.0, 3.0
     decay = np.exp(-h * D / M)
     radius = {
-        friction: sampled_loop(np.array([[M]]), np.array([k]), NONE, np.ones(3), np.zeros(1), h, friction_vector).radius
+        friction: sampled_loop(np.array([[M]]), np.array([k]), STILL, np.zeros(1), h, friction_vector).radius
         for friction, friction_vector in ((True, np.array([D])), (False, None))
     }
     assert radius[True] == pytest.approx(abs(decay - k * (1 - decay) / D))
@@ -141,7 +149,11 @@ def test_friction_makes_a_held_mass_decay() -> None:
 def test_lateral_error_is_neither_stable_nor_unstable_at_rest_and_reverse_equals_forward() -> None:
     M, gains, K = np.diag([100.0, 8.0, 1.0]), np.array([500.0, 300.0, 30.0]), np.array([7.0])
     thesis = np.array([10.0, 64.0, 16.0])
-    radius = {vr: sampled_loop(M, gains, np.array([vr, 0.0]), thesis, K, 0.002).radius for vr in (-0.3, 0.0, 0.3)}
+
+    def law(vr: float) -> LinearErrors:
+        return DifferentialDrive.linear_errors(np.array([vr, 0.0]), thesis)
+
+    radius = {vr: sampled_loop(M, gains, law(vr), K, 0.002).radius for vr in (-0.3, 0.0, 0.3)}
     assert radius[0.0] == pytest.approx(1, abs=1e-9)
     assert radius[0.3] < 1 - 1e-4
     assert radius[-0.3] == pytest.approx(radius[0.3])
@@ -174,11 +186,11 @@ def test_gains_that_a_refusal_says_hold(base: float, arm: float) -> None:
     """As `Stepper` judges them, at ten postures; a gain that is not to blame stays."""
     robot = load("platform_arm")
     try:
-        Stepper(robot, PD(Feedback(base, arm)), period=H).finish()
+        Stepper(robot, PD(Feedback(base, arm)), StepperSettings(period=H)).finish()
     except ConfigError as refused:
         assert "mmnn inspect ROBOT --gains" in refused.fix
         found = numbers_of(refused.fix)
-        Stepper(robot, PD(found), period=H).finish()
+        Stepper(robot, PD(found), StepperSettings(period=H)).finish()
         change = found.vector(robot.dimensions) / Feedback(base, arm).vector(robot.dimensions)
         assert (change <= 1.0).all() if "lower them" in refused.fix else (change > 1.0).any()
         assert "they are too low" not in refused.why or "change them" in refused.fix
@@ -206,8 +218,8 @@ def standing(robot: Robot, feedback: Feedback, check_gains: bool, seconds: float
 def verdict(loop: Loop, gains: Array) -> SampledLoop:
     robot = loop.robot
     M = Dynamics(robot).mass_matrix(loop.start.state(robot, loop.table()[0])[0])
-    v_ref = np.array([0.3, 0.0]) if robot.dimensions.base else NONE
-    return sampled_loop(M, gains, v_ref, loop.kinematic.base_gains(), loop.kinematic.arm_gains(robot.dimensions), H)
+    law = loop.kinematic.linear_errors(robot.dimensions, np.array([0.3, 0.0]))
+    return sampled_loop(M, gains, law, loop.kinematic.arm_gains(robot.dimensions), H)
 
 
 def limit(robot: Robot, feedback: Callable[[float], Feedback]) -> float:
@@ -278,7 +290,7 @@ def test_margin_of_one_joint_is_the_phase_margin_of_the_textbook(mass: float, ba
 
 def loop_of_one(mass: float, K: float, h: float, lag: Array | None = None) -> HeldLoop:
     """One joint."""
-    held = sampled.held_loop(np.array([[mass]]), NONE, np.ones(3), np.array([K]), h, None, lag)
+    held = sampled.held_loop(np.array([[mass]]), STILL, np.array([K]), h, None, lag)
     assert held is not None
     return held
 
@@ -291,9 +303,7 @@ def test_margin_in_whole_periods_is_where_the_delayed_loop_turns_unstable(
     """Against the eigenvalues of the loop with its last torques as further states."""
     loop = random_loop(seed, nb) | {"h": 0.01}
     gains = np.asarray(loop["gains"]) * 0.2
-    held = sampled.held_loop(
-        loop["M"], loop["v_ref"], loop["base_gains"], loop["K"], 0.01, loop["friction"]  # type: ignore[arg-type]
-    )  # fmt: skip
+    held = sampled.held_loop(**{name: value for name, value in judged(loop).items() if name != "gains"})
     assert held is not None
     margin, F = held.margin(gains, 0.01, inside), held.feedback(gains, inside)
     k, p = len(held.state), len(gains)
@@ -397,27 +407,7 @@ def test_the_stiffness_of_gravity_moves_the_eigenvalues_of_a_pendulum() -> None:
     """`M q'' = -G q`: without a torque it swings at `sqrt(G / M)`."""
     mass, G, h = 2.0, 50.0, 0.01
     held = sampled.held_loop(
-        np.array([[mass]]), NONE, np.ones(3), np.array([1.0]), h, None, None, np.array([[G]])
+        np.array([[mass]]), STILL, np.array([1.0]), h, None, None, np.array([[G]])
     )  # fmt: skip
     assert held is not None
     assert np.abs(np.angle(np.linalg.eigvals(held.state))) == pytest.approx(np.sqrt(G / mass) * h, rel=1e-9)
-
-
-@pytest.mark.skipif(PLAIN, reason="runs of seconds")
-@pytest.mark.parametrize("name", ["platform_arm", *(pytest.param(name, marks=pytest.mark.long) for name in FIVE[1:])])
-def test_the_margin_is_within_a_tenth_of_the_delay_at_which_errors_grow_tenfold_in_five_seconds(name: str) -> None:
-    """Robots as they are, gravity and dry friction included; `python -m studies.delay` bisects between these two."""
-    if name not in ("platform_arm", "two_axis_arm") and name not in extra():
-        pytest.skip("example-robot-data is not installed")
-    robot = load(name)
-    margin, (rest, _) = swaying(robot, 0.0).delay_margin(), variation(swaying(robot, 0.0))
-    below, above = (variation(swaying(robot, share * margin))[0] for share in (0.9, 1.1))
-    assert below <= TENFOLD * rest < above
-
-
-@pytest.mark.long
-@pytest.mark.skipif(PLAIN, reason="runs of seconds")
-@pytest.mark.parametrize("name", [name for name in FIVE if name in ("platform_arm", "two_axis_arm") or name in extra()])
-def test_the_bisected_delay_is_within_a_tenth_of_the_margin(name: str) -> None:
-    found = study(name)
-    assert found.ratio == pytest.approx(1.0, abs=0.1)

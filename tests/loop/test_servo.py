@@ -23,6 +23,7 @@ from mmnn_pin import (
     Loop,
     Sine,
     Stepper,
+    StepperSettings,
     Timing,
     Trajectory,
     compare,
@@ -312,7 +313,7 @@ def on_lags(share, period, check=True, samples=70, b=30.0):
     """Errors of a `Stepper` before servos that are lags, `nudot = b (u - nu)`, by DOP853; and the stepper."""
     kinematic = Kinematic(kx=3.0 * share, ky=16.0 * share, kth=8.0 * share, K=5.0 * share)
     given = {"kinematic": kinematic, "period": period, "interfaces": EVERY, "servo": Servo(bandwidth=b)}
-    stepper = Stepper(ROBOT, PD(), check_gains=check, **given)
+    stepper = Stepper(ROBOT, PD(), StepperSettings(check_gains=check, **given))
     state = np.array([-1e-8, 1e-8, 0.0, 0.4 - 1e-8, 0.4 - 1e-8, 0.5, 0.0, 0.0, 0.0])  # pose, q, nu: within limits
     errors = []
 
@@ -364,24 +365,24 @@ def advised(text):
 def test_lower_gains_of_the_kinematic_layer_are_advised_and_then_the_loop_holds(bandwidth):
     given = {"period": 0.4, "interfaces": EVERY, "servo": Servo(bandwidth=bandwidth)}
     with pytest.raises(ConfigError, match=r"kinematic: error: the sampled loop is unstable") as refused:
-        Stepper(ROBOT, PD(), **given)
-    with Stepper(ROBOT, PD(), **given, **advised(str(refused.value))) as stepper:
+        Stepper(ROBOT, PD(), StepperSettings(**given))
+    with Stepper(ROBOT, PD(), StepperSettings(**given, **advised(str(refused.value)))) as stepper:
         assert stepper.delay_margin() > 0.1 * 0.4
 
 
 def test_a_law_that_answers_too_strongly_is_told_a_gain():
     given = {"period": 0.1, "interfaces": EVERY}
     with pytest.raises(ConfigError, match=r"servo\.gain: error: the sampled loop is unstable") as refused:
-        Stepper(ROBOT, PD(), servo=Servo(bandwidth=60.0, gain=2.0), **given)
+        Stepper(ROBOT, PD(), StepperSettings(servo=Servo(bandwidth=60.0, gain=2.0), **given))
     servo = msgspec.structs.replace(advised(str(refused.value))["servo"], bandwidth=60.0)
-    Stepper(ROBOT, PD(), servo=servo, **given).__exit__(None, None, None)
+    Stepper(ROBOT, PD(), StepperSettings(servo=servo, **given)).__exit__(None, None, None)
 
 
 def test_gains_that_do_not_bear_a_latency_before_servos_are_told_lower_ones():
     given = {"period": 0.02, "interfaces": EVERY, "latency": 0.3}
     with pytest.raises(ConfigError, match=r"does not bear a latency of 300 ms") as refused:
-        Stepper(ROBOT, PD(), **given)
-    with Stepper(ROBOT, PD(), **given, **advised(str(refused.value))) as stepper:
+        Stepper(ROBOT, PD(), StepperSettings(**given))
+    with Stepper(ROBOT, PD(), StepperSettings(**given, **advised(str(refused.value)))) as stepper:
         assert stepper.delay_margin() > 0.3
 
 
@@ -393,7 +394,7 @@ def test_a_servo_of_the_simulation_that_is_late_counts_like_a_latency():
 def test_gains_on_effort_are_to_blame_where_other_servos_do_not_help():
     stiff = PD(Feedback(20.0, 3000.0))
     with pytest.raises(ConfigError, match="feedback: error: the sampled PD loop is unstable"):
-        Stepper(ROBOT, stiff, period=0.02, interfaces=WHEELS)
+        Stepper(ROBOT, stiff, StepperSettings(period=0.02, interfaces=WHEELS))
 
 
 @needs_data

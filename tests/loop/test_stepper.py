@@ -24,6 +24,7 @@ from mmnn_pin import (
     Recording,
     Sine,
     Stepper,
+    StepperSettings,
     Timing,
     TorqueController,
     Trajectory,
@@ -34,7 +35,7 @@ from mmnn_pin.actuator import Actuator
 from mmnn_pin.cli import main
 from mmnn_pin.disturbance import DeadMotor, Push
 from mmnn_pin.errors import ConfigError, RecordingError
-from mmnn_pin.lab.proof.proof import Proof
+from mmnn_pin.lab.psi.judgement import Judgement
 from mmnn_pin.loop.setup import UNKNOWN
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.recording.recording import recorded_position
@@ -389,7 +390,7 @@ CALM = Feedback(15.0, 20.0, "inertia")
 
 def new(**changes):
     given = {"safety": Safety(joint_error=0.5, position_error=0.5), "weights_interval": 1.0, **changes}
-    return Stepper(ROBOT, given.pop("controller", PD(CALM)), **given)
+    return Stepper(ROBOT, given.pop("controller", PD(CALM)), StepperSettings(**given))
 
 
 def test_it_starts_where_the_robot_stands_drives_reaches_and_follows():
@@ -504,7 +505,7 @@ from mmnn_pin.torque.model_based import ComputedTorque
 def count():
     return sum(len(f.overloads) for name, m in list(sys.modules.items()) if name.startswith("mmnn_pin")
                for f in vars(m).values() if hasattr(f, "overloads"))
-with Stepper(load("platform_arm"), CONTROLLER, period=0.005) as cycle:
+with Stepper(load("platform_arm"), CONTROLLER, StepperSettings(period=0.005)) as cycle:
     zero = type(cycle.measured)(np.zeros(3), np.zeros(2), np.zeros(2), np.zeros(2))
     motion = cycle.plan(Trajectory(Line(speed=0.3), (Sine(0.3, 2.0), Hold(0.8))), 0.1)
     wishes = {2: motion, 4: HOLD, 6: BaseVelocity((0.1, 0.0)), 8: cycle.setpoint}
@@ -595,7 +596,7 @@ def test_its_transforms_are_those_of_the_simulated_run_but_for_the_wheels(record
 
 def test_what_needs_the_truth_says_so(recorded):
     with pytest.raises(RecordingError, match="no truth") as caught:
-        Proof(recorded[1])
+        Judgement(recorded[1])
     assert "outside a simulation" in caught.value.why
 
 
@@ -613,7 +614,7 @@ def test_an_observer_gives_velocities_of_coarse_angles_and_of_a_jumping_odometry
     """Angles in steps of 1.5 mrad a millisecond: their differences jump by 1.5 rad/s, the observer's hardly move."""
     robot, h, speed = load("platform_arm"), 0.001, 0.3
     weak = PD(Feedback(0.1, 0.01))  # nothing here answers to torques
-    stepper = Stepper(robot, weak, safety=Safety(), period=h, observer=60.0, check_gains=False)
+    stepper = Stepper(robot, weak, StepperSettings(safety=Safety(), period=h, observer=60.0, check_gains=False))
     seen = []
     for k in range(400):
         t = k * h
@@ -628,4 +629,4 @@ def test_an_observer_gives_velocities_of_coarse_angles_and_of_a_jumping_odometry
     truth = np.outer(h * np.arange(300, 400), [speed, -speed])
     assert np.abs(late[:, 4:] - truth).max() < 0.0015
     with pytest.raises(ConfigError, match=r"sensor\.bandwidth"):
-        Stepper(robot, weak, safety=Safety(), period=h, observer=-1.0)
+        Stepper(robot, weak, StepperSettings(safety=Safety(), period=h, observer=-1.0))

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
-from mmnn_pin import PD, Feedback, Loop, Sine, Stepper, Timing, Trajectory, load
+from mmnn_pin import PD, Feedback, Loop, Sine, Stepper, StepperSettings, Timing, Trajectory, load
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
@@ -60,7 +60,7 @@ def test_default_gains_bear_three_milliseconds_at_500_hertz(name: str) -> None:
         loop = loop_of(robot, controller)
         assert loop.delay_margin() >= MARGIN, (name, controller.name)
         loop.require_stable_gains()
-    assert Stepper(robot, PD(), period=H).delay_margin() >= MARGIN
+    assert Stepper(robot, PD(), StepperSettings(period=H)).delay_margin() >= MARGIN
 
 
 def test_a_delay_that_is_known_lowers_the_gains_until_it_is_borne() -> None:
@@ -69,7 +69,7 @@ def test_a_delay_that_is_known_lowers_the_gains_until_it_is_borne() -> None:
     assert late.delay_margin() >= 0.016 + MARGIN > prompt.delay_margin()
     with pytest.raises(ConfigError, match="does not bear a latency of 16 ms"):
         replace(late, controller=prompt.controller).require_stable_gains()
-    stepper = Stepper(robot, PD(), period=H, latency=0.016)
+    stepper = Stepper(robot, PD(), StepperSettings(period=H, latency=0.016))
     assert stepper.delay_margin() >= 0.016 + MARGIN
     lagging = loop_of(robot, PD(), actuator=Actuator(lag=0.1))
     assert lagging.delay_margin() >= MARGIN > replace(prompt, actuator=Actuator(lag=0.1)).delay_margin()

@@ -16,8 +16,8 @@ from test_urdf_bad import BAD, DYNAMICS, GOOD, HINGE, LIMIT, LINK, SHAPE, end, j
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model.base.report import CODES as UNDERSTOOD
 from mmnn_pin.model.loading import require_sane
+from mmnn_pin.model.urdf.audit import lumped, parts_of
 from mmnn_pin.model.urdf.finding import CODES, Finding
-from mmnn_pin.model.urdf.mechanism import lumped, parts_of
 from mmnn_pin.model.urdf.meshes import damage_of
 from mmnn_pin.model.urdf.packages import locate
 from mmnn_pin.model.urdf.reading import audit_file, parse

@@ -19,12 +19,23 @@ from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sampled import sampled_loop
-from mmnn_pin.model.base.holonomic import holonomic_command
+from mmnn_pin.model.base.holonomic import HolonomicBase, holonomic_command
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.tree.body import parameters
-from mmnn_pin.reference import Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Table, Trajectory, Waypoints
+from mmnn_pin.reference import (
+    BaseTable,
+    Circle,
+    Eight,
+    Hold,
+    HolonomicPath,
+    Line,
+    MinimumJerk,
+    Sine,
+    Trajectory,
+    Waypoints,
+)
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Array, Dimensions
 from mmnn_pin.torque.controller import Feedback
@@ -57,7 +68,8 @@ def mecanum(arm: int = 2) -> Robot:
     E_full = np.eye(nv)[:, [0, 1, 2, *robot.arm_index]]
     return replace(
         robot,
-        dimensions=Dimensions(base=3, arm=arm, full=nv, motors=p),
+        base=HolonomicBase(frame=robot.base.frame, floor=robot.base.floor),
+        dimensions=Dimensions(base=3, arm=arm, full=nv, motors=p, kind="holonomic", sideways=True),
         velocity_names=("vx", "vy", "w", *robot.joint_names),
         actuator_names=("push", "slide", "turn", *robot.joint_names),
         T=T,
@@ -129,7 +141,7 @@ def test_lyapunov_function_decreases_as_stated(error, v_ref, z):
 @pytest.mark.parametrize("heading", HEADINGS)
 @pytest.mark.parametrize("path", PATHS)
 def test_path_velocities_are_the_derivatives_of_its_poses(path, heading):
-    holonomic_path = Holonomic(PATHS[path], HEADINGS[heading])
+    holonomic_path = HolonomicPath(PATHS[path], HEADINGS[heading])
     t, h = np.linspace(0.2, 3.9, 38) + 0.013, 1e-5
     at, before, after = (holonomic_path.sample(times) for times in (t, t - h, t + h))
     rate = (after.pose - before.pose) / (2 * h)
@@ -144,35 +156,35 @@ def test_path_velocities_are_the_derivatives_of_its_poses(path, heading):
 
 def test_table_of_a_holonomic_path(tmp_path):
     t = np.linspace(0, 4, 201)
-    samples = Holonomic(PATHS["eight"], HEADINGS["sine"]).sample(t)
-    table = Table(t, samples.pose, samples.velocity)
-    assert table.nb == 3
+    samples = HolonomicPath(PATHS["eight"], HEADINGS["sine"]).sample(t)
+    table = BaseTable(t, samples.pose, samples.velocity)
+    assert table.sideways
     np.testing.assert_allclose(
-        table.sample([1.234]).pose, Holonomic(PATHS["eight"], HEADINGS["sine"]).sample([1.234]).pose, atol=1e-5
+        table.sample([1.234]).pose, HolonomicPath(PATHS["eight"], HEADINGS["sine"]).sample([1.234]).pose, atol=1e-5
     )
     file = tmp_path / "path.csv"
     rows = np.column_stack([t, samples.pose, samples.velocity])
     np.savetxt(file, rows, delimiter=",", header="t,x,y,phi,vx,vy,w", comments="")
-    np.testing.assert_allclose(Table.read(file).velocity, samples.velocity)
+    np.testing.assert_allclose(BaseTable.read(file).velocity, samples.velocity)
     wrong = samples.velocity.copy()
     wrong[:, 1] += 0.3
     with pytest.raises(TrajectoryError, match=r"vy = .* m/s at t"):
-        Table(t, samples.pose, wrong)
+        BaseTable(t, samples.pose, wrong)
     with pytest.raises(TrajectoryError, match="moves sideways"):
-        Table(t, samples.pose, samples.velocity[:, [0, 2]])
+        BaseTable(t, samples.pose, samples.velocity[:, [0, 2]])
 
 
 def test_paths_and_bases_that_do_not_fit_are_refused():
     with pytest.raises(TrajectoryError, match="not a path"):
-        Holonomic("eight")  # type: ignore[arg-type]
+        HolonomicPath("eight")  # type: ignore[arg-type]
     robot = mecanum()
-    with pytest.raises(TrajectoryError, match="2 velocities for a base of 3"):
+    with pytest.raises(TrajectoryError, match=r"\(v, w\) for a base of \(vx, vy, w\)"):
         Trajectory(PATHS["line"], (Hold(0.0),) * 2).table([0.0, 1.0], robot.dimensions)
     experiment = load_experiment("track", ["reference.heading={type='hold', value=1.0}"])
     with pytest.raises(ConfigError, match="heading for a differential drive"):
         experiment.trajectory(mobile_arm(2).dimensions)
     path = experiment.trajectory(robot.dimensions).base
-    assert path is not None and path.nb == 3
+    assert path is not None and path.sideways
     np.testing.assert_allclose(path.sample([0.0, 1.0, 3.0]).pose[:, 2], 1.0)
 
 
@@ -180,13 +192,13 @@ def test_paths_and_bases_that_do_not_fit_are_refused():
 def test_sampled_loop_agrees_with_the_run(share):
     """A radius below 1 settles, one above grows, from a small error in a straight sideways motion."""
     robot, h = mecanum(), 0.01
-    path = Holonomic(Line(0.3), Hold(0.4))
+    path = HolonomicPath(Line(0.3), Hold(0.4))
     inverse = np.linalg.inv(mass(robot))
     gains = share * 2 / (h * np.linalg.eigvals(inverse @ np.diag(1 / np.diag(inverse))).real.max() * np.diag(inverse))
     trajectory = Trajectory(path, (Hold(0.0),) * 2)
     kinematic = Kinematic(holonomic=(2.0, 3.0, 1.0), K=2.0)
     v_ref = path.sample([0.0]).velocity[0]
-    verdict = sampled_loop(mass(robot), gains, v_ref, kinematic.base_gains(3), np.full(2, 2.0), h)
+    verdict = sampled_loop(mass(robot), gains, kinematic.linear_errors(robot.dimensions, v_ref), np.full(2, 2.0), h)
     assert verdict.stable == (share < 1)
     feedback = Feedback(base=tuple(gains[:3].tolist()), arm=tuple(gains[3:].tolist()))
     timing = Timing(0.3 if config.DISABLE_JIT else 3.0, h, h / 2)
@@ -209,7 +221,7 @@ def no_friction(robot: Robot) -> Robot:
 @pytest.mark.parametrize("kind", ["computed_torque", "two_layer"])
 def test_mecanum_follows_an_eight_while_it_turns(kind, engine):
     robot = mecanum()
-    trajectory = Trajectory(Holonomic(PATHS["eight"], Sine(0.5, 4.0)), (Sine(0.3, 3.0), Hold(0.2)))
+    trajectory = Trajectory(HolonomicPath(PATHS["eight"], Sine(0.5, 4.0)), (Sine(0.3, 3.0), Hold(0.2)))
     feedback = Feedback(base=(800.0, 800.0, 80.0), arm=5.0)
     controller = ComputedTorque(feedback) if kind == "computed_torque" else Neural(TwoLayer(hidden=6), feedback)
     timing = Timing(0.03 if config.DISABLE_JIT else 2.0, 0.002, 0.001)
@@ -238,7 +250,7 @@ def learning_loop(name: str, duration: float) -> Loop:
     ]
     quick = [f"kalman.{table}.state_pole=500.0" for table in ("regressor", "bilinear", "features", "residual")]
     experiment = load_experiment("chapter4", [*small, *gains, *quick, "robust.base=0.0", "robust.arm=0.0"])
-    trajectory = Trajectory(Holonomic(PATHS["eight"], Sine(0.5, 4.0)), (Sine(0.3, 3.0),))
+    trajectory = Trajectory(HolonomicPath(PATHS["eight"], Sine(0.5, 4.0)), (Sine(0.3, 3.0),))
     controller = experiment.controller(name, robot=robot)
     return Loop(robot, trajectory, controller, timing=Timing(duration, 0.002, 0.002), start=Start(moving=True))
 

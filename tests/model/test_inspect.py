@@ -15,6 +15,7 @@ from test_base import MOVE, drone, four, welded
 from mmnn_pin import Feedback, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RobotError
+from mmnn_pin.lab.experiments.runner import interface_notes
 from mmnn_pin.model import Undecided, load
 from mmnn_pin.model.base.report import Unsupported
 from mmnn_pin.model.robots import FILES, extra, robot_data
@@ -79,9 +80,10 @@ def test_it_tells_how_a_run_drives_motors_and_how_to_drive_them_as_the_urdf_offe
     options += ("--set", "plots=[]")
     code, out, err = call(*options, *shlex.split(said))
     assert code == 0 and "note: driven left, right by velocity; all others by effort" in out, err
-    code, out, err = call(*options)
-    assert code == 0 and "note: driven by effort, which the URDF does not offer: left, right (see mmnn inspect)" in out
-    assert "driven" not in call("run", "track", *options[4:])[1]  # of platform_arm, whose URDF offers nothing
+    track = load_experiment("track", [f'robot="{file}"'])
+    unoffered = "driven by effort, which the URDF does not offer: left, right (see mmnn inspect)"
+    assert interface_notes(track, track.load_robot()) == [unoffered]
+    assert interface_notes(load_experiment("track"), load("platform_arm")) == []  # its URDF offers nothing
 
 
 def test_gains_are_those_of_a_run_and_can_be_copied(call):

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from mmnn_pin import PD, Loop, Timing, Trajectory, load
 from mmnn_pin.model import bundled
-from mmnn_pin.model.urdf.xml import parse_xml, text_of
+from mmnn_pin.model.urdf.document import text_of
+from mmnn_pin.model.urdf.reading import parse_xml
 from mmnn_pin.recording.recording import recorded_robot
 
 URDF = bundled()["platform_arm"].read_text()

@@ -12,9 +12,9 @@ from test_holonomic import mecanum
 
 from mmnn_pin import load
 from mmnn_pin.model.checks.nonholonomy import bracket, involutive_closure, nonholonomy
-from mmnn_pin.model.checks.properties import PROPERTIES, Report, check, worse
+from mmnn_pin.model.checks.properties import PROPERTIES, CheckReport, check, worse
 from mmnn_pin.model.checks.residuals import (
-    Terms,
+    FullTerms,
     annihilation,
     asymmetry,
     missing_constraints,
@@ -35,7 +35,7 @@ ROBOTS = {
 }
 
 
-def failed(report: Report) -> set[str]:
+def failed(report: CheckReport) -> set[str]:
     return {name for name, found in report.properties.items() if not found.passed}
 
 
@@ -71,7 +71,7 @@ def test_one_tolerance_serves_any_mass(mobile):
 
 @pytest.mark.parametrize("factor", [0.01, 100.0])
 def test_one_tolerance_sees_a_small_fault_in_any_mass(mobile, factor):
-    class Faulty(Terms):
+    class Faulty(FullTerms):
         def coriolis(self, q: Array, v: Array) -> Array:
             return super().coriolis(q, v) * (1 + 1e-4)
 
@@ -79,21 +79,21 @@ def test_one_tolerance_sees_a_small_fault_in_any_mass(mobile, factor):
     assert "property_2" in failed(check(robot, 2, terms=Faulty(robot)))
 
 
-class Asymmetric(Terms):
+class Asymmetric(FullTerms):
     def mass(self, q: Array) -> Array:
         M = super().mass(q)
         M[0, 1] += 1e-6 * M[0, 0]
         return M
 
 
-class Indefinite(Terms):
+class Indefinite(FullTerms):
     def mass(self, q: Array) -> Array:
         M = super().mass(q)
         M[-1, -1] *= -1
         return M
 
 
-class Singular(Terms):
+class Singular(FullTerms):
     def mass(self, q: Array) -> Array:
         M = super().mass(q)
         M[-1, :], M[:, -1] = M[-2, :], M[:, -2]
@@ -101,12 +101,12 @@ class Singular(Terms):
         return M
 
 
-class Quadratic(Terms):
+class Quadratic(FullTerms):
     def coriolis(self, q: Array, v: Array) -> Array:
         return super().coriolis(q, v) * (1 + 0.01 * np.linalg.norm(v))
 
 
-class NotChristoffel(Terms):
+class NotChristoffel(FullTerms):
     """The same C v, but all of it in one column: no `Mdot = C + C'`."""
 
     def coriolis(self, q: Array, v: Array) -> Array:
@@ -114,7 +114,7 @@ class NotChristoffel(Terms):
         return np.outer(C @ v, v) / (v @ v)
 
 
-class OtherCross(Terms):
+class OtherCross(FullTerms):
     """The coupling of base and arm broken, all blocks as they were."""
 
     def coriolis(self, q: Array, v: Array) -> Array:
@@ -124,24 +124,24 @@ class OtherCross(Terms):
         return C
 
 
-class OtherBase(Terms):
+class OtherBase(FullTerms):
     def coriolis(self, q: Array, v: Array) -> Array:
         C = super().coriolis(q, v)
         C[2, 2] += 0.1 * v[2]
         return C
 
 
-class NoCoriolis(Terms):
+class NoCoriolis(FullTerms):
     def reduced_coriolis(self, q: Array, nu: Array) -> Array:
         return 0 * super().reduced_coriolis(q, nu)
 
 
-class Antifriction(Terms):
+class Antifriction(FullTerms):
     def friction(self, nu: Array) -> Array:
         return -super().friction(nu) - 0.01 * nu
 
 
-class NoGravity(Terms):
+class NoGravity(FullTerms):
     def gravity(self, q: Array) -> Array:
         return 0 * super().gravity(q)
 
@@ -188,7 +188,7 @@ def test_a_wrong_t_is_seen(mobile):
     slipping[1, 0] += 1e-6  # drives a little sideways
     doubled[:, 1] = 2 * doubled[:, 0]
     assert failed(check(replace(mobile, T=slipping), samples=2)) == {"constraint"}
-    terms = Terms(mobile)
+    terms = FullTerms(mobile)
     terms.T = doubled
     assert "full_rank" in failed(check(mobile, samples=1, terms=terms))
     fewer = replace(mobile, A=mobile.A[1:])
@@ -196,7 +196,7 @@ def test_a_wrong_t_is_seen(mobile):
 
 
 def test_nan_never_passes(mobile):
-    class Nan(Terms):
+    class Nan(FullTerms):
         def coriolis(self, q: Array, v: Array) -> Array:
             return np.nan * super().coriolis(q, v)
 

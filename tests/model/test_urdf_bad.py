@@ -15,9 +15,10 @@ import pytest
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model import load
 from mmnn_pin.model.loading import build, pinocchio_model
+from mmnn_pin.model.urdf.audit import one_edit
+from mmnn_pin.model.urdf.document import number_problem
 from mmnn_pin.model.urdf.finding import Finding
 from mmnn_pin.model.urdf.reading import audit_data, parse, read
-from mmnn_pin.model.urdf.xml import number_problem, one_edit
 
 GOOD = """\
 <?xml version="1.0"?>

@@ -98,12 +98,11 @@ def test_a_macro_that_no_file_defines_can_be_left_out(tmp_path):
 CHOICE = "<xacro:if value=\"${{kind == '{0}'}}\"><xacro:property name='span' value='{1}'/></xacro:if>"
 
 
-@given(st.lists(st.sampled_from(["beta", "dvt", "mk2"]), min_size=1, max_size=3, unique=True))
-@settings(max_examples=4, deadline=None)
-def test_an_argument_that_decides_what_is_defined_is_named_with_its_values(tmp_path_factory, kinds):
+@pytest.mark.parametrize("kinds", [["dvt"], ["mk2", "beta", "dvt"]])
+def test_an_argument_that_decides_what_is_defined_is_named_with_its_values(tmp_path, kinds):
     text = '<xacro:arg name="kind" default="none"/><xacro:property name="kind" value="$(arg kind)"/>'
     text += "".join(CHOICE.format(kind, f"span_{kind}") for kind in kinds) + '<link name="${span}"/>'
-    file = xacro(tmp_path_factory.mktemp("kinds"), text + joint("j", "fixed", "base", "${span}") + ROBOT)
+    file = xacro(tmp_path, text + joint("j", "fixed", "base", "${span}") + ROBOT)
     with pytest.raises(RobotError, match="name 'span' is not defined") as error:
         load(file)
     offered = re.findall(r"--xacro (\S+)", error.value.fix)

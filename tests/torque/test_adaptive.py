@@ -16,7 +16,7 @@ from learning import assert_engines_agree, assert_frozen, assert_it_resumes
 from places import ROOT
 from scipy.linalg import expm, sqrtm
 
-from mmnn_pin import PD, Circle, Eight, Loop, Sine, Stepper, Timing, Trajectory, load, load_experiment
+from mmnn_pin import PD, Circle, Eight, Loop, Sine, Stepper, StepperSettings, Timing, Trajectory, load, load_experiment
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.dynamics import Dynamics
@@ -559,7 +559,7 @@ def test_on_a_robot_the_share_is_that_of_the_simulation(said):
 
 def test_a_filter_is_not_late_by_less_than_nothing():
     with pytest.raises(ConfigError, match="filtered"):
-        Stepper(ROBOT, PD(Feedback(30.0, 60.0, "inertia")), safety=Safety(), filtered=-0.01)
+        Stepper(ROBOT, PD(Feedback(30.0, 60.0, "inertia")), StepperSettings(safety=Safety(), filtered=-0.01))
 
 
 @pytest.mark.parametrize("late", range(5))
@@ -645,7 +645,7 @@ def test_a_share_is_a_number_or_that_of_the_delays():
 def test_a_real_robots_share_counts_with_its_latency(predict):
     calm = Feedback((100.0, 100.0), (5.0, 5.0))
     controller = Adaptive(REGRESSOR, calm, AdaptiveSettings(share="delays"))
-    stepper = Stepper(ROBOT, controller, period=0.002, latency=0.004, predict=predict)
+    stepper = Stepper(ROBOT, controller, StepperSettings(period=0.002, latency=0.004, predict=predict))
     assert share_of(controller.settings, stepper.setup.context()) == pytest.approx(2 / 9)  # 2 + 4 + 3
 
 

@@ -14,7 +14,6 @@ from scipy.integrate import quad
 
 from mmnn_pin import Feedback, load, load_experiment
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import Layout
@@ -157,21 +156,6 @@ def test_engines_batch_resumption_and_freezing(name):
 def test_with_a_supervisor_engines_agree():
     """There the ordinary engine says twice what was sent."""
     assert_engines_agree(made("pid", "safety.torque=20.0"))
-
-
-def test_the_part_of_v_of_pid_is_that_of_its_gain():
-    loop = made("pid", "pid.rate=4.0")
-    proof = Proof(loop.run())
-    found, k = proof.lyapunov, loop.controller.feedback.vector(loop.robot.dimensions)
-    d = proof.ideal.W[:, 0]
-    assert found.weights[0] == pytest.approx((d**2 / (4.0 * k)).sum() / 2)
-    assert found.missed < 1e-12
-    assert np.abs(found.terms["own"]).max() < 1e-9 * np.abs(found.terms["feedback"]).max()
-
-
-def test_a_proof_of_pd_with_gravity_judges_its_estimate():
-    proof = Proof(made("pd_gravity").run())
-    assert np.isfinite(proof.lyapunov.missed)
 
 
 def test_its_table_is_one_of_an_experiment():

@@ -604,10 +604,9 @@ LOOPS = {
     "streaming",
     "sample",
     "batch",
-    "precompile",
     "recorded_robot",
 }
-USES = {"experiments", "proof", "contest", "study", "show"}
+USES = {"experiments", "psi", "study", "show"}
 
 
 def imported(module: Path) -> Iterator[str]:

@@ -18,8 +18,8 @@ from mmnn_pin import Feedback, Loop, load, load_experiment
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.experiments.controllers import machine_of
-from mmnn_pin.lab.proof.learner import recorded_learner
-from mmnn_pin.model.base import BY_SIZE
+from mmnn_pin.lab.psi.learner import recorded_learner
+from mmnn_pin.model.base import KINDS
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
@@ -185,16 +185,16 @@ def test_its_low_pass_lasts_longer_than_velocities_repeat_what_it_believes(unsee
     assert pole == pytest.approx(min(7.0, 0.04 / unseen) if unseen > 0.0 else 7.0)
 
 
-@pytest.mark.parametrize("base", [2, 3])
-def test_errors_of_velocities_count_as_the_energy_of_the_pose_grows(base: int) -> None:
+@pytest.mark.parametrize("base", ["differential_drive", "holonomic"])
+def test_errors_of_velocities_count_as_the_energy_of_the_pose_grows(base: str) -> None:
     """Second differences of that energy along what each velocity drives."""
-    gains, kind, tiny = Kinematic(ky=9.0), BY_SIZE[base], 1e-3
-    columns = np.arange(3) if base == 3 else [0, 2]
-    still = np.zeros((base, base))
-    energy = kind.pose_energy(tiny * np.eye(3)[columns], still, still, gains.base_gains(base))
+    gains, kind, tiny = Kinematic(ky=9.0), KINDS[base], 1e-3
+    nb = len(kind.velocity_names)
+    layout, still = Layout(nb, 0, nb + 3, nb, base), np.zeros((nb, nb))
+    energy = kind.pose_energy(tiny * np.eye(3)[kind.columns], still, still, gains.base_gains(layout))
     assert energy is not None
-    assert gains.pose_weights(base) == pytest.approx(2.0 * energy.value / tiny**2, rel=1e-6)
-    assert Kinematic(ky=0.0).pose_weights(2) is None
+    assert gains.pose_weights(layout) == pytest.approx(2.0 * energy.value / tiny**2, rel=1e-6)
+    assert kind.sideways or Kinematic(ky=0.0).pose_weights(layout) is None
 
 
 @given(seed=seeds, size=st.sampled_from([1e-6, 1e-2, 1.0]))
@@ -320,7 +320,7 @@ def test_where_a_wheel_cannot_help_the_pose_comes_first(monkeypatch: pytest.Monk
     """The same eight with a missing torque shared as K says, and as errors of velocities count in the pose."""
     eight = 'reference.base={type="eight",length=1.5,width=0.75,period=3.2,ramp=1.0}'
     error = []
-    for weights in (Kinematic.pose_weights, lambda self, base: None):
+    for weights in (Kinematic.pose_weights, lambda self, layout: None):
         monkeypatch.setattr(Kinematic, "pose_weights", weights)
         run = loop(eight).run()
         error.append(np.sqrt((run["true_pose_error"][run["time"].ravel() > 5.0] ** 2).mean(axis=0)))

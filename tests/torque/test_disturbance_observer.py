@@ -8,7 +8,6 @@ from learning import assert_engines_agree, assert_frozen, assert_it_resumes, mad
 
 from mmnn_pin import Feedback, load_experiment
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import Context
 from mmnn_pin.torque.disturbance_observer import DisturbanceObserver, DisturbanceObserverSettings, estimate
@@ -52,37 +51,6 @@ def test_engines_batch_resumption_and_freezing():
     assert_engines_agree(loop)
     assert_it_resumes(loop, loop.timing.duration / 2)
     assert_frozen(loop)
-
-
-def test_its_part_of_v_is_that_of_its_gain():
-    """`d~' (gamma K)^-1 d~ / 2` with the best constant; the run is met again, and without leakage nothing is left."""
-    own = ("disturbance_observer.gamma=4.0", "disturbance_observer.leakage=0.0")
-    loop = made("disturbance_observer", *own)
-    proof = Proof(loop.run())
-    found, k = proof.lyapunov, loop.controller.feedback.vector(loop.robot.dimensions)
-    d = proof.ideal.W[:, 0]
-    assert d.shape == k.shape and found.weights[0] == pytest.approx((d**2 / (4.0 * k)).sum() / 2)
-    assert found.missed < 1e-12
-    assert np.abs(found.terms["own"]).max() < 1e-9 * np.abs(found.terms["feedback"]).max()
-
-
-@pytest.mark.parametrize(
-    ("method", "answer", "fix"),
-    [
-        ("learning_gain", None, "write a method learning_gain(state, context) that returns Gamma"),
-        (
-            "learning_gain",
-            -np.ones(4),
-            "(state, context) of disturbance_observer is not positive definite",
-        ),
-        ("weights", {}, "return one such array in `weights`"),
-    ],
-)
-def test_a_proof_without_its_part_names_the_method_that_is_missing(monkeypatch, method, answer, fix):
-    run = made("disturbance_observer", duration=0.02).run()
-    monkeypatch.setattr(DisturbanceObserver, method, lambda *told: answer)
-    proof = Proof(run)
-    assert not proof.lyapunov.weights.any() and fix in proof.left_out
 
 
 def test_its_table_is_one_of_an_experiment():

@@ -23,7 +23,7 @@ from mmnn_pin.disturbance import Payload
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.controllers import Granted, Nominal, machine_of
 from mmnn_pin.loop.before_run import Start
-from mmnn_pin.loop.controller import Torque
+from mmnn_pin.loop.sample import Torque
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
@@ -566,7 +566,7 @@ def unexplained(controller, loop, memory_values, held):
     for k in range(len(said)):
         for name in names:
             row[LAYOUT.where(name)] = held[name][k]
-        torque.step(0.0)
+        torque.answer(0.0)
         said[k] = row[LAYOUT.where("psi_hat")]
     psi = np.asarray(held["psi"])[250:]
     return float((((psi - said[250:]) ** 2).sum(0) / ((psi - psi.mean(0)) ** 2).sum(0)).mean())

@@ -16,9 +16,8 @@ from robots import feedback
 
 from mmnn_pin import PD, LearningLaw, TorqueController
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
-from mmnn_pin.lab.proof.learner import Stepper
-from mmnn_pin.lab.proof.linear import linear_fit
-from mmnn_pin.lab.proof.proof import Proof
+from mmnn_pin.lab.psi.judgement import Judgement
+from mmnn_pin.lab.psi.learner import Stepper
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.safety import Safety
@@ -298,8 +297,7 @@ def test_a_plain_controller_may_tell_its_psi_hat() -> None:
     run = loop_of("fixed", Both(), duration=0.01).run()
     assert (run["psi_hat"] == 0.5).all()
     np.testing.assert_allclose(run["torque"], 20.0 * run["r"] + 0.5)
-    proof = Proof(run)
-    assert not any("gives no Psi_hat" in remark for remark in proof.remarks())
+    assert not any("gives no Psi_hat" in remark for remark in Judgement(run).remarks())
 
 
 # -- what is wrong with a law is told in one line --
@@ -372,7 +370,7 @@ def test_frozen_weights_of_a_law_say_what_a_sum_by_hand_says() -> None:
     law = OneLayerTwin(feedback=feedback(robot_of_kind("differential"), 0.002))
     run = loop_of("differential", law, duration=0.6).run()
     subject = subject_of("differential", run)
-    psi = Proof(run).psi
+    psi = Judgement(run).psi
     x = np.hstack([run[name].reshape(len(run), -1) for name in THESIS_INPUT])
     centres = np.linspace(-law.range, law.range, law.hidden)
     phi = np.exp(-((x[:, :, None] - centres) ** 2).sum(axis=1) / (2 * law.width**2))
@@ -415,5 +413,3 @@ def test_stepping_it_again_gives_its_weights_and_what_is_known_is_not_asked_of_t
     again = np.array([stepper.step(row).copy() for row in subject.rows])
     np.testing.assert_allclose(again, subject.signal("psi_hat"), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(stepper.state["W"], learner.end["W"], rtol=1e-12)
-    found = linear_fit(subject, learner)
-    assert found is not None and found.norm < 1e-6 and found.unexplained.max() < 1e-12  # nothing is left for them

@@ -47,7 +47,7 @@ def updated(n: Network, F: float, G: float, kappa: float, dt: float = 1.0) -> tu
     """Weights after one compiled update."""
     W, V = n.W.copy(), n.V.copy()
     net, sigma, _ = output(n.W, n.V, n.x)
-    two_layer_update(W, V, n.x, net, sigma, n.s, F, G, kappa, dt)
+    two_layer_update(W, V, n.x, net, sigma, n.s, np.array([F, G, kappa]), dt)
     return W, V
 
 

@@ -21,8 +21,8 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.experiments.config import recorded_experiment
 from mmnn_pin.lab.experiments.laws import load_class
-from mmnn_pin.lab.proof.proof import Proof
-from mmnn_pin.lab.proof.psi import worst
+from mmnn_pin.lab.psi.judgement import Judgement
+from mmnn_pin.lab.psi.psi import worst
 
 EXAMPLE = ROOT / "examples/own_law.py"
 SPEC = f"{EXAMPLE}:LeastSquares"
@@ -109,19 +109,18 @@ def test_the_example_is_run_judged_and_plotted_like_any_other(
     kinds = [kind for kind in LearningLaw.__subclasses__() if kind.__name__ == "LeastSquares"]
     for kind in kinds:
         kind.__name__ = "Forgotten"  # as in a fresh process
-    code, found, errors = told(capsys, "prove", file)
+    code, found, errors = told(capsys, "judge", file)
     assert errors.startswith("warning: what the weights of LeastSquares know is judged with --law ")  # before it begins
     assert code == 0 and found["psi"]["online"]["base"] < 0.1 and found["psi"]["frozen"] == {}
     assert any(f"--law {EXAMPLE}" in remark for remark in found["remarks"])
-    assert found["lyapunov"]["V"]["end"] >= 0 and found["equality"]["holds"]
     for kind in kinds:
         kind.__name__ = "LeastSquares"
-    code, found, _ = told(capsys, "prove", file, "--law", EXAMPLE)
+    code, found, _ = told(capsys, "judge", file, "--law", EXAMPLE)
     frozen = found["psi"]["frozen"]
     assert code == 0 and worst(np.array([frozen["held_out"]["base"], frozen["held_out"]["arm"]])) < 0.1
-    assert found["psi"]["networks"]["all"]["units"] == 27 and found["ideal"]["linear"]["distance"]["end"] < 0.1
+    assert found["psi"]["networks"]["all"]["units"] == 27
     assert not any("law" in remark for remark in found["remarks"])
-    whats = [word for what in ("psi", "fvu", "weights", "frozen", "lyapunov") for word in ("--what", what)]
+    whats = [word for what in ("psi", "fvu", "weights", "frozen") for word in ("--what", what)]
     code, found, _ = told(capsys, "plot", out, "--law", EXAMPLE, *whats, "--out", tmp_path / "plots")
     assert code == 0 and all(Path(picture).stat().st_size > 5000 for picture in found["files"].values())
     code, found, _ = told(capsys, "report", out, "--law", SPEC, "--html", tmp_path / "page.html")
@@ -174,7 +173,7 @@ def test_nothing_runs_a_file_because_a_recording_says_so(
     with h5py.File(file, "r+") as recording:
         about = json.loads(recording.attrs["law"][5:]) | {"class": "Other"}
         recording.attrs["law"] = "json:" + json.dumps(about)
-    for command in ("prove", "plot", "report", "export", "replay"):
+    for command in ("judge", "plot", "report", "export", "replay"):
         more = {
             "plot": ("--out", tmp_path / "p", "--what", "frozen", "--what", "fvu"),
             "report": ("--html", tmp_path / "r.html"),
@@ -183,7 +182,7 @@ def test_nothing_runs_a_file_because_a_recording_says_so(
         main([command, str(file), *map(str, more.get(command, ()))])
         capsys.readouterr()
         assert mark.read_text() == "x", command
-    code, found, _ = told(capsys, "prove", file, "--law", law)
+    code, found, _ = told(capsys, "judge", file, "--law", law)
     assert code == 0 and mark.read_text() == "xx"
     assert found["psi"]["frozen"] and any("its SHA-256 differs" in remark for remark in found["remarks"])
 
@@ -292,7 +291,7 @@ def test_a_proof_of_a_law_defined_in_this_process_needs_no_file() -> None:
     from robots import feedback
 
     run = loop_of("fixed", Here(feedback=feedback(robot_of_kind("fixed"), 0.002)), duration=0.02).run()
-    learner = Proof(run).subject.learner
+    learner = Judgement(run).subject.learner
     assert learner is not None and type(learner.controller) is Here
     np.testing.assert_array_equal(learner.end["W"], run.weights["W"][-1])
     assert isinstance(run, Recording)

@@ -14,7 +14,7 @@ from test_composite import EIGHT
 from test_concurrent import CIRCLE
 
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.loop.controller import Torque
+from mmnn_pin.loop.sample import Torque
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.neural import MEASURED, Inputs
 from mmnn_pin.torque.two_layer_composite import TwoLayerCompositeSettings, descend, estimate, keep_sample, recollect
@@ -82,7 +82,7 @@ def test_the_input_is_that_of_a_reference_followed_exactly():
     for values, names in same.items():
         for name in names:
             row[layout.where(name)] = np.frombuffer(values)
-    Torque(loop.controller, loop.context(), row, loop.robot, state).step(0.0)
+    Torque(loop.controller, loop.context(), row, loop.robot, state).answer(0.0)
     recollect(a)
     np.testing.assert_array_equal(a.x, state["x"])
 
@@ -140,7 +140,8 @@ def explained(controller, state, rows, loop):
     for k in range(0, len(rows), 5):
         for name in rows:
             row[layout.where(name)] = rows[name][k]
-        torque.step(rows.time[k])
+        torque.answer(rows.time[k])
+        torque.keep()
         left.append(psi[k] - row[layout.where("psi_hat")])
     return np.mean(np.mean(np.square(left), axis=0) / np.var(psi, axis=0))
 

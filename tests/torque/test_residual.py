@@ -11,7 +11,7 @@ from numba import config
 from mmnn_pin import load_experiment
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.loop.batch import simulate_many
-from mmnn_pin.loop.controller import Torque
+from mmnn_pin.loop.sample import Torque
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.model_based import ComputedTorque
@@ -41,7 +41,7 @@ def test_psi_hat_is_the_models_psi_and_the_networks_output():
     for k in range(0, len(run)):
         for name in run:
             row[layout.where(name)] = run[name][k]
-        network.step(run.time[k])
+        network.answer(run.time[k])
         position = loop.robot.neutral_position()
         position[:3], position[loop.robot.arm_index] = run["pose"][k], run["q"][k]
         nu = np.concatenate((run["velocity"][k], run["qdot"][k]))

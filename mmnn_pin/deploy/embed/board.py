@@ -1,8 +1,8 @@
-"""What a stepper does at a sample, as functions that can be written as C: `Stepper.step` without Python's objects.
+"""The sample of a stepper as functions that can be written as C: `Stepper.step` without Python's objects.
 
-    measurement ─▶ [take] ─▶ [follow: a sample, a base velocity, or hold] ─▶ [Control.step] ─▶ [command]
+    measurement ─▶ [take] ─▶ [follow: a sample, a base velocity, or hold] ─▶ [sample] ─▶ [command]
 
-The arithmetic is the blocks' own: `safety.accept`, `reference.guide`, `loop.sample.Control`. Here is only what
+The arithmetic is the blocks' own: `safety.accept`, `reference.guide`, `loop.sample`. Here is only what
 `Stepper` and `Follower` decide between them. Motions and joint goals are planned in Python and handed in as samples.
 """
 
@@ -14,14 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...compiled import copy_to
-from ...loop.sample import Control
+from ...loop.hardware import Hardware
+from ...loop.machine import Machine
+from ...loop.sample import Controls, sample
 from ...loop.servo import Split
 from ...loop.stepper import Stepper
 from ...reference.follower import LARGEST
 from ...reference.guide import ARM, BASE, SAMPLE, VELOCITY, Guide, advance, brake, drive, stand, take_sample
-from ...safety import HAS_TRIPPED, Supervisor, accept, has_ended, press, release
-from ...safety.supervisor import GOOD, HEARD
+from ...safety import Supervisor, accept, has_ended, press, release
 from ...signals import Array, IntArray
+from ...torque.law import Ahead, MotorLimits
 
 # What a sample can be asked: to go on, a full sample, a base velocity, to brake and stand.
 GO_ON, FOLLOW_SAMPLE, FOLLOW_VELOCITY, STAND = range(4)
@@ -32,7 +34,7 @@ CLOCK = 6
 
 
 class Board(NamedTuple):
-    """What a stepper has in memory.
+    """The memory of a stepper.
 
     Attributes:
         row: (width,) signals of the sample.
@@ -40,7 +42,8 @@ class Board(NamedTuple):
         received: (m,) pose, velocity, q, qdot in the row.
         incoming: (m,) the measurement that comes in.
         asked: (w,) the setpoint that comes in: a full sample, or the base velocity at its place.
-        control: Kinematic layer, torque law and supervisor.
+        control: What a control sample works on.
+        model, hardware, learner, limits, ahead, later: As of `loop.sample.sample`.
         guide: What makes the reference.
         supervisor: The supervisor.
         clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, has stepped,
@@ -60,7 +63,13 @@ class Board(NamedTuple):
     received: Array
     incoming: Array
     asked: Array
-    control: Control
+    control: Controls
+    model: Machine | None
+    hardware: Hardware
+    learner: Any
+    limits: MotorLimits | None
+    ahead: Ahead | None
+    later: Any
     guide: Guide
     supervisor: Supervisor
     clock: Array
@@ -83,7 +92,7 @@ class Fresh(Stepper):
 
 def board_of(stepper: Stepper) -> Board:
     """The memory of a stepper."""
-    guide, hardware = stepper.follower.guide, stepper.hardware
+    guide, hardware, torque = stepper.follower.guide, stepper.hardware, stepper.control.torque
     clock = np.zeros(CLOCK)
     clock[: RENEWED + 2] = -math.inf
     return Board(
@@ -92,7 +101,13 @@ def board_of(stepper: Stepper) -> Board:
         received=stepper.received,
         incoming=np.zeros(stepper.received.size),
         asked=np.zeros(guide.wanted.size),
-        control=stepper.control,
+        control=stepper.control.controls,
+        model=torque.model,
+        hardware=hardware,
+        learner=torque.learner,
+        limits=torque.limits,
+        ahead=torque.ahead,
+        later=torque.later,
         guide=guide,
         supervisor=hardware.way.supervisor,
         clock=clock,
@@ -124,7 +139,7 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
         return BAD_SETPOINT
     if is_measured:
         take(b, time, measured)
-    if clock[STANDS] == 0.0 and b.supervisor.state[GOOD] > 0.0:
+    if clock[STANDS] == 0.0 and b.supervisor.state.good[0] > 0.0:
         stand(b.received, b.guide)
         clock[STANDS] = 1.0
     if clock[PAUSED] == 0.0:
@@ -132,7 +147,10 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
     advance(b.received, time - clock[LAST] if clock[STEPPED] > 0.0 else 0.0, b.guide)
     if clock[STEPPED] == 0.0:
         copy_to(b.guide.now, b.before)
-    b.control.step(time, b.guide.now, 0, b.before)
+    sample(
+        0, time, b.guide.now, b.before, b.control, b.model, b.hardware, b.learner, b.limits, b.ahead, b.later, b.split,
+        None,
+    )  # fmt: skip
     copy_to(b.guide.now, b.before)
     copy_to(b.command, b.motor_torque)
     if b.split is not None:
@@ -164,7 +182,7 @@ def is_possible(b: Board, wish: int) -> bool:
 def take(b: Board, time: float, measured: float) -> None:
     """A measurement into the row and before the supervisor; `Stepper._take`."""
     state = b.supervisor.state
-    if state[GOOD] > 0.0 and measured < state[HEARD]:
+    if state.good[0] > 0.0 and measured < state.heard[0]:
         return
     fine = not math.isnan(measured)
     copy_to(b.incoming, b.received)
@@ -212,13 +230,13 @@ def resume(b: Board) -> None:
 
 def stop(b: Board) -> None:
     """An emergency stop from outside, from the next sample on; `Stepper.stop`."""
-    if b.supervisor.state[HAS_TRIPPED] == 0.0:
+    if b.supervisor.state.tripped[0] == 0.0:
         press(max(b.clock[LAST], 0.0), b.supervisor)
 
 
 def reset(b: Board) -> bool:
     """Go on after a trip from where the robot is measured; false without a fresh measurement; `Stepper.reset`."""
-    if b.supervisor.state[HAS_TRIPPED] == 0.0 or not release(b.clock[LAST], b.supervisor):
+    if b.supervisor.state.tripped[0] == 0.0 or not release(b.clock[LAST], b.supervisor):
         return False
     copy_to(b.supervisor.message, b.received)
     stand(b.received, b.guide)

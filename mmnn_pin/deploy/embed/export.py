@@ -117,7 +117,7 @@ def embed(
     texts = files_of(export)
     events = usual_events(loop, stepper.period, steps)
     answered = answers(stepper, events, [m.live for m in export.remembered])
-    texts["selftest.c"] = selftest(export, events, answered, title)
+    texts["selftest.c"] = selftest(export, events, answered)
     texts["README.md"] = readme(export, steps, ram_bytes(export))
     with whole_folder(folder, "source", force) as made:
         for name, text in texts.items():

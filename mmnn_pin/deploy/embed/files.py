@@ -15,8 +15,8 @@ from ... import __version__
 from ...loop.stepper import Stepper
 from ...signals import SIGNALS, Array
 from . import board, body
-from .golden import Answer, Event
-from .program import Function, Program
+from .golden import Answer, GoldenEvent
+from .program import CFunction, CProgram
 from .values import Number, Root, Static, spelled
 
 TEMPLATES = jinja2.Environment(
@@ -40,19 +40,19 @@ class Export:
     """
 
     stepper: board.Fresh
-    program: Program
+    program: CProgram
     title: str
 
     @property
     def members(self) -> list[Root]:
-        """What the controller remembers, in the order of the struct: the large last, for short offsets of the rest."""
+        """Members of the struct in their order: large ones last, for short offsets of the rest."""
         roots = [*self.program.roots.values(), *self.program.pieces.values()]
         members = [root for root in roots if root.name in self.program.written and not root.parts]
         return sorted(members, key=lambda root: root.data.size > LARGE)
 
     @property
     def remembered(self) -> list[Root]:
-        """The same without integers and room to work in: what a checksum covers."""
+        """Members that a checksum covers: without integers and room to work in."""
         lasting = {id(root) for root in self.program.pieces.values()}
         first = ("row", "guide_now", "guide_aim", "guide_wanted")
         return [m for m in self.members if m.kind == "real" and (m.name in first or id(m) in lasting)]
@@ -65,7 +65,7 @@ class Export:
         return [r for r in roots if r.name not in self.program.written and re.search(rf"\blaw_{r.name}\b", text)]
 
     @property
-    def functions(self) -> list[Function]:
+    def functions(self) -> list[CFunction]:
         """All functions that do something and are called, callees first."""
         found = [function for function in self.program.functions.values() if not function.is_empty]
         entries = {f"board_{function.__name__}" for function in ENTRIES}
@@ -83,7 +83,7 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     Raises:
         Untranslatable: Something in its functions cannot be said in C.
     """
-    program, b = Program(body.write, real), board.board_of(stepper)
+    program, b = CProgram(body.write, real), board.board_of(stepper)
     program.memory(b.row, "row")
     for i, name in enumerate(name for name, *_ in SIGNALS):
         program.hints["at", i] = f"MMNN_ROW_{name}"
@@ -95,7 +95,7 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     way = stepper.hardware.way
     program.dropped |= {"motor_states", "sent"}  # what only simulated motors and lines read
     program.dropped |= {program.memory(part, "unread").name for part in (way.totals.force, way.shorted)}
-    if b.control.torque.lead is None:
+    if b.ahead is None:
         program.dropped.add(program.memory(b.before, "before").name)
     learned = stepper.state
     if getattr(learned, "values", None) is not None and learned.values.size:
@@ -122,8 +122,10 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
 def parts_of(stepper: Stepper) -> dict[str, int]:
     """The members that the state of supervisor, motors and servos is split into, in the order of its memory."""
     hardware = stepper.hardware
-    named = {f"supervisor_{name}": part for name, part in hardware.way.supervisor._asdict().items() if name != "values"}
-    named |= {"motor_states": hardware.motors.states, "sent": hardware.way.sent}
+    supervisor = hardware.way.supervisor
+    named = {f"supervisor_{name}": part for name, part in supervisor._asdict().items() if name != "values"}
+    named |= {f"supervisor_is_{name}": part for name, part in supervisor.state._asdict().items()}
+    named |= {"motor_states": hardware.motors.states.values, "sent": hardware.way.sent}
     if hardware.split is not None:
         named |= {f"servo_{name}": part for name, part in hardware.split._asdict().items()}
     whole, found = hardware.state, list[tuple[int, str, int]]()
@@ -152,7 +154,7 @@ def numbers(values: Array, kind: str, single: bool, per_line: int = 6) -> str:
     return ",\n".join(f"    {line}" for line in lines)
 
 
-def definitions(functions: list[Function], public: Iterable[Function] = ()) -> list[str]:
+def definitions(functions: list[CFunction], public: Iterable[CFunction] = ()) -> list[str]:
     """Functions with their comments; compilers are kept from copying what is called from several places into each.
 
     Those of controllers that make a number of numbers, without a loop, are algebra, and faster where they are copied.
@@ -166,7 +168,7 @@ def definitions(functions: list[Function], public: Iterable[Function] = ()) -> l
     return made
 
 
-def constants_in(program: Program, text: str) -> str:
+def constants_in(program: CProgram, text: str) -> str:
     """Definitions of the named constants that a text mentions."""
     used = set(re.findall(r"\b[A-Z][A-Z0-9_]+\b", text))
     single = program.real != "double"
@@ -181,51 +183,50 @@ def constants_in(program: Program, text: str) -> str:
 
 def files_of(export: Export) -> dict[str, str]:
     """Names and texts of the files, without the self-test."""
-    program, real = export.program, export.program.real
+    program = export.program
     ours = [f for f in export.functions if not f.is_math]
     maths = [f for f in export.functions if f.is_math]
     math_text, text = "\n".join(f.text for f in maths), "\n".join(f.text for f in ours)
     tables = [t for t in export.tables if re.search(rf"\blaw_{t.name}\b", text)]
     own_tables = [t for t in export.tables if t not in tables]
     public = [f for f in maths if re.search(rf"\b{f.name}\(", text)]
-    about = {"title": export.title, "version": __version__, "real": real, "has_split": has_split(export)}
-    init = initial(export)
-    double = Program(body.write)
+    every = [*tables, *starts(export)]
+    double = CProgram(body.write)
     double.constants = program.constants
     return {
-        "controller.h": render("controller.h", **about, **interface(export)),
+        "controller.h": render("controller.h", export),
         "controller.c": render(
-            "controller.c", **about, **interface(export), functions=definitions(ours), init=init,
+            "controller.c", export, functions=definitions(ours), init=initial(export),
             constants=constants_in(program, text),
         ),
-        "robot_law.h": render("robot_law", is_header=True, **about, tables="\n".join(
-            f"extern const {program.c_type(t.kind)} law_{t.name}[{t.data.size}];" for t in [*tables, *starts(export)]
+        "robot_law.h": render("robot_law", export, is_header=True, tables="\n".join(
+            f"extern const {program.c_type(t.kind)} law_{t.name}[{t.data.size}];" for t in every
         )),
-        "robot_law.c": render("robot_law", is_header=False, **about, tables="\n\n".join(
-            table(program, t) for t in [*tables, *starts(export)]
-        )),
-        "mmnn_math.h": render("mmnn_math.h", types=types(program), prototypes="\n".join(
+        "robot_law.c": render(
+            "robot_law", export, is_header=False, tables="\n\n".join(table(program, t) for t in every)
+        ),
+        "mmnn_math.h": render("mmnn_math.h", export, types=types(program), prototypes="\n".join(
             f"{f.comment}\n{f.head};\n" for f in public
         )),
         "mmnn_math.c": render(
-            "mmnn_math.c", functions=definitions(maths, public), constants=constants_in(double, math_text),
+            "mmnn_math.c", export, functions=definitions(maths, public), constants=constants_in(double, math_text),
             tables="\n\n".join("static " + table(double, t) for t in own_tables),
         ),
-        "CMakeLists.txt": render("CMakeLists.txt"),
-        "qemu_mps2/startup.c": render("startup.c"),
-        "qemu_mps2/mps2.ld": render("mps2.ld"),
+        "CMakeLists.txt": render("CMakeLists.txt", export),
+        "qemu_mps2/startup.c": render("startup.c", export),
+        "qemu_mps2/mps2.ld": render("mps2.ld", export),
         "in_the_loop/link.c": link(export),
         **plugin(export),
     }  # fmt: skip
 
 
-def render(template: str, **values: Any) -> str:
-    """A file from its template; runs of empty lines become one."""
-    text = TEMPLATES.get_template(f"{template}.j2").render(**values)
+def render(template: str, export: Export, **values: Any) -> str:
+    """A file from its template, the facts of an export and more values; runs of empty lines become one."""
+    text = TEMPLATES.get_template(f"{template}.j2").render(facts(export) | values)
     return re.sub(r"\n{3,}", "\n\n", "\n".join(line.rstrip() for line in text.splitlines())).strip("\n") + "\n"
 
 
-def table(program: Program, root: Root) -> str:
+def table(program: CProgram, root: Root) -> str:
     """The definition of a constant table."""
     kind = program.c_type(root.kind)
     body = numbers(root.data, root.kind, program.real != "double")
@@ -256,7 +257,7 @@ def initial(export: Export) -> str:
     return "\n".join(lines)
 
 
-def types(program: Program) -> str:
+def types(program: CProgram) -> str:
     """The structs of several numbers."""
     lines = []
     for size in sorted(program.vecs):
@@ -275,34 +276,33 @@ def types(program: Program) -> str:
     return "\n".join(lines)
 
 
-def interface(export: Export) -> dict[str, Any]:
-    """What the header says."""
+def facts(export: Export) -> dict[str, Any]:
+    """The facts of an export that templates mention: its numbers, its interface, the members of its struct."""
     stepper, program = export.stepper, export.program
-    layout, robot = stepper.setup.layout, stepper.robot
-    unit = layout.unit
+    layout, unit = stepper.setup.layout, stepper.setup.layout.unit
     here = [(name, layout.where(name)) for name, *_ in SIGNALS]
-    signals = [
-        (name.upper(), at.start, f"{at.stop - at.start} {unit(name)}".strip()) for name, at in here
-    ]  # fmt: skip
     measured, asked = ranges(export, "pose velocity q qdot"), ranges(export, "pose velocity acceleration q qdot qddot")
-    words = {name: unit(name) for name in ("pose", "velocity", "q", "qdot")}
-    words |= {"acceleration": unit("acceleration_ref"), "qddot": unit("qddot_ref")}
-    about = {m.name: str(m.data.size) for m in export.members}
+    units = {name: unit(name) for name in ("pose", "velocity", "q", "qdot")}
+    units |= {"acceleration": unit("acceleration_ref"), "qddot": unit("qddot_ref")}
     return {
-        "period": f"{stepper.period!r}",
+        "title": export.title,
+        "version": __version__,
+        "real": program.real,
+        "is_exact": program.real == "double",
+        "tolerance": TOLERANCE,
+        "has_split": has_split(export),
+        "period": stepper.period,
         "motors": layout.motors,
-        "motor_names": [plain(name) for name in robot.actuator_names],
+        "motor_names": [plain(name) for name in stepper.robot.actuator_names],
         "timeout": stepper.follower.timeout,
-        "measurement": [(name, size, words[name]) for name, _, size in measured],
-        "setpoint": [(name, size, words[name]) for name, _, size in asked],
+        "measurement": [(name, size, units[name]) for name, _, size in measured],
+        "setpoint": [(name, size, units[name]) for name, _, size in asked],
         "measured": measured,
         "asked": asked,
-        "signals": signals,
+        "signals": [(name.upper(), at.start, f"{at.stop - at.start} {unit(name)}".strip()) for name, at in here],
         "width": layout.width,
-        "members": [
-            {"type": program.c_type(m.kind), "name": m.name, "size": m.data.size, "what": ""} for m in export.members
-        ],
-        "about": about,
+        "members": [(program.c_type(m.kind), m.name, m.data.size) for m in export.members],
+        "remembered": [(m.name, m.data.size) for m in export.remembered],
     }
 
 
@@ -323,20 +323,14 @@ def has_split(export: Export) -> bool:
     return export.stepper.hardware.split is not None
 
 
-def selftest(export: Export, events: list[Event], answers: list[Answer], name: str) -> str:
+def selftest(export: Export, events: list[GoldenEvent], answers: list[Answer]) -> str:
     """The self-test with its golden vectors."""
     received = [e.received for e in events if e.received is not None]
     asked = [e.asked for e in events if e.wish]
     return render(
         "selftest.c",
+        export,
         steps=len(events),
-        real=export.program.real,
-        is_exact=export.program.real == "double",
-        tolerance=TOLERANCE,
-        name=name,
-        remembered=[(m.name, m.data.size) for m in export.remembered],
-        measured=ranges(export, "pose velocity q qdot"),
-        asked=ranges(export, "pose velocity acceleration q qdot qddot"),
         events=",\n".join(
             f"    {{{exact(e.time)}, {exact(e.measured)}, {int(e.received is not None)}, {e.wish}, {e.action}}}"
             for e in events
@@ -353,12 +347,9 @@ def selftest(export: Export, events: list[Event], answers: list[Answer], name: s
 def link(export: Export) -> str:
     """The controller as a process."""
     guide, received = export.stepper.follower.guide, export.stepper.received
-    remembered = [(m.name, m.data.size) for m in export.remembered]
     return render(
-        "link.c", real=export.program.real, remembered=remembered, measurement_size=received.size,
-        frame=5 + received.size + guide.wanted.size, answer=2 + sum(size for _, size in remembered),
-        measured=ranges(export, "pose velocity q qdot"),
-        asked=ranges(export, "pose velocity acceleration q qdot qddot"),
+        "link.c", export, measurement_size=received.size, frame=5 + received.size + guide.wanted.size,
+        answer=2 + sum(member.data.size for member in export.remembered),
     )  # fmt: skip
 
 
@@ -373,13 +364,13 @@ def plugin(export: Export) -> dict[str, str]:
     choice = f'motor_interfaces[j] == "velocity" ? {by_kind[0]} : {by_kind[1]}'
     return {
         "ros2_control/plugin.cpp": render(
-            "plugin.cpp", has_base=bool(d.base), motors=quoted(names), motor_interfaces=quoted(kinds),
+            "plugin.cpp", export, has_base=bool(d.base), motors=quoted(names), motor_interfaces=quoted(kinds),
             arm=quoted(robot.joint_names),
             odometry=[f"measurement.velocity[{i}] = twist.{part};" for i, part in enumerate(parts)],
             velocity=[f"setpoint.velocity[{i}] = twist.{part};" for i, part in enumerate(parts)],
             command=choice if has_split(export) else "mmnn_motor_torque(&controller_)[j]",
         ),
-        "ros2_control/plugin.xml": render("plugin.xml", title=export.title),
+        "ros2_control/plugin.xml": render("plugin.xml", export),
     }  # fmt: skip
 
 
@@ -396,13 +387,8 @@ def plain(name: str) -> str:
 
 
 def readme(export: Export, steps: int, ram: int) -> str:
-    """What a firmware engineer reads first."""
-    stepper = export.stepper
-    return render(
-        "README.md", title=export.title, version=__version__, steps=steps, ram=ram, period=stepper.period,
-        real=export.program.real, is_exact=export.program.real == "double", tolerance=TOLERANCE,
-        motors=", ".join(map(plain, stepper.robot.actuator_names)),
-    )  # fmt: skip
+    """The page that a firmware engineer reads first."""
+    return render("README.md", export, steps=steps, ram=ram)
 
 
 def exact(value: float) -> str:

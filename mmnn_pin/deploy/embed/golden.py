@@ -28,8 +28,8 @@ PRIME = np.uint64(0x9E3779B97F4A7C15)
 
 
 @dataclass(frozen=True)
-class Event:
-    """What comes at a sample.
+class GoldenEvent:
+    """The inputs of one sample.
 
     Attributes:
         time: [s].
@@ -50,7 +50,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Answer:
-    """What the stepper answers.
+    """The outputs of one sample.
 
     Attributes:
         torque: (motors,) [N m or N].
@@ -61,7 +61,7 @@ class Answer:
     checksum: int
 
 
-def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[Event]:
+def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[GoldenEvent]:
     """Samples along the trajectory of a loop, with what goes wrong on a robot now and then."""
     rng, d = np.random.default_rng(seed), loop.robot.dimensions
     times = np.arange(steps) * period
@@ -95,7 +95,7 @@ def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[E
         elif chance < 0.03:
             received = None
         measured = times[k] - period * (chance > 0.98)
-        events.append(Event(float(times[k]), received, float(measured), wish, asked.copy(), action))
+        events.append(GoldenEvent(float(times[k]), received, float(measured), wish, asked.copy(), action))
     return events
 
 
@@ -105,8 +105,8 @@ def as_measured(asked: Array, d: Dimensions) -> Array:
     return np.concatenate((setpoint.pose, setpoint.velocity, setpoint.q, setpoint.qdot))
 
 
-def answers(stepper: Stepper, events: list[Event], remembered: Iterable[Array]) -> list[Answer]:
-    """What a stepper answers to events; `remembered` is the memory that goes into the checksums."""
+def answers(stepper: Stepper, events: list[GoldenEvent], remembered: Iterable[Array]) -> list[Answer]:
+    """The answers of a stepper to events; `remembered` is the memory that goes into the checksums."""
     d, arrays, found = stepper.robot.dimensions, list(remembered), []
     powers = powers_of(sum(array.size for array in arrays))
     ends = np.cumsum((d.pose, d.base, d.arm))
@@ -125,12 +125,9 @@ def answers(stepper: Stepper, events: list[Event], remembered: Iterable[Array]) 
 
 
 def powers_of(size: int) -> NDArray[np.uint64]:
-    """What every number of a checksum is multiplied with."""
-    powers = np.ones(size, np.uint64)
-    with np.errstate(over="ignore"):
-        for i in range(size - 2, -1, -1):
-            powers[i] = powers[i + 1] * PRIME
-    return powers
+    """Factors (size,) of the numbers in a checksum: powers of `PRIME`."""
+    rising = np.cumprod(np.full(size, PRIME), dtype=np.uint64)
+    return np.append(rising[:-1][::-1], np.uint64(1))[:size]
 
 
 def checksum(numbers: Array, powers: NDArray[np.uint64]) -> int:

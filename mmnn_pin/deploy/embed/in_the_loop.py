@@ -39,7 +39,7 @@ NEEDED = {HOST: (), QEMU: ("arm-none-eabi-gcc", "qemu-system-arm")}
 
 
 @dataclass(frozen=True)
-class Comparison:
+class RunComparison:
     """Two runs of the same loop, by Python and by an exported controller.
 
     Attributes:
@@ -84,7 +84,7 @@ class Linked(Fresh):
         *,
         measured: float | None = None,
     ) -> Command:
-        """See `Stepper.step`.
+        """One sample, computed by the process; as `Stepper.step`.
 
         Raises:
             ConfigError: Also for motions and joint goals, which are planned in Python.
@@ -108,22 +108,22 @@ class Linked(Fresh):
         return self.command
 
     def stop(self, why: str = "") -> None:
-        """See `Stepper.stop`."""
+        """An emergency stop; as `Stepper.stop`."""
         super().stop(why)
         self._act(STOP)
 
     def reset(self) -> None:
-        """See `Stepper.reset`."""
+        """Go on after a trip; as `Stepper.reset`."""
         super().reset()
         self._act(RESET)
 
     def pause(self) -> None:
-        """See `Stepper.pause`."""
+        """Brake and hold; as `Stepper.pause`."""
         super().pause()
         self._act(PAUSE)
 
     def resume(self) -> None:
-        """See `Stepper.resume`."""
+        """Follow setpoints again; as `Stepper.resume`."""
         super().resume()
         self._act(RESUME)
 
@@ -251,7 +251,7 @@ def compared(
     steps: int,
     path: Path,
     limits: Limits = Limits(),  # noqa: B008 (frozen)
-) -> Comparison:
+) -> RunComparison:
     """Run a loop with an exported controller and with Python, and compare the recordings.
 
     Args:
@@ -267,11 +267,11 @@ def compared(
     export = translated(linked, "")
     linked.link(export, build(folder, where, compiler, path.with_suffix(".elf" if where == QEMU else "")))
     ours, theirs = closed(loop, Stepper.of(loop, limits=limits), steps), closed(loop, linked, steps)
-    return Comparison(where, len(theirs["time"]), theirs.outcome.status, differences(ours, theirs))
+    return RunComparison(where, len(theirs["time"]), theirs.outcome.status, differences(ours, theirs))
 
 
 def differences(a: Recording, b: Recording) -> list[str]:
-    """What of two recordings is not equal bit for bit."""
+    """Names of the signals, weights and states of two recordings that are not equal bit for bit."""
     found = [name for name in a.names if np.asarray(a[name]).tobytes() != np.asarray(b[name]).tobytes()]
     found += [name for name in a.weights if a.weights[name].tobytes() != b.weights[name].tobytes()]
     for name, values in a.final.items():

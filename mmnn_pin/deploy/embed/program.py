@@ -49,7 +49,7 @@ class Parameter:
 
 
 @dataclass
-class Function:
+class CFunction:
     """A function in C.
 
     Attributes:
@@ -77,7 +77,7 @@ class Function:
     is_empty: bool = False
 
 
-class Program:
+class CProgram:
     """A program in C, made of functions of Python.
 
     Args:
@@ -101,7 +101,7 @@ class Program:
 
     def restart(self) -> None:
         """Forget the functions; what is known of arguments and memory stays."""
-        self.functions: dict[Any, Function] = {}
+        self.functions: dict[Any, CFunction] = {}
         self.constants: dict[str, int | float] = {}
         self.vecs: set[int] = set()
         self.records: set[tuple[str, ...]] = set()
@@ -124,7 +124,7 @@ class Program:
             self.sources[function] = source_of(function)
         return self.sources[function]
 
-    def function(self, source: Any, arguments: dict[str, Value]) -> Function:
+    def function(self, source: Any, arguments: dict[str, Value]) -> CFunction:
         """The function in C for such arguments; parameters that are the same in all calls are taken as known."""
         key = (source.function, *(structure(value) for value in arguments.values()))
         self.kept += [value.object for value in arguments.values() if isinstance(value, Static)]
@@ -136,7 +136,7 @@ class Program:
         return self.functions[key]
 
     def _sameness(self, part: Any, array: Array | None) -> Any:
-        """What must be equal in all calls for a part of an argument to be known; `VARIES` for one that never is."""
+        """A key that is equal in all calls where a part of an argument is known; `VARIES` for one that never is."""
         if array is not None:
             if isinstance(array.base, Root) and array.offset.is_known:
                 return array.base.name, array.offset.value
@@ -151,8 +151,8 @@ class Program:
         elif self.known[key] is not VARIES and self.known[key] != found:
             self.known[key], self.changed = VARIES, True
 
-    def _translated(self, key: Any, source: Any, arguments: dict[str, Value]) -> Function:
-        record = Function(self._function_name(source), source, is_math=".elementary." in source.function.__module__)
+    def _translated(self, key: Any, source: Any, arguments: dict[str, Value]) -> CFunction:
+        record = CFunction(self._function_name(source), source, is_math=".elementary." in source.function.__module__)
         possible = dict[str, Parameter]()
         names = {name: self._parameter(key, name, value, possible) for name, value in arguments.items()}
         self.writer(self, record, source, names, possible)
@@ -241,7 +241,7 @@ class Program:
         return self.lifted(value, full if isinstance(value, float | np.ndarray) else name)
 
     def name_of(self, owner: Any) -> str:
-        """How the parts of an object are called."""
+        """The name under which the parts of an object stand in C."""
         return self.names.get(id(owner), "")
 
     def macro(self, name: str, value: int | float) -> str:
@@ -295,7 +295,7 @@ class Program:
         return root
 
     def part_of(self, array: Array) -> Array:
-        """The same array in the member of a split block that it lies in, where that is known."""
+        """An array as a part of the member of a split block that it lies in, where that is known."""
         root = array.base
         assert isinstance(root, Root)
         if not all(one.is_known for one in (array.offset, *array.shape, *array.strides)):

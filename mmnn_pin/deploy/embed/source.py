@@ -19,7 +19,7 @@ class Untranslatable(InputError):
 
 
 @dataclass
-class Source:
+class FunctionSource:
     """A function of Python, its text and what its names mean."""
 
     function: Any
@@ -30,7 +30,7 @@ class Source:
     stores: Counter[str]
 
 
-def source_of(function: Any) -> Source:
+def source_of(function: Any) -> FunctionSource:
     """Text and scope of a function; of one that has no text (made by `parts.spelled`) its only expression."""
     code = function.__code__
     scope = dict(function.__globals__)
@@ -40,13 +40,12 @@ def source_of(function: Any) -> Source:
         text, first = scope["__source__"], 1
     else:
         lines, first = inspect.getsourcelines(function)
-        text = inspect.cleandoc("\n" + "".join(lines)) if lines[0][0] == " " else "".join(lines)
         text = _dedented(lines)
     node = ast.parse(text).body[0]
     assert isinstance(node, ast.FunctionDef)
     found = Counter(n.id for n in ast.walk(node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store))
     found.update(n.target.id for n in ast.walk(node) if isinstance(n, ast.AugAssign) and isinstance(n.target, ast.Name))
-    return Source(function, node, code.co_filename, first, scope, found)
+    return FunctionSource(function, node, code.co_filename, first, scope, found)
 
 
 def _dedented(lines: list[str]) -> str:

@@ -1,4 +1,4 @@
-"""What a name stands for while a function is translated: a number, a few of them, an array in memory, or an object.
+"""Values of names while a function is translated: a number, a few of them, an array in memory, or an object.
 
 Numbers whose value is known keep it: sizes, offsets and kinds of a robot are known when C is written, so they end up as
 numbers in its text, and branches that they decide are not written at all.
@@ -210,7 +210,7 @@ def times(a: Number, b: Number) -> Number:
 
 
 def leaves(value: Value, name: str) -> Iterator[tuple[str, Number | Pointer | Root | Vec, Any]]:
-    """What of a value a function in C may be handed: name, kind of part, and the part."""
+    """Parts of a value that a function in C may be handed: name, number or pointer, and the array."""
     if isinstance(value, Number | Vec):
         yield name, value, None
     elif isinstance(value, Array):
@@ -233,7 +233,7 @@ def dimensions(name: str, count: int) -> list[str]:
 
 
 def structure(value: Value) -> Any:
-    """What two calls must have in common to be calls of one function in C."""
+    """The key of a value: calls whose arguments have equal keys are calls of one function in C."""
     if isinstance(value, Number):
         return value.kind
     if isinstance(value, Vec):

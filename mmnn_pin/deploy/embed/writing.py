@@ -7,7 +7,7 @@ import textwrap
 from dataclasses import dataclass, field
 from typing import Any
 
-from .program import Function, Parameter, Program
+from .program import CFunction, CProgram, Parameter
 from .source import comment
 from .values import Pointer
 
@@ -24,7 +24,7 @@ class Assign:
 
 
 @dataclass
-class Block:
+class CodeBlock:
     """Lines in braces."""
 
     head: str
@@ -34,7 +34,7 @@ class Block:
 
 def mentions(item: Any, name: str) -> bool:
     """Whether a line, or what is in a block, mentions a name."""
-    if isinstance(item, Block):
+    if isinstance(item, CodeBlock):
         return bool(found(item.head, name)) or any(mentions(line, name) for line in item.lines)
     if isinstance(item, Assign):
         return item.name == name or bool(found(item.text, name))
@@ -49,7 +49,7 @@ def found(text: str, name: str) -> re.Match[str] | None:
 def is_read(lines: list[Any], name: str) -> bool:
     """Whether a variable is ever used, and not only written."""
     for item in lines:
-        if isinstance(item, Block):
+        if isinstance(item, CodeBlock):
             if found(item.head, name) or is_read(item.lines, name):
                 return True
         elif found(item.text if isinstance(item, Assign) else item, name):
@@ -61,7 +61,7 @@ def without(lines: list[Any], name: str) -> list[Any]:
     """Lines without those that write a variable."""
     kept = list[Any]()
     for item in lines:
-        if isinstance(item, Block):
+        if isinstance(item, CodeBlock):
             item.lines = without(item.lines, name)
             if not item.lines and not item.head.startswith("if") and "while" not in item.head:
                 continue
@@ -79,7 +79,7 @@ def declare(lines: list[Any], name: str, c_type: str, initial: str) -> None:
     if not places:
         return
     first = lines[places[0]]
-    is_inside = len(places) == 1 and isinstance(first, Block) and not found(first.head, name)
+    is_inside = len(places) == 1 and isinstance(first, CodeBlock) and not found(first.head, name)
     if is_inside and (not first.is_loop or begins(first.lines, name)):
         declare(first.lines, name, c_type, initial)
         return
@@ -94,15 +94,15 @@ def begins(lines: list[Any], name: str) -> bool:
     """Whether the first line that mentions a variable gives it a value, in this block or a block within it."""
     for item in lines:
         if mentions(item, name):
-            if isinstance(item, Block):
+            if isinstance(item, CodeBlock):
                 return not found(item.head, name) and begins(item.lines, name)
             return isinstance(item, Assign) and not found(item.text, name)
     return False
 
 
 def finished(
-    program: Program,
-    record: Function,
+    program: CProgram,
+    record: CFunction,
     possible: dict[str, Parameter],
     lines: list[Any],
     kinds: dict[str, Any],
@@ -147,13 +147,13 @@ def finished(
 
 
 def initial_of(kind: Any) -> str:
-    """What a variable of a kind begins with."""
+    """The first value of a variable of a kind, as C has it."""
     if isinstance(kind, str):
         return {"bool": "false", "real": "0.0"}.get(kind, "0")
     return "{{0}}" if isinstance(kind, int) else "NULL" if kind[0] == "pointer" else "{0}"
 
 
-def parameter_text(program: Program, parameter: Parameter, is_math: bool) -> str:
+def parameter_text(program: CProgram, parameter: Parameter, is_math: bool) -> str:
     """The declaration of a parameter."""
     is_const = parameter.pointer is not None and not parameter.pointer.is_written
     c_type = program.c_type(parameter.kind, is_const, is_math)
@@ -164,7 +164,7 @@ def rendered(lines: list[Any], depth: int) -> list[str]:
     """Lines with their indentation, long ones broken."""
     out = list[str]()
     for item in lines:
-        if isinstance(item, Block):
+        if isinstance(item, CodeBlock):
             out += block(item, depth, out)
         else:
             text = f"{item.name} = {item.text};" if isinstance(item, Assign) else item
@@ -172,13 +172,13 @@ def rendered(lines: list[Any], depth: int) -> list[str]:
     return out
 
 
-def block(item: Block, depth: int, before: list[str]) -> list[str]:
+def block(item: CodeBlock, depth: int, before: list[str]) -> list[str]:
     """A block; one that begins with 'else' goes on where the last line was, and takes up a branch that it only has."""
     indent = INDENT * depth
     inner = item.lines[0] if item.lines else None
-    is_chain = all(isinstance(other, Block) and other.head.startswith("else") for other in item.lines[1:])
-    if item.head == "else" and is_chain and isinstance(inner, Block) and inner.head.startswith("if "):
-        chain = rendered([Block(f"else {inner.head}", inner.lines), *item.lines[1:]], depth)
+    is_chain = all(isinstance(other, CodeBlock) and other.head.startswith("else") for other in item.lines[1:])
+    if item.head == "else" and is_chain and isinstance(inner, CodeBlock) and inner.head.startswith("if "):
+        chain = rendered([CodeBlock(f"else {inner.head}", inner.lines), *item.lines[1:]], depth)
         before[-1] = f"{indent}}} {chain[0].strip()}"
         return chain[1:]
     head = f"{item.head} {{" if item.head else "{"

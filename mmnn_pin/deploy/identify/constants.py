@@ -20,7 +20,7 @@ import numpy as np
 from ...errors import ConfigError, RecordingError
 from ...signals import Array
 from .equations import Bools, Equations
-from .least_squares import Base, inverted, weighted_fit
+from .least_squares import BaseParameters, inverted, weighted_fit
 
 STEPS = 60  # of Gauss and Newton
 ENDED = 1e-10  # relative change of a factor at which they end
@@ -48,7 +48,7 @@ class Constants:
         return replace(equations, y=equations.y * scale)
 
 
-def constants_of(equations: Equations, base: Base, rows: Sequence[int], names: Sequence[str]) -> Constants:
+def constants_of(equations: Equations, base: BaseParameters, rows: Sequence[int], names: Sequence[str]) -> Constants:
     """Torque constants of some rows.
 
     Args:

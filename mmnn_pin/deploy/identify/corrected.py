@@ -1,4 +1,4 @@
-"""What is written: a corrected URDF, a TOML for what a URDF cannot hold, and a JSON with all numbers and covariances.
+"""The files of an identification: a corrected URDF, a TOML for what a URDF cannot hold, a JSON with all numbers.
 
 A body of the model may be several links, fixed to each other or locked. Its new pseudo-inertia P+ is laid on its links
 by `P_link+ = G P_link G'` with `G = P^1/2 (P^-1/2 P+ P^-1/2)^1/2 P^-1/2`, the map nearest to the identity with
@@ -25,9 +25,9 @@ from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
 from ...model.tree.body import parameters
-from ...model.urdf.expansion import is_xacro
-from ...model.urdf.mechanism import Part
-from ...model.urdf.reading import MAX_BYTES
+from ...model.urdf.audit import BodyPart
+from ...model.urdf.reading import MAX_BYTES, is_xacro
+from ...shown import shows
 from ...signals import Array
 from ...torque.pseudo_inertia import pseudo_inertias
 from .identification import Identification
@@ -50,7 +50,7 @@ def transport(before: Array, after: Array) -> Array:
 
 def pseudo_inertia_of(link: etree._Element) -> Array:
     """Pseudo-inertia of a link's `<inertial>` in the link's frame, (4, 4)."""
-    part = Part.of(link, np.eye(4))
+    part = BodyPart.of(link, np.eye(4))
     R, centre = part.frame[:3, :3], part.frame[:3, 3]
     inertia = R @ part.inertia @ R.T
     P = np.zeros((4, 4))
@@ -119,7 +119,7 @@ def robot_element(data: bytes) -> tuple[int, int]:
 
 
 def header(of: Identification, changed: Mapping[str, Array]) -> str:
-    """What was identified from what, for people."""
+    """The comment at the head of the URDF: logs, links, joints and held-out errors."""
     followed = ", ".join(name for name, follows in zip(of.names, of.follows, strict=True) if follows)
     when = datetime.now(UTC).strftime("%Y-%m-%d")
     with_all, without, before = (f"{100 * of.error(model):.1f} %" for model in ("identified", "urdf_file", "urdf"))
@@ -190,7 +190,7 @@ def beyond_urdf(of: Identification) -> dict[str, dict[str, float]]:
 
 
 def toml_of(of: Identification) -> bytes:
-    """What a URDF cannot hold, with the errors with and without it."""
+    """The TOML file of rotors, constants and Stribeck friction, with the held-out errors with and without them."""
     about = {
         "robot": of.robot.name,
         "held_out_with": of.error("identified"),
@@ -222,7 +222,7 @@ def in_toml(value: Any) -> str:
 
 
 def said_of(of: Identification) -> Overrides:
-    """What has to be said beside the corrected file so that it loads as the robot did, wherever it lies.
+    """The overrides with which the corrected file loads as the robot did, wherever it lies.
 
     Radius and track are those that odometry found, where it did.
     """
@@ -241,6 +241,7 @@ def said_of(of: Identification) -> Overrides:
     return msgspec.structs.replace(robot.overrides, **known)
 
 
+@shows(Identification, "files")
 def write(of: Identification, out: str | Path, force: bool = False) -> dict[str, Path]:
     """Write the corrected URDF and what belongs to it; all files or none.
 

@@ -1,4 +1,4 @@
-"""What makes an identification doubtful: motion not recorded, efforts that no motor gives, joints that fit badly.
+"""Doubts about an identification: motion not recorded, efforts that no motor gives, joints that fit badly.
 
 They are told and no reason to refuse: a limit may be wrong as well as an effort.
 """
@@ -65,7 +65,7 @@ def misfits(names: Sequence[str], errors: Mapping[str, Array], follows: Bools) -
 
 
 def missing_notes(logs: Sequence[Log], robot: Robot) -> list[str]:
-    """What is not in the logs and was taken as still."""
+    """Notes on joints that the logs do not have and that are taken as still, and on locked ones that move."""
     found = []
     for log in logs:
         _, missing = coordinates(log, robot)

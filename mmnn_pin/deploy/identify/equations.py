@@ -43,7 +43,7 @@ MOVING = 0.9  # share of a filtered row's time in which its joints have to move
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """What is fitted: the parameters of the regressor, a constant per effort, and Stribeck friction where asked for.
+    """The fitted parameters: those of the regressor, a constant per effort, and Stribeck friction where asked for.
 
     Attributes:
         robot: The robot as its URDF has it.
@@ -163,7 +163,7 @@ class Equations:
         return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
     def only(self, rows: Bools) -> Equations:
-        """The same, of which only some rows (r,) count."""
+        """The equations, of which only some rows (r,) count."""
         return replace(self, use=self.use & rows)
 
     @classmethod

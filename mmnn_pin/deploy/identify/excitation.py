@@ -29,8 +29,8 @@ from ...signals import Array
 from ...torque.pseudo_inertia import BODY
 from .clearance import clearances
 from .equations import Unknowns
-from .least_squares import Base, base_parameters, inverted
-from .limits import Limits, Refused, none_found
+from .least_squares import BaseParameters, base_parameters, inverted
+from .limits import ExcitationLimits, RefusedCandidate, none_found
 from .programme import mass_matrix
 
 HARMONICS, FASTEST = (1, 2, 3, 5, 8, 13, 21, 34), 1.0  # of the duration; largest frequency [Hz]
@@ -78,7 +78,7 @@ class Excitation:
     nu: Array
     nudot: Array
     pose: Array
-    base: Base
+    base: BaseParameters
     sd: Array
     scale: Array
     condition: float
@@ -118,7 +118,7 @@ class Excitation:
         return Path(path)
 
     def to_dict(self) -> dict[str, Any]:
-        """What it would determine, for JSON."""
+        """Standard deviations of the base parameters, worst first, for JSON."""
         labels = Unknowns(self.robot, Regressor.of(self.robot), tuple(range(self.nu.shape[1]))).labels
         order = np.argsort(-self.relative)
         return {
@@ -137,7 +137,7 @@ class Excitation:
 # -- the search --------------------------------------------------------------------------------------------------------
 
 
-def excite(robot: Robot, limits: Limits | None = None) -> Excitation:
+def excite(robot: Robot, limits: ExcitationLimits | None = None) -> Excitation:
     """The most informative motion found.
 
     Args:
@@ -147,11 +147,11 @@ def excite(robot: Robot, limits: Limits | None = None) -> Excitation:
     Raises:
         ConfigError: No motion is within the limits; with what most candidates were refused for.
     """
-    limits = limits or Limits()
-    search = Search.of(robot, limits)
+    limits = limits or ExcitationLimits()
+    search = ExcitationSearch.of(robot, limits)
     rng, end = np.random.default_rng(limits.seed), clock.monotonic() + limits.seconds
     best, value, step, tried = search.start(rng), -np.inf, 0.5, 0
-    refused: list[Refused] = []
+    refused: list[RefusedCandidate] = []
     while value == -np.inf or tried < 40 or clock.monotonic() < end:
         fresh = value == -np.inf
         candidate = (
@@ -161,7 +161,7 @@ def excite(robot: Robot, limits: Limits | None = None) -> Excitation:
         )
         found = search.information(candidate)
         tried += 1
-        if isinstance(found, Refused):
+        if isinstance(found, RefusedCandidate):
             refused.append(found)
         elif found > value:
             best, value, step = candidate, found, min(1.0, 1.3 * step)
@@ -173,8 +173,8 @@ def excite(robot: Robot, limits: Limits | None = None) -> Excitation:
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
-    """What candidates are judged by.
+class ExcitationSearch:
+    """The search for a motion: the unknowns, the limits, and the noise that candidates are judged by.
 
     Attributes:
         unknowns: All parameters, every row of nu measured.
@@ -189,8 +189,8 @@ class Search:
     """
 
     unknowns: Unknowns
-    base: Base
-    limits: Limits
+    base: BaseParameters
+    limits: ExcitationLimits
     speed: Array
     low: Array
     high: Array
@@ -200,7 +200,7 @@ class Search:
     safe: Array
 
     @classmethod
-    def of(cls, robot: Robot, limits: Limits) -> Search:
+    def of(cls, robot: Robot, limits: ExcitationLimits) -> ExcitationSearch:
         """The search for one robot."""
         p, n, nb = robot.dimensions.dof, robot.dimensions.arm, robot.dimensions.base
         unknowns = Unknowns(robot, Regressor.of(robot), tuple(range(p)))
@@ -255,7 +255,7 @@ class Search:
         """A random candidate, (p, 2 harmonics + 1): coefficients, and where a joint's range is used."""
         return rng.standard_normal((len(self.speed), 2 * len(self.harmonics) + 1))
 
-    def motion(self, candidate: Array, samples: int) -> Motion | Refused:
+    def motion(self, candidate: Array, samples: int) -> Motion | RefusedCandidate:
         """Times, integrals of nu, nu and nudot of a candidate within limits of position and speed, its links apart."""
         T = self.limits.duration
         t = np.linspace(0.0, T, samples)
@@ -293,20 +293,21 @@ class Search:
                 v[:, nb:], dv[:, nb:] = share * v[:, nb:], share * dv[:, nb:]
                 return t, x, v, dv
         if nearest <= 1:
-            return Refused("links", min(map(self.apart, places)))
+            return RefusedCandidate("links", min(map(self.apart, places)))
         return self.overloaded("hold", self.weight(places))
 
-    def overloaded(self, what: Literal["hold", "move"], load: Array) -> Refused:
+    def overloaded(self, what: Literal["hold", "move"], load: Array) -> RefusedCandidate:
         """A refusal of torques over what is allowed, (N, p), with the velocity that asks for the most."""
-        return Refused(what, float(load.max()), (self.unknowns.robot.velocity_names[int(load.max(axis=0).argmax())],))
+        name = self.unknowns.robot.velocity_names[int(load.max(axis=0).argmax())]
+        return RefusedCandidate(what, float(load.max()), (name,))
 
-    def none_found(self, refused: Sequence[Refused]) -> ConfigError:
-        """What most candidates were refused for; see `limits.none_found`."""
+    def none_found(self, refused: Sequence[RefusedCandidate]) -> ConfigError:
+        """The error for a search without a motion; see `limits.none_found`."""
         robot, stuck = self.unknowns.robot, self.high - self.low < STUCK
         names = [name for name, one in zip(robot.joint_names, stuck, strict=True) if one]
         return none_found(refused, self.limits, 1 / SLOWED[-1], names, robot.dimensions.base > 0)
 
-    def regressor(self, motion: Motion) -> tuple[Array, float] | Refused:
+    def regressor(self, motion: Motion) -> tuple[Array, float] | RefusedCandidate:
         """Y_b (N, p, b) along a motion slowed into the torque limits, and the factor of its speed."""
         _, x, v, dv = motion
         nb = self.unknowns.robot.dimensions.base
@@ -317,11 +318,11 @@ class Search:
                 return Y[:, :, self.base.independent], float(slow)
         return self.overloaded("move", load)
 
-    def information(self, candidate: Array) -> float | Refused:
+    def information(self, candidate: Array) -> float | RefusedCandidate:
         """The information of a candidate, see the module; or why it may not be, or does not tell everything."""
         motion = self.motion(candidate, SAMPLES)
-        found = motion if isinstance(motion, Refused) else self.regressor(motion)
-        if isinstance(found, Refused):
+        found = motion if isinstance(motion, RefusedCandidate) else self.regressor(motion)
+        if isinstance(found, RefusedCandidate):
             return found
         Y, _ = found
         X = (Y * self.scale / self.noise[:, None]).reshape(-1, Y.shape[2])
@@ -329,7 +330,7 @@ class Search:
         _, seen, _ = inverted(A)
         if not seen.all():
             names = (self.unknowns.labels[i] for i in self.base.independent[~seen])
-            return Refused("unseen", 0.0, tuple(names))
+            return RefusedCandidate("unseen", 0.0, tuple(names))
         values = np.linalg.eigvalsh(A) + BEFORE
         return float(np.log(values).mean() - np.log((1 / values).sum()))
 
@@ -361,13 +362,13 @@ class Search:
     def described(self, candidate: Array, tried: int) -> Excitation:
         """The motion of a candidate at full rate, and what it would determine."""
         coarse = self.motion(candidate, SAMPLES)
-        assert not isinstance(coarse, Refused)
+        assert not isinstance(coarse, RefusedCandidate)
         found, nb = self.regressor(coarse), self.unknowns.robot.dimensions.base
-        assert not isinstance(found, Refused)
+        assert not isinstance(found, RefusedCandidate)
         slow = found[1]
         for _ in range(SLOWER):  # between samples torques may be larger
             fine = self.motion(candidate, 2 + round(self.limits.duration * RATE / max(slow, 1e-3)))
-            if isinstance(fine, Refused):  # between samples links may come closer
+            if isinstance(fine, RefusedCandidate):  # between samples links may come closer
                 raise self.none_found([fine])
             t, x, v, dv = fine[0] / slow, fine[1], slow * fine[2], slow * slow * fine[3]
             forces = self.unknowns.matrix(x[::THINNED, nb:], v[::THINNED], dv[::THINNED]) @ self.unknowns.prior
@@ -377,7 +378,7 @@ class Search:
         return self.judged(t, x, v, dv, tried)
 
     def judged(self, t: Array, x: Array, v: Array, dv: Array, tried: int = 0) -> Excitation:
-        """What any motion (N, p) would determine, with the noise that is assumed."""
+        """A motion (N, p) with the standard deviations that it would give under the assumed noise."""
         nb, robot = self.unknowns.robot.dimensions.base, self.unknowns.robot
         Y = self.unknowns.matrix(x[::THINNED, nb:], v[::THINNED], dv[::THINNED])[:, :, self.base.independent]
         X = np.sqrt(THINNED) * (Y / self.noise[:, None]).reshape(-1, Y.shape[2])
@@ -403,7 +404,7 @@ def driven(t: Array, v: Array, robot: Robot) -> Array:
     return np.column_stack((integral(c * vx - s * vy), integral(s * vx + c * vy), phi))
 
 
-def eight_with_sines(search: Search, duration: float) -> Excitation:
+def eight_with_sines(search: ExcitationSearch, duration: float) -> Excitation:
     """The motion that an excitation is compared with: an eight of the base, a sine of every joint.
 
     It lasts as long, and is scaled alike into the limits of speed and position. It need not keep those of torque, nor

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from ...errors import ConfigError, RecordingError, UnknownName
 from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...settings.arguments import checked
-from ...settings.shown import AsText
+from ...shown import AsText, shown
 from ...signals import Array
 from .constants import constants_of
 from .doubts import beyond_limits, misfits, missing_notes
@@ -37,7 +36,7 @@ from .equations import (
     measured_rows,
     still_speeds,
 )
-from .least_squares import Fit, base_parameters, weighted_fit
+from .least_squares import WeightedFit, base_parameters, weighted_fit
 from .log import Log
 from .odometry import Wheels, has_reference, wheels_of
 from .programme import BLOCKS, Blocks, Consistent, Prior, consistent_fit
@@ -55,7 +54,7 @@ MODELS = ("identified", "urdf", "friction", "least_squares", "urdf_file")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification(AsText):
-    """What came out; `print` shows it joint by joint.
+    """The result of an identification; `print` shows it joint by joint.
 
     Attributes:
         robot: The robot as its URDF has it.
@@ -79,7 +78,7 @@ class Identification(AsText):
     unknowns: Unknowns
     training: Equations
     held_out: Equations
-    fit: Fit
+    fit: WeightedFit
     consistent: Consistent
     prior: Prior
     follows: Bools
@@ -93,18 +92,18 @@ class Identification(AsText):
         ours, file = 100 * self.error("identified"), 100 * self.error("urdf")
         return f"<Identification: {self.robot.name}, held-out torque error {ours:.3g} %, with its URDF {file:.3g} %>"
 
-    def __str__(self) -> str:  # what shows it stands above it, so it is found by name
-        return str(import_module("mmnn_pin.lab.show.identified").text_of(self.to_dict()))
+    def __str__(self) -> str:
+        return str(shown(self, "text"))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What makes it doubtful: efforts above their limits, joints that fit badly."""
+        """Warnings of efforts above their limits and of joints that fit badly."""
         errors = {model: self.errors(model) for model in ("identified", "least_squares", "urdf")}
         return (*self.beyond, *misfits(self.names, errors, self.follows))
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, for JSON: joints, base parameters, bodies, friction."""
-        found: dict[str, Any] = import_module("mmnn_pin.deploy.identify.report").report_of(self)
+        found: dict[str, Any] = shown(self, "report")
         return found
 
     def save(self, out: str | Path, *, force: bool = False) -> dict[str, Path]:
@@ -117,7 +116,7 @@ class Identification(AsText):
         Raises:
             RecordingError: A file exists or cannot be written.
         """
-        files: dict[str, Path] = import_module("mmnn_pin.deploy.identify.corrected").write(self, out, force)
+        files: dict[str, Path] = shown(self, "files", out, force)
         return files
 
     @property
@@ -154,7 +153,7 @@ class Identification(AsText):
         return relative(self.held_out, self.predicted(model, self.held_out))
 
     def error(self, model: str, rows: Bools | None = None) -> float:
-        """The same over some rows together, by default all that follow."""
+        """Held-out error of some rows together, by default of all that follow."""
         kept = self.held_out.only(self.follows if rows is None else rows)
         return together(kept, self.predicted(model, self.held_out))
 
@@ -189,7 +188,7 @@ def relative(of: Equations, predicted: Array) -> Array:
 
 
 def together(of: Equations, predicted: Array) -> float:
-    """The same over all rows that count."""
+    """RMS of measured minus predicted over RMS of measured, of all rows together that count."""
     error, size = (np.where(of.use, part, 0.0) for part in (of.y - predicted, of.y))
     return float(np.sqrt((error**2).sum() / (size**2).sum())) if size.any() else float("nan")
 

@@ -38,7 +38,7 @@ FEWEST = 20  # pairs of rows that a lag needs
 
 
 @dataclass(frozen=True, eq=False)
-class Base:
+class BaseParameters:
     """Base parameters of some rows.
 
     Attributes:
@@ -61,7 +61,7 @@ class Base:
         return " ".join(parts) + (f" + {len(order) - most} more" if len(order) > most else "")
 
 
-def base_parameters(unknowns: Unknowns, rows: Bools, moves: Bools, samples: int = 300, seed: int = 0) -> Base:
+def base_parameters(unknowns: Unknowns, rows: Bools, moves: Bools, samples: int = 300, seed: int = 0) -> BaseParameters:
     """The combinations that some rows depend on, whatever the motion.
 
     A parameter that adds less than `DISTINCT` of its effect to what others do counts as theirs: no noisy motion tells
@@ -93,11 +93,11 @@ def base_parameters(unknowns: Unknowns, rows: Bools, moves: Bools, samples: int 
     combination[np.arange(rank), lead] = 1.0
     combination[:, rest] = relation * size[rest] / size[lead][:, None]
     order = np.argsort(lead)
-    return Base(lead[order], combination[order])
+    return BaseParameters(lead[order], combination[order])
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class WeightedFit:
     """A weighted fit.
 
     Attributes:
@@ -111,7 +111,7 @@ class Fit:
         inflation: How many equations as correlated as these say as much as one of their own.
     """
 
-    base: Base
+    base: BaseParameters
     value: Array
     covariance: Array
     seen: Bools
@@ -132,7 +132,7 @@ class Fit:
         return theta
 
 
-def weighted_fit(equations: Equations, base: Base, prior: Array | None = None) -> Fit:
+def weighted_fit(equations: Equations, base: BaseParameters, prior: Array | None = None) -> WeightedFit:
     """Least squares with weights by residual variance, and less weight on what is far off.
 
     Args:
@@ -168,7 +168,7 @@ def weighted_fit(equations: Equations, base: Base, prior: Array | None = None) -
     B = meat(X, residual, weights, deviation, equations, inverse)
     covariance = inverse @ (B + sure) @ inverse
     inflation = float((inverse * B).sum() / max(1.0, float((inverse * A).sum())))
-    return Fit(base, value, covariance, seen, condition, deviation, weights, max(1.0, inflation))
+    return WeightedFit(base, value, covariance, seen, condition, deviation, weights, max(1.0, inflation))
 
 
 def gram(X: Array, weights: Array) -> Array:
@@ -280,7 +280,7 @@ def correlated(a: Array, b: Array, lags: int) -> Array:
 def expected(
     X: Array, smeared: Array, inverse: Array, B: Array, use: Bools, run: NDArray[np.int64], lags: int
 ) -> Array:
-    """What the fit takes out of the autocovariance of a row's noise, at every lag, (lags,).
+    """The part of the autocovariance of a row's noise that the fit takes out, at every lag, (lags,).
 
     Of `e = n - X A^-1 sum_j Z_j' n_j` it is `-X A^-1 Z' R` and its transpose, and `X A^-1 B A^-1 X'`.
     """

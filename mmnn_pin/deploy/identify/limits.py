@@ -1,4 +1,4 @@
-"""What a motion that identifies may do, and what candidates for it were refused for."""
+"""Limits of a motion that identifies, and the reasons for which candidates are refused."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ NEAR = 0.9  # of the distance at which links were found, for the spheres that ar
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What a motion may do.
+class ExcitationLimits:
+    """Limits of a motion that identifies.
 
     Args:
         duration: [s].
@@ -47,7 +47,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Refused:
+class RefusedCandidate:
     """Why a candidate is no motion.
 
     Attributes:
@@ -62,7 +62,7 @@ class Refused:
 
 
 def none_found(
-    refused: Sequence[Refused], limits: Limits, slowest: float, stuck: Sequence[str], base: bool
+    refused: Sequence[RefusedCandidate], limits: ExcitationLimits, slowest: float, stuck: Sequence[str], base: bool
 ) -> ConfigError:
     """The error that says what most candidates were refused for, and what to change.
 

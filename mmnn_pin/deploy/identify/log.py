@@ -91,7 +91,7 @@ class Log:
         return found | self.base | self.reference
 
     def with_signals(self, signals: Mapping[str, Array], time: Array | None = None, *notes: str) -> Log:
-        """The same log with other numbers for its signals, and more notes."""
+        """The log with other numbers for its signals, and more notes."""
         made = from_signals(self.name, {"time": self.time if time is None else time, **signals})
         return replace(made, effort_delay=self.effort_delay, notes=(*self.notes, *notes))
 

@@ -54,10 +54,8 @@ class Wheels:
 def has_reference(log: Log, robot: Robot) -> bool:
     """Whether a log has a reference pose, and the angles of a base on two sides of wheels."""
     wheels = [wheel.joint for wheel in robot.base.wheels]
-    two_sided = robot.base.kind in ("differential_drive", "skid_steer")
-    return (
-        two_sided and all(name in log.position for name in wheels) and all(name in log.reference for name in REFERENCE)
-    )
+    angles = all(name in log.position for name in wheels)
+    return robot.base.two_sided and angles and all(name in log.reference for name in REFERENCE)
 
 
 def wheels_of(robot: Robot, logs: Sequence[Log]) -> Wheels:

@@ -1,4 +1,4 @@
-"""What a hand carries: mass and centre with intervals, from a short motion with it.
+"""The load of a hand: its mass and centre with intervals, from a short motion with it.
 
 The load is what the torques have beyond the robot's own, `Y_b p`, with Y_b the columns of the body that carries it. But
 the robot is not known exactly: an error of its last link looks like a load. So the robot's parameters are fitted with
@@ -27,7 +27,7 @@ from ...signals import Array
 from ...torque.prior import DOUBT
 from ...torque.pseudo_inertia import BODY
 from .equations import Bools, Equations, Unknowns, chosen_cutoff, equations, measured_rows, still_speeds
-from .least_squares import FINEST, Base, Fit, inverted, meat, weighted_fit
+from .least_squares import FINEST, BaseParameters, WeightedFit, inverted, meat, weighted_fit
 from .log import Log
 from .programme import BALL, LIGHT, WIDE, Prior
 from .quality import sound
@@ -49,8 +49,8 @@ UNSEEN, FAR = (
 
 
 @dataclass(frozen=True, eq=False)
-class Load:
-    """What is carried.
+class CarriedLoad:
+    """The load that a robot carries.
 
     Attributes:
         link: Link that carries it, the first of its body.
@@ -91,7 +91,7 @@ def payload(
     cutoff: float | None = None,
     believed: tuple[Array, Array] | None = None,
     without: Log | Sequence[Log] = (),
-) -> Load:
+) -> CarriedLoad:
     """Mass and centre of the load that a robot carries.
 
     Args:
@@ -132,7 +132,7 @@ def payload(
     hidden = np.diag(np.where(numbers.seen, 0.0, UNSEEN))
     sd = np.sqrt(np.diag(slope @ (numbers.covariance + hidden) @ slope.T))
     centre, mass_sd = back[:3, :3] @ lever + back[:3, 3], float(np.sqrt(numbers.covariance[0, 0]))
-    return Load(link, mass, mass_sd, centre, np.where(sd > FAR, np.inf, sd), numbers.error, numbers.scale)
+    return CarriedLoad(link, mass, mass_sd, centre, np.where(sd > FAR, np.inf, sd), numbers.error, numbers.scale)
 
 
 # -- mass and first moments, and the robot's errors --------------------------------------------------------------------
@@ -140,7 +140,7 @@ def payload(
 
 @dataclass(frozen=True, eq=False)
 class Doubts:
-    """What a robot's parameters may be: `theta = centre + B x`.
+    """The uncertainty of a robot's parameters: `theta = centre + B x`.
 
     Attributes:
         centre: (k,) parameters without a load.
@@ -158,7 +158,7 @@ class Doubts:
 
 
 @dataclass(frozen=True, eq=False)
-class Numbers:
+class LoadNumbers:
     """Mass and first moments of a load.
 
     Attributes:
@@ -177,7 +177,7 @@ class Numbers:
 
 
 def doubts(unknowns: Unknowns, rows: Equations, believed: tuple[Array, Array] | None = None) -> Doubts:
-    """Those of a URDF, whose friction is not known; or of a covariance, which may say too little.
+    """The doubts in a URDF, whose friction is not known; or in a covariance, which may be too small.
 
     Bodies of a URDF are heavier or lighter as they are, or off in each of their ten numbers.
     """
@@ -199,7 +199,7 @@ def doubts(unknowns: Unknowns, rows: Equations, believed: tuple[Array, Array] | 
     return Doubts(unknowns.prior, np.hstack((prior.B, whole)), scales, scales, sd)  # s up to the largest alike
 
 
-def numbers_of(rows: Equations, carries: Bools, robot: Doubts, body: int) -> Numbers:
+def numbers_of(rows: Equations, carries: Bools, robot: Doubts, body: int) -> LoadNumbers:
     """Mass and first moments, the mean over all scales of the robot's errors.
 
     Args:
@@ -211,8 +211,8 @@ def numbers_of(rows: Equations, carries: Bools, robot: Doubts, body: int) -> Num
     of_load = rows.Y[:, :, BODY * body : BODY * (body + 1)] * carries[:, None, None]
     columns = np.concatenate((rows.Y @ robot.B, of_load), axis=2)
     given, own = replace(rows, Y=columns, y=rows.y - rows.Y @ robot.centre), np.arange(columns.shape[2])
-    widest = weighted_fit(given, Base(own, np.eye(len(own))), sureness(robot.sd[-1], np.ones(1)))
-    sums = Sums.of(given, widest)
+    widest = weighted_fit(given, BaseParameters(own, np.eye(len(own))), sureness(robot.sd[-1], np.ones(1)))
+    sums = LoadSums.of(given, widest)
     fits, p = [], widest.value[-BODY : VISIBLE - BODY]
     for sd in robot.sd[::-1]:
         fits.append(sums.fitted(sd, p))
@@ -232,12 +232,12 @@ def numbers_of(rows: Equations, carries: Bools, robot: Doubts, body: int) -> Num
     size = np.sqrt((np.where(rows.use, rows.y, 0.0) ** 2).sum())
     without, after = (float(np.sqrt((np.where(rows.use, e, 0.0) ** 2).sum()) / size) for e in errors)
     seen = widest.seen[-BODY : VISIBLE - BODY]
-    return Numbers(mean, covariance, seen, (without, after), float(weights @ robot.scales))
+    return LoadNumbers(mean, covariance, seen, (without, after), float(weights @ robot.scales))
 
 
 @dataclass(frozen=True, eq=False)
-class Sums:
-    """What the fits need of equations in the robot's errors and the load's ten numbers, m + 10 columns.
+class LoadSums:
+    """Weighted sums over the equations in the robot's errors and the load's ten numbers, m + 10 columns.
 
     Attributes:
         A: (r, m + 10, m + 10) `X' W X` of every row that counts.
@@ -256,7 +256,7 @@ class Sums:
     spread: float
 
     @classmethod
-    def of(cls, given: Equations, fit: Fit) -> Sums:
+    def of(cls, given: Equations, fit: WeightedFit) -> LoadSums:
         """With the weights of a fit."""
         A, b, c = [], [], []
         there = np.flatnonzero(np.isfinite(fit.deviation))
@@ -320,7 +320,7 @@ class Posterior:
         """Mass and first moments, (4,)."""
         return self.value[-BODY : VISIBLE - BODY]
 
-    def covariance(self, given: Equations, fit: Fit, spread: float) -> Array:
+    def covariance(self, given: Equations, fit: WeightedFit, spread: float) -> Array:
         """Of mass and first moments, (4, 4), of residuals that are correlated in time.
 
         Args:

@@ -1,4 +1,4 @@
-"""What is wrong with a recorded motion, found before it is fitted: mended where that is safe, reported, or refused.
+"""Faults of a recorded motion, found before it is fitted: mended where that is safe, reported, or refused.
 
 Times: unit, order, duplicates, gaps, jitter. Signals: NaN, constants, saturation, spikes. Velocities against the
 derivative of the positions: unit, sign, lag. Efforts against the robot's own prediction: signs and exchanged joints
@@ -129,7 +129,7 @@ def sound_signals(log: Log, robot: Robot) -> Log:
 
 
 def compared(log: Log, name: str, q: Array, velocity: Array) -> Iterator[str]:
-    """What a velocity says beside the derivative of its position.
+    """Notes on a velocity that is not the derivative of its position: another size, a lag.
 
     Raises:
         RecordingError: It has another sign or another unit.

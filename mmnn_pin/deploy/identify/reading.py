@@ -343,7 +343,7 @@ def meant(header: str, joints: Sequence[str]) -> str:
 
 
 def from_recording(recording: Recording, robot: Robot) -> Log:
-    """What the sensors of a recorded run said, and the torques of its motors.
+    """The log of a recorded run: what its sensors measured, and the torques of its motors.
 
     Raises:
         RecordingError: It cannot be read, is of another robot, or holds too few signals.

@@ -1,4 +1,4 @@
-"""What an identification found, as numbers with names: bodies in their links' frames, friction, errors, covariances."""
+"""The report of an identification: bodies in their links' frames, friction, errors, covariances, by name."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from lxml import etree
 
 from ...model.robot import Robot
 from ...model.tree.tree import carriers
+from ...shown import shows
 from ...signals import Array
 from ...torque.pseudo_inertia import BODY, pseudo_inertias
 from .identification import Identification
@@ -57,6 +58,7 @@ HELD_OUT = {  # key of the error that a model makes on motion held out
 }
 
 
+@shows(Identification, "report")
 def report_of(of: Identification) -> dict[str, Any]:
     """All numbers, for JSON: the contract of `mmnn identify --json`, and covariances."""
     regressor, labels = of.unknowns.regressor, of.unknowns.labels

@@ -106,7 +106,7 @@ class Asking:
             inlet.refuse(when if isinstance(when, str) else "a velocity that is not finite")
             return []
         self.give_way("a velocity of the base came", BASE)
-        return [BaseVelocity(given if self.arm.robot.dimensions.base == 3 else (given[0], given[2]))]
+        return [BaseVelocity(given if self.arm.robot.dimensions.sideways else (given[0], given[2]))]
 
     def _arm_motion(self, inlet: Inlet, message: Any, clock: Clock, reference: Array) -> None:
         now, asked = reference.copy(), clock.now

@@ -59,7 +59,7 @@ def driver_of(base: Base) -> Driver | None:
     """The controller for a base, None for one that no wheels move."""
     if not base.wheels:
         return None
-    if len(base.velocity_names) == 2:
+    if base.two_sided:
         return DIFF_DRIVE
     return MECANUM if all(wheel.heading == 0.0 for wheel in base.wheels) else OMNI
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ...reference.drive import Drive
+from ...reference.drive import RouteDrive
 from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array
 from .planned import rest_of
@@ -39,7 +39,7 @@ class MappedRoute:
         placed = self.place_of(frame)
         if placed is None:
             return f"no way from '{frame}' to the odometry's frame by /tf"
-        if isinstance(made, Drive):
+        if isinstance(made, RouteDrive):
             made = made.placed(*seen_from(placed, base))
         self.followed = None if isinstance(made, Stand) else (made, frame, placed, now)
         return made if isinstance(made, Stand) else rest_of(made, 0.0, placed)

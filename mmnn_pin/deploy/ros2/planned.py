@@ -19,7 +19,7 @@ from ...elementary import nearest_turn
 from ...elementary.arrays import atan2
 from ...errors import ConfigError, MmnnError, TrajectoryError
 from ...model.robot import Robot
-from ...reference.drive import Drive
+from ...reference.drive import RouteDrive
 from ...reference.goal import LEDGE
 from ...reference.guide import ARM, BASE, Guide, new_guide
 from ...reference.limits import Limits
@@ -225,7 +225,7 @@ def base_motion(
     robot: Robot,
     period: float,
     start: tuple[ArrayLike, ArrayLike] | None = None,
-) -> Drive | Stand:
+) -> RouteDrive | Stand:
     """A path of the base to rest at its end, in the frame of the message; standing without poses.
 
     The points are smoothed, and driven as fast as speeds, accelerations and wheels allow: ahead, or in reverse where
@@ -260,7 +260,7 @@ def base_motion(
     headings = np.where(told, atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.nan)
     try:
         asked = Way.of(points, headings, told & (abs(headings) < 1e-6))
-        drive = Drive.along(asked, robot, slower, route.lateral, period)
+        drive = RouteDrive.along(asked, robot, slower, route.lateral, period)
     except TrajectoryError as error:
         raise Refused(error.what) from error
     return drive if start is None else drive.placed(*start)

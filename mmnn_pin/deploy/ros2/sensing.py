@@ -226,7 +226,7 @@ class Sensing:
         vx, vy, w = given[0] - given[2] * y, given[1] + given[2] * x, given[2]
         c, s = math.cos(turn), math.sin(turn)
         forward, sideways = c * vx + s * vy, c * vy - s * vx
-        velocity = (forward, sideways, w) if self.robot.dimensions.base == 3 else (forward, w)
+        velocity = (forward, sideways, w) if self.robot.dimensions.sideways else (forward, w)
         return self._place(composed(there, self.at), np.array(velocity), when)
 
     def _take_pose(self) -> str:

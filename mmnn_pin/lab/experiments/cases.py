@@ -13,12 +13,12 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from ...errors import ConfigError, InputError, UnknownName
+from ...errors import ConfigError, InputError, UnknownName, keyed
 from ...recording.metrics import ERRORS
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
 from ...torque.neural import THESIS_INPUT
-from .config import config_error, merged, require_disturbances
+from .config import E, config_error, merged, require_disturbances
 from .controllers import LEARNERS
 from .experiment import Experiment, Tolerance
 from .result import Result
@@ -28,8 +28,8 @@ AT_END = 0.1  # of a stopped run, in which the robot must be at rest [s]
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """How a run of a case went.
+class CaseVerdict:
+    """Verdict on a run of a case.
 
     Attributes:
         kind: `tracked` within its tolerance, `stopped` safely, or `failed`.
@@ -60,7 +60,7 @@ class Matrix:
     experiment: Experiment
     name: str
     results: dict[str, Result]
-    verdicts: dict[str, dict[str, Verdict]]
+    verdicts: dict[str, dict[str, CaseVerdict]]
 
     @property
     def completed(self) -> bool:
@@ -96,7 +96,7 @@ class Matrix:
         return {"experiment": self.name, "robot": self.experiment.robot, "runs": runs, "comparison": comparison}
 
 
-def with_case(experiment: Experiment, name: str) -> Experiment:
+def with_case(experiment: E, name: str) -> E:
     """The experiment as one of its cases changes it.
 
     Raises:
@@ -106,17 +106,15 @@ def with_case(experiment: Experiment, name: str) -> Experiment:
     table = case.set if case.experiment else merged(msgspec.to_builtins(experiment) | {"cases": {}}, case.set)
     try:
         require_disturbances(table.get("disturbances"))
-        return msgspec.convert(table, Experiment)
+        return msgspec.convert(table, type(experiment))
     except msgspec.ValidationError as error:
-        found = config_error(error, None, table)
-        found.key = f"cases.{name}.set.{found.key or ''}".rstrip(".")
-        raise found from error
+        found = config_error(error, None, table, type(experiment))
+        raise found.but(key=f"cases.{name}.set.{found.key or ''}".rstrip(".")) from error
     except InputError as error:
-        error.key = f"cases.{name}.set.{error.key or ''}".rstrip(".")
-        raise
+        raise error.but(key=f"cases.{name}.set.{error.key or ''}".rstrip(".")) from error
 
 
-def chosen_cases(experiment: Experiment, names: Sequence[str]) -> Experiment:
+def chosen_cases(experiment: E, names: Sequence[str]) -> E:
     """The experiment with some of its cases; with all where none are named.
 
     Raises:
@@ -147,15 +145,12 @@ def run_cases(
     """
     cases = {case: with_case(experiment, case) for case in experiment.cases}
     for case, changed in cases.items():
-        try:
+        with keyed(lambda key, case=case: f"cases.{case}: {key}".rstrip(": ")):  # type: ignore[misc]
             require_settled(changed)
             require_runnable(changed, changed.load_robot())
-        except InputError as error:
-            error.key = f"cases.{case}: {error.key or ''}".rstrip(": ")
-            raise
     require_free([out / case / f"{c}.h5" for case in cases for c in experiment.controllers] if out else [], force)
     results: dict[str, Result] = {}
-    verdicts: dict[str, dict[str, Verdict]] = {}
+    verdicts: dict[str, dict[str, CaseVerdict]] = {}
     for i, (case, changed) in enumerate(cases.items()):
 
         def show(controller: str, fraction: float, done: int = i) -> None:
@@ -189,13 +184,13 @@ def require_settled(experiment: Experiment) -> None:
         )
 
 
-def judge(recording: Recording, tolerance: Tolerance) -> Verdict:
+def judge(recording: Recording, tolerance: Tolerance) -> CaseVerdict:
     """Verdict on one run, by its true errors."""
     time, outcome = recording["time"], recording.outcome
     pose, heading, joint = (worst(error, time >= tolerance.settle) for error in true_errors(recording))
 
-    def verdict(kind: Literal["tracked", "stopped", "failed", "interrupted"], text: str) -> Verdict:
-        return Verdict(kind, text, pose, heading, joint)
+    def verdict(kind: Literal["tracked", "stopped", "failed", "interrupted"], text: str) -> CaseVerdict:
+        return CaseVerdict(kind, text, pose, heading, joint)
 
     if outcome.status == "interrupted":
         return verdict("interrupted", outcome.message)
@@ -235,7 +230,7 @@ def worst(values: Any, inside: Any) -> float:
 
 
 def dangers(recording: Recording, tolerance: Tolerance) -> list[str]:
-    """What was not safe about a stop: still moving at its end, or too far from where it should have been."""
+    """Dangers of a stop, in words: the robot still moved at its end, or was too far from its reference."""
     time, position = recording["time"], recording["position"]
     base = len(recording.labels("z")) if "z" in recording else 0
     last = np.abs(as_columns(recording["nu"])[time >= time[-1] - AT_END]).max(axis=0)

@@ -24,7 +24,7 @@ from ...settings import Timing
 from ...settings.arguments import checked_but
 from ...signals import Array
 from ...torque.controller import Controller
-from .config import complete, config_error, find, put
+from .config import config_error, put
 from .experiment import Experiment
 from .laws import name_of
 from .result import Result
@@ -33,9 +33,17 @@ from .runner import run_experiment
 ENDLESS = 10.0  # duration of a run along a trajectory without an end [s]
 FIRST = 1.0  # the errors of the start are told apart from the later ones [s]
 DEFAULT = ("pd", "pd_gravity", "pid", "two_layer")
-TAKEN = ("robot", "reference", "controllers", "cases", "contest", "held_out")  # keys that the objects stand for
-LIKE = "track"  # the experiment whose kinematic gains and learners hold unless others are said
-OTHERWISE = ("title", "windows", "seed", "time", "actuator", "torque_limits")  # keys of it that do not
+TAKEN = ("robot", "reference", "controllers", "cases", "held_out")  # keys that the objects stand for
+DEFAULTS: Mapping[str, Any] = {  # kinematic gains and learners, those of `mmnn run track`
+    "weights_interval": 0.1,
+    "kinematic": {"kx": 3.0, "ky": 16.0, "kth": 8.0, "K": 7.0, "holonomic": [3.0, 3.0, 3.0]},
+    "robust": {"base": 1.0, "arm": 1.0, "ZB": [5.0, 5.0]},
+    "two_layer": {
+        "hidden": 22, "F": [0.2, 0.5], "G": [0.2, 0.5], "kappa": 0.05, "initial": "random", "v_range": 0.5,
+    },
+    "adaptive": {"rate": 20.0, "share": "delays", "slowest": 0.3, "slowest_learned": 4.0},
+    "learning": {"rates": "per_sample", "within_limits": True},
+}  # fmt: skip
 LABEL = re.compile(r"[A-Za-z_][\w. -]*")
 Controllers = Iterable[str | Controller] | Mapping[str, str | Controller]
 
@@ -77,7 +85,7 @@ class Assembled(Experiment, frozen=True, kw_only=True):
         return self.own[name] if name in self.own else super().controller(name, gains, robot)
 
     def setting(self, values: Mapping[str, str]) -> str:
-        """How Python sets some of its keys."""
+        """The argument of `compare` that sets some of its keys."""
         pairs = ", ".join(f'"{key}": {value}' for key, value in values.items())
         return f"settings={{{pairs}}}"
 
@@ -87,7 +95,7 @@ class Assembled(Experiment, frozen=True, kw_only=True):
 
 
 def unlimited_notes(experiment: Experiment, robot: Robot) -> list[str]:
-    """That motors give more than their limits, where the robot has some and the experiment keeps none."""
+    """A note that motors give more than their limits, where the robot has some and the experiment keeps none."""
     if experiment.actuator.torque_limit is not None or not np.isfinite(robot.effort_limits).any():
         return []
     key = experiment.setting({"actuator.torque_limit": '"urdf"'})
@@ -156,8 +164,7 @@ def assembled(
     require_kind(robot, Robot, "robot", "load('tiago')")
     require_kind(trajectory, Trajectory, "trajectory", "Trajectory.of(robot, base=..., arm=...)")
     names, own = by_name(controllers)
-    table = {key: value for key, value in complete(find(LIKE)).items() if key not in (*TAKEN, *OTHERWISE)}
-    table |= {"robot": robot.name, "reference": {}, "controllers": names}
+    table = copy.deepcopy(dict(DEFAULTS)) | {"robot": robot.name, "reference": {}, "controllers": names}
     for key, value in (settings or {}).items():
         if key.partition(".")[0] in TAKEN:
             what = f"'{key}' beside the objects that stand for it"
@@ -235,7 +242,7 @@ def require_kind(value: Any, kind: type, key: str, fix: str) -> None:
 
 
 def ending(trajectory: Trajectory) -> float:
-    """How long a run along a trajectory takes [s]."""
+    """Duration of a run along a trajectory [s]."""
     return trajectory.duration if math.isfinite(trajectory.duration) else ENDLESS
 
 

@@ -7,23 +7,22 @@ from __future__ import annotations
 
 import glob
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
 
 from ...disturbance import Disturbance
-from ...errors import ConfigError, InputError, RecordingError, UnknownName
+from ...errors import ConfigError, InputError, RecordingError, UnknownKey, UnknownName, keyed
 from ...files import parsed_toml, read_toml
 from ...model.base.overrides import Overrides
 from ...recording.recording import Recording
 from ...settings.arguments import checked, wrong_type
-from .contest import ONLY
-from .controllers import CONTROLLERS, new_name, renamed
+from .controllers import new_name, renamed
 from .experiment import Experiment
 from .origins import of_override
 from .references import as_long_as_its_file
@@ -31,11 +30,12 @@ from .references import as_long_as_its_file
 FOLDER = Path(__file__).parent
 ITS_OWN = ("title", "variant", "experiment", "cases")  # keys that no other experiment takes over
 UNIONS = (Union, UnionType)
+E = TypeVar("E", bound=Experiment)
 SHORT_NUMBER = re.compile(r"[+-]?(\d+\.|\.\d+)([eE][+-]?\d+)?")  # TOML wants a digit on both sides of the point
 
 
 @checked
-def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), variant: str | None = None) -> Experiment:
+def load_experiment(name_or_path: str | Path, overrides: Sequence[str] = (), variant: str | None = None) -> Experiment:
     """Experiment by name or from a TOML file.
 
     Args:
@@ -50,6 +50,11 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
     >>> load_experiment("chapter4", ["time.duration=0.2"]).time.duration
     0.2
     """
+    return load_as(Experiment, name_or_path, overrides, variant)
+
+
+def load_as(kind: type[E], name_or_path: str | Path, overrides: Iterable[str], variant: str | None) -> E:
+    """An experiment of a kind that may have tables of its own; else as `load_experiment`."""
     path, texts = find(name_or_path), tuple(overrides)
     if variant is not None:
         path = find_variant(path, variant)
@@ -65,14 +70,11 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
     try:
         require_overrides(table.get("overrides", {}))
         require_disturbances(table.get("disturbances"))
-        experiment = msgspec.convert(table, Experiment)
-        require_names(experiment)
-        return experiment
+        return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
-        raise of_override(config_error(error, path, table), texts) from error
+        raise of_override(config_error(error, path, table, kind), texts) from error
     except InputError as error:
-        error.file = error.file or path
-        raise of_override(error, texts) from None
+        raise of_override(error.but(file=error.file or path), texts) from None
 
 
 def recorded_experiment(recording: Recording) -> Experiment | None:
@@ -203,8 +205,7 @@ def with_starts(table: dict[str, Any], own: Mapping[str, Any], path: Path, overr
         try:
             start = merged(inherited(complete(beside(path, case["experiment"]))), inherited(own))
         except UnknownName as error:
-            error.file, error.key = path, f"cases.{name}.experiment"
-            raise
+            raise error.but(file=path, key=f"cases.{name}.experiment") from None
         for text in overrides:
             if not text.startswith("cases."):
                 override(start, text)
@@ -213,7 +214,7 @@ def with_starts(table: dict[str, Any], own: Mapping[str, Any], path: Path, overr
 
 
 def inherited(table: Mapping[str, Any]) -> dict[str, Any]:
-    """What another experiment takes over from this one."""
+    """The part of a table that another experiment takes over."""
     return {key: value for key, value in table.items() if key not in ITS_OWN}
 
 
@@ -224,7 +225,7 @@ def beside(path: Path, name: Any) -> Path:
 
 
 def from_its_folder(table: dict[str, Any], path: Path) -> dict[str, Any]:
-    """What a file says, with the files that it names from its own folder: robots and motions that are there."""
+    """The table of a file; robots and motions that lie in its folder are named from there."""
     reference = table.get("reference")
     for where, key in ((table, "robot"), (reference, "file")):
         name = where.get(key) if isinstance(where, dict) else None
@@ -291,41 +292,15 @@ def parse_value(text: str) -> Any:
         return float(text) if SHORT_NUMBER.fullmatch(text) else text
 
 
-def require_names(experiment: Experiment) -> None:
-    """Refuse controllers and tasks that a contest names and that do not exist.
-
-    Raises:
-        UnknownName: With the key path.
-    """
-    contest = experiment.contest
-    if contest is None:
-        return
-    there, tasks = {**CONTROLLERS, **experiment.laws}, tuple(experiment.cases) or (ONLY,)
-    named = {f"contest.knows.{what}": names for what, names in contest.knows.items()} | {
-        "contest.beside": contest.beside
-    }
-    for key, names in named.items():
-        for name in names:
-            if name not in there:
-                raise UnknownName("controller", name, there, key=key)
-    for key in ("task", "rich", "poor"):
-        name = getattr(contest.targets, key)
-        if name and name not in tasks:
-            raise UnknownName("task", name, tasks, key=f"contest.targets.{key}")
-
-
 def require_overrides(table: Any) -> None:
     """Judge what is declared about the robot by itself: its errors name keys of a file of its own.
 
     Raises:
         InputError: A value out of range, with the key path of an experiment.
     """
-    with suppress(msgspec.ValidationError):  # reported with its path when the whole experiment is read
-        try:
-            msgspec.convert(table, Overrides)
-        except InputError as error:
-            error.key = f"overrides.{error.key}"
-            raise
+    # a wrong type is reported with its path when the whole experiment is read
+    with suppress(msgspec.ValidationError), keyed("overrides.{}".format):
+        msgspec.convert(table, Overrides)
 
 
 def require_disturbances(items: Any) -> None:
@@ -335,75 +310,77 @@ def require_disturbances(items: Any) -> None:
         ConfigError: A value out of range, with the key path of an experiment.
     """
     for i, item in enumerate(items if isinstance(items, list) else ()):
-        with suppress(msgspec.ValidationError):  # reported with its path when the whole experiment is read
-            try:
-                msgspec.convert(item, Disturbance)
-            except InputError as error:
-                error.key = f"disturbances.{i}.{(error.key or '').removeprefix('disturbances.')}"
-                raise
+        outside = f"disturbances.{i}.{{}}".format
+        with suppress(msgspec.ValidationError), keyed(lambda key, to=outside: to(key.removeprefix("disturbances."))):  # type: ignore[misc]
+            msgspec.convert(item, Disturbance)
 
 
-def config_error(error: msgspec.ValidationError, path: Path | None, table: Any = None) -> ConfigError:
+def config_error(
+    error: msgspec.ValidationError, path: Path | None, table: Any = None, root: type[Experiment] = Experiment
+) -> ConfigError:
     """The key path and a line of advice out of a message such as "Expected `int` - at `$.seed`".
 
     Args:
         error: From the conversion.
         path: File of the experiment.
         table: What was converted; tells which of several types a table is.
+        root: To what it was.
     """
     message, _, where = str(error).partition(" - at ")
     there = re.sub(r"\[(\d+)\]", r".\1", where.strip("`").removeprefix("$").replace("[...]", ".*")).removeprefix(".")
-    key = with_names(there, table) or None
-    kind, known = kind_at(key, table), tuple[str, ...]()
+    key = with_names(there, table, root) or None
+    kind, known = kind_at(key, table, root), tuple[str, ...]()
     unknown = re.search(r"unknown field `(\w+)`", message)
     last = unknown[1] if unknown else value_at(table, key)
     if now := new_name(".".join(filter(None, (key, last))) if unknown else key or "", None if unknown else last):
         return ConfigError(f"'{last}' is now called '{now}'", fix=f"write {now}", file=path, key=key)
     if unknown:
-        message, known = f"unknown key '{unknown[1]}'", keys_of(kind)
-    elif missing := re.search(r"missing required field `(\w+)`", message):
+        known = keys_of(kind)
+        near = get_close_matches(unknown[1], known, n=1)
+        guess = f"did you mean '{near[0]}'? " if near else ""
+        fix = f"{guess}there is: {', '.join(known)}" if known else "leave it out"
+        return UnknownKey(unknown[1], fix=fix, file=path, key=key)
+    if missing := re.search(r"missing required field `(\w+)`", message):
         message, known = f"the key '{missing[1]}' is missing", tags_of(kind) if missing[1] == "type" else ()
     elif key and (wrong := re.fullmatch(r"Invalid value '(.*)'", message)):
-        message, known = f"unknown type '{wrong[1]}'", tags_of(kind_at(key.rpartition(".")[0], table))
+        message, known = f"unknown type '{wrong[1]}'", tags_of(kind_at(key.rpartition(".")[0], table, root))
     elif wrong := re.fullmatch(r"Invalid enum value '?(.*?)'?", message):
         message, known = f"unknown value '{wrong[1]}'", words_of(kind)
         known += ("or a number",) if float in get_args(kind) else ()
     if known:
-        near = get_close_matches(unknown[1], known, n=1) if unknown else ()
-        guess = f"did you mean '{near[0]}'? " if near else ""
-        return ConfigError(message, fix=f"{guess}there is: {', '.join(known)}", file=path, key=key)
+        return ConfigError(message, fix=f"there is: {', '.join(known)}", file=path, key=key)
     what, fix = wrong_type(message, value_at(table, key))
     return ConfigError(what, fix=fix, file=path, key=key)
 
 
-def with_names(key: str, table: Any) -> str:
+def with_names(key: str, table: Any, root: type[Experiment]) -> str:
     """A key path with `*`, which stands for a name, as that of the first entry there that is of the wrong type."""
     head, star, rest = key.partition(".*")
     if not star:
         return key
-    entries, kind = value_at(table, head), kind_at(f"{head}.*", table)
+    entries, kind = value_at(table, head), kind_at(f"{head}.*", table, root)
     if kind is None:
         return head
     for name, entry in entries.items() if isinstance(entries, dict) else ():
         try:
             msgspec.convert(entry, kind)
         except msgspec.ValidationError:
-            return with_names(f"{head}.{name}{rest}", table)
+            return with_names(f"{head}.{name}{rest}", table, root)
         except InputError:
             continue
     return head
 
 
 def value_at(table: Any, key: str | None) -> Any:
-    """What a table holds at a key path; None where it holds nothing there."""
+    """The value in a table at a key path; None where there is none."""
     for part in key.split(".") if key else ():
         table = entry_of(table, part)
     return table if key else None
 
 
-def kind_at(key: str | None, table: Any = None) -> Any:
+def kind_at(key: str | None, table: Any = None, root: type[Experiment] = Experiment) -> Any:
     """The type that stands at a key path, of a table with a `type` the one that it says; None where there is none."""
-    kind: Any = Experiment
+    kind: Any = root
     for part in (key or "").split("."):
         if isinstance(kind, type) and issubclass(kind, msgspec.Struct) and part:
             kind, table = {f.encode_name: f.type for f in msgspec.structs.fields(kind)}.get(part), entry_of(table, part)
@@ -420,7 +397,7 @@ def kind_at(key: str | None, table: Any = None) -> Any:
 
 
 def entry_of(table: Any, part: str) -> Any:
-    """What a table or a list holds at a part of a key path; None where it does not."""
+    """The value in a table or a list at one part of a key path; None where there is none."""
     if isinstance(table, list):
         return table[int(part)] if part.isdecimal() and int(part) < len(table) else None
     return table.get(part) if isinstance(table, dict) else None
@@ -433,7 +410,7 @@ def keys_of(kind: Any) -> tuple[str, ...]:
 
 
 def tags_of(kind: Any) -> tuple[str, ...]:
-    """What a key `type` can say, for one kind of settings or several."""
+    """Values of the key `type` of one kind of settings or several."""
     kinds = get_args(kind) or (kind,)
     found = [k.__struct_config__.tag for k in kinds if isinstance(k, type) and issubclass(k, msgspec.Struct)]
     return tuple(str(tag) for tag in found if tag is not None)

@@ -1,6 +1,6 @@
 """The controllers of an experiment: their names and settings, and each of them made with what it may know of the robot.
 
-`mmnn_pin.torque` has the list; nothing here knows a single one of its learners.
+`mmnn_pin.torque` has the list, `learner_tables` their settings; nothing here knows a single one of its learners.
 """
 
 from __future__ import annotations
@@ -8,14 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from operator import attrgetter
-from types import new_class
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-import msgspec
 import numpy as np
 
 from ...elementary.matrices import product
-from ...errors import ConfigError, InputError, UnknownName
+from ...errors import ConfigError, UnknownName, keyed
 from ...loop.suited import SCALED
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
@@ -55,39 +53,6 @@ def effective(controllers: Iterable[str]) -> dict[str, str]:
     """`EFFECTIVE` for controllers that run together: `pd_effective` goes with the first two-layer network of them."""
     names = set(controllers)
     return EFFECTIVE | {"pd_effective": next((name for name in ("two_layer", *STARTS) if name in names), "two_layer")}
-
-
-def tables_of_learners() -> dict[str, Any]:
-    """Settings of all learners by the key of an experiment; a table of tables where a key path has two parts."""
-    found: dict[str, Any] = {}
-    for entry in ENTRIES.values():
-        head, _, rest = entry.key.partition(".")
-        kind = entry.load_settings()
-        if kind is not None and rest:
-            found.setdefault(head, {})[rest] = kind
-        elif kind is not None:
-            found[head] = kind
-    return {key: struct_of(key, kind) if isinstance(kind, dict) else kind for key, kind in found.items()}
-
-
-def struct_of(name: str, kinds: dict[str, Any]) -> Any:
-    """Settings with one table of each kind, an attribute of this module: a pickled one is looked for there."""
-    content: dict[str, Any] = {key: msgspec.field(default_factory=kind) for key, kind in kinds.items()}
-    content |= {"__annotations__": dict(kinds), "__module__": __name__, "__doc__": f"The {name} learners, by table."}
-    options = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
-    globals()[name] = new_class(name, (Settings,), options, lambda namespace: namespace.update(content))
-    return globals()[name]
-
-
-if TYPE_CHECKING:
-
-    class LearnerTables(Settings, frozen=True):
-        """The tables of all learners, by the keys that the list of controllers says."""
-
-        def __getattr__(self, name: str) -> Any: ...
-
-else:
-    LearnerTables = struct_of("LearnerTables", tables_of_learners())
 
 
 def renamed(config: dict[str, Any]) -> dict[str, Any]:
@@ -268,8 +233,7 @@ def nominal_robot(nominal: Nominal, robot: Robot, said: Overrides) -> Robot:
     try:
         believed = load_with(nominal.robot, said) if nominal.robot else robot
     except UnknownName as error:
-        error.key = "nominal.robot"
-        raise
+        raise error.but(key="nominal.robot") from None
     alike = (believed.dimensions.dof, believed.dimensions.base) == (robot.dimensions.dof, robot.dimensions.base)
     if not alike or not np.array_equal(believed.T, robot.T):
         raise ConfigError(
@@ -277,11 +241,8 @@ def nominal_robot(nominal: Nominal, robot: Robot, said: Overrides) -> Robot:
             fix="name one with the same base and the same joints",
             key="nominal.robot",
         )
-    try:
+    with keyed(lambda key: "nominal.masses"):
         believed = believed.with_masses(nominal.masses)
-    except InputError as error:
-        error.key = "nominal.masses"
-        raise
     return believed if nominal.friction else believed.without_friction()
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from ...actuator import Actuator
 from ...disturbance import Disturbance, require_in_time
-from ...errors import ConfigError, InputError, UnknownName
+from ...errors import ConfigError, InputError, UnknownName, keyed
 from ...kinematic import Kinematic
 from ...loop.before_run import Bounds, Start
 from ...loop.latency import Latency
@@ -36,22 +36,12 @@ from ...settings import Settings, Timing, require_gains
 from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ...torque.neural import Inputs, Robust
-from .contest import Contest
-from .controllers import (
-    CONTROLLERS,
-    DEFAULT,
-    EFFECTIVE,
-    LearnerTables,
-    Learning,
-    Nominal,
-    RobustOf,
-    new_controller,
-)
+from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, Learning, Nominal, RobustOf, new_controller
 from .hand import hand_motion
 from .laws import resolved
-from .references import HeldOut, ReferenceTables
+from .learner_tables import LearnerTables
+from .references import HeldOutReference, ReferenceTables
 
-CALL = re.compile(r"(\w+)=[A-Z]\w*\(((?:[^()]|\([^()]*\))*)\)")  # an object as Python makes it, in a fix
 PLACES = 10  # along the reference at which inertias are looked at that scale bandwidths
 
 
@@ -62,7 +52,7 @@ def made_for(robot: Robot, tables: bytes, duration: float, changed: float) -> Tr
     return followable(robot, partial(reference.of, robot), duration, reference.share)
 
 
-class Friction(Settings, frozen=True):
+class AddedFriction(Settings, frozen=True):
     """Friction that is added to what the URDF says of its joints.
 
     Args:
@@ -102,7 +92,7 @@ class Case(Settings, frozen=True):
 
 
 class Tolerance(Settings, frozen=True):
-    """What a case asks of its runs.
+    """Bounds that a run of a case has to keep.
 
     Args:
         settle: Time after which the errors count [s].
@@ -174,9 +164,8 @@ class Experiment(LearnerTables, frozen=True):
         contact: The floor of the contact plant.
         cases: Changes of this experiment, name to case; with them it runs once in each, with a verdict on every run.
         tolerance: What a case asks of its runs.
-        contest: With it the cases are the tasks of a contest, whose runs are compared and not judged one by one.
         held_out: Held-out trajectories by name; where none is named, one is derived from the reference (see
-            `proof.held_out`).
+            `psi.held_out`).
 
     Raises:
         UnknownName: A controller or a plant that does not exist.
@@ -207,7 +196,7 @@ class Experiment(LearnerTables, frozen=True):
     laws: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
-    friction: Friction = Friction()
+    friction: AddedFriction = AddedFriction()
     armature: float | tuple[float, ...] = 0.0
     sensor: Sensor = Sensor()
     actuator: Actuator = Actuator()
@@ -221,8 +210,7 @@ class Experiment(LearnerTables, frozen=True):
     contact: Contact = Contact()
     cases: dict[str, Case] = msgspec.field(default_factory=dict)
     tolerance: Tolerance = Tolerance()
-    held_out: dict[str, HeldOut] = msgspec.field(default_factory=dict)
-    contest: Contest | None = None
+    held_out: dict[str, HeldOutReference] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.controllers:
@@ -274,11 +262,8 @@ class Experiment(LearnerTables, frozen=True):
         """
         robot, f = robot.with_armature(self.armature), self.friction
         if self.masses != 1.0:
-            try:
+            with keyed(lambda key: "masses"):
                 robot = robot.with_masses(self.masses)
-            except InputError as error:
-                error.key = "masses"
-                raise
         robot = robot.with_joint_friction(coulomb=f.coulomb, breakaway=f.breakaway, stribeck=f.stribeck)
         return robot.with_friction(per_velocity(f.base, f.arm, robot.dimensions, "friction"))
 
@@ -313,9 +298,8 @@ class Experiment(LearnerTables, frozen=True):
         try:
             return msgspec.structs.replace(self, reference=tables).trajectory_of(robot)
         except InputError as error:
-            error.key = (error.key or "reference").replace("reference", f"held_out.{name}", 1)
-            error.fix = error.fix.replace("[reference.", f"[held_out.{name}.")
-            raise
+            key = (error.key or "reference").replace("reference", f"held_out.{name}", 1)
+            raise error.but(key=key, fix=error.fix.replace("[reference.", f"[held_out.{name}.")) from error
 
     def fit(self, robot: Robot) -> Fit | None:
         """Effective inertias and the share of the bandwidths that suits a robot; None when all gains are given.
@@ -380,25 +364,21 @@ class Experiment(LearnerTables, frozen=True):
         )
 
     def setting(self, values: Mapping[str, str]) -> str:
-        """How whoever asked for this experiment sets some of its keys, their values as TOML has them."""
+        """The options that set some of its keys, their values as TOML has them."""
         return " ".join(f"--set {shlex.quote(f'{key}={value}')}" for key, value in values.items())
 
     @contextmanager
     def in_its_keys(self) -> Iterator[None]:
         """Errors of its loops within name gains and servos as this experiment takes them."""
-
-        def as_settings(found: re.Match[str]) -> str:
-            parts = re.findall(r"(\w+)=(\([^()]*\)|[^,]+)", found[2])
-            values = {f"{found[1]}.{name}": re.sub(r"\((.*)\)", r"[\1]", value) for name, value in parts}
-            if found[1] == "feedback" and self.feedback.scaling != "none":
-                values["feedback.scaling"] = '"none"'
-            return self.setting(values)
-
         try:
             yield
         except ConfigError as error:
-            error.fix = CALL.sub(as_settings, error.fix)
-            raise
+            if (values := error.values) is None:
+                raise
+            keys = {f"{values.table}.{name}": re.sub(r"\((.*)\)", r"[\1]", text) for name, text in values.texts.items()}
+            if values.table == "feedback" and self.feedback.scaling != "none":
+                keys["feedback.scaling"] = '"none"'
+            raise error.but(fix=error.fix.replace(str(values), self.setting(keys))) from error
 
     def to_json(self) -> str:
         """The complete experiment with its defaults, as text (JSON) for a recording."""

@@ -50,7 +50,7 @@ def hand_motion(tables: HandTables, robot: Robot, timing: Timing) -> HandMotion:
 
 @dataclasses.dataclass(frozen=True)
 class HandErrors:
-    """Where a frame was, beside where it should have been, at every sample of a run; poses as the signal `hand`.
+    """Poses of a frame at every sample of a run, true, measured, of the reference and wanted, as the signal `hand`.
 
     Attributes:
         frame: Its name.
@@ -102,7 +102,7 @@ class HandErrors:
 
 
 def hand_errors(recording: Recording, robot: Robot) -> list[HandErrors]:
-    """What a run did at every frame that its reference took along a path; none where it took none.
+    """Errors of a run at every frame that its reference took along a path; none where it took none.
 
     Args:
         recording: The run.

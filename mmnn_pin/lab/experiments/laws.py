@@ -164,10 +164,8 @@ def construct(kind: type[TorqueController], settings: Mapping[str, Any], key: st
     except InputError:
         raise
     except Exception as error:
-        found = told(error, f"{kind.__name__} cannot be made", source(kind))
-        found.key = key
-        found.fix = f"give its settings in [{key}]" if isinstance(error, TypeError) else ""
-        raise found from error
+        fix = f"give its settings in [{key}]" if isinstance(error, TypeError) else ""
+        raise told(error, f"{kind.__name__} cannot be made", source(kind)).but(key=key, fix=fix) from error
 
 
 def load_class(spec: str) -> type[TorqueController]:
@@ -251,9 +249,8 @@ def read_module(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except Exception as error:
-        found = told(error, f"no module '{name}'", None)
-        found.fix = "name a file as FILE.py:Class, or an installed module as package.module:Class"
-        raise found from error
+        fix = "name a file as FILE.py:Class, or an installed module as package.module:Class"
+        raise told(error, f"no module '{name}'", None).but(fix=fix) from error
 
 
 def digest_of(spec: str) -> str:

@@ -1,13 +1,13 @@
-"""Where the key that an error names comes from: an override, or a line of a TOML file."""
+"""The place that the key of an error comes from: an override, or a line of a TOML file."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from typing import TypeGuard
 
-from ...errors import InputError
+from ...errors import InputError, UnknownKey, UnknownName
 
-UNKNOWN_KEY = re.compile(r"unknown key '(.*)'")
 OPTIONS = ("robot", "overrides", "controllers", "seed", "plant")  # keys that options of their own set, too
 PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[A-Za-z0-9_-]+)"""
 PATH = rf"{PART}(?:\s*\.\s*{PART})*"
@@ -19,18 +19,25 @@ def of_override(error: InputError, texts: Iterable[str]) -> InputError:
     """An error at a key that an override sets: that it came from there, not from the experiment's file.
 
     Args:
-        error: It; its file and key are changed.
+        error: It.
         texts: `key.path=value`.
+
+    Returns:
+        The error itself where it does not.
     """
-    unknown = UNKNOWN_KEY.match(error.what)
-    at = ".".join(part for part in (error.key, unknown and unknown[1]) if part)
+    unknown = error.name if isinstance(error, UnknownKey) or is_key(error) else None
+    at = ".".join(part for part in (error.key, unknown) if part)
     for key in (text.partition("=")[0].strip() for text in texts):
         if at and (f"{at}.".startswith(f"{key}.") or f"{key}.".startswith(f"{at}.")):
             by_option = key.partition(".")[0] in OPTIONS and not unknown
-            error.file, error.option = None, "" if by_option else "--set"
-            error.key = max(key, at, key=len) if unknown else error.key
-            break
+            option, longest = "" if by_option else "--set", max(key, at, key=len)
+            return error.but(file=None, option=option, key=longest if unknown else error.key)
     return error
+
+
+def is_key(error: InputError) -> TypeGuard[UnknownName]:
+    """Whether an error is about the name of a key."""
+    return isinstance(error, UnknownName) and error.kind == "key"
 
 
 def line_of(text: str, key: str) -> int | None:

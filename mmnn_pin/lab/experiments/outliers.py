@@ -38,7 +38,7 @@ def outliers(recordings: Mapping[str, Recording], metrics: Mapping[str, Mapping[
 
 
 def far_peaks(errors: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """What peaks farthest above the others in every run that ranks before one in which nothing does.
+    """Sentences on runs that peak far above the others and rank before a run that does not: the worst peak of each.
 
     Args:
         errors: Run to metric of an error to its value [rad or m].
@@ -63,7 +63,7 @@ def far_peaks(errors: Mapping[str, Mapping[str, float]]) -> list[str]:
 
 
 def farthest(errors: Mapping[str, Mapping[str, float]], name: str, window: str) -> tuple[str, float] | None:
-    """Where a run errs farthest above the others: of which pose or joint, how many times; None where nowhere far.
+    """The pose or joint in which a run errs farthest above the others, and how many times; None where nowhere far.
 
     Args:
         errors: Run to metric to its value [rad or m].
@@ -122,7 +122,7 @@ def of_others(table: Mapping[str, Mapping[str, float]], name: str, key: str) -> 
 
 
 def chatter(run: Recording) -> dict[str, float]:
-    """What `fast_share` says of every motor's torque, after the first fifth of a run."""
+    """Share of every motor's torque that is fast (`fast_share`), after the first fifth of a run."""
     torque, time = as_columns(run["motor_torque"])[len(run) // 5 :], run.time
     share = fast_share(torque, (time[-1] - time[0]) / (len(run) - 1))
     return dict(zip(run.labels("motor_torque"), share.tolist(), strict=True))

@@ -11,15 +11,14 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from ...errors import ConfigError, InputError, TrajectoryError, UnknownName
-from ...model.base.holonomic import moves_sideways
+from ...errors import LENGTH, ConfigError, InputError, TrajectoryError, UnknownName
 from ...model.robot import Robot
 from ...reference import (
     BasePath,
     Circle,
     Eight,
     Hold,
-    Holonomic,
+    HolonomicPath,
     Line,
     MinimumJerk,
     Points,
@@ -45,7 +44,7 @@ from ...reference.hand import (
 )
 from ...reference.joint import JointProfile
 from ...reference.limits import Limits
-from ...reference.samples import Columns
+from ...reference.samples import TableColumns
 from ...reference.trajectory import still
 from ...settings import Settings, Timing, require_gain
 from ...settings.arguments import wrong_type
@@ -261,7 +260,7 @@ class ReferenceTables(Settings, frozen=True):
         if not self.file:
             return self.trajectory(robot.dimensions, limits)
         read = Trajectory.from_csv(robot, self.file)
-        base = self._path(robot.dimensions.base) if still(read.base) and self.base else read.base
+        base = self._path(robot.dimensions) if still(read.base) and self.base else read.base
         arm = self._arm(robot.dimensions, limits) if all(map(still, read.arm)) and self.arm else read.arm
         return Trajectory(base, arm)
 
@@ -269,15 +268,15 @@ class ReferenceTables(Settings, frozen=True):
         """The reference for a robot; arguments and errors as in `Experiment.trajectory`."""
         if layout.base and self.base is None:
             raise ConfigError("no path for the base", fix="add [reference.base] with a type", key="reference.base")
-        return Trajectory(self._path(layout.base), self._arm(layout, limits))
+        return Trajectory(self._path(layout), self._arm(layout, limits))
 
-    def _path(self, nb: int) -> BasePath | None:
-        if not nb or self.base is None:
+    def _path(self, layout: Dimensions) -> BasePath | None:
+        if not layout.base or self.base is None:
             return None
         path = make(BASE_PATHS, self.base, "reference.base")
-        if moves_sideways(nb):
+        if layout.sideways:
             heading = self.heading
-            return Holonomic(path, None if heading is None else make(ARM_PROFILES, heading, "reference.heading"))
+            return HolonomicPath(path, None if heading is None else make(ARM_PROFILES, heading, "reference.heading"))
         if self.heading is not None:
             raise ConfigError(
                 "a heading for a differential drive",
@@ -300,11 +299,12 @@ class ReferenceTables(Settings, frozen=True):
                 f"{len(tables)} profiles for {n} arm joints",
                 fix="add one [[reference.arm]] per joint, or one [reference.arm] for all",
                 key="reference.arm",
+                code=LENGTH,
             )
         return tuple(make(ARM_PROFILES, table, f"reference.arm.{i}") for i, table in enumerate(tables))
 
 
-class HeldOut(ReferenceTables, frozen=True):
+class HeldOutReference(ReferenceTables, frozen=True):
     """A reference that no learner is trained on; `mmnn prove` judges a learner's knowledge on it.
 
     Args:
@@ -369,8 +369,7 @@ def make(kinds: dict[str, Any], table: dict[str, Any], key: str) -> Any:
         raise ConfigError(what, fix=fix, key=key + where) from error
     except InputError as error:  # of the object itself, which knows only the name of its argument
         first = error.what.partition(" ")[0]
-        error.key = error.key or (f"{key}.{first}" if first in known else key)
-        raise
+        raise error.but(key=error.key or (f"{key}.{first}" if first in known else key)) from error
 
 
 def as_long_as_its_file(table: dict[str, Any], own: Mapping[str, Any]) -> None:
@@ -388,6 +387,6 @@ def as_long_as_its_file(table: dict[str, Any], own: Mapping[str, Any]) -> None:
     with suppress(InputError, TypeError, ValueError, ZeroDivisionError):  # told when the file is read
         usual = Timing()
         period, duration = time.get("control_period", usual.control_period), time.get("duration", usual.duration)
-        end = float(Columns.read(reference["file"])["t"][-1])
+        end = float(TableColumns.read(reference["file"])["t"][-1])
         if 0 < end < duration:
             table["time"] = time | {"duration": round(math.floor(end / period + 1e-6) * period, 9)}

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from ...errors import ConfigError, InputError, UnknownName
+from ...errors import LENGTH, ConfigError, InputError, UnknownName
 from ...files import read_text, read_toml
 from ...model.loading import load_with
 from ...model.robot import Robot
@@ -19,7 +18,6 @@ from .origins import line_of, of_override
 
 SIZED = ("feedback", "friction", "masses", "radii", "sensor", "actuator", "interfaces")  # may hold lists of joints
 OF_POSE = "sensor.pose_noise"
-LENGTHS = re.compile(r"^\d+ (?:numbers|profiles|arm profiles|bodies) .*?\d+ ")  # begins what is said of a wrong length
 ANY = "track"  # drives any robot
 
 
@@ -35,7 +33,7 @@ def explained(error: InputError, name: str, asked: Experiment, own: Experiment) 
     Returns:
         The error itself where it is about something else.
     """
-    wrong = bool(LENGTHS.match(error.what)) or isinstance(error, UnknownName)
+    wrong = error.code == LENGTH or isinstance(error, UnknownName)
     if not wrong or not error.key or (asked.robot, asked.overrides) == (own.robot, own.overrides):
         return error
     here, there = (load_with(one.robot, one.overrides) for one in (asked, own))
@@ -101,21 +99,25 @@ def located(error: InputError, name_or_path: str, overrides: Iterable[str], vari
     """An error at a key of an experiment that was met after it was loaded: from which override or line of a file.
 
     Args:
-        error: It; its file, line and key are changed where the key is found.
+        error: It.
         name_or_path: The experiment, as of `load_experiment`.
         overrides: Likewise.
         variant: Likewise.
+
+    Returns:
+        The error with its file and line, or its option, where the key is found.
     """
     texts = tuple(overrides)
-    if error.file is not None or not error.key or error.key.startswith("-") or of_override(error, texts).option:
+    if error.file is not None or not error.key or error.key.startswith("-"):
         return error
+    if (found := of_override(error, texts)).option:
+        return found
     if any(text.partition("=")[0].strip().partition(".")[0] == error.key.partition(".")[0] for text in texts):
         return error  # by an option
     path = find(name_or_path)
     for file in ancestry(path if variant is None else find_variant(path, variant)):
         if line := line_of(read_text(file), error.key):
-            error.file, error.line = file, line
-            break
+            return error.but(file=file, line=line)
     return error
 
 

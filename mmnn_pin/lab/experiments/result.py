@@ -1,4 +1,4 @@
-"""What an experiment gave: its runs by controller, their numbers beside each other, and what shows them.
+"""The result of an experiment: its runs by controller, their numbers beside each other, tables and figures of them.
 
 How much of a learner's advantage over PD is gain, and how much is learning? A learner's robust term adds feedback, so
 part of what it wins it would win without its network. PD at the learner's own effective gain, sample by sample, has
@@ -12,14 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from ...errors import UnknownName
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
-from ...settings.shown import Page, Picture, Table
+from ...shown import Page, Picture, Table, shown
 from .controllers import LEARNERS, effective
 from .experiment import Experiment
 from .hand import HandErrors
@@ -29,7 +28,7 @@ from .thesis import beside_the_thesis, figure_ranges
 
 @dataclass(frozen=True, repr=False)
 class Result(Mapping[str, Recording]):
-    """What an experiment gave: its recordings by controller, and what shows them.
+    """The result of an experiment: its recordings by controller, tables and figures of them.
 
     In a notebook it shows its table and its errors; `print` shows the table.
 
@@ -75,7 +74,7 @@ class Result(Mapping[str, Recording]):
 
     def table(self) -> Table:
         """The runs beside each other: errors, torques, what was learned; it prints as text."""
-        made: Table = gallery().tables(self)
+        made: Table = shown(self, "table")
         return made
 
     def plot(self, what: str = "errors") -> Picture:
@@ -85,7 +84,7 @@ class Result(Mapping[str, Recording]):
             UnknownName: There is no such figure.
             RecordingError: The runs have nothing for it.
         """
-        made: Picture = gallery().picture(what, self)
+        made: Picture = shown(self, "plot", what)
         return made
 
     def replay(self, *, title: str = "", fps: float = 60.0, package_dirs: Sequence[str | Path] = ()) -> Page:
@@ -99,7 +98,7 @@ class Result(Mapping[str, Recording]):
         Raises:
             InputError: There is nothing to show.
         """
-        made: Page = gallery().page(self.recordings, title=title, fps=fps, package_dirs=package_dirs)
+        made: Page = shown(self, "replay", title=title, fps=fps, package_dirs=package_dirs)
         return made
 
     def report(self, *, with_replay: bool = True, package_dirs: Sequence[str | Path] = ()) -> Page:
@@ -112,8 +111,7 @@ class Result(Mapping[str, Recording]):
         Raises:
             RecordingError: There is nothing to report.
         """
-        show = import_module("mmnn_pin.lab.show.report")
-        made: Page = show.report(self.recordings, with_replay=with_replay, package_dirs=package_dirs)
+        made: Page = shown(self, "report", with_replay=with_replay, package_dirs=package_dirs)
         return made
 
     @property
@@ -153,7 +151,7 @@ class Result(Mapping[str, Recording]):
         return outliers(self.recordings, self.metrics)
 
     def improvements(self) -> dict[str, dict[str, Improvement]]:
-        """What of each learner's improvement over PD is gain and what is learning, see `improvements`."""
+        """Shares of gain and of learning in each learner's improvement over PD, see `improvements`."""
         return improvements(self.metrics, self.experiment.windows)
 
     def figure_ranges(self) -> list[dict[str, Any]]:
@@ -201,11 +199,6 @@ class Result(Mapping[str, Recording]):
         }
 
 
-def gallery() -> Any:
-    """What shows results; it stands above them, so it is found by name."""
-    return import_module("mmnn_pin.lab.show.gallery")
-
-
 @dataclass(frozen=True)
 class Improvement:
     """A learner's RMS error beside that of PD and of PD at its effective gain, in the error's unit.
@@ -227,12 +220,12 @@ class Improvement:
 
     @property
     def gain(self) -> float:
-        """What the higher gain alone takes away from PD's error; negative where it adds to it."""
+        """The part of PD's error that the higher gain alone takes away; negative where it adds to it."""
         return self.pd - self.pd_effective
 
     @property
     def learning(self) -> float:
-        """What the network takes away from there; negative where it adds to it."""
+        """The part that the network takes away beyond that; negative where it adds to it."""
         return self.pd_effective - self.learner
 
     @property
@@ -283,7 +276,7 @@ def improvements(
 
 
 def unfair(experiment: Experiment, metrics: Mapping[str, Mapping[str, float]]) -> str:
-    """Why the learners are not compared on equal terms, with their mean effective gains; empty if they are.
+    """The reason why learners are not compared on equal terms, with their mean effective gains; empty if they are.
 
     Args:
         experiment: The experiment; its learners' robust terms and hidden units are compared.

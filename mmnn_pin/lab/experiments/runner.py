@@ -112,7 +112,7 @@ def without_unable(experiment: Experiment, robot: Robot) -> tuple[Experiment, li
 
 
 def interface_notes(experiment: Experiment, robot: Robot) -> list[str]:
-    """How motors are driven, where not all by effort, or where the URDF does not offer that."""
+    """Notes on how motors are driven, where not all by effort, or where the URDF does not offer that."""
     said, offered = experiment.interfaces, offered_by(robot)["interfaces_offered"]
     kinds = {kind: [name for name, one in said.items() if one == kind] for kind in dict.fromkeys(said.values())}
     driven = [f"{', '.join(names)} by {kind}" for kind, names in kinds.items() if kind != EFFORT]
@@ -128,7 +128,7 @@ INEXACT = ("noise", "wheel_noise", "resolution", "wheel_resolution")  # of encod
 
 
 def sensor_notes(sensor: Sensor, robot: Robot) -> list[str]:
-    """What inexact encoders leave exact: velocities and pose, unless these come from the encoders or have noise."""
+    """A note on what inexact encoders leave exact: velocities and pose that neither come from them nor have noise."""
     said = [f"sensor.{name}" for name in INEXACT if np.any(getattr(sensor, name))]
     exact = {
         "velocities": sensor.velocity == "true" and not np.any(sensor.velocity_noise),
@@ -173,7 +173,7 @@ def limit_notes(robot: Robot, runs: Mapping[str, Recording]) -> list[str]:
 
 
 def margin_notes(experiment: Experiment, runs: Mapping[str, Recording]) -> list[str]:
-    """Which controllers bear less delay beside their latency than the experiment wants."""
+    """A note on controllers that bear less delay beside their latency than the experiment wants."""
     margins = {name: run.meta["delay_margin"] for name, run in runs.items()}
     least = experiment.latency.margin + experiment.latency.total
     short = {name: m for name, m in margins.items() if m is not None and m < least}
@@ -233,7 +233,7 @@ Window = tuple[float, float]
 
 
 def window_notes(experiment: Experiment) -> list[str]:
-    """What to know of windows that lie beyond the end of a run or go on after it; nothing where all are within."""
+    """Notes on windows that lie beyond the end of a run or go on after it; none where all are within."""
     end = experiment.time.duration
     beyond = [window for window in experiment.windows if window[0] >= end]
     cut = [window for window in experiment.windows if window[0] < end < window[1]]
@@ -251,7 +251,7 @@ def words(windows: Sequence[Window]) -> str:
 
 
 def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
-    """What to know of the reference, such as stretches without stabilisation."""
+    """Notes on the reference, such as stretches without stabilisation."""
     if experiment.reference.hand is not None:
         return []
     reference, notes = experiment.trajectory_of(robot), []
@@ -266,7 +266,7 @@ def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
 
 
 def hand_notes(experiment: Experiment, robot: Robot) -> list[str]:
-    """What to know of a motion of the hand: the frame, how far the program itself stays from the path, misses."""
+    """Notes on a motion of the hand: its frames, how far the program itself stays from the path, misses."""
     assert experiment.reference.hand is not None
     motion = hand_motion(experiment.reference.hand, robot, experiment.time)
     begins, ends, missed = motion.begins, motion.ends, motion.misses

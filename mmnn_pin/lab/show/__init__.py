@@ -1,1 +1,1 @@
-"""What people look at: plots of recordings."""
+"""Tables, figures, pages and files that are made of recordings."""

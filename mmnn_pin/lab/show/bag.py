@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from mcap_ros2.writer import Writer
+from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from ...errors import RecordingError
@@ -104,51 +105,16 @@ def joint_frame(joint: Joint, position: Array | None) -> Frame:
     return Frame(joint.parent, joint.child, translation, rotation)
 
 
-RULE = "\n" + "=" * 80 + "\n"
-TIME = "int32 sec\nuint32 nanosec"
-HEADER = "builtin_interfaces/Time stamp\nstring frame_id"
-VECTOR = "float64 x\nfloat64 y\nfloat64 z"
-QUATERNION = f"{VECTOR}\nfloat64 w"
-PARTS = {
-    "builtin_interfaces/Time": TIME,
-    "std_msgs/Header": HEADER,
-    "geometry_msgs/Vector3": VECTOR,
-    "geometry_msgs/Point": VECTOR,
-    "geometry_msgs/Quaternion": QUATERNION,
-    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
-    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
-    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
-    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
-    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
-    "geometry_msgs/TransformStamped": (
-        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
-    ),
-}
+STORE = get_typestore(Stores.ROS2_HUMBLE)
 
 
-def definition(text: str) -> str:
-    """A definition followed by those of all messages in it, as the files of rosbag2 have it."""
-    found: list[str] = []
-    pending = text
-    while names := [name for name in PARTS if re.search(rf"\b{name}\b", pending) and name not in found]:
-        found += names
-        pending = "\n".join(PARTS[name] for name in names)
-    return text + "".join(f"{RULE}MSG: {name}\n{PARTS[name]}" for name in found)
+def definition(name: str) -> tuple[str, str]:
+    """A message of ROS 2: its name, and its definition followed by those of all messages in it."""
+    return name, STORE.generate_msgdef(name, ros_version=2)[0]
 
 
-JOINT_STATE = (
-    "sensor_msgs/msg/JointState",
-    definition("std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort"),
-)
-ODOMETRY = (
-    "nav_msgs/msg/Odometry",
-    definition(
-        "std_msgs/Header header\nstring child_frame_id\n"
-        "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist"
-    ),
-)
-TRANSFORMS = "tf2_msgs/msg/TFMessage", definition("geometry_msgs/TransformStamped[] transforms")
-TEXT = "std_msgs/msg/String", "string data"
+JOINT_STATE, ODOMETRY = definition("sensor_msgs/msg/JointState"), definition("nav_msgs/msg/Odometry")
+TRANSFORMS, TEXT = definition("tf2_msgs/msg/TFMessage"), definition("std_msgs/msg/String")
 
 
 def signal_message(signal: str, fields: Sequence[str], units: Sequence[str]) -> tuple[str, str]:
@@ -211,9 +177,9 @@ def attach(writer: Writer, about: dict[str, Any]) -> None:
 
 
 def topics_of(recording: Recording, robot: Robot, frames: Sequence[Frame]) -> Iterator[Topic]:
-    """What is written at every row."""
+    """The topics of every row: name, message type, and the message of a row at its stamp."""
     moving = [frame for frame in frames if frame.moves]
-    yield "/tf", TRANSFORMS, lambda row, at: {"transforms": [transform(frame, row, at) for frame in moving]}
+    yield ("/tf", TRANSFORMS, lambda row, at: {"transforms": [transform(frame, row, at) for frame in moving]})
     yield "/joint_states", JOINT_STATE, joint_states(recording, robot)
     if "q_ref" in recording:
         labels = list(recording.labels("q_ref"))
@@ -226,7 +192,7 @@ def topics_of(recording: Recording, robot: Robot, frames: Sequence[Frame]) -> It
             if velocity.shape[1] != 3:  # a differential drive has no vy
                 velocity = np.insert(velocity, 1, 0.0, axis=1)
             child = f"{names[1]}_reference" if suffix else names[1]
-            yield topic, ODOMETRY, partial(odometry, (names[0], child), recording[f"pose{suffix}"], velocity)
+            yield (topic, ODOMETRY, partial(odometry, (names[0], child), recording[f"pose{suffix}"], velocity))
     for signal in recording.names[1:]:  # all but the time
         fields, table = field_names(recording.labels(signal)), as_columns(recording[signal])
         schema = signal_message(signal, fields, column_units(recording, signal))

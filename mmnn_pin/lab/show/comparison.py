@@ -16,12 +16,12 @@ import numpy as np
 from ...plant.contact.plant import SLIPPING
 from ...recording.metrics import ERRORS, halves
 from ...recording.recording import Recording, as_columns, recorded_robot
-from ..experiments.cases import Matrix, Verdict
+from ..experiments.cases import CaseVerdict, Matrix
 from ..experiments.controllers import MODELS, ORACLES
 from ..experiments.hand import peak_speeds, speed_limit
 from ..experiments.result import Improvement, Result, unfair
 from .curves import column_units, milli
-from .table import WIDTH, Cell, Column, Kind, Line, Row, Table, grouped, number, row_of, terminal_text
+from .table import WIDTH, Cell, Column, Kind, Row, Table, TextLine, grouped, number, row_of, terminal_text
 
 CASES_WIDTH = 120
 NAME = 9  # letters of a controller's name on a line
@@ -70,13 +70,13 @@ def render(result: Result, colour: bool = False, width: int = WIDTH) -> str:
     """
     tables = list(tables_of(result))
     warning = unfair(result.experiment, result.metrics)
-    head = [Line(f"{warning[0].upper()}{warning[1:]}", "bold red")] if warning else []
-    notes = Line(" ".join(table.caption for table in tables if table.notes), "italic")
-    return terminal_text([*head, Line(title(result), "bold"), *tables, notes], colour, width)
+    head = [TextLine(f"{warning[0].upper()}{warning[1:]}", "bold red")] if warning else []
+    notes = TextLine(" ".join(table.caption for table in tables if table.notes), "italic")
+    return terminal_text([*head, TextLine(title(result), "bold"), *tables, notes], colour, width)
 
 
 def title(result: Result) -> str:
-    """What was run, which variant of it, on what, for how long, from which seed."""
+    """The experiment in one line: variant, robot, duration, seed."""
     experiment = result.experiment
     variant = f"variant {experiment.variant}, " if experiment.variant else ""
     variant += "contact plant, " if experiment.plant == "contact" else ""
@@ -107,7 +107,7 @@ def comparison(result: Result) -> Table:
 
 
 def notes_of(result: Result) -> tuple[str, ...]:
-    """What the marks and the words of the comparison mean."""
+    """Meanings of the marks and words in the comparison."""
     oracles = [name for name in result.recordings if name in ORACLES]
     notes = []
     if len(result.recordings) - len(oracles) > 1:
@@ -204,13 +204,13 @@ def other_rows(result: Result) -> Iterator[Row]:
 
 
 def margin_cell(recording: Recording) -> str:
-    """How much delay the linearised loop bears [ms]."""
+    """The delay that the linearised loop bears [ms]."""
     margin = recording.meta.get("delay_margin")
     return "-" if margin is None else f"{1e3 * margin:.3g}"
 
 
 def outcome_cell(recording: Recording) -> Cell:
-    """How a run ended; bad unless it was completed."""
+    """The end of a run; bad unless it was completed."""
     status = recording.outcome.status
     if status == "completed":
         return Cell("done", "good")
@@ -218,7 +218,7 @@ def outcome_cell(recording: Recording) -> Cell:
 
 
 def notes(result: Result) -> list[str]:
-    """What the user should know: how runs ended, what their weights show, which stand out, notes on the settings."""
+    """Notes for the user: ends of runs, runs that stand out, notes on the settings."""
     messages = {name: recording.outcome.message for name, recording in result.recordings.items()}
     ends = [text if text.startswith(name) else f"{name}: {text}" for name, text in messages.items() if text]
     return [*ends, *result.outliers(), *result.notes]
@@ -335,15 +335,15 @@ def render_cases(matrix: Matrix, colour: bool = False, width: int = CASES_WIDTH)
         f"stopped: by the supervisor, at rest at the end, less than {t.runaway:g} m away when it tripped and driven "
         "after it. FAILED: neither."
     )
-    head = Line(f"{matrix.experiment.title or matrix.name} ({matrix.experiment.robot})", "bold")
+    head = TextLine(f"{matrix.experiment.title or matrix.name} ({matrix.experiment.robot})", "bold")
     counts = {kind: matrix.count(kind) for kind in ("tracked", "stopped", "failed")}
     total = f"{sum(counts.values())} runs: " + ", ".join(f"{count} {kind}" for kind, count in counts.items())
     return terminal_text(
-        [head, Table("Cases", tuple(heads), tuple(rows), gap=1), total, Line(about, "italic")], colour, width
+        [head, Table("Cases", tuple(heads), tuple(rows), gap=1), total, TextLine(about, "italic")], colour, width
     )
 
 
-def verdict_cell(verdict: Verdict | None) -> Cell:
+def verdict_cell(verdict: CaseVerdict | None) -> Cell:
     """A verdict in a few words: how far off the run tracked, or when and why it stopped."""
     if verdict is None:
         return Cell("-")
@@ -361,7 +361,7 @@ def verdict_cell(verdict: Verdict | None) -> Cell:
 
 
 def render_readings(title: str, rows: list[dict[str, Any]], width: int = WIDTH) -> str:
-    """What each reading does to the learners, as text: a line for each, with its RMS errors and learned shares.
+    """The effect of each reading on the learners, as text: a line for each with RMS errors and learned shares.
 
     Args:
         title: Heads it.
@@ -380,7 +380,7 @@ def render_readings(title: str, rows: list[dict[str, Any]], width: int = WIDTH) 
             cells = (*reading_errors(row[learner]).values(), *shares, met if row["of"] else "")
             made.append(row_of(head, learner, *cells))
     table = Table("Readings", (Column(text=True), Column(text=True), *heads), tuple(made))
-    return terminal_text([Line(title, "bold"), table, ABOUT_READINGS], width=width)
+    return terminal_text([TextLine(title, "bold"), table, ABOUT_READINGS], width=width)
 
 
 def reading_errors(learner: dict[str, Any]) -> dict[str, str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ RESIDUALS = {
 
 @dataclass(frozen=True)
 class Panel:
-    """What one axes shows.
+    """The content of one axes.
 
     Attributes:
         title: What it is, where it stands alone.
@@ -72,23 +73,34 @@ class Chart:
         title: Its heading.
         about: What to know of it.
         panels: Runs by name to its panels; none where the runs have nothing for it.
+        judged: Whether it stands with what was learned.
+        lacks: Runs by name to why some are not in it, one line each.
     """
 
     title: str
     about: str
     panels: Callable[[Recordings], Iterable[Panel]]
+    judged: bool = False
+    lacks: Callable[[Recordings], list[str]] = lambda recordings: []
 
 
 CHARTS: dict[str, Chart] = {}
 
 
 def chart(
-    name: str, title: str, about: str
+    name: str, title: str, about: str, **more: Any
 ) -> Callable[[Callable[[Recordings], Iterable[Panel]]], Callable[[Recordings], Iterable[Panel]]]:
-    """Register the panels of a chart: what the report shows, and what a figure of that name may draw."""
+    """Register the panels of a chart: what the report shows, and what a figure of that name may draw.
+
+    Args:
+        name: By which a figure asks for it.
+        title: As of `Chart`, like `about` and what else is given.
+        about: Likewise.
+        more: Likewise.
+    """
 
     def register(panels: Callable[[Recordings], Iterable[Panel]]) -> Callable[[Recordings], Iterable[Panel]]:
-        CHARTS[name] = Chart(title, about, panels)
+        CHARTS[name] = Chart(title, about, panels, **more)
         return panels
 
     return register
@@ -193,14 +205,14 @@ def weights(recordings: Recordings) -> Iterator[Panel]:
     "What should be zero: motion that the wheels forbid (contact plant), and energy out of nowhere.",
 )
 def residuals(recordings: Recordings) -> Iterator[Panel]:
-    """What should be zero."""
+    """Residuals that should be zero: of the wheels, of the energy."""
     for signal, (words, unit, scale) in RESIDUALS.items():
         if found := {n: (r.time, scale * r[signal]) for n, r in recordings.items() if signal in r}:
             yield Panel(words, unit, found)
 
 
 def recorded_hand(recording: Recording) -> list[HandErrors]:
-    """What a run did at the frames that its reference took along paths."""
+    """Errors of a run at the frames that its reference took along paths."""
     return hand_errors(recording, recorded_robot(recording)) if "hand" in recording and len(recording) else []
 
 

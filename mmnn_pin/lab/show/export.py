@@ -11,8 +11,9 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -23,24 +24,11 @@ from ...signals import Array
 from ..study.results import Results
 from .curves import column_units
 
-T = TypeVar("T")
-STUDY_FACTS = (
-    "id",
-    "point",
-    "controller",
-    "seed",
-    "status",
-    "time",
-    "signal",
-    "message",
-    "seconds",
-    "host",
-    "finished",
-)
+FACTS = "id point controller seed status time signal message seconds host finished"
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
+class ExportColumn:
     """A column: its name, its unit (empty for a pure number), its values (N,), or as a list that may have gaps."""
 
     name: str
@@ -49,8 +37,8 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Part:
-    """What of a recording is written.
+class RecordingPart:
+    """The part of a recording that is written.
 
     Attributes:
         signals: Names, with the time; all where there are none.
@@ -61,7 +49,7 @@ class Part:
     every: int
 
     @classmethod
-    def of(cls, recording: Recording, signals: Sequence[str], rate: float | None) -> Part:
+    def of(cls, recording: Recording, signals: Sequence[str], rate: float | None) -> RecordingPart:
         """From names of signals, and how many rows per second there are at most [Hz].
 
         Raises:
@@ -84,26 +72,22 @@ def named(recording: Recording, signals: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in recording if not signals or name in {"time", *signals})
 
 
-def columns_of(recording: Recording, part: Part) -> Iterator[Column]:
+def columns_of(recording: Recording, part: RecordingPart) -> Iterator[ExportColumn]:
     """The columns of signals, the time first."""
     for signal in part.signals:
         names, units = recording.column_names(signal), column_units(recording, signal)
         for name, unit, values in zip(names, units, as_columns(recording[signal])[:: part.every].T, strict=True):
-            yield Column(name, unit, values)
+            yield ExportColumn(name, unit, values)
 
 
 def about(recording: Recording) -> dict[str, Any]:
-    """What a recording holds beside its signals, as JSON has it: facts, outcome, config, URDF."""
+    """The rest of a recording beside its signals, as JSON has it: facts, outcome, config, URDF."""
     facts = json.loads(json.dumps(recording.meta, default=lambda array: np.asarray(array).tolist()))
-    return {
-        "meta": facts,
-        "outcome": asdict(recording.outcome),
-        "config": recording.config_text,
-        "urdf": recording.urdf,
-    }
+    found = {"meta": facts, "outcome": asdict(recording.outcome)}
+    return found | {"config": recording.config_text, "urdf": recording.urdf}
 
 
-def write_csv(recording: Recording, path: Path, part: Part) -> None:
+def write_csv(recording: Recording, path: Path, part: RecordingPart) -> None:
     """One line of names with units, `z.v [m/s]`, then the numbers, written so that reading gives the same bits."""
     columns = list(columns_of(recording, part))
     heads = [f"{column.name} [{column.unit}]" if column.unit else column.name for column in columns]
@@ -118,7 +102,7 @@ def write_rows(path: Path, heads: Iterable[str], rows: Iterable[Sequence[Any]]) 
         writer.writerows(rows)
 
 
-def write_npz(recording: Recording, path: Path, part: Part) -> None:
+def write_npz(recording: Recording, path: Path, part: RecordingPart) -> None:
     """Signals by name, `weights/NAME`, `final/NAME`, `step_time`, and `about`: JSON with labels, units and facts."""
     arrays: dict[str, Any] = {name: recording[name][:: part.every] for name in part.signals}
     arrays["step_time"] = recording.step_times[:: part.every]
@@ -130,12 +114,12 @@ def write_npz(recording: Recording, path: Path, part: Part) -> None:
         np.savez_compressed(file, **arrays)
 
 
-def write_parquet(recording: Recording, path: Path, part: Part) -> None:
+def write_parquet(recording: Recording, path: Path, part: RecordingPart) -> None:
     """The table; units in the metadata of its columns, facts in that of the file, under `mmnn_pin`."""
     write_columns(path, columns_of(recording, part), about(recording))
 
 
-def write_columns(path: Path, columns: Iterable[Column], facts: Mapping[str, Any]) -> None:
+def write_columns(path: Path, columns: Iterable[ExportColumn], facts: Mapping[str, Any]) -> None:
     """A Parquet file of columns with their units."""
     import pyarrow
     import pyarrow.parquet
@@ -148,17 +132,17 @@ def write_columns(path: Path, columns: Iterable[Column], facts: Mapping[str, Any
     pyarrow.parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), path)
 
 
-def write_mcap(recording: Recording, path: Path, part: Part) -> None:
+def write_mcap(recording: Recording, path: Path, part: RecordingPart) -> None:
     """Messages of ROS 2, see `bag.write_bag`; all of them."""
     from .bag import write_bag
 
-    if part != Part(tuple(recording), 1):
+    if part != RecordingPart(tuple(recording), 1):
         why, fix = "its messages are whole samples", "leave out --signals and --rate, or write a table"
         raise ConfigError("a part of a recording as MCAP", why=why, fix=fix, key="--to")
     write_bag(recording, path, about(recording))
 
 
-FORMATS: Mapping[str, Callable[[Recording, Path, Part], None]] = {
+FORMATS: Mapping[str, Callable[[Recording, Path, RecordingPart], None]] = {
     "csv": write_csv,
     "npz": write_npz,
     "parquet": write_parquet,
@@ -191,25 +175,18 @@ def export(
         RecordingError: The file exists or cannot be written; a package is missing; for MCAP a recording that does not
             hold its robot.
     """
-    path, part = Path(path), Part.of(recording, signals, rate)
-    formats = {name: written(write, part) for name, write in FORMATS.items()}
-    return write_as(formats, "format", recording, path, to or path.suffix[1:].lower(), force)
+    path, part = Path(path), RecordingPart.of(recording, signals, rate)
+    to = to or path.suffix[1:].lower()
+    if to not in FORMATS:
+        raise UnknownName("format", to, FORMATS)
+    return written(lambda file: FORMATS[to](recording, file, part), path, to, force)
 
 
-def written(write: Callable[[Recording, Path, Part], None], part: Part) -> Callable[[Recording, Path], None]:
-    """A format's writer of a part."""
-    return lambda recording, path: write(recording, path, part)
-
-
-def write_as(
-    formats: Mapping[str, Callable[[T, Path], None]], what: str, content: T, path: Path, to: str, force: bool
-) -> Path:
-    """Write something in one of its formats; errors as in `export`."""
-    if to not in formats:
-        raise UnknownName(what, to, formats)
+def written(write: Callable[[Path], None], path: Path, to: str, force: bool) -> Path:
+    """Write a file whole or not at all; errors as in `export`."""
     with whole_file(path, "file", force) as part:
         try:
-            formats[to](content, part)
+            write(part)
         except ModuleNotFoundError as error:
             why = f"the package {(error.name or '').partition('.')[0]} is not installed"
             raise RecordingError(f"cannot export to {to}", why=why, fix="pip install 'mmnn_pin[export]'") from error
@@ -220,9 +197,9 @@ def write_as(
 
 
 def study_columns(results: Results) -> dict[str, list[Any]]:
-    """Column to its values, a row per run: facts, `factor NAME`, metrics by name."""
+    """ExportColumn to its values, a row per run: facts, `factor NAME`, metrics by name."""
     rows = sorted([*results.rows, *results.failed], key=lambda row: row.id)
-    table: dict[str, list[Any]] = {name: [getattr(row, name) for row in rows] for name in STUDY_FACTS}
+    table: dict[str, list[Any]] = {name: [getattr(row, name) for row in rows] for name in FACTS.split()}
     for name in results.settings.factors:
         values = (row.parameters.get(name) for row in rows)
         table[f"factor {name}"] = [json.dumps(v) if isinstance(v, list | tuple) else v for v in values]
@@ -237,7 +214,7 @@ def write_study_csv(results: Results, path: Path) -> None:
 
 def write_study_parquet(results: Results, path: Path) -> None:
     """The table; units in the metadata of its columns, the study's facts in that of the file, under `mmnn_pin`."""
-    columns = (Column(n, results.units.get(n, ""), uniform(v)) for n, v in study_columns(results).items())
+    columns = (ExportColumn(n, results.units.get(n, ""), uniform(v)) for n, v in study_columns(results).items())
     write_columns(path, columns, dict(results.meta))
 
 
@@ -256,7 +233,9 @@ def export_study(results: Results, path: Path, to: str, *, force: bool = False) 
         UnknownName: A format that has no rows.
         RecordingError: The file exists or cannot be written; a package is missing.
     """
-    return write_as(STUDY_FORMATS, "format for the rows of a study", results, path, to, force)
+    if to not in STUDY_FORMATS:
+        raise UnknownName("format for the rows of a study", to, STUDY_FORMATS)
+    return written(partial(STUDY_FORMATS[to], results), path, to, force)
 
 
 STUDY_FORMATS: Mapping[str, Callable[[Results, Path], None]] = {"csv": write_study_csv, "parquet": write_study_parquet}

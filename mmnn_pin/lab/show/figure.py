@@ -1,4 +1,4 @@
-"""What all figures share: their register, one look per controller, marks, limits, legend, and how they are written.
+"""Register, looks of controllers, marks, limits, legend and files of all figures.
 
 A figure is a function with one line above it: `@figure("name")`. `mmnn plot`, an experiment's `plots`, the notebook and
 the pages of contests and studies find it by that name.
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import wraps
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import numpy as np
 
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 P = ParamSpec("P")
-Subject = Literal["runs", "proof", "contest", "study"]
 Dash = tuple[float, tuple[float, ...] | None]
 Look = Mapping[str, Any]  # keywords of matplotlib's `plot`
 
@@ -55,7 +54,7 @@ TOUCHED = ("axes.", "font.", "grid.", "legend.", "lines.", "mathtext.", "text.",
 
 @dataclass(frozen=True)
 class Style:
-    """How the curves of one controller look: an RGB hex colour, a dash pattern, a width in points."""
+    """Look of the curves of one controller: an RGB hex colour, a dash pattern, a width in points."""
 
     color: str
     dash: Dash
@@ -63,7 +62,7 @@ class Style:
 
     @property
     def line(self) -> Look:
-        """The same as keywords of matplotlib's `plot`; a solid line lies under the dashed ones and hides none."""
+        """Keywords of matplotlib's `plot`; a solid line lies under the dashed ones and hides none."""
         depth = 2.0 if self.dash[1] is None else 2.1
         return {"color": self.color, "linestyle": self.dash, "linewidth": self.width, "zorder": depth}
 
@@ -78,11 +77,11 @@ TRUTH: Look = {"color": "0.65", "linewidth": 3.5, "solid_capstyle": "round", "zo
 
 
 @dataclass(frozen=True)
-class Entry:
+class FigureEntry:
     """A figure in the register.
 
     Attributes:
-        make: Draws it: runs by name, the standing of a contest, or the results of a study.
+        make: Draws it: runs by name, or what a folder holds.
         lacks: Why it cannot be drawn of these; empty where it can.
         caption: What to know of it, for a page.
     """
@@ -92,21 +91,21 @@ class Entry:
     caption: str
 
 
-FIGURES: dict[Subject, dict[str, Entry]] = {"runs": {}, "proof": {}, "contest": {}, "study": {}}
+FIGURES: dict[str, dict[str, FigureEntry]] = {"runs": {}, "judged": {}, "study": {}}  # by what they show
 
 
 def figure(
-    name: str, of: Subject = "runs", *, needs: Callable[[Any], str] | None = None, caption: str = ""
+    name: str, of: str = "runs", *, needs: Callable[[Any], str] | None = None, caption: str = ""
 ) -> Callable[[Callable[P, Figure]], Callable[P, Figure]]:
     """Register a figure, and draw it in our look.
 
     Args:
         name: By which it is asked for.
-        of: What it shows: runs by name, their proofs, a contest, or a study.
+        of: What it shows: runs by name, what was learned in them (`judged`), or a kind of `folders.FOLDERS`.
         needs: Tells why it cannot be drawn of these, nothing where it can; see `signals`.
         caption: What to know of it, for a page.
     """
-    lacks: Callable[[Any], str] = needs or (signals() if of in ("runs", "proof") else lambda shown: "")
+    lacks: Callable[[Any], str] = needs or (signals() if of in ("runs", "judged") else lambda shown: "")
 
     def register(make: Callable[P, Figure]) -> Callable[P, Figure]:
         drawn = styled(make)
@@ -117,14 +116,14 @@ def figure(
                 raise RecordingError(f"nothing to plot for {name}", why=why, fix="choose another figure or recording")
             return drawn(*args, **kwargs)
 
-        FIGURES[of][name] = Entry(checked, lacks, caption)
+        FIGURES.setdefault(of, {})[name] = FigureEntry(checked, lacks, caption)
         return checked
 
     return register
 
 
 def signals(*names: str) -> Callable[[Mapping[str, Recording]], str]:
-    """What a figure of runs needs: one of these signals in one of the runs, or only runs."""
+    """The needs of a figure of runs: one of these signals in one of the runs, or only runs."""
 
     def lacks(recordings: Mapping[str, Recording]) -> str:
         if not recordings:
@@ -136,7 +135,7 @@ def signals(*names: str) -> Callable[[Mapping[str, Recording]], str]:
 
 
 def write_figures(
-    entries: Mapping[str, Entry], recordings: Mapping[str, Recording], folder: Path, force: bool = True
+    entries: Mapping[str, FigureEntry], recordings: Mapping[str, Recording], folder: Path, force: bool = True
 ) -> dict[str, Path]:
     """Draw the figures that these recordings have something for, then write them as PNG; name to file.
 
@@ -271,7 +270,7 @@ def run_label(name: str, recording: Recording) -> str:
 
 
 def legend_label(name: str, recording: Recording) -> str:
-    """The same for matplotlib."""
+    """Name of a run for a legend of matplotlib."""
     return plain(run_label(name, recording))
 
 
@@ -359,7 +358,7 @@ def svg(figure: Figure) -> str:
     return text[text.index("<svg") :]
 
 
-def pictures(of: Subject, shown: Any) -> list[dict[str, str]]:
+def pictures(of: str, shown: Any) -> list[dict[str, str]]:
     """The figures of a page that there is something for, as SVG, each with its caption."""
     entries = {name: entry for name, entry in FIGURES[of].items() if not entry.lacks(shown)}
     return [{"name": n, "svg": svg(entry.make(shown)), "caption": entry.caption} for n, entry in entries.items()]

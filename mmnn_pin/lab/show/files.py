@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from html import escape
 from importlib import resources
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +31,14 @@ class HtmlPage:
     Attributes:
         html: The whole page.
         warnings: What could not be shown, one line each.
+        what: What it is, in a word.
+        height: Its height within a notebook, as CSS has it.
     """
 
     html: str = field(repr=False)
     warnings: tuple[str, ...] = ()
-
-    what: ClassVar[str] = "page"
+    what: str = "page"
+    height: str = "80vh"
 
     def __repr__(self) -> str:
         return f'<{self.what}: {self.size / 1e6:.2g} MB; .save("{self.what}.html") writes it>'
@@ -46,9 +48,12 @@ class HtmlPage:
         """Bytes of the page."""
         return len(self.html.encode())
 
-    def within(self, height: str) -> str:
-        """The page as an element for another page, isolated from it, as high as a length of CSS."""
-        look = f"width:100%;height:{height};border:0"
+    def _repr_html_(self) -> str:
+        return self.iframe()
+
+    def iframe(self, height: int | None = None) -> str:
+        """The page as an element for another page, isolated from it; `height` in CSS pixels."""
+        look = f"width:100%;height:{self.height if height is None else f'{height}px'};border:0"
         return (
             f'<iframe title="{self.what}" sandbox="allow-scripts" style="{look}" srcdoc="{escape(self.html)}"></iframe>'
         )
@@ -76,12 +81,13 @@ def web_file(name: str, package: str = __package__) -> str:
 def fill_template(name: str, package: str = __package__, **values: Any) -> str:
     """A template of the folder `web` of a package with its values, and `made`: when that was.
 
-    Templates include one another by name.
+    Templates include one another, and those of this module's folder, by name.
     """
     from jinja2 import Environment, FunctionLoader
 
     made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    loader = FunctionLoader(lambda other: web_file(other, package))
+    own = {file.name for file in resources.files(package).joinpath("web").iterdir()}
+    loader = FunctionLoader(lambda other: web_file(other, package if other in own else __package__))
     templates = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return templates.get_template(name).render(made=made, **values)
 

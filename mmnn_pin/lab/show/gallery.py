@@ -1,6 +1,7 @@
-"""All figures by name: for `mmnn plot`, for an experiment's run, and for a recording in a notebook.
+"""All that shows results: figures by name for `mmnn plot` and an experiment's run, and what objects show of themselves.
 
-Importing this module fills the register: every module with figures is imported here.
+Importing this module fills the registers: every module that shows something is imported here, and then what stands
+above the package (`shown.filled`).
 """
 
 from __future__ import annotations
@@ -8,32 +9,30 @@ from __future__ import annotations
 import base64
 import io
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections import ChainMap
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ...deploy.identify.identification import Identification
 from ...errors import InputError, UnknownName
 from ...recording.recording import Recording
-from ...settings.shown import AsText
+from ...shown import AsText, filled, shows
 from ..experiments.result import Result
-from ..study.results import Results
-from . import comparison, contest, plots, study, thesis_figures
-from .figure import FIGURES, RC, save, write_figures
-from .proof import figures
+from ..study.sweep import Sweep
+from . import comparison, identified, plots, psi, psi_figures, robots, study, study_figures, thesis_figures
+from .figure import FIGURES, RC, FigureEntry, save, write_figures
 from .replay import page
+from .report import report
 from .table import WIDTH
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MODULES = (plots, thesis_figures, contest, figures)
-PICTURES: Mapping[str, Callable[[Mapping[str, Recording]], Figure]] = {
-    name: entry.make for name, entry in (FIGURES["runs"] | FIGURES["proof"]).items()
-}
-# The same of a study's results and of a contest's standing.
-OF = {kind: {name: entry.make for name, entry in FIGURES[kind].items()} for kind in ("study", "contest")}
+MODULES = (identified, plots, psi, psi_figures, robots, study_figures, thesis_figures)  # that register themselves
+PICTURES: Mapping[str, FigureEntry] = ChainMap(FIGURES["judged"], FIGURES["runs"])  # of runs
 NOTEBOOK = ("errors", "path", "torque")
 MOST = 5_000_000  # bytes of a replay that goes into a notebook
 
@@ -47,8 +46,7 @@ def write_pictures(
         RecordingError: A file that cannot be written.
     """
     runs = {name: recording for name, recording in recordings.items() if len(recording)}
-    entries = FIGURES["runs"] | FIGURES["proof"]
-    return write_figures({name: entries[name] for name in names}, runs, folder, force)
+    return write_figures({name: PICTURES[name] for name in names}, runs, folder, force)
 
 
 def require_plots(names: Iterable[str]) -> None:
@@ -103,24 +101,27 @@ class Picture:
         return save(self.figure, path)
 
 
+@shows(Result, "table")
 def tables(result: Result) -> Shown:
     """The tables of an experiment with its notes, as wide as the terminal."""
     found = "".join(f"\nnote: {note}" for note in comparison.notes(result))
     return Shown(comparison.render(result, width=columns()) + ("\n" + found if found else ""))
 
 
-def sweep_table(results: Results, factor: str) -> Shown:
-    """What every value of a factor did, as text."""
-    return Shown(study.levels_text(results, factor, columns()))
+@shows(Sweep, "table")
+def sweep_table(sweep: Sweep) -> Shown:
+    """The results at every value of a factor, as text."""
+    return Shown(study.levels_text(sweep.results, sweep.key, columns()))
 
 
-def sweep_picture(results: Results) -> Picture:
+@shows(Sweep, "plot")
+def sweep_picture(sweep: Sweep) -> Picture:
     """Errors against what was swept.
 
     Raises:
         RecordingError: It is no number.
     """
-    return Picture("sweep", FIGURES["study"]["study-errors"].make(results))
+    return Picture("sweep", FIGURES["study"]["study-errors"].make(sweep.results))
 
 
 def columns() -> int:
@@ -128,7 +129,8 @@ def columns() -> int:
     return max(80, shutil.get_terminal_size((WIDTH, 24)).columns)
 
 
-def picture(what: str, recordings: Mapping[str, Recording]) -> Picture:
+@shows(Result, "plot")
+def picture(recordings: Mapping[str, Recording], what: str) -> Picture:
     """A figure of runs.
 
     Raises:
@@ -137,9 +139,10 @@ def picture(what: str, recordings: Mapping[str, Recording]) -> Picture:
     """
     if what not in PICTURES:
         raise UnknownName("figure", what, PICTURES)
-    return Picture(what, PICTURES[what](recordings))
+    return Picture(what, PICTURES[what].make(recordings))
 
 
+@shows(Recording, "html")
 def notebook_html(recording: Recording) -> str:
     """A recording in a notebook: its summary, its plots, its replay; what it has nothing for is left out."""
     name = str(recording.meta.get("controller", "run"))
@@ -150,7 +153,7 @@ def notebook_html(recording: Recording) -> str:
 def image_of(name: str, recording: Recording, what: str) -> str:
     """A figure as an image; nothing where there is nothing to plot."""
     try:
-        return image(PICTURES[what]({name: recording}), what)
+        return image(PICTURES[what].make({name: recording}), what)
     except InputError:
         return ""
 
@@ -174,3 +177,9 @@ def replay_in(name: str, recording: Recording) -> str:
     if made.size > MOST:
         return f"<p>the replay has {made.size / 1e6:.0f} MB: <code>mmnn replay</code> shows it</p>"
     return made.iframe()
+
+
+shows(Identification, "text")(lambda found: identified.text_of(found.to_dict()))
+shows(Result, "replay")(page)
+shows(Result, "report")(report)
+filled()

@@ -1,4 +1,4 @@
-"""What an identification found: tables for terminal and page, a figure of the motion held out, and the page."""
+"""Tables, figure and page of an identification."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...files import LARGEST, opened, read_bytes
-from .figure import RC, folded, svg
+from .figure import TRUTH, Look, add_legend, folded, new_figure, styled, svg
 from .files import HtmlPage, fill_template
-from .table import WIDTH, Cell, Column, Kind, Line, Table, number, row_of, terminal_text
+from .table import WIDTH, Cell, Column, Kind, Table, TextLine, number, row_of, terminal_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MODELS = {
-    "identified": ("identified", "#0072B2"),
-    "urdf": ("URDF", "#D55E00"),
-    "friction": ("friction alone", "#999999"),
+MODELS: dict[str, tuple[str, Look]] = {
+    "identified": ("identified", {"color": "#0072B2", "linewidth": 1.1}),
+    "urdf": ("URDF", {"color": "#D55E00", "linewidth": 1.1}),
+    "friction": ("friction alone", {"color": "#999999", "linewidth": 1.1}),
 }
 WORDS = (
     "Held out: motion that the fit never saw. Error: RMS of measured minus predicted torque over RMS of measured, both "
@@ -35,9 +35,9 @@ def text_of(report: dict[str, Any], colour: bool = False, width: int = WIDTH) ->
     """The report of an identification as text of at most `width` columns."""
     parts: list[Any] = [headline(report), *(f"warning: {text}" for text in report.get("warnings", ()))]
     for table in (joints_table(report), bodies_table(report), friction_table(report)):
-        parts += ["", Line(table.title, "bold"), table, *table.notes]
+        parts += ["", TextLine(table.title, "bold"), table, *table.notes]
     if report["wheels"]:
-        parts += ["", Line("Wheels", "bold"), wheels_table(report)]
+        parts += ["", TextLine("Wheels", "bold"), wheels_table(report)]
     parts += ["", f"{len(report['base_parameters'])} base parameters, {conditioned(report)}"]
     parts += [f"- {note}" for note in (*unidentified(report), *report["notes"])]
     return terminal_text(parts, colour, width)
@@ -139,7 +139,7 @@ def wheels_table(report: dict[str, Any]) -> Table:
 
 
 def payload_text(load: dict[str, Any]) -> str:
-    """What a hand carries, and how far the robot itself is trusted."""
+    """The load of a hand, and how far the robot itself is trusted, in words."""
     pairs = zip(load["com"], load["com_sd"], strict=True)
     centre = ", ".join("unknown" if sd is None else f"{1e3 * x:.0f} ± {1.96e3 * sd:.0f}" for x, sd in pairs)
     doubt = f"its bodies are taken as {percent(load['doubt'])} off"
@@ -153,7 +153,7 @@ def payload_text(load: dict[str, Any]) -> str:
 
 
 def excitation_text(found: dict[str, Any]) -> str:
-    """What a motion would determine, worst first."""
+    """The parameters that a motion would determine, worst first."""
     columns = (Column("combination", text=True, fold=True), Column("sd", "%"))
     every = found["base_parameters"]
     rows = [row_of(one["combination"], number(100 * one["sd"] / one["size"])) for one in every[:10]]
@@ -180,7 +180,7 @@ def base_table(report: dict[str, Any]) -> Table:
 
 
 def conditioned(report: dict[str, Any]) -> str:
-    """How well the motion tells the base parameters apart."""
+    """The condition of the base parameters: how well the motion tells them apart."""
     if report["condition"] is not None:
         return f"condition number of the weighted regressor {report['condition']:.3g}"
     every = report["base_parameters"]
@@ -188,36 +188,31 @@ def conditioned(report: dict[str, Any]) -> str:
 
 
 def unidentified(report: dict[str, Any]) -> list[str]:
-    """What stays at the URDF, a line each."""
+    """Parameters that stay at the URDF's values, a line each."""
     return [f"{name}: stays at the URDF: {why}" for name, why in report["not_identified"].items()]
 
 
+@styled
 def curves_figure(curves: dict[str, Any]) -> Figure:
     """Measured and predicted efforts of the motion held out, and what is left, joint by joint."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure as NewFigure
-
     names = [str(name) for name in curves["names"]]
-    with rc_context(RC):
-        figure = NewFigure(figsize=(11, 1.9 * len(names) + 0.6), layout="constrained")
-        panels = figure.subplots(len(names), 2, sharex=True, squeeze=False)
-        for i, (name, (left, right)) in enumerate(zip(names, panels, strict=True)):
-            measured = np.where(curves["use"][:, i], curves["measured"][:, i], np.nan)
-            left.plot(curves["time"], measured, color="0.65", lw=3, label="measured")
-            for model, (label, colour) in MODELS.items():
-                predicted = curves[model][:, i]
-                if model == "identified" or np.nanmax(np.abs(predicted), initial=0) < 5 * np.nanmax(
-                    np.abs(measured), initial=1e-9
-                ):
-                    left.plot(curves["time"], predicted, color=colour, lw=1.1, label=label)
-                    right.plot(curves["time"], measured - predicted, color=colour, lw=1.1)
-            left.set(ylabel=folded(name))
-        panels[0, 0].set_title("Measured and predicted efforts [N m or N]")
-        panels[0, 1].set_title("Measured minus predicted")
-        panels[-1, 0].set_xlabel("time [s]")
-        panels[-1, 1].set_xlabel("time [s]")
-        handles = list(panels[0, 0].get_lines())
-        figure.legend(handles, [str(line.get_label()) for line in handles], loc="outside upper center", ncols=4)
+    figure = new_figure(11, 1.9 * len(names) + 0.9)
+    panels = figure.subplots(len(names), 2, sharex=True, squeeze=False)
+    for i, (name, (left, right)) in enumerate(zip(names, panels, strict=True)):
+        measured = np.where(curves["use"][:, i], curves["measured"][:, i], np.nan)
+        left.plot(curves["time"], measured, **TRUTH)
+        most = 5 * np.nanmax(np.abs(measured), initial=1e-9)
+        for model, (_, look) in MODELS.items():
+            predicted = curves[model][:, i]
+            if model == "identified" or np.nanmax(np.abs(predicted), initial=0) < most:
+                left.plot(curves["time"], predicted, **look)
+                right.plot(curves["time"], measured - predicted, **look)
+        left.set(ylabel=folded(name))
+    panels[0, 0].set_title("Measured and predicted efforts [N m or N]")
+    panels[0, 1].set_title("Measured minus predicted")
+    for axes in panels[-1]:
+        axes.set_xlabel("time [s]")
+    add_legend(figure, "Motion held out", [("measured", TRUTH), *MODELS.values()])
     return figure
 
 

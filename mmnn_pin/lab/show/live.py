@@ -25,7 +25,7 @@ from ...elementary.matrices import product
 from ...errors import ConfigError
 from ...loop.stepper import Stepper
 from .replay.page import live_page
-from .serving import FIRST, SEQUENCE, TIME, TRIPPED, Frames, new_memory
+from .serving import FIRST, SEQUENCE, TIME, TRIPPED, SharedFrames, new_memory
 
 CHILD = "from mmnn_pin.lab.show.serving import child; child()"
 PORT = 8124
@@ -61,7 +61,7 @@ class LiveView:
         numbers, page = FIRST + 2 * self.position.size, live_page(robot, self.position, package_dirs)
         memory = new_memory(numbers)
         try:
-            self.numbers = np.frombuffer(Frames(memory, numbers).memory, dtype=np.float64)
+            self.numbers = np.frombuffer(SharedFrames(memory, numbers).memory, dtype=np.float64)
             job = {"file": memory, "numbers": numbers, "rate": rate, "port": port, "bytes": len(page)}
             self.server = subprocess.Popen(
                 [sys.executable, "-P", "-c", CHILD], pass_fds=(memory,), env=environment(),

@@ -7,7 +7,7 @@ comes from `curves`, as in the report.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+STACKED = ("hand", "weights", "residuals")  # charts whose panels stand above each other, without more
 PANELS_PER_COLUMN = 4
 LEARNERS_BESIDE = 5
 NOTE_ROOM = 0.2  # share of an axes' height that is free above the curves for a note
@@ -186,16 +187,6 @@ def path_figure(recordings: Recordings) -> Figure:
     return picture
 
 
-@figure("hand", needs=signals("hand"))
-def hand_figure(recordings: Recordings) -> Figure:
-    """The true hand against its path over time: distance, turning, and the reference's own distance.
-
-    Raises:
-        RecordingError: No recording of a run whose reference is a hand's.
-    """
-    return stack("The hand", recordings, list(curves.hand(recordings)))
-
-
 def draw_path(axes: Axes, pose: Array, look: Look) -> None:
     """Path with ten arrows along the heading, evenly spaced in time."""
     axes.plot(pose[:, 0], pose[:, 1], **look)
@@ -212,26 +203,6 @@ def frame_paths(axes: Axes, scale: Sequence[tuple[Recording, slice]]) -> None:
     shape = np.array([1.6, 1.0])  # width to height
     (x, y), (dx, dy) = (lower + upper) / 2, 0.56 * max(*((upper - lower) / shape), 0.05) * shape
     axes.set(xlim=(x - dx, x + dx), ylim=(y - dy, y + dy))
-
-
-@figure("weights", needs=signals("weight_norm"))
-def weights_figure(recordings: Recordings) -> Figure:
-    """Frobenius norms of all weights of the base's and of the arm's network.
-
-    Raises:
-        RecordingError: No recording of a controller with weights.
-    """
-    return stack("Norms of the weights", recordings, list(curves.weights(recordings)))
-
-
-@figure("residuals", needs=signals(*curves.RESIDUALS))
-def residuals_figure(recordings: Recordings) -> Figure:
-    """What should be zero: motion that the wheels forbid (contact plant), and energy that came from nowhere.
-
-    Raises:
-        RecordingError: No recording that holds one of them.
-    """
-    return stack("Residuals", recordings, list(curves.residuals(recordings)))
 
 
 @figure("step-times")
@@ -309,7 +280,7 @@ def stack(title: str, recordings: Recordings, panels: Sequence[Panel]) -> Figure
 
 
 def stacked(title: str, recordings: Recordings, panels: Mapping[str, Curves]) -> Figure:
-    """The same of curves by label, with those labels left out that no run has a curve for."""
+    """Curves by label above each other on one time axis, without labels that no run has a curve for."""
     return stack(title, recordings, [Panel(label, "", shown) for label, shown in panels.items() if shown])
 
 
@@ -343,3 +314,19 @@ def shade_stops(every: Sequence[Axes], recordings: Recordings) -> list[tuple[str
     for times, axes in itertools.product(stops, every):
         axes.axvspan(times[0], times[-1], linewidth=0, zorder=0, **STOP)
     return [("stopped by the supervisor", {"linewidth": 7, **STOP})] if stops else []
+
+
+def stack_of(name: str) -> Callable[[Recordings], Figure]:
+    """The figure of a chart: its panels above each other."""
+    chart = curves.CHARTS[name]
+
+    def make(recordings: Recordings) -> Figure:
+        panels = list(chart.panels(recordings))
+        require_found(recordings, panels, name)
+        return stack(chart.title, recordings, panels)
+
+    return make
+
+
+for name in STACKED:
+    figure(name)(stack_of(name))

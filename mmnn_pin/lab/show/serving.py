@@ -39,7 +39,7 @@ class Server(ThreadingHTTPServer):
 
     daemon_threads = True
     data: bytes
-    frames: Frames | None = None
+    frames: SharedFrames | None = None
     rate: float = 20.0
     viewers: int = 0
 
@@ -72,7 +72,7 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(data)
 
-    def tell(self, frames: Frames) -> None:
+    def tell(self, frames: SharedFrames) -> None:
         """Send frames until the browser leaves."""
         if self.server.viewers >= VIEWERS:
             self.send_error(503)
@@ -126,7 +126,7 @@ def first_free(port: int, data: bytes) -> Server:
     raise ConfigError(f"no free port in the {PORTS_TRIED} from {port}", why=why, fix=fix, key="--port")
 
 
-class Frames:
+class SharedFrames:
     """The last frame, in memory that two processes share: one writes, the other reads; nobody waits.
 
     Its first number is odd while it is written, so a reader knows a frame that is half old.
@@ -167,7 +167,7 @@ def child() -> None:
     source = sys.stdin.buffer
     job: dict[str, Any] = json.loads(source.readline())
     server = first_free(job["port"], source.read(job["bytes"]))
-    server.frames, server.rate = Frames(job["file"], job["numbers"]), job["rate"]
+    server.frames, server.rate = SharedFrames(job["file"], job["numbers"]), job["rate"]
     print(server.server_address[1], flush=True)
     import threading
 

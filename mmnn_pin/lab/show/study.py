@@ -14,7 +14,7 @@ from ..study.verdict import sentences, verdict
 from .figure import pictures
 from .files import HtmlPage, fill_template
 from .study_figures import shares, shown_unit, titled
-from .table import Cell, Column, Line, Row, Table, grouped, number, row_of, terminal_text
+from .table import Cell, Column, Row, Table, TextLine, grouped, number, row_of, terminal_text
 
 WIDTH = 110
 FIRST = {True: "study-errors", False: "study-factors"}  # what a page shows at once: with gains, their errors
@@ -33,17 +33,17 @@ def render(results: Results, colour: bool = False, width: int = WIDTH) -> str:
     """Verdict, table and caption, as text of at most `width` columns."""
     table = summary(results)
     notes = (f"note: {line}" for line in remarks(results))
-    head: list[str | Line | Table] = [Line(title(results), "bold"), *answer(results)]
-    return terminal_text([*head, table, Line(table.caption, "italic"), *notes], colour, width)
+    head: list[str | TextLine | Table] = [TextLine(title(results), "bold"), *answer(results)]
+    return terminal_text([*head, table, TextLine(table.caption, "italic"), *notes], colour, width)
 
 
 def levels_text(results: Results, factor: str, width: int = WIDTH) -> str:
-    """What the controllers did at every value of a factor, and which to take, as text."""
+    """Results of the controllers at every value of a factor, and which value to take, as text."""
     every = {controller: levels(results, controller, factor) for controller in results.controllers}
     known = any(math.isfinite(level.margin) for found in every.values() for level in found)
     heads = [Column("success", "%"), *[Column("delay margin", "ms")] * known]
     heads += [Column(p, shown_unit(results, p)[1]) for p in results.patterns]
-    tables: list[str | Line | Table] = []
+    tables: list[str | TextLine | Table] = []
     for controller, found in every.items():
         best = best_of(found)
         rows = (
@@ -53,15 +53,15 @@ def levels_text(results: Results, factor: str, width: int = WIDTH) -> str:
             )
             for level in found
         )
-        tables += [Line(controller, "bold"), Table(controller, (Column(factor, text=True), *heads), tuple(rows))]
+        tables += [TextLine(controller, "bold"), Table(controller, (Column(factor, text=True), *heads), tuple(rows))]
     notes = [advice(results, controller, factor) for controller in results.controllers]
     about = "Medians with 95 % intervals. A dash: too few runs completed, or too few runs to bound it."
     about += " Delay margin: the least of the runs; !: below the one asked for (latency.margin)." if known else ""
-    return terminal_text([*tables, Line(about, "italic"), *notes], width=width)
+    return terminal_text([*tables, TextLine(about, "italic"), *notes], width=width)
 
 
 def level_cells(results: Results, level: Level, margins: bool) -> Iterator[str | Cell]:
-    """How many runs completed, their least delay margin, and the median of every metric."""
+    """Cells of a level: share of runs that completed, their least delay margin, and the median of every metric."""
     yield number(100 * level.success.value)
     if margins:
         yield Cell(number(1e3 * level.margin), "bad" if level.short else "", "!" if level.short else "")
@@ -70,21 +70,21 @@ def level_cells(results: Results, level: Level, margins: bool) -> Iterator[str |
 
 
 def title(results: Results) -> str:
-    """What was studied, and how much of it is done."""
+    """Name of the study, and how much of it is done."""
     name = results.settings.title or results.name
     of_all = f" of {results.planned}" if len(results.rows) < results.planned else ""
     return f"{name}: {len(results.rows)} runs{of_all}"
 
 
 def answer(results: Results) -> list[str]:
-    """What the study says, in sentences: which controller, which gains, within which uncertainty."""
+    """The answer of the study in sentences: which controller, which gains, within which uncertainty."""
     found = verdict(results)
     gains = [advice(results, found.controller, gain) for gain in gains_of(results) if found.controller is not None]
     return [*sentences(results, found), *gains]
 
 
 def remarks(results: Results) -> list[str]:
-    """What a reader must know beside the numbers."""
+    """Remarks on missing, failed and refused runs."""
     missing, refused = results.planned - len(results.rows), [r for r in results.rows if r.status == "refused"]
     return [
         *[f"{missing} runs are missing; the same command makes them"] * (missing > 0),
@@ -104,7 +104,7 @@ def summary(results: Results) -> Table:
 
 
 def outcome_rows(results: Results) -> Iterator[Row]:
-    """How many runs ended how, and how many were a success."""
+    """Rows of outcomes: how many runs ended how, and how many were a success."""
     counts = {name: results.outcomes(name) for name in results.controllers}
     statuses = ["completed", *sorted({s for count in counts.values() for s in count} - {"completed"})]
     for status in statuses:
@@ -187,7 +187,7 @@ def page(results: Results, command: str = "") -> HtmlPage:
 
 
 def decides(results: Results) -> list[tuple[str, str]]:
-    """What decides the success of every controller: its factors with a share that chance does not explain."""
+    """The factors that decide the success of every controller: those with a share that chance does not explain."""
     found = []
     for controller, of in shares(results, "success").items():
         strong = sorted((n for n, s in of.items() if s.p < SIGNIFICANT), key=lambda n: -of[n].share)
@@ -226,7 +226,7 @@ def factor_rows(results: Results) -> list[tuple[str, str, str]]:
 
 
 def facts(results: Results) -> list[tuple[str, str]]:
-    """Where the rows come from."""
+    """The origin of the rows: files, machines, versions."""
     meta, hosts = results.meta, sorted({row.host for row in results.rows})
     versions = ", ".join(f"{name} {version}" for name, version in meta["versions"].items())
     sampling = results.settings.sampling

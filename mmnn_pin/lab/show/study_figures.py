@@ -120,7 +120,7 @@ def log_axis(axes: Axes) -> None:
 
 
 def centres(values: Sequence[Any], groups: IntArray, numeric: bool) -> tuple[Array, list[str]]:
-    """Where the bins of a factor stand on an axis, and their labels where they are levels without an order."""
+    """Places of the bins of a factor on an axis, and their labels where they are levels without an order."""
     if not numeric:
         levels = [str(level) for level in levels_of(values, False)]
         return np.arange(len(levels), dtype=float), levels
@@ -129,7 +129,7 @@ def centres(values: Sequence[Any], groups: IntArray, numeric: bool) -> tuple[Arr
 
 
 def shares(results: Results, result: str) -> dict[str, dict[str, Share]]:
-    """What each factor decides of a result, "success" or a metric: controller to factor to its share."""
+    """Share of each factor in a result, "success" or a metric: controller to factor to its share."""
     found = {}
     for controller in results.controllers:
         values = ~results.succeeded(controller) if result == "success" else results.metric(controller, result)
@@ -247,7 +247,7 @@ def success_maps(results: Results) -> Figure:
     caption="First-order share of the variance of ranks; what a factor decides only together with others is not in it.",
 )
 def sensitivity(results: Results) -> Figure:
-    """How much of the success and of the metrics each factor decides alone, for every controller."""
+    """Shares of the success and of the metrics that each factor decides alone, for every controller."""
     chosen = ["success", *results.patterns[:2]]
     names = list(results.factors)
     picture = new_figure(3.4 * len(chosen) + 1.2, 0.9 + 0.2 * max(1, len(names)) * (1 + len(results.controllers)) / 1.6)

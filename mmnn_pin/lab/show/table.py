@@ -7,8 +7,9 @@ or bad. It knows nothing of colours, widths or tags.
 from __future__ import annotations
 
 import math
+import re
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
@@ -16,14 +17,13 @@ from typing import TYPE_CHECKING, Literal
 from ...errors import printable
 
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.table import Table as RichTable
 
 WIDTH = 100  # columns of a terminal
 HEIGHT = 25  # its rows; with both given, rich takes the width even where TERM=dumb
 LABELS = 0.4  # share of a terminal that texts left of numbers keep before the numbers go below each other
-UNBOUNDED = 100_000  # columns that no table needs
-CUT = "\u2026"  # what rich puts where a text is cut off
+UNBOUNDED = 100_000  # columns that no line needs
+NARROWEST = 24  # columns that a text beside others has at least
 Kind = Literal["", "best", "good", "bad", "warn", "dim"]
 STYLES: dict[Kind, str] = {"best": "bold", "good": "green", "bad": "bold red", "warn": "yellow", "dim": "dim"}
 
@@ -109,11 +109,12 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Line:
-    """A line of text in a style of the terminal."""
+class TextLine:
+    """A line of text in a style of the terminal; a whole one, such as a command, is not wrapped."""
 
     text: str
     style: str = ""
+    whole: bool = False
 
 
 def row_of(*cells: str | Cell, ends: bool = False) -> Row:
@@ -127,7 +128,7 @@ def grouped(*groups: Iterable[Row]) -> tuple[Row, ...]:
     return tuple(Row(row.cells, row is rows[-1]) for rows in every for row in rows)
 
 
-def terminal_text(parts: Iterable[str | Line | Table], colour: bool = False, width: int = WIDTH) -> str:
+def terminal_text(parts: Iterable[str | TextLine | Table], colour: bool = False, width: int = WIDTH) -> str:
     """Lines and tables as text of at most `width` columns.
 
     Args:
@@ -141,15 +142,16 @@ def terminal_text(parts: Iterable[str | Line | Table], colour: bool = False, wid
     colours: Literal["standard"] | None = "standard" if colour else None
     console = Console(width=width, height=HEIGHT, force_terminal=colour, color_system=colours)
     with console.capture() as capture:
-        for part in (Line(part) if isinstance(part, str) else part for part in parts):
+        for part in (TextLine(part) if isinstance(part, str) else part for part in parts):
             if isinstance(part, Table):
                 for piece in folded(safe(part), width):
-                    console.print(laid_out(piece, console))
+                    console.print(terminal_table(piece, width))
             else:
-                console.print(
-                    Text(wrapped(printable(part.text, "\n"), width)), style=part.style or None, soft_wrap=True
-                )
-    return "\n".join(line.rstrip() for line in capture.get().splitlines())
+                room, text = UNBOUNDED if part.whole else width, printable(part.text, "\n")
+                lines = Text("\n".join(hanging("", line, room) for line in text.split("\n")))
+                console.print(lines, style=part.style or None, soft_wrap=True)
+    text = "\n".join(line.rstrip() for line in capture.get().splitlines())
+    return re.sub(r"\n{3,}", "\n\n", text)  # a table ends and begins with an empty line
 
 
 def safe(table: Table) -> Table:
@@ -160,10 +162,17 @@ def safe(table: Table) -> Table:
     return replace(table, columns=tuple(heads), rows=tuple(rows))
 
 
-def wrapped(text: str, width: int) -> str:
-    """A text in lines of at most `width` letters; a word that is longer, such as a path, stays whole."""
-    room = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False, replace_whitespace=False)
-    return "\n".join("\n".join(room.wrap(line)) for line in text.split("\n"))
+def hanging(head: str, text: str, width: int) -> str:
+    """A text behind a head, its lines below each other, at most `width` columns wide.
+
+    A longer word, such as a path, stays whole. Where the head leaves no room, the text stands on lines of its own.
+    """
+    room = textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
+    if len(head) > width - NARROWEST:
+        room.initial_indent = room.subsequent_indent = "  "
+        return f"{head.rstrip()}\n{room.fill(text)}"
+    room.initial_indent, room.subsequent_indent = head, " " * len(head)
+    return room.fill(text)
 
 
 def folded(table: Table, width: int) -> list[Table]:
@@ -173,7 +182,7 @@ def folded(table: Table, width: int) -> list[Table]:
     first = heads
     while first < len(table.columns) or not pieces:
         end = len(table.columns)
-        while end > first + 1 and not fits(of_columns(table, heads, first, end), width):
+        while end > first + 1 and excess(piece := of_columns(table, heads, first, end), least(piece, width), width) > 0:
             end -= 1
         pieces.append(of_columns(table, heads, first, end))
         first = end
@@ -187,81 +196,70 @@ def of_columns(table: Table, heads: int, first: int, end: int) -> Table:
     return replace(table, columns=tuple(table.columns[i] for i in kept), rows=rows)
 
 
-def fits(table: Table, width: int) -> bool:
-    """Whether nothing of a table is cut off on a terminal, no word is broken, and texts left of numbers have room."""
-    from rich.console import Console
-
-    if gives_way(table):  # to any number, were it to be folded
-        first, *others = table.columns
-        width += max(0, widest(table) - least(table, width))
-        table = replace(table, columns=(replace(first, fold=False), *others))
-    console = Console(width=width, height=HEIGHT, color_system=None)
-    with console.capture() as capture:
-        console.print(terminal_table(table))
-    cut = CUT in capture.get() and not any(CUT in cell.text for row in table.rows for cell in row.cells)
-    return not cut and words_of(table) <= {*capture.get().split()}
+def excess(table: Table, widths: Sequence[int], width: int) -> int:
+    """Letters by which a table with columns of these widths is wider than a terminal."""
+    return 2 + sum(widths) + (1 + table.gap) * (len(widths) - 1) - width
 
 
-def gives_way(table: Table) -> bool:
-    """Whether texts left of a table's numbers may be folded."""
-    first = table.columns[0]
-    return first.text and first.fold and not all(column.text for column in table.columns)
+def terminal_texts(table: Table) -> list[list[str]]:
+    """Head and cells of every column as a terminal shows them; cells leave room for marks if one of theirs has some."""
+    texts, group = [], ""
+    for i, column in enumerate(table.columns):
+        above = f"{broken(column.group, column.letters)}\n" if column.group not in ("", group) else ""
+        unit = f" [{column.unit}]" if column.unit else ""
+        cells = [row.cells[i] if i < len(row.cells) else Cell("") for row in table.rows]
+        is_marked, group = any(cell.mark for cell in cells), column.group
+        rooms = [f" {cell.mark or ' '}" if is_marked and cell.text else "" for cell in cells]
+        own = (c.text.replace("\n", f"{room}\n") + room for c, room in zip(cells, rooms, strict=True))
+        texts.append([f"{above}{broken(column.heading, column.letters)}{unit}", *own])
+    return texts
 
 
-def words_of(table: Table) -> set[str]:
-    """The words in columns that may be folded."""
-    texts = [broken(column.heading, column.letters) for column in table.columns if column.fold]
-    for row in table.rows:
-        texts += [cell.text for cell, column in zip(row.cells, table.columns, strict=False) if column.fold]
-    return {word for text in texts for word in text.split()}
+def natural(table: Table) -> list[int]:
+    """Letters of the longest line of every column."""
+    from rich.cells import cell_len
+
+    return [max(cell_len(line) for text in column for line in text.split("\n")) for column in terminal_texts(table)]
 
 
-def laid_out(table: Table, console: Console) -> RichTable:
-    """A table for a terminal: texts left of numbers give way to these no further than to `least`."""
-    made = terminal_table(table)
-    natural = console.measure(made, options=console.options.update(width=UNBOUNDED)).maximum
-    if gives_way(table) and natural > console.width:
-        made.columns[0].width = least(table, console.width)
-    return made
+def least(table: Table, width: int) -> list[int]:
+    """Letters that every column keeps on a narrow terminal: its longest word where it may be folded, else all.
+
+    Texts left of numbers keep their share of the terminal, too.
+    """
+    from rich.cells import cell_len
+
+    found, is_all_text = natural(table), all(column.text for column in table.columns)
+    for i, (column, texts) in enumerate(zip(table.columns, terminal_texts(table), strict=True)):
+        if column.fold:
+            words = [cell_len(word) for text in texts for word in text.split()]
+            share = round(LABELS * width) if i == 0 and column.text and not is_all_text else 0
+            found[i] = max(*words, min(found[i], share), 0)
+    return found
 
 
-def widest(table: Table) -> int:
-    """Letters of the longest line in the first column."""
-    return max(len(line) for text in first_texts(table) for line in text.split("\n"))
+def column_widths(table: Table, width: int) -> list[int]:
+    """Letters of every column: the widest ones give way where a terminal is narrow, as far as `least` lets them."""
+    found, smallest = natural(table), least(table, width)
+    while excess(table, found, width) > 0 and (wide := [i for i, n in enumerate(found) if n > smallest[i]]):
+        found[max(wide, key=found.__getitem__)] -= 1
+    return found
 
 
-def least(table: Table, width: int) -> int:
-    """Letters that the first column keeps: its longest word, and its share of the terminal if it needs that."""
-    word = max((len(word) for text in first_texts(table) for word in text.split()), default=0)
-    return max(word, min(widest(table), round(LABELS * width)))
-
-
-def first_texts(table: Table) -> list[str]:
-    """Heading and cells of the first column."""
-    return [table.columns[0].heading, *(row.cells[0].text for row in table.rows)]
-
-
-def terminal_table(table: Table) -> RichTable:
-    """A table for rich; the cells of a column leave room for marks if any of them has one."""
+def terminal_table(table: Table, width: int) -> RichTable:
+    """A table for rich, at most so wide as a terminal where its columns can be."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table as RichTable
     from rich.text import Text
 
     made = RichTable(box=SIMPLE_HEAD, padding=(0, 0, 0, table.gap), pad_edge=False)
-    marked = {i for row in table.rows for i, cell in enumerate(row.cells) if cell.mark}
-    group = ""
-    for column in table.columns:
-        above = f"{broken(column.group, column.letters)}\n" if column.group != group else ""
-        unit = f" [{column.unit}]" if column.unit else ""
-        head = Text(f"{above if column.group else ''}{broken(column.heading, column.letters)}{unit}")
+    texts = terminal_texts(table)
+    for column, (head, *_), letters in zip(table.columns, texts, column_widths(table, width), strict=True):
         justify: Literal["left", "right"] = "left" if column.text else "right"
-        made.add_column(head, justify=justify, no_wrap=not column.fold, overflow="fold" if column.fold else "ellipsis")
-        group = column.group
-    for row in table.rows:
-        cells = []
-        for i, cell in enumerate(row.cells):
-            room = f" {cell.mark or ' '}" if i in marked and cell.text else ""
-            cells.append(Text("\n".join(f"{line}{room}" for line in cell.text.split("\n")), STYLES.get(cell.kind, "")))
+        overflow: Literal["fold", "ellipsis"] = "fold" if column.fold else "ellipsis"
+        made.add_column(Text(head), justify=justify, no_wrap=not column.fold, overflow=overflow, width=letters)
+    for i, row in enumerate(table.rows):
+        cells = (Text(own[i + 1], STYLES.get(cell.kind, "")) for own, cell in zip(texts, row.cells, strict=False))
         made.add_row(*cells, end_section=row.ends)
     return made
 

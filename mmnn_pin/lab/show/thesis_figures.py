@@ -192,7 +192,7 @@ def draw_curves(axes: Axes, signal: str, curves: Sequence[Curve], ranges: Sequen
     axes.set_ylim(limits([shown(values, ranges) for values in (*seen, edges)]))
     for _, recording, column, look in curves:
         axes.plot(recording.time, shown(recording[signal][:, column], ranges), **look)
-    for statistic in {known.statistic for known in ranges}:
+    for statistic in sorted({known.statistic for known in ranges}):
         mark_extreme(axes, signal, curves, ranges, np.nanargmax if statistic == "max" else np.nanargmin)
     styles = styles_of_controllers([name for name, *_ in curves])
     for name, recording, column, _ in curves:
@@ -205,11 +205,7 @@ def shown(values: Array, ranges: Sequence[FigureRange]) -> Array:
 
 
 def mark_extreme(
-    axes: Axes,
-    signal: str,
-    curves: Sequence[Curve],
-    ranges: Sequence[FigureRange],
-    place: Callable[[Array], np.intp],
+    axes: Axes, signal: str, curves: Sequence[Curve], ranges: Sequence[FigureRange], place: Callable[[Array], np.intp]
 ) -> None:
     """Ring at the extreme of all curves of a plot."""
     values = [shown(recording[signal][:, column], ranges) for _, recording, column, _ in curves]

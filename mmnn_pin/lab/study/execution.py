@@ -1,11 +1,12 @@
-"""A study is carried out: judged before anything is written, its missing runs made and stored, a row run again."""
+"""A study is carried out: judged before anything is written, its missing runs made and stored, one made again."""
 
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import queue
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -17,22 +18,20 @@ import msgspec
 from ... import __version__
 from ...errors import InputError, MmnnError, StudyError
 from ...loop.batch import needed_bytes
-from ...loop.compiled import CompiledLoop
-from ...loop.side_by_side import WORTH
 from ...recording.metrics import Reducer, metrics
 from ...recording.versions import versions
 from ..experiments.controllers import EFFECTIVE
 from .plan import Plan, short
-from .pools import Pool, root_of
+from .pools import Pool, run_side_by_side
 from .results import DEFAULT, require_patterns, units_of, value_of
 from .settings import StudySettings, placing
-from .store import NAME, Store, Stored, reading
-from .worker import JobResult, Row, loop_of, robots_of, run
+from .store import NAME, Store, TrialResult, encoded, reading
+from .worker import Trial, loop_of, robots_of
 
-AGAIN = ("failed", "interrupted")  # statuses of rows that the next session runs again
-AT_A_TIME, MOST_AT_A_TIME = 0.5, 64  # how long the runs of a call are to take [s], and how many they are at most
+AGAIN = ("failed", "interrupted")  # statuses of runs that the next session makes again
+LOOK = 1.0  # between looks whether the pool is still there [s]
 LOST = "the same command goes on with what is missing"
-COSMETIC = ("title", "metrics", "success", "tune")  # settings that change no row
+COSMETIC = ("title", "metrics", "success", "tune")  # settings that change no run
 
 
 # -- before the first run ----------------------------------------------------------------------------------------------
@@ -43,12 +42,10 @@ class Probe:
     """What is known of a study before it runs.
 
     Attributes:
-        compiled: Whether the compiled engine runs all controllers.
         units: Metric to its unit.
         bytes_per_run: Memory that a run takes while it runs.
     """
 
-    compiled: bool
     units: dict[str, str]
     bytes_per_run: int
 
@@ -61,26 +58,23 @@ def probe(plan: Plan) -> Probe:
     """
     loops = []
     for number in range(len(plan.controllers)):
-        row = plan.row(number)
-        name = EFFECTIVE.get(row.controller, row.controller)
-        experiment = msgspec.structs.replace(row.experiment, controllers=(name,))
+        trial = plan.trial(number)
+        name = EFFECTIVE.get(trial.controller, trial.controller)
+        experiment = msgspec.structs.replace(trial.experiment, controllers=(name,))
         try:
-            loop = loop_of(replace(row, experiment=experiment))
-            loops.append((loop, loop.engine_at(), row))
+            loops.append(loop_of(replace(trial, experiment=experiment)))
+            engine = loops[-1].engine_at()
         except InputError as error:
             raise plan.blamed(error) from None
-    loop, engine, row = loops[0]
-    facts = loop.facts() | {"loop": engine.name}
-    names = list(Reducer.of(loop.layout, facts, row.experiment.windows).result())
+    facts = loops[-1].facts() | {"loop": engine.name}
+    names = list(Reducer.of(loops[-1].layout, facts, trial.experiment.windows).result())
     settings = plan.study.settings
     wanted = {"metrics": settings.metrics or (), "success.at_most": tuple(settings.success.at_most)}
     wanted |= {"tune.objective": (settings.tune.objective,)} if settings.tune is not None else {}
     with placing(plan.study.path):
         for key, patterns in wanted.items():
             require_patterns(patterns, names, key)
-    units = units_of(names, robots_of(row, None)[0])
-    size = max(needed_bytes([loop], False, 1) for loop, _, _ in loops)
-    return Probe(all(isinstance(engine, CompiledLoop) for _, engine, _ in loops), units, size)
+    return Probe(units_of(names, robots_of(trial, None)[0]), max(needed_bytes([loop], False, 1) for loop in loops))
 
 
 def shown(settings: StudySettings, names: Sequence[str]) -> tuple[str, ...]:
@@ -91,45 +85,43 @@ def shown(settings: StudySettings, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def judged(path: Path) -> str:
-    """Digest of the plan whose points this version judged before it wrote a database; empty where there is none.
+    """Digest of the plan whose points this version judged before it wrote results; empty where there are none.
 
     Raises:
         StudyError: As in `reading`.
     """
-    if not path.is_file() or not path.stat().st_size:
-        return ""
-    with reading(path) as store:
-        meta = store.meta()
-    return str(meta.get("plan", "")) if meta.get("mmnn_pin") == __version__ else ""
+    facts = reading(path).facts if path.is_file() else {}
+    return str(facts.get("plan", "")) if facts.get("mmnn_pin") == __version__ else ""
 
 
-def missing_rows(store: Store, plan: Plan, found: Probe, force: bool) -> list[int]:
-    """Rows that are still to be run, after the database has agreed to the study's settings.
+def missing_trials(store: Store, plan: Plan, found: Probe, force: bool) -> list[int]:
+    """Numbers of the runs that are still to be made, once the results agree with the study's settings.
 
     Args:
-        store: The database.
+        store: The results.
         plan: The study's runs.
         found: What is known of them.
-        force: Give up rows that the settings no longer have; the others stay.
+        force: Give up results that the settings no longer have; the others stay.
 
     Raises:
-        StudyError: It holds rows of other settings, and `force` is off.
+        StudyError: There are results of other settings, and `force` is off.
     """
-    fingerprints = list(plan.fingerprints())
-    before, rows = store.meta(), store.fingerprints()
-    kept = [print_ for print_ in fingerprints if print_ in rows]
-    if rows and (before.get("plan"), before.get("mmnn_pin")) != (plan.digest, __version__):
+    numbers = {fingerprint: i for i, fingerprint in enumerate(plan.fingerprints())}
+    same_code, now = store.facts.get("mmnn_pin") == __version__, facts(plan, found)
+    if store.results and not (same_code and store.facts.get("plan") == plan.digest):
+        kept = {numbers[r.fingerprint]: r for r in store.results if r.fingerprint in numbers}
         if not force:
-            raise changed_settings(store.path, before, plan, len(rows), len(kept))
-        same_code = before.get("mmnn_pin") == __version__
-        store.renumber({p: i for i, p in enumerate(fingerprints)} if same_code else {})
-        rows = store.fingerprints()
-    store.set_meta(facts(plan, found))
-    return [i for i, p in enumerate(fingerprints) if p not in rows or rows[p][1] in AGAIN]
+            raise changed_settings(store, plan, len(kept))
+        again = sorted(kept.items()) if same_code else []
+        store.rewrite(now, [msgspec.structs.replace(result, id=i) for i, result in again])
+    elif store.facts != json.loads(encoded(now)):
+        store.add(now)
+    done = {result.fingerprint for result in store.results if result.status not in AGAIN}
+    return [i for i, fingerprint in enumerate(plan.fingerprints()) if fingerprint not in done]
 
 
 def facts(plan: Plan, found: Probe) -> dict[str, Any]:
-    """What the database holds of its study."""
+    """The facts that stand before the results."""
     study = plan.study
     return {
         "mmnn_pin": __version__,
@@ -147,19 +139,20 @@ def facts(plan: Plan, found: Probe) -> dict[str, Any]:
     }
 
 
-def changed_settings(path: Path, before: dict[str, Any], plan: Plan, rows: int, kept: int) -> StudyError:
-    """The complaint about a database of other settings."""
+def changed_settings(store: Store, plan: Plan, kept: int) -> StudyError:
+    """The complaint about results of other settings."""
+    before, rows = store.facts, len(store.results)
     if before.get("mmnn_pin") != __version__:
         why = f"mmnn_pin {before.get('mmnn_pin')} wrote its {rows} rows, this is {__version__}"
         fix = "--force drops them and starts anew; or choose another folder with --out"
-        return StudyError("the rows are of another version", why=why, fix=fix, file=path)
+        return StudyError("the rows are of another version", why=why, fix=fix, file=store.path)
     settings = {k: v for k, v in msgspec.to_builtins(plan.study.settings).items() if k not in COSMETIC}
-    old = {k: v for k, v in before.get("settings", {}).items() if k not in COSMETIC}
-    different = [*differences(old, settings), *differences(before.get("experiment", {}), plan.table, "experiment.")]
+    old = {k: v for k, v in before["settings"].items() if k not in COSMETIC}
+    different = [*differences(old, settings), *differences(before["experiment"], plan.table, "experiment.")]
     what = ", ".join(different[:4]) + (f" and {len(different) - 4} more" if len(different) > 4 else "")
     why = f"changed: {what or 'a file of the robot'}; {kept} of {rows} stored rows are also in the new study"
     fix = "--force keeps these and drops the others; or choose another folder with --out"
-    return StudyError("the study has other settings than its database", why=why, fix=fix, file=path)
+    return StudyError("the study has other settings than its results", why=why, fix=fix, file=store.path)
 
 
 def differences(one: Any, other: Any, prefix: str = "") -> list[str]:
@@ -174,109 +167,74 @@ def differences(one: Any, other: Any, prefix: str = "") -> list[str]:
 
 
 def fill(
-    store: Store, plan: Plan, missing: list[int], pool: Pool, progress: Callable[[JobResult], None] = lambda done: None
+    store: Store,
+    plan: Plan,
+    missing: Sequence[int],
+    pool: Pool,
+    progress: Callable[[TrialResult], None] = lambda result: None,
 ) -> None:
-    """Run rows and store them.
+    """Make runs and store their results.
 
     Args:
         store: Takes them.
-        plan: All rows.
-        missing: Numbers of those to run.
-        pool: Makes the runs.
+        plan: All runs.
+        missing: Numbers of those to make.
+        pool: Makes them.
         progress: Called after each.
 
     Raises:
         MmnnError: As in `execute`.
     """
-    worth = len(missing) * plan.base.time.samples >= WORTH * pool.processes
-    for group in execute(pool, plan, missing, worth=worth):
-        ended = [(row, done) for row, done in group if done.status != "interrupted"]
-        store.add_all(
-            (row.fingerprint, row.point, row.controller, row.seed, row.parameters, done) for row, done in ended
-        )
-        for _, done in ended:
-            progress(done)
+    for result in execute(pool, plan, missing):
+        if result.status != "interrupted":
+            store.add(result)
+            progress(result)
 
 
 def execute(
-    pool: Pool, plan: Plan, numbers: Sequence[int], handed: dict[str, Any] | None = None, worth: bool = False
-) -> Iterator[list[tuple[Row, JobResult]]]:
-    """Make runs, some in a call, given back when the call has ended, in any order.
-
-    A call has as many as take `AT_A_TIME`: a kill loses little, and short ones cost little to hand out and to store.
+    pool: Pool, plan: Plan, numbers: Sequence[int], handed: dict[str, Any] | None = None
+) -> Iterator[TrialResult]:
+    """Make runs, given back as they end, in any order.
 
     Args:
         pool: Makes them.
         plan: All runs.
         numbers: Of those to make.
         handed: Robots' files that the pool has already, by digest; it is added to.
-        worth: See `worker.run`.
 
     Raises:
         MmnnError: The pool is lost; what was given back is done.
         StudyError: A worker cannot make runs of this study.
     """
-    finished: queue.SimpleQueue[Future[list[JobResult]]] = queue.SimpleQueue()
-    pending: dict[Future[list[JobResult]], list[Row]] = {}
-    again: list[list[Row]] = []
-    size, alone, left = 1, pool.first_alone, len(numbers)
-    waiting = groups(plan, map(plan.row, numbers), lambda: size)
-    files: dict[str, Any] = {} if handed is None else handed
+    finished: queue.SimpleQueue[Future[TrialResult]] = queue.SimpleQueue()
+    pending: dict[Future[TrialResult], Trial] = {}
+    waiting, files = map(plan.trial, numbers), {} if handed is None else handed
     try:
         while True:
-            room = (1 if alone else pool.window()) - len(pending)
-            for group in itertools.islice(itertools.chain(taken(again), waiting), max(room, 0)):
-                bundle = plan.bundle(group[0].experiment)
+            room = (pool.window() if pool.is_warm else 1) - len(pending)
+            for trial in itertools.islice(waiting, max(room, 0)):
+                bundle = plan.bundle(trial.experiment)
                 if bundle.digest not in files:  # the pool gets the files of a robot once
                     files[bundle.digest] = pool.share(bundle)
-                future = pool.executor.submit(run, group, files[bundle.digest], pool.stop, worth)
-                pending[future] = group
+                future = pool.executor.submit(run_side_by_side, trial, files[bundle.digest])
+                pending[future] = trial
                 future.add_done_callback(finished.put)
             if not pending:
                 return
             try:
-                future = finished.get(timeout=1.0)
+                future = finished.get(timeout=LOOK)
             except queue.Empty:
                 pool.check()
                 continue
-            group = pending.pop(future)
-            if (done := results_of(future, group, pool)) is None:
-                again += [[row] for row in group]
-                continue
-            yield list(zip(group, done, strict=True))
-            left -= len(group)
-            size, alone = min(together(done), max(left // pool.window(), 1)), False
+            yield result_of(future, pending.pop(future), pool)
+            pool.is_warm = True
     finally:
         for future in pending:
             future.cancel()
 
 
-def groups(plan: Plan, rows: Iterable[Row], size: Callable[[], int]) -> Iterator[list[Row]]:
-    """Runs of one robot's files, so many at a time."""
-    group: list[Row] = []
-    for row in rows:
-        if group and (len(group) >= size() or plan.bundle(row.experiment) is not plan.bundle(group[0].experiment)):
-            yield group
-            group = []
-        group.append(row)
-    if group:
-        yield group
-
-
-def taken(groups: list[list[Row]]) -> Iterator[list[Row]]:
-    """The groups, taken out of their list."""
-    while groups:
-        yield groups.pop()
-
-
-def together(done: Sequence[JobResult]) -> int:
-    """How many runs a call is to have, after those of one."""
-    each = sum(result.seconds for result in done) / len(done)
-    return int(min(max(AT_A_TIME / max(each, 1e-6), 1), MOST_AT_A_TIME))
-
-
-def results_of(future: Future[list[JobResult]], rows: Sequence[Row], pool: Pool) -> list[JobResult] | None:
-    """Results of runs; None for some that kill their workers again and again, of which one alone has failed.
+def result_of(future: Future[TrialResult], trial: Trial, pool: Pool) -> TrialResult:
+    """Result of a run; a failure where it killed its workers again and again.
 
     Raises:
         MmnnError, StudyError: As in `execute`.
@@ -290,38 +248,34 @@ def results_of(future: Future[list[JobResult]], rows: Sequence[Row], pool: Pool)
     except CancelledError as error:
         pool.check()
         raise MmnnError(f"{pool.place} no longer knows its runs: was it stopped? {LOST}") from error
-    except ModuleNotFoundError as error:
-        fix = "install the same version of mmnn_pin there as here"
-        raise StudyError(f"a worker has no {root_of(error)}", fix=fix) from error
     except Exception as error:
         if type(error).__name__ == "KilledWorker":
-            message = "the workers that ran it died, one after the other"
-            return [JobResult(row.id, "failed", message=message) for row in rows] if len(rows) == 1 else None
+            return trial.result("failed", message="the workers that ran it died, one after the other")
         raise MmnnError(f"a worker failed: {type(error).__name__}: {error}; {LOST}") from error
 
 
-# -- a row again -------------------------------------------------------------------------------------------------------
+# -- a run again -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Rerun:
-    """A row that was run again.
+    """A run that was made again.
 
     Attributes:
-        row: The row.
+        trial: The run.
         file: Its recording.
         status: How it ended.
         message: One line for people.
         metrics: Its numbers.
-        stored: The row in the database; None if it is not there, or there with other settings.
+        stored: The stored result; None if there is none, or one with other settings.
     """
 
-    row: Row
+    trial: Trial
     file: Path
     status: str
     message: str
     metrics: dict[str, float]
-    stored: Stored | None
+    stored: TrialResult | None
 
     @property
     def different(self) -> list[str]:
@@ -338,53 +292,49 @@ class Rerun:
         return None if self.stored is None else not self.different
 
     def to_dict(self) -> dict[str, Any]:
-        """The same for JSON."""
+        """The comparison for JSON."""
         numbers = {name: value if math.isfinite(value) else None for name, value in self.metrics.items()}
-        about = {"row": self.row.id, "controller": self.row.controller, "seed": self.row.seed}
-        about |= {"parameters": self.row.parameters, "file": str(self.file), "outcome": self.status}
+        about = {"row": self.trial.id, "controller": self.trial.controller, "seed": self.trial.seed}
+        about |= {"parameters": self.trial.parameters, "file": str(self.file), "outcome": self.status}
         return about | {"message": self.message, "metrics": numbers, "same": self.same, "different": self.different}
 
     def describe(self) -> str:
-        """The same for people."""
-        values = ", ".join(f"{name} = {short(value)}" for name, value in self.row.parameters.items())
+        """The comparison for people."""
+        values = ", ".join(f"{name} = {short(value)}" for name, value in self.trial.parameters.items())
         if self.stored is None:
-            compared = "not in the database with these settings, so nothing to compare"
+            compared = "not stored with these settings, so nothing to compare"
         elif self.different:
             names = ", ".join(self.different[:6])
             compared = f"OTHER numbers than the stored ones (made on {self.stored.host}): {names}"
         else:
             compared = f"the same numbers as stored, bit for bit: all {len(self.metrics)}"
-        who = f"row {self.row.id}: {self.row.controller}, seed {self.row.seed}"
+        who = f"row {self.trial.id}: {self.trial.controller}, seed {self.trial.seed}"
         end = f"{self.status}: {self.message}" if self.message else self.status
         return f"{who}\n  {values}\n  {end}\n  {compared}\nwrote {self.file}"
 
 
 def rerun(plan: Plan, number: int, folder: Path, force: bool = False) -> Rerun:
-    """Run a row alone and record all its signals in `folder/rows/NUMBER.h5`.
+    """Make a run alone and record all its signals in `folder/rows/NUMBER.h5`.
 
     Args:
         plan: The study's runs.
-        number: The row's.
-        folder: Of the database.
+        number: The run's.
+        folder: Of the results.
         force: Replace the recording.
 
     Raises:
-        ConfigError: No such row.
+        ConfigError: No such run.
         RecordingError: The recording exists.
         InputError: The run cannot be made.
     """
-    row = plan.row(number)
+    trial = plan.trial(number)
     file = folder / "rows" / f"{number}.h5"
-    loop = loop_of(row)
-    about = {"experiment": f"{plan.study.name} row {number}", "config": row.experiment.to_json()}
-    recording = loop.run(file, force=force, meta=about | {"study_parameters": row.parameters})
-    stored = None
-    if (folder / NAME).exists():
-        with reading(folder / NAME) as store:
-            stored = store.row(number)
-    stored = stored if stored is not None and stored.fingerprint == row.fingerprint else None
+    about = {"experiment": f"{plan.study.name} row {number}", "config": trial.experiment.to_json()}
+    recording = loop_of(trial).run(file, force=force, meta=about | {"study_parameters": trial.parameters})
+    results = reading(folder / NAME).results if (folder / NAME).exists() else []
+    stored = next((r for r in results if (r.id, r.fingerprint) == (number, trial.fingerprint)), None)
     outcome = recording.outcome
-    return Rerun(row, file, outcome.status, outcome.message, metrics(recording, row.experiment.windows), stored)
+    return Rerun(trial, file, outcome.status, outcome.message, metrics(recording, trial.experiment.windows), stored)
 
 
 def same(one: float | None, other: float | None) -> bool:

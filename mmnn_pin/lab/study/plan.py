@@ -26,12 +26,12 @@ from ..experiments.laws import LAW, digest_of, name_of
 from .factors import Factor, unit_cube
 from .keys import changed, deep, flat, require_path
 from .settings import MOST, StudyFile, placing
-from .worker import Bundle, Row, code_digest, load_once
+from .worker import Bundle, Trial, code_digest, load_once
 
 # Keys that change no number of a run; a study does not vary them. Its rows are judged by its own `success`.
 COSMETIC = (
     *("title", "variant", "controllers", "plots", "torque_limits", "weights_interval"),
-    *("cases", "tolerance", "contest"),
+    *("cases", "tolerance"),
 )
 ROBOT = ("robot", "overrides")  # decide which robot is loaded
 KINDS = {field.name: field.type for field in msgspec.structs.fields(Experiment)}
@@ -84,7 +84,7 @@ class Plan:
         """Hash of all fingerprints."""
         return hashlib.sha256(" ".join(self._fingerprints).encode()).hexdigest()
 
-    def row(self, i: int) -> Row:
+    def trial(self, i: int) -> Trial:
         """Run i.
 
         Raises:
@@ -98,7 +98,7 @@ class Plan:
         controller, parameters = self.controllers[which_controller], self.points[point]
         common, settings = self.experiment(parameters, self.seeds[which_seed])
         experiment = msgspec.structs.replace(common, controllers=(controller,))
-        return Row(
+        return Trial(
             id=i,
             point=point,
             controller=controller,

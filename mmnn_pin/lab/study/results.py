@@ -1,4 +1,4 @@
-"""The rows of a study's database as arrays: outcomes, successes and metrics of every controller on equal draws.
+"""The results of a study's runs as arrays: outcomes, successes and metrics of every controller on equal draws.
 
 Metrics are named by patterns; a run without a number counts as the worst.
 """
@@ -26,11 +26,9 @@ from ...signals import Array, IntArray
 from .factors import Factor, draws_of, is_number
 from .keys import near
 from .settings import StudySettings
-from .store import AGAIN, NAME, Stored, reading
+from .store import AGAIN, NAME, TrialResult, reading
 
 DEFAULT = ("pose_error.[xy].peak", "pose_error.phi.peak", "e.*.peak", "effort")
-
-NEEDED = ("name", "file", "rows", "metrics", "units", "controllers", "versions")  # facts beside the settings
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +36,7 @@ class Results:
     """What a study gave so far.
 
     Attributes:
-        path: The database.
+        path: Their file.
         name: The study's name.
         settings: The study's settings.
         planned: Number of its runs.
@@ -46,24 +44,24 @@ class Results:
         failed: Rows that failed for a fault and will be run again.
         patterns: Metrics to show.
         units: Metric to its unit.
-        meta: All facts in the database.
+        meta: All facts of the study.
     """
 
     path: Path
     name: str
     settings: StudySettings
     planned: int
-    rows: Sequence[Stored] = field(repr=False)
-    failed: Sequence[Stored] = field(repr=False)
+    rows: Sequence[TrialResult] = field(repr=False)
+    failed: Sequence[TrialResult] = field(repr=False)
     patterns: tuple[str, ...]
     units: Mapping[str, str]
     meta: Mapping[str, Any] = field(repr=False)
     _found: dict[tuple[str, str], Array] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
-    def of(self) -> dict[str, list[Stored]]:
+    def of(self) -> dict[str, list[TrialResult]]:
         """Rows of every controller, in the same order of draws and seeds."""
-        table: dict[str, list[Stored]] = {name: [] for name in self.meta["controllers"]}
+        table: dict[str, list[TrialResult]] = {name: [] for name in self.meta["controllers"]}
         for row in self.rows:
             table[row.controller].append(row)
         return table
@@ -137,32 +135,29 @@ def worth(status: str, metrics: Mapping[str, float], pattern: str) -> float:
 
 
 def load_results(path: Path) -> Results:
-    """Results of a study's database, or of the folder that holds one.
+    """Results of a study's file, or of the folder that holds one.
 
     Raises:
         StudyError: There is none, it is of another version, or has no rows yet.
     """
     path = path / NAME if path.is_dir() else path
-    with reading(path) as store:
-        meta, rows = store.meta(), store.rows()
-    if "settings" not in meta or not rows:
+    store = reading(path)
+    meta, rows = store.facts, store.results
+    if not rows:
         raise StudyError("holds no rows yet", fix="let `mmnn study` run for a while", file=path)
     try:
         settings = msgspec.convert(meta["settings"], StudySettings)
     except (msgspec.ValidationError, InputError) as error:
         why = " ".join(str(error).removeprefix("error: ").split())
         raise StudyError("its settings cannot be read", why=why, fix=AGAIN, file=path) from error
-    if missing := [key for key in NEEDED if key not in meta]:
-        raise StudyError(f"it does not hold the fact '{missing[0]}'", fix=AGAIN, file=path)
     for row in rows:
         require_of(row, settings, meta["controllers"], path)
-    done = [row for row in rows if row.status != "failed"]
     return Results(
         path=path,
         name=meta["name"],
         settings=settings,
         planned=meta["rows"],
-        rows=done,
+        rows=[row for row in rows if row.status != "failed"],
         failed=[row for row in rows if row.status == "failed"],
         patterns=tuple(meta["metrics"]),
         units=meta["units"],
@@ -170,7 +165,7 @@ def load_results(path: Path) -> Results:
     )
 
 
-def require_of(row: Stored, settings: StudySettings, controllers: Sequence[str], path: Path) -> None:
+def require_of(row: TrialResult, settings: StudySettings, controllers: Sequence[str], path: Path) -> None:
     """Refuse a row that is none of the study's.
 
     Raises:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +23,14 @@ from ...recording.versions import versions
 from ...reference import Trajectory
 from ...settings import plain
 from ...settings.arguments import checked_but, fits, shortly
-from ...settings.shown import Picture, Table
+from ...shown import Picture, Table, shown
 from ..experiments.compare import Assembled, Controllers, assembled
 from ..experiments.controllers import EFFECTIVE
 from .choice import ASKED, MARGIN, Level, best_of, levels
 from .factors import Factor
 from .results import Results, require_patterns, units_of, value_of
 from .settings import StudySettings
-from .store import Stored
+from .store import TrialResult
 
 LIGHT, HEAVY = 0.8, 1.25  # masses of the robots that are tried, over those of the file
 RUNS = 8  # of every controller at every value: fewer give no interval of a median
@@ -72,12 +71,12 @@ class Sweep:
 
     def table(self) -> Table:
         """A line for every value, and which to take; it prints as text."""
-        made: Table = import_module("mmnn_pin.lab.show.gallery").sweep_table(self.results, self.key)
+        made: Table = shown(self, "table")
         return made
 
     def plot(self) -> Picture:
         """Error against the value with intervals; `.save("sweep.svg")` writes it."""
-        made: Picture = import_module("mmnn_pin.lab.show.gallery").sweep_picture(self.results)
+        made: Picture = shown(self, "plot")
         return made
 
     def __repr__(self) -> str:
@@ -197,14 +196,14 @@ def loops_of(made: Assembled, i: int, runs: int, masses: tuple[float, float]) ->
     return found
 
 
-def row_of(number: int, key: str, job: tuple[Any, int, str, Loop], run: Run) -> Stored:
+def row_of(number: int, key: str, job: tuple[Any, int, str, Loop], run: Run) -> TrialResult:
     """A run as the row of a study, with its delay margin and the one that is asked for."""
     (value, draw, controller, loop), end = job, run.outcome
     margins = {MARGIN: loop.delay_margin(), ASKED: loop.latency.margin + loop.latency.total}
-    return Stored(
+    return TrialResult(
         id=number, status=end.status, time=end.time, signal=end.signal, message=end.message,
         metrics=run.metrics | margins,
-        fingerprint="", point=draw, controller=controller, seed=draw, parameters={key: plain(value)}, finished="",
+        point=draw, controller=controller, seed=draw, parameters={key: plain(value)},
     )  # fmt: skip
 
 

@@ -8,7 +8,6 @@ gains break it.
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import math
 import shlex
@@ -32,18 +31,18 @@ from ...sensing import Sensor
 from ...signals import Array, IntArray
 from ...torque.neural import Neural
 from ..experiments.config import value_at
-from ..proof.rate import rate_of
-from ..proof.subject import Subject
+from ..psi.rate import rate_of
+from ..psi.subject import Subject
 from .execution import execute
 from .factors import Factor, draws_of
 from .intervals import Interval, quantile
 from .keys import require_path, times
 from .plan import Plan, changed_base, plan_of
-from .pools import Pool
+from .pools import Pool, optional
 from .results import worth
 from .settings import StudyFile, Tune, placing
-from .store import AGAIN, require_kept, require_there, storage_error
-from .worker import loop_of, optional
+from .store import AGAIN, ROOM
+from .worker import loop_of
 
 NAME = "tune.sqlite"
 FRESH = 7919  # added to the seed of the draws for those that judge the result
@@ -120,12 +119,11 @@ class Scorer:
         if complaints := list(violations(plan)):
             return Score(np.zeros(0), self.tune.quantile, len(complaints) / len(judged(plan)), complaints[0])
         metric, runs = np.full(len(plan), math.inf), [(dict[str, Any](), 0)] * len(plan)
-        for row, done in itertools.chain.from_iterable(execute(self.pool, plan, range(len(plan)), self.handed)):
-            if done.status == "failed":
-                raise MmnnError(f"a run failed: {done.message}")
-            metric[row.id] = worth(done.status, done.metrics, self.tune.objective)
-            runs[row.id] = row.parameters, row.seed
-        self.pool = replace(self.pool, first_alone=False)
+        for result in execute(self.pool, plan, range(len(plan)), self.handed):
+            if result.status == "failed":
+                raise MmnnError(f"a run failed: {result.message}")
+            metric[result.id] = worth(result.status, result.metrics, self.tune.objective)
+            runs[result.id] = result.parameters, result.seed
         return Score(metric, self.tune.quantile, draws=draws_of(self.study.settings.factors, runs))
 
     def plan(self, gains: Mapping[str, Any]) -> Plan:
@@ -189,7 +187,7 @@ def violations(plan: Plan) -> Iterator[str]:
         for number in judged(plan, most):
             try:
                 if number not in refused:
-                    constraint(loop_of(plan.row(number)))
+                    constraint(loop_of(plan.trial(number)))
             except ConfigError as error:
                 refused.add(number)
                 yield f"row {number}: {error.what}"
@@ -323,8 +321,21 @@ def search(
             require_there(folder / NAME)
             trials.tell(trial, score.value)
             values = [one.value for one in finished(optuna, trials)]
-            require_kept(folder / NAME, len(values) > done)
+            if len(values) == done:  # a search would go on for ever
+                why, fix = "it does not keep the trials that are written", "choose another folder with --out"
+                raise StudyError("the database is damaged", why=why, fix=fix, file=folder / NAME)
             progress(done + 1, min(values))
+
+
+def require_there(path: Path) -> None:
+    """Refuse to go on where a database was taken away: trials would go into a file without a name, and be lost.
+
+    Raises:
+        StudyError: It is gone.
+    """
+    if not path.is_file():
+        fix = "leave its folder where it is until the search is over; the same command goes on with what is there"
+        raise StudyError("cannot write the database", why="it is gone", fix=fix, file=path)
 
 
 def result(study: StudyFile, folder: Path, pool: Pool | None) -> Tuned:
@@ -393,16 +404,17 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
     """The trials in a database, made if they are not there.
 
     Raises:
-        StudyError: They are of other settings, and `force` is off; or the file is not Optuna's.
+        StudyError: They are of other settings, and `force` is off; or the file is not Optuna's, or cannot be written.
     """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     asked = {"mmnn_pin": __version__, "tune": fingerprint(study)}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
+    storage = trials = None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             storage = optuna.storages.RDBStorage(f"sqlite:///{file.absolute()}")
             trials = optuna.create_study(study_name="tune", storage=storage, direction="minimize", load_if_exists=True)
-            if trials.user_attrs and trials.user_attrs != asked:
+            if trials.user_attrs not in ({}, asked):
                 if not force:
                     fix = "--force drops these trials and starts anew; or choose another folder with --out"
                     raise StudyError("the trials are of another study or version", fix=fix, file=file)
@@ -411,17 +423,18 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
             for key, value in asked.items():
                 trials.set_user_attr(key, value)
             require_sound(optuna, trials, study, file)
-        except StudyError:
+        yield trials
+    except MmnnError:
+        raise
+    except Exception as error:  # SQLAlchemy's, which comes with Optuna; whatever a damaged database leads to
+        inner = error.__cause__ or error
+        if trials is not None and type(inner).__module__.partition(".")[0] not in ("sqlalchemy", "sqlite3", "optuna"):
             raise
-        except Exception as error:  # SQLAlchemy's, which comes with Optuna
-            why = " ".join(str(error).split())[:200]
-            found = storage_error(error, file)
-            raise found if found and found.fix else StudyError("cannot open the trials", why=why, file=file) from None
-        try:
-            yield trials
-        except Exception as error:
-            raise storage_error(error, file) or error from None
-        finally:
+        why = str(getattr(inner, "orig", None) or inner).partition("\n")[0][:200]
+        fix = ROOM if "full" in why or "disk I/O" in why else ""
+        raise StudyError("the database cannot be used", why=why, fix=fix, file=file) from error
+    finally:
+        if storage is not None:
             storage.remove_session()
             storage.engine.dispose()
 

@@ -1,6 +1,6 @@
-"""Runs of a study, made wherever they are sent: in a thread, in a process, on another machine.
+"""One run of a study, made wherever it is sent: in this process, in another one, on another machine.
 
-Some `Row`s go out and as many `JobResult`s come back. The robot's files travel beside them as a `Bundle`: the URDF, its
+A `Trial` goes out and a `TrialResult` comes back. The robot's files travel beside it as a `Bundle`: the URDF, its
 meshes, and what is declared about it. On the other side the meshes lie beside the URDF under names of their own, so
 that no folder of the first machine needs to exist there.
 """
@@ -10,20 +10,17 @@ from __future__ import annotations
 import atexit
 import copy
 import hashlib
-import importlib
 import importlib.util
 import shutil
 import socket
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, lru_cache, partial
+from datetime import UTC, datetime
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
-from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 from lxml import etree
@@ -31,7 +28,7 @@ from lxml import etree
 import mmnn_pin
 
 from ...errors import InputError, StudyError
-from ...loop.batch import Run, Started, groups_of, simulate, simulate_group
+from ...loop.batch import simulate
 from ...loop.loop import Loop
 from ...model.base.overrides import Overrides, folders_of, with_file
 from ...model.loading import load_with
@@ -43,13 +40,13 @@ from ...recording.recording import as_columns
 from ...signals import Array
 from ..experiments.controllers import EFFECTIVE
 from ..experiments.experiment import Experiment
+from .store import TrialResult
 
-T = TypeVar("T")
-STOP = threading.Event()  # set in a process whose runs are to end
+STOP: Any = threading.Event()  # set in a process whose runs are to end
 
 
 @dataclass(frozen=True)
-class Row:
+class Trial:
     """One run of a study, as a worker gets it.
 
     Attributes:
@@ -74,129 +71,62 @@ class Row:
     fingerprint: str
     code: str
 
-
-@dataclass(frozen=True)
-class JobResult:
-    """What a worker sends back.
-
-    Attributes:
-        id: The row's number.
-        status: Of its outcome, or "refused" (these settings cannot be run) or "failed" (a fault; it is run again).
-        time: When it ended [s].
-        signal: Signal that went first.
-        message: One line for people.
-        metrics: See `Reducer.result`.
-        seconds: Wall-clock time that it took [s].
-        host: Machine that ran it.
-    """
-
-    id: int
-    status: str
-    time: float = 0.0
-    signal: str = ""
-    message: str = ""
-    metrics: dict[str, float] = field(default_factory=dict)
-    seconds: float = 0.0
-    host: str = ""
+    def result(self, status: Any, **more: Any) -> TrialResult:
+        """Its result, on this machine and at this time; arguments as in `TrialResult`."""
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        return TrialResult(
+            **{name: getattr(self, name) for name in ("id", "point", "controller", "seed", "parameters")},
+            fingerprint=self.fingerprint, status=status, host=socket.gethostname(), finished=now, **more,
+        )  # fmt: skip
 
 
-def run(
-    rows: Sequence[Row],
-    bundle: Bundle | None = None,
-    stop: Callable[[], bool] | None = None,
-    worth: bool = False,
-) -> list[JobResult]:
-    """Make runs, side by side where they can go so; whatever is wrong with one is part of its result.
+def run(trial: Trial, bundle: Bundle | None = None) -> TrialResult:
+    """Make a run; whatever is wrong with it is part of its result.
 
     Args:
-        rows: The runs.
-        bundle: Files of their robot; None where they are on this machine.
-        stop: Asked now and then; true ends the runs as interrupted.
-        worth: Whether there are so many of them that compiling for runs side by side is worth while.
+        trial: The run.
+        bundle: Files of its robot; None where they are on this machine.
 
     Raises:
-        StudyError: This worker has other sources, or lacks a package that a run needs.
+        StudyError: This worker has other sources, or lacks a package that the run needs.
     """
-    stop = stop or STOP.is_set
-    loops, results, took = dict[int, Loop](), dict[int, JobResult](), list[float]()
-    for i, row in enumerate(rows):
-        require_worker(row)
-        begun = time.perf_counter()
-        made = tried(row, stop, partial(loop_of, row, bundle, stop))
-        took.append(time.perf_counter() - begun)
-        if isinstance(made, Loop):
-            loops[i] = made
-        else:
-            results[i] = made
-    for places in groups_of(loops, loops, 1):
-        done = run_group([rows[i] for i in places], [loops[i] for i in places], stop, worth)
-        results |= zip(places, done, strict=True)
-    return [replace(results[i], seconds=results[i].seconds + took[i]) for i in range(len(rows))]
-
-
-def run_group(rows: Sequence[Row], loops: Sequence[Loop], stop: Callable[[], bool], worth: bool) -> list[JobResult]:
-    """Make runs that may go side by side; where that fails, one after the other, so that each has its own result."""
-    if len(rows) > 1:
-        with suppress(Exception):
-            begun = time.perf_counter()
-            pairs = zip(rows, loops, strict=True)
-            started = [Started(loop, None, row.experiment.windows, False) for row, loop in pairs]
-            ended = simulate_group(started, worth, stop)
-            took = (time.perf_counter() - begun) / len(rows)
-            return [result_of(row, one, took) for row, one in zip(rows, ended, strict=True)]
-    return [run_alone(row, loop, stop) for row, loop in zip(rows, loops, strict=True)]
-
-
-def run_alone(row: Row, loop: Loop, stop: Callable[[], bool]) -> JobResult:
-    """Make a run."""
+    require_worker(trial)
     begun = time.perf_counter()
-    ended = tried(row, stop, partial(simulate, loop, None, row.experiment.windows, False, stop))
-    return ended if isinstance(ended, JobResult) else result_of(row, ended, time.perf_counter() - begun)
-
-
-def tried(row: Row, stop: Callable[[], bool], make: Callable[[], T]) -> T | JobResult:
-    """What a part of a run gives; the run's result where it fails, or is not begun any more."""
-    host = socket.gethostname()
     try:
-        return JobResult(row.id, "interrupted", host=host) if stop() else make()
+        ended = simulate(loop_of(trial, bundle), None, trial.experiment.windows, False, STOP.is_set)
     except Exception as error:
-        if stop():
-            return JobResult(row.id, "interrupted", host=host)
         refused = isinstance(error, InputError)
-        message = str(error) if refused else f"{type(error).__name__}: {error}"
-        return JobResult(row.id, "refused" if refused else "failed", message=" ".join(message.split()), host=host)
+        message = " ".join((str(error) if refused else f"{type(error).__name__}: {error}").split())
+        status = "interrupted" if STOP.is_set() else "refused" if refused else "failed"
+        return trial.result(status, message=message, seconds=time.perf_counter() - begun)
+    end = {name: getattr(ended.outcome, name) for name in ("status", "time", "signal", "message")}
+    return trial.result(**end, metrics=ended.metrics, seconds=time.perf_counter() - begun)
 
 
-def result_of(row: Row, ended: Run, took: float) -> JobResult:
-    """What is sent back of a run that took so long [s]."""
-    end, host = ended.outcome, socket.gethostname()
-    return JobResult(row.id, end.status, end.time, end.signal, end.message, ended.metrics, took, host)
-
-
-def loop_of(row: Row, bundle: Bundle | None = None, stop: Callable[[], bool] = STOP.is_set) -> Loop:
+def loop_of(trial: Trial, bundle: Bundle | None = None) -> Loop:
     """The closed loop of a run. Its gains are not judged: a loop that is unstable when sampled diverges, and counts.
 
     Raises:
         InputError: It cannot be made.
     """
-    experiment = row.experiment
+    experiment = trial.experiment
     (name,) = experiment.controllers
-    robot, nominal = robots_of(row, bundle)
+    robot, nominal = robots_of(trial, bundle)
     gains: Array | None = None
     if name in EFFECTIVE:  # PD at a learner's gain needs the learner's run
-        learner = replace(row, experiment=msgspec.structs.replace(experiment, controllers=(EFFECTIVE[name],)))
-        result = simulate(loop_of(learner, bundle, stop), None, experiment.windows, True, stop)
+        learner = replace(trial, experiment=msgspec.structs.replace(experiment, controllers=(EFFECTIVE[name],)))
+        result = simulate(loop_of(learner, bundle), None, experiment.windows, True, STOP.is_set)
         assert result.recording is not None
         gains = as_columns(result.recording["effective_gain"])
     loop = experiment.loop(robot, experiment.controller(name, gains, nominal or robot))
     return replace(loop, nominal=nominal, check_gains=False)
 
 
-def robots_of(row: Row, bundle: Bundle | None) -> tuple[Robot, Robot | None]:
+def robots_of(trial: Trial, bundle: Bundle | None) -> tuple[Robot, Robot | None]:
     """The true robot of a run, and the one that its controller is made for where it is another."""
-    experiment = row.experiment
+    experiment = trial.experiment
     robot = load_once(experiment.robot, experiment.overrides) if bundle is None else bundle.load()
-    return experiment.made_true(robot), None if row.nominal is None else row.nominal.made_true(robot)
+    return experiment.made_true(robot), None if trial.nominal is None else trial.nominal.made_true(robot)
 
 
 @dataclass(frozen=True)
@@ -271,37 +201,19 @@ def load_once(robot: str, overrides: Overrides) -> Robot:
     return load_with(robot, overrides)
 
 
-def require_worker(row: Row) -> None:
+def require_worker(trial: Trial) -> None:
     """Refuse to run with other sources than the study's, or without a package that the run needs.
 
     Raises:
         StudyError: With the worker's machine.
     """
     here = socket.gethostname()
-    if row.code != code_digest():
+    if trial.code != code_digest():
         fix = "install the same version of mmnn_pin on all machines"
         raise StudyError(f"the worker on {here} runs other code of mmnn_pin than this machine", fix=fix)
-    if row.experiment.plant == "contact" and importlib.util.find_spec("mujoco") is None:
+    if trial.experiment.plant == "contact" and importlib.util.find_spec("mujoco") is None:
         what, fix = f"the worker on {here} has no mujoco", "pip install 'mmnn_pin[contact]' there"
         raise StudyError(what, why="the contact plant needs it", fix=fix)
-
-
-def optional(what: str, extra: str, *modules: str) -> ModuleType:
-    """The first of some modules, which all have to be installed.
-
-    Args:
-        what: What cannot be done without them.
-        extra: The extra of this package that installs them.
-        modules: Their names.
-
-    Raises:
-        StudyError: One is not installed.
-    """
-    try:
-        found = [importlib.import_module(name) for name in modules]
-    except ModuleNotFoundError as error:
-        raise StudyError(what, why=f"no {error.name}", fix=f"pip install 'mmnn_pin[{extra}]'") from None
-    return found[0]
 
 
 @cache

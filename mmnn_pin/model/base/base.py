@@ -1,4 +1,4 @@
-"""What all bases share: how wheels roll, what that forbids, and the motions that are left.
+"""The base, as all kinds share it: how wheels roll, what that forbids, and the motions that are left.
 
 Frames: the *root* link's frame at rest (z up), and the *control frame* of the base: on the floor, at the middle of the
 drive axle (holonomic: at the centroid of the wheels), x along the rolling direction (the one nearer the root's x), y
@@ -90,7 +90,7 @@ class PoseEnergy(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Base:
-    """What carries the arm, and how it can move; a kind of base is a child, in a module with the law that drives it.
+    """A mobile base and how it can move; a kind of base is a child, in a module with the law that drives it.
 
     Attributes:
         kind: Its name, `differential_drive`, `holonomic` or `fixed`.
@@ -99,6 +99,9 @@ class Base:
             left [rad/s].
         columns: Which of the control frame's `(vx, vy, w)` the base velocities are.
         gain_names: Fields of `Kinematic` with the gains of its law.
+        sideways: Whether it moves to the side, too: its velocities are `(vx, vy, w)`, else `(v, w)`.
+        two_sided: Whether its wheels stand on a left and a right side, each of one rim speed.
+        scrubs: Whether its wheels slide over the floor where it turns: dry friction opposes that.
         wheels: Drive wheels, left before right. A holonomic base without any is driven by forces on its frame.
         track: Lateral distance between the contact points of the drive wheels [m]; 0 for a fixed arm. Of a skid-steer
             base the effective one.
@@ -115,6 +118,9 @@ class Base:
     velocity_names: ClassVar[tuple[str, ...]]
     columns: ClassVar[list[int]]
     gain_names: ClassVar[tuple[str, ...]]
+    sideways: ClassVar[bool] = False
+    two_sided: ClassVar[bool] = False
+    scrubs: ClassVar[bool] = False
 
     wheels: tuple[Wheel, ...] = ()
     track: float = 0.0
@@ -169,7 +175,7 @@ class Base:
         return [yaw_rate if name == "w" else speed for name in cls.velocity_names]
 
     def with_radii(self, factors: Mapping[str, float]) -> Self:
-        """The same base on wheels whose radii are other by a factor, every wheel's by its joint."""
+        """A copy on wheels whose radii are other by a factor, every wheel's by its joint."""
         return replace(self, wheels=tuple(replace(w, radius=w.radius * factors[w.joint]) for w in self.wheels))
 
     # -- its maps -----------------------------------------------------------------------------------------------------
@@ -180,9 +186,9 @@ class Base:
         return 3 if self.columns else 0
 
     @property
-    def is_pushed(self) -> bool:
-        """Whether forces on its frame drive it, in the place of wheels."""
-        return False
+    def pushes(self) -> tuple[str, ...]:
+        """Names of the forces along its own axes that drive it in the place of wheels; mostly none."""
+        return ()
 
     @property
     def locked(self) -> tuple[str, ...]:
@@ -191,7 +197,7 @@ class Base:
 
     @property
     def axle_x(self) -> float:
-        """Where the control frame lies along the root link's x [m]."""
+        """Place of the control frame along the root link's x [m]."""
         return float(self.frame[0])
 
     @cached_property

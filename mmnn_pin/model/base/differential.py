@@ -23,6 +23,7 @@ class DifferentialDrive(Base):
     velocity_names = ("v", "w")
     columns: ClassVar[list[int]] = [0, 2]
     gain_names = ("kx", "ky", "kth")
+    two_sided = True
 
     @staticmethod
     def linear_errors(v_ref: Array, gains: Array) -> LinearErrors:

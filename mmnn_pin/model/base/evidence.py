@@ -1,8 +1,13 @@
-"""What a file says about its base beside its geometry: rollers, contact friction, plugins, controllers, names.
+"""Evidence of a base beside its geometry: rollers, contact friction, plugins, controllers, names; and stated lengths.
 
 Geometry cannot tell mecanum wheels from plain ones: both are four parallel cylinders. Each piece of evidence speaks
 for one of `holonomic` and `skid_steer`, and says where it stands. Names and transmissions only confirm what another
-piece says. Plugins and a controllers' file also state a radius and a track: second opinions on what was measured.
+piece says. Plugins and YAML files of the robot's controllers also state a radius and a track.
+
+A length that a controller works with is the stated one times its multipliers, as `diff_drive_controller` of
+ros-controls/ros2_controllers (6.9.0) has them: `wheel_separation_multiplier`, `left_wheel_radius_multiplier` and
+`right_wheel_radius_multiplier` (ROS 1 also `wheel_radius_multiplier`). Keys are read by their indentation, so far as
+such files go: mappings, flow mappings on one line, lists.
 """
 
 from __future__ import annotations
@@ -12,17 +17,18 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from lxml import etree
 
-from mmnn_pin.signals import Array
-
 from ...elementary import atan2
+from ...errors import ConfigError
+from ...files import read_bytes, reason
+from ...signals import Array
+from ..urdf.document import number_problem
+from ..urdf.packages import package_of
 from ..urdf.shapes import HORIZONTAL, AtRest
-from ..urdf.xml import number_problem
-from .controllers import Stated, in_yaml, lines_of
 from .wheels import Candidate
 
 Meaning = Literal["holonomic", "skid_steer"]
@@ -33,6 +39,18 @@ WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
 MOVED = re.compile(r"joint|wheel", re.IGNORECASE)  # tags of plugins that name what they drive
 READS = re.compile(r"state[_-]?publisher|force[_-]?torque|ft[_-]?sensor", re.IGNORECASE)  # plugins that drive nothing
 NO_FRICTION, GRIP = 1e-3, 0.2  # friction coefficients below the first slide, above the second hold
+LONGEST, YAMLS = 1_000_000, 40  # bytes of a controllers' file, files looked at beside a robot's
+# Names of plugins and controllers for a length, and the factor to it.
+TRACKS = {"wheel_separation": 1.0, "wheelSeparation": 1.0, "track_width": 1.0, "wheel_separation_y": 1.0}
+RADII = {"wheel_radius": 1.0, "wheelRadius": 1.0, "wheel_diameter": 0.5, "wheelDiameter": 0.5, "wheels_radius": 1.0}
+FACTORS = {  # what else a controller multiplies them by
+    "wheel_separation": ("wheel_separation_multiplier",),
+    "wheel_radius": ("wheel_radius_multiplier", "{side}_wheel_radius_multiplier"),
+}
+SIDES = ("left", "right")
+KEY = re.compile(r"['\"]?([^\s'\"{}\[\],]+?)['\"]?\s*:(?:\s+|$)(.*)")
+FLOW = re.compile(r"[{,]\s*['\"]?([^\s'\"{}\[\],:]+)['\"]?\s*:\s*([^{}\[\],]+)")
+STEERED = re.compile(r"(?:ackermann|bicycle|tricycle)(?:_steering)?_controller|steering_controllers_library")
 
 
 @dataclass(frozen=True)
@@ -79,15 +97,15 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
     ]
 
 
-def verdict(found: list[Evidence]) -> Meaning | None:
-    """What the deciding pieces agree on, None when there is none or they disagree."""
-    meanings = {piece.meaning for piece in found if piece.decides}
+def verdict(pieces: list[Evidence]) -> Meaning | None:
+    """The kind of base that the deciding pieces agree on, None when there are none or they disagree."""
+    meanings = {piece.meaning for piece in pieces if piece.decides}
     return meanings.pop() if len(meanings) == 1 else None
 
 
-def stated_rollers(found: list[Evidence]) -> dict[str, float]:
+def stated_rollers(pieces: list[Evidence]) -> dict[str, float]:
     """Roller angle of every wheel whose angle a piece states [rad]."""
-    return {piece.wheel: piece.roller for piece in found if not math.isnan(piece.roller)}
+    return {piece.wheel: piece.roller for piece in pieces if not math.isnan(piece.roller)}
 
 
 def rollers(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -139,8 +157,8 @@ def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     for joint in rest.document.root.iterfind("ros2_control/joint"):
         states[joint.get("name", "")] = joint.find("command_interface") is not None
         lines[joint.get("name", "")] = joint.sourceline
-    told = {wheel.joint.name: states[wheel.joint.name] for wheel in wheels if wheel.joint.name in states}
-    driven = [name for name, commanded in told.items() if commanded]
+    commanded_by_name = {wheel.joint.name: states[wheel.joint.name] for wheel in wheels if wheel.joint.name in states}
+    driven = [name for name, commanded in commanded_by_name.items() if commanded]
     if 0 < len(driven) < len(wheels):
         text = f"<ros2_control> commands only {', '.join(driven)} (line {lines[driven[0]]})"
         yield Evidence("skid_steer", text, lines[driven[0]])
@@ -233,42 +251,173 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
                     break
 
 
-# -- what is stated beside the geometry --------------------------------------------------------------------------------
-
-
-def stated(rest: AtRest, controllers: str | None, names: dict[str, float]) -> list[Stated]:
-    """What the file's plugins and the controllers' file state under some names, each value once.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
-    """
-    found: list[Stated] = []
-    for element in rest.document.root.iterfind("gazebo//*"):
-        if element.tag in names and not number_problem(text := (element.text or "").strip(), 1):
-            value = float(text) * names[element.tag]
-            found.append(Stated(value, f"<{element.tag}> (line {element.sourceline})", value))
-    found += in_yaml(controllers, names)
-    return list({(round(one.value, 9), one.side): one for one in reversed(found) if one.value > 0}.values())[::-1]
+# -- what drives its joints --------------------------------------------------------------------------------------------
 
 
 def motors_named(rest: AtRest) -> dict[str, str]:
     """Joints that plugins, `ros2_control` commands or transmissions drive, each with where it stands."""
-    root, found = rest.document.root, dict[str, str]()
+    root, drivers = rest.document.root, dict[str, str]()
     for element in root.iterfind("transmission//*"):
         tag = str(element.tag).lower()
         if "joint" in tag and not tag.startswith("passive"):  # PR2's have flexJoint, gap_joint, passive_joint
-            found[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
+            drivers[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
     for element in root.iterfind("ros2_control/joint"):
         if element.find("command_interface") is not None:
-            found[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
+            drivers[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
     for element in root.iterfind("gazebo//*"):
         if MOVED.search(str(element.tag)) and not reads_only(element):
             for name in re.split(r"[\s,]+", element.text or ""):
-                found[name] = f"<{element.tag}> (line {element.sourceline})"
-    return {name: where for name, where in found.items() if name in rest.document.joints}
+                drivers[name] = f"<{element.tag}> (line {element.sourceline})"
+    return {name: where for name, where in drivers.items() if name in rest.document.joints}
 
 
 def reads_only(element: etree._Element) -> bool:
     """Whether what names a joint in a gazebo tag is a sensor, or a plugin that publishes its state."""
     above = list(element.iterancestors("sensor", "plugin"))
     return any(e.tag == "sensor" or READS.search(f"{e.get('filename')} {e.get('name')}") for e in above)
+
+
+# -- lengths that are stated -------------------------------------------------------------------------------------------
+
+
+class Stated(NamedTuple):
+    """A length of the base that a file states.
+
+    Attributes:
+        value: As the controller works with it [m].
+        text: Where it stands.
+        nominal: Without multipliers [m].
+        side: Whose wheels it is of, "left" or "right"; empty for all.
+    """
+
+    value: float
+    text: str
+    nominal: float
+    side: str = ""
+
+
+def stated(rest: AtRest, controllers: str | None, names: dict[str, float]) -> list[Stated]:
+    """Lengths that the file's plugins and the controllers' file state under some names, each value once.
+
+    Raises:
+        ConfigError: The controllers' file cannot be read.
+    """
+    lengths: list[Stated] = []
+    for element in rest.document.root.iterfind("gazebo//*"):
+        if element.tag in names and not number_problem(text := (element.text or "").strip(), 1):
+            value = float(text) * names[element.tag]
+            lengths.append(Stated(value, f"<{element.tag}> (line {element.sourceline})", value))
+    lengths += in_yaml(controllers, names)
+    return list(
+        {(round(length.value, 9), length.side): length for length in reversed(lengths) if length.value > 0}.values()
+    )[::-1]
+
+
+def in_yaml(file: str | None, names: dict[str, float]) -> Iterator[Stated]:
+    """Lengths that a controllers' file states under some names, one for each side where they differ.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    for table in tables_of(file):
+        for key in [key for key in table if key in names]:
+            nominal = number_of(table, key, 0.0) * names[key]
+            where = f"{Path(file or '').name}, line {table[key].line}"
+            known = {side: multipliers(table, key, side) for side in SIDES}
+            sides = {"": known["left"]} if known["left"] == known["right"] else known
+            for side, factors in sides.items():
+                value = nominal * abs(math.prod(factors.values()))
+                times = "".join(f" times {name} {factor:g}" for name, factor in factors.items())
+                yield Stated(value, f"{key} ({where}){times}", nominal, side)
+
+
+def multipliers(table: YamlTable, key: str, side: str) -> dict[str, float]:
+    """Factors by which a table's controller multiplies one of its lengths on a side; ones are left out."""
+    names = [name.format(side=side) for name in FACTORS.get(key, ())]
+    factors = {name: number_of(table, name, 1.0) for name in names}
+    return {name: factor for name, factor in factors.items() if factor not in (0.0, 1.0)}
+
+
+# -- YAML files of the robot's controllers -----------------------------------------------------------------------------
+
+
+class YamlEntry(NamedTuple):
+    """A key of a YAML file: its value as text, the items of a list with blanks between them, and its line."""
+
+    text: str
+    line: int
+
+    @property
+    def items(self) -> tuple[str, ...]:
+        """The items of a list, or the one value."""
+        return tuple(re.findall(r"[^\s'\"\[\],{}]+", self.text))
+
+
+YamlTable = dict[str, YamlEntry]
+
+
+def lines_of(file: str | None) -> list[tuple[int, str]]:
+    """Lines of a controllers' file without comments, numbered from 1; none without a file.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    if file is None:
+        return []
+    try:
+        text = read_bytes(file, LONGEST).decode()
+    except (OSError, ValueError) as error:
+        fix = "name the YAML file of the robot's controllers"
+        raise ConfigError("cannot be read", why=reason(error), fix=fix, file=file, key="controllers_file") from None
+    return [(number, line.partition("#")[0]) for number, line in enumerate(text.splitlines(), 1)]
+
+
+def tables_of(file: str | None) -> list[YamlTable]:
+    """The mappings of a controllers' file, each by its keys, the last part of those with dots.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    tables: dict[tuple[str, ...], YamlTable] = {}
+    above: list[tuple[int, str]] = []
+    last: tuple[YamlTable, str] | None = None
+    for number, line in lines_of(file):
+        word, indent = line.strip(), len(line) - len(line.lstrip())
+        if word.startswith("- ") and last:
+            table, key = last
+            table[key] = table[key]._replace(text=f"{table[key].text} {word[2:]}")
+        elif hit := KEY.match(word):
+            above = [(i, name) for i, name in above if i < indent]
+            path = tuple(name for _, name in above)
+            last = (tables.setdefault(path, {}), hit[1].rpartition(".")[2])
+            last[0][last[1]] = YamlEntry(hit[2].strip(" '\""), number)
+            above.append((indent, hit[1]))
+            inner = tables.setdefault((*path, hit[1]), {})
+            inner |= {
+                one[1].rpartition(".")[2]: YamlEntry(one[2].strip(" '\""), number) for one in FLOW.finditer(hit[2])
+            }
+    return list(tables.values())
+
+
+def number_of(table: YamlTable, key: str, default: float) -> float:
+    """A number of a table, the default where there is none."""
+    text = table[key].text if key in table else ""
+    return default if not text or number_problem(text, 1) else float(text)
+
+
+def beside(rest: AtRest) -> list[Path]:
+    """YAML files of the package that a robot's file is in, and of those beside it that have its name."""
+    package = Path(package_of(str(rest.document.path.parent.absolute())))
+    stem = re.sub(r"_?(description|model|urdf)$", "", package.name)
+    folders = [package, *(f for f in siblings(package) if stem and f.name.startswith(stem) and f != package)]
+    files = [
+        file for folder in folders for place in ("", "config", "params") for file in (folder / place).glob("*.y*ml")
+    ]
+    return [file for file in files[:YAMLS] if file.stat().st_size < LONGEST]
+
+
+def siblings(folder: Path) -> list[Path]:
+    """Packages in the folder that holds one, none where it is no package."""
+    if not (folder / "package.xml").is_file():
+        return []
+    return sorted(file.parent for file in folder.parent.glob("*/package.xml"))

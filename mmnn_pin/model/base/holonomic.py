@@ -12,7 +12,7 @@ from ...signals import Array
 from .base import Base, LinearErrors, PoseEnergy
 
 
-class Holonomic(Base):
+class HolonomicBase(Base):
     """A base that moves in all directions at once. Gains of its law: kx, ky, kphi [1/s]."""
 
     kind = "holonomic"
@@ -20,11 +20,12 @@ class Holonomic(Base):
     velocity_names = ("vx", "vy", "w")
     columns: ClassVar[list[int]] = [0, 1, 2]
     gain_names = ("holonomic",)
+    sideways = True
 
     @property
-    def is_pushed(self) -> bool:
-        """Whether forces on its frame drive it, in the place of wheels."""
-        return not self.wheels
+    def pushes(self) -> tuple[str, ...]:
+        """See `Base.pushes`."""
+        return () if self.wheels else ("base_x", "base_y", "base_turn")
 
     @staticmethod
     def linear_errors(v_ref: Array, gains: Array) -> LinearErrors:
@@ -52,12 +53,6 @@ class Holonomic(Base):
     def largest_gain(gains: Array, speed: float) -> float:
         """See `Base.largest_gain`."""
         return float(max(gains))
-
-
-@compiled
-def moves_sideways(nb: int) -> bool:
-    """Whether a base of nb velocities has vy among them: it stands second, w is always last."""
-    return nb == 3
 
 
 @compiled

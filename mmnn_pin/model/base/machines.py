@@ -18,11 +18,10 @@ from lxml import etree
 from ...elementary import hypot
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .report import Reading, blind_fix, readings, undecided, unsupported
+from .report import BaseReading, blind_fix, readings, undecided, unsupported
 from .wheels import LOW, TRAIL, Candidate, coaxial, height_at, is_low, parallel, wheel_of
 
 MESHES = "link/*/geometry/mesh"
-
 MOST_PER_SIDE = 3  # wheels of a skid-steer base
 
 STEERED_NAMES = re.compile(
@@ -30,23 +29,14 @@ STEERED_NAMES = re.compile(
 )
 
 TRACK_NAMES = re.compile(r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?|flippers?)([_./ -]|$)", re.IGNORECASE)
-
 LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
-
 SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
-
 SWERVE = "swerve drive"
-
 STEERS = re.compile(r"tricycle|ackermann|bicycle|car[_-]?like", re.IGNORECASE)  # as plugins are called
-
 ROLLS = re.compile(r"diff[_-]?drive", re.IGNORECASE)
-
 PUSHED = "--base holonomic drives it by forces on its frame, its wheels standing still"
-
 MODULE_NAMES = re.compile(r"wheel|steer|caster", re.IGNORECASE)
-
 PROPELLERS, PROPELLER_NAMES = "vehicle with propellers", re.compile(r"thruster|propeller", re.IGNORECASE)
-
 DRONE_NAMES = re.compile(r"drone|copter|propeller|rotor|\buav|flying|(?<![a-z])prop_?\d", re.IGNORECASE)
 
 
@@ -61,12 +51,12 @@ def machine(rest: AtRest) -> tuple[str, str] | None:
     if feet := upright_along_y(rest):
         names = ", ".join(f"'{joint.name}'" for joint in feet)
         return "humanoid", f"with y up, it stands on two legs ({names}) and has limbs above them"
-    if told := steering_modules(rest):
-        return SWERVE, f"{len(told)} wheels, or their mounts, turn about vertical axes ({', '.join(told)})"
+    if joints := steering_modules(rest):
+        return SWERVE, f"{len(joints)} wheels, or their mounts, turn about vertical axes ({', '.join(joints)})"
     if names := propellers(rest):
         return PROPELLERS, f"{names} by their names, and nothing that rolls"
-    if told := list(rotors(rest)):
-        return "drone", f"{len(told)} equal rotors turn about vertical axes ({', '.join(told)})"
+    if joints := list(rotors(rest)):
+        return "drone", f"{len(joints)} equal rotors turn about vertical axes ({', '.join(joints)})"
     meshes = map(mesh_name, rest.document.root.iterfind(MESHES))
     if hit := DRONE_NAMES.search(" ".join([rest.document.root.get("name", ""), *rest.document.links, *meshes])):
         return "drone", f"'{hit[0]}' in its names, and nothing that carries it"
@@ -90,7 +80,7 @@ def steering_named(rest: AtRest) -> str:
 
 
 def tracks(rest: AtRest, drives: Sequence[Candidate]) -> str:
-    """What tells that a machine with parallel wheels runs on tracks, empty when nothing does."""
+    """The sign that a machine with parallel wheels runs on tracks, empty when there is none."""
     on_root = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_horizontal(j)]
     alike = sum(abs(rest.axis(on_root[0]) @ rest.axis(j)) > 0.99 for j in on_root) if on_root else 0
     wheels = max(alike, len(drives))
@@ -135,8 +125,8 @@ def chain(rest: AtRest, joint: Joint) -> list[Joint]:
 def height(rest: AtRest, joint: Joint) -> float:
     """Height of the lowest frame or primitive that a joint carries [m]."""
     links = rest.document.body(joint.child)
-    own = min(min(float(rest.placements[link][2, 3]), lowest(rest, link)) for link in links)
-    return min([own, *(height(rest, j) for j in rest.document.moving_children(joint.child))])
+    lowest_frame = min(min(float(rest.placements[link][2, 3]), lowest(rest, link)) for link in links)
+    return min([lowest_frame, *(height(rest, j) for j in rest.document.moving_children(joint.child))])
 
 
 def lowest(rest: AtRest, link: str) -> float:
@@ -152,13 +142,13 @@ def legs(rest: AtRest, joints: Sequence[Joint]) -> list[Joint]:
     hips = {j.name: float(rest.hub(j)[2]) for j in limbs}
     body = [link for link in rest.document.body(rest.document.root_link) if rest.mass(link) > 0]
     root = min((min(lowest(rest, link), rest.bottom(link)) for link in body), default=0.0)
-    found = []
+    first = []
     for joint in limbs:
         drop = hips[joint.name] - feet[joint.name]
         on_ground = feet[joint.name] - ground < SAME_HEIGHT * max(drop, 1e-9) + 1e-3
         if drop > 0 and on_ground and root - feet[joint.name] > 0.1 * drop:
-            found.append(joint)
-    return found if len(found) >= 2 else []
+            first.append(joint)
+    return first if len(first) >= 2 else []
 
 
 def legs_of_a_waist(rest: AtRest) -> list[Joint]:
@@ -184,20 +174,20 @@ def upright_along_y(rest: AtRest) -> list[Joint]:
     limbs = [j for j in trunk_joints(rest) if len(chain(rest, j)) > LEG_JOINTS]
     drops = {j.name: float(rest.hub(j)[1]) - reach(j) for j in limbs}
     longest = max(drops.values(), default=0.0)
-    found = [j for j in limbs if drops[j.name] > (1 - SAME_HEIGHT) * longest > 0]
-    rest_of = [j for j in limbs if j not in found and drops[j.name] < 0.5 * longest]
-    return found if len(found) == 2 and rest_of and len(limbs) == len(found) + len(rest_of) else []
+    feet = [j for j in limbs if drops[j.name] > (1 - SAME_HEIGHT) * longest > 0]
+    rest_of = [j for j in limbs if j not in feet and drops[j.name] < 0.5 * longest]
+    return feet if len(feet) == 2 and rest_of and len(limbs) == len(feet) + len(rest_of) else []
 
 
 def steering_modules(rest: AtRest) -> list[str]:
     """Names of three or more low joints about vertical axes on which names say that wheels are, and nothing turns."""
-    highest, found = height_at(rest, LOW), []
+    highest, names = height_at(rest, LOW), []
     for joint in trunk_joints(rest):
         words = [joint.name, joint.child, *map(mesh_name, rest.document.links[joint.child].iter("mesh"))]
         ends = rest.is_vertical(joint) and not rest.document.moving_children(joint.child)
         if ends and MODULE_NAMES.search(" ".join(words)) and rest.hub(joint)[2] <= highest:
-            found.append(joint.name)
-    return found if len(found) >= ROTORS else []
+            names.append(joint.name)
+    return names if len(names) >= ROTORS else []
 
 
 def rotors(rest: AtRest) -> Iterator[str]:
@@ -239,26 +229,45 @@ def refuse_steered(rest: AtRest, wheels: list[Candidate]) -> None:
         Unsupported: By name.
         Undecided: What drives beside casters cannot be measured.
     """
-    steered, drives = [c for c in wheels if c.mount == "steering"], plain(wheels)
-    swivels = [c for c in wheels if c.mount == "swivel"]
-    legged = [c for c in wheels if c.mount == "leg"]
+    legged, drives = [c for c in wheels if c.mount == "leg"], plain(wheels)
     if len(legged) >= 2:
-        raise unsupported(
-            rest, "legged machine", f"its wheels hang on legs: {'; '.join(c.text for c in legged)}", legged
-        )
+        raise unsupported(rest, "legged machine", f"its wheels hang on legs: {in_texts(legged)}", legged)
+    if not drives:
+        require_measured(rest, wheels)
+    steered = steered_of(wheels)
+    if steered and drives:
+        raise unsupported(rest, "car-like base", f"wheels are steered: {in_texts(steered)}", steered)
+    if steered:
+        raise unsupported(rest, SWERVE, f"all its wheels are steered: {in_texts(wheels)}", wheels, turned_fix(wheels))
+    if not drives and any(c.mount == "swivel" for c in wheels):
+        why = f"all its wheels hang on swivels: {in_texts(wheels)}"
+        raise unsupported(rest, "base on powered casters", why, wheels, turned_fix(wheels))
+
+
+def steered_of(wheels: list[Candidate]) -> list[Candidate]:
+    """Wheels that steer; where nothing drives beside them, swivels do that do not trail: these are no casters."""
+    steered, swivels = ([c for c in wheels if c.mount == mount] for mount in ("steering", "swivel"))
+    if steered or plain(wheels):
+        return steered
+    return swivels if all(c.trail <= TRAIL for c in swivels) else []
+
+
+def require_measured(rest: AtRest, wheels: list[Candidate]) -> None:
+    """Refuse casters beside which low joints cannot be measured.
+
+    Raises:
+        Undecided: There are two or more of these.
+    """
     known = {c.joint.name for c in wheels}
     blind = [wheel_of(rest, j) for j in rest.document.joints.values() if is_low(rest, j) and j.name not in known]
-    if not drives and len(blind) >= 2:
+    if len(blind) >= 2:
         why = "what would drive them cannot be measured"
         raise undecided(rest, [*wheels, *blind], readings(rest, blind), why, blind_fix(blind))
-    if not drives and not steered and swivels and all(c.trail <= TRAIL for c in swivels):
-        steered = swivels  # what does not trail is no caster
-    if steered and drives:
-        raise unsupported(rest, "car-like base", f"wheels are steered: {'; '.join(c.text for c in steered)}", steered)
-    if steered or (swivels and not drives):
-        name = SWERVE if steered else "base on powered casters"
-        why = f"all its wheels {'are steered' if steered else 'hang on swivels'}: {'; '.join(c.text for c in wheels)}"
-        raise unsupported(rest, name, why, wheels, turned_fix(wheels))
+
+
+def in_texts(wheels: Sequence[Candidate]) -> str:
+    """Wheels in words."""
+    return "; ".join(c.text for c in wheels)
 
 
 def turned_fix(wheels: list[Candidate]) -> str:
@@ -281,25 +290,27 @@ def refuse_steered_pair(rest: AtRest, drives: list[Candidate], wheels: list[Cand
         Undecided: Nothing tells, or pieces contradict each other.
     """
     front = [c for c in wheels if c.mount == "swivel" and c.trail <= TRAIL]
-    told = list(driven(rest, drives, front))
-    steers, rolls = ([text for kind, text in told if kind == wanted] for wanted in ("car-like", "differential_drive"))
+    pieces = list(driven(rest, drives, front))
+    steers, rolls = ([text for kind, text in pieces if kind == wanted] for wanted in ("car-like", "differential_drive"))
+    if rolls and not steers:
+        return
+    names = ",".join(c.joint.name for c in drives)
     if front and steers and not rolls:
-        why = f"{'; '.join(c.text for c in front)} has no trail and steers: {', '.join(steers)}"
+        why = f"{in_texts(front)} has no trail and steers: {', '.join(steers)}"
         raise unsupported(rest, "car-like base", why, front)
     if front_axle(front, drives) and not rolls:
-        names = ",".join(c.joint.name for c in drives)
         fix = f"--wheels {names} if those in front are casters, --base fixed takes it as an arm"
-        why = f"two wheels on one axle are steered, without a trail: {'; '.join(c.text for c in front)}"
+        why = f"two wheels on one axle are steered, without a trail: {in_texts(front)}"
         raise unsupported(rest, "car-like base", why, front, fix)
-    if steers or (front and not rolls):
-        why = f"the file also speaks of steering: {', '.join(steers)}"
-        if not steers:
-            why = f"'{front[0].joint.name}' has no trail: a caster could not follow, a tricycle steers with it"
-        two = Reading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
-        car = Reading("car-like", tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
-        names = ",".join(c.joint.name for c in drives)
-        fix = f"--wheels {names} if what else stands on the floor are casters, --base fixed takes it as an arm"
-        raise undecided(rest, wheels, [two, car], why, fix)
+    if not (steers or front):
+        return
+    why = f"the file also speaks of steering: {', '.join(steers)}"
+    if not steers:
+        why = f"'{front[0].joint.name}' has no trail: a caster could not follow, a tricycle steers with it"
+    two = BaseReading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
+    car = BaseReading("car-like", tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
+    fix = f"--wheels {names} if what else stands on the floor are casters, --base fixed takes it as an arm"
+    raise undecided(rest, wheels, [two, car], why, fix)
 
 
 def front_axle(front: list[Candidate], drives: list[Candidate]) -> bool:
@@ -308,7 +319,7 @@ def front_axle(front: list[Candidate], drives: list[Candidate]) -> bool:
 
 
 def driven(rest: AtRest, drives: list[Candidate], front: list[Candidate]) -> Iterator[tuple[str, str]]:
-    """What plugins, controllers and motors say of two coaxial wheels and those that may steer: a kind, and the text."""
+    """Signs of plugins, controllers and motors whether two coaxial wheels drive or others steer: kind and text."""
     root = rest.document.root
     for element in root.iterfind("gazebo//*"):
         words = f"{element.get('filename', '')} {element.get('name', '')} {element.text or ''}"
@@ -320,7 +331,7 @@ def driven(rest: AtRest, drives: list[Candidate], front: list[Candidate]) -> Ite
     moved = [e for e in root.iterfind("ros2_control/joint") if e.find("command_interface") is not None]
     for what, motors in (("<ros2_control>", moved), ("<transmission>", root.findall("transmission/joint"))):
         lines = {e.get("name"): e.sourceline for e in motors}
-        for kind, own, others in (("car-like", ahead, pair), ("differential_drive", pair, ahead)):
-            if lines.keys() & own and not lines.keys() & others:
-                name = sorted(lines.keys() & own)[0]
+        for kind, these, others in (("car-like", ahead, pair), ("differential_drive", pair, ahead)):
+            if lines.keys() & these and not lines.keys() & others:
+                name = sorted(lines.keys() & these)[0]
                 yield kind, f"{what} drives '{name}' (line {lines[name]})"

@@ -1,4 +1,4 @@
-"""What the user says about a robot: its base and its arm, in a call, on the command line or in a file beside the URDF.
+"""Statements of the user about a robot's base and arm: in a call, on the command line or in a file beside the URDF.
 
 Beside `NAME.urdf` the file is `NAME.mmnn.toml`:
 
@@ -36,7 +36,7 @@ SMALLEST, LARGEST = 1e-4, 1e3  # [m] what a radius and a track can be
 
 
 class Overrides(Settings, frozen=True):
-    """What the user says about a robot; None and () leave it to the loader.
+    """Statements of the user about a robot; None and () leave it to the loader.
 
     Args:
         base: Kind of the base, one of `KINDS`.
@@ -139,13 +139,13 @@ class Overrides(Settings, frozen=True):
         return msgspec.structs.replace(other, **self.stated())
 
     def stated(self) -> dict[str, Any]:
-        """What differs from the default: a key and a value for each thing said."""
+        """The values that differ from the default, by key."""
         default = Overrides()
         return {f: getattr(self, f) for f in self.__struct_fields__ if getattr(self, f) != getattr(default, f)}
 
 
 def with_file(urdf: Path, overrides: Overrides) -> tuple[Overrides, tuple[Finding, ...]]:
-    """What is said about a file, in the call and in the file of overrides beside it, and the note that tells of it.
+    """The overrides of a call and of the file beside a URDF in one, and the note that tells of that file.
 
     Raises:
         ConfigError, UnknownName: As in `read_overrides`.
@@ -196,10 +196,10 @@ def read_overrides(path: Path) -> Overrides:
         UnknownName: A key or a kind of base that does not exist.
     """
     try:
-        found = msgspec.convert(read_toml(path), Overrides)
-        folders = tuple(str(path.parent / folder) for folder in found.package_dirs)
-        file = None if found.controllers_file is None else str(path.parent / found.controllers_file)
-        return msgspec.structs.replace(found, package_dirs=folders, controllers_file=file)
+        overrides = msgspec.convert(read_toml(path), Overrides)
+        folders = tuple(str(path.parent / folder) for folder in overrides.package_dirs)
+        file = None if overrides.controllers_file is None else str(path.parent / overrides.controllers_file)
+        return msgspec.structs.replace(overrides, package_dirs=folders, controllers_file=file)
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, ConfigError | UnknownName):
             error.__cause__.file = path

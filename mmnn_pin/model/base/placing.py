@@ -12,15 +12,16 @@ from ...elementary import atan2, cos_sin, hypot
 from ...elementary.matrices import product
 from ...errors import ConfigError, RobotError, UnknownName
 from ...signals import Array
+from ..urdf.document import Joint
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .differential import DifferentialDrive
 from .evidence import evidence, motors_named, plugins, stated_rollers
-from .holonomic import Holonomic
+from .holonomic import HolonomicBase
 from .machines import MOST_PER_SIDE
 from .overrides import Overrides
-from .report import BaseResult, Reading, note, undecided
+from .report import BaseReading, BaseResult, note, undecided
 from .skid_steer import SkidSteer, loads, rotation_centre, turning_friction, turning_track
 from .wheels import (
     HUB,
@@ -37,11 +38,8 @@ from .wheels import (
 )
 
 ROLLERS = "--roller RADIANS says how they lie, --wheels which of the wheels drive"
-
 SAME_RATE = 0.05  # rims of wheels that are coupled may differ in speed by this fraction
-
 OFF_CENTRE = 0.02  # a centre of rotation further off than this fraction of half the wheelbase is told
-
 MECANUM = math.pi / 4  # roller angle that is assumed where nothing states one
 
 
@@ -54,39 +52,53 @@ def with_wheels(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], 
     if overrides.base == "skid_steer":
         return skidding(rest, drives, wheels, overrides)
     if overrides.base == "holonomic" or (overrides.base is None and len(drives) > 2):
-        if len(drives) < 3:
-            raise ConfigError(f"{len(drives)} wheel(s) for a holonomic base", fix="name at least three", key="wheels")
-        if not all(parallel(drives[0], c) for c in drives[1:]):
-            return crossed(rest, drives, wheels, overrides)
-        base, findings = mecanum(
-            rest, drives, wheels, overrides, stated_rollers(evidence(rest, drives, overrides.controllers_file))
-        )
-        return BaseResult(base, tuple(findings))
+        return rolling_sideways(rest, drives, wheels, overrides)
     if len(drives) != 2 or not coaxial(*drives, within=SLOPPY):
         what = "not two wheels on one axle" if len(drives) == 2 else f"{len(drives)} wheel(s) for a differential drive"
         raise ConfigError(what, fix="name the left and the right one", key="wheels", file=rest.document.path)
     base = frame_of(rest, drives, wheels, DifferentialDrive, overrides)
-    left, findings = base.wheels[0].joint, []
+    first, left, notes = drives[0].joint.name, base.wheels[0].joint, []
     if not coaxial(*drives):
         apart = abs(base.wheels[0].x - base.wheels[1].x)
         text = f"the two wheels are not on one axle: {apart:.3g} m apart along the rolling direction"
         why, fix = "they are taken as on one, in the middle: you named them", "put their joints on one line"
-        findings.append(note(rest, "base-pair", drives[0].joint.name, text, why, fix))
+        notes.append(note(rest, "base-pair", first, text, why, fix))
         base = replace(base, wheels=tuple(replace(w, x=0.0) for w in base.wheels))
     if overrides.wheels and left != overrides.wheels[0]:
         text = f"'{left}' is the left wheel, not '{overrides.wheels[0]}'"
-        findings.append(note(rest, "base-sides", drives[0].joint.name, text, "seen along the rolling direction"))
-    behind = [
-        c for c in wheels if c.mount == "" and c.joint not in [d.joint for d in drives] and parallel(c, drives[0])
-    ]
-    if behind and any(abs(c.radius - drives[0].radius) < 0.1 * drives[0].radius for c in behind):
-        text = f"wheels off the axle cannot swivel and would have to slide: {', '.join(c.joint.name for c in behind)}"
-        why = "they are taken as free, and the axle as where the base turns"
-        fix = "--base skid_steer without --wheels"
-        if not evenly([*drives, *behind], base):
-            why, fix = f"{why}; what they rub is left out, no base here has them", "put casters there if that is meant"
-        findings.append(note(rest, "base-pair", behind[0].joint.name, text, why, fix))
+        notes.append(note(rest, "base-sides", first, text, "seen along the rolling direction"))
+    return BaseResult(base, (*notes, *sliding_note(rest, base, drives, wheels)))
+
+
+def rolling_sideways(
+    rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides
+) -> BaseResult:
+    """A holonomic base on mecanum or omni wheels.
+
+    Raises:
+        ConfigError: Fewer than three wheels.
+    """
+    if len(drives) < 3:
+        raise ConfigError(f"{len(drives)} wheel(s) for a holonomic base", fix="name at least three", key="wheels")
+    if not all(parallel(drives[0], c) for c in drives[1:]):
+        return crossed(rest, drives, wheels, overrides)
+    angles = stated_rollers(evidence(rest, drives, overrides.controllers_file))
+    base, findings = mecanum(rest, drives, wheels, overrides, angles)
     return BaseResult(base, tuple(findings))
+
+
+def sliding_note(rest: AtRest, base: Base, drives: list[Candidate], wheels: list[Candidate]) -> list[Finding]:
+    """A note on wheels as large as those that drive, parallel to them and off their axle: they would have to slide."""
+    driving = [d.joint for d in drives]
+    behind = [c for c in wheels if c.mount == "" and c.joint not in driving and parallel(c, drives[0])]
+    if not any(abs(c.radius - drives[0].radius) < 0.1 * drives[0].radius for c in behind):
+        return []
+    text = f"wheels off the axle cannot swivel and would have to slide: {', '.join(c.joint.name for c in behind)}"
+    why = "they are taken as free, and the axle as where the base turns"
+    fix = "--base skid_steer without --wheels"
+    if not evenly([*drives, *behind], base):
+        why, fix = f"{why}; what they rub is left out, no base here has them", "put casters there if that is meant"
+    return [note(rest, "base-pair", behind[0].joint.name, text, why, fix)]
 
 
 def evenly(wheels: list[Candidate], base: Base) -> bool:
@@ -103,6 +115,20 @@ def declared_wheel(rest: AtRest, name: str, candidates: Candidates, overrides: O
         UnknownName: No such joint.
         ConfigError: It cannot turn without end, or not about a horizontal axis, or its radius is not known.
     """
+    joint = wheel_joint(rest, name, overrides)
+    found = next((c for c in candidates.wheels if c.joint.name == name), None)
+    candidate = found or wheel_of(rest, joint)
+    radius, left = overrides.radius or candidate.radius, 0.0 if math.isnan(candidate.left) else candidate.left
+    if math.isnan(radius) or (found is None and left and overrides.radius is None):
+        radius, candidate = float(candidate.centre[2] - candidates.footing), replace(candidate, shape=HUB)
+    if not radius > (0.0 if overrides.radius else (1 - SURE) * left):
+        why = "no shape of it can be read whole, and nothing tells where the floor is"
+        raise ConfigError(f"the radius of wheel '{name}' is unknown", why=why, fix="give --radius", key="radius")
+    return replace(candidate, radius=radius)
+
+
+def wheel_joint(rest: AtRest, name: str, overrides: Overrides) -> Joint:
+    """The joint of a wheel that the user named; errors as of `declared_wheel`."""
     joint = rest.document.joints.get(name)
     if joint is None:
         turning = [j.name for j in rest.document.joints.values() if j.turns_freely]
@@ -114,15 +140,7 @@ def declared_wheel(rest: AtRest, name: str, candidates: Candidates, overrides: O
     if joint.mimics is not None and overrides.base != "skid_steer":
         why, fix = f"it follows '{joint.mimics}' (<mimic>)", "name wheels that turn by themselves, or --base skid_steer"
         raise ConfigError(f"joint '{name}' cannot be a drive wheel", why=why, fix=fix, key="wheels")
-    found = next((c for c in candidates.wheels if c.joint.name == name), None)
-    candidate = found or wheel_of(rest, joint)
-    radius, left = overrides.radius or candidate.radius, 0.0 if math.isnan(candidate.left) else candidate.left
-    if math.isnan(radius) or (found is None and left and overrides.radius is None):
-        radius, candidate = float(candidate.centre[2] - candidates.footing), replace(candidate, shape=HUB)
-    if not radius > (0.0 if overrides.radius else (1 - SURE) * left):
-        why = "no shape of it can be read whole, and nothing tells where the floor is"
-        raise ConfigError(f"the radius of wheel '{name}' is unknown", why=why, fix="give --radius", key="radius")
-    return replace(candidate, radius=radius)
+    return joint
 
 
 def require_possible(overrides: Overrides, candidates: Candidates, named: list[Candidate]) -> None:
@@ -163,9 +181,9 @@ def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
     """
     motors, names = motors_named(rest), [wheel.joint for wheel in base.wheels]
     idle = [name for name in names if name not in motors]
-    if base.kind == "skid_steer" or overrides.wheels is not None or not 0 < len(idle) < len(names):
+    if base.scrubs or overrides.wheels is not None or not 0 < len(idle) < len(names):
         return
-    if base.kind == "holonomic" and any(piece.meaning == "holonomic" for piece in plugins(rest)):
+    if base.sideways and any(piece.meaning == "holonomic" for piece in plugins(rest)):
         return
     driven = next(name for name in names if name not in idle)
     what, why = f"nothing drives the wheel(s) {', '.join(idle)}", f"'{driven}' has a motor: {motors[driven]}"
@@ -184,8 +202,8 @@ def require_used(overrides: Overrides, base: Base) -> None:
     for name in overrides.radius_of:
         if name not in names:
             raise UnknownName("drive wheel", name, names, key="wheel_radii")
-    unused = {"radius": not base.wheels, "track": len(base.wheels) < 2, "roller": base.kind != "holonomic"}
-    unused["mu"] = base.kind != "skid_steer"
+    unused = {"radius": not base.wheels, "track": len(base.wheels) < 2, "roller": not base.sideways}
+    unused["mu"] = not base.scrubs
     unused["roller"] |= not base.wheels
     for key, ignored in unused.items():
         if ignored and getattr(overrides, key) is not None:
@@ -200,35 +218,58 @@ def frame_of(
     rest: AtRest, drives: list[Candidate], wheels: list[Candidate], kind: type[Base], overrides: Overrides
 ) -> Base:
     """Control frame, wheels, casters and suspensions; forward is the rolling direction nearer the root's x."""
-    own = overrides.radius_of
-    drives = [replace(c, radius=own.get(c.joint.name, overrides.radius or c.radius)) for c in drives]
-    alike = all(parallel(drives[0], c) for c in drives[1:])
-    forward = rolling(drives[0]) if alike else np.array([1.0, 0.0])
-    backward = forward[0] < -1e-6 or (abs(forward[0]) <= 1e-6 and forward[1] < 0)  # axle along x: y is as near
-    forward = (-forward if backward else forward) + 0.0  # no -0
-    left = np.array([-forward[1], forward[0]])
-    middle = np.mean([c.centre[:2] for c in drives], axis=0)
-    placed = [placed_wheel(c, c.centre[:2] - middle, forward, left, alike) for c in drives]
-    in_rows = kind is not DifferentialDrive
-    placed.sort(key=lambda w: (-round(w.x, 6) * in_rows, -w.y))  # front to rear, left before right
-    track = max(w.y for w in placed) - min(w.y for w in placed)
-    if overrides.track is not None and track > 0 and kind is not SkidSteer:
-        placed = [replace(w, y=w.y * (overrides.track / track)) for w in placed]
-        track = overrides.track
+    stated = overrides.radius_of
+    drives = [replace(c, radius=stated.get(c.joint.name, overrides.radius or c.radius)) for c in drives]
+    forward, middle = forward_of(drives), np.mean([c.centre[:2] for c in drives], axis=0)
+    placed, track = placed_wheels(drives, middle, forward, kind, overrides.track)
     suspensions = [j.name for c in drives for j in rest.document.moving_ancestors(c.joint.child)[1:]]
-    others = [c for c in wheels if c.joint not in [d.joint for d in drives]]
-    casters = [j.name for c in others for j in rest.document.moving_ancestors(c.joint.child)]
-    floor, radius = max(c.bottom for c in drives), max(c.radius for c in drives)
-    casters += [joint.name for joint in bare_swivels(rest, floor, radius)]
     return kind(
-        wheels=tuple(placed),
+        wheels=placed,
         track=track,
         frame=np.array([*middle, atan2(forward[1], forward[0])]),
         floor=float(np.mean([c.bottom for c in drives])),
-        casters=in_order(rest, set(casters) - set(suspensions)),
+        casters=in_order(rest, casters_of(rest, drives, wheels) - set(suspensions)),
         suspensions=in_order(rest, suspensions),
         parked=in_order(rest, [name for c in wheels for name in c.rollers]),
     )
+
+
+def forward_of(drives: list[Candidate]) -> Array:
+    """(2,) direction nearer the root's x in which parallel wheels roll; x where they are not parallel."""
+    alike = all(parallel(drives[0], c) for c in drives[1:])
+    forward = rolling(drives[0]) if alike else np.array([1.0, 0.0])
+    backward = forward[0] < -1e-6 or (abs(forward[0]) <= 1e-6 and forward[1] < 0)  # axle along x: y is as near
+    return (-forward if backward else forward) + 0.0  # no -0
+
+
+def placed_wheels(
+    drives: list[Candidate], middle: Array, forward: Array, kind: type[Base], stated: float | None
+) -> tuple[tuple[Wheel, ...], float]:
+    """The wheels in the control frame, front to rear and left before right, and their track [m].
+
+    Args:
+        drives: Those that drive.
+        middle: (2,) origin of the control frame [m].
+        forward: (2,) its x.
+        kind: Kind of the base.
+        stated: The track that the user states [m].
+    """
+    left, alike = np.array([-forward[1], forward[0]]), all(parallel(drives[0], c) for c in drives[1:])
+    placed = [placed_wheel(c, c.centre[:2] - middle, forward, left, alike) for c in drives]
+    in_rows = kind is not DifferentialDrive
+    placed.sort(key=lambda w: (-round(w.x, 6) * in_rows, -w.y))
+    track = max(w.y for w in placed) - min(w.y for w in placed)
+    if stated is None or not track > 0 or kind.scrubs:
+        return tuple(placed), track
+    return tuple(replace(w, y=w.y * (stated / track)) for w in placed), stated
+
+
+def casters_of(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> set[str]:
+    """Joints that carry wheels that do not drive, and swivels whose wheel is welded on."""
+    floor, radius = max(c.bottom for c in drives), max(c.radius for c in drives)
+    driving = [d.joint for d in drives]
+    others = [j for c in wheels if c.joint not in driving for j in rest.document.moving_ancestors(c.joint.child)]
+    return {joint.name for joint in (*others, *bare_swivels(rest, floor, radius))}
 
 
 def rolling(candidate: Candidate) -> Array:
@@ -302,7 +343,7 @@ def require_together(rest: AtRest, drives: list[Candidate]) -> None:
         if abs(c.joint.multiplier / right - 1) > SAME_RATE:
             rate = f"{c.joint.multiplier / right:.3g} times as fast as '{master.joint.name}'"
             what = f"<mimic> rolls wheel '{c.joint.name}' {rate} (multiplier {c.joint.multiplier:g})"
-            against = Reading("skid_steer", ("it follows another wheel",), (what,))
+            against = BaseReading("skid_steer", ("it follows another wheel",), (what,))
             fix = f'multiplier="{right:.4g}" rolls them alike; or take out the <mimic> if it turns by itself'
             raise undecided(rest, drives, [against], what, fix, c.joint.line)
 
@@ -331,7 +372,7 @@ def mecanum(
         overrides: What the user says.
         stated: Roller angle by wheel, where the file states one [rad].
     """
-    base = frame_of(rest, drives, wheels, Holonomic, overrides)
+    base = frame_of(rest, drives, wheels, HolonomicBase, overrides)
     size, known = (MECANUM, stated) if overrides.roller is None else (overrides.roller, {})
     rolled = tuple(replace(w, roller=known.get(w.joint, -math.copysign(1.0, w.x * w.y) * size)) for w in base.wheels)
     base = checked(rest, replace(base, wheels=rolled), drives)
@@ -349,7 +390,7 @@ def mecanum(
 
 def crossed(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
     """Wheels whose axles are not parallel: to roll together they must slide along them (omni wheels)."""
-    base = frame_of(rest, drives, wheels, Holonomic, overrides)
+    base = frame_of(rest, drives, wheels, HolonomicBase, overrides)
     roller = overrides.roller if overrides.roller is not None else 0.0
     base = checked(rest, replace(base, wheels=tuple(replace(w, roller=roller) for w in base.wheels)), drives)
     if overrides.roller is not None:
@@ -367,7 +408,7 @@ def checked(rest: AtRest, base: Base, drives: list[Candidate]) -> Base:
         Undecided: They cannot.
     """
     if np.linalg.matrix_rank(np.array([wheel.grip for wheel in base.wheels]), tol=1e-6) < 3:
-        against = Reading("holonomic", (), ("its wheels cannot drive it in all three directions",))
+        against = BaseReading("holonomic", (), ("its wheels cannot drive it in all three directions",))
         raise undecided(
             rest, drives, [against], "wheels with rollers at these places leave a direction undriven", ROLLERS
         )
@@ -382,5 +423,5 @@ def pushed(rest: AtRest, candidates: Candidates) -> BaseResult:
     names = tuple(j.name for joint in found for j in rest.document.moving_ancestors(joint.child))
     floor = candidates.floor if math.isfinite(candidates.floor) else 0.0
     text = "the base has no drive wheels: forces and a torque on the root link drive it, without limits"
-    base = Holonomic(floor=floor, casters=in_order(rest, names))
+    base = HolonomicBase(floor=floor, casters=in_order(rest, names))
     return BaseResult(base, (note(rest, "base-pushed", "", text, "you said --base holonomic"),))

@@ -1,4 +1,4 @@
-"""What is reported of how a robot was understood: notes with stable codes beside the audit's, and refusals.
+"""The report of how a robot was understood: notes with stable codes beside the audit's, and refusals.
 
 A refusal lists what the base could be, each with the reasons for and against, or names the machine.
 """
@@ -6,7 +6,7 @@ A refusal lists what the base could be, each with the reasons for and against, o
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,22 +21,16 @@ from ..urdf.finding import AuditError, Finding
 from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
 from . import KINDS
 from .base import Base
-from .differential import DifferentialDrive
 from .evidence import Evidence, evidence
 from .skid_steer import GRAVITY
 from .wheels import HUB, LUMPY, PARTIAL, TILTED, TOUCHING, Candidate, Candidates, coaxial, height_at
 
 STRAIGHT = 0.7  # cosine of the largest angle between rolling direction and root link that is not told
-
 LARGE, WIDE = 2.0, 3.0  # [m], fraction of the track; no wheel of a robot has a larger radius
 NO_FRICTION = "no joint has damping or friction"
-
 HUGE = 20.0  # [m], no robot has a larger track
-
 SAME_RADIUS = 0.01  # radii that differ by more than this fraction are told
-
 OFF_FLOOR = 0.02  # wheels further than this fraction of their radius from the footprint are told
-
 MOST_NAMES = 8  # joints that a note names; what was understood of the robot lists all
 
 # Severity by code; docs/reference/urdf-audit.md tells each with its reason.
@@ -97,21 +91,19 @@ class BaseResult:
 
 def note(rest: AtRest, code: str, joint: str, what: str, why: str = "", fix: str = "", about: str = "base") -> Finding:
     """A finding of a code in `CODES` about what was understood, at the line of a joint, or 1 without one."""
-    severity = "warning" if CODES[code] == "strict" else CODES[code]
     line = rest.document.joints[joint].line if joint else 1
-    return Finding(severity, code, str(rest.document.path), line, about, what, why, fix)
+    return Finding(CODES[code], code, str(rest.document.path), line, about, what, why, fix)
 
 
-def settle(audited: Sequence[Finding], findings: Sequence[Finding], strict: bool) -> tuple[Finding, ...]:
-    """The audit's findings and those of the understanding, if strictness makes an error of none.
+def settle(audited: Sequence[Finding], findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """The audit's findings and those of the understanding.
 
     Raises:
-        AuditError: It does.
+        AuditError: One of them is an error.
     """
-    pieces = [replace(f, severity="error" if strict and CODES[f.code] == "strict" else f.severity) for f in findings]
-    if any(f.severity == "error" for f in pieces):
-        raise AuditError([*audited, *pieces])
-    return (*audited, *pieces)
+    if any(f.severity == "error" for f in findings):
+        raise AuditError([*audited, *findings])
+    return (*audited, *findings)
 
 
 def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: bool) -> list[Finding]:
@@ -125,40 +117,65 @@ def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: boo
     """
     if not base.wheels:
         return []
-    notes, first, radii = [], base.wheels[0].joint, [wheel.radius for wheel in base.wheels]
+    return [
+        *hidden_radii_note(rest, base, wheels),
+        *heading_notes(rest, base),
+        *size_notes(rest, base, given),
+        *floor_note(rest, base),
+        *friction_note(rest, base),
+    ]
+
+
+def hidden_radii_note(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> list[Finding]:
+    """A warning about radii that are assumed from the height of the hubs."""
     blind = [c for c in wheels if c.shape == HUB and c.joint.name in [w.joint for w in base.wheels]]
-    if blind:
-        sizes = ", ".join(f"'{c.joint.name}' {c.radius:.4g} m" for c in blind)
-        text = f"radii assumed from the height of the hubs above the floor: {sizes}"
-        why, fix = "no shape of them can be read", "--radius, or --package-dir where their meshes are"
-        notes.append(note(rest, "base-hub-height", blind[0].joint.name, text, why, fix))
+    if not blind:
+        return []
+    sizes = ", ".join(f"'{c.joint.name}' {c.radius:.4g} m" for c in blind)
+    text = f"radii assumed from the height of the hubs above the floor: {sizes}"
+    why, fix = "no shape of them can be read", "--radius, or --package-dir where their meshes are"
+    return [note(rest, "base-hub-height", blind[0].joint.name, text, why, fix)]
+
+
+def heading_notes(rest: AtRest, base: Base) -> Iterator[Finding]:
+    """Warnings where names or the root link have forward elsewhere than the wheels roll."""
+    first = base.wheels[0].joint
     sides = [side if side in w.joint.lower() else "" for w, side in zip(base.wheels, ("right", "left"), strict=False)]
-    if isinstance(base, DifferentialDrive) and all(sides):
+    if base.two_sided and all(sides):
         text = f"'{first}' is on the left: does the robot drive along -x?"
         why = "names decide nothing: forward is the rolling direction nearer the root link's x"
-        notes.append(note(rest, "base-sides", first, text, why, "check it"))
+        yield note(rest, "base-sides", first, text, why, "check it")
     if len(base.wheels) != 3 and abs(cos(base.frame[2])) < STRAIGHT:
         turned = np.degrees(base.frame[2])
         text = f"the wheels roll at {turned:.3g} degrees from the x of the root link '{rest.document.root_link}'"
         why, fix = "forward is where they roll", "turn the axes of their joints if they roll along x"
-        notes.append(note(rest, "base-heading", first, text, why, fix))
+        yield note(rest, "base-heading", first, text, why, fix)
+
+
+def size_notes(rest: AtRest, base: Base, given: bool) -> Iterator[Finding]:
+    """Notes on a track or radius that no robot has, and on radii that differ."""
+    first, radii = base.wheels[0].joint, [wheel.radius for wheel in base.wheels]
     large = [w for w in base.wheels if w.radius > LARGE or 0 < WIDE * base.track < w.radius]
     if base.track > HUGE:
         text, why = f"the wheels are {base.track:.4g} m apart", "is the whole file in millimetres or centimetres?"
-        notes.append(note(rest, "base-size", first, text, why, "write it in metres"))
+        yield note(rest, "base-size", first, text, why, "write it in metres")
     elif large and not given:
         text = f"wheel '{large[0].joint}' has a radius of {large[0].radius:.4g} m on a track of {base.track:.4g} m"
         why, fix = "is its mesh in millimetres or inches?", "give the mesh its scale, or --radius"
-        notes.append(note(rest, "base-size", large[0].joint, text, why, fix))
+        yield note(rest, "base-size", large[0].joint, text, why, fix)
     if max(radii) - min(radii) > SAME_RADIUS * max(radii):
         sizes = ", ".join(f"'{w.joint}' {w.radius:.4g} m" for w in base.wheels)
         why, fix = "they are used as they are", "--radius if they should be alike"
-        notes.append(note(rest, "base-radius", first, f"the wheels' radii differ: {sizes}", why, fix))
-    if rest.is_footprint and abs(base.floor) > OFF_FLOOR * max(radii):
-        where, root = "below" if base.floor < 0 else "above", rest.document.root_link
-        text = f"the wheels touch the ground {abs(base.floor):.3g} m {where} the root link '{root}'"
-        notes.append(note(rest, "base-floor", first, text, "the floor is taken where the wheels are"))
-    return [*notes, *friction_note(rest, base)]
+        yield note(rest, "base-radius", first, f"the wheels' radii differ: {sizes}", why, fix)
+
+
+def floor_note(rest: AtRest, base: Base) -> list[Finding]:
+    """A warning where the wheels do not touch the floor at the height of a root that is a footprint."""
+    if not rest.is_footprint or abs(base.floor) <= OFF_FLOOR * max(wheel.radius for wheel in base.wheels):
+        return []
+    where, root = "below" if base.floor < 0 else "above", rest.document.root_link
+    text = f"the wheels touch the ground {abs(base.floor):.3g} m {where} the root link '{root}'"
+    return [note(rest, "base-floor", base.wheels[0].joint, text, "the floor is taken where the wheels are")]
 
 
 def buried_note(rest: AtRest, base: Base, lowest: float) -> list[Finding]:
@@ -193,7 +210,7 @@ def welded_note(rest: AtRest, welded: Sequence[Joint]) -> list[Finding]:
 
 
 def evidence_note(rest: AtRest, meaning: str, cited: list[Evidence]) -> Finding:
-    """What made four parallel wheels mecanum wheels, or wheels that skid."""
+    """A note on the evidence by which four parallel wheels are mecanum wheels, or skid."""
     texts = list(dict.fromkeys(piece.text for piece in cited))
     more = f" and {len(texts) - 4} more" if len(texts) > 4 else ""
     text = f"taken as {meaning}: {'; '.join(texts[:4])}{more}"
@@ -201,7 +218,7 @@ def evidence_note(rest: AtRest, meaning: str, cited: list[Evidence]) -> Finding:
 
 
 def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
-    """What was locked without being asked to, one note per reason."""
+    """Notes on joints that were locked without being asked to, one per reason."""
     notes = []
     for reason in dict.fromkeys(arm.reasons.values()):
         names = [name for name, why in arm.reasons.items() if why == reason]
@@ -226,18 +243,18 @@ def weak_notes(rest: AtRest, names: Sequence[str], held: Array, limits: Array) -
         held: (n,) what gravity takes there [N m or N].
         limits: (n,) what their motors give; inf for those without a limit.
     """
-    found = []
+    notes = []
     for name, needed, limit in zip(names, np.abs(held), limits, strict=True):
         if needed > limit:
             unit = "N" if rest.document.joints[name].type == "prismatic" else "N m"
             what = f"effort of '{name}' is {limit:.3g} {unit}, and gravity takes {needed:.3g} {unit} where it rests"
             fix = f"correct effort in its <limit>, or --lock {name}"
-            found.append(note(rest, "arm-weak", name, what, "no controller holds it up", fix, about=name))
-    return found
+            notes.append(note(rest, "arm-weak", name, what, "no controller holds it up", fix, about=name))
+    return notes
 
 
 def friction_notes(rest: AtRest, damping: Array, coulomb: Array) -> list[Finding]:
-    """That no joint has friction.
+    """A note that no joint has friction.
 
     Args:
         rest: The robot.
@@ -259,7 +276,7 @@ def weld_notes(rest: AtRest, kinds: dict[str, str]) -> list[Finding]:
 
 
 def printed_notes(rest: AtRest, printed: str) -> list[Finding]:
-    """What Pinocchio's parser printed about a file that it accepts."""
+    """A warning with what Pinocchio's parser printed about a file that it accepts."""
     text = f"Pinocchio's parser says: {printable(printed)}"
     return [note(rest, "pinocchio", "", text, about="")] if printed else []
 
@@ -268,7 +285,7 @@ def printed_notes(rest: AtRest, printed: str) -> list[Finding]:
 
 
 @dataclass(frozen=True)
-class Reading:
+class BaseReading:
     """One way to read the geometry of a base.
 
     Attributes:
@@ -296,7 +313,7 @@ class Undecided(RobotError):
     """
 
     candidates: tuple[str, ...] = ()
-    readings: tuple[Reading, ...] = ()
+    readings: tuple[BaseReading, ...] = ()
 
 
 class Unsupported(RobotError):
@@ -309,30 +326,30 @@ class Unsupported(RobotError):
     machine: str = ""
 
 
-def readings(rest: AtRest, drives: list[Candidate]) -> list[Reading]:
-    """What a base on these wheels could be, with the reasons for and against."""
+def readings(rest: AtRest, drives: list[Candidate]) -> list[BaseReading]:
+    """The kinds of base that these wheels could make, with the reasons for and against."""
     pieces = evidence(rest, drives)
     speaks = {
         kind: tuple(dict.fromkeys(p.text for p in pieces if p.meaning == kind)) for kind in ("holonomic", "skid_steer")
     }
     many = len(drives) >= 4
     pairs = sum(coaxial(a, b) for i, a in enumerate(drives) for b in drives[:i])
-    two = Reading(
+    two = BaseReading(
         "differential_drive",
         (f"{pairs} pair(s) of coaxial wheels",) if pairs else (),
         (f"{len(drives)} wheel(s) that do not swivel",) if len(drives) != 2 else ("they are not on one axle",),
     )
     if not many:
         return [two]
-    rolls = Reading("holonomic", ("four or more parallel wheels", *speaks["holonomic"]), speaks["skid_steer"])
-    skids = Reading("skid_steer", ("four or more parallel wheels", *speaks["skid_steer"]), speaks["holonomic"])
+    rolls = BaseReading("holonomic", ("four or more parallel wheels", *speaks["holonomic"]), speaks["skid_steer"])
+    skids = BaseReading("skid_steer", ("four or more parallel wheels", *speaks["skid_steer"]), speaks["holonomic"])
     return [rolls, skids, two]
 
 
 def undecided(
     rest: AtRest,
     wheels: list[Candidate],
-    pieces: list[Reading],
+    pieces: list[BaseReading],
     why: str,
     fix: str,
     line: int | None = None,
@@ -384,18 +401,18 @@ def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[st
         if len(near_misses) > 1:
             larger = "with --radius METRES if they are larger"
             fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
-    return undecided(rest, near_misses, [Reading("differential_drive", ("coaxial wheels",), (why,))], why, fix)
+    return undecided(rest, near_misses, [BaseReading("differential_drive", ("coaxial wheels",), (why,))], why, fix)
 
 
 def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:
-    """Why bodies are not round about their axles, and the way out: many a cylinder lies across its joint's axis."""
+    """The reason why bodies are not round about their axles, and the way out: many a cylinder lies across the axis."""
     paired = any(coaxial(a, b) for i, a in enumerate(wheels) for b in wheels[:i])
     across = {c.joint.name: axis for c in wheels if (axis := lying_across(rest, c.joint))}
     if not across:
         return "what turns on them is not round about the axle", blind_fix(wheels)
     c = next(c for c in wheels if c.joint.name in across)
-    axis, own = across[c.joint.name], in_words(c.joint.axis)
-    why = f"the cylinder on '{c.joint.name}' lies along {axis} in its link, and its joint turns about {own}"
+    axis, joint_axis = across[c.joint.name], in_words(c.joint.axis)
+    why = f"the cylinder on '{c.joint.name}' lies along {axis} in its link, and its joint turns about {joint_axis}"
     fix = "turn the cylinders or the <axis> of the joints, so that they agree"
     stated = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
     if bare := [f"'{name}'" for name, other in across.items() if other == axis and name not in stated]:

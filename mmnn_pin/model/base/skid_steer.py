@@ -39,6 +39,7 @@ class SkidSteer(DifferentialDrive):
 
     kind = "skid_steer"
     words = "skid-steer bases"
+    scrubs = True
 
     @property
     def rolling(self) -> tuple[Wheel, ...]:
@@ -86,7 +87,7 @@ def turning_friction(wheels: Sequence[Wheel], track: float, load: Array, mu: flo
 
 
 def rotation_centre(wheels: Sequence[Wheel], load: Array) -> float:
-    """How far ahead of the middle a turn on the spot has its centre: where the wheels' side forces cancel [m].
+    """Distance ahead of the middle of the centre of a turn on the spot, where the wheels' side forces cancel [m].
 
     Args:
         wheels: The wheels in the control frame.

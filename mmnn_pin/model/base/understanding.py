@@ -1,24 +1,26 @@
-"""What carries the arm: a differential drive, a holonomic base, nothing that moves; or a question to the user.
+"""The roles of a robot's joints, in its base and in its arm; or a question to the user.
 
 Geometry at rest decides first (`wheels`), what else the file says next (`evidence`). What the user says (`overrides`)
-is taken as it is. A machine that is none of these is refused by its name (`machines`).
+is taken as it is. A machine that is none of the kinds of base is refused by its name (`machines`).
 """
 
 from __future__ import annotations
 
+import copy
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import msgspec
 import numpy as np
 
-from ..urdf.document import Joint
+from ..arm import Arm, choose_arm
+from ..urdf.document import Document, Joint, text_of
 from ..urdf.finding import Finding
-from ..urdf.shapes import AtRest
+from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base, Fixed
-from .calibration import calibration
-from .controllers import RADII
 from .evidence import (
+    RADII,
     evidence,
     follows_on_its_side,
     motors_named,
@@ -42,8 +44,8 @@ from .machines import (
     tracks,
     welded_tracks,
 )
-from .opinions import second_opinions, unasked
-from .overrides import Overrides
+from .opinions import calibration, second_opinions, unasked
+from .overrides import Overrides, folders_of
 from .placing import (
     crossed,
     declared_wheel,
@@ -57,9 +59,10 @@ from .placing import (
     with_wheels,
 )
 from .report import (
+    BaseReading,
     BaseResult,
-    Reading,
     Undecided,
+    arm_notes,
     base_notes,
     blind_fix,
     buried_note,
@@ -70,9 +73,9 @@ from .report import (
     readings,
     undecided,
     unsupported,
+    weld_notes,
     welded_note,
 )
-from .standing import welded_cylinders, welded_wheels
 from .wheels import (
     COAXIAL,
     LUMPY,
@@ -88,72 +91,106 @@ from .wheels import (
     is_low,
     one_axle,
     parallel,
+    welded_cylinders,
+    welded_wheels,
     wheel_candidates,
     wheel_of,
 )
 
 UPRIGHT = "like bodies turn without end about vertical axes: wheels in a file with y up, or casters"
-
 Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
-
 FORCES = "--base holonomic to drive it by forces on its frame, or --base fixed to park it"
-
 UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
-
+NOTHING = 0.05  # of the mass of a robot: what simulators ask for of an empty link
 SAME_SIZE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
 
 
-def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
-    """Find the mobile base.
+@dataclass(frozen=True, eq=False)
+class Roles:
+    """The roles of a robot's joints.
 
-    Args:
+    Attributes:
+        document: The URDF, joints that stand the robot in the world made fixed.
         rest: The robot at rest.
-        overrides: What the user says about it.
+        base: What carries the arm.
+        arm: The manipulator, and what stands still.
+        findings: What there is to say of the base.
+        notes: What there is to say of the arm and of the joints that were made fixed.
+        taken: What the robot's own controllers correct of the base's geometry, keys of `Overrides`.
+    """
+
+    document: Document
+    rest: AtRest
+    base: Base
+    arm: Arm
+    findings: tuple[Finding, ...]
+    notes: tuple[Finding, ...]
+    taken: dict[str, Any]
+
+
+def understand(document: Document, overrides: Overrides) -> Roles:
+    """The roles of a robot's joints, by its geometry, by what else its file says, and by what the user says.
 
     Raises:
-        Undecided: It may be one thing or another; the candidates are listed with the reasons for and against.
-        Unsupported: It is a machine of another kind, e.g. a car-like, tracked or legged one.
-        UnknownName: A wheel that the robot does not have.
-        ConfigError: Wheels that do not suit the base.
+        Undecided: Its base may be one thing or another; the candidates are listed with the reasons for and against.
+        Unsupported: It is a machine of another kind, e.g. a car-like, tracked or legged one, or nothing of it moves.
+        UnknownName: A joint or link that the robot does not have.
+        ConfigError: Something said that does not suit the robot.
     """
+    document, welds = welded(document)
+    rest = AtRest(document, folders_of(document.path, overrides))
+    found = find_base(rest, overrides)
+    require_rolling(rest, found.base, welds, overrides)
+    arm = choose_arm(rest, found.base, overrides)
+    if not found.base.columns and not arm.joints:
+        fix = "--free JOINT moves one that is locked"
+        raise unsupported(rest, "single rigid body", "no joint of it moves", (), fix)
+    notes = (*arm_notes(rest, arm), *weld_notes(rest, welds))
+    return Roles(document, rest, found.base, arm, found.findings, notes, found.taken)
+
+
+def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
+    """The mobile base of a robot at rest; errors as of `understand`."""
     overrides = overrides or Overrides()
-    found = understood(rest, overrides)
-    taken, findings = calibration(rest, found.base, overrides)
+    result = understood(rest, overrides)
+    taken, findings = calibration(rest, result.base, overrides)
     if taken:
-        found = understood(rest, msgspec.structs.replace(overrides, **taken))
-    return replace(found, findings=(*found.findings, *findings), taken=taken)
+        result = understood(rest, msgspec.structs.replace(overrides, **taken))
+    return replace(result, findings=(*result.findings, *findings), taken=taken)
 
 
 def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
-    """The base by its geometry, by what the file says, and by what the user says; errors of `find_base`."""
-    radii = {one.nominal for one in stated(rest, overrides.controllers_file, RADII)}
+    """The base by its geometry, by what the file says, and by what the user says; errors of `understand`."""
+    radii = {length.nominal for length in stated(rest, overrides.controllers_file, RADII)}
     radius = overrides.radius or (min(radii) if len(radii) == 1 else None)
     candidates = wheel_candidates(rest, radius, overrides.radius is not None)
-    drives = candidates.wheels
     named = [declared_wheel(rest, name, candidates, overrides) for name in overrides.wheels or ()]
     if overrides.base != "fixed":
         require_possible(overrides, candidates, named)
-    if overrides.base == "fixed":
-        found = BaseResult(parked([*candidates.wheels, *candidates.near_misses, *candidates.limited]))
-    elif overrides.wheels is not None:
-        drives = named
-        found = declared(rest, drives, [*candidates.wheels, *candidates.limited], overrides)
-    elif overrides.base == "holonomic" and not plain(candidates.wheels):
-        found = pushed(rest, candidates)
-    else:
-        found = decide(rest, candidates, overrides)
-    found = with_strays(rest, found, overrides)
-    require_drive(rest, found.base, overrides)
-    require_motors(rest, found.base, overrides)
-    require_used(overrides, found.base)
-    welds = welded_note(rest, welded_cylinders(rest, candidates.floor)) if found.base.wheels else []
+    result = with_strays(rest, chosen(rest, candidates, named, overrides), overrides)
+    require_drive(rest, result.base, overrides)
+    require_motors(rest, result.base, overrides)
+    require_used(overrides, result.base)
+    drives = named if overrides.wheels is not None and overrides.base != "fixed" else candidates.wheels
     notes = [
-        *base_notes(rest, found.base, drives, overrides.radius is not None),
-        *buried_note(rest, found.base, candidates.floor),
-        *second_opinions(rest, found.base, drives, overrides),
+        *base_notes(rest, result.base, drives, overrides.radius is not None),
+        *buried_note(rest, result.base, candidates.floor),
+        *second_opinions(rest, result.base, drives, overrides),
+        *unasked(rest, result.base, overrides),
+        *(welded_note(rest, welded_cylinders(rest, candidates.floor)) if result.base.wheels else ()),
     ]
-    notes += unasked(rest, found.base, overrides)
-    return replace(found, findings=(*found.findings, *notes, *welds))
+    return replace(result, findings=(*result.findings, *notes))
+
+
+def chosen(rest: AtRest, candidates: Candidates, named: list[Candidate], overrides: Overrides) -> BaseResult:
+    """The base as the user says, else as geometry and evidence have it."""
+    if overrides.base == "fixed":
+        return BaseResult(parked([*candidates.wheels, *candidates.near_misses, *candidates.limited]))
+    if overrides.wheels is not None:
+        return declared(rest, named, [*candidates.wheels, *candidates.limited], overrides)
+    if overrides.base == "holonomic" and not plain(candidates.wheels):
+        return pushed(rest, candidates)
+    return decide(rest, candidates, overrides)
 
 
 def declared(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
@@ -164,41 +201,47 @@ def declared(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], ove
     return with_wheels(rest, drives, wheels, overrides)
 
 
-def with_strays(rest: AtRest, found: BaseResult, overrides: Overrides) -> BaseResult:
+def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseResult:
     """The base, and what else low on it turns without end: that is no arm, it stands still.
 
     Raises:
         Undecided: Nothing says what base they make, or they stand as high as the drive wheels.
     """
-    base = found.base
-    used = {*base.locked, *(wheel.joint for wheel in base.wheels)}
-    alike = alike_on_root(rest)
-    used |= {*overrides.free}
-    alike = [*alike, *odd_casters(rest, base)]
-    strays = [j for j in rest.document.joints.values() if (is_low(rest, j) or j in alike) and j.name not in used]
+    base, strays = result.base, strays_of(rest, result.base, overrides)
     few = len(strays) < ROUND_ABOUT and not mirrored(rest, strays)
     if not strays or (not base.columns and overrides.base is None and few):
-        return found
+        return result
     level = [j for j in strays if any(abs(rest.hub(j)[2] - hub) < TOUCHING * r for hub, r in hubs_of(rest, base))]
     if overrides.base is None and overrides.wheels is None and (not base.columns or len(level) >= 2):
-        near = [j for j in rest.document.joints.values() if is_low(rest, j) or j in strays]
-        wheels = [wheel_of(rest, j) for j in near if not rest.is_vertical(j)]
-        why = f"{len(strays)} joints turn without end low on the base, and what is on them cannot be measured"
-        fix = blind_fix(wheels)
-        if not wheels:
-            wheels, why = [Candidate(j, rest.axis(j), rest.hub(j), math.nan, "unknown") for j in near], UPRIGHT
-            fix = Z_UP
-        elif any(abs(c.axis[2]) > TILTED for c in wheels):
-            why, fix = f"{len(strays)} like bodies turn without end about tilted axes: does it roll on a ball?", FORCES
-        elif all(c.shape == LUMPY for c in wheels):
-            why, fix = lumpy(rest, wheels)
-        raise undecided(rest, wheels, readings(rest, wheels), why, fix)
+        raise unclear_strays(rest, strays)
     base = replace(base, casters=in_order(rest, {*base.casters, *(j.name for j in strays)}))
     names = ", ".join(f"'{j.name}'" for j in strays)
     why = "low on the base and endless: hardly joints of an arm"
     fix = f"name them in --wheels if they drive, --free {strays[0].name} if it is the arm's"
-    told = note(rest, "base-stray", strays[0].name, f"joints that may be wheels stand still: {names}", why, fix)
-    return BaseResult(base, (*found.findings, told))
+    stray = note(rest, "base-stray", strays[0].name, f"joints that may be wheels stand still: {names}", why, fix)
+    return BaseResult(base, (*result.findings, stray))
+
+
+def strays_of(rest: AtRest, base: Base, overrides: Overrides) -> list[Joint]:
+    """Joints that turn without end low on the base, and have no part in it."""
+    used = {*base.locked, *(wheel.joint for wheel in base.wheels), *overrides.free}
+    alike = [*alike_on_root(rest), *odd_casters(rest, base)]
+    return [j for j in rest.document.joints.values() if (is_low(rest, j) or j in alike) and j.name not in used]
+
+
+def unclear_strays(rest: AtRest, strays: list[Joint]) -> Undecided:
+    """The error for joints that turn without end low on the base, and do not tell what it is."""
+    near = [j for j in rest.document.joints.values() if is_low(rest, j) or j in strays]
+    wheels = [wheel_of(rest, j) for j in near if not rest.is_vertical(j)]
+    why, fix = f"{len(strays)} joints turn without end low on the base, and what is on them cannot be measured", ""
+    if not wheels:
+        wheels, why = [Candidate(j, rest.axis(j), rest.hub(j), math.nan, "unknown") for j in near], UPRIGHT
+        fix = Z_UP
+    elif any(abs(c.axis[2]) > TILTED for c in wheels):
+        why, fix = f"{len(strays)} like bodies turn without end about tilted axes: does it roll on a ball?", FORCES
+    elif all(c.shape == LUMPY for c in wheels):
+        why, fix = lumpy(rest, wheels)
+    return undecided(rest, wheels, readings(rest, wheels), why, fix or blind_fix(wheels))
 
 
 def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
@@ -210,8 +253,8 @@ def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
     driving = tuple(dict.fromkeys(piece.text for piece in plugins(rest)))
     if driving and not base.columns and overrides.base is None:
         why = "no joint could be a wheel, and a plugin drives a base"
-        rolls = Reading("holonomic", driving, ("no wheel can turn in this file",))
-        raise undecided(rest, [], [rolls, Reading("fixed", ("no wheel is found",), driving)], why, UNDRIVEN)
+        rolls = BaseReading("holonomic", driving, ("no wheel can turn in this file",))
+        raise undecided(rest, [], [rolls, BaseReading("fixed", ("no wheel is found",), driving)], why, UNDRIVEN)
 
 
 def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
@@ -225,12 +268,12 @@ def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
 def odd_casters(rest: AtRest, base: Base) -> list[Joint]:
     """Swivels on the root's body, and what turns without end on each alone, no higher than the drive wheels' hubs."""
     highest = min((hub for hub, _ in hubs_of(rest, base)), default=-math.inf)
-    found = list[Joint]()
+    joints = list[Joint]()
     for joint in rest.document.moving_children(rest.document.root_link):
         carried = rest.document.moving_children(joint.child)
         ends = len(carried) == 1 and is_endless_end(rest, carried[0]) and rest.hub(carried[0])[2] <= highest
-        found += [joint, *carried] if ends and joint.turns_freely and rest.is_vertical(joint) else []
-    return found
+        joints += [joint, *carried] if ends and joint.turns_freely and rest.is_vertical(joint) else []
+    return joints
 
 
 def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:
@@ -240,32 +283,34 @@ def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:
 
 def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
     """The base as geometry and evidence have it."""
+    require_sound_wheels(rest, candidates, overrides)
     wheels = candidates.wheels
-    spun = wheels or candidates.near_misses
-    if spun and (names := propellers(rest, [c.joint for c in spun])):
-        raise unsupported(rest, PROPELLERS, f"{names} by their names", ())
-    if candidates.limited and (wheels or not machine(rest)):
-        raise undecided_limits(rest, candidates)
-    if (
-        not wheels
-        and candidates.near_misses
-        and not (rest.is_vertical(candidates.near_misses[0].joint) and machine(rest))
-    ):
-        raise not_on_floor(rest, candidates, overrides.package_dirs)
     if not wheels:
         return without_wheels(rest, overrides, candidates.floor)
-    drives = plain(wheels)
-    balls = [c for c in drives if c.shape == "sphere"]
-    if 0 < len(balls) == len(drives) - 2:  # balls beside two proper wheels: casters written as continuous joints
-        drives = [c for c in drives if c not in balls]
+    drives = without_balls(plain(wheels))
     refuse_steered(rest, wheels)
     if overrides.base == "holonomic" and (len(drives) < 3 or one_axle(drives) or not in_pairs(drives)):
         return pushed(rest, candidates)
     refuse_mimic_wheels(rest, wheels, drives)
-    drives, told = driven_pair(rest, drives) if overrides.base in (None, "differential_drive") else (drives, [])
-    if told:
-        found = with_wheels(rest, drives, wheels, overrides)
-        return replace(found, findings=(*told, *found.findings))
+    drives, notes = driven_pair(rest, drives) if overrides.base in (None, "differential_drive") else (drives, [])
+    found = on_driven(rest, drives, wheels, overrides, sure=bool(notes))
+    return replace(found, findings=(*notes, *found.findings))
+
+
+def on_driven(
+    rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides, sure: bool
+) -> BaseResult:
+    """The base on wheels that drive: two coaxial ones, crossed ones, or four and more in parallel.
+
+    Args:
+        rest: The robot at rest.
+        drives: The wheels that drive.
+        wheels: All its wheels.
+        overrides: What the user says.
+        sure: Whether their motors tell that they are the two of a differential drive.
+    """
+    if sure:
+        return with_wheels(rest, drives, wheels, overrides)
     if len(drives) == 2 and coaxial(*drives):
         refuse_steered_pair(rest, drives, wheels)
         return with_wheels(rest, drives, wheels, overrides)
@@ -275,6 +320,29 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseRe
         if len(drives) >= 4:
             return many_parallel(rest, drives, wheels, overrides)
     raise no_base(rest, wheels, drives)
+
+
+def require_sound_wheels(rest: AtRest, candidates: Candidates, overrides: Overrides) -> None:
+    """Refuse what turns like wheels and is none: propellers, wheels whose joints have limits, wheels off the floor.
+
+    Raises:
+        Unsupported: It has propellers.
+        Undecided: It has wheels but for one thing.
+    """
+    wheels, near = candidates.wheels, candidates.near_misses
+    turning = wheels or near
+    if turning and (names := propellers(rest, [c.joint for c in turning])):
+        raise unsupported(rest, PROPELLERS, f"{names} by their names", ())
+    if candidates.limited and (wheels or not machine(rest)):
+        raise undecided_limits(rest, candidates)
+    if near and not wheels and not (rest.is_vertical(near[0].joint) and machine(rest)):
+        raise not_on_floor(rest, candidates, overrides.package_dirs)
+
+
+def without_balls(drives: list[Candidate]) -> list[Candidate]:
+    """The two proper wheels where all others are balls: casters that are written as continuous joints."""
+    proper = [c for c in drives if c.shape != "sphere"]
+    return proper if len(proper) == 2 else drives
 
 
 def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> Undecided:
@@ -309,16 +377,16 @@ def driven_pair(rest: AtRest, drives: list[Candidate]) -> tuple[list[Candidate],
     Wheels of the same size beside them may be those of a skid-steer base that turn with them.
     """
     motors = motors_named(rest)
-    own = [c for c in drives if c.joint.name in motors]
-    others = [c for c in drives if c not in own]
-    if len(drives) < 3 or len(own) != 2 or not coaxial(*own):
+    powered = [c for c in drives if c.joint.name in motors]
+    others = [c for c in drives if c not in powered]
+    if len(drives) < 3 or len(powered) != 2 or not coaxial(*powered):
         return drives, []
-    same = [c for c in others if abs(c.radius - own[0].radius) <= SAME_SIZE * own[0].radius]
+    same = [c for c in others if abs(c.radius - powered[0].radius) <= SAME_SIZE * powered[0].radius]
     if len(others) > 1 and same and not one_axle(drives):
         return drives, []
-    text = f"drive wheels by their motors: {', '.join(f'{c.joint.name} {motors[c.joint.name]}' for c in own)}"
+    text = f"drive wheels by their motors: {', '.join(f'{c.joint.name} {motors[c.joint.name]}' for c in powered)}"
     why = f"taken as free casters: {', '.join(c.joint.name for c in others)}"
-    return own, [note(rest, "base-driven", own[0].joint.name, text, why)]
+    return powered, [note(rest, "base-driven", powered[0].joint.name, text, why)]
 
 
 def parked(wheels: list[Candidate]) -> Base:
@@ -330,8 +398,8 @@ def parked(wheels: list[Candidate]) -> Base:
 
 def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResult:
     """A fixed arm, unless it walks, flies, is welded together or stands on welded wheels."""
-    if told := machine(rest):
-        name, why = told
+    if known := machine(rest):
+        name, why = known
         raise unsupported(rest, name, why, (), f"{PUSHED}; --base fixed parks it" if name == SWERVE else "")
     moving = [joint for joint in rest.document.joints.values() if joint.moves]
     welded = welded_wheels(rest, floor)
@@ -339,8 +407,10 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         raise unsupported(rest, "car-like base", f"{why}, and its wheels are welded on")
     if welded:
         names = ", ".join(f"'{joint.name}'" for joint in welded)
-        rolls = Reading("holonomic", ("wheels under casters on all sides",), (f"{names} are welded on (fixed joints)",))
-        still = Reading("fixed", ("no wheel can turn in this file",), ("there are wheels under it",))
+        rolls = BaseReading(
+            "holonomic", ("wheels under casters on all sides",), (f"{names} are welded on (fixed joints)",)
+        )
+        still = BaseReading("fixed", ("no wheel can turn in this file",), ("there are wheels under it",))
         fix = f"{UNDRIVEN}, or make the wheels' joints continuous"
         raise undecided(rest, [], [rolls, still], f"{len(welded)} wheels are welded on", fix, welded[0].line, names)
     if why := track_named(rest) if not moving else welded_tracks(rest):
@@ -351,7 +421,7 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         raise unsupported(rest, "single rigid body", "it has no joint that moves", (), fix)
     if overrides.base is not None:
         why = "no joint turns without end about a horizontal axis with something round on the floor"
-        yours = Reading(overrides.base, ("you said so",), (why,))
+        yours = BaseReading(overrides.base, ("you said so",), (why,))
         raise undecided(rest, [], [yours], why, f"name them with --wheels if they turn in this file, or {UNDRIVEN}")
     text = "nothing in this file could be a wheel: taken as an arm on a stand"
     fix = "--base holonomic if it stands on a base whose wheels the file leaves out"
@@ -364,22 +434,22 @@ def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]
         text = f"taken as skid_steer: {len(drives)} wheels on one axle, twin tyres whose sides turn alike and scrub"
         found = skidding(rest, drives, wheels, overrides)
         return replace(found, findings=(note(rest, "base-evidence", drives[0].joint.name, text), *found.findings))
-    told = evidence(rest, drives, overrides.controllers_file)
+    pieces = evidence(rest, drives, overrides.controllers_file)
     if overrides.wheels is None and (why := tracks(rest, drives)):
         few = len(drives) <= 2 * MOST_PER_SIDE
         if overrides.base != "skid_steer" or not few:
             fix = "--base skid_steer if it runs on these wheels, --base fixed takes it as an arm" if few else ""
             raise unsupported(rest, "tracked machine", why, drives, fix)
-    meaning = overrides.base if overrides.base in ("holonomic", "skid_steer") else verdict(told)
+    meaning = overrides.base if overrides.base in ("holonomic", "skid_steer") else verdict(pieces)
     if meaning is None and (why := steering_named(rest)):
         raise unsupported(rest, "car-like base", why, drives)
     if meaning is None:
         why = "four parallel wheels roll the same whether they have rollers (mecanum) or skid"
-        if told:
+        if pieces:
             why += ", and the evidence does not decide"
         fix = "--base skid_steer for plain wheels, --base holonomic for mecanum wheels"
         raise undecided(rest, wheels, readings(rest, drives), why, fix)
-    cited = [piece for piece in told if piece.meaning == meaning]
+    cited = [piece for piece in pieces if piece.meaning == meaning]
     findings = [evidence_note(rest, meaning, cited)] if cited else []
     if meaning == "skid_steer":
         found = skidding(rest, drives, wheels, overrides)
@@ -391,13 +461,13 @@ def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]
 def along(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
     """A note where only some wheels of a skid-steer base have motors: the others are taken as turned by these."""
     motors = motors_named(rest)
-    own = [c.joint.name for c in drives if c.joint.name in motors]
-    if not 0 < len(own) < len(drives):
+    powered = [c.joint.name for c in drives if c.joint.name in motors]
+    if not 0 < len(powered) < len(drives):
         return []
-    text = f"of the wheels only {', '.join(own)} have motors: {motors[own[0]]}"
+    text = f"of the wheels only {', '.join(powered)} have motors: {motors[powered[0]]}"
     why = "the others are taken as turned along with those of their side, by a belt or chain"
-    fix = f"--wheels {','.join(own)} where they roll freely" if len(own) == 2 else ""
-    return [note(rest, "base-driven", own[0], text, why, fix)]
+    fix = f"--wheels {','.join(powered)} where they roll freely" if len(powered) == 2 else ""
+    return [note(rest, "base-driven", powered[0], text, why, fix)]
 
 
 # -- wheels that leave a doubt -----------------------------------------------------------------------------------------
@@ -407,8 +477,8 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     """The error for wheels whose joints have limits."""
     names = ", ".join(f"'{c.joint.name}'" for c in candidates.limited)
     why = f"{names}: revolute with limits, and a wheel turns without end"
-    two = Reading("differential_drive", ("coaxial round bodies on the floor",), (why,))
-    still = Reading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
+    two = BaseReading("differential_drive", ("coaxial round bodies on the floor",), (why,))
+    still = BaseReading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
     drives = ",".join(c.joint.name for c in plain(candidates.wheels))
     others = f"name the others with --wheels {drives}, " if drives else ""
     fix = f'write type="continuous" for wheels, {others}or --base fixed to park them'
@@ -431,5 +501,61 @@ def refuse_mimic_wheels(rest: AtRest, wheels: list[Candidate], drives: list[Cand
     turning_alike = aligned and all(follows_on_its_side(c, drives) for c in slaves)
     if turning_alike and verdict(evidence(rest, drives)) == "skid_steer":
         return
-    two = Reading("differential_drive", (), ("a drive wheel turns by itself",))
+    two = BaseReading("differential_drive", (), ("a drive wheel turns by itself",))
     raise undecided(rest, wheels, [two], why, f"take out their <mimic> if they turn by themselves, or {FORCES}")
+
+
+# -- joints that stand a robot in the world ----------------------------------------------------------------------------
+
+
+def welded(document: Document) -> tuple[Document, dict[str, str]]:
+    """The robot with its planar and floating joints welded, and those of a virtual x, y and yaw; and what they were."""
+    kinds = {joint.name: joint.type for joint in document.joints.values() if joint.type in ("planar", "floating")}
+    kinds |= virtual_joints(document)
+    if not kinds:
+        return document, {}
+    root = copy.deepcopy(document.root)
+    for element in root.iterchildren("joint"):
+        if element.get("name") in kinds:
+            element.set("type", "fixed")
+    return replace(document, root=root, text=text_of(root)), kinds
+
+
+def virtual_joints(document: Document) -> dict[str, str]:
+    """Joints with their types that place a robot in the plane: two level slides and a vertical turn.
+
+    Their links are empty, but for the little mass that some simulators ask for.
+    """
+    rest, link, chain = AtRest(document), document.root_link, list[Joint]()
+    mass = NOTHING * sum(rest.masses.values())
+    while len(chain) < 3:
+        below = document.moving_children(link)
+        if len(below) != 1 or any(rest.mass(name) > mass or shaped(rest, name) for name in document.body(link)):
+            return {}
+        chain.append(below[0])
+        link = below[0].child
+    if not document.moving_children(link):  # they are all that it can do
+        return {}
+    slides = [j for j in chain if j.type == "prismatic" and rest.is_horizontal(j)]
+    turns = [j for j in chain if j.type in ("revolute", "continuous") and rest.is_vertical(j)]
+    crossed = len(slides) == 2 and len(turns) == 1 and abs(rest.axis(slides[0]) @ rest.axis(slides[1])) < HORIZONTAL
+    return {j.name: j.type for j in chain} if crossed else {}
+
+
+def shaped(rest: AtRest, link: str) -> bool:
+    """Whether a link that weighs something has a shape, too."""
+    return rest.mass(link) > 0 and rest.document.links[link].find(".//geometry") is not None
+
+
+def require_rolling(rest: AtRest, base: Base, welds: dict[str, str], overrides: Overrides) -> None:
+    """Refuse to take a robot as an arm on a stand whose root moves in the plane.
+
+    Raises:
+        Undecided: It does, and has no wheels.
+    """
+    moves = [name for name, kind in welds.items() if kind != "floating"]
+    if moves and not base.columns and overrides.base is None:
+        why = f"its root moves in the plane by {', '.join(moves)}, and no wheel is found"
+        rolls, still = BaseReading("holonomic", (why,)), BaseReading("fixed", ("no wheel is found",))
+        fix = "--base holonomic drives it by forces on its frame; --base fixed takes it as an arm"
+        raise undecided(rest, [], [rolls, still], why, fix, rest.document.joints[moves[0]].line)

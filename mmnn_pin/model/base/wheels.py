@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -32,10 +32,10 @@ HUB, STATED = "hub height", "radius as stated"  # shapes of wheels whose body ca
 UNSEEN = (HUB, STATED, PARTIAL, LUMPY, "unknown")
 FLOOR_NAMES = re.compile(r"footprint|ground|floor|world|map|odom", re.IGNORECASE)  # of frames that stand for the floor
 STEER_NAMES = re.compile(r"steer", re.IGNORECASE)
+WHEEL_NAMES = re.compile(r"wheel|whl", re.IGNORECASE)
 LOW = 0.4  # joints in the lower part of a robot, by this fraction of its height, may be wheels
 ALL_ROUND, TRAIL = 6.0, 1e-3  # [rad] travel of a joint that swivels, [m] least trail of a caster
 ROUND_ABOUT, ROLLERS = 3, 4  # low joints that are wheels though no axis is shared; bodies on a wheel, its rollers
-
 Mount = Literal["", "swivel", "steering", "leg"]
 
 
@@ -75,7 +75,7 @@ class Candidate:
 
     @property
     def text(self) -> str:
-        """Itself in words."""
+        """Its joint, shape, size and place in words."""
         x, y, _ = self.centre
         size = "radius unknown" if math.isnan(self.radius) else f"radius {self.radius:.4g} m"
         tilt = math.degrees(math.asin(min(1.0, abs(self.axis[2]))))
@@ -86,7 +86,7 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What may be wheels, in the root frame at rest.
+    """Joints that may be wheels, in the root frame at rest.
 
     Attributes:
         wheels: Those on the floor.
@@ -106,56 +106,134 @@ class Candidates:
 
 
 def wheel_candidates(rest: AtRest, radius: float | None = None, given: bool = False) -> Candidates:
-    """What may be wheels.
+    """Joints that may be wheels.
 
     Args:
         rest: The robot at rest.
         radius: What is stated of their radius, for those that cannot be measured [m].
         given: Whether the user states it, and not the file.
     """
-    found = [c for joint in rest.document.joints.values() if (c := round_joint(rest, joint))]
-    rollers = {name for c in found for name in c.rollers}
-    found = [c for c in found if c.joint.name not in rollers]
-    upright = [c for c in found if rest.is_vertical(c.joint)]
-    tilted = [c for c in found if not rest.is_horizontal(c.joint) and c not in upright]
-    found = [c for c in found if rest.is_horizontal(c.joint)]
-    unknown, lumpy = [c for c in found if c.shape in ("unknown", PARTIAL)], [c for c in found if c.shape == LUMPY]
-    known = [c for c in found if c not in unknown and c not in lumpy]
-    partial = [c for c in known if not math.isnan(c.left)]
-    blind = {link for c in unknown + partial for link in rest.document.body(c.joint.child)}  # tells no floor
-    shapes = [shape for link in rest.document.links if link not in blind for shape in rest.primitives[link]]
-    seen, around = [c for c in known if c not in partial], [s for s in shapes if not at_hub(s, unknown + partial)]
-    footing = footing_of(rest, seen, around)
-    doubted = [c for c in partial if c.mount == "" and not borne_out(c, footing, radius)]
-    known = [c for c in known if c not in doubted]
-    unknown += [replace(c, radius=math.nan, shape=PARTIAL) for c in doubted]
-    known += on_floor(rest, unknown, known, footing, radius, given)
-    lowest = [shape.lowest for shape in shapes] + [rest.bottom(link) for link in rest.document.links]
-    floor = min(lowest + [c.bottom for c in known if not math.isnan(c.radius)], default=math.inf)
-    ground = standing_on(rest, known, floor)
-    touching = [c for c in known if c.shape == STATED or abs(c.bottom - ground) <= TOUCHING * c.radius]
-    touching += [c for c in known if c not in touching and sinks_to(rest, c, ground, touching)]
+    level, tilted, upright = by_axis(rest, endless_rounds(rest))
+    sight = by_sight(level)
+    shapes = shapes_in_sight(rest, sight)
+    footing = footing_of(rest, sight.whole, [s for s in shapes if not at_hub(s, sight.blind)])
+    known, hidden = borne_out(sight, footing, radius)
+    known = known + on_floor(rest, hidden, known, footing, radius, given)
+    floor = lowest_place(rest, shapes, known)
     limited = limited_wheels(rest, known, floor)
-    if touching:
+    if touching := those_touching(rest, known, standing_on(rest, known, floor)):
         return Candidates(touching, [], floor, footing, limited)
+    return Candidates([], near_misses(rest, known, tilted, upright, sight.lumpy, floor), floor, footing, limited)
+
+
+def endless_rounds(rest: AtRest) -> list[Candidate]:
+    """Joints that turn freely and may carry a wheel, in the order of the file; rollers on the rims of others apart."""
+    candidates = [c for joint in rest.document.joints.values() if (c := round_joint(rest, joint))]
+    rollers = {name for c in candidates for name in c.rollers}
+    return [c for c in candidates if c.joint.name not in rollers]
+
+
+def by_axis(rest: AtRest, candidates: list[Candidate]) -> tuple[list[Candidate], list[Candidate], list[Candidate]]:
+    """Those whose axis is level, those whose axis is tilted, those whose axis is upright."""
+    level = [c for c in candidates if rest.is_horizontal(c.joint)]
+    upright = [c for c in candidates if rest.is_vertical(c.joint)]
+    return level, [c for c in candidates if c not in level and c not in upright], upright
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Candidates on level axes by what can be seen of them.
+
+    Attributes:
+        measured: With a round body; of `partial` ones a mesh is missing.
+        hidden: Nothing of them can be read whole.
+        lumpy: What is on them is not round.
+    """
+
+    measured: list[Candidate]
+    hidden: list[Candidate]
+    lumpy: list[Candidate]
+
+    @property
+    def partial(self) -> list[Candidate]:
+        """Those that are measured from what is left."""
+        return [c for c in self.measured if not math.isnan(c.left)]
+
+    @property
+    def whole(self) -> list[Candidate]:
+        """Those that are measured whole."""
+        return [c for c in self.measured if math.isnan(c.left)]
+
+    @property
+    def blind(self) -> list[Candidate]:
+        """Those that are not seen whole."""
+        return self.hidden + self.partial
+
+
+def by_sight(level: list[Candidate]) -> Sight:
+    """Candidates by what can be seen of them."""
+    hidden = [c for c in level if c.shape in ("unknown", PARTIAL)]
+    lumpy = [c for c in level if c.shape == LUMPY]
+    return Sight([c for c in level if c not in hidden and c not in lumpy], hidden, lumpy)
+
+
+def shapes_in_sight(rest: AtRest, sight: Sight) -> list[Shape]:
+    """Primitives of all links but those of wheels that are not seen whole: these tell no floor."""
+    blind = {link for c in sight.blind for link in rest.document.body(c.joint.child)}
+    return [shape for link in rest.document.links if link not in blind for shape in rest.primitives[link]]
+
+
+def borne_out(sight: Sight, footing: float, stated: float | None) -> tuple[list[Candidate], list[Candidate]]:
+    """Those that are measured and those that are hidden: what is left of a wheel counts where it is all of it.
+
+    It is if it reaches the floor, or has the radius that is stated.
+    """
+
+    def doubted(c: Candidate) -> bool:
+        near = SURE * c.radius
+        right = abs(c.bottom - footing) <= near or (stated is not None and abs(c.radius - stated) <= near)
+        return c.mount == "" and not right
+
+    doubts = [c for c in sight.partial if doubted(c)]
+    hidden = sight.hidden + [replace(c, radius=math.nan, shape=PARTIAL) for c in doubts]
+    return [c for c in sight.measured if c not in doubts], hidden
+
+
+def lowest_place(rest: AtRest, shapes: list[Shape], known: list[Candidate]) -> float:
+    """Height of the robot's lowest place, as far as shapes, centres of mass and wheels tell [m]."""
+    heights = [shape.lowest for shape in shapes] + [rest.bottom(link) for link in rest.document.links]
+    return min(heights + [c.bottom for c in known if not math.isnan(c.radius)], default=math.inf)
+
+
+def those_touching(rest: AtRest, known: list[Candidate], ground: float) -> list[Candidate]:
+    """Wheels on the floor, and those that sink to it on rockers or bogies."""
+    touching = [c for c in known if c.shape == STATED or abs(c.bottom - ground) <= TOUCHING * c.radius]
+    return touching + [c for c in known if c not in touching and sinks_to(rest, c, ground, touching)]
+
+
+def near_misses(
+    rest: AtRest,
+    known: list[Candidate],
+    tilted: list[Candidate],
+    upright: list[Candidate],
+    lumpy: list[Candidate],
+    floor: float,
+) -> list[Candidate]:
+    """Joints that would be wheels but for one thing: they hang in the air, are tilted, lie, or are not round."""
+
+    def alike(some: list[Candidate]) -> list[Candidate]:
+        return [c for c in some if is_axle(rest, c, some) or is_round_about(rest, c, some)]
+
     known, upright, lumpy = ([c for c in some if c.joint.mimics is None] for some in (known, upright, lumpy))
     standing = [c for c in tilted if abs(c.bottom - floor) <= TOUCHING * c.radius and not moving_above(rest, c)]
-    hanging = [c for c in known if is_axle(rest, c, known) or is_round_about(rest, c, known)]
     lying = [c for c in upright if c.shape not in ("unknown", PARTIAL, LUMPY) and is_axle(rest, c, upright)]
-    turning = [c for c in lumpy if is_axle(rest, c, lumpy) or is_round_about(rest, c, lumpy)]
-    return Candidates([], hanging or standing or lying or turning, floor, footing, limited)
+    return alike(known) or standing or lying or alike(lumpy)
 
 
 def sinks_to(rest: AtRest, c: Candidate, ground: float, others: list[Candidate]) -> bool:
     """Whether a wheel hangs less than its radius above the floor, on a rocker or bogie, like one that touches it."""
     near = c.mount == "" and abs(c.bottom - ground) <= c.radius and moving_above(rest, c)
     return bool(near) and any(parallel(c, o) and abs(c.radius - o.radius) <= SURE * c.radius for o in others)
-
-
-def borne_out(c: Candidate, footing: float, stated: float | None) -> bool:
-    """Whether what is left of a wheel is all of it: it reaches the floor, or has the radius that is stated."""
-    near = SURE * c.radius
-    return abs(c.bottom - footing) <= near or (stated is not None and abs(c.radius - stated) <= near)
 
 
 def at_hub(shape: Shape, wheels: list[Candidate]) -> bool:
@@ -171,8 +249,8 @@ def standing_on(rest: AtRest, known: list[Candidate], floor: float) -> float:
     feet += [(s.lowest, s.radius) for link in body for s in rest.primitives[link] if s.rolls]
     level = min((bottom for bottom, _ in feet), default=math.nan)
     steady = [bottom for bottom, radius in feet if bottom - level <= TOUCHING * radius]
-    own = min((rest.bottom(link) for link in body), default=math.inf)
-    near = len(steady) >= ROUND_ABOUT and level - own <= SURE * feet[0][1]
+    lowest = min((rest.bottom(link) for link in body), default=math.inf)
+    near = len(steady) >= ROUND_ABOUT and level - lowest <= SURE * feet[0][1]
     wheels = [c for c in known if abs(c.bottom - level) <= SURE * c.radius]
     return level if near or (len(wheels) >= 4 and all(is_axle(rest, c, wheels, True) for c in wheels)) else floor
 
@@ -181,9 +259,9 @@ def limited_wheels(rest: AtRest, known: list[Candidate], floor: float) -> list[C
     """Round bodies on the floor whose revolute joints have limits and share an axis with each other or a wheel."""
     joints = [j for j in rest.document.joints.values() if j.type == "revolute" and not j.turns_freely]
     joints = [j for j in joints if rest.is_horizontal(j) and not rest.document.moving_children(j.child)]
-    found = [c for c in (wheel_of(rest, j) for j in joints) if not math.isnan(c.radius) and not moving_above(rest, c)]
-    ground = min([floor, *(c.bottom for c in found)])
-    low = [c for c in found if abs(c.bottom - ground) <= TOUCHING * c.radius]
+    rounds = [c for c in (wheel_of(rest, j) for j in joints) if not math.isnan(c.radius) and not moving_above(rest, c)]
+    ground = min([floor, *(c.bottom for c in rounds)])
+    low = [c for c in rounds if abs(c.bottom - ground) <= TOUCHING * c.radius]
     return [c for c in low if any(coaxial(c, o) for o in known + low if o is not c)]
 
 
@@ -222,24 +300,47 @@ def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candi
 
     Its shape is `LUMPY` when its body is not round. Rollers reach out further than the rim that carries them.
     """
-    axis, hub, links = rest.axis(joint), rest.hub(joint), rest.document.body(joint.child)
-    seen, blind, left = False, False, math.nan
+    axis, hub, left, looks = rest.axis(joint), rest.hub(joint), math.nan, list[Look]()
     for tag in ("collision", "visual"):
-        bodies, gone = readable(rest, links, tag)
-        rims, rims_gone = readable(rest, [rest.document.joints[name].child for name in rollers], tag)
-        rounds = [(*fit, s.kind) for s in bodies if (fit := round_about(s, hub, axis))]
-        if rims:
-            reaches = [reach_about(s, hub, axis) for s in rims]
-            middle = (min(low for _, low, _ in reaches) + max(high for _, _, high in reaches)) / 2
-            rounds.append((max(out for out, _, _ in reaches), middle, "mesh" if rims[0].kind == "mesh" else "cylinder"))
-        seen, blind = seen or bool(bodies), blind or gone or rims_gone
-        if rounds and not gone and not rims_gone:
-            radius, travel, kind = max(rounds)
-            other, unseen = sight(rest, joint) if tag == "collision" and not rims else (math.nan, False)
+        look = look_at(rest, joint, rollers, tag)
+        if look.rounds and not look.gone:
+            radius, travel, kind = max(look.rounds)
+            other, unseen = sight(rest, joint) if tag == "collision" and not look.rimmed else (math.nan, False)
             left = radius if unseen else math.nan
             return Candidate(joint, axis, hub + travel * axis, radius, kind, other=other, left=left)
-        left = max([left, *(radius for radius, _, _ in rounds)], key=lambda r: 0.0 if math.isnan(r) else r)
-    return Candidate(joint, axis, hub, math.nan, PARTIAL if blind else LUMPY if seen else "unknown", left=left)
+        looks.append(look)
+        left = max([left, *(radius for radius, _, _ in look.rounds)], key=lambda r: 0.0 if math.isnan(r) else r)
+    gone, seen = any(look.gone for look in looks), any(look.seen for look in looks)
+    return Candidate(joint, axis, hub, math.nan, PARTIAL if gone else LUMPY if seen else "unknown", left=left)
+
+
+class Look(NamedTuple):
+    """The sight of a wheel by its collision or its visual shapes.
+
+    Attributes:
+        rounds: Radius, place along the axis [m] and kind of what is round about it.
+        seen: Whether a shape can be read.
+        gone: Whether one cannot.
+        rimmed: Whether rollers on the rim can be read.
+    """
+
+    rounds: list[tuple[float, float, str]]
+    seen: bool
+    gone: bool
+    rimmed: bool
+
+
+def look_at(rest: AtRest, joint: Joint, rollers: tuple[str, ...], tag: str) -> Look:
+    """The sight of a wheel on a joint, with the rollers on its rim, by its collision or its visual shapes."""
+    axis, hub = rest.axis(joint), rest.hub(joint)
+    bodies, gone = readable(rest, rest.document.body(joint.child), tag)
+    rims, rims_gone = readable(rest, [rest.document.joints[name].child for name in rollers], tag)
+    rounds = [(*fit, s.kind) for s in bodies if (fit := round_about(s, hub, axis))]
+    if rims:
+        reaches = [reach_about(s, hub, axis) for s in rims]
+        middle = (min(low for _, low, _ in reaches) + max(high for _, _, high in reaches)) / 2
+        rounds.append((max(out for out, _, _ in reaches), middle, "mesh" if rims[0].kind == "mesh" else "cylinder"))
+    return Look(rounds, bool(bodies), gone or rims_gone, bool(rims))
 
 
 def sight(rest: AtRest, joint: Joint) -> tuple[float, bool]:
@@ -286,32 +387,42 @@ def moving_above(rest: AtRest, candidate: Candidate) -> list[Joint]:
 
 def on_floor(
     rest: AtRest,
-    unknown: list[Candidate],
+    hidden: list[Candidate],
     known: list[Candidate],
     footing: float,
     stated: float | None,
     given: bool = False,
 ) -> list[Candidate]:
-    """Bodies of unknown shape that are wheels by their places, of the radius that is stated, else of the hub's height.
-
-    Two share an axis, or three are low on the root's body. The radius is nan where nothing tells the floor; a file's
-    cannot be less than what is left of the wheel.
-    """
-    low = [c for c in unknown if is_low(rest, c.joint)]
+    """Hidden bodies that are wheels by their places: two share an axis, or three are low on the root's body."""
+    low = [c for c in hidden if is_low(rest, c.joint)]
     wheels = []
-    for c in unknown:
-        partners = [o for o in known + unknown if o is not c and coaxial(c, o)]
-        if not partners and not (c in low and len(low) >= ROUND_ABOUT):
-            continue
-        least = 0.0 if math.isnan(c.left) else (1 - SURE) * c.left
-        believed = stated is not None and (given or stated >= least)
-        radius = stated if believed and stated is not None else float(c.centre[2] - footing)
-        short = not believed and radius < least
-        if short or radius <= 0 or any(radius >= np.linalg.norm(o.centre - c.centre) for o in partners[:1]):
-            radius = math.nan
-        blind = c.shape if math.isnan(radius) else HUB
-        wheels.append(replace(c, radius=radius, shape=STATED if believed and not math.isnan(radius) else blind))
+    for c in hidden:
+        partner = next((o for o in (*known, *hidden) if o is not c and coaxial(c, o)), None)
+        if partner is not None or (c in low and len(low) >= ROUND_ABOUT):
+            room = math.inf if partner is None else float(np.linalg.norm(partner.centre - c.centre))
+            wheels.append(sized(c, room, footing, stated, given))
     return wheels
+
+
+def sized(c: Candidate, room: float, footing: float, stated: float | None, given: bool) -> Candidate:
+    """A hidden wheel with the radius that is stated, else with the height of its hub above the floor.
+
+    The radius is nan where nothing tells the floor, or there is no room for it; a file's cannot be less than what is
+    left of the wheel.
+
+    Args:
+        c: The wheel.
+        room: Distance of the wheel on the same axis [m].
+        footing: Height of the floor, nan where nothing tells it [m].
+        stated: What is stated of the radius [m].
+        given: Whether the user states it.
+    """
+    least = 0.0 if math.isnan(c.left) else (1 - SURE) * c.left
+    believed = stated if stated is not None and (given or stated >= least) else None
+    radius = float(c.centre[2] - footing) if believed is None else believed
+    if not 0 < radius < room or (believed is None and radius < least):
+        return replace(c, radius=math.nan)
+    return replace(c, radius=radius, shape=HUB if believed is None else STATED)
 
 
 def is_low(rest: AtRest, joint: Joint) -> bool:
@@ -379,7 +490,7 @@ def one_axle(wheels: list[Candidate]) -> bool:
 
 
 def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float]:
-    """What a wheel hangs on, and its trail if that is a joint about a vertical axis.
+    """The mount of a wheel, and its trail if that is a joint about a vertical axis.
 
     A swivel turns without end, or all the way round with the wheel trailing behind it; other such joints steer. More
     than two joints are a leg, fewer without a vertical one, or any that carry other wheels, a rocker: a suspension.
@@ -413,3 +524,56 @@ def bare_swivels(rest: AtRest, floor: float, radius: float) -> Iterator[Joint]:
             heights = [s.lowest for link in rest.document.body(joint.child) for s in rest.primitives[link]]
             if min(heights, default=math.inf) < floor + TOUCHING * radius:
                 yield joint
+
+
+# -- wheels that cannot turn -------------------------------------------------------------------------------------------
+
+
+def welded_wheels(rest: AtRest, floor: float) -> list[Joint]:
+    """Fixed joints with wheels that cannot turn: those that keep their axis, and those with cylinders on the floor.
+
+    A file made for planning often has its casters and wheels welded so.
+    """
+    return list(dict.fromkeys([*welded_axles(rest), *welded_cylinders(rest, floor), *welded_by_name(rest)]))
+
+
+def welded_by_name(rest: AtRest) -> list[Joint]:
+    """Two or more fixed joints at the end of the root's body whose links are called wheels, low on it.
+
+    A name makes the loader ask here, where geometry has nothing to say.
+    """
+    highest = height_at(rest, LOW)
+    body = rest.document.body(rest.document.root_link)[1:]
+    ends = [
+        rest.document.carrier[name] for name in body if WHEEL_NAMES.search(name) and not rest.document.children[name]
+    ]
+    low = [joint for joint in ends if rest.hub(joint)[2] <= highest]
+    return low if len(low) >= 2 else []
+
+
+def welded_cylinders(rest: AtRest, floor: float) -> list[Joint]:
+    """Fixed joints at the end of the root's body with a cylinder that lies on the floor on an axis shared by two."""
+    document, found = rest.document, []
+    for name in document.body(document.root_link)[1:]:
+        joint = document.carrier[name]
+        if not document.children[name]:
+            lying = [s for s in rest.primitives[name] if s.kind == "cylinder" and s.rolls]
+            touching = [s for s in lying if abs(s.lowest - floor) <= TOUCHING * s.radius]
+            found += [Candidate(joint, s.pose[:3, 2], s.pose[:3, 3], s.radius, "cylinder") for s in touching]
+    return [c.joint for c in found if any(coaxial(c, o) for o in found if o.joint is not c.joint)]
+
+
+def welded_axles(rest: AtRest) -> list[Joint]:
+    """Fixed joints that keep a horizontal axis shared by two, on the lowest bodies."""
+    document = rest.document
+    with_axis = {e.get("name") for e in document.root.iterchildren("joint") if e.find("axis") is not None}
+
+    def is_hub(joint: Joint) -> bool:
+        ends = not joint.moves and not document.children[joint.child] and not document.moving_ancestors(joint.child)
+        stated = joint.name in with_axis and np.any(joint.axis) and rest.is_horizontal(joint)
+        return bool(ends and stated and rest.mass(joint.child) > 0)
+
+    hubs = [Candidate(j, rest.axis(j), rest.hub(j), math.nan, "unknown") for j in document.joints.values() if is_hub(j)]
+    lowest = min((p[2, 3] for name, p in rest.placements.items() if rest.mass(name) > 0), default=math.inf)
+    pairs = [(a, b) for a in hubs for b in hubs if a is not b and coaxial(a, b)]
+    return [a.joint for a, b in pairs if a.centre[2] - lowest < 0.5 * np.linalg.norm(a.centre - b.centre)]

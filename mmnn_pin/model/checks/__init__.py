@@ -1,1 +1,1 @@
-"""What the proof needs of a robot, as residuals that users, tests and plots share."""
+"""The properties of a robot that the proof needs, as residuals that users, tests and plots share."""

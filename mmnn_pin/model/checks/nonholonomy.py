@@ -20,8 +20,7 @@ import numpy as np
 from ...signals import Array
 from ..robot import Robot
 
-Field = Callable[[Array], Array]
-
+VectorField = Callable[[Array], Array]
 STEP = 0.01  # of the derivatives, [rad, m]; fourth order, so nested brackets keep more than eight digits
 RANK_TOLERANCE = 1e-6  # singular values below this times the largest count as zero, the given fields having unit length
 WEIGHTS = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))  # fourth-order central difference
@@ -84,7 +83,7 @@ def nonholonomy(robot: Robot, rng: np.random.Generator | None = None, samples: i
 
 
 def verdict(pose: Closure) -> str:
-    """What the ranks on the pose mean, in words."""
+    """The meaning of the ranks on the pose, in words."""
     d, c = pose.distribution, pose.closure
     if d == pose.coordinates:
         return f"holonomic: nothing constrains the pose, the base moves in all its {d} directions at once"
@@ -97,7 +96,7 @@ def verdict(pose: Closure) -> str:
     return f"nonholonomic: {d} directions of motion, brackets of them add {c - d}; {reach}"
 
 
-def base_fields(robot: Robot, wheels: Sequence[str]) -> list[Field]:
+def base_fields(robot: Robot, wheels: Sequence[str]) -> list[VectorField]:
     """One field per base velocity on (x, y, phi of the control frame in the world; angles of the wheels named).
 
     They are the columns of T: the control frame's velocity turned into the world, S of (2.7), and the wheels' rates.
@@ -106,7 +105,7 @@ def base_fields(robot: Robot, wheels: Sequence[str]) -> list[Field]:
     body = robot.base.to_control @ robot.T[:3, :nb]
     rates = robot.T[[robot.full_velocity_names.index(name) for name in wheels], :nb]
 
-    def field(i: int) -> Field:
+    def field(i: int) -> VectorField:
         def at(x: Array) -> Array:
             c, s = np.cos(x[2]), np.sin(x[2])
             vx, vy, w = body[:, i]
@@ -117,7 +116,7 @@ def base_fields(robot: Robot, wheels: Sequence[str]) -> list[Field]:
     return [field(i) for i in range(nb)]
 
 
-def bracket(f: Field, g: Field) -> Field:
+def bracket(f: VectorField, g: VectorField) -> VectorField:
     """Lie bracket `[f, g] = (dg/dx) f - (df/dx) g`, by differences along f and g."""
 
     def at(x: Array) -> Array:
@@ -127,7 +126,7 @@ def bracket(f: Field, g: Field) -> Field:
     return at
 
 
-def along(f: Field, x: Array, direction: Array) -> Array:
+def along(f: VectorField, x: Array, direction: Array) -> Array:
     """Derivative of a field at x along a direction."""
     size = float(np.linalg.norm(direction))
     if size == 0:
@@ -136,7 +135,7 @@ def along(f: Field, x: Array, direction: Array) -> Array:
     return np.sum([weight * f(x + i * h * direction) for i, weight in WEIGHTS], axis=0) / h
 
 
-def involutive_closure(fields: Sequence[Field], points: Array) -> Closure:
+def involutive_closure(fields: Sequence[VectorField], points: Array) -> Closure:
     """Growth of the rank by brackets of the fields with what is there, until a round adds nothing.
 
     Args:
@@ -147,7 +146,7 @@ def involutive_closure(fields: Sequence[Field], points: Array) -> Closure:
     kept, newest = list(fields), list(fields)
     growth = [rank(kept, points)]
     while newest and growth[-1] < points.shape[1]:
-        added: list[Field] = []
+        added: list[VectorField] = []
         for f in fields:
             for g in newest:
                 candidate = bracket(f, g)
@@ -159,13 +158,13 @@ def involutive_closure(fields: Sequence[Field], points: Array) -> Closure:
     return Closure(points.shape[1], tuple(growth))
 
 
-def unit(f: Field, points: Array) -> Field:
+def unit(f: VectorField, points: Array) -> VectorField:
     """The field divided by its largest length over the points: a bracket of two such that vanishes is seen to."""
     length = max(float(np.linalg.norm(f(x))) for x in points)
     return (lambda x: f(x) / length) if length else f
 
 
-def rank(fields: Sequence[Field], points: Array) -> int:
+def rank(fields: Sequence[VectorField], points: Array) -> int:
     """Largest rank of the fields over the points: singular values above `RANK_TOLERANCE` times the largest."""
     best = 0
     for x in points:

@@ -10,15 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 
 import numpy as np
 
 from ...errors import ConfigError, RobotError
 from ...settings.arguments import checked
-from ...settings.shown import AsText
+from ...shown import AsText, shown
 from ...signals import Array
-from ..base.differential import DifferentialDrive
 from ..base.report import NO_FRICTION
 from ..robot import Robot, revolute
 from .nonholonomy import Nonholonomy, nonholonomy
@@ -27,7 +25,7 @@ from .residuals import (
     EXACT,
     STENCIL,
     STEP,
-    Terms,
+    FullTerms,
     annihilation,
     asymmetry,
     block_residual,
@@ -90,7 +88,7 @@ PROPERTIES: dict[str, tuple[float, bool, str]] = {
 
 
 @dataclass(frozen=True)
-class Bounds:
+class ModelBounds:
     """Bounds of property 1, estimated.
 
     Attributes:
@@ -105,8 +103,8 @@ class Bounds:
 
 
 @dataclass(frozen=True, repr=False)
-class Report(AsText):
-    """What the checks found; `print` shows every property.
+class CheckReport(AsText):
+    """The properties of one robot at all samples; `print` shows every one.
 
     Attributes:
         robot: Its name.
@@ -123,7 +121,7 @@ class Report(AsText):
     samples: int
     seed: int
     properties: dict[str, Property]
-    bounds: Bounds
+    bounds: ModelBounds
     nonholonomic: Nonholonomy
     skipped: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -138,8 +136,8 @@ class Report(AsText):
         end = f"{', '.join(failed)} failed" if failed else f"all {len(self.properties)} properties hold"
         return f"<Report: {self.robot}, {end} at {self.samples} states>"
 
-    def __str__(self) -> str:  # what shows it stands above it, so it is found by name
-        return str(import_module("mmnn_pin.lab.show.robots").properties_text(self))
+    def __str__(self) -> str:
+        return str(shown(self, "text"))
 
 
 @checked
@@ -148,10 +146,10 @@ def check(
     samples: int = 100,
     seed: int = 0,
     *,
-    terms: Terms | None = None,
+    terms: FullTerms | None = None,
     world: WorldFrame | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Report:
+) -> CheckReport:
     """Check every property of a robot at random states.
 
     Args:
@@ -159,7 +157,7 @@ def check(
         samples: Number of states.
         seed: Their seed.
         terms: The matrices to judge; None for Pinocchio's.
-        world: The world-frame form to judge; None for ours (differential drives only).
+        world: The world-frame form to judge; None for ours (bases with two sides only).
         progress: Called now and then with the fraction done.
 
     Raises:
@@ -173,8 +171,8 @@ def check(
     """
     if samples < 1:
         raise ConfigError(f"{samples} states", fix="give at least 1", key="samples")
-    terms, kinematics, skipped = terms or Terms(robot), None, {}
-    if world is None and isinstance(robot.base, DifferentialDrive):
+    terms, kinematics, skipped = terms or FullTerms(robot), None, {}
+    if world is None and robot.base.two_sided:
         world = WorldFrame(robot)
     try:
         kinematics = SecondKinematics(robot)
@@ -199,17 +197,17 @@ def check(
             progress((k + 1) / samples)
     properties = {name: Property(found[name], *PROPERTIES[name]) for name in PROPERTIES if name in found}
     low, high, coriolis = np.array(ranges).T
-    bounds = Bounds(float(low.min()), float(high.max()), float(coriolis.max()))
-    return Report(robot.name, samples, seed, properties, bounds, nonholonomy(robot, rng), skipped, notes_of(robot))
+    bounds = ModelBounds(float(low.min()), float(high.max()), float(coriolis.max()))
+    return CheckReport(robot.name, samples, seed, properties, bounds, nonholonomy(robot, rng), skipped, notes_of(robot))
 
 
 def notes_of(robot: Robot) -> tuple[str, ...]:
-    """What to know of the states that were drawn, limits that were not taken at their word; and of no friction."""
+    """Notes on limits that were not taken at their word where states were drawn, and on no friction."""
     names = zip(robot.position_names, unlimited(robot), robot.lower, strict=True)
     wide = ", ".join(name for name, free, low in names if free and np.isfinite(low))
-    found = [f"limits too wide to be meant, positions drawn within +-pi or +-1 m: {wide}"] if wide else []
+    notes = [f"limits too wide to be meant, positions drawn within +-pi or +-1 m: {wide}"] if wide else []
     smooth = not (robot.damping.any() or robot.coulomb.any() or robot.viscous.any())
-    return (*found, *[f"note: {NO_FRICTION}: nothing is lost in `passive`"] * smooth)
+    return (*notes, *[f"note: {NO_FRICTION}: nothing is lost in `passive`"] * smooth)
 
 
 def worse(a: float | None, b: float, at_least: bool) -> float:
@@ -245,7 +243,7 @@ def unlimited(robot: Robot) -> Array:
     return np.asarray(~(travel <= np.where(revolute(robot), HUGE_TURN, HUGE_TRAVEL)))
 
 
-def residuals_at(terms: Terms, position: Array, v: Array, nu: Array) -> dict[str, float]:
+def residuals_at(terms: FullTerms, position: Array, v: Array, nu: Array) -> dict[str, float]:
     """Residuals of M and C at one state, of the full model moving with v and of the reduced one moving with nu."""
     robot, model = terms.robot, terms.model
     q, speed = robot.configuration(position), fastest(v)
@@ -283,7 +281,7 @@ def world_rate_residual(world: WorldFrame, position: Array, nu: Array, speed: fl
     return skewness(world.reduced_mass_matrix(q), Mdot, world.reduced_coriolis_matrix(q, nu), speed)
 
 
-def bounds_at(terms: Terms, position: Array, nu: Array) -> Array:
+def bounds_at(terms: FullTerms, position: Array, nu: Array) -> Array:
     """Least and largest eigenvalue of Mbar, and the largest `||Cbar|| / ||nu||` of nu and of every velocity alone."""
     q = terms.robot.configuration(position)
     M = terms.reduced_mass(q)

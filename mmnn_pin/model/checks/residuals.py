@@ -2,7 +2,7 @@
 
 Every residual is scale-free. Mass matrices are judged as `D M D` with `D = diag(M)^(-1/2)`, which has ones on its
 diagonal whatever the masses and units are, and rates of them are divided by the rate of the motion. So one tolerance
-serves a robot of 3 kg and one of 300 kg. `Terms` are the matrices that are judged; passivity is judged along motions.
+serves a robot of 3 kg and one of 300 kg. `FullTerms` are what is judged; passivity is judged along motions.
 """
 
 from __future__ import annotations
@@ -18,15 +18,12 @@ from ..reduction import COULOMB_SPEED
 from ..robot import Robot
 
 EXACT = 1e-9  # of residuals of algebra
-
 DEFINITE = 1e-12  # least eigenvalue of a mass matrix with ones on its diagonal
-
 STEP = 1e-3  # of differences along a motion, times its largest rate
-
 STENCIL = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))  # fourth-order central difference
 
 
-class Terms:
+class FullTerms:
     """The matrices of one robot at a state, in the full model's velocities (2.11) and reduced by T (2.23)-(2.25).
 
     The checks ask here for everything that they judge; a subclass can replace a term by a wrong one.
@@ -124,10 +121,10 @@ def independence(T: Array) -> float:
 
 
 def missing_constraints(A: Array, T: Array) -> float:
-    """How far rank A is from nv - p, in rows: fewer would permit motions that T does not know."""
+    """Difference of rank A from nv - p, in rows: fewer would permit motions that T does not know."""
     rows = A / np.maximum(np.linalg.norm(A, axis=1, keepdims=True), np.finfo(float).tiny)
-    found = int(np.linalg.matrix_rank(rows, tol=EXACT)) if A.size else 0
-    return float(abs(T.shape[0] - T.shape[1] - found))
+    rank = int(np.linalg.matrix_rank(rows, tol=EXACT)) if A.size else 0
+    return float(abs(T.shape[0] - T.shape[1] - rank))
 
 
 def rate_along(function: Callable[[Array], Array], model: pin.Model, q: Array, v: Array, speed: float) -> Array:
@@ -137,7 +134,7 @@ def rate_along(function: Callable[[Array], Array], model: pin.Model, q: Array, v
 
 
 def weights(M: Array) -> Array:
-    """What scales M, and rates of it, to ones on the diagonal: `1 / sqrt(M_ii M_jj)`, (p, p)."""
+    """Factors that scale M, and rates of it, to ones on the diagonal: `1 / sqrt(M_ii M_jj)`, (p, p)."""
     diagonal = np.sqrt(abs(np.diag(M)))
     return 1.0 / np.maximum(np.outer(diagonal, diagonal), np.finfo(float).tiny)
 
@@ -151,7 +148,7 @@ def largest(values: Array) -> float:
 
 
 @dataclass(frozen=True)
-class Motion:
+class SineMotion:
     """A smooth motion of all independent velocities: `nu = a sin(b t + c)`, each (p,)."""
 
     a: Array
@@ -159,7 +156,7 @@ class Motion:
     c: Array
 
     @classmethod
-    def random(cls, p: int, rng: np.random.Generator) -> Motion:
+    def random(cls, p: int, rng: np.random.Generator) -> SineMotion:
         """Of speeds about one, turning within a second or a few."""
         return cls(rng.standard_normal(p), rng.uniform(1.0, 6.0, p), rng.uniform(0.0, 2 * np.pi, p))
 
@@ -176,7 +173,7 @@ class Motion:
         return self.a / self.b * (np.cos(self.c) - np.cos(self.b * t + self.c))
 
 
-def energy_leak(terms: Terms, position: Array, rng: np.random.Generator, nodes: int = 24) -> float:
+def energy_leak(terms: FullTerms, position: Array, rng: np.random.Generator, nodes: int = 24) -> float:
     """Passivity: energy gained along a random motion, minus the work of the torques and the loss by friction.
 
     The motion is a sum of sines over half a second, the torque the one that drives it, `tau = Mbar nudot + Cbar nu +
@@ -185,7 +182,7 @@ def energy_leak(terms: Terms, position: Array, rng: np.random.Generator, nodes: 
     """
     x, w = np.polynomial.legendre.leggauss(nodes)
     duration = 0.5
-    motion = Motion.random(terms.robot.dimensions.dof, rng)
+    motion = SineMotion.random(terms.robot.dimensions.dof, rng)
     net, total, fed = 0.0, 0.0, 0.0
     for t, weight in zip((1 + x) * duration / 2, w * duration / 2, strict=True):
         nu, nudot = motion.nu(t), motion.nudot(t)
@@ -203,7 +200,7 @@ def energy_leak(terms: Terms, position: Array, rng: np.random.Generator, nodes: 
     return (abs(gained - net) + fed) / max(total, np.finfo(float).tiny)
 
 
-def configuration_along(terms: Terms, position: Array, motion: Motion, t: float) -> Array:
+def configuration_along(terms: FullTerms, position: Array, motion: SineMotion, t: float) -> Array:
     """Pinocchio's q after a time of a motion; the base stays at its place, on which no energy depends, and turns."""
     root = terms.robot.dimensions.pose
     travel = terms.T @ motion.travel(t)
@@ -211,7 +208,7 @@ def configuration_along(terms: Terms, position: Array, motion: Motion, t: float)
     return terms.robot.configuration(position + travel)
 
 
-def energy_at(terms: Terms, position: Array, motion: Motion, t: float) -> float:
+def energy_at(terms: FullTerms, position: Array, motion: SineMotion, t: float) -> float:
     """Kinetic and potential energy after a time of a motion [J]."""
     q, nu = configuration_along(terms, position, motion, t), motion.nu(t)
     return float(nu @ terms.reduced_mass(q) @ nu) / 2 + terms.potential(q)

@@ -24,7 +24,6 @@ import pinocchio as pin
 
 from ...errors import RobotError
 from ...signals import Array
-from ..base.differential import DifferentialDrive
 from ..robot import Robot
 from ..structure import scale_body
 
@@ -43,7 +42,7 @@ class WorldFrame:
     """
 
     def __init__(self, robot: Robot) -> None:
-        if not isinstance(robot.base, DifferentialDrive):
+        if not robot.base.two_sided:
             raise RobotError(f"the world-frame form is that of a differential drive, not of a base '{robot.base.kind}'")
         self.robot = robot
         self.model = chain_model(robot.urdf)
@@ -151,7 +150,7 @@ def rotation(angle: float) -> Array:
 
 
 class SecondKinematics:
-    """Where the links of one robot are, by yourdfpy and by Pinocchio.
+    """Placements of the links of one robot, by yourdfpy and by Pinocchio.
 
     Args:
         robot: The robot.
@@ -184,7 +183,7 @@ class SecondKinematics:
         return {name: np.asarray(self.urdf.get_transform(name)) for name in self.urdf.link_map}
 
     def by_pinocchio(self, position: Array) -> dict[str, Array]:
-        """The same by Pinocchio."""
+        """(4, 4) placement of every link in the root link, by Pinocchio, at a position (nv,)."""
         model, body = self.robot.model, pin.FrameType.BODY
         pin.framesForwardKinematics(model, self.data, self.robot.configuration(position))
         placed = {name: self.data.oMf[model.getFrameId(name, body)] for name in self.urdf.link_map}
@@ -198,8 +197,8 @@ class SecondKinematics:
 
 def largest_difference(ours: Mapping[str, Array], theirs: Mapping[str, Array]) -> float:
     """Largest difference of placements of the same links, see `SecondKinematics.residual`; nan where there is one."""
-    one, other = (np.array([placements[name] for name in ours]) for placements in (ours, theirs))
-    reach = max(1.0, float(np.linalg.norm(one[:, :3, 3], axis=1).max()))
-    difference = np.abs(one - other)
+    ours_by_link, theirs_by_link = (np.array([placements[name] for name in ours]) for placements in (ours, theirs))
+    reach = max(1.0, float(np.linalg.norm(ours_by_link[:, :3, 3], axis=1).max()))
+    difference = np.abs(ours_by_link - theirs_by_link)
     difference[:, :3, 3] /= reach
     return float(difference.max())

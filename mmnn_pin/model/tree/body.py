@@ -18,21 +18,22 @@ from ..reduction import friction, quadratic, spread
 from ..regressor import inertial_parameters, moving_joints
 from ..robot import Robot
 from .dynamics import potential_energy, terms
-from .motion import Tree, new_scratch
+from .motion import BodyTree, new_scratch
 from .tree import flatten
 
 
 @by_address
 class Body(NamedTuple):
-    """A robot as arrays: its tree, T (nv, p), friction of joints (nv,) and base (p,), `Robot.arm_map`."""
+    """A robot as arrays: its tree, T (nv, p), friction of joints (nv,) and nu (p,), its dimensions, `Robot.arm_map`."""
 
-    tree: Tree
+    tree: BodyTree
     T: Array
     damping: Array
     dry: Array
     viscous: Array
     arm: IntArray
     base: int
+    sideways: bool
     feels_gravity: bool
     offset: Array
     columns: Array
@@ -87,6 +88,7 @@ def new_body(robot: Robot) -> Body:
         viscous=np.array(robot.viscous),
         arm=np.array(robot.arm_index),
         base=robot.dimensions.base,
+        sideways=robot.dimensions.sideways,
         feels_gravity=feels_gravity(robot),
         offset=offset,
         columns=columns,
@@ -121,7 +123,7 @@ def parameters(robot: Robot) -> Array:
             robot.viscous[: layout.base],
             viscous[moving],
             robot.coulomb[moving],
-            robot.coulomb[2:3] if robot.base.kind == "skid_steer" else (),
+            robot.coulomb[2:3] if robot.base.scrubs else (),
         )
     )
 

@@ -13,7 +13,7 @@ Echeandia and Wensing 2021, in moments). Symbols as in `mmnn_pin.model.tree.moti
 
 from __future__ import annotations
 
-from mmnn_pin.compiled import inlined, linked, spliced
+from mmnn_pin.compiled import inlined, linked
 
 from ...elementary import cos_sin
 from .motion import (
@@ -23,9 +23,9 @@ from .motion import (
     NUMBER,
     ZERO,
     Array,
+    BodyTree,
     Indices,
-    Tree,
-    Vector,
+    Vector3,
     add,
     along,
     base_rates,
@@ -42,7 +42,7 @@ from .motion import (
 
 
 @inlined
-def _gravity(gravity: Vector, frame: Vector, level: int, position: Array) -> Vector:
+def _gravity(gravity: Vector3, frame: Vector3, level: int, position: Array) -> Vector3:
     """Gravity in O."""
     x, y, z = gravity
     if not level:
@@ -51,7 +51,7 @@ def _gravity(gravity: Vector, frame: Vector, level: int, position: Array) -> Vec
     return x, y, z
 
 
-@spliced
+@inlined
 def _sum_masses(links: Indices, numbers: Array, scratch: Array) -> None:
     """Moments of every body with all that it carries: `Sigma + d mc' + mc d' + m d d'` about a point d away."""
     for k in range(10):
@@ -76,8 +76,8 @@ def _sum_masses(links: Indices, numbers: Array, scratch: Array) -> None:
                 k += 1
 
 
-@spliced
-def _momentum(i: int, body: int, scratch: Array) -> tuple[Vector, Vector]:
+@inlined
+def _momentum(i: int, body: int, scratch: Array) -> tuple[Vector3, Vector3]:
     """Linear and angular momentum of a body with all that it carries, moving along axis i at rate 1."""
     w, s, mc = get(scratch, i, AT.w), get(scratch, i, AT.s), get(scratch, body, AT.all_moment)
     k = AT.all_second
@@ -87,9 +87,9 @@ def _momentum(i: int, body: int, scratch: Array) -> tuple[Vector, Vector]:
     return linear, angular
 
 
-@spliced
+@inlined
 def _couple(
-    links: Indices, numbers: Array, i: int, j: int, linear: Vector, angular: Vector, scratch: Array, M: Array
+    links: Indices, numbers: Array, i: int, j: int, linear: Vector3, angular: Vector3, scratch: Array, M: Array
 ) -> None:
     """Add what joint j feels of a momentum of joint i, through their rows of T."""
     value = dot(get(scratch, j, AT.w), angular) + dot(get(scratch, j, AT.s), linear)
@@ -102,7 +102,7 @@ def _couple(
                 M[first_j + b, first_i + a] += x
 
 
-@spliced
+@inlined
 def _mass(links: Indices, numbers: Array, rotors: Array, scratch: Array, M: Array) -> None:
     """`M = T' M_full T` after `place`, by composite bodies."""
     _sum_masses(links, numbers, scratch)
@@ -120,8 +120,10 @@ def _mass(links: Indices, numbers: Array, rotors: Array, scratch: Array, M: Arra
             _couple(links, numbers, i, base, linear, angular, scratch, M)
 
 
-@spliced
-def _push_base(numbers: Array, omega: float, g: Vector, velocity: Vector, acceleration: Vector, scratch: Array) -> None:
+@inlined
+def _push_base(
+    numbers: Array, omega: float, g: Vector3, velocity: Vector3, acceleration: Vector3, scratch: Array
+) -> None:
     """Motion of the reference of the base, from its `(vx, vy, w)` and their rates, and the force it takes."""
     x, y, w = velocity
     ax, ay, alpha = acceleration
@@ -135,7 +137,7 @@ def _push_base(numbers: Array, omega: float, g: Vector, velocity: Vector, accele
     put(scratch, BASE.w, AT.torque, (0.0, 0.0, inertia * alpha + cx * ay - cy * ax))
 
 
-@spliced
+@inlined
 def _push(j: int, i: int, speed: float, speed_rate: float, scratch: Array) -> None:
     """Motion of the reference of body i on body j, and the force it takes, `F` and `N` of the heading."""
     omega_ref, alpha, k = get(scratch, j, AT.omega_ref), get(scratch, j, AT.alpha), AT.second
@@ -155,8 +157,8 @@ def _push(j: int, i: int, speed: float, speed_rate: float, scratch: Array) -> No
     put(scratch, i, AT.torque, torque)
 
 
-@spliced
-def _pull(links: Indices, numbers: Array, i: int, force: Vector, torque: Vector, scratch: Array, out: Array) -> None:
+@inlined
+def _pull(links: Indices, numbers: Array, i: int, force: Vector3, torque: Vector3, scratch: Array, out: Array) -> None:
     """Add what joint i takes of a force, through its row of T."""
     tau = dot(get(scratch, i, AT.w), torque) + dot(get(scratch, i, AT.s), force)
     first = links[i, LINK.first]
@@ -164,11 +166,11 @@ def _pull(links: Indices, numbers: Array, i: int, force: Vector, torque: Vector,
         out[first + k] += numbers[i, NUMBER.weight + k] * tau
 
 
-@spliced
+@inlined
 def _inverse(
     links: Indices,
     numbers: Array,
-    g: Vector,
+    g: Vector3,
     nu_ref: Array,
     nudot_ref: Array,
     share: float,
@@ -195,7 +197,7 @@ def _inverse(
 
 
 @linked
-def terms(tree: Tree, position: Array, nu: Array, scratch: Array, M: Array, h: Array) -> None:
+def terms(tree: BodyTree, position: Array, nu: Array, scratch: Array, M: Array, h: Array) -> None:
     """Reduced mass matrix and bias forces, `M = T' M T` and `h = T' (C(q, T nu) T nu + g)`.
 
     Args:
@@ -214,8 +216,10 @@ def terms(tree: Tree, position: Array, nu: Array, scratch: Array, M: Array, h: A
 
 
 @linked
-def psi(tree: Tree, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array, scratch: Array, out: Array) -> None:
-    """What the networks must learn, `T' (M T nudot_ref + C(q, T nu) T nu_ref + g)`, thesis (3.20), (3.21).
+def psi(
+    tree: BodyTree, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array, scratch: Array, out: Array
+) -> None:
+    """True Psi without friction, `T' (M T nudot_ref + C(q, T nu) T nu_ref + g)`, thesis (3.20), (3.21).
 
     Args:
         tree: The robot.
@@ -231,7 +235,7 @@ def psi(tree: Tree, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array,
 
 
 @linked
-def psi_again(tree: Tree, position: Array, nu_ref: Array, nudot_ref: Array, scratch: Array, out: Array) -> None:
+def psi_again(tree: BodyTree, position: Array, nu_ref: Array, nudot_ref: Array, scratch: Array, out: Array) -> None:
     """`psi` where `scratch` still holds this state, from `terms` or `psi` just before."""
     g, rotors = _gravity(tree.gravity, tree.frame, tree.level, position), tree.rotors
     _inverse(tree.links, tree.numbers, g, nu_ref, nudot_ref, 1.0, scratch, out)
@@ -241,7 +245,7 @@ def psi_again(tree: Tree, position: Array, nu_ref: Array, nudot_ref: Array, scra
 
 
 @linked
-def potential_energy(tree: Tree, position: Array, scratch: Array) -> float:
+def potential_energy(tree: BodyTree, position: Array, scratch: Array) -> float:
     """Potential energy [J], as `pin.computePotentialEnergy`; overwrites the places in `scratch`."""
     links, numbers, frame = tree.links, tree.numbers, tree.frame
     g = _gravity(tree.gravity, frame, tree.level, position)

@@ -15,21 +15,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmnn_pin.compiled import compiled, inlined, spliced
+from mmnn_pin.compiled import compiled, inlined
 
 from ...by_address import by_address
 from ...elementary import cos_sin
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Vector = tuple[float, float, float]
-
+Vector3 = tuple[float, float, float]
 REVOLUTE, PRISMATIC = 1, 2
 ZERO = (0.0, 0.0, 0.0)
 
 
 class _Links(NamedTuple):
-    """Columns of `Tree.links`."""
+    """Columns of `BodyTree.links`."""
 
     parent: int = 0
     kind: int = 1
@@ -39,7 +38,7 @@ class _Links(NamedTuple):
 
 
 class _Numbers(NamedTuple):
-    """Columns of `Tree.numbers`."""
+    """Columns of `BodyTree.numbers`."""
 
     rotation: int = 0
     origin: int = 9
@@ -89,7 +88,7 @@ BASE, LINK, NUMBER, AT = _Base(), _Links(), _Numbers(), _Scratch()
 
 
 @by_address
-class Tree(NamedTuple):
+class BodyTree(NamedTuple):
     """A robot as plain arrays; joint frames are turned so that every axis is z.
 
     Attributes:
@@ -107,13 +106,13 @@ class Tree(NamedTuple):
     links: Indices
     numbers: Array
     rotors: Array
-    gravity: Vector
-    frame: Vector
+    gravity: Vector3
+    frame: Vector3
     level: int
     root_energy: float
 
 
-def new_scratch(tree: Tree) -> Array:
+def new_scratch(tree: BodyTree) -> Array:
     """Memory that the compiled functions work in, shape (3 + n, 71); one per thread."""
     scratch = np.zeros((len(tree.links), AT.width))
     scratch[BASE.vx, AT.s] = scratch[BASE.vy, AT.s + 1] = scratch[BASE.w, AT.w + 2] = 1.0  # axes of the base
@@ -121,13 +120,13 @@ def new_scratch(tree: Tree) -> Array:
 
 
 @compiled
-def get(table: Array, i: int, k: int) -> Vector:
+def get(table: Array, i: int, k: int) -> Vector3:
     """Three entries of row i."""
     return table[i, k], table[i, k + 1], table[i, k + 2]
 
 
 @compiled
-def put(table: Array, i: int, k: int, a: Vector) -> None:
+def put(table: Array, i: int, k: int, a: Vector3) -> None:
     """Set three entries of row i."""
     table[i, k] = a[0]
     table[i, k + 1] = a[1]
@@ -135,31 +134,31 @@ def put(table: Array, i: int, k: int, a: Vector) -> None:
 
 
 @compiled
-def dot(a: Vector, b: Vector) -> float:
+def dot(a: Vector3, b: Vector3) -> float:
     """`a' b`."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @compiled
-def cross(a: Vector, b: Vector) -> Vector:
+def cross(a: Vector3, b: Vector3) -> Vector3:
     """`a x b`."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @compiled
-def add(a: Vector, b: Vector) -> Vector:
+def add(a: Vector3, b: Vector3) -> Vector3:
     """`a + b`."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @compiled
-def along(a: Vector, b: Vector, x: float) -> Vector:
+def along(a: Vector3, b: Vector3, x: float) -> Vector3:
     """`a + x b`."""
     return a[0] + x * b[0], a[1] + x * b[1], a[2] + x * b[2]
 
 
 @compiled
-def times(table: Array, i: int, k: int, a: Vector) -> Vector:
+def times(table: Array, i: int, k: int, a: Vector3) -> Vector3:
     """Product of the symmetric matrix (xx xy xz yy yz zz) at `table[i, k]` and a vector."""
     xx, xy, xz, yy, yz, zz = (
         table[i, k],
@@ -185,13 +184,13 @@ def rate(links: Indices, numbers: Array, i: int, nu: Array) -> float:
     return x
 
 
-@spliced
-def base_rates(links: Indices, numbers: Array, nu: Array) -> Vector:
+@inlined
+def base_rates(links: Indices, numbers: Array, nu: Array) -> Vector3:
     """`(vx, vy, w)` of the base."""
     return rate(links, numbers, BASE.vx, nu), rate(links, numbers, BASE.vy, nu), rate(links, numbers, BASE.w, nu)
 
 
-@spliced
+@inlined
 def locate(links: Indices, numbers: Array, position: Array, i: int, scratch: Array) -> None:
     """Rotation and origin of body i; its parent's are known."""
     j, q, k = links[i, LINK.parent], position[links[i, LINK.coordinate]], NUMBER.rotation
@@ -213,14 +212,14 @@ def locate(links: Indices, numbers: Array, position: Array, i: int, scratch: Arr
 
 
 @inlined
-def first_moment(numbers: Array, i: int, scratch: Array) -> Vector:
+def first_moment(numbers: Array, i: int, scratch: Array) -> Vector3:
     """First moment of body i."""
     mc = get(numbers, i, NUMBER.moment)
     rx, ry, rz = get(scratch, i, AT.rotation), get(scratch, i, AT.rotation + 3), get(scratch, i, AT.rotation + 6)
     return dot(rx, mc), dot(ry, mc), dot(rz, mc)
 
 
-@spliced
+@inlined
 def _weigh(numbers: Array, i: int, scratch: Array) -> None:
     """Moments of body i: `R mc`, `R Sigma R'`."""
     k = NUMBER.second
@@ -232,7 +231,7 @@ def _weigh(numbers: Array, i: int, scratch: Array) -> None:
     put(scratch, i, AT.second + 3, (dot(ry, y), dot(ry, z), dot(rz, z)))
 
 
-@spliced
+@inlined
 def _move(links: Indices, i: int, speed: float, scratch: Array) -> None:
     """Axis and lever of joint i, their rates, and the angular velocity of the body."""
     omega = get(scratch, links[i, LINK.parent], AT.omega)
@@ -248,9 +247,9 @@ def _move(links: Indices, i: int, speed: float, scratch: Array) -> None:
     put(scratch, i, AT.whirl, cross(omega, get(scratch, i, AT.moment)))
 
 
-@spliced
+@inlined
 def place(links: Indices, numbers: Array, position: Array, nu: Array, scratch: Array) -> None:
-    """Where all bodies are and how they move, into `scratch`: what the dynamics start from."""
+    """Places and motions of all bodies, into `scratch`: the dynamics start from them."""
     put(scratch, BASE.w, AT.omega, (0.0, 0.0, rate(links, numbers, BASE.w, nu)))
     for i in range(BASE.w + 1, len(links)):
         locate(links, numbers, position, i, scratch)

@@ -1,6 +1,6 @@
 """The Pinocchio model flattened to plain arrays for compiled loops, and checked against Pinocchio when it is built.
 
-`flatten` makes a `Tree` once per robot; `terms`, `psi` and `potential_energy` of `mmnn_pin.model.tree.dynamics` work
+`flatten` makes a `BodyTree` once per robot; `terms`, `psi` and `potential_energy` of `model.tree.dynamics` work
 on it without Pinocchio and without Python. Joints that stand still (zero rows of T) are lumped into the link that
 carries them, and so are wheels that are alike all around their axis: of these only a constant mass stays. How joints
 hang together is worked out once for all robots that differ in masses alone.
@@ -20,12 +20,10 @@ from ...elementary.matrices import length, product
 from ...errors import RobotError
 from ..urdf.shapes import rotation
 from .dynamics import psi_again, terms
-from .motion import BASE, NUMBER, PRISMATIC, REVOLUTE, Array, Tree, Vector, new_scratch
+from .motion import BASE, NUMBER, PRISMATIC, REVOLUTE, Array, BodyTree, Vector3, new_scratch
 
 TOLERANCE = 1e-10
-
 PLANAR = "JointModelPlanar"
-
 UPPER = np.triu_indices(3)
 
 ONE_DOF = {f"JointModel{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "XYZ"} | {
@@ -36,7 +34,7 @@ ONE_DOF = {f"JointModel{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "
 
 
 class _Joints(NamedTuple):
-    """How the joints of a model hang together, as something that can be looked up; masses are not in it.
+    """The joints of a model and how they hang together, as a key of a cache; masses are not in it.
 
     Attributes:
         kinds: Kind of each joint of one degree of freedom, and its axis; None for the planar root.
@@ -56,7 +54,7 @@ class _Joints(NamedTuple):
 
 
 class _Carried(NamedTuple):
-    """What carries the links of a model.
+    """The moving bodies of a model, and the one that each link is part of.
 
     Attributes:
         bodies: Of every body that moves, the base first: number of the one that carries it, -1 for none; kind and
@@ -90,7 +88,7 @@ def flatten(
     samples: int = 5,
     seed: int = 0,
     absorb: bool = True,
-) -> Tree:
+) -> BodyTree:
     """Flatten a Pinocchio model and check the result against Pinocchio at random states.
 
     Args:
@@ -134,7 +132,7 @@ def _mobile(model: pin.Model) -> bool:
 
 
 def _joints(model: pin.Model, T: Array, rest: Array) -> _Joints:
-    """How the joints of a model hang together.
+    """The joints of a model and how they hang together.
 
     Raises:
         RobotError: A joint or a value that a tree has no place for.
@@ -179,7 +177,7 @@ def carriers(model: pin.Model, T: Array, rest: Array) -> list[tuple[int, Array]]
 
 @lru_cache(maxsize=64)
 def _carried(joints: _Joints) -> _Carried:
-    """What carries the links of a model whose joints hang together so."""
+    """The moving bodies of a model whose joints hang together so, worked out once."""
     rest = np.frombuffer(joints.rest)
     placements, T = np.frombuffer(joints.placements).reshape(-1, 4, 4), np.frombuffer(joints.T).reshape(rest.size, -1)
     found = _Carried([(-1, 0, -1, np.eye(4))], [(0, np.eye(4))])
@@ -223,7 +221,7 @@ def _absorb_wheels(bodies: list[_Body], T: Array, mobile: bool) -> Array:
     return rotors
 
 
-def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, frame: Array) -> Tree:
+def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, frame: Array) -> BodyTree:
     """The arrays of a tree."""
     mobile, weight = _mobile(model), sum(b.moments[3, 3] for b in bodies) * model.gravity.linear
     root = model.jointPlacements[1] if mobile else pin.SE3.Identity()
@@ -237,7 +235,7 @@ def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, fram
         P, H = body.moments, body.placement
         row[: NUMBER.weight] = *H[:3, :3].ravel(), *H[:3, 3], P[3, 3], *P[:3, 3], *P[UPPER]
         row[NUMBER.weight : NUMBER.weight + stop - first] = T_row[first:stop]
-    return Tree(
+    return BodyTree(
         links=np.array(
             [(row_of.get(id(b.parent), BASE.w), b.kind, b.velocity, *s) for b, s in zip(rows, spans, strict=True)]
         ),
@@ -265,7 +263,7 @@ AXES: dict[str, tuple[int, tuple[float, float, float]]] = {}  # of the kinds of 
 
 
 def _axis_of(kind: str, joint: pin.JointModel) -> tuple[int, tuple[float, float, float]]:
-    """As `_axis`, of a joint whose kind says its axis; worked out once."""
+    """Kind and axis of a joint whose kind says its axis; worked out once."""
     if kind not in AXES:
         AXES[kind] = _axis(joint)
     return AXES[kind]
@@ -301,7 +299,7 @@ def moments_of(inertia: pin.Inertia) -> Array:
 # -- the check against Pinocchio ---------------------------------------------------------------------------------------
 
 
-def verify(tree: Tree, model: pin.Model, T: Array, position_rest: Array, samples: int = 5, seed: int = 0) -> None:
+def verify(tree: BodyTree, model: pin.Model, T: Array, position_rest: Array, samples: int = 5, seed: int = 0) -> None:
     """Compare a tree with Pinocchio at random states.
 
     Raises:
@@ -319,7 +317,9 @@ def verify(tree: Tree, model: pin.Model, T: Array, position_rest: Array, samples
     )
 
 
-def residual(tree: Tree, model: pin.Model, T: Array, position_rest: Array, samples: int = 5, seed: int = 0) -> Array:
+def residual(
+    tree: BodyTree, model: pin.Model, T: Array, position_rest: Array, samples: int = 5, seed: int = 0
+) -> Array:
     """Largest difference of M, h and Psi from Pinocchio's in every row, relative, shape (p,).
 
     An entry of M counts relative to `sqrt(M_ii M_jj)` and a force relative to `sqrt(M_ii)` times the largest force in
@@ -348,7 +348,7 @@ def residual(tree: Tree, model: pin.Model, T: Array, position_rest: Array, sampl
 def _by_pinocchio(
     model: pin.Model, data: pin.Data, T: Array, q: Array, nu: Array, nu_ref: Array, nudot_ref: Array
 ) -> tuple[Array, Array, Array]:
-    """The same M, h and Psi by the full matrices of Pinocchio."""
+    """M, h and Psi by the full matrices of Pinocchio."""
     M = T.T @ pin.crba(model, data, q) @ T
     h = T.T @ pin.nonLinearEffects(model, data, q, T @ nu)
     g = T.T @ pin.computeGeneralizedGravity(model, data, q)
@@ -356,7 +356,7 @@ def _by_pinocchio(
     return M, h, M @ nudot_ref + T.T @ C @ T @ nu_ref + g
 
 
-def configuration(model: pin.Model, position: Array, frame: Vector) -> Array:
+def configuration(model: pin.Model, position: Array, frame: Vector3) -> Array:
     """Pinocchio's q, shape (nq,), of a position (nv,) that begins with the pose of the control frame."""
     q = pin.neutral(model)
     for joint in list(model.joints)[1:]:

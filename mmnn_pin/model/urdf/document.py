@@ -1,8 +1,13 @@
-"""An audited URDF as links and joints: numbers, limits, placements, and who hangs on whom."""
+"""An audited URDF as links and joints: numbers, limits, placements, and who hangs on whom.
+
+A number that is bad reads as nan, which judges nothing.
+"""
 
 from __future__ import annotations
 
+import copy
 import math
+import re
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -10,14 +15,13 @@ from pathlib import Path
 import numpy as np
 from lxml import etree
 
-from mmnn_pin.signals import Array
-
 from ...elementary import cos, sin
+from ...signals import Array
 from .finding import Finding
-from .xml import number, numbers, text_of
 
 KEPT = ("links", "joints", "children", "carrier")  # properties of a tree that are read out once
 TEN_TURNS = 20 * math.pi  # a revolute joint with more travel than this [rad] counts as unlimited
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +101,7 @@ class Joint:
 
 
 @dataclass(frozen=True, eq=False)
-class Tree:
+class LinkTree:
     """Links and joints of a `<robot>` element whose names and ends are sound.
 
     Attributes:
@@ -161,7 +165,7 @@ class Tree:
 
 
 @dataclass(frozen=True, eq=False)
-class Document(Tree):
+class Document(LinkTree):
     """A URDF that passed the audit.
 
     Attributes:
@@ -177,7 +181,7 @@ class Document(Tree):
     findings: tuple[Finding, ...] = field(default=())
 
     @classmethod
-    def of(cls, tree: Tree, path: Path, sha256: str, findings: tuple[Finding, ...]) -> Document:
+    def of(cls, tree: LinkTree, path: Path, sha256: str, findings: tuple[Finding, ...]) -> Document:
         """Document of an audited tree, which keeps what has been read out of it."""
         document = cls(tree.root, path, text_of(tree.root), sha256, findings)
         vars(document).update({name: value for name, value in vars(tree).items() if name in KEPT})
@@ -205,3 +209,81 @@ def transform(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> Array:
     )
     matrix.flags.writeable = False
     return matrix
+
+
+def text_of(root: etree._Element) -> str:
+    """A tree as text, every element on the line of the file that it came from.
+
+    Comments are gone; where they stood are empty lines, so that what is found in the text has the lines of the file.
+    """
+    root, line, before = copy.deepcopy(root), 1, ""
+    for event, element in etree.iterwalk(root, events=("start", "end")):
+        if event == "end":
+            line += (element.tail or "").count("\n") if element is not root else 0
+            continue
+        missing = "\n" * max(0, (element.sourceline or 0) - line)
+        if element is root:
+            before = missing
+        elif (previous := element.getprevious()) is not None:
+            previous.tail = missing + (previous.tail or "")
+        else:
+            parent = element.getparent()
+            parent.text = missing + (parent.text or "")
+        line += len(missing) + (element.text or "").count("\n")
+    return before + etree.tostring(root, encoding="unicode")
+
+
+# -- numbers -----------------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=8192)
+def read_numbers(text: str) -> tuple[float, ...]:
+    """Decimal numbers; nan for each word of another kind or beyond what a double holds."""
+    values = (float(word) if NUMBER.fullmatch(word) else math.nan for word in text.split())
+    return tuple(math.nan if math.isinf(value) else value for value in values)
+
+
+@lru_cache(maxsize=8192)
+def number_problem(text: str, count: int) -> str:
+    """The fault of a list of numbers, empty when there is none."""
+    values = read_numbers(text)
+    for word, value in zip(text.split(), values, strict=True):
+        if math.isnan(value) and NUMBER.fullmatch(word):
+            return f"is '{text}': '{word}' is beyond what a double holds"
+        if math.isnan(value):
+            between = word.endswith(",") or text.count(",") == count - 1 > 0
+            hint = (
+                (" (commas between numbers? write blanks)" if between else " (decimal comma?)") if "," in word else ""
+            )
+            return f"is '{text}': '{word}' is not a finite number{hint}"
+    return "" if len(values) == count else f"is '{text}': {len(values)} number(s) where {count} are needed"
+
+
+@lru_cache(maxsize=8192)
+def largest(text: str | None) -> float:
+    """Largest magnitude of some numbers, 0 where there are none or a bad one."""
+    values = () if text is None else read_numbers(text)
+    return 0.0 if any(math.isnan(value) for value in values) else max(map(abs, values), default=0.0)
+
+
+def number(element: etree._Element | None, key: str, default: float) -> float:
+    """A number of an attribute, the default where it is not stated, nan where it is bad."""
+    text = None if element is None else element.get(key)
+    if text is None:
+        return default
+    values = read_numbers(text)
+    return values[0] if len(values) == 1 else math.nan
+
+
+def numbers(
+    element: etree._Element | None, key: str, default: tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> tuple[float, ...]:
+    """Numbers of an attribute, the default where they are not stated, nan where they are bad or not as many."""
+    text = None if element is None else element.get(key)
+    values = default if text is None else read_numbers(text)
+    return values if len(values) == len(default) else (math.nan,) * len(default)
+
+
+def vector(element: etree._Element | None, key: str, default: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Array:
+    """Numbers of an attribute as an array; as of `numbers`."""
+    return np.array(numbers(element, key, default))

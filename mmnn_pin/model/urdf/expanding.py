@@ -13,7 +13,7 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +21,11 @@ from ...children import end_with
 from .packages import FIND, far_package
 
 MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
-
 BARE = {"include", "macro", "property", "if", "unless", "insert_block"}  # elements of xacro that old files have bare
-
 HOLDERS = {"robot", "link", "joint", "inertial", "visual", "collision", "geometry"} | {f"xacro:{name}" for name in BARE}
-
 USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)[\"']")
-
 CALLED = re.compile(r"\barg\(\s*[\"']([^\"']+)[\"']\s*\)")  # in an expression
-
 INVALID = r"Invalid parameter \"([^\"]+)\""
-
 FIRST, ARGUMENT = re.compile(r"<robot\b[^>]*>"), re.compile(r"<xacro:arg\s[^>]*>")
 
 GIVEN_IF = re.compile(  # what stands between two tags of a condition on one value
@@ -39,11 +33,8 @@ GIVEN_IF = re.compile(  # what stands between two tags of a condition on one val
 )
 
 PREFIX = re.compile(r"<xacro:arg\s+name=[\"']([^\"']*prefix[^\"']*)[\"']\s+default=[\"'][\"']\s*/>")
-
 NOT_DEFINED = r"name '([^']+)' is not defined"
-
 LARGEST = 100_000_000  # bytes of a file that an expansion opens
-
 SECONDS, BYTES = 8, 1_000_000_000  # of processor time and memory that an expansion may take
 
 
@@ -104,53 +95,58 @@ def require_plain(file: str) -> None:
 
 
 def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """What there is to tell of a job, and the URDF; empty where xacro refuses."""
+    """One expansion of a job: what there is to tell of it, and the URDF, empty where xacro refuses."""
     told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": [], "choices": []}
     told |= {"renamed": {}, "within": [], "prefixes": []}
-    data = b""
-    with lenient(xacro, xacrodoc, job, told) as texts, contextlib.redirect_stdout(io.StringIO()):
+    data, lenient = b"", Lenient(xacro, xacrodoc, job, told)
+    with lenient.in_place(), contextlib.redirect_stdout(io.StringIO()):
         try:
             given = asked_first(Path(job["path"]).read_text(errors="replace")) | job["arguments"]
             document = xacro.process_file(job["path"], mappings=given)
-            data, told["bare"] = (
-                bytes(document.toprettyxml(indent="  ", encoding="utf-8")),
-                bare_calls(document, [*texts.values()], job["elements"]),
-            )
+            text = bytes(document.toprettyxml(indent="  ", encoding="utf-8"))
+            told["bare"], data = bare_calls(document, [*lenient.texts.values()], job["elements"]), text
         except MemoryError:
             raise
         except Exception as error:  # whatever a file, and the Python expressions in it, make xacro raise
             if isinstance(getattr(error, "exc", None), MemoryError):
                 raise
-            told["error"] = (str(error).strip().splitlines() or [type(error).__name__])[0]
-            told["place"] = next((file for file in reversed(xacro.filestack or ()) if file), job["path"])
-            if hit := re.search(INVALID, told["error"]):
-                told["place"] = next((file for file, text in texts.items() if giving(hit[1], text)), told["place"])
-            used, stated = (
-                {name for text in texts.values() for name in pattern.findall(text)} for pattern in (USED, STATED)
-            )
-            told["needed"] = sorted(used - stated - set(job["arguments"]))
-            if hit := re.search(NOT_DEFINED, told["error"]):
-                told["choices"] = choices(hit[1], [*texts.values()])
-                told["within"] = [macro.body.getAttribute("name") for macro in reversed(xacro.macrostack or ())]
-            told["bare"] = sorted({name for text in texts.values() for name in BARE if f"<{name} " in text})
-    told["declared"] = sorted(
-        {n for text in texts.values() for one in (STATED, USED, CALLED) for n in one.findall(text)}
-    )
-    bare = {name for text in texts.values() for name in PREFIX.findall(text)}
-    told["prefixes"] = sorted(bare - set(job["arguments"]))
+            told |= diagnosis(xacro, error, lenient.texts, job)
+    texts = lenient.texts.values()
+    told["declared"] = sorted(set().union(*(named(texts, pattern) for pattern in (STATED, USED, CALLED))))
+    told["prefixes"] = sorted(named(texts, PREFIX) - set(job["arguments"]))
     told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
     return told, data
+
+
+def diagnosis(xacro: Any, error: Exception, texts: dict[str, str], job: dict[str, Any]) -> dict[str, Any]:
+    """The facts of an error: its words, its file, what is needed, what could be chosen; see `expansion.refusal`."""
+    text = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    place = next((file for file in reversed(xacro.filestack or ()) if file), job["path"])
+    if hit := re.search(INVALID, text):
+        place = next((file for file, content in texts.items() if giving(hit[1], content)), place)
+    needed = named(texts.values(), USED) - named(texts.values(), STATED) - set(job["arguments"])
+    bare = sorted({name for content in texts.values() for name in BARE if f"<{name} " in content})
+    facts = {"error": text, "place": place, "needed": sorted(needed), "bare": bare}
+    if hit := re.search(NOT_DEFINED, text):
+        facts["choices"] = choices(hit[1], [*texts.values()])
+        facts["within"] = [macro.body.getAttribute("name") for macro in reversed(xacro.macrostack or ())]
+    return facts
+
+
+def named(texts: Iterable[str], pattern: re.Pattern[str]) -> set[str]:
+    """All that a pattern finds in some texts."""
+    return {name for text in texts for name in pattern.findall(text)}
 
 
 def asked_first(text: str) -> dict[str, str]:
     """Arguments that a file's first tag asks for before it states their defaults, as files of UR do: the defaults."""
     hit = FIRST.search(text)
-    asked, found = USED.findall(hit[0]) if hit else [], dict[str, str]()
+    asked, defaults = USED.findall(hit[0]) if hit else [], dict[str, str]()
     for tag in ARGUMENT.findall(text) if asked else ():
         name, default = (re.search(rf"\s{key}=[\"']([^\"'$]*)[\"']", tag) for key in ("name", "default"))
         if name and default and name[1] in asked:
-            found.setdefault(name[1], default[1])
-    return found
+            defaults.setdefault(name[1], default[1])
+    return defaults
 
 
 def choices(name: str, texts: list[str]) -> list[str]:
@@ -175,18 +171,17 @@ def bare_calls(document: Any, texts: list[str], elements: list[str]) -> list[str
 
 def robots_own(document: Any, name: str) -> list[Any]:
     """Elements of a name that belong to the robot itself: a simulator's blocks have others called alike."""
-    found = []
+    elements = []
     for element in document.getElementsByTagName(name):
         above = element.parentNode
         while above.parentNode is not None and above.tagName in HOLDERS | BARE:
             above = above.parentNode
-        found += [element] if above.parentNode is None else []
-    return found
+        elements += [element] if above.parentNode is None else []
+    return elements
 
 
-@contextlib.contextmanager
-def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]) -> Iterator[dict[str, str]]:
-    """Have xacro find packages without ROS, and do without those that it does not need; gives what it reads.
+class Lenient:
+    """xacro that finds packages without ROS, and does without those that it does not need.
 
     A file that is not there is left out, or one of a package that is not: where a macro or property of it is used,
     xacro refuses all the same. A file that a build would install elsewhere in its package is taken where it is, if
@@ -199,63 +194,78 @@ def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]
             package under another name; `without`, macros to leave out; `calls`, macros called without their prefix.
         told: `absent` is filled with the packages that are not there, `omitted` with macros that are left out,
             `renamed` with packages and the folders that are taken as them.
+
+    Attributes:
+        texts: What is in the files that it has read.
     """
-    places: Any = sys.modules["xacro.substitution_args"]
-    parse, include_files, find = xacro.parse, xacro.get_include_files, places._eval_find
-    known, texts = job["known"], dict[str, str]()
 
-    def seek(package: str) -> str:
-        if package not in known and package not in told["absent"]:
+    def __init__(self, xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]) -> None:
+        self.xacro, self.xacrodoc, self.job, self.told = xacro, xacrodoc, job, told
+        self.known, self.texts = job["known"], dict[str, str]()
+        self.parse, self.include_files = xacro.parse, xacro.get_include_files
+
+    @contextlib.contextmanager
+    def in_place(self) -> Iterator[None]:
+        """Have xacro call this one meanwhile."""
+        places: Any = sys.modules["xacro.substitution_args"]
+        before = self.xacro.parse, self.xacro.get_include_files, places._eval_find
+        self.xacro.parse, self.xacro.get_include_files, places._eval_find = self.parsed, self.files, self.seek
+        self.xacro.filestack = None
+        try:
+            yield
+        finally:
+            self.xacro.parse, self.xacro.get_include_files, places._eval_find = before
+
+    def seek(self, package: str) -> str:
+        """The folder of a package; `package://NAME` where there is none, which is noted."""
+        if package not in self.known and package not in self.told["absent"]:
             try:
-                known[package] = far_package(package, job["far"]) or xacrodoc.packages.get_path(package)
-            except xacrodoc.packages.PackageNotFoundError:
-                told["absent"].add(package)
-        return known.get(package, f"package://{package}")
+                far = far_package(package, self.job["far"])
+                self.known[package] = far or self.xacrodoc.packages.get_path(package)
+            except self.xacrodoc.packages.PackageNotFoundError:
+                self.told["absent"].add(package)
+        return str(self.known.get(package, f"package://{package}"))
 
-    def adopt(package: str, inner: str) -> None:
+    def adopt(self, package: str, inner: str) -> None:
         """Take a folder as a package that is not there under its name, where it has the file that is wanted of it."""
-        if seek(package).startswith("package://"):
-            like = next((place for place in job["like"] if os.path.isfile(os.path.join(place, inner))), None)
+        if self.seek(package).startswith("package://"):
+            like = next((place for place in self.job["like"] if os.path.isfile(os.path.join(place, inner))), None)
             if like is not None and os.sep in inner:
-                known[package] = like
-                told["absent"].discard(package)
-                told["renamed"][package] = like
+                self.known[package] = like
+                self.told["absent"].discard(package)
+                self.told["renamed"][package] = like
 
-    def parsed(given: Any, filename: str | None = None) -> Any:
-        document = parse(given, filename)
+    def parsed(self, given: Any, filename: str | None = None) -> Any:
+        """A file as xacro parses it: calls with their prefix, includes that may fail, without what is left out."""
+        document = self.parse(given, filename)
         with contextlib.suppress(OSError, TypeError):
-            texts[str(filename or given)] = Path(filename or given).read_text(errors="replace")
-        for name in job["calls"]:
+            self.texts[str(filename or given)] = Path(filename or given).read_text(errors="replace")
+        for name in self.job["calls"]:
             for element in robots_own(document, name):
                 element.tagName = element.nodeName = f"xacro:{name}"
         for element in document.getElementsByTagName("xacro:include"):
             if hit := FIND.match(element.getAttribute("filename")):
-                adopt(hit[1], hit[2])
-                folder = seek(hit[1])
-                gone = (
-                    "$" not in hit[2]
-                    and not set(hit[2]) & {*"*[?"}
-                    and not os.path.exists(elsewhere(os.path.join(folder, hit[2]), known))
-                )
-                if folder.startswith("package://") or gone:
-                    element.setAttribute("optional", "true")
-                    told["absent"] |= {hit[1] if folder.startswith("package://") else f"{hit[1]}/{hit[2]}"}
-        for name in job["without"]:
+                self.include(element, hit[1], hit[2])
+        for name in self.job["without"]:
             for element in (*document.getElementsByTagName(f"xacro:{name}"), *document.getElementsByTagName(name)):
                 element.parentNode.removeChild(element)
-                told["omitted"].add(name)
+                self.told["omitted"].add(name)
         return document
 
-    def files(name: str, symbols: Any) -> Iterator[str]:
-        for file in include_files(name, symbols):
-            yield file if os.path.exists(file) else elsewhere(file, known)
+    def include(self, element: Any, package: str, inner: str) -> None:
+        """Let an include of a package fail that is not there, or whose file is not."""
+        self.adopt(package, inner)
+        folder = self.seek(package)
+        missing = folder.startswith("package://")
+        plain = "$" not in inner and not set(inner) & {*"*[?"}
+        if missing or (plain and not os.path.exists(elsewhere(os.path.join(folder, inner), self.known))):
+            element.setAttribute("optional", "true")
+            self.told["absent"] |= {package if missing else f"{package}/{inner}"}
 
-    xacro.parse, xacro.get_include_files, places._eval_find = parsed, files, seek
-    xacro.filestack = None
-    try:
-        yield texts
-    finally:
-        xacro.parse, xacro.get_include_files, places._eval_find = parse, include_files, find
+    def files(self, name: str, symbols: Any) -> Iterator[str]:
+        """The files that an include names."""
+        for file in self.include_files(name, symbols):
+            yield file if os.path.exists(file) else elsewhere(file, self.known)
 
 
 def elsewhere(file: str, known: dict[str, str]) -> str:
@@ -264,8 +274,8 @@ def elsewhere(file: str, known: dict[str, str]) -> str:
     if root is None:
         return file
     tail = os.path.relpath(file, root)
-    found = [str(place) for place in Path(root).rglob(os.path.basename(file)) if str(place).endswith(os.sep + tail)]
-    return found[0] if len(found) == 1 else file
+    places = [str(place) for place in Path(root).rglob(os.path.basename(file)) if str(place).endswith(os.sep + tail)]
+    return places[0] if len(places) == 1 else file
 
 
 # -- why it cannot be expanded -----------------------------------------------------------------------------------------

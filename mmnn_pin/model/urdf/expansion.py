@@ -23,21 +23,15 @@ from lxml import etree
 from ...children import environment
 from ...errors import ConfigError, RobotError, UnknownName
 from ...files import read_bytes
+from .audit import KNOWN
 from .expanding import BYTES, INVALID, MACRO, NOT_DEFINED, SECONDS, giving
 from .finding import Finding, finding
 from .packages import above, package_of, packages
-from .xml import KNOWN
-
-XACRO = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
 
 PATIENCE = 30.0  # how long it may wait for anything else [s]
-
 FILES = 400  # looked at for one that calls a macro
-
 MOST_KEPT = 8  # expansions of this process
-
 KEPT: dict[str, tuple[dict[str, tuple[int, int] | None], tuple[dict[str, Any], bytes]]] = {}
-
 CHILD = "from mmnn_pin.model.urdf.expanding import child; child()"
 
 
@@ -49,7 +43,7 @@ class Unexpanded(RobotError):
 
 
 class Expansion(NamedTuple):
-    """What a xacro file expands to.
+    """The URDF of a xacro file, and what was done without.
 
     Attributes:
         data: The URDF.
@@ -68,7 +62,7 @@ class Expansion(NamedTuple):
     prefixes: list[str]
 
     def findings(self, without: Sequence[str]) -> list[Finding]:
-        """What there is to say of the file, with the macros that the user leaves out."""
+        """Findings about the file, with the macros that the user leaves out."""
         notes = [EXPANDED]
         for name, folder in self.renamed.items():
             what, why = f"package '{name}' is not found", f"taken as it is {folder}, which has the file that is wanted"
@@ -92,13 +86,6 @@ class Expansion(NamedTuple):
             why += f", and what hangs on it: {', '.join(self.hanging)}" if self.hanging else ""
             notes.append(finding("xacro-package", 1, f"left out: {', '.join(without)}", why))
         return notes
-
-
-def is_xacro(path: Path, data: bytes) -> bool:
-    """Whether a file needs expanding: it is called so, or has elements or expressions of xacro outside of comments."""
-    first, *others = data.split(b"<!--")
-    text = first + b"".join(part.partition(b"-->")[2] for part in others)
-    return path.suffix == ".xacro" or bool(XACRO.search(text))
 
 
 def arguments_of(given: Sequence[str]) -> dict[str, str]:
@@ -223,7 +210,7 @@ def pruned(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def expanded(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """What `run` gives, kept while the files that it opened, or missed, stay as they are; errors as there."""
+    """The result of `run`, kept while the files that it opened, or missed, stay as they are; errors as there."""
     key = json.dumps([job, dict(os.environ)], sort_keys=True)
     kept = KEPT.get(key)
     if kept is None or kept[0] != stamps(kept[0]):
@@ -239,17 +226,17 @@ def expanded(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
 
 def stamps(files: Iterable[str]) -> dict[str, tuple[int, int] | None]:
     """Time of change [ns] and size of files; None for one that is gone."""
-    found: dict[str, tuple[int, int] | None] = {}
+    states: dict[str, tuple[int, int] | None] = {}
     for file in files:
         with contextlib.suppress(OSError):
             state = os.stat(file)
-            found[file] = state.st_mtime_ns, state.st_size
-        found.setdefault(file, None)
-    return found
+            states[file] = state.st_mtime_ns, state.st_size
+        states.setdefault(file, None)
+    return states
 
 
 def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """What the child process tells of a job, and the URDF that it makes.
+    """The report of the child process on a job, and the URDF that it makes.
 
     Raises:
         Unexpanded: It takes too long or too much.
@@ -299,7 +286,7 @@ WAYS_OUT = (
 
 
 def refusal(told: dict[str, Any], along: Callable[[str], list[str]]) -> Unexpanded:
-    """Why a file could not be expanded, at the line where the cause is named.
+    """The refusal of a file that could not be expanded, at the line where the cause is named.
 
     Args:
         told: What the child process tells: its `error` and the file that xacro was in, its `place`; packages that are
@@ -307,28 +294,31 @@ def refusal(told: dict[str, Any], along: Callable[[str], list[str]]) -> Unexpand
             macros that it was `within`.
         along: The macros whose calls can be left out together with those of one; none where they cannot.
     """
-    place, absent, needed = Path(told["place"]), told["absent"], told["needed"]
-    text, word, fix = re.sub(r"^<class '[^']*'>: ", "", " ".join(told["error"].split())), "", "mend the file"
+    place, text = Path(told["place"]), re.sub(r"^<class '[^']*'>: ", "", " ".join(told["error"].split()))
     text = text[: len(text) // 2] if text[: len(text) // 2] == text[len(text) // 2 + 1 :] else text  # said twice
-    for pattern, way in WAYS_OUT:
-        if hit := re.search(pattern, text):
-            word, fix = hit[1], way.format(hit[1])
-            break
-    if "Undefined substitution" in text and len(needed) > 1:
-        fix = "give them: " + " ".join(f"--xacro {name}:=VALUE" for name in needed)
+    word, fix = way_out(text, told)
     called = giving(word, read_text(place)) if "Invalid parameter" in text else ""
     macro = lacking(told) or called
+    if macro and (names := along(macro)):
+        them = "it" if len(names) == 1 else "them"
+        fix += f", or leave {them} out: " + " ".join(f"--without {name}" for name in names)
+    return Unexpanded("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
+
+
+def way_out(text: str, told: dict[str, Any]) -> tuple[str, str]:
+    """The word of an error that its line has, and what to do."""
+    hits = ((re.search(pattern, text), way) for pattern, way in WAYS_OUT)
+    word, fix = next(((hit[1], way.format(hit[1])) for hit, way in hits if hit), ("", "mend the file"))
+    if told["choices"]:
+        return word, "give an argument with which it is: " + " or ".join(f"--xacro {one}" for one in told["choices"])
+    absent, needed = told["absent"], told["needed"]
     if absent and (fix == "mend the file" or "unknown macro" in text or "is not defined" in text):
         version = " in the version that has it" if any("/" in name for name in absent) else ""
         fix = f"is it in what is not found ({', '.join(absent)})? "
-        fix += f"Give the folder of the package{version} with --package-dir"
-    if told["choices"]:
-        fix = "give an argument with which it is: " + " or ".join(f"--xacro {choice}" for choice in told["choices"])
-    if macro and (names := along(macro)):
-        fix += f", or leave {'it' if len(names) == 1 else 'them'} out: " + " ".join(
-            f"--without {name}" for name in names
-        )
-    return Unexpanded("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
+        return word, fix + f"Give the folder of the package{version} with --package-dir"
+    if "Undefined substitution" in text and len(needed) > 1:
+        fix = "give them: " + " ".join(f"--xacro {name}:=VALUE" for name in needed)
+    return word, fix
 
 
 def line_of(path: Path, word: str) -> int:

@@ -1,4 +1,4 @@
-"""What the audit says about a file: `file:line: severity: element: what: why: fix [code]`, one line each."""
+"""The findings of the audit about a file: `file:line: severity: element: what: why: fix [code]`, one line each."""
 
 from __future__ import annotations
 
@@ -207,8 +207,8 @@ def gathered(findings: tuple[Finding, ...], lockable: set[str] | None) -> tuple[
     if lockable is not None and lockable.issuperset(joints):
         many = len(joints) > NAMED
         fix += ", or --lock JOINT each" if many else ", or " + " ".join(f"--lock {name}" for name in joints)
-    one = replace(empty[0], element="", message=what, fix=fix, joint="")
-    return tuple(one if f is empty[0] else f for f in findings if f not in empty[1:])
+    gathered_one = replace(empty[0], element="", message=what, fix=fix, joint="")
+    return tuple(gathered_one if f is empty[0] else f for f in findings if f not in empty[1:])
 
 
 class AuditError(RobotError):

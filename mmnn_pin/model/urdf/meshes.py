@@ -11,7 +11,7 @@ import logging
 import re
 import struct
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
@@ -23,9 +23,7 @@ import numpy as np
 from lxml import etree
 
 from ...signals import Array
-from .finding import Finding, finding
-from .packages import FIND, MeshFile, locate
-from .xml import read_numbers
+from .document import read_numbers
 
 MOST_BYTES = {".stl": 60_000_000, ".dae": 60_000_000, ".obj": 60_000_000}  # of a mesh; no wheel needs more
 OTHER_FORMATS = {".ply": 8_000_000, ".glb": 8_000_000, ".gltf": 8_000_000, ".off": 8_000_000}  # read by trimesh
@@ -119,7 +117,7 @@ def require_few(scene: Any) -> None:
 
 @dataclass(frozen=True)
 class Beside:
-    """What a mesh file gets that names others: materials and buffers of its own folder. No picture is ever opened."""
+    """Files beside a mesh file that it may name: materials and buffers of its own folder. No picture is ever opened."""
 
     folder: Path
 
@@ -183,7 +181,7 @@ def collada_corners(file: Path) -> Array:
             if isinstance(part, kinds) and part.vertex is not None and len(part.vertex_index):
                 used = part.vertex[np.unique(part.vertex_index)]
                 yield used.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
-        for child in (node.children or ()) if isinstance(node, collada.scene.Node) else ():
+        for child in (node.children or ()) if isinstance(node, collada.scene.GltfNode) else ():
             yield from shown(child, pose @ node.matrix)
 
     try:
@@ -198,7 +196,7 @@ def collada_corners(file: Path) -> Array:
 
 
 def damage_of(file: Path) -> str:
-    """What is wrong with a mesh file by its size, its head and its tail; empty when nothing is seen."""
+    """The fault of a mesh file by its size, its head and its tail; empty when none is seen."""
     try:
         size = file.stat().st_size
         with file.open("rb") as stream:
@@ -272,7 +270,7 @@ def collada_problem(file: Path) -> str:
 
 
 class Unfolded:
-    """How large the nodes of a Collada file are with all their copies."""
+    """Sizes of the nodes of a Collada file with all their copies."""
 
     def __init__(self, tree: etree._ElementTree) -> None:
         self.nodes = {f"#{node.get('id')}": node for node in tree.iter("{*}node")}
@@ -295,39 +293,39 @@ class Unfolded:
         return total
 
 
-class Accessor(msgspec.Struct):
-    """How many entries of which type stand in a buffer, or are zero."""
+class GltfAccessor(msgspec.Struct):
+    """Number and type of entries in a buffer, or of zeros."""
 
     count: Annotated[int, msgspec.Meta(ge=0)]
     componentType: int
     type: str
 
 
-class Primitive(msgspec.Struct):
+class GltfPrimitive(msgspec.Struct):
     """Triangles; what they are made of, as numbers of accessors."""
 
     attributes: dict[str, int]
     indices: int | None = None
 
 
-class Mesh(msgspec.Struct):
+class GltfMesh(msgspec.Struct):
     """Triangles that are shown together."""
 
-    primitives: list[Primitive]
+    primitives: list[GltfPrimitive]
 
 
-class Node(msgspec.Struct):
+class GltfNode(msgspec.Struct):
     """A place with a mesh, or without."""
 
     mesh: int | None = None
 
 
 class Gltf(msgspec.Struct):
-    """What a glTF file states of its size."""
+    """The part of a glTF file that states its size."""
 
-    accessors: list[Accessor] = []
-    meshes: list[Mesh] = []
-    nodes: list[Node] = []
+    accessors: list[GltfAccessor] = []
+    meshes: list[GltfMesh] = []
+    nodes: list[GltfNode] = []
 
 
 def gltf_tree(file: Path) -> tuple[dict[str, Any], bytes]:
@@ -370,50 +368,3 @@ def without_pictures(file: Path) -> bytes:
     text += b" " * (-len(text) % 4)
     sizes = struct.pack("<4I", 2, 20 + len(text) + len(rest), len(text), int.from_bytes(b"JSON", "little"))
     return b"glTF" + sizes + text + rest
-
-
-# -- what is said about them -------------------------------------------------------------------------------------------
-
-
-def bad_meshes(root: etree._Element, urdf: Path, package_dirs: Sequence[str | Path]) -> Iterator[Finding]:
-    """Meshes that cannot be used: each file once, a package that is not there once for all its files."""
-    named: dict[str, etree._Element] = {}
-    for element in root.iterfind("link/*/geometry/mesh"):
-        name = element.get("filename")
-        if name is not None and not name.strip():
-            yield finding("mesh-missing", element, "the mesh names no file", NO_SHAPE, "name it, or delete the shape")
-        elif name and ("$" not in name or FIND.match(name)):
-            named.setdefault(name, element)
-    found = {name: locate(name, urdf, package_dirs) for name in named}
-    absent: dict[str, list[str]] = {}
-    for name, mesh in found.items():
-        absent.setdefault(mesh.package, []).append(name)
-    for name, mesh in found.items():
-        if not mesh.package or absent[mesh.package][0] == name:
-            names = absent[mesh.package] if mesh.package else [name]
-            yield from mesh_finding(named[name], names, mesh, package_dirs)
-
-
-def mesh_finding(
-    element: etree._Element, names: list[str], mesh: MeshFile, package_dirs: Sequence[str | Path]
-) -> Iterator[Finding]:
-    """What to say about one mesh, or about all meshes of one missing package."""
-    what = f"mesh '{names[0]}'"
-    given = f"; {' and '.join(map(str, package_dirs))} {'do' if len(package_dirs) > 1 else 'does'} not hold it"
-    fix = "give the folder that holds the package with --package-dir" + given * bool(package_dirs)
-    if "://" in names[0] and not mesh.package and mesh.problem == "missing":
-        fix = "is it in another copy of the package? " + fix
-    if mesh.package:
-        what = f"package '{mesh.package}' of {len(names)} mesh file(s) is not found ('{names[0]}')"
-        yield finding("mesh-missing", element, what, NO_SHAPE, fix)
-    elif mesh.problem == "missing":
-        yield finding("mesh-missing", element, f"{what} does not exist", NO_SHAPE, "put it there, or " + fix)
-    elif mesh.problem == "remote":
-        yield finding(
-            "mesh-remote", element, f"{what} is remote", f"never fetched; {NO_SHAPE}", "copy it to the package"
-        )
-    elif mesh.problem == "outside":
-        why = f"never opened; {NO_SHAPE}"
-        yield finding("mesh-outside", element, f"{what} is outside the package", why, "move it into the package")
-    elif mesh.file is not None and (damage := damage_of(mesh.file)):
-        yield finding("mesh-corrupt", element, f"{what} is corrupt: {damage}", NO_SHAPE, "export it again")

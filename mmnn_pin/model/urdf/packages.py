@@ -18,13 +18,9 @@ from typing import Literal
 from ...files import opened
 
 URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
-
 ABOVE, BELOW, VISITED = 2, 3, 1500  # levels searched above a package, levels below each of them, folders at most
-
 MARKS = (".git", ".catkin_workspace", ".rosinstall", "colcon.meta")  # of workspaces and repositories
-
 NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
-
 FIND = re.compile(r"^(?:file://)?\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)/*(.*)$")
 
 
@@ -81,17 +77,17 @@ def is_top(folder: str) -> bool:
 
 def packages_at(places: Sequence[str]) -> dict[str, str]:
     """Packages in some folders and a few levels below them: name to folder, the first of each name."""
-    found: dict[str, str] = {}
+    packages: dict[str, str] = {}
     for place in places:
         for name, folder in packages_in(place):
-            found.setdefault(name, folder)
-    return found
+            packages.setdefault(name, folder)
+    return packages
 
 
 @lru_cache(maxsize=64)
 def packages_in(place: str) -> tuple[tuple[str, str], ...]:
     """Names and folders of the packages in a folder and a few levels below it."""
-    found, pending = [], [(place, 0)]
+    packages, pending = [], [(place, 0)]
     for visited, (folder, depth) in enumerate(pending):
         if visited > VISITED:
             break
@@ -101,10 +97,10 @@ def packages_in(place: str) -> tuple[tuple[str, str], ...]:
             continue
         manifest = next((entry.path for entry in entries if entry.name == "package.xml"), None)
         if manifest is not None:
-            found.append((name_of(manifest) or os.path.basename(folder), folder))
+            packages.append((name_of(manifest) or os.path.basename(folder), folder))
         elif depth < BELOW:
             pending += [(e.path, depth + 1) for e in entries if e.is_dir(follow_symlinks=False) and e.name[0] != "."]
-    return tuple(found)
+    return tuple(packages)
 
 
 def name_of(manifest: str) -> str:
@@ -122,7 +118,7 @@ def name_of(manifest: str) -> str:
 
 @dataclass(frozen=True)
 class MeshFile:
-    """Where a mesh is.
+    """Place of a mesh.
 
     Attributes:
         file: The file, None when it must not be opened or does not exist.
@@ -158,10 +154,10 @@ def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> Me
     if scheme not in ("", "file"):
         return MeshFile(None, "remote")
     files = [os.path.join(base, rest) for base in (folder, *given)]  # an absolute name stays what it is
-    found = first_inside(files, [package_of(folder), *given])
-    if found.problem == "outside" and os.path.isabs(rest):
+    mesh = first_inside(files, [package_of(folder), *given])
+    if mesh.problem == "outside" and os.path.isabs(rest):
         return first_inside([rest], list(packages(urdf, given).values()))
-    return found
+    return mesh
 
 
 def in_package(rest: str, urdf: Path, folder: str, given: list[str]) -> MeshFile:
@@ -172,14 +168,14 @@ def in_package(rest: str, urdf: Path, folder: str, given: list[str]) -> MeshFile
     roots = [os.path.join(top, package) for top in (*given, *environment(), *upwards(folder))]
     roots += [top for top in given if os.path.basename(top) == package or os.path.exists(os.path.join(top, inner))]
     roots = [root for root in roots if os.path.isdir(root)]
-    found = [first_inside([os.path.join(root, inner)], [root, *given]) for root in roots]
-    if not any(mesh.file for mesh in found):
+    meshes = [first_inside([os.path.join(root, inner)], [root, *given]) for root in roots]
+    if not any(mesh.file for mesh in meshes):
         own = packages(urdf, given).get(package) or far_package(package, above(urdf)[1])
         roots += [own] if own else []
-        found += [first_inside([os.path.join(own, inner)], [own])] if own else []
+        meshes += [first_inside([os.path.join(own, inner)], [own])] if own else []
     if not roots:
         return MeshFile(None, "missing", package)
-    return next((mesh for mesh in found if mesh.file), found[0])
+    return next((mesh for mesh in meshes if mesh.file), meshes[0])
 
 
 def first_inside(files: list[str], allowed: list[str]) -> MeshFile:

@@ -3,83 +3,73 @@
 Pinocchio's parser drops a whole `<inertial>` over one bad number and hides the reasons of its refusals on C++ stderr,
 so the file is audited first (docs/reference/urdf-audit.md lists the codes). What passes is also what Pinocchio gets:
 `Document.text` is the parsed tree written out again, free of declarations, comments and namespaces.
-
-A check is a function from the `<robot>` element, or what it holds, to its findings; `audit` runs them all. Those of
-single elements and files are here, those of joints, bodies and the tree that they make in `mechanism`.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from difflib import get_close_matches
-from functools import lru_cache
 from pathlib import Path
 
 from lxml import etree
 
 from ...errors import ConfigError
 from ...files import read_bytes, reason
-from .document import Document, Tree
-from .expansion import expand, is_xacro
+from .audit import XACRO_FIX, audit
+from .document import Document, LinkTree
 from .finding import AuditError, Finding, finding, settle
-from .mechanism import (
-    bad_bodies,
-    bad_joints,
-    bad_mimics,
-    bad_names,
-    bad_tree,
-    degrees,
-    gazebo_loops,
-    millimetres,
-    no_inertials,
-    too_large,
-)
-from .meshes import bad_meshes
-from .packages import FIND
-from .xml import KNOWN, XACRO_FIX, Elements, nearest, number_problem, numbers, parse_xml, read_numbers, uncalled
 
 MAX_BYTES = 50_000_000
-
 NAMED_ALIKE = ("duplicate-name", "two-parents", "loop")  # what parts of one name lead to
-
-
-# Attributes that hold numbers: how many, by element; those in REQUIRED must be there.
-NUMBERS: dict[str, dict[str, int]] = {
-    "origin": {"xyz": 3, "rpy": 3},
-    "axis": {"xyz": 3},
-    "mass": {"value": 1},
-    "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
-    "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
-    "dynamics": {"damping": 1, "friction": 1},
-    "mimic": {"multiplier": 1, "offset": 1},
-    "safety_controller": dict.fromkeys(("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"), 1),
-    "calibration": {"rising": 1, "falling": 1},
-    "cylinder": {"radius": 1, "length": 1},
-    "capsule": {"radius": 1, "length": 1},
-    "sphere": {"radius": 1},
-    "box": {"size": 3},
-    "mesh": {"scale": 3},
-    "color": {"rgba": 4},
+MJCF = "convert it to URDF, e.g. with mjcf-urdf-simple-converter (PyPI)"
+SDF = "convert it to URDF, e.g. with sdf2urdf of pysdf, or give the URDF or xacro file that it was made from"
+# The first bytes of files that are not XML, and what they are.
+USD = "export it as URDF, e.g. with Isaac Sim's URDF exporter"
+# How files begin that are no text.
+PICTURES = {
+    b"\x89PNG": "a picture (PNG)",
+    b"\xff\xd8\xff": "a picture (JPEG)",
+    b"GIF8": "a picture (GIF)",
+    b"%PDF": "a PDF",
+    b"PK\x03\x04": "an archive (ZIP)",
+    b"\x1f\x8b": "an archive (gzip)",
+    b"\x89HDF": "an HDF5 file",
 }
-
-REQUIRED: dict[str, tuple[str, ...]] = {
-    "axis": ("xyz",),
-    "mass": ("value",),
-    "inertia": tuple(NUMBERS["inertia"]),
-    "safety_controller": ("k_velocity",),
-    "cylinder": ("radius", "length"),
-    "capsule": ("radius", "length"),
-    "sphere": ("radius",),
-    "box": ("size",),
-    "mesh": ("filename",),
-    "mimic": ("joint",),
+# What files with another root element are, and the way out.
+OTHER_FORMATS = {
+    "mujoco": ("MJCF (MuJoCo)", MJCF),
+    "mujocoinclude": ("MJCF (MuJoCo)", MJCF),
+    "sdf": ("SDF (Gazebo)", SDF),
+    "model": ("SDF (Gazebo)", SDF),
+    "gazebo": ("SDF (Gazebo)", SDF),
+    "COLLADA": ("a COLLADA mesh", "give the URDF that uses it"),
+    "package": (
+        "a ROS package manifest",
+        "give a URDF or xacro file of that package, often in its folder urdf/ or robots/",
+    ),
+    "launch": ("a ROS launch file", "give the URDF or xacro file that it loads"),
 }
-
-GREY = "0.5 0.5 0.5 1"
-SIZES = {"cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",), "box": ("size",)}
+HEADS = {
+    b"PXR-USDC": ("USD (binary)", USD),
+    b"#usda": ("USD", USD),
+    b"PK\x03\x04": ("a zip archive (USDZ?)", "unpack it; " + USD + " where it holds a USD file"),
+    b"glTF": ("a glTF mesh", "give the URDF that uses it"),
+    b"solid ": ("an STL mesh", "give the URDF that uses it"),
+    b"version https://git-lfs": ("a pointer to a file in Git LFS", "get the file itself: git lfs pull"),
+}
+TAGS = 200_000  # of a file; reading more takes minutes and gigabytes
+ATTRIBUTES = 200  # of a tag; the time to read them grows with the square
+CROWDED = f"//*[@*[{ATTRIBUTES + 1}]]"
+DEFAULT_NAMESPACE = "//*[namespace-uri() != '' and not(contains(name(), ':'))]"
+XACRO = "//*[contains(namespace-uri(), 'xacro') or starts-with(name(), 'xacro:')]"
+PREFIXED = re.compile(rb"<[^\s<>/:!?]+:")
+LONG_TAG = re.compile(rb"<[^<>!?\n]+\n[^<>]*>")
+EXPANDABLE = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
+DOCTYPE = re.compile(rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|(<!DOCTYPE)", re.DOTALL)
 
 
 def read(
@@ -165,7 +155,7 @@ def audit_file(
 
 
 def instead(path: Path) -> str:
-    """What else may be meant by a path that cannot be read."""
+    """The files that may be meant by a path that cannot be read."""
     names: list[str] = []
     with suppress(OSError, ValueError):
         there = (path if path.is_dir() else path.parent).iterdir()
@@ -187,6 +177,13 @@ def content(path: Path) -> bytes | str:
         return f"cannot be read ({reason(error)})"
 
 
+def is_xacro(path: Path, data: bytes) -> bool:
+    """Whether a file needs expanding: it is called so, or has elements or expressions of xacro outside of comments."""
+    first, *others = data.split(b"<!--")
+    text = first + b"".join(part.partition(b"-->")[2] for part in others)
+    return path.suffix == ".xacro" or bool(EXPANDABLE.search(text))
+
+
 def audit_xacro(
     data: bytes,
     path: Path,
@@ -195,7 +192,9 @@ def audit_xacro(
     xacro: Sequence[str],
     without: Sequence[str],
 ) -> tuple[Document | None, tuple[Finding, ...]]:
-    """The same for the content of a xacro file; raises `RobotError` where it cannot be expanded."""
+    """Findings and document of a xacro file's content; raises `RobotError` where it cannot be expanded."""
+    from .expansion import expand  # in a process of its own, seldom needed
+
     made = expand(path, xacro, package_dirs, without)
     if len(made.data) > MAX_BYTES:
         return None, settle([finding("file", 1, f"expands to more than {MAX_BYTES // 1_000_000} MB")], path, strict)
@@ -210,7 +209,7 @@ def audit_xacro(
 def audit_data(
     data: bytes, path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = ()
 ) -> tuple[Document | None, tuple[Finding, ...]]:
-    """The same for a file's content.
+    """Findings and document of a file's content.
 
     Args:
         data: The content.
@@ -219,207 +218,139 @@ def audit_data(
         package_dirs: As in `read`.
     """
     path = Path(path)
-    root, found = parse_xml(data)
+    root, pieces = parse_xml(data)
     if root is not None:
-        found += audit(tree := Tree(root), path, package_dirs)
-    findings = settle(found, path, strict)
+        pieces += audit(tree := LinkTree(root), path, package_dirs)
+    findings = settle(pieces, path, strict)
     if root is None or any(f.severity == "error" and not f.joint for f in findings):
         return None, findings
     return Document.of(tree, path, hashlib.sha256(data).hexdigest(), findings), findings
 
 
-def audit(tree: Tree, path: Path, package_dirs: Sequence[str | Path] = ()) -> list[Finding]:
-    """All findings about a `<robot>` element; none of severity error when it may be loaded. Its numbers end up plain.
+# -- bytes to an element -----------------------------------------------------------------------------------------------
+
+
+def parse_xml(data: bytes) -> tuple[etree._Element | None, list[Finding]]:
+    """The `<robot>` element of a file without comments and default namespaces, None when there is none.
 
     Args:
-        tree: The element.
-        path: Its file; relative meshes start from there.
-        package_dirs: Folders that hold packages.
+        data: The file's bytes.
     """
-    root = tree.root
-    if large := list(too_large(root)):
-        return large
-    turned = list(transposed(root))
-    elements, unsound = Elements.of(root), [*bad_names(root), *bad_tree(root)]
-    findings = [*turned, *unsound, *bad_joints(root), *bad_mimics(root)]
-    findings += [found for check in ELEMENT_CHECKS for found in check(elements)]
-    if not unsound:  # bodies can be judged only in a sound tree
-        findings += [*bad_bodies(tree), *no_inertials(tree), *gazebo_loops(root)]
-    return [*findings, *bad_meshes(root, path, package_dirs)]
+    for head, (known, fix) in HEADS.items():
+        if data.startswith(head):
+            return None, [finding("not-urdf", 1, f"this is {known}, not a URDF", fix=fix)]
+    if data.count(b"<") > TAGS:
+        return None, [
+            finding("too-many", 1, f"has more than {TAGS:,} tags", "no robot needs them", "simplify it", of="")
+        ]
+    root, findings = parsed(data)
+    if root is not None and (found := root.xpath(CROWDED)):
+        what = f"has more than {ATTRIBUTES} attributes"
+        return None, [finding("too-many", found[0], what, "no robot needs them", "simplify it", of="")]
+    line = doctype_line(data)
+    if line or (root is not None and root.getroottree().docinfo.doctype):
+        why = "entities could pull in other files or blow up"
+        return None, [finding("doctype", line or 1, "has a DOCTYPE", why, "delete it")]
+    if root is None:
+        return None, findings
+    set_start_lines(root, data)
+    for element in root.xpath(DEFAULT_NAMESPACE) if b"xmlns=" in data or b"\0" in data else ():
+        element.tag = local(element)
+    xacros = root.xpath(XACRO) if PREFIXED.search(data) or b"\0" in data else []
+    if xacros:
+        more = f" (and {len(xacros) - 1} more)" if len(xacros) > 1 else ""
+        what = f"<xacro:{local(xacros[0])}>{more} is xacro, not yet a URDF"
+        return None, [finding("xacro", xacros[0], what, fix=XACRO_FIX, of="")]
+    if root.tag != "robot":
+        unknown = f"a file whose root is <{root.tag}>", "convert it to URDF (root element <robot>)"
+        known, fix = OTHER_FORMATS.get(root.tag, unknown)
+        what = f"this is {known}, not a URDF"
+        return None, [finding("not-urdf", root, what, fix=fix, of="")]
+    if findings:
+        join_prefixes(root)
+    return root, findings
 
 
-# -- tags and attributes -----------------------------------------------------------------------------------------------
+def join_prefixes(root: etree._Element) -> None:
+    """Make plain names of those with prefixes that nobody declared: whoever reads the text again may be strict."""
+    for element in root.iter(etree.Element):
+        if ":" in element.tag and not element.tag.startswith("{"):
+            element.tag = element.tag.replace(":", "_")
+        for key in [key for key in element.attrib if ":" in key and not key.startswith("{")]:
+            element.set(key.replace(":", "_"), element.attrib.pop(key))
 
 
-def transposed(root: etree._Element) -> Iterator[Finding]:
-    """Products of inertia written with their letters the other way round, which mean the same; put right in place."""
-    for element in root.iterfind("link/inertial/inertia"):
-        for wrong, right in (("iyx", "ixy"), ("izx", "ixz"), ("izy", "iyz")):
-            value = element.get(wrong)
-            if value is not None and read_numbers(element.get(right, value)) == read_numbers(value):
-                element.set(right, element.attrib.pop(wrong))
-                what = f"'{wrong}' of <inertia> is taken as '{right}'"
-                yield finding("transposed-inertia", element, what, "an inertia is symmetric", f"write '{right}'")
-            elif value is not None:
-                what = f"'{wrong}' and '{right}' of <inertia> differ"
-                why = f"an inertia is symmetric: taken is '{right}', as URDF has it"
-                yield finding("transposed-inertia", element, what, why, f"check it, delete '{wrong}'")
-                element.attrib.pop(wrong)
+def parsed(data: bytes, recover: bool = False) -> tuple[etree._Element | None, list[Finding]]:
+    """Root element, entities unopened; a prefix that nobody declared is no reason to refuse."""
+    parser = etree.XMLParser(
+        resolve_entities=False, no_network=True, huge_tree=False, remove_comments=True, remove_pis=True, recover=recover
+    )
+    try:
+        root = etree.fromstring(data, parser)
+    except (etree.XMLSyntaxError, ValueError) as error:
+        if not recover and "Namespace prefix" in str(error):
+            return parsed(data, recover=True)
+        return None, [syntax_finding(data, str(error).split(", line ")[0].strip(), getattr(error, "lineno", None) or 1)]
+    if not recover:
+        return root, []
+    real = [entry for entry in parser.error_log if entry.domain_name != "NAMESPACE"]
+    if real or root is None:
+        entry = (real or list(parser.error_log))[0]
+        return None, [syntax_finding(data, entry.message, entry.line)]
+    entry = parser.error_log[0]
+    return root, [finding("namespace", entry.line, entry.message, "taken as an unknown extension", "declare it")]
 
 
-LOOKS = {"visual", "collision", "material", "color", "texture"}  # a robot that lacks one moves as it would with it
+def syntax_finding(data: bytes, reason: str, line: int) -> Finding:
+    """The reason why bytes are not XML: wrong encoding, cut off, or damaged."""
+    if not data.strip():
+        return finding("not-xml", 1, "the file is empty")
+    if kind := next((kind for start, kind in PICTURES.items() if data.startswith(start)), ""):
+        return finding(
+            "not-urdf", 1, f"this is {kind}, not a URDF", fix="name a URDF or xacro file; `mmnn list` has robots"
+        )
+    if any(word in reason for word in ("encoding", "UTF")) or b"\x00" in data[:64]:
+        line = undecodable_line(data) or line
+        fix = 'save it as UTF-8, or declare its encoding: <?xml version="1.0" encoding="..."?>'
+        return finding("encoding", line, f"its bytes are not in the encoding it declares ({reason})", fix=fix)
+    if b"<robot" in data and b"</robot" not in data and not re.search(rb"<robot[^>]*/>", data):
+        what = f"not well-formed XML ({reason}): it ends before </robot>"
+        return finding("truncated", line, what, "cut off while it was written or copied?", "get the whole file")
+    return finding("not-xml", line, f"not well-formed XML ({reason})", "damaged, or another format?")
 
 
-def misspelt(elements: Elements) -> Iterator[Finding]:
-    """Unknown tags and attributes one edit away from known ones, which a loader would ignore in silence."""
-    for element, tag, parent in elements.unknown:
-        children = KNOWN[parent][0]
-        if tag not in children and (meant := nearest(tag, children)):
-            code, why = ("misspelt-tag", "it would be ignored")
-            if meant in LOOKS:
-                code, why = ("misspelt-shape", "it is ignored")
-            yield finding(code, element, f"unknown tag <{tag}>, one edit away from <{meant}>", why, f"write <{meant}>")
-    for element, tag, items in elements.texts:
-        keys = KNOWN[tag][1]
-        unread = tag == "axis" and element.getparent().get("type") == "fixed"
-        for key, _ in items:
-            if key not in keys and not unread and (meant := nearest(key, keys)):
-                what = f"unknown attribute '{key}' of <{tag}>, one edit away from '{meant}'"
-                yield finding("misspelt-attribute", element, what, "it would be ignored", f"write '{meant}'")
+def undecodable_line(data: bytes) -> int:
+    """Line of the first bytes that are not UTF-8, 0 when all are."""
+    try:
+        data.decode()
+    except UnicodeDecodeError as error:
+        return data.count(b"\n", 0, error.start) + 1
+    return 0
 
 
-def misplaced(elements: Elements) -> Iterator[Finding]:
-    """Tags of URDF where URDF does not have them, which a loader ignores in silence."""
-    for element, tag, parent in elements.unknown:
-        if tag in KNOWN and parent != "robot":
-            places = [f"<{other}>" for other, (children, _) in KNOWN.items() if tag in children]
-            what, why = f"<{tag}> in <{parent}> is ignored", "URDF does not have it there"
-            yield finding("misplaced-tag", element, what, why, f"move it into {' or '.join(places)}")
+def doctype_line(data: bytes) -> int:
+    """Line of a DOCTYPE outside comments, 0 when there is none."""
+    if b"<!DOCTYPE" not in data:
+        return 0
+    at = next((match.start(1) for match in DOCTYPE.finditer(data) if match[1]), -1)
+    return data.count(b"\n", 0, at) + 1 if at >= 0 else 0
 
 
-def repeated(elements: Elements) -> Iterator[Finding]:
-    """Second copies of what may stand once, and materials defined twice."""
-    for element, tag, parent in elements.repeated:
-        what = f"a second shape, <{tag}>, in <geometry>" if parent == "geometry" else f"a second <{tag}> in <{parent}>"
-        yield finding("repeated-tag", element, what, "the first one counts", "delete one of them")
-    seen: set[str] = set()
-    for material in elements["robot"][0].iterchildren("material"):
-        name = material.get("name", "")
-        if name in seen:
-            why = "Pinocchio's parser refuses the file"
-            yield finding("duplicate-material", material, "is defined twice", why, "delete or rename one of them")
-        seen.add(name)
+def set_start_lines(root: etree._Element, data: bytes) -> None:
+    """Number elements by the line their tag starts in; libxml2 gives the one it ends in."""
+    if not LONG_TAG.search(data):
+        return
+    lines = data.split(b"\n")
+    for element in root.iter("*"):
+        name, line = element.tag.rpartition("}")[2].encode(), element.sourceline
+        tag = b"<" + name if element.prefix is None else name
+        start = line
+        while 0 < start <= len(lines) and tag not in lines[start - 1] and line - start < 100:
+            start -= 1
+        if 0 < start < line <= len(lines) and tag in lines[start - 1]:
+            element.sourceline = start
 
 
-# -- numbers -----------------------------------------------------------------------------------------------------------
-
-
-def unexpanded(elements: Elements) -> Iterator[Finding]:
-    """`${...}` and `$(...)`, which xacro would have expanded."""
-    for element, _, items in elements.texts:
-        for key, text in items:
-            if "$" in text and ("${" in text or "$(" in text) and not FIND.match(text):
-                what = f"{key} '{text}' is an unexpanded xacro expression"
-                yield finding("xacro", element, what, fix=XACRO_FIX)
-
-
-def bad_numbers(elements: Elements) -> Iterator[Finding]:
-    """Attributes that should hold finite numbers and do not; the others are left with single blanks, none around them.
-
-    Pinocchio's parser drops a whole `<inertial>` over a blank after a mass, a tab or a no-break space.
-    """
-    yield from bare_limits(elements)
-    for mesh in elements["mesh"]:
-        if not mesh.get("scale", "1").strip():
-            mesh.attrib.pop("scale")
-            yield finding("mesh-scale", mesh, "scale of <mesh> is empty", "taken as 1 1 1", "state it, or delete it")
-    for tag, needed in REQUIRED.items():
-        for element in elements[tag]:
-            for key in needed:
-                if element.get(key) is None:
-                    yield finding("missing-value", element, f"{key} of <{tag}> is missing", why(tag), "state it")
-    for element, tag, items in elements.texts:
-        counts = NUMBERS.get(tag, {})
-        for key, text in items:
-            if key not in counts or "$" in text or element.get(key) is None:
-                continue
-            problem, plain = number_problem(text, counts[key]), plainly(text)
-            if problem and tag == "color":
-                element.set(key, GREY)  # Pinocchio's parser drops the robot over it
-                yield finding("color", element, f"{key} of <color> {problem}", "taken as grey", "give 4 numbers")
-            elif problem:
-                code = "vector-length" if "number(s)" in problem else "number"
-                fix = f"give {counts[key]} finite number(s) in SI units"
-                yield finding(code, element, f"{key} of <{tag}> {problem}", why(tag), fix)
-            elif plain != text:
-                element.set(key, plain)
-
-
-def bare_limits(elements: Elements) -> Iterator[Finding]:
-    """`<limit>` without effort or velocity: 0 is put there, which means none; Pinocchio's parser refuses it without."""
-    for limit in elements["limit"]:
-        joint = limit.getparent()
-        for key in ("effort", "velocity"):
-            if limit.get(key) is None:
-                limit.set(key, "0")
-                if joint.get("type") in ("continuous", "fixed"):
-                    what = f"{key} of <limit> is missing"
-                    yield finding("no-effort", limit, what, "assumed: no limit", "state it")
-                else:
-                    what, name = f"{key} of <limit> is missing", joint.get("name")
-                    yield finding("missing-value", limit, what, why("limit"), "state it", joint=name)
-
-
-@lru_cache(maxsize=8192)
-def plainly(text: str) -> str:
-    """Words with single blanks between them."""
-    return " ".join(text.split())
-
-
-def incomplete(elements: Elements) -> Iterator[Finding]:
-    """`<inertial>` without mass or inertia, and empty `<dynamics>`, both of which loaders trip over."""
-    for inertial in elements["inertial"]:
-        for tag in ("mass", "inertia"):
-            if inertial.find(tag) is None:
-                yield finding("missing-value", inertial, f"<{tag}> is missing", why(tag), f"add <{tag}>")
-    for dynamics in elements["dynamics"]:
-        if dynamics.get("damping") is None and dynamics.get("friction") is None:
-            reason, fix = "Pinocchio's parser refuses the joint", "state damping or friction, or delete it"
-            yield finding("missing-value", dynamics, "<dynamics> states nothing", reason, fix)
-
-
-def why(tag: str) -> str:
-    """What a bad number in an element leads to."""
-    return "the whole inertial would be dropped" if tag in ("mass", "inertia") else ""
-
-
-# -- shapes and meshes -------------------------------------------------------------------------------------------------
-
-
-def bad_shapes(elements: Elements) -> Iterator[Finding]:
-    """Shapes without a size, with a negative one, or without a shape."""
-    for holder in (*elements["visual"], *elements["collision"]):
-        shapes = (body.tag for geometry in holder.iterchildren("geometry") for body in geometry)
-        if not any(tag in SIZES or tag == "mesh" for tag in shapes):
-            reason, fix = "it is left out", "give a box, cylinder, sphere or mesh"
-            yield finding("no-shape", holder, f"<{holder.tag}> has no shape that URDF knows", reason, fix)
-    for tag in (*SIZES, "mesh"):
-        for body in elements[tag]:
-            yield from bad_sizes(body)
-
-
-def bad_sizes(body: etree._Element) -> Iterator[Finding]:
-    """Negative and zero sizes of one shape."""
-    for key in SIZES.get(body.tag, ()):
-        least = min(numbers(body, key, (1.0,) * NUMBERS[body.tag][key]))
-        what, fix = f"{key} of <{body.tag}> is '{body.get(key)}'", "give a positive size [m]"
-        if least < 0:
-            yield finding("negative-size", body, f"{what}: negative", "a size is at least 0", fix)
-        elif least == 0:
-            yield finding("zero-size", body, f"{what}: zero", "taken as it is", fix)
-    if body.tag == "mesh" and 0 in numbers(body, "scale", (1.0, 1.0, 1.0)):
-        yield finding("zero-size", body, "scale of <mesh> is zero", "taken as it is", "give a scale other than 0")
-
-
-WORDS = (misspelt, misplaced, uncalled, repeated, unexpanded)
-ELEMENT_CHECKS = (*WORDS, bad_numbers, incomplete, bad_shapes, millimetres, degrees)
+def local(element: etree._Element) -> str:
+    """Tag without its namespace or prefix."""
+    return str(element.tag).rpartition("}")[2].rpartition(":")[2]

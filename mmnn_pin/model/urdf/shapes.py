@@ -18,21 +18,15 @@ from lxml import etree
 from ...elementary import arrays, cos_sin, hypot
 from ...elementary.matrices import length, product
 from ...signals import Array
-from .document import Document, Joint, placement
+from .document import Document, Joint, number, numbers, placement, vector
 from .meshes import vertices_of
 from .packages import locate
-from .xml import number, numbers, vector
 
 PRIMITIVES = ("cylinder", "sphere", "box")
-
 SHAPES = (*PRIMITIVES, "capsule", "mesh")
-
 AROUND = 0.05  # a wheel's shape may be off its axis by this fraction of the radius
-
 TREAD = 0.98  # what reaches out further than this fraction of a wheel's radius is its tread
-
 HORIZONTAL = 0.02  # largest vertical part of a unit axis that counts as horizontal
-
 VERTICAL = 1 - HORIZONTAL  # smallest vertical part of one that counts as vertical
 
 
@@ -162,7 +156,7 @@ class AtRest:
         return product(at[:3, :3], numbers(origin, "xyz")) + at[:3, 3]
 
     def bottom(self, link: str) -> float:
-        """How low a link reaches, as far as primitives tell, else its centre of mass; inf for an empty one [m]."""
+        """Height of a link's lowest place by its primitives, else of its centre of mass; inf for an empty one [m]."""
         heights = [shape.lowest for shape in self.primitives[link]]
         if not heights and self.mass(link) > 0:
             heights = [float(self.centre(link)[2])]
@@ -207,7 +201,7 @@ def round_about(shape: Shape, hub: Array, axis: Array) -> tuple[float, float] | 
 
 
 def mesh_round_about(points: Array, axis: Array) -> tuple[float, float] | None:
-    """The same for vertices: they must reach equally far in all directions across the axis.
+    """Radius and middle of vertices that reach equally far in all directions across an axis; else None.
 
     The middle is that of the tread, the vertices that reach out almost as far as the farthest: a hub does not roll.
     """
@@ -226,7 +220,7 @@ def mesh_round_about(points: Array, axis: Array) -> tuple[float, float] | None:
 
 
 def reach_about(shape: Shape, hub: Array, axis: Array) -> tuple[float, float, float]:
-    """How far a shape reaches out from an axis, and from where to where along it from the hub [m]: a roller's rim."""
+    """Reach of a shape from an axis, and its ends along the axis from the hub [m]: of a roller's rim."""
     points = outline(shape) - hub
     along = product(points, axis)
     out = np.linalg.norm(points - np.outer(along, axis), axis=1) + (shape.radius if shape.kind == "sphere" else 0.0)

@@ -17,7 +17,6 @@ import pinocchio as pin
 
 from ...elementary import cos_sin
 from ...errors import ConfigError, RobotError
-from ...model.base.differential import DifferentialDrive
 from ...model.base.overrides import folders_of
 from ...model.robot import Robot
 from ...model.urdf.reading import parse
@@ -132,7 +131,7 @@ def feet_of(robot: Robot) -> Feet:
     """
     if not robot.dimensions.base:
         return Feet((), ())
-    if not isinstance(robot.base, DifferentialDrive):
+    if not robot.base.two_sided:
         raise RobotError(
             f"the contact plant cannot carry the {robot.base.kind} base of '{robot.name}'",
             why="it has plain wheels only, neither rollers nor a base that is pushed",

@@ -19,7 +19,7 @@ from ...signals import Array, Layout
 from .. import NO_PUSH
 from .feet import Contact, feet_of
 from .steps import Steps
-from .tree import NO_FRICTION, BaseMotion, FreeBase, Friction, compile_tree, engine, on_base, tilt
+from .tree import NO_FRICTION, BaseMotion, ContactFriction, FreeBase, compile_tree, engine, on_base, tilt
 
 FALLEN = 0.5  # inclination at which the base counts as fallen over [rad]
 LOST = 1e5  # speed of anything at which the engine's state counts as lost [rad/s or m/s]
@@ -28,7 +28,7 @@ SLIPPING = 0.01  # a wheel whose contact point moves faster than this slips; con
 
 @dataclass
 class Slip:
-    """What the wheels did in a run: when they slipped, how fast, and what ended it.
+    """Slip of the wheels in a run: when, how fast, and what ended it.
 
     Args:
         wheels: Their joints.
@@ -130,7 +130,7 @@ class ContactPlant:
         self.motion: BaseMotion | None = None
         self._index()
         self.hold = np.zeros(nv)
-        self.friction = Friction(robot, self.moving, self.at_v, self.model)
+        self.friction = ContactFriction(robot, self.moving, self.at_v, self.model)
         self.residual, self.speed, self.traction = np.zeros(min(1, wheels)), np.zeros(wheels), np.zeros(wheels)
         self.along, self.across = sliding_rows(robot)
         self.slip = Slip(tuple(wheel.joint for wheel in robot.base.wheels), dt)
@@ -177,7 +177,7 @@ class ContactPlant:
         self.data, self.dynamics = self.mj.MjData(self.model), terms_of(robot)
         for name in ("qpos", "qvel", "qacc_warmstart"):
             getattr(self.data, name)[:] = getattr(before, name)
-        self.friction = Friction(robot, self.moving, self.at_v, self.model)
+        self.friction = ContactFriction(robot, self.moving, self.at_v, self.model)
         self.engine = Steps(self.model, frozenset(self.wheel_of), self.method)
         self._read()
         self.refresh()
@@ -225,7 +225,7 @@ class ContactPlant:
         self.traction[:] = 0.0
 
     def findings(self) -> list[str]:
-        """What to tell of the run so far: when the wheels slipped, whether the base fell over."""
+        """Findings of the run so far: when the wheels slipped, whether the base fell over."""
         return self.slip.findings()
 
     def _read(self) -> None:

@@ -20,7 +20,6 @@ import pinocchio as pin
 
 from ...elementary import arrays, atan2, cos, cos_sin, hypot, sin
 from ...errors import ConfigError, RobotError
-from ...model.base.skid_steer import SkidSteer
 from ...model.reduction import COULOMB_SPEED
 from ...model.robot import Robot
 from ...signals import Array
@@ -129,9 +128,9 @@ def add_motors(mj: Any, spec: Any, robot: Robot) -> None:
 
 
 def add_ties(mj: Any, spec: Any, robot: Robot) -> None:
-    """A stiff equality for every mimic joint that moves, and one that turns a skid-steer side's wheels alike."""
+    """A stiff equality for every mimic joint that moves, and one that turns the wheels of a side alike."""
     ties = [(name, slave.master, slave.offset, slave.multiplier) for name, slave in robot.arm.slaves.items()]
-    if isinstance(robot.base, SkidSteer):
+    if robot.base.scrubs:
         for side in (1.0, -1.0):
             first, *others = (wheel for wheel in robot.base.wheels if wheel.y * side > 0)
             rim = first.sign * first.radius
@@ -243,7 +242,7 @@ def cross(a: Array, b: Array) -> Array:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-class Friction:
+class ContactFriction:
     """Friction of a robot: in the joints as a damping, which MuJoCo's Euler takes implicitly, on the base as a force.
 
     Args:
@@ -280,7 +279,7 @@ class Friction:
             on_base(data, motion, -self.base[0] * v, -self.base[1] * w)
 
     def power(self, data: Any, motion: BaseMotion | None) -> float:
-        """What friction takes at this velocity [W]."""
+        """Power that friction takes at this velocity [W]."""
         lost = float(self.model.dof_damping[self.at] @ data.qvel[self.at] ** 2)
         if self.on_base and motion is not None:
             v, _, w = motion.velocity

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from ...compiled import compiled, spliced
+from ...compiled import compiled, inlined
 from ...elementary import cos_sin
 from ...errors import ConfigError, RobotError, UnknownName
 from ...model.robot import Robot
@@ -131,7 +131,7 @@ def hands_of(robot: Robot) -> list[str]:
     return found
 
 
-@spliced
+@inlined
 def turn(R: Array, at: int, numbers: Array) -> None:
     """`R[at:at+9] = R[at:at+9] Q`, the (3, 3) Q from the first nine of a row, both row by row."""
     for i in range(3):
@@ -140,7 +140,7 @@ def turn(R: Array, at: int, numbers: Array) -> None:
             R[at + 3 * i + j] = a * numbers[j] + b * numbers[3 + j] + c * numbers[6 + j]
 
 
-@spliced
+@inlined
 def spin(R: Array, x: float, y: float, z: float, q: float) -> None:
     """`R = Rot((x, y, z), q) R`, the axis a unit vector in the world."""
     c, s = cos_sin(q)
@@ -152,7 +152,7 @@ def spin(R: Array, x: float, y: float, z: float, q: float) -> None:
         R[6 + j] = c * d + s * (x * b - y * a) + along * z
 
 
-@spliced
+@inlined
 def cross(a: Array, i: int, b: Array, j: int, out: Array, k: int, scale: float) -> None:
     """`out[k:k+3] += scale a[i:i+3] x b[j:j+3]`."""
     x = a[i + 1] * b[j + 2] - a[i + 2] * b[j + 1]
@@ -176,71 +176,103 @@ def move(chain: Chain, position: Array, nu: Array, place: Array, twist: Array, b
         bias: (6,) written: the acceleration of the frame where nudot = 0.
         J: (6, p) written: `J S`.
     """
-    links, numbers, T, axes, w = chain.links, chain.numbers, chain.T, chain.axes, chain.work
-    m, p = links.shape[0], nu.size
-    # work: 0 step, 3 velocity and 6 its bias at the joint's origin, 9 angular velocity, 12 its bias, 15 axis times rate
+    w, m, mobile = chain.work, chain.links.shape[0], chain.frame.size == 3
+    # work: 0 step, 3 velocity and 6 its bias at the joint's origin, 9 angular velocity, 12 its bias, 15 axis times
+    # rate, 21 pose of the root link
     w[:] = 0.0
     place[:] = 0.0
     place[0] = place[4] = place[8] = 1.0
-    x0, y0, turned = 0.0, 0.0, 0.0
-    if chain.frame.size == 3:  # the pose is that of the control frame
-        turned = chain.frame[2]
-        c, s = cos_sin(position[2] - turned)
-        x0 = position[0] - c * chain.frame[0] + s * chain.frame[1]
-        y0 = position[1] - s * chain.frame[0] - c * chain.frame[1]
-    for i in range(m + 1):
-        row = numbers[i]
-        for k in range(3):
-            w[k] = place[3 * k] * row[9] + place[3 * k + 1] * row[10] + place[3 * k + 2] * row[11]
-            place[9 + k] += w[k]
-        # the origin moves with the link before: v += omega x r, a += alpha x r + omega x (omega x r)
-        w[18:21] = 0.0
-        cross(w, 9, w, 0, w, 18, 1.0)
-        cross(w, 12, w, 0, w, 6, 1.0)
-        cross(w, 9, w, 18, w, 6, 1.0)
-        for k in range(3):
-            w[3 + k] += w[18 + k]
-        turn(place, 0, row)
-        if i == m:
-            break
-        kind, v = links[i, 0], links[i, 1]
-        rate, q = 0.0, position[v]
-        for j in range(p):
-            rate += T[v, j] * nu[j]
-        if chain.frame.size == 3 and i < 3:
-            q = x0 if i == 0 else y0 if i == 1 else position[2] - turned
-        for k in range(3):
-            axes[i, k] = place[3 * k] * row[12] + place[3 * k + 1] * row[13] + place[3 * k + 2] * row[14]
-        if kind == REVOLUTE:
-            spin(place, axes[i, 0], axes[i, 1], axes[i, 2], q)
-            for k in range(3):
-                axes[i, 3 + k] = place[9 + k]
-                w[15 + k] = axes[i, k] * rate
-            cross(w, 9, w, 15, w, 12, 1.0)
-            for k in range(3):
-                w[9 + k] += w[15 + k]
+    if mobile:
+        root_pose(chain, position)
+    for i in range(m):
+        step_to_joint(chain.numbers[i], place, w)
+        v = chain.links[i, 1]
+        rate, q = 0.0, w[21 + i] if mobile and i < 3 else position[v]
+        for j in range(nu.size):
+            rate += chain.T[v, j] * nu[j]
+        if chain.links[i, 0] == REVOLUTE:
+            revolve(chain, i, q, rate, place)
         else:
-            for k in range(3):
-                place[9 + k] += axes[i, k] * q
-                axes[i, 3 + k] = place[9 + k]
-                w[k] = axes[i, k] * q
-                w[15 + k] = axes[i, k] * rate
-            # the link before carries the travel, and the sliding adds twice its Coriolis part
-            w[18:21] = 0.0
-            cross(w, 9, w, 0, w, 18, 1.0)
-            cross(w, 12, w, 0, w, 6, 1.0)
-            cross(w, 9, w, 18, w, 6, 1.0)
-            cross(w, 9, w, 15, w, 6, 2.0)
-            for k in range(3):
-                w[3 + k] += w[18 + k] + w[15 + k]
-        if chain.frame.size == 3 and i == 2:
-            heading(chain, position, place, axes, w, nu)
+            slide(chain, i, q, rate, place)
+        if mobile and i == 2:
+            heading(chain, position, place, chain.axes, w, nu)
+    step_to_joint(chain.numbers[m], place, w)
     for k in range(3):
         twist[k], twist[3 + k], bias[k], bias[3 + k] = w[3 + k], w[9 + k], w[6 + k], w[12 + k]
     jacobian(chain, place, J)
 
 
-@spliced
+@compiled
+def root_pose(chain: Chain, position: Array) -> None:
+    """The pose of the root link (3,) into `chain.work`; the position (nv,) begins with that of the control frame."""
+    w, turned = chain.work, chain.frame[2]
+    c, s = cos_sin(position[2] - turned)
+    w[21] = position[0] - c * chain.frame[0] + s * chain.frame[1]
+    w[22] = position[1] - s * chain.frame[0] - c * chain.frame[1]
+    w[23] = position[2] - turned
+
+
+@compiled
+def step_to_joint(row: Array, place: Array, w: Array) -> None:
+    """From one joint to the placement of the next, whose numbers are a row (15,)."""
+    for k in range(3):
+        w[k] = place[3 * k] * row[9] + place[3 * k + 1] * row[10] + place[3 * k + 2] * row[11]
+        place[9 + k] += w[k]
+    carry(w)
+    for k in range(3):
+        w[3 + k] += w[18 + k]
+    turn(place, 0, row)
+
+
+@compiled
+def carry(w: Array) -> None:
+    """The origin moves by a step r with the link: v += omega x r, left at 18, a += alpha x r + omega x (omega x r)."""
+    w[18:21] = 0.0
+    cross(w, 9, w, 0, w, 18, 1.0)
+    cross(w, 12, w, 0, w, 6, 1.0)
+    cross(w, 9, w, 18, w, 6, 1.0)
+
+
+@compiled
+def joint_axis(chain: Chain, i: int, rate: float, place: Array) -> None:
+    """The axis of joint i in the world, and the axis times its rate."""
+    row, axes = chain.numbers[i], chain.axes
+    for k in range(3):
+        axes[i, k] = place[3 * k] * row[12] + place[3 * k + 1] * row[13] + place[3 * k + 2] * row[14]
+        chain.work[15 + k] = axes[i, k] * rate
+
+
+@compiled
+def revolve(chain: Chain, i: int, q: float, rate: float, place: Array) -> None:
+    """Turn what follows joint i by its angle q [rad], at a rate [rad/s]."""
+    axes, w = chain.axes, chain.work
+    joint_axis(chain, i, rate, place)
+    spin(place, axes[i, 0], axes[i, 1], axes[i, 2], q)
+    cross(w, 9, w, 15, w, 12, 1.0)
+    for k in range(3):
+        axes[i, 3 + k] = place[9 + k]
+        w[9 + k] += w[15 + k]
+
+
+@compiled
+def slide(chain: Chain, i: int, q: float, rate: float, place: Array) -> None:
+    """Move what follows joint i by its travel q [m], at a rate [m/s].
+
+    The link before carries the travel, and the sliding adds twice its Coriolis part.
+    """
+    axes, w = chain.axes, chain.work
+    joint_axis(chain, i, rate, place)
+    for k in range(3):
+        place[9 + k] += axes[i, k] * q
+        axes[i, 3 + k] = place[9 + k]
+        w[k] = axes[i, k] * q
+    carry(w)
+    cross(w, 9, w, 15, w, 6, 2.0)
+    for k in range(3):
+        w[3 + k] += w[18 + k] + w[15 + k]
+
+
+@inlined
 def heading(chain: Chain, position: Array, place: Array, axes: Array, w: Array, nu: Array) -> None:
     """The planar root's velocity is in its own frame: its axes turn with it, and it turns about its own origin."""
     T = chain.T
@@ -257,7 +289,7 @@ def heading(chain: Chain, position: Array, place: Array, axes: Array, w: Array, 
     cross(w, 9, w, 3, w, 6, 1.0)
 
 
-@spliced
+@inlined
 def jacobian(chain: Chain, place: Array, J: Array) -> None:
     """The columns of all joints, and `J S` of them."""
     links, T, axes, columns = chain.links, chain.T, chain.axes, chain.columns

@@ -76,19 +76,19 @@ class SampledBase(BasePath):
     """The base of a motion made ahead."""
 
     samples: Samples
-    nb: int = 2
+    sideways: bool = False
     followable = True
 
     def sample(self, t: ArrayLike) -> BaseSamples:
         """See `BasePath.sample`."""
-        (k, s), data, nb = self.samples.at(t), self.samples, self.nb
+        (k, s), data, nb = self.samples.at(t), self.samples, 2 + self.sideways
         nu, nudot, pose = data.nu[k, :nb], data.nudot[k, :nb], data.pose[k].copy()
         turned = pose[:, 2].copy()
         for share, part in ((1 / 6, 0.0), (4 / 6, 0.5), (1 / 6, 1.0)):  # as `tasks.advance`
             u = part * s
             c, sine = cos_sin_of(turned + u * nu[:, -1] + 0.5 * u * u * nudot[:, -1])
             vx = nu[:, 0] + u * nudot[:, 0]
-            vy = nu[:, 1] + u * nudot[:, 1] if nb == 3 else np.zeros_like(u)
+            vy = nu[:, 1] + u * nudot[:, 1] if self.sideways else np.zeros_like(u)
             pose[:, 0] += share * s * (c * vx - sine * vy)
             pose[:, 1] += share * s * (sine * vx + c * vy)
         pose[:, 2] += s * nu[:, -1] + 0.5 * s * s * nudot[:, -1]
@@ -118,6 +118,7 @@ class HandMotion:
         samples: Of base and arm.
         frames: The frames with tasks.
         tasks: Their tasks.
+        sideways: Whether the base velocities are `(vx, vy, w)`.
         targets: (N, tasks, 24) where they should be, see `tasks.TARGET`.
         reached: (N, tasks, 12) where the reference has them: rotation row by row, origin.
         begins: When the path begins, after driving and reaching [s].
@@ -128,6 +129,7 @@ class HandMotion:
     samples: Samples
     frames: tuple[str, ...]
     tasks: tuple[Task, ...]
+    sideways: bool
     targets: Array
     reached: Array
     begins: float
@@ -138,7 +140,7 @@ class HandMotion:
     def trajectory(self) -> Trajectory:
         """The setpoints."""
         nb = self.samples.nu.shape[1] - self.samples.q.shape[1]
-        base = SampledBase(self.samples, nb) if nb else None
+        base = SampledBase(self.samples, self.sideways) if nb else None
         arm = tuple(SampledJoint(self.samples, i) for i in range(self.samples.q.shape[1]))
         last = {frame: i for i, frame in reversed([*enumerate(self.frames)]) if not self.tasks[i].looks}
         seen = sorted(last.values())
@@ -361,7 +363,7 @@ def driving(leg: tuple[MinimumJerk, ...], body: WholeBody, q: Array) -> Samples:
     nu, nudot = np.zeros((len(t), p)), np.zeros((len(t), p))
     for table, dx, dy, w in ((nu, x.qdot, y.qdot, phi.qdot), (nudot, x.qddot, y.qddot, phi.qddot)):
         table[:, 0], table[:, nb - 1] = c * dx + s * dy, w
-        if nb == 3:
+        if body.robot.dimensions.sideways:
             table[:, 1] = c * dy - s * dx
     pose = np.column_stack((x.q, y.q, phi.q))
     return Samples(h, pose, np.tile(q, (len(t), 1)), nu, nudot)
@@ -444,4 +446,6 @@ def joined(body: WholeBody, parts: Sequence[Samples], targets: Wanted, driven: i
     assert d.arm == samples.q.shape[1]
     before = driven * body.period
     when = (before + targets.begins, before + targets.ends)
-    return HandMotion(samples, body.frames, body.tasks, every, reached, *when, body.misses)
+    return HandMotion(
+        samples, body.frames, body.tasks, body.robot.dimensions.sideways, every, reached, *when, body.misses
+    )

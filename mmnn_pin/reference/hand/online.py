@@ -74,7 +74,7 @@ class HandCourse:
         body, left = self.body, elapsed - self.elapsed
         while left > 1e-9:
             step = min(left, LONGEST)
-            advance(body.pose, body.q, body.nu, body.nudot, step, body.two)
+            advance(body.pose, body.q, body.nu, body.nudot, body.robot.dimensions.sideways, step, body.two)
             self.elapsed, left = self.elapsed + step, left - step
             self._solve()
         d = body.robot.dimensions

@@ -21,7 +21,7 @@ from ...elementary.matrices import product
 from ...errors import TrajectoryError
 from ...signals import Array
 from ..path import Progress, require_finite, require_positive, there_and_stop, times
-from ..samples import Columns
+from ..samples import TableColumns
 
 Vector3 = tuple[float, float, float]
 
@@ -233,9 +233,9 @@ class HandSpline(HandPath):
             TrajectoryError: A column is missing, or a value is no number (with the line); as for the class.
         """
         names, turned = ("t", "x", "y", "z"), ("qx", "qy", "qz", "qw")
-        found = Columns.read(file, names)
+        found = TableColumns.read(file, names)
         if turns := any(name in found for name in turned):
-            found = Columns.read(file, (*names, *turned))
+            found = TableColumns.read(file, (*names, *turned))
         t, *points = (found[name] for name in names)
         with found.blamed():
             return cls(np.stack(points, 1), t, np.stack([found[name] for name in turned], 1) if turns else None)  # type: ignore[arg-type]

@@ -21,12 +21,11 @@ the next ones with `J S nudot` of all tasks before held where it is, so a later 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ...compiled import compiled, spliced
+from ...compiled import compiled, inlined
 from ...elementary import atan2, cos_sin
 from ...errors import ConfigError
 from ...model.robot import Robot, speed_limits
@@ -123,9 +122,16 @@ class WholeBodySettings(Settings, frozen=True):
                 raise ConfigError(f"{value}", fix=fix, key=f"reference.hand.{name}")
 
 
-@dataclass(frozen=True)
-class Bounds:
-    """Limits as numbers: (p,) speeds and accelerations, (2, n) ends, (k, nb) wheel rows that have a limit, (k,) it."""
+class WholeBodyBounds(NamedTuple):
+    """Limits of the velocities nu of base and arm.
+
+    Attributes:
+        speed: (p,) largest speeds [m/s, rad/s].
+        acceleration: (p,) largest accelerations [m/s^2, rad/s^2].
+        ends: (2, n) ends of the joints [rad or m].
+        wheels: (k, nb) rates of the wheels that have a limit, by the velocity of the base.
+        wheel_speed: (k,) that limit [rad/s].
+    """
 
     speed: Array
     acceleration: Array
@@ -134,7 +140,7 @@ class Bounds:
     wheel_speed: Array
 
 
-def bounds_of(robot: Robot, settings: WholeBodySettings, limits: Limits) -> Bounds:
+def bounds_of(robot: Robot, settings: WholeBodySettings, limits: Limits) -> WholeBodyBounds:
     """The limits of a robot.
 
     Raises:
@@ -149,7 +155,7 @@ def bounds_of(robot: Robot, settings: WholeBodySettings, limits: Limits) -> Boun
     guide, nb, wheels = new_guide(robot, limits), robot.dimensions.base, robot.base.wheels
     given = limits_of(settings.wheel_speed, speed_limits(robot)[: len(wheels)], "wheel", "reference.hand.wheel_speed")
     kept = np.isfinite(given)
-    return Bounds(
+    return WholeBodyBounds(
         np.hstack((guide.base[0], guide.arm[0])),
         np.hstack((guide.base[1], guide.arm[1])),
         np.ascontiguousarray(guide.ends),
@@ -158,30 +164,36 @@ def bounds_of(robot: Robot, settings: WholeBodySettings, limits: Limits) -> Boun
     )
 
 
-@compiled
-def add_frame(
-    place: Array, twist: Array, bias: Array, J: Array, target: Array, weights: Array, numbers: Array, rows: Array,
-    error: Array, H: Array, f: Array,
-) -> None:  # fmt: skip
-    """Add a frame's task to `nudot' H nudot / 2 + f' nudot`.
+class FrameMotion(NamedTuple):
+    """Where a frame is and how it moves.
 
-    Args:
+    Attributes:
         place: (12,) rotation row by row, origin.
         twist: (6,) its twist.
         bias: (6,) its acceleration where nudot = 0.
         J: (6, p) its Jacobian.
+    """
+
+    place: Array
+    twist: Array
+    bias: Array
+    J: Array
+
+
+@compiled
+def wanted_acceleration(frame: FrameMotion, target: Array, numbers: Array, error: Array) -> None:
+    """Error (linear and angular in the world's axes) and wanted acceleration of a frame, into error (12,).
+
+    Args:
+        frame: The frame.
         target: (24,) see `TARGET`.
-        weights: (6,) cost of the rows' slack; the angular ones are about the axes of the frame.
         numbers: (3,) rate, largest speed and turning rate of catching up.
-        rows: (7, p) scratch; the first six are the rows, the last column of `error` their wanted values.
-        error: (12,) written: the error, linear and angular in the world's axes, then the wanted accelerations.
-        H: (p, p) added to.
-        f: (p,) added to.
+        error: (12,) written.
     """
     k = numbers[0]
     for i in range(3):
-        error[i] = target[P + i] - place[9 + i]
-    rotation_error(place, target, error)
+        error[i] = target[P + i] - frame.place[9 + i]
+    rotation_error(frame.place, target, error)
     for half in range(2):
         at, size = 3 * half, 0.0
         for i in range(3):
@@ -190,9 +202,23 @@ def add_frame(
         share = 1.0 if size <= numbers[1 + half] else numbers[1 + half] / size
         for i in range(3):
             v, a = target[(V, W)[half] + i], target[(A, WDOT)[half] + i]
-            wanted = v + 0.5 * k * share * error[at + i] - twist[at + i]
-            error[6 + at + i] = a + 2.0 * k * wanted - bias[at + i]
-    p = f.size
+            wanted = v + 0.5 * k * share * error[at + i] - frame.twist[at + i]
+            error[6 + at + i] = a + 2.0 * k * wanted - frame.bias[at + i]
+
+
+@compiled
+def add_frame(frame: FrameMotion, weights: Array, error: Array, rows: Array, H: Array, f: Array) -> None:
+    """Add a frame's task to `nudot' H nudot / 2 + f' nudot`.
+
+    Args:
+        frame: The frame.
+        weights: (6,) cost of the rows' slack; the angular ones are about the axes of the frame.
+        error: (12,) as `wanted_acceleration` writes it.
+        rows: (6, p) written: the rows of nudot.
+        H: (p, p) added to.
+        f: (p,) added to.
+    """
+    place, J, p = frame.place, frame.J, f.size
     for i in range(6):
         weight = weights[i]
         if weight == 0.0:
@@ -214,7 +240,7 @@ def add_frame(
                     H[j, m] += share * rows[i, m]
 
 
-@spliced
+@inlined
 def rotation_error(place: Array, target: Array, error: Array) -> None:
     """Rotation vector from the frame's orientation to the target's in the world, into error[3:6]."""
     trace = 0.0
@@ -270,10 +296,7 @@ def add_wishes(nu: Array, wish: Array, cost: Array, settle: float, H: Array, f: 
 
 
 @compiled
-def fill_bounds(
-    q: Array, nu: Array, h: float, speed: Array, most: Array, ends: Array, wheels: Array, wheel_speed: Array,
-    lower: Array, upper: Array,
-) -> None:  # fmt: skip
+def fill_bounds(q: Array, nu: Array, h: float, b: WholeBodyBounds, lower: Array, upper: Array) -> None:
     """Bounds of nudot (p,) and of the wheels' rows, such that speeds and ends hold now and can be held later.
 
     A joint that has the way d left before its end may have the velocity v after this sample where braking with the
@@ -281,30 +304,30 @@ def fill_bounds(
     """
     nb, p = nu.size - q.size, nu.size
     for i in range(p):
-        low, high, a = -speed[i], speed[i], most[i]
+        low, high, a = -b.speed[i], b.speed[i], b.acceleration[i]
         if i >= nb:
             there = q[i - nb] + 0.5 * h * nu[i]
-            high = min(high, brake(ends[1, i - nb] - there, a, h))
-            low = max(low, -brake(there - ends[0, i - nb], a, h))
+            high = min(high, brake(b.ends[1, i - nb] - there, a, h))
+            low = max(low, -brake(there - b.ends[0, i - nb], a, h))
         # from a state beyond its limits: as fast as it may back into them
         lower[i] = min(max((low - nu[i]) / h, -a), a)
         upper[i] = max(min((high - nu[i]) / h, a), -a)
-    for k in range(wheel_speed.size):
-        now = 0.0
+    for k in range(b.wheel_speed.size):
+        now, most = 0.0, b.wheel_speed[k]
         for j in range(nb):
-            now += wheels[k, j] * nu[j]
-        upper[p + k] = max((wheel_speed[k] - now) / h, 0.0 if now > wheel_speed[k] else -math.inf)
-        lower[p + k] = min((-wheel_speed[k] - now) / h, 0.0 if now < -wheel_speed[k] else math.inf)
+            now += b.wheels[k, j] * nu[j]
+        upper[p + k] = max((most - now) / h, 0.0 if now > most else -math.inf)
+        lower[p + k] = min((-most - now) / h, 0.0 if now < -most else math.inf)
 
 
-@spliced
+@inlined
 def brake(way: float, a: float, h: float) -> float:
     """Largest speed from which braking ends within a way; 0 beyond the end."""
     return a * (math.sqrt(h * h + 2.0 * way / a) - h) if way > 0.0 else 0.0
 
 
 @compiled
-def advance(pose: Array, q: Array, nu: Array, nudot: Array, h: float, c0: Array) -> None:
+def advance(pose: Array, q: Array, nu: Array, nudot: Array, sideways: bool, h: float, c0: Array) -> None:
     """Move pose, q and nu on by h, nudot held: exact but for the pose, which is Simpson's rule of its velocity.
 
     Args:
@@ -312,6 +335,7 @@ def advance(pose: Array, q: Array, nu: Array, nudot: Array, h: float, c0: Array)
         q: (n,).
         nu: (p,).
         nudot: (p,).
+        sideways: Whether the base velocity is `(vx, vy, w)`.
         h: [s].
         c0: (2,) scratch.
     """
@@ -324,7 +348,7 @@ def advance(pose: Array, q: Array, nu: Array, nudot: Array, h: float, c0: Array)
             c, sine = cos_sin(turned + s * w0 + 0.5 * s * s * dw)
             share = h / 6.0 if i != 1 else 4.0 * h / 6.0
             vx = nu[0] + s * nudot[0]
-            vy = nu[1] + s * nudot[1] if nb == 3 else 0.0
+            vy = nu[1] + s * nudot[1] if sideways else 0.0
             c0[0] += share * (c * vx - sine * vy)
             c0[1] += share * (sine * vx + c * vy)
         pose[0] += c0[0]

@@ -27,6 +27,7 @@ from .chain import SIZE, chain_of, gradient, hands_of, move
 from .tasks import (
     AXES,
     TARGET,
+    FrameMotion,
     P,
     R,
     Task,
@@ -37,6 +38,7 @@ from .tasks import (
     bounds_of,
     fill_bounds,
     look,
+    wanted_acceleration,
 )
 
 TOLERANCE = 1e-9  # of limits, in the program's units
@@ -128,7 +130,7 @@ class WholeBody:
         self.places, self.twists, self.biases = np.zeros((count, SIZE)), np.zeros((count, 6)), np.zeros((count, 6))
         self.J, self.errors, self.target = np.zeros((count, 6, p)), np.zeros((count, 12)), np.zeros(TARGET)
         self.seen_place, self.seen_twist, self.seen_J = np.zeros(SIZE), np.zeros((2, 6)), np.zeros((6, p))
-        self.H, self.f, self.wish, self.rows = np.zeros((p, p)), np.zeros(p), np.zeros(p), np.zeros((7, p))
+        self.H, self.f, self.wish, self.rows = np.zeros((p, p)), np.zeros(p), np.zeros(p), np.zeros((6, p))
         self.lower, self.upper = np.zeros(p + wheels + pairs), np.zeros(p + wheels + pairs)
         self.lows, self.highs = self.lower[: p + wheels], self.upper[: p + wheels]
         self.G = np.zeros((wheels + pairs, p))
@@ -140,7 +142,7 @@ class WholeBody:
         self.solver.settings = {"primal_tol": TOLERANCE, "iter_limit": 1000}
 
     def _seen(self, task: Task) -> Any:
-        """What a task looks at: a chain, a point, or nothing."""
+        """The target that a task looks at: a chain, a point (3,) or nothing."""
         if not task.looks:
             return None
         return chain_of(self.robot, task.at) if isinstance(task.at, str) else np.array(task.at, float)
@@ -172,14 +174,10 @@ class WholeBody:
             targets: (tasks, 24), see `tasks.TARGET`.
         """
         self.look_around()
-        b = self.bounds
         self._wish(targets)
-        fill_bounds(
-            self.q, self.nu, self.period, b.speed, b.acceleration, b.ends, b.wheels, b.wheel_speed,
-            self.lows, self.highs,
-        )  # fmt: skip
+        fill_bounds(self.q, self.nu, self.period, self.bounds, self.lows, self.highs)
         if self.pairs is not None:
-            wheels = len(b.wheel_speed)
+            wheels = len(self.bounds.wheel_speed)
             at = len(self.nu) + wheels
             self.pairs.fill(self.position, self.nu, self.period, self.G[wheels:], self.lower[at:], self.upper[at:])
         missed, held = self.misses, np.zeros((0, self.nu.size))
@@ -199,11 +197,10 @@ class WholeBody:
         self.H[:], self.f[:], asked = 0.0, 0.0, []
         for i in level:
             target, weights = targets[i] if self.seen[i] is None else self._looking(i), self.weights[i]
-            add_frame(
-                self.places[i], self.twists[i], self.biases[i], self.J[i], target, weights, self.numbers, self.rows,
-                self.errors[i], self.H, self.f,
-            )  # fmt: skip
-            asked.append(self.rows[:6][weights > 0.0])
+            frame = FrameMotion(self.places[i], self.twists[i], self.biases[i], self.J[i])
+            wanted_acceleration(frame, target, self.numbers, self.errors[i])
+            add_frame(frame, weights, self.errors[i], self.rows, self.H, self.f)
+            asked.append(self.rows[weights > 0.0])
         add_wishes(self.nu, self.wish, self.cost, self.settings.settle, self.H, self.f)
         return np.concatenate(asked)
 
@@ -244,7 +241,7 @@ class WholeBody:
     def step(self, targets: Array) -> Array:
         """Solve, and move the state on by a period; the solution as in `solve`."""
         nudot = self.solve(targets)
-        advance(self.pose, self.q, self.nu, nudot, self.period, self.two)
+        advance(self.pose, self.q, self.nu, nudot, self.robot.dimensions.sideways, self.period, self.two)
         return nudot
 
     def _looking(self, i: int) -> Array:

@@ -13,14 +13,14 @@ import pytest
 from closed_form import inertial, joint
 from robots import dynamics, place, robot_of
 
-from mmnn_pin import Feedback, Measurement, Setpoint, Stepper, Trajectory, load, load_experiment
+from mmnn_pin import Feedback, Measurement, Setpoint, Stepper, StepperSettings, Trajectory, load, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify.excitation import (
     NOISE,
     RATE,
     Excitation,
-    Limits,
-    Search,
+    ExcitationLimits,
+    ExcitationSearch,
     clearances,
     eight_with_sines,
     excite,
@@ -31,11 +31,11 @@ from mmnn_pin.model.robot import Robot, speed_limits
 from mmnn_pin.model.robots import robot_data
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.recording.recording import Recording
-from mmnn_pin.reference import Table
+from mmnn_pin.reference import BaseTable
 from mmnn_pin.torque.model_based import PD
 
 needs_data = pytest.mark.skipif(robot_data() is None, reason="example-robot-data is not installed")
-LIMITS = Limits(duration=20.0, space=0.6, seconds=1.0)
+LIMITS = ExcitationLimits(duration=20.0, space=0.6, seconds=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_it_is_one_smooth_motion_from_rest_to_rest(found: Excitation) -> None:
 
 def test_the_predicted_deviations_are_those_of_least_squares(found: Excitation) -> None:
     """Of white noise on every row, over random draws, for the regressor that the fit would use."""
-    search = Search.of(found.robot, LIMITS)
+    search = ExcitationSearch.of(found.robot, LIMITS)
     Y = search.unknowns.matrix(found.position[::5], found.nu[::5], found.nudot[::5])[:, :, found.base.independent]
     X = (Y / search.noise[:, None]).reshape(-1, Y.shape[2])
     size = np.linalg.norm(X, axis=0)
@@ -86,7 +86,7 @@ def test_the_predicted_deviations_are_those_of_least_squares(found: Excitation) 
 
 def test_it_tells_more_than_an_eight_with_sines(found: Excitation, robot: Robot) -> None:
     """In what the eight determines, scaled alike; the wheels that it never turns back leave it the rest."""
-    eight = eight_with_sines(Search.of(robot, LIMITS), found.time[-1])
+    eight = eight_with_sines(ExcitationSearch.of(robot, LIMITS), found.time[-1])
     there = np.isfinite(eight.sd)
     assert there.sum() >= 10 and np.isfinite(found.sd).all()
     assert found.relative[there].max() < 0.5 * eight.relative[there].max()
@@ -96,9 +96,9 @@ def test_it_tells_more_than_an_eight_with_sines(found: Excitation, robot: Robot)
 def test_wheels_without_a_limit_leave_the_arm_its_own(robot: Robot) -> None:
     free = replace(robot, effort_limits=np.where(np.arange(len(robot.effort_limits)) < 2, np.inf, robot.effort_limits))
     with warnings.catch_warnings(action="error"):
-        search = Search.of(free, LIMITS)
+        search = ExcitationSearch.of(free, LIMITS)
     assert np.isinf(search.torque[:2]).all()
-    assert search.torque[2:].tolist() == Search.of(robot, LIMITS).torque[2:].tolist()
+    assert search.torque[2:].tolist() == ExcitationSearch.of(robot, LIMITS).torque[2:].tolist()
 
 
 def test_spheres_are_as_far_apart_as_the_joints_that_they_stand_on() -> None:
@@ -112,7 +112,7 @@ def test_spheres_are_as_far_apart_as_the_joints_that_they_stand_on() -> None:
 
 
 def test_the_table_is_a_reference_of_the_base(found: Excitation, tmp_path: Path) -> None:
-    table = Table.read(found.save(tmp_path / "motion.csv"))
+    table = BaseTable.read(found.save(tmp_path / "motion.csv"))
     np.testing.assert_allclose(table.pose, found.pose, atol=1e-8)
 
 
@@ -128,7 +128,7 @@ def test_the_table_is_played_by_the_loop_and_by_the_stepper(found: Excitation, r
         asked = np.array([np.interp(found.time[early], run.time, column) for column in run[signal].T]).T
         np.testing.assert_allclose(asked, wanted[early], atol=1e-3 if signal == "qdot_ref" else 1e-5)
     assert run.outcome.status == "completed" and np.abs(run["true_e"]).max() < 0.2
-    stepper = Stepper(robot, PD(Feedback(base=100.0, arm=3.0)), period=0.01)
+    stepper = Stepper(robot, PD(Feedback(base=100.0, arm=3.0)), StepperSettings(period=0.01))
     wish = stepper.plan(Trajectory.from_csv(robot, file), float(found.time[-1]))
     measured = Measurement(found.pose[0], np.zeros(nb), found.position[0], np.zeros(found.position.shape[1]))
     for i in range(40):
@@ -212,10 +212,10 @@ def test_axes_that_a_file_makes_parallel_but_for_rounding_are_parallel(right: fl
     exact, rounded = (robot_of(hanging_arm(angle)) for angle in (np.pi / 2, right))
     found = excite(rounded, LIMITS)
     assert np.isfinite(found.sd).all() and found.condition < 1e3
-    assert len(found.sd) == len(Search.of(exact, LIMITS).base.independent)
+    assert len(found.sd) == len(ExcitationSearch.of(exact, LIMITS).base.independent)
     Y = Regressor.of(rounded).along(found.position, found.nu, found.nudot)
     torque, theta = Y @ parameters(rounded), parameters(rounded)
-    search = Search.of(rounded, LIMITS)
+    search = ExcitationSearch.of(rounded, LIMITS)
     whole = search.unknowns.matrix(found.position, found.nu, found.nudot)
     folded = whole[:, :, found.base.independent] @ (found.base.combination[:, : len(theta)] @ theta)
     assert np.abs(folded - torque).max() < 2e-3 * np.abs(torque).max()
@@ -244,7 +244,7 @@ def test_a_parameter_that_no_motion_shows_beyond_the_noise_refuses_none() -> Non
     ],
 )
 def test_what_refuses_most_candidates_is_told_with_what_to_change(
-    text: str, limits: Limits, key: str, told: str
+    text: str, limits: ExcitationLimits, key: str, told: str
 ) -> None:
     with pytest.raises(ConfigError, match=f"no motion found: .*{told}") as error:
         excite(robot_of(text), limits)

@@ -25,7 +25,7 @@ from mmnn_pin.deploy.identify.corrected import new_links, pseudo_inertia_of, sai
 from mmnn_pin.deploy.identify.doubts import misfits
 from mmnn_pin.deploy.identify.equations import Equations
 from mmnn_pin.deploy.identify.identification import Identification
-from mmnn_pin.deploy.identify.least_squares import Base
+from mmnn_pin.deploy.identify.least_squares import BaseParameters
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.report import inertia_of, links_of, report_of
 from mmnn_pin.errors import ConfigError, InputError, MmnnError, RecordingError, UnknownName
@@ -313,7 +313,7 @@ def test_the_deviation_of_a_torque_constant_is_its_scatter() -> None:
     Y = rng.standard_normal((M, 2, 4)) * [1.0, 1.0, 1.0, 0.3]
     Y[:, 0, 3] = 0.0  # of the second row alone
     clean = Y @ np.array([1.0, -0.5, 0.3, 2.0])
-    base, t = Base(np.arange(4), np.eye(4)), np.arange(M) * 0.5  # apart: the filter does not correlate them
+    base, t = BaseParameters(np.arange(4), np.eye(4)), np.arange(M) * 0.5  # apart: the filter does not correlate them
     values, told = [], []
     for _ in range(200):
         y = clean + 0.5 * rng.standard_normal(clean.shape)

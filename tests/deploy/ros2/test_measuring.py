@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmnn_pin import PD, Stepper, load
+from mmnn_pin import PD, Stepper, StepperSettings, load
 from mmnn_pin.deploy.ros2.mapped import MappedRoute
 from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Refused, base_motion, rest_of
 from mmnn_pin.deploy.ros2.sensing import Clock, Sensing, Tree, composed, inverse
@@ -20,7 +20,7 @@ from mmnn_pin.deploy.ros2.settings import Clocks, Frames, Joints, Node, Odometry
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.urdf.reading import parse
-from mmnn_pin.reference.drive import Drive
+from mmnn_pin.reference.drive import RouteDrive
 from mmnn_pin.reference.follower import Follower
 from mmnn_pin.reference.guide import ARM, BASE
 from mmnn_pin.reference.limits import Limits
@@ -291,7 +291,9 @@ def closed_loop(motion: Any, start: tuple[float, float, float], seconds: float) 
     """Poses and velocities (N, 5) of an exact unicycle whose wheels turn as they are told."""
     robot, n = ROBOT, ROBOT.dimensions.arm
     wheels = robot.actuator_names[:2]
-    stepper = Stepper(robot, PD(), safety=Safety(), period=0.01, interfaces=dict.fromkeys(wheels, "velocity"))
+    stepper = Stepper(
+        robot, PD(), StepperSettings(safety=Safety(), period=0.01, interfaces=dict.fromkeys(wheels, "velocity"))
+    )
     q, pose, nu, seen = robot.rest[robot.arm_index], np.array(start, float), np.zeros(2), []
     for k in range(round(seconds / 0.01)):
         measured = Measurement(pose.copy(), nu.copy(), q, np.zeros(n))
@@ -336,7 +338,7 @@ def test_in_closed_loop_what_moves_is_what_was_asked(case: str) -> None:
     assert math.dist(seen[-1, :2], points[-1]) < 0.02 and abs(math.remainder(seen[-1, 2] - heading, math.tau)) < 0.05
     assert not case.startswith("tip") or seen[:, 0].max() == pytest.approx(1.0, abs=0.02)
     here = base_motion(message, Route(), Limits(), ROBOT, 0.01, (start, np.zeros(2)))
-    assert isinstance(motion, Drive) and isinstance(here, Drive)
+    assert isinstance(motion, RouteDrive) and isinstance(here, RouteDrive)
     assert np.array_equal(here.table, motion.placed(np.array(start, float)).table)
 
 

@@ -21,15 +21,13 @@ from mmnn_pin.lab.experiments.controllers import effective
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.result import Result, unfair
 from mmnn_pin.lab.experiments.thesis import PRINTED, largest_errors, mean_ratio, ratios, thesis_ratios
-from mmnn_pin.lab.proof.learner import recorded_learner
+from mmnn_pin.lab.psi.learner import recorded_learner
 from mmnn_pin.lab.show import comparison
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.recording.recording import recorded_robot
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.neural import Inputs, Neural
 from mmnn_pin.torque.two_layer import TwoLayer
-
-pytestmark = pytest.mark.lab
 
 FILE = bundled()["chapter5"]
 LEARNERS = ("two_layer_zero", "two_layer_random", "one_layer")
@@ -224,14 +222,14 @@ def test_friction_backlash_and_encoders_each_make_pd_worse() -> None:
 
 @whole
 def test_a_proof_knows_both_starts_and_the_unit_of_the_error(tmp_path: Any, capsys: Any) -> None:
-    """The learner is built again with its name, its start and its unit, and `prove` takes it."""
+    """The learner is built again with its name, its start and its unit, and `judge` takes it."""
     e = short("controllers=['two_layer_zero', 'two_layer_random']", seconds=2.0)
     run_experiment(e, "x", out=tmp_path)
     for name in ("two_layer_zero", "two_layer_random"):
         recording = Recording.open(tmp_path / f"{name}.h5")
         learner = recorded_learner(recording, e.load_robot())
         assert learner is not None and learner.controller == e.controller(name)
-        assert main(["prove", str(tmp_path / f"{name}.h5"), "--json"]) == 0
+        assert main(["judge", str(tmp_path / f"{name}.h5"), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)
 
 

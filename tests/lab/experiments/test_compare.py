@@ -11,8 +11,8 @@ from mmnn_pin import PD, Feedback, LearningLaw, Line, Loop, Sine, Timing, Trajec
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
-from mmnn_pin.lab.experiments.compare import assembled
-from mmnn_pin.lab.experiments.config import recorded_experiment
+from mmnn_pin.lab.experiments.compare import DEFAULTS, assembled
+from mmnn_pin.lab.experiments.config import complete, find, recorded_experiment
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import ControllerState, TorqueController
@@ -50,6 +50,13 @@ class Sleeper(TorqueController):
 
     def step(self, time, reference, measurement, command, state):
         return np.zeros(4)
+
+
+def test_gains_and_learners_are_those_of_track():
+    track = complete(find("track"))
+    assert {key: track[key] for key in DEFAULTS} == DEFAULTS
+    of_the_run = {"title", "robot", "controllers", "seed", "windows", "time", "reference", "actuator", "torque_limits"}
+    assert set(track) - of_the_run == set(DEFAULTS)
 
 
 def test_names_and_objects_stand_beside_each_other(robot, path):

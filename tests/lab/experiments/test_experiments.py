@@ -33,6 +33,7 @@ from mmnn_pin.lab.experiments.runner import in_order, limit_notes, weak_notes
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recording import as_columns
 from mmnn_pin.signals import Layout
+from mmnn_pin.torque import ENTRIES
 
 SHORT = ("time.duration=0.02",)
 
@@ -366,3 +367,9 @@ def test_notes_tell_what_the_plant_does_not(tmp_path: Path) -> None:
     tight = replace(robot, upper=np.where(np.arange(len(robot.upper)) == robot.arm_index[1], 0.3, robot.upper))
     (note,) = limit_notes(tight, {"pd": run})
     assert note.startswith("arm_2_joint goes 0.") and note.endswith("under pd; the plant has no end stops")
+
+
+def test_every_learner_has_its_table() -> None:
+    for entry in ENTRIES:
+        if (kind := entry.load_settings()) is not None:
+            assert kind_at(entry.key) is kind, entry.name

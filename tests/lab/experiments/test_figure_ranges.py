@@ -23,8 +23,6 @@ from mmnn_pin.lab.show import comparison as verdicts
 from mmnn_pin.signals import Array, Layout
 from mmnn_pin.torque.neural import MEASURED
 
-pytestmark = pytest.mark.lab
-
 LEARNERS = ("two_layer", "one_layer")
 # Distance of the ticks on the axes of the thesis's figures.
 TICKS = {"4.2 top": 5e-3, "4.2 bottom": 5e-3, "4.3 top": 0.1, "4.3 bottom": 0.01, "4.4 top": 5e-3, "4.4 bottom": 2e-3}

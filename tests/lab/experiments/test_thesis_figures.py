@@ -31,8 +31,6 @@ from mmnn_pin.lab.show.thesis_figures import (
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.signals import Dimensions
 
-pytestmark = pytest.mark.lab
-
 
 def recording(controller: str, layout: Dimensions = MOBILE, variant: str = "fair", rows: int = 40) -> Recording:
     config = f'{{"variant": "{variant}"}}'
@@ -78,7 +76,7 @@ def test_components_above_each_other_with_both_controllers(make, signal, runs: d
 @pytest.mark.parametrize("name", [name for name in PICTURES if name.startswith("figure-")])
 def test_bands_are_the_intervals_and_rings_the_values_of_the_table(name: str, runs: dict[str, Recording]) -> None:
     rows = figure_ranges(runs)
-    for axes, place in zip(PICTURES[name](runs).axes, ("top", "bottom"), strict=True):
+    for axes, place in zip(PICTURES[name].make(runs).axes, ("top", "bottom"), strict=True):
         here = f"{name.removeprefix('figure-')} {place}"
         known = [each for each in figure_intervals(int(here[0])) if each.figure == here]
         unit = 1e3 if here[0] == "4" else 1.0  # figures of chapter 5 are in degrees, as their intervals

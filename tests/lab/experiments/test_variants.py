@@ -18,8 +18,6 @@ from mmnn_pin.lab.experiments.config import bundled, read_toml, variants
 from mmnn_pin.lab.experiments.result import Result, unfair
 from mmnn_pin.lab.show import comparison
 
-pytestmark = pytest.mark.lab
-
 FILES = variants(bundled()["chapter4"])
 LEARNERS = ("two_layer", "one_layer")
 compiled_only = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="slow in plain Python")

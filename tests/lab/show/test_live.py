@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 from browser import browser
 
-from mmnn_pin import PD, Feedback, Measurement, Stepper, load
+from mmnn_pin import PD, Feedback, Measurement, Stepper, StepperSettings, load
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.show.live import LiveView
-from mmnn_pin.lab.show.serving import FIRST, SEQUENCE, Frames, as_json, new_memory
+from mmnn_pin.lab.show.serving import FIRST, SEQUENCE, SharedFrames, as_json, new_memory
 from mmnn_pin.reference.wishes import BaseVelocity
 from mmnn_pin.safety import Safety
 
@@ -34,7 +34,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def stepper(robot):
-    with Stepper(robot, PD(Feedback(15.0, 20.0, "inertia")), safety=Safety(), period=PERIOD) as made:
+    with Stepper(robot, PD(Feedback(15.0, 20.0, "inertia")), StepperSettings(safety=Safety(), period=PERIOD)) as made:
         yield made
 
 
@@ -129,15 +129,15 @@ def test_it_is_bound_to_the_loopback_and_answers_to_its_name_alone(stepper):
 
 def test_a_reader_never_sees_half_a_frame():
     memory = new_memory(FIRST + 4)
-    writer, reader = Frames(memory, FIRST + 4), Frames(memory, FIRST + 4)
+    writer, reader = SharedFrames(memory, FIRST + 4), SharedFrames(memory, FIRST + 4)
     os.close(memory)
     writer.numbers[SEQUENCE] = 2.0
     writer.numbers[FIRST] = float("nan")
     assert json.loads(as_json(reader.read()))["position"] == [0.0, 0.0]
     program = """
 import itertools, sys
-from mmnn_pin.lab.show.serving import FIRST, Frames
-numbers = Frames(int(sys.argv[1]), FIRST + 4).numbers
+from mmnn_pin.lab.show.serving import FIRST, SharedFrames
+numbers = SharedFrames(int(sys.argv[1]), FIRST + 4).numbers
 for k in itertools.count():
     numbers[0] = 2 * k + 1
     for i in range(FIRST, FIRST + 4):
@@ -145,7 +145,7 @@ for k in itertools.count():
     numbers[0] = 2 * k + 2
 """
     memory = new_memory(FIRST + 4)
-    reader = Frames(memory, FIRST + 4)
+    reader = SharedFrames(memory, FIRST + 4)
     made = subprocess.Popen([sys.executable, "-c", program, str(memory)], pass_fds=(memory,))
     seen: dict[float, list[float]] = {}
     while len(seen) < 200:
@@ -162,7 +162,7 @@ def test_the_server_ends_with_the_process_that_started_it():
     program = (
         "from mmnn_pin import *\nfrom mmnn_pin.safety import Safety\n"
         "from mmnn_pin.lab.show.live import LiveView\nimport time\n"
-        "s = Stepper(load('platform_arm'), PD(Feedback(15.0, 20.0, 'inertia')), safety=Safety())\n"
+        "s = Stepper(load('platform_arm'), PD(Feedback(15.0, 20.0, 'inertia')), StepperSettings(safety=Safety()))\n"
         "v = LiveView(s, port=0)\nprint(v.url, v.server.pid, flush=True)\ntime.sleep(600)\n"
     )
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}

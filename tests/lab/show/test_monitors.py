@@ -12,7 +12,7 @@ from mmnn_pin import PD, Hold, Loop, Neural, Sine, Timing, Trajectory, load
 from mmnn_pin.cli.results import whats
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.show.gallery import PICTURES
-from mmnn_pin.lab.show.plots import residuals_figure, step_times_figure, weights_figure
+from mmnn_pin.lab.show.plots import step_times_figure
 from mmnn_pin.torque.two_layer import TwoLayer
 
 
@@ -24,11 +24,11 @@ def test_figures_draw_what_was_recorded() -> None:
     for controller in (Neural(TwoLayer(hidden=4), THESIS), PD(THESIS)):
         loop = Loop(robot, trajectory, controller, timing=timing, engine="ordinary")
         runs[controller.name] = loop.run()
-    upper, lower = weights_figure(runs).axes
+    upper, lower = PICTURES["weights"].make(runs).axes
     for column, axes in enumerate((upper, lower)):
         (line,) = [line for line in axes.get_lines() if len(line.get_xdata()) > 2]
         np.testing.assert_array_equal(line.get_ydata(), runs["two_layer"]["weight_norm"][:, column])
-    (axes,) = residuals_figure(runs).axes
+    (axes,) = PICTURES["residuals"].make(runs).axes
     lines = [line for line in axes.get_lines() if len(line.get_xdata()) > 2]
     for line, rec in zip(lines, runs.values(), strict=True):
         np.testing.assert_allclose(line.get_ydata(), 1e3 * rec["energy_residual"])
@@ -40,7 +40,7 @@ def test_figures_draw_what_was_recorded() -> None:
         with pytest.raises(RecordingError, match="compiled"):
             step_times_figure({"pd": compiled})
     with pytest.raises(RecordingError):
-        weights_figure({"pd": runs["pd"]})
+        PICTURES["weights"].make({"pd": runs["pd"]})
 
 
 def test_the_command_offers_every_picture() -> None:

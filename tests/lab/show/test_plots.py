@@ -94,7 +94,7 @@ def test_a_controller_looks_the_same_everywhere():
     runs = {name: recording(name, seed=k) for k, name in enumerate(CONTROLLERS)}
     for what in ("errors", "torque", "path"):
         for some in (runs, dict(reversed(runs.items())), {"pd": runs["pd"]}):
-            axes = PICTURES[what](some).axes[-1]
+            axes = PICTURES[what].make(some).axes[-1]
             for line, name in zip(curves(axes), some, strict=True):
                 assert to_hex(line.get_color()).upper() == STYLES[name].color
                 assert line.get_linewidth() == STYLES[name].width
@@ -203,8 +203,8 @@ def test_a_reference_that_several_runs_share_is_drawn_once():
 
 @pytest.mark.parametrize("what", OVERLAID)
 def test_a_diverged_run_ends_in_a_cross_and_leaves_the_scale_alone(what):
-    alone = PICTURES[what]({"two_layer": recording()})
-    both = PICTURES[what]({"two_layer": recording(), "pd": diverged()})
+    alone = PICTURES[what].make({"two_layer": recording()})
+    both = PICTURES[what].make({"two_layer": recording(), "pd": diverged()})
     if what == "path":  # its reference is another
         assert max(map(abs, both.axes[0].get_xlim())) < 30
     else:
@@ -223,8 +223,8 @@ def test_a_diverged_run_ends_in_a_cross_and_leaves_the_scale_alone(what):
 @pytest.mark.parametrize(("what", "layout"), [("errors", FIXED), ("path", MOBILE)])
 def test_huge_values_can_be_drawn(what, layout, tmp_path):
     runs = {"two_layer": recording(layout=layout), "pd": diverged(layout=layout)}
-    save(PICTURES[what](runs), tmp_path / "both.png")
-    save(PICTURES[what]({"pd": runs["pd"]}), tmp_path / "alone.png")
+    save(PICTURES[what].make(runs), tmp_path / "both.png")
+    save(PICTURES[what].make({"pd": runs["pd"]}), tmp_path / "alone.png")
 
 
 def test_a_fixed_arm_shows_what_it_has():
@@ -246,11 +246,11 @@ def test_robots_without_motors_show_the_arm_s_torque_and_long_arms_take_columns(
 @pytest.mark.parametrize("what", OVERLAID)
 def test_empty_runs_and_strange_names_do_no_harm(what, tmp_path):
     with pytest.raises(RecordingError, match="no recording was given"):
-        PICTURES[what]({})
+        PICTURES[what].make({})
     layout = MOBILE if what == "path" else FIXED
     none = recording(layout=layout, rows=0, outcome=Outcome("tripped", 0.0))
     runs = {"$x_{$": recording(layout=layout), "none": none, "one": recording(layout=layout, rows=1)}
-    save(PICTURES[what](runs), tmp_path / "odd.svg")
+    save(PICTURES[what].make(runs), tmp_path / "odd.svg")
 
 
 @pytest.mark.parametrize(("name", "magic"), [("a.png", b"\x89PNG"), ("new/a.SVG", b"<?xml"), ("a.pdf", b"%PDF")])
@@ -287,10 +287,11 @@ def test_plots_need_no_display_and_load_matplotlib_late():
 
 
 def test_the_figure_of_contributing_draws_the_slip_of_every_wheel(monkeypatch):
-    (text,) = re.findall(r"```python\n(@figure.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.S)
-    monkeypatch.setitem(FIGURES["runs"], "slip", None)  # the register is as it was afterwards
-    names = dict(vars(plots))
-    exec("from __future__ import annotations\n" + text, names)
+    (text,) = re.findall(r"```python\n(@chart.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.S)
+    for register in (FIGURES["runs"], plots.curves.CHARTS):  # they are as they were afterwards
+        monkeypatch.setitem(register, "slip", None)
+    exec("from __future__ import annotations\n" + text, dict(vars(plots.curves)))
+    plots.figure("slip")(plots.stack_of("slip"))
     run = recording(layout=Layout(base=2, arm=2, full=7, motors=4, wheels=2))
     figure = FIGURES["runs"]["slip"].make({"pd": run})
     for i, wheel in enumerate(("left", "right")):
@@ -306,7 +307,7 @@ def test_long_names_of_joints_do_not_meet(what):
     joints = (*(f"left_gripper_finger_{i}_of_wrist_roll_joint" for i in range(13)), "CamelCaseWithoutAnyPlaceToFold")
     layout, names = Layout(base=2, arm=14, full=19, motors=16), ("v", "w", *joints)
     facts = {"velocity_names": names, "actuator_names": ("left_drive_wheel_joint", "right_drive_wheel_joint", *joints)}
-    figure = PICTURES[what]({"two_layer": recording(layout=layout, **facts)})
+    figure = PICTURES[what].make({"two_layer": recording(layout=layout, **facts)})
     figure.canvas.draw()
     for axes in figure.axes:
         label, own = axes.yaxis.label, axes.get_window_extent()

@@ -18,13 +18,14 @@ from places import ROOT
 from replays import TYPES, unpacked
 from replays import recorded as recorded_without_period
 
-from mmnn_pin import PD, Hold, Line, Loop, Measurement, Stepper, Timing, Trajectory, load
+from mmnn_pin import PD, Hold, Line, Loop, Measurement, Stepper, StepperSettings, Timing, Trajectory, load
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show.figure import STYLES, in_the_dark
-from mmnn_pin.lab.show.report import MOST, Report, command_of, kept_rows, report, result_of, subject
+from mmnn_pin.lab.show.files import HtmlPage
+from mmnn_pin.lab.show.report import MOST, command_of, kept_rows, report, result_of, subject
 from mmnn_pin.lab.show.report.verdict import verdict
 from mmnn_pin.lab.show.robots import robots_of
 from mmnn_pin.model.loading import build
@@ -83,7 +84,7 @@ def chapter4() -> dict[str, Recording]:
 
 
 @pytest.fixture(scope="module")
-def made(chapter4: dict[str, Recording]) -> Report:
+def made(chapter4: dict[str, Recording]) -> HtmlPage:
     return report(chapter4, command="mmnn report runs/chapter4 --html report.html")
 
 
@@ -105,7 +106,7 @@ def lost(name: str = "pd") -> Recording:
     return recorded(load("platform_arm"), name, duration=1.2, outcome=end)
 
 
-def test_the_page_is_whole_and_loads_nothing(made: Report) -> None:
+def test_the_page_is_whole_and_loads_nothing(made: HtmlPage) -> None:
     page = Page(made.html)
     assert page.stack == [] and len(page.ids) == len(set(page.ids))
     assert {link for link in page.links if not link.startswith("#")} == set()
@@ -115,7 +116,7 @@ def test_the_page_is_whole_and_loads_nothing(made: Report) -> None:
     assert re.search(r"(https?:)?//[a-z]", made.html.partition('id="data"')[0]) is None
 
 
-def test_the_table_holds_the_metrics(made: Report, chapter4: dict[str, Recording]) -> None:
+def test_the_table_holds_the_metrics(made: HtmlPage, chapter4: dict[str, Recording]) -> None:
     rows = re.findall(r"<tr[^>]*>(.*?)</tr>", made.html)
     table = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
     (arm,) = [i for i, row in enumerate(table) if row and row[0] == "joint arm_1_joint [mrad]"]
@@ -124,7 +125,7 @@ def test_the_table_holds_the_metrics(made: Report, chapter4: dict[str, Recording
         assert float(table[arm][2 + i].strip(" *")) == pytest.approx(expected, rel=0.01)
 
 
-def test_the_name_of_an_error_spans_its_rows(made: Report, chapter4: dict[str, Recording]) -> None:
+def test_the_name_of_an_error_spans_its_rows(made: HtmlPage, chapter4: dict[str, Recording]) -> None:
     windows = len(load_experiment("chapter4", SETTINGS).windows)
     (row,) = re.findall(r"<th scope=row([^>]*)>joint arm_1_joint \[mrad\]</th>", made.html)
     assert f"rowspan={1 + windows}" in row
@@ -136,7 +137,7 @@ def test_the_name_of_an_error_spans_its_rows(made: Report, chapter4: dict[str, R
     assert {row.count("<td") for row in rows[1:]} == {1 + len(chapter4)}
 
 
-def test_the_curves_are_the_signals(made: Report, chapter4: dict[str, Recording]) -> None:
+def test_the_curves_are_the_signals(made: HtmlPage, chapter4: dict[str, Recording]) -> None:
     data = data_of(made.html)
     assert [run["name"] for run in data["runs"]] == list(chapter4)
     titles = {panel["title"]: panel for panels in data["sections"].values() for panel in panels}
@@ -352,14 +353,14 @@ def test_a_run_without_an_experiment_has_a_report() -> None:
         report({"empty": recorded(load("two_axis_arm"), duration=0.0)})
 
 
-def test_the_robot_is_shown_with_audit_and_checks(made: Report, chapter4: dict[str, Recording]) -> None:
+def test_the_robot_is_shown_with_audit_and_checks(made: HtmlPage, chapter4: dict[str, Recording]) -> None:
     shown = made.html.partition('id="robot"')[2]
     assert "all hold" in shown and "20 random states (seed 0)" in shown
     assert "[no-inertial]" in shown and "positive_definite" in shown and "wheel_left_joint" in shown
     assert chapter4["pd"].meta["urdf_sha256"] in shown
 
 
-def test_the_replay_is_in_the_page(made: Report, chapter4: dict[str, Recording]) -> None:
+def test_the_replay_is_in_the_page(made: HtmlPage, chapter4: dict[str, Recording]) -> None:
     (text,) = re.findall(r'<script type="application/json" id="replay-page">(.*?)</script>', made.html, re.S)
     inner = json.loads(text)
     assert inner.startswith("<!DOCTYPE html>") and "two_layer" in str(data_of(inner)["runs"])
@@ -433,7 +434,7 @@ def test_every_curve_is_seen_on_the_dark_page(name: str) -> None:
 def test_a_recording_of_hardware_is_no_simulation(tmp_path: Path) -> None:
     """What a stepper recorded has no plant of ours and no seed; its length is that of the recording."""
     robot = load("platform_arm")
-    with Stepper(robot, PD(), path=tmp_path / "robot.h5", period=0.002) as stepper:
+    with Stepper(robot, PD(), StepperSettings(path=tmp_path / "robot.h5", period=0.002)) as stepper:
         rest = np.zeros(2)
         for k in range(60):
             stepper.step(0.002 * k, Measurement(np.zeros(3), rest, rest, rest))

@@ -24,18 +24,16 @@ from places import ROOT
 from study_files import SHORT, numbers, planned, run_here, stored, written
 
 from mmnn_pin.cli import main
-from mmnn_pin.compiled import cache_folder
+from mmnn_pin.compiled.folders import cache_folder
 from mmnn_pin.errors import MmnnError, StudyError
 from mmnn_pin.lab.study import pools as dask
 from mmnn_pin.lab.study import worker
-from mmnn_pin.lab.study.execution import execute, fill, missing_rows, probe
-from mmnn_pin.lab.study.pools import carriers
+from mmnn_pin.lab.study.execution import execute, fill, missing_trials, probe
 from mmnn_pin.lab.study.store import NAME, writing
-from mmnn_pin.lab.study.worker import Bundle, code_digest
+from mmnn_pin.lab.study.worker import Bundle
 from mmnn_pin.model.robots import bundled
 
 pytest.importorskip("distributed")
-import cloudpickle
 
 pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
 
@@ -189,11 +187,11 @@ def test_a_cluster_gives_the_local_rows_while_workers_die_and_join(
 def run_far(plan, folder: Path, address: str, progress: Callable[[object], None]):
     """Make a study's rows on a cluster, its robot's files gone from this machine as soon as they were read."""
     with writing(folder / NAME) as store, dask.cluster(address) as pool:
-        missing = missing_rows(store, plan, probe(plan), False)
+        missing = missing_trials(store, plan, probe(plan), False)
         package = Path(plan.base.robot).parents[1]
         package.rename(package.with_name("gone"))
         fill(store, plan, missing, pool, progress)
-        return store.rows()
+    return stored(folder)
 
 
 def test_the_command_line_runs_a_study_on_a_cluster(cluster: Cluster, tmp_path: Path, capsys) -> None:
@@ -283,47 +281,31 @@ def test_a_scheduler_that_cannot_be_reached_is_told(tmp_path: Path, capsys, monk
         assert words in said and said.startswith("--cluster: error:") and said.count("\n") == 1
 
 
-def test_another_version_of_the_scheduler_or_of_a_worker_is_told() -> None:
-    def of(python: str = "3.11.7.final.0", distributed: str = "2026.8.0") -> dict[str, dict[str, str]]:
-        return {"host": {"python": python}, "packages": {"distributed": distributed}}
-
-    dask.require_same_versions({"client": of(), "scheduler": of("3.11.2.final.0"), "workers": {"w": of()}}, "s")
-    with pytest.raises(StudyError, match=r"the scheduler at s has distributed 2024.1.0, this machine 2026.8.0"):
-        dask.require_same_versions({"client": of(), "scheduler": of(distributed="2024.1.0"), "workers": {}}, "s")
-    with pytest.raises(StudyError, match=r"the worker at w has python 3.12.1.final.0, this machine 3.11.7"):
-        dask.require_same_versions({"client": of(), "scheduler": of(), "workers": {"w": of("3.12.1.final.0")}}, "s")
-
-
-def test_a_worker_without_the_package_or_with_other_code_is_told() -> None:
-    dask.require_same_code({"w": code_digest()})
-    with pytest.raises(StudyError, match="the worker at w has no mmnn_pin: install the same version"):
-        dask.require_same_code({"w": ModuleNotFoundError("none", name="mmnn_pin.lab.study")})
-    with pytest.raises(StudyError, match="the worker at w runs other code of mmnn_pin"):
-        dask.require_same_code({"w": "0123456789abcdef"})
+def test_a_scheduler_or_a_worker_with_other_versions_is_told() -> None:
+    ours = dask.installed()
+    dask.require_alike({"scheduler": ours, "tcp://w": ours})
+    for name, theirs, words in (
+        ("scheduler", {"distributed": "2024.1.0"}, "the scheduler has distributed 2024.1.0, this machine 20"),
+        ("tcp://w", {"python": "3.9"}, f"the worker at tcp://w has python 3.9, this machine {ours['python']}: install"),
+        ("tcp://w", {"code of mmnn_pin": "0"}, "the worker at tcp://w has code of mmnn_pin 0, this machine"),
+    ):
+        with pytest.raises(StudyError) as raised:
+            dask.require_alike({"scheduler": ours} | {name: ours | theirs})
+        assert words in str(raised.value)
+    with pytest.raises(StudyError, match="the worker at tcp://w cannot run mmnn_pin: ModuleNotFoundError: none"):
+        dask.require_alike({"tcp://w": ModuleNotFoundError("none")})
 
 
 def test_a_worker_that_joins_later_judges_itself(tmp_path: Path, monkeypatch) -> None:
-    task = planned(tmp_path).row(0)
+    task = planned(tmp_path).trial(0)
     with pytest.raises(StudyError, match="runs other code of mmnn_pin than this machine"):
-        worker.run([replace(task, code="other")])
+        worker.run(replace(task, code="other"))
     monkeypatch.setattr(worker.importlib.util, "find_spec", lambda module: None)
     contact = replace(task, experiment=msgspec.structs.replace(task.experiment, plant="contact"))
     with pytest.raises(
         StudyError, match=r"has no mujoco: the contact plant needs it: pip install 'mmnn_pin\[contact\]'"
     ):
-        worker.run([contact])
-
-
-def test_what_travels_needs_nothing_of_this_package_to_be_unpacked() -> None:
-    """A scheduler without the package takes tasks apart: in a Python that cannot import it, they must unpickle."""
-    packed = {name: cloudpickle.dumps(function).hex() for name, function in carriers().items()}
-    program = (
-        "import sys, pickle; sys.modules['mmnn_pin'] = None\n"
-        f"call = pickle.loads(bytes.fromhex('{packed['call']}'))\n"
-        "try:\n    call(b'', b'', False)\nexcept ModuleNotFoundError as error:\n    print('told', error.name)"
-    )
-    made = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd="/")
-    assert made.stdout.startswith("told mmnn_pin"), made.stderr
+        worker.run(contact)
 
 
 def test_without_dask_it_is_said_how_to_get_it(tmp_path: Path, capsys, monkeypatch) -> None:

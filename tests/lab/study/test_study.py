@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
@@ -24,21 +23,20 @@ from mmnn_pin.errors import StudyError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.study import worker
-from mmnn_pin.lab.study.execution import MOST_AT_A_TIME, fill, missing_rows, probe, together
+from mmnn_pin.lab.study.execution import fill, missing_trials, probe
 from mmnn_pin.lab.study.plan import Plan
-from mmnn_pin.lab.study.pools import processes, threads
+from mmnn_pin.lab.study.pools import here, processes
 from mmnn_pin.lab.study.results import load_results
-from mmnn_pin.lab.study.store import NAME, Stored, reading, writing
+from mmnn_pin.lab.study.store import NAME, OLD_NAME, TrialResult, reading, writing
 from mmnn_pin.lab.study.worker import loop_of
-from mmnn_pin.loop.batch import simulate, simulate_group
-from mmnn_pin.loop.side_by_side import LANES, ready
+from mmnn_pin.loop.batch import simulate
 
 compiled_only = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
 BASE = ["time.duration=0.04", "windows=[[0.0,0.02],[0.02,0.04]]"]  # what the short study changes
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plan, list[Stored]]:
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plan, list[TrialResult]]:
     """A study that has run: its folder, plan and rows."""
     folder = tmp_path_factory.mktemp("study")
     plan = planned(folder)
@@ -85,13 +83,13 @@ def test_without_factors_it_is_the_experiment_itself_also_at_an_effective_gain(t
 def test_the_model_is_the_nominal_one_or_the_true_one(done, tmp_path: Path) -> None:
     _, plan, rows = done
     true = run_here(planned(tmp_path, 'model = "true"\n' + SHORT), tmp_path)
-    for here, there in zip(rows, true, strict=True):
-        assert (told(here.metrics) == told(there.metrics)) == (here.controller != "computed_torque")
-    assert loop_of(plan.row(2)).nominal.masses == {"root": 1.0, **dict.fromkeys(plan.table["masses"], 1.0)}
+    for one, other in zip(rows, true, strict=True):
+        assert (told(one.metrics) == told(other.metrics)) == (one.controller != "computed_torque")
+    assert loop_of(plan.trial(2)).nominal.masses == {"root": 1.0, **dict.fromkeys(plan.table["masses"], 1.0)}
 
 
 @compiled_only
-def test_processes_give_the_same_rows_as_threads(done, tmp_path: Path) -> None:
+def test_processes_give_the_same_rows_as_this_one(done, tmp_path: Path) -> None:
     _, plan, rows = done
     assert numbers(run_here(plan, tmp_path, processes(2))) == numbers(rows)
 
@@ -110,11 +108,10 @@ def test_a_row_is_replayed_alone_with_all_signals_and_the_same_numbers(done, cap
 
 def test_a_replay_that_gives_other_numbers_says_so(done, tmp_path: Path, capsys) -> None:
     folder, _, _ = done
-    copy = tmp_path / NAME
-    copy.write_bytes((folder / NAME).read_bytes())
-    with sqlite3.connect(copy) as db:
-        db.execute("UPDATE rows SET metrics = json_set(metrics, '$.effort', 1.0) WHERE id = 3")
-    db.close()
+    (tmp_path / NAME).write_bytes((folder / NAME).read_bytes())
+    with writing(tmp_path / NAME) as store:
+        result = store.results[3]
+        store.add(msgspec.structs.replace(result, metrics=result.metrics | {"effort": 1.0}))
     assert main(["study", str(folder / "short.toml"), "--row", "3", "--out", str(tmp_path)]) == 1
     assert "OTHER numbers than the stored ones" in capsys.readouterr().out
 
@@ -151,39 +148,6 @@ def test_settings_that_no_run_can_be_made_of_are_a_refused_row(tmp_path: Path) -
     assert main(["study", str(tmp_path / "short.toml"), "--out", str(tmp_path), "--set", "sampling.points=1"]) == 0
 
 
-@compiled_only
-def test_rows_made_side_by_side_have_the_numbers_that_they_have_alone(tmp_path: Path, monkeypatch) -> None:
-    text = SHORT.replace("points = 4", "points = 5").replace("0.04", "0.5")
-    rows = [plan.row(i) for plan in [planned(tmp_path, text)] for i in range(len(plan))]
-    assert ready(loop_of(next(row for row in rows if row.controller == "pd")))
-    kept: list[int] = []
-
-    def counted(started, *rest):
-        kept.append(len(started))
-        return simulate_group(started, *rest)
-
-    monkeypatch.setattr(worker, "simulate_group", counted)
-    found = worker.run(rows)
-    assert kept.count(LANES) > 0
-    for row, one in zip(rows, found, strict=True):
-        (alone,) = worker.run([row])
-        assert (one.id, one.status, one.time, told(one.metrics)) == (
-            row.id,
-            alone.status,
-            alone.time,
-            told(alone.metrics),
-        )
-    monkeypatch.setattr(worker, "simulate_group", lambda *rest: 1 / 0)  # then each is made alone
-    assert [told(one.metrics) for one in worker.run(rows)] == [told(one.metrics) for one in found]
-
-
-def test_runs_of_a_call_take_half_a_second_together() -> None:
-    done = [worker.JobResult(i, "completed", seconds=seconds) for i, seconds in enumerate((0.05, 0.15))]
-    assert together(done) == 5
-    assert together([replace(one, seconds=1e-6) for one in done]) == MOST_AT_A_TIME
-    assert together([replace(one, seconds=40.0) for one in done]) == 1
-
-
 def test_a_fault_is_kept_told_and_run_again(tmp_path: Path, monkeypatch, capsys) -> None:
     usual = worker.simulate
 
@@ -194,7 +158,7 @@ def test_a_fault_is_kept_told_and_run_again(tmp_path: Path, monkeypatch, capsys)
 
     file = written(tmp_path, SHORT)
     monkeypatch.setattr(worker, "simulate", faulty)
-    arguments = ["study", str(file), "--out", str(tmp_path), "--set", "sampling.points=1"]
+    arguments = ["study", str(file), "--out", str(tmp_path), "--set", "sampling.points=1", "--workers", "1"]
     assert main(arguments) == 1
     assert "failed and is run again next time: RuntimeError: cosmic ray" in capsys.readouterr().out
     assert [row.status for row in stored(tmp_path)].count("failed") == 2
@@ -205,7 +169,7 @@ def test_a_fault_is_kept_told_and_run_again(tmp_path: Path, monkeypatch, capsys)
 
 # -- kills, Ctrl-C, two at once ---------------------------------------------------------------------------------------
 
-MANY = SHORT.replace("points = 4", "points = 64").replace("0.04", "0.3")
+MANY = SHORT.replace("points = 4", "points = 16").replace("0.04", "0.6")
 
 
 def command(file: Path, *more: str) -> list[str]:
@@ -243,17 +207,14 @@ def test_a_killed_study_has_lost_nothing_and_goes_on(tmp_path: Path) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
     process.communicate()
-    with sqlite3.connect(tmp_path / NAME) as db:
-        assert db.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
-    db.close()
     before = {row.id: row for row in stored(tmp_path)}
     plan = planned(tmp_path, MANY)
     assert 5 <= len(before) < len(plan)
     after = run_here(plan, tmp_path)
     assert [row.id for row in after] == list(range(len(plan)))
     assert all(after[i] == row for i, row in before.items()), "rows that were done are not run again"
-    sample = plan.row(next(iter(set(range(len(plan))) - set(before))))
-    assert told(worker.run([sample])[0].metrics) == told(after[sample.id].metrics)
+    sample = plan.trial(next(iter(set(range(len(plan))) - set(before))))
+    assert told(worker.run(sample).metrics) == told(after[sample.id].metrics)
 
 
 @compiled_only
@@ -264,18 +225,18 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
     assert process.returncode == 130, err
     assert "the same command goes on with what is missing" in err and "Traceback" not in err
     rows = stored(tmp_path)
-    assert 3 <= len(rows) < 384 and {row.status for row in rows} == {"completed"}
-    assert f"{len(rows)} runs of 384" in out
+    assert 3 <= len(rows) < 96 and {row.status for row in rows} == {"completed"}
+    assert f"{len(rows)} runs of 96" in out
 
 
-# -- the database -----------------------------------------------------------------------------------------------------
+# -- the file of results ---------------------------------------------------------------------------------------------
 
 
 def test_changed_settings_are_refused_and_with_force_the_same_rows_stay(done, tmp_path: Path, capsys) -> None:
     folder, _, rows = done
     (tmp_path / NAME).write_bytes((folder / NAME).read_bytes())
     file = written(tmp_path, SHORT)
-    more = ["study", str(file), "--out", str(tmp_path), "--set", "sampling.points=6"]
+    more = ["study", str(file), "--out", str(tmp_path), "--workers", "1", "--set", "sampling.points=6"]
     assert main(more) == 2
     said = capsys.readouterr().err
     assert "changed: sampling.points; 24 of 24 stored rows are also in the new study: --force keeps these" in said
@@ -283,12 +244,12 @@ def test_changed_settings_are_refused_and_with_force_the_same_rows_stay(done, tm
     assert main([*more, "--force"]) == 0
     grown = stored(tmp_path)
     assert len(grown) == 36 and grown[:24] == rows
-    fewer = ["study", str(file), "--out", str(tmp_path), "--set", 'controllers=["two_layer"]', "--force"]
+    fewer = [*more[:-2], "--set", 'controllers=["two_layer"]', "--force"]
     assert main(fewer) == 0
     kept = {row.fingerprint: row for row in rows if row.controller == "two_layer"}
     left = stored(tmp_path)
     assert [row.id for row in left] == list(range(8))
-    assert all(replace(kept[row.fingerprint], id=row.id) == row for row in left)
+    assert all(msgspec.structs.replace(kept[row.fingerprint], id=row.id) == row for row in left)
     capsys.readouterr()
     assert main([*fewer, "--json"]) == 0, "done: nothing is run"
     assert json.loads(capsys.readouterr().out)["done"] == 8
@@ -298,54 +259,74 @@ def test_rows_of_another_version_of_the_package_are_refused(done, tmp_path: Path
     folder, plan, _ = done
     (tmp_path / NAME).write_bytes((folder / NAME).read_bytes())
     with writing(tmp_path / NAME) as store:
-        store.set_meta({"mmnn_pin": "0.0.1"})
-        with pytest.raises(StudyError, match=r"mmnn_pin 0\.0\.1 wrote its 24 rows"):
-            missing_rows(store, plan, probe(plan), False)
-        assert len(missing_rows(store, plan, probe(plan), True)) == 24
-
-
-def test_a_database_of_another_format_or_program_is_refused(done, tmp_path: Path, capsys) -> None:
-    folder, _, _ = done
-    file = written(tmp_path, SHORT)
-    (tmp_path / NAME).write_bytes((folder / NAME).read_bytes())
+        store.add(store.facts | {"mmnn_pin": "0.0.1"})
     with writing(tmp_path / NAME) as store:
-        store.set_meta({"format_version": 99})
-    assert main(["study", str(file), "--out", str(tmp_path)]) == 2
-    assert "a database of another version: its format version is 99, this mmnn_pin reads 1" in capsys.readouterr().err
-    (tmp_path / NAME).write_bytes(b"no database at all, but long enough to be looked at" * 50)
-    assert main(["study", str(file), "--out", str(tmp_path)]) == 2
-    assert "not a study's database: file is not a database" in capsys.readouterr().err
-    (tmp_path / NAME).unlink()
-    with sqlite3.connect(tmp_path / NAME) as db:
-        db.execute("CREATE TABLE mine (x)")
-    db.close()
-    assert main(["report", str(tmp_path), "--html", str(tmp_path / "x.html")]) == 2
-    assert "a study's database has the tables meta and row" in capsys.readouterr().err
+        with pytest.raises(StudyError, match=r"mmnn_pin 0\.0\.1 wrote its 24 rows"):
+            missing_trials(store, plan, probe(plan), False)
+        assert len(missing_trials(store, plan, probe(plan), True)) == 24
+    assert not stored(tmp_path)
 
 
-def test_numbers_keep_their_bits_in_the_database(tmp_path: Path) -> None:
+def test_results_of_another_format_or_program_are_refused(done, tmp_path: Path, capsys) -> None:
+    folder, _, _ = done
+    command, file = ["study", str(written(tmp_path, SHORT)), "--out", str(tmp_path)], tmp_path / NAME
+    text = (folder / NAME).read_text().replace('"format_version": 2', '"format_version": 99')
+    for content, words in (
+        (text, "results of another version: its format version is 99, this mmnn_pin reads 2: use the mmnn_pin that"),
+        ("no results at all\n", "not a study's results: Expecting value"),
+        ("\n".join(text.splitlines()[1:]) + "\n", "not a study's results: it does not begin with facts"),
+        ("[" * 100_000 + "\n", "not a study's results"),
+    ):
+        file.write_text(content)
+        assert main(command) == main(["report", str(tmp_path), "--html", str(tmp_path / "x.html")]) == 2
+        said = capsys.readouterr().err
+        assert said.count(f"{file}: error: {words}") == said.count("\n") == 2, said
+    file.unlink()
+    (tmp_path / OLD_NAME).write_bytes(b"SQLite format 3")
+    for words in (command, ["report", str(tmp_path), "--html", str(tmp_path / "x.html")]):
+        assert main(words) == 2
+        said = capsys.readouterr().err
+        assert f"{tmp_path / OLD_NAME}: error: results of another version: a database of mmnn_pin before" in said
+    assert main([*command[:-1], str(tmp_path / "other"), "--set", "sampling.points=1", "--workers", "1"]) == 0
+
+
+def test_numbers_keep_their_bits_in_the_file(tmp_path: Path, done) -> None:
+    _, plan, _ = done
     values = {"a": 0.1 + 0.2, "b": 5e-324, "c": np.inf, "d": -np.inf, "e": np.nan, 'f"': 1e300, "g": -0.0}
     with writing(tmp_path / NAME) as store:
-        store.add("f", 0, "pd", 1, {"x": 0.1}, worker.JobResult(7, "completed", 1.0, metrics=values))
-        row = store.row(7)
-    assert row is not None and told(row.metrics) == told(values)
-    assert np.signbit(row.metrics["g"])
-    with sqlite3.connect(tmp_path / NAME) as db:
-        assert db.execute("SELECT json_extract(metrics, '$.a') FROM rows").fetchone() == (values["a"],)
-    db.close()
+        missing_trials(store, plan, probe(plan), False)
+        store.add(plan.trial(7).result("completed", metrics=values))
+    (row,) = stored(tmp_path)
+    assert row.id == 7 and told(row.metrics) == told(values) and np.signbit(row.metrics["g"])
+    _, line = (tmp_path / NAME).read_text().splitlines()
+    assert json.loads(line)["metrics"]["a"] == values["a"]
+
+
+def test_a_line_that_a_kill_cut_off_is_dropped_and_its_run_made_again(done, tmp_path: Path) -> None:
+    folder, plan, rows = done
+    whole = (folder / NAME).read_bytes()
+    for cut in (1, 30, len(whole.splitlines()[-1])):
+        (tmp_path / NAME).write_bytes(whole[:-cut])
+        assert stored(tmp_path) == rows[:-1]
+        assert numbers(run_here(plan, tmp_path)) == numbers(rows)
+        assert (tmp_path / NAME).read_bytes().count(b"\n") == whole.count(b"\n")
 
 
 FULL = """
 import sys
 from pathlib import Path
-from mmnn_pin.lab.study.store import NAME, writing
-from mmnn_pin.lab.study.worker import JobResult
+from mmnn_pin.lab.study.store import NAME, TrialResult, writing
 from mmnn_pin.errors import StudyError
 path = Path(sys.argv[1]) / NAME
+known = dict.fromkeys(("versions", "settings", "experiment", "units"), {})
+known |= dict.fromkeys(("controllers", "metrics", "robots"), ())
+known |= {"mmnn_pin": "0", "plan": "", "rows": 0, "name": "", "file": ""}
 try:
     with writing(path) as store:
+        store.add(known)
         for i in range(10000):
-            store.add(str(i), i, "pd", 1, {}, JobResult(i, "completed", metrics={f"m{k}": 1.0 for k in range(40)}))
+            about = {"id": i, "point": i, "controller": "pd", "seed": 1, "parameters": {}, "status": "completed"}
+            store.add(TrialResult(**about, metrics={f"m{k}": 1.0 for k in range(40)}))
             print(i)
 except StudyError as error:
     print(error, file=sys.stderr)
@@ -364,7 +345,7 @@ def test_a_full_disk_is_told_and_loses_no_stored_row(tmp_path: Path) -> None:
     made = subprocess.run(unshared, capture_output=True, text=True, cwd=ROOT)
     if made.returncode:
         pytest.skip(f"no file system of one's own here: {made.stderr}")
-    assert "cannot write the database: database or disk is full: free some space" in made.stderr
+    assert "cannot write the results: No space left on device: free some space" in made.stderr
     finished = made.stdout.split()
     assert len(finished) > 5 and [str(row.id) for row in stored(kept)] == finished
 
@@ -395,9 +376,8 @@ def test_wrong_options_are_told(options: tuple[str, ...], words: str, tmp_path: 
 def test_a_study_that_is_read_while_it_runs_does_not_disturb_it(done, tmp_path: Path) -> None:
     _, plan, rows = done
     seen: list[int] = []
-    with threads(1) as pool, writing(tmp_path / NAME) as store:
-        missing = missing_rows(store, plan, probe(plan), False)
+    with here() as pool, writing(tmp_path / NAME) as store:
+        missing = missing_trials(store, plan, probe(plan), False)
         fill(store, plan, missing[:6], pool, lambda finished: seen.append(count(tmp_path)))
     assert all(kept > done for done, kept in enumerate(seen)) and seen == sorted(seen) and seen[-1] == 6
-    with reading(tmp_path / NAME) as store:
-        assert numbers(store.rows()) == numbers(rows)[:6]
+    assert numbers(reading(tmp_path / NAME).results) == numbers(rows)[:6]

@@ -203,7 +203,7 @@ points = 2
 [success]
 at_most = { "z.v.peak" = 0.02 }
 """
-    row = planned(tmp_path, text).row(1)
+    row = planned(tmp_path, text).trial(1)
     masses = row.experiment.masses
     assert row.experiment.robot == "tiago_no_hand" and "arm_1_joint" in masses and "root" in masses
     assert masses["arm_4_joint"] == row.parameters["masses.arm_4_joint"] != 1.0
@@ -215,7 +215,7 @@ at_most = { "z.v.peak" = 0.02 }
 
 def test_runs_are_all_draws_times_grid_times_controllers(tmp_path: Path) -> None:
     plan = planned(tmp_path)
-    rows = [plan.row(i) for i in range(len(plan))]
+    rows = [plan.trial(i) for i in range(len(plan))]
     assert len(rows) == 4 * 2 * 3
     assert {(r.controller, r.experiment.time.control_period) for r in rows} == {
         (c, p) for c in ("pd", "two_layer", "computed_torque") for p in (0.001, 0.002)
@@ -233,13 +233,13 @@ def test_runs_are_all_draws_times_grid_times_controllers(tmp_path: Path) -> None
     assert len({row.fingerprint for row in rows}) == len(rows)
     assert [row.fingerprint for row in rows] == list(plan.fingerprints())
     with pytest.raises(ConfigError, match="there is no row 24: use one from 0 to 23"):
-        plan.row(24)
+        plan.trial(24)
 
 
 def test_seeds_count_from_the_experiments_own_or_are_given(tmp_path: Path) -> None:
     text = 'experiment = "chapter4"\ncontrollers = ["pd"]\n'
-    assert [planned(tmp_path, f"{text}seeds = 3").row(i).seed for i in range(3)] == [1, 2, 3]
-    assert [planned(tmp_path, f"{text}seeds = [7, 5]").row(i).seed for i in range(2)] == [7, 5]
+    assert [planned(tmp_path, f"{text}seeds = 3").trial(i).seed for i in range(3)] == [1, 2, 3]
+    assert [planned(tmp_path, f"{text}seeds = [7, 5]").trial(i).seed for i in range(2)] == [7, 5]
 
 
 def test_a_fingerprint_is_of_what_decides_the_numbers(tmp_path: Path) -> None:

@@ -22,14 +22,13 @@ from study_files import SHORT, planned, run_here
 from mmnn_pin.cli import main
 from mmnn_pin.errors import StudyError
 from mmnn_pin.lab.show import study_figures as plots
-from mmnn_pin.lab.show.figure import axes_grid
-from mmnn_pin.lab.show.gallery import OF
+from mmnn_pin.lab.show.figure import FIGURES, axes_grid
 from mmnn_pin.lab.show.study import page, render
 from mmnn_pin.lab.study.factors import Factor
 from mmnn_pin.lab.study.intervals import differ, quantile, rate
 from mmnn_pin.lab.study.results import Results, load_results, unit_of, value_of
 from mmnn_pin.lab.study.settings import Sampling, StudySettings, Success
-from mmnn_pin.lab.study.store import NAME, Stored, writing
+from mmnn_pin.lab.study.store import NAME, TrialResult, writing
 from mmnn_pin.lab.study.verdict import (
     bins_of,
     region_of,
@@ -215,8 +214,8 @@ def made(good: dict[str, np.ndarray], error: dict[str, np.ndarray], factors: dic
         for i, success in enumerate(successes):
             metrics = {"e.joint.peak": float(error[name][i]) if success else 2.0}
             values = {factor: column[i] for factor, column in factors.items()}
-            row = {"point": i, "controller": name, "seed": 1, "parameters": values, "fingerprint": "", "finished": ""}
-            rows.append(Stored(len(rows), "completed", 1.0, "", "", metrics, 0.1, "here", **row))
+            row = {"id": len(rows), "point": i, "controller": name, "seed": 1, "parameters": values}
+            rows.append(TrialResult(**row, status="completed", time=1.0, metrics=metrics))
     settings = StudySettings(
         experiment="chapter4",
         factors={name: Factor(uniform=(0.0, 1.0)) for name in factors},
@@ -321,11 +320,11 @@ def test_json_holds_the_same_numbers(done: Path, capsys) -> None:
 def test_a_half_done_study_says_so(done: Path, tmp_path: Path) -> None:
     (tmp_path / NAME).write_bytes((done / NAME).read_bytes())
     with writing(tmp_path / NAME) as store:
-        store.renumber({row.fingerprint: row.id for row in store.rows()[:20]})
+        store.rewrite(store.facts, store.results[:20])
     assert "20 runs of 48" in (said := render(load_results(tmp_path)))
     assert "28 runs are missing; the same command makes them" in said
     with writing(tmp_path / NAME) as store:
-        store.renumber({})
+        store.rewrite(store.facts, [])
     with pytest.raises(StudyError, match="holds no rows yet"):
         load_results(tmp_path)
 
@@ -377,7 +376,7 @@ def test_numbers_of_a_panels_axis_do_not_touch(span: float) -> None:
 
 def test_plot_draws_the_figures_of_a_study_and_no_others(done: Path, tmp_path: Path, capsys) -> None:
     assert main(["plot", str(done), "--out", str(tmp_path / "all")]) == 0
-    assert {file.stem for file in (tmp_path / "all").iterdir()} == set(OF["study"])
+    assert {file.stem for file in (tmp_path / "all").iterdir()} == set(FIGURES["study"])
     assert main(["plot", str(done), "--what", "study-errors", "--out", str(tmp_path / "one.svg")]) == 0
     assert "Errors against each factor" in (tmp_path / "one.svg").read_text()
     capsys.readouterr()

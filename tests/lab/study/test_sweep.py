@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -17,7 +18,7 @@ from mmnn_pin.lab.study.choice import advice, best_of, gains_of, levels
 from mmnn_pin.lab.study.factors import Factor
 from mmnn_pin.lab.study.results import Results
 from mmnn_pin.lab.study.settings import StudySettings
-from mmnn_pin.lab.study.store import Stored
+from mmnn_pin.lab.study.store import TrialResult
 from mmnn_pin.lab.study.sweep import assembled, loops_of
 
 
@@ -39,7 +40,7 @@ def rows_of(errors: dict[float, list[float]], key: str = "feedback.arm", statuse
         for i, error in enumerate(each):
             status = "completed" if math.isfinite(error) else (statuses or {}).get(value, "diverged")
             rows.append(
-                Stored(id=number, status=status, metrics={"e.arm.rms": error}, fingerprint="", point=i, seed=i,
+                TrialResult(id=number, status=status, metrics={"e.arm.rms": error}, fingerprint="", point=i, seed=i,
                        controller="pd", parameters={key: value}, finished="")
             )  # fmt: skip
             number += 1
@@ -73,7 +74,7 @@ def test_a_completed_run_is_never_said_to_be_infinite(runs):
     text = render(rows_of({1.0: [0.5] * runs, 2.0: [0.2] * runs}))
     assert "inf" not in text.replace("inflated", "")
     one_lost = rows_of({1.0: [0.5] * runs, 2.0: [0.2] * (runs - 1) + [math.nan]})
-    one_lost = replace(one_lost, rows=[replace(row, status="completed") for row in one_lost.rows])
+    one_lost = replace(one_lost, rows=[msgspec.structs.replace(row, status="completed") for row in one_lost.rows])
     assert not np.isinf(one_lost.metric("pd", "e.*.rms")).any()
     assert "inf" not in render(one_lost)
 

@@ -18,7 +18,7 @@ from study_files import SHORT, planned, run_here, written
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.study import tuning
-from mmnn_pin.lab.study.pools import threads
+from mmnn_pin.lab.study.pools import here
 from mmnn_pin.lab.study.results import load_results
 from mmnn_pin.lab.study.settings import load_study
 from mmnn_pin.lab.study.tuning import LOST, NAME, REFUSED, Score, Scorer, violations
@@ -45,7 +45,7 @@ check = 4
 
 
 def tuned(file: Path, *more: str, capsys) -> dict:
-    assert main(["tune", str(file), "--out", str(file.parent), "--json", *more]) == 0
+    assert main(["tune", str(file), "--out", str(file.parent), "--workers", "1", "--json", *more]) == 0
     return json.loads(capsys.readouterr().out)
 
 
@@ -59,7 +59,7 @@ def test_a_score_is_the_quantile_over_the_rows_of_the_study(tmp_path: Path) -> N
     expected = np.sort(load_results(tmp_path).metric("pd", "e.*.peak"))
     study = load_study(written(tmp_path, TUNE))
     assert study.settings.tune is not None
-    with threads(2) as pool:
+    with here() as pool:
         scorer = Scorer(study, study.settings.tune, pool)
         score, lost = scorer.score({}), scorer.score({"bounds.joint_speed": 0.01})
     assert lost.lost == 1.0 and lost.value == 2 * LOST, "the error of a run that diverged is not its error so far"
@@ -100,7 +100,7 @@ def test_gains_that_break_a_constraint_on_fresh_draws_are_passed_over(tmp_path: 
 
     monkeypatch.setattr(tuning, "CONSTRAINTS", (*tuning.CONSTRAINTS, (not_the_best, 4)))
     study = load_study(file)
-    with threads(1) as pool:
+    with here() as pool:
         found = tuning.result(study, tmp_path, pool)
     assert found.passed_over == 1 and found.value == ranked[1][1] > first["best"]
     assert found.best["feedback.arm"] == ranked[1][0]["feedback.arm"] and not found.fresh[1].refused
@@ -119,7 +119,7 @@ def test_a_search_that_was_stopped_goes_on_to_the_same_trials(tmp_path: Path, ca
 def test_gains_that_are_unstable_when_sampled_are_refused_without_a_run(tmp_path: Path) -> None:
     study = load_study(written(tmp_path, TUNE))
     assert study.settings.tune is not None
-    with threads(1) as pool:
+    with here() as pool:
         scorer = Scorer(study, study.settings.tune, replace(pool, executor=None))  # type: ignore[arg-type]
         score = scorer.score({"feedback.arm": 1e5})
         assert list(violations(scorer.plan({"feedback.arm": 10.0}))) == []
@@ -130,7 +130,7 @@ def test_rates_beyond_the_condition_of_the_certificate_are_refused() -> None:
     """Chapter 4's own rates are allowed on the example's draws, four times as much is not."""
     study = load_study(EXAMPLE)
     assert study.settings.tune is not None
-    with threads(1) as pool:
+    with here() as pool:
         scorer = Scorer(study, study.settings.tune, pool)
         assert list(violations(scorer.plan({}))) == []
         complaints = list(violations(scorer.plan({"two_layer.F": [4.0, 0.8], "two_layer.G": [4.0, 0.8]})))

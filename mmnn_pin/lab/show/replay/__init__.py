@@ -6,6 +6,6 @@ What is drawn is meshcat's viewer (three.js); its scene is ours. The page gets t
 of every frame, and computes where the links are, so a minute of motion is smaller than one mesh.
 """
 
-from .page import Page, page, wait_until_left
+from .page import ReplayPage, page, wait_until_left
 
-__all__ = ["Page", "page", "wait_until_left"]
+__all__ = ["ReplayPage", "page", "wait_until_left"]

@@ -1,4 +1,4 @@
-"""What a replay shows of a run: the robot's moving bodies, where they were at the rate of a display, and what happened.
+"""A run as a replay shows it: the robot's moving bodies, their places at the rate of a display, and events.
 
 Links fixed to one another are one body. An event colours the bodies of its joints, or the whole robot, and a stretch of
 the scrub bar; another kind of event is another function in `SOURCES`.
@@ -36,7 +36,7 @@ MOST_FRAMES = 10_000_000  # of a replay, before those without a row are left out
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class MovingBody:
     """A moving body: the root, or what one joint carries.
 
     Attributes:
@@ -50,7 +50,7 @@ class Body:
     joint: Joint | None
 
     def for_page(self, robot: Robot) -> dict[str, Any]:
-        """What the page needs to move it: `column` is the joint's place in a position."""
+        """The body as the page reads it; `column` is the joint's place in a position."""
         placed = {"parent": self.parent, "origin": columns(self.origin)}
         if self.joint is None:
             return placed | {"kind": "root"}
@@ -60,7 +60,7 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
-class Tree:
+class BodyTree:
     """The bodies of a robot.
 
     Attributes:
@@ -70,14 +70,14 @@ class Tree:
     """
 
     document: Document
-    bodies: list[Body]
+    bodies: list[MovingBody]
     places: dict[str, tuple[int, Array]]
 
     @classmethod
-    def of(cls, document: Document) -> Tree:
-        """Tree of a URDF whose joints are fixed, revolute, continuous or prismatic."""
+    def of(cls, document: Document) -> BodyTree:
+        """The tree of a URDF whose joints are fixed, revolute, continuous or prismatic."""
         root = document.root_link
-        bodies, places = [Body(-1, np.eye(4), None)], {root: (0, np.eye(4))}
+        bodies, places = [MovingBody(-1, np.eye(4), None)], {root: (0, np.eye(4))}
         pending = [root]
         while pending:
             link = pending.pop()
@@ -85,7 +85,7 @@ class Tree:
             for joint in document.children[link]:
                 at = place @ joint.origin
                 places[joint.child] = (len(bodies), np.eye(4)) if joint.moves else (body, at)
-                bodies += [Body(body, at, joint)] if joint.moves else []
+                bodies += [MovingBody(body, at, joint)] if joint.moves else []
                 pending.append(joint.child)
         return cls(document, bodies, places)
 
@@ -113,7 +113,7 @@ def columns(transform: Array) -> list[float]:
 
 
 def drawable(table: Array) -> NDArray[np.bool_]:
-    """Which rows of a table (k, n) can be drawn."""
+    """Rows (k,) of a table (k, n) that can be drawn, as truth values."""
     return np.asarray((np.abs(table) < FAR).all(axis=1))
 
 
@@ -184,7 +184,7 @@ def hands(recording: Recording, rows: IntArray, blob: Blob) -> Iterator[dict[str
 
 
 @dataclass(frozen=True)
-class Event:
+class ReplayEvent:
     """Something to see.
 
     Attributes:
@@ -202,22 +202,22 @@ class Event:
     joints: tuple[str, ...] = ()
 
     def for_page(self, bodies: dict[str, int]) -> dict[str, Any]:
-        """What the page needs of it; bodies by the name of the joint that carries them."""
+        """The event as the page reads it; bodies by the name of the joint that carries them."""
         end = self.end if np.isfinite(self.end) else None
         on = [bodies[joint] for joint in self.joints if joint in bodies]
         return {"kind": self.kind, "start": self.start, "end": end, "text": self.text, "bodies": on}
 
 
-def early_end(recording: Recording) -> Iterator[Event]:
+def early_end(recording: Recording) -> Iterator[ReplayEvent]:
     """A run that did not complete: diverged, tripped by the safety layer, or interrupted."""
     outcome = recording.outcome
     if outcome.status != "completed":
         why = outcome.message.partition(";")[0] or f"at t = {outcome.time:.3g} s"
-        yield Event("stop", outcome.time, np.inf, f"{outcome.status}: {why}")
+        yield ReplayEvent("stop", outcome.time, np.inf, f"{outcome.status}: {why}")
 
 
-def supervised(recording: Recording) -> Iterator[Event]:
-    """What a supervisor did: a torque clipped or a value held, and a stop, under feedback or without."""
+def supervised(recording: Recording) -> Iterator[ReplayEvent]:
+    """Acts of a supervisor: a torque clipped or a value held, and a stop, under feedback or without."""
     if "safety" not in recording:
         return
     state = np.asarray(recording["safety"])
@@ -225,19 +225,19 @@ def supervised(recording: Recording) -> Iterator[Event]:
         if code == STOPPING and recording.outcome.status == "tripped":
             continue  # its end says so, with the reason
         for start, end in stretches(recording.time, state == code):
-            yield Event(kind, start, end, text)
+            yield ReplayEvent(kind, start, end, text)
 
 
-def slipping(recording: Recording) -> Iterator[Event]:
+def slipping(recording: Recording) -> Iterator[ReplayEvent]:
     """Wheels that slip, on the contact plant, a stretch of time each."""
     if "slip" not in recording:
         return
     for name, speed in zip(recording.labels("slip"), as_columns(recording["slip"]).T, strict=True):
         for start, end in stretches(recording.time, speed > SLIPPING):
-            yield Event("slip", start, end, f"{name} slips", (name,))
+            yield ReplayEvent("slip", start, end, f"{name} slips", (name,))
 
 
-def at_limits(recording: Recording) -> Iterator[Event]:
+def at_limits(recording: Recording) -> Iterator[ReplayEvent]:
     """Motors that are asked for their largest torque or more, a stretch of time each."""
     limits = recording.meta.get("effort_limits")
     if limits is None or "motor_torque" not in recording:
@@ -247,7 +247,7 @@ def at_limits(recording: Recording) -> Iterator[Event]:
     for name, limit, torque in zip(recording.labels("motor_torque"), limits, torques, strict=True):
         text = f"{name} at its limit of {limit:g} {'N' if name in sliding else 'N m'}"
         for start, end in stretches(recording.time, np.abs(torque) >= AT_LIMIT * limit):
-            yield Event("limit", start, end, text, (name,))
+            yield ReplayEvent("limit", start, end, text, (name,))
 
 
 def stretches(time: Array, holds: NDArray[np.bool_]) -> Iterator[tuple[float, float]]:
@@ -263,9 +263,9 @@ SUPERVISED: tuple[tuple[Kind, float, str], ...] = (
     ("stop", STOPPING, "the supervisor stops the robot"),
     ("stop", RAMPING, "stopped without feedback: the torque goes to zero"),
 )
-SOURCES: tuple[Callable[[Recording], Iterator[Event]], ...] = (early_end, supervised, slipping, at_limits)
+SOURCES: tuple[Callable[[Recording], Iterator[ReplayEvent]], ...] = (early_end, supervised, slipping, at_limits)
 
 
-def events_of(recording: Recording) -> list[Event]:
+def events_of(recording: Recording) -> list[ReplayEvent]:
     """All events of a run, as they began."""
     return sorted((event for source in SOURCES for event in source(recording)), key=lambda event: event.start)

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from ...experiments.controllers import CONTROLLERS
 from ..figure import in_the_dark, run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, compressed, fill_template, web_file
 from ..serving import HOST, first_free
-from .motion import Tree, drawable, events_of, frames_of, packed
+from .motion import BodyTree, drawable, events_of, frames_of, packed
 from .shapes import Shapes
 
 FPS = 60.0
@@ -58,7 +58,7 @@ class Scene:
     def __init__(self, package_dirs: Sequence[str | Path] = ()) -> None:
         self.blob, self.frames, self.samples = Blob(), 0, 0
         self._shapes, self._package_dirs = Shapes(self.blob, package_dirs), tuple(package_dirs)
-        self._robots: dict[str, tuple[int, Tree]] = {}
+        self._robots: dict[str, tuple[int, BodyTree]] = {}
         self._for_page: list[dict[str, Any]] = []
         self._runs: list[dict[str, Any]] = []
 
@@ -88,7 +88,7 @@ class Scene:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is not shown as the URDF says, one line each."""
+        """Differences between the page and the URDF, one line each."""
         return self._shapes.warnings
 
     def header(self, extent: list[float]) -> dict[str, Any]:
@@ -106,10 +106,10 @@ class Scene:
         self._runs.append(about | {"frames": 1, "width": position.size, "time": time} | still)
         self.frames += 1
 
-    def _robot(self, robot: Robot) -> tuple[int, Tree]:
+    def _robot(self, robot: Robot) -> tuple[int, BodyTree]:
         key = f"{robot.frame.tolist()} {robot.urdf}"
         if key not in self._robots:
-            tree = Tree.of(parse(robot.urdf.encode(), robot.path))
+            tree = BodyTree.of(parse(robot.urdf.encode(), robot.path))
             self._robots[key] = len(self._robots), tree
             self._for_page.append(
                 {
@@ -125,7 +125,7 @@ class Scene:
 
 
 def extent_of(recordings: Mapping[str, Recording]) -> list[float]:
-    """Where the bases were and should be: least x and y, largest x and y [m]; what diverged counts little."""
+    """The area of the bases and their references: least x and y, largest x and y [m]; diverged runs count little."""
     points = [np.zeros((1, 2))]
     for recording, rows in scale_rows(recordings.values()):
         for signal in {"pose", "pose_ref"} & set(recording):
@@ -136,32 +136,18 @@ def extent_of(recordings: Mapping[str, Recording]) -> list[float]:
 
 
 @dataclass(frozen=True, repr=False)
-class Page(HtmlPage):
-    """A replay.
+class ReplayPage(HtmlPage):
+    """A replay, in a notebook at rest until it is played; the last warning is that of a page that is large.
 
     Attributes:
-        html: The whole page.
         frames: Frames shown, of all runs.
         samples: Samples recorded, of all runs.
-        warnings: What is not shown as the URDF says, one line each; the last one of a page that is large.
     """
 
+    what: str = "replay"
+    height: str = "520px"
     frames: int = 0
     samples: int = 0
-
-    what: ClassVar[str] = "replay"
-
-    def _repr_html_(self) -> str:
-        """The page within a notebook, isolated from it."""
-        return self.iframe()
-
-    def iframe(self, height: int = 520) -> str:
-        """The page as an element for another page: isolated from it, at rest until it is played.
-
-        Args:
-            height: In CSS pixels.
-        """
-        return self.within(f"{height}px")
 
     @contextmanager
     def served(self, port: int) -> Iterator[str]:
@@ -186,7 +172,7 @@ class Page(HtmlPage):
 
 def page(
     recordings: Mapping[str, Recording], *, title: str = "", fps: float = FPS, package_dirs: Sequence[str | Path] = ()
-) -> Page:
+) -> ReplayPage:
     """The replay of one run, or of several in one scene.
 
     Args:
@@ -209,7 +195,7 @@ def page(
     if len(text) > LARGE:
         fix = "show fewer runs, keep fewer frames per second (--fps), or use simpler meshes"
         warnings += (f"the page is large, {len(text) / 1e6:.0f} MB: {fix}",)
-    return Page(text, warnings, scene.frames, scene.samples)
+    return ReplayPage(text, warnings, frames=scene.frames, samples=scene.samples)
 
 
 def live_page(robot: Robot, position: Array, package_dirs: Sequence[str | Path] = ()) -> bytes:
@@ -235,7 +221,7 @@ def rendered(scene: Scene, title: str, extent: list[float], more: Sequence[str] 
 
 
 def title_of(recordings: Mapping[str, Recording]) -> str:
-    """What was run on which robot."""
+    """Experiment and robot of some runs."""
     metas = [recording.meta for recording in recordings.values()]
     what = dict.fromkeys(str(meta[key]) for key in ("experiment", "robot") for meta in metas if key in meta)
     return ", ".join(what) or "replay"

@@ -1,4 +1,4 @@
-"""What a robot looks like: the shapes of its links, each geometry once; meshes as triangles, small.
+"""Shapes of a robot for a page: those of its links, each geometry once; meshes as triangles, small.
 
 For a mesh that cannot be shown the collision shapes of its link stand in, or a box of `STAND_IN` metres in a colour of
 its own, with a warning; a box marks every body of a robot whose file has no shapes at all. A mesh takes 16 bits per
@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 
 from ....model.base.overrides import folders_of
 from ....model.robot import Robot
-from ....model.urdf.document import placement
+from ....model.urdf.document import number, placement, vector
 from ....model.urdf.meshes import BrokenMesh, meshes_of
 from ....model.urdf.packages import locate
-from ....model.urdf.xml import number, vector
 from ....recording.robot_file import UNSEEN
 from ....signals import Array
 from ..files import Blob
-from .motion import Tree, columns
+from .motion import BodyTree, columns
 
 Color = tuple[float, float, float, float]  # red, green, blue, opacity, each in [0, 1]
 Placed = tuple[int, Color | None]  # a geometry's index, and the colour that its file gives
@@ -76,7 +75,7 @@ class Shapes:
                 lines[f"mesh '{names[0]}'{more} missing: {stands_in}: {fix}"] = None
         return tuple(lines)
 
-    def visuals(self, robot: Robot, tree: Tree) -> list[dict[str, Any]]:
+    def visuals(self, robot: Robot, tree: BodyTree) -> list[dict[str, Any]]:
         """The shapes of a robot, as the page reads them: body, placement, geometry, colour."""
         links, root = tree.document.links, tree.document.root
         colors = {material.get("name"): rgba(material) for material in root.iterfind("material")}
@@ -106,7 +105,7 @@ class Shapes:
     def _instead(
         self, robot: Robot, link: etree._Element, lost: Sequence[tuple[Array, Lost]]
     ) -> Iterator[tuple[Array, tuple[int, Color]]]:
-        """What stands in for meshes of a link that cannot be shown: its collision shapes, else boxes; warns of it."""
+        """Substitutes for meshes of a link that cannot be shown: its collision shapes, else boxes; warns of it."""
         if not lost:
             return
         every = (one for holder in link.iterchildren("collision") for one in self._solids(robot, holder))
@@ -145,7 +144,7 @@ class Shapes:
         scaled = at @ np.diag([*vector(solid, "scale", (1.0, 1.0, 1.0)), 1.0])
         yield from ((scaled, placed) for placed in self._files[found.file])
 
-    def _packed(self, part: Part) -> dict[str, Any]:
+    def _packed(self, part: MeshPart) -> dict[str, Any]:
         indices = "u2" if len(part.grid) <= np.iinfo(np.uint16).max else "u4"
         points, triangles = self._blob.add(part.grid, "u2"), self._blob.add(part.triangles, indices)
         grid = {"corner": part.corner.tolist(), "step": part.step.tolist()}
@@ -179,7 +178,7 @@ def rgba(material: etree._Element) -> Color | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class MeshPart:
     """Triangles of one colour.
 
     Attributes:
@@ -197,7 +196,7 @@ class Part:
     color: Color | None
 
 
-def read_mesh(file: Path) -> list[Part]:
+def read_mesh(file: Path) -> list[MeshPart]:
     """The parts of a mesh file: STL, Collada, OBJ and whatever else trimesh reads.
 
     The file's up axis is ignored, its unit is not: as RViz does.
@@ -213,7 +212,7 @@ def read_mesh(file: Path) -> list[Part]:
         raise BrokenMesh(f"cannot be read ({str(error) or type(error).__name__})") from error
 
 
-def part_of(mesh: Any) -> Part:
+def part_of(mesh: Any) -> MeshPart:
     """Part of a trimesh.
 
     Raises:
@@ -225,7 +224,7 @@ def part_of(mesh: Any) -> Part:
     corner = points.min(axis=0)
     step = np.maximum((points.max(axis=0) - corner) / STEPS, np.finfo(float).tiny)
     grid, triangles = merged(np.rint((points - corner) / step).astype(np.uint64), np.asarray(mesh.faces))
-    return Part(grid, corner, step, triangles, mesh_color(mesh))
+    return MeshPart(grid, corner, step, triangles, mesh_color(mesh))
 
 
 def merged(grid: NDArray[np.uint64], triangles: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:

@@ -11,10 +11,9 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -23,31 +22,23 @@ from ....errors import InputError, RecordingError
 from ....recording.metrics import metrics
 from ....recording.recording import Recording
 from ....settings import Timing
+from ....shown import filled
 from ....signals import Array, IntArray
 from ...experiments.config import bundled, load_experiment, named_files, recorded_experiment
 from ...experiments.controllers import CONTROLLERS
 from ...experiments.experiment import Experiment
 from ...experiments.references import ReferenceTables
 from ...experiments.result import Result
-from ...proof.proof import proofs_with
+from ...psi.judgement import judgement_of, with_part
 from .. import replay
 from ..comparison import tables_of
-from ..curves import (
-    CHARTS,
-    Curve,
-    Panel,
-    Recordings,
-    chart,
-    controller_of,
-    learners,
-    require_comparable,
-)
+from ..curves import CHARTS, Curve, Panel, Recordings, chart, controller_of, learners, require_comparable
 from ..figure import in_the_dark, run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, fill_template, web_file
-from ..proof.figures import sliced
+from ..psi_figures import sliced
 from ..replay.page import title_of
 from ..robots import CHECK_SAMPLES, CHECK_SEED, robots_of
-from .verdict import proved, verdict
+from .verdict import learned, verdict
 
 T = TypeVar("T")
 FPS = 30.0  # of the replay within
@@ -56,18 +47,6 @@ OUTSIDE = "outside"  # the loop of a recording that a stepper made
 OWN = ("variant", "overrides", "title")  # keys that no `--set` changes
 MOST = 4000  # points of a curve; of a longer one the extremes of this many stretches of time are kept
 LARGEST = 1e30  # what single precision and a plot can still hold
-PROVED = ("fvu", "lyapunov")  # charts that stand with what is proved
-
-
-@dataclass(frozen=True, repr=False)
-class Report(HtmlPage):
-    """A report."""
-
-    what: ClassVar[str] = "report"
-
-    def _repr_html_(self) -> str:
-        """The page within a notebook, isolated from it."""
-        return self.within("80vh")
 
 
 def report(
@@ -76,7 +55,7 @@ def report(
     command: str = "",
     with_replay: bool = True,
     package_dirs: Sequence[str | Path] = (),
-) -> Report:
+) -> HtmlPage:
     """The report on some runs of one task.
 
     Args:
@@ -88,10 +67,11 @@ def report(
     Raises:
         RecordingError: No run, one without rows, or runs of robots with different velocities.
     """
+    filled()
     result = result_of(recordings)
     charts = Charts(result.recordings)
     robots, without_robots = shown_or_why("robot", lambda: robots_of(result.recordings))
-    made: replay.Page | None = None
+    made: replay.ReplayPage | None = None
     without_replay: list[str] = []
     if with_replay:
         make = partial(replay.page, result.recordings, fps=FPS, package_dirs=package_dirs)
@@ -107,7 +87,7 @@ def report(
         runs=runs_of(result),
         tables=list(tables_of(result)),
         charts=charts,
-        proved=proved(result.recordings),
+        learned=learned(result.recordings),
         data=charts.pack(),
         replay=made,
         robots=robots,
@@ -117,7 +97,7 @@ def report(
         config=json.dumps(json.loads(config), indent=2, ensure_ascii=False) if config else "",
         unpack=web_file("unpack.js", replay.__name__),
     )
-    return Report(text, warnings)
+    return HtmlPage(text, warnings, "report")
 
 
 def shown_or_why(what: str, make: Callable[[], T]) -> tuple[T | None, list[str]]:
@@ -129,7 +109,7 @@ def shown_or_why(what: str, make: Callable[[], T]) -> tuple[T | None, list[str]]
 
 
 def subject(result: Result) -> str:
-    """What was run on which robot, for how long, in one line; whether a stepper recorded it on hardware."""
+    """Experiment, robot and duration of the runs in one line, and whether a stepper recorded them on hardware."""
     experiment, runs = result.experiment, result.recordings.values()
     robots = dict.fromkeys(str(recording.meta.get("robot", "")) for recording in runs)
     parts = [result.name, f"variant {experiment.variant}" if experiment.variant else "", ", ".join(robots)]
@@ -149,11 +129,7 @@ def runs_of(result: Result) -> list[dict[str, str]]:
     for name, style in styles_of(result.recordings).items():
         recording = result.recordings[name]
         about = CONTROLLERS.get(controller_of(name, recording), "a controller of your own")
-        look = {
-            "dash": dash(style.dash[1]),
-            "color": style.color,
-            "dark": in_the_dark(style.color),
-        }
+        look = {"dash": dash(style.dash[1]), "color": style.color, "dark": in_the_dark(style.color)}
         runs.append({"name": run_label(name, recording), "about": about, **look})
     return runs
 
@@ -221,7 +197,7 @@ def command_of(result: Result) -> str:
 
 
 def changes(one: Experiment, other: Experiment) -> list[str]:
-    """What `--set` makes of one experiment another, as `key.path=value`."""
+    """Changes `key.path=value` that make one experiment another."""
     before, after = (flat(msgspec.to_builtins(experiment)) for experiment in (one, other))
     return [
         f"{key}={json.dumps(value)}" for key, value in after.items() if before.get(key) != value and value is not None
@@ -268,33 +244,16 @@ def shared(facts: Mapping[str, str]) -> str:
     "What is left unexplained of \u03a8",
     "Mean squared error of \u03a8\u0302 in each window over the variance of \u03a8 in the whole run. The mean "
     "of a curve is its FVU online; the best constant has 1.",
+    judged=True,
 )
 def fvu(recordings: Recordings) -> Iterator[Panel]:
     """Error online in windows, a panel per component."""
-    proofs, _ = proofs_with(learners(recordings), "psi")
-    windows = {name: sliced(proof) for name, proof in proofs.items()}
-    for i, name in enumerate(next(iter(proofs.values())).psi.labels if proofs else ()):
+    judged, _ = with_part(learners(recordings), "psi", judgement_of)
+    windows = {name: sliced(one) for name, one in judged.items()}
+    for i, name in enumerate(next(iter(judged.values())).psi.labels if judged else ()):
         # every value is held to the end of its window
         curves = {n: (edges, np.append(v[:, i], v[-1, i])) for n, (edges, v) in windows.items()}
         yield Panel(f"\u03a8 of {name}", "", curves, scale="log", step=True)
-
-
-@chart(
-    "lyapunov",
-    "Lyapunov function",
-    "V = V1(pose error) + s\u1d40Ms/2 + the weights' errors (3.53), with the corrected V1 and ideal "
-    "weights from an offline fit; the errors' part; and the measured change of V, its axis logarithmic on both sides "
-    "of zero.",
-)
-def lyapunov(recordings: Recordings) -> Iterator[Panel]:
-    """V, its part without the weights, and its measured change."""
-    values = {name: proof.lyapunov for name, proof in proofs_with(recordings, "lyapunov")[0].items()}
-    if values:
-        yield Panel("V", "SI", {n: (v.time, v.total) for n, v in values.items()}, scale="log")
-        if any(v.weights.any() for v in values.values()):
-            parts = {n: (v.time, v.pose + v.motion) for n, v in values.items()}
-            yield Panel("errors' part of V", "SI", parts, scale="log")
-        yield Panel("dV/dt", "SI/s", {n: (v.time, v.measured) for n, v in values.items()}, scale="symlog")
 
 
 class Charts:
@@ -314,11 +273,9 @@ class Charts:
         self._times: dict[tuple[int, bytes], Any] = {}
         every = ((name, one, [*map(self.packed, one.panels(recordings))]) for name, one in CHARTS.items())
         self.sections = [
-            {"key": name, "chart": one, "panels": panels, "proves": name in PROVED}  # with what is proved
-            for name, one, panels in every
-            if panels
+            {"key": name, "chart": one, "panels": panels, "judged": one.judged} for name, one, panels in every if panels
         ]
-        self.skipped = [f"no Lyapunov function of {why}" for why in proofs_with(recordings, "lyapunov")[1]]
+        self.skipped = [why for one in CHARTS.values() for why in one.lacks(recordings)]
 
     def pack(self) -> str:
         """All that the page's script reads, as text; see `Blob.pack`."""

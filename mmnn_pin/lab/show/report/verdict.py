@@ -1,11 +1,11 @@
-"""The verdict in sentences: which controller, how good, why, what to beware of, and what the runs prove."""
+"""The verdict in sentences: which controller, how good, why, what to beware of, and what was learned."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,21 +14,17 @@ from ....recording.recording import Recording
 from ...experiments.controllers import LEARNERS, ORACLES, PLAIN, effective
 from ...experiments.outliers import farthest, shown
 from ...experiments.result import Improvement, Result, unfair
-from ...proof.balance import TOLERANCE
-from ...proof.proof import Proof, proofs_with
-from ...proof.psi import worst
+from ...psi.judgement import Judgement, judgement_of, with_part
+from ...psi.psi import worst
 from ..comparison import limited, notes
 from ..curves import column_units, controller_of, milli
 from ..figure import run_label
-from ..proof.text import small
-from ..proof.verdict import verdicts
+from ..psi import verdicts
 from ..table import Cell, Column, Row, Table, number, row_of
 
-ABOUT_PROOF = (
+ABOUT_FVU = (
     "FVU: fraction of variance unexplained of \u03a8, its worst component; 1 is the best constant. Online: while the "
-    "weights move. Frozen: with the weights as they were at the end. Equality: "
-    "d/dt (s\u1d40Ms/2) = s\u1d40(\u03a8 - \u03c4 + d) over control periods, worst relative error, "
-    f"tolerance {TOLERANCE:g}. mmnn prove tells more of each run."
+    "weights move. Frozen: with the weights as they were at the end. mmnn judge tells more of each run."
 )
 SAME = 1e-3  # relative difference of errors that no plot shows
 TOLD = 0.1  # share of PD's errors that a plain rival takes off and that is told
@@ -37,8 +33,8 @@ FROZEN = {"same": "own trajectory", "held_out": "held out", "payload": "with a p
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What to know first.
+class ReportVerdict:
+    """The verdict on some runs.
 
     Attributes:
         headline: One sentence.
@@ -51,13 +47,13 @@ class Verdict:
     warnings: tuple[str, ...]
 
 
-def verdict(result: Result) -> Verdict:
+def verdict(result: Result) -> ReportVerdict:
     """The verdict on the runs of a result."""
-    return Verdict(headline(result), tuple(points(result)), tuple(warnings(result)))
+    return ReportVerdict(headline(result), tuple(points(result)), tuple(warnings(result)))
 
 
 def headline(result: Result) -> str:
-    """Which controller tracks best, and by how much; of a single run, how well it tracks."""
+    """The controller that tracks best, and by how much; of a single run, how well it tracks."""
     scores, judged = ranking(result)
     if len(judged) < 2:
         return alone(result, next(iter([*judged, *result.recordings])))
@@ -78,7 +74,7 @@ def headline(result: Result) -> str:
 
 
 def alone(result: Result, name: str) -> str:
-    """How well a run tracks that has none to compete with."""
+    """The errors of a run that has none to compete with."""
     recording, rms = result.recordings[name], []
     if (end := recording.outcome).status != "completed":
         return f"{name}: {end.status} at {end.time:.3g} s."
@@ -147,7 +143,7 @@ def percent(share: float) -> str:
 
 
 def points(result: Result) -> Iterator[str]:
-    """How the comparison is made, learning against gain, what is left to win, what the networks carry."""
+    """Explanations: how the comparison is made, learning against gain, what is left to win, what the networks carry."""
     scores, judged = ranking(result)
     if len(judged) > 1:
         yield (
@@ -189,7 +185,7 @@ def alike(result: Result) -> Iterator[str]:
 
 
 def gain_or_learning(learner: str, rows: Mapping[str, Improvement]) -> str:
-    """What of a learner's advantage over PD is left against PD at the learner's own gain."""
+    """The advantage of a learner over PD that is left against PD at the learner's own gain."""
     kept = [row for row in rows.values() if min(row.pd, row.pd_effective, row.learner) > 0]
     if not kept or not all(math.isfinite(row.total) for row in kept):
         return f"{learner} cannot be compared with pd."
@@ -203,7 +199,7 @@ def gain_or_learning(learner: str, rows: Mapping[str, Improvement]) -> str:
 
 
 def warnings(result: Result) -> Iterator[str]:
-    """What speaks against believing the numbers."""
+    """Reasons not to believe the numbers."""
     if text := unfair(result.experiment, result.metrics):
         yield f"{text[0].upper()}{text[1:]}."
     for name, recording in result.recordings.items():
@@ -232,7 +228,7 @@ def worse_somewhere(result: Result) -> Iterator[str]:
 
 
 def rivals_left_out(result: Result) -> Iterator[str]:
-    """That a learner did not meet PD with gravity or PID, where it did not."""
+    """A warning where a learner did not meet PD with gravity or PID."""
     if missing := rivals_missing(result):
         yield f"{' and '.join(missing)} did not run: this does not show whether a learner beats them"
 
@@ -257,7 +253,7 @@ def torques(result: Result) -> Iterator[str]:
 
 
 def unlike(result: Result) -> Iterator[str]:
-    """What the runs do not have in common though a comparison needs it."""
+    """Differences between the runs that a comparison must not have."""
     runs = list(result.recordings.values())
     shared = {"urdf_sha256": "robot files", "seed": "seeds", "plant": "plants", "versions": "versions"}
     for key, words in shared.items():
@@ -267,56 +263,70 @@ def unlike(result: Result) -> Iterator[str]:
         yield "The runs have different configs; those of the first are shown."
 
 
-# -- what the runs prove -----------------------------------------------------------------------------------------------
+# -- what was learned --------------------------------------------------------------------------------------------------
 
 
-def proved(recordings: Mapping[str, Recording]) -> dict[str, Any] | None:
-    """What some runs prove: `sentences`, one per network, and a `table`; None where nothing is known of any."""
-    proofs, _ = proofs_with(recordings, "subject")
-    rows = tuple(proof_rows(proofs))
+class JudgedRow(NamedTuple):
+    """A row of what is known of runs: its head, its second head, its cell of a run, and what to know of it."""
+
+    title: str
+    second: str
+    cell: Callable[[Recording], Cell]
+    about: str = ""
+
+
+JUDGED_ROWS: list[JudgedRow] = []  # beside those of Psi
+
+
+def judged_row(
+    title: str, second: str, about: str = ""
+) -> Callable[[Callable[[Recording], Cell]], Callable[[Recording], Cell]]:
+    """Register a row of the table of what is known of runs; arguments as of `JudgedRow`."""
+
+    def register(cell: Callable[[Recording], Cell]) -> Callable[[Recording], Cell]:
+        JUDGED_ROWS.append(JudgedRow(title, second, cell, about))
+        return cell
+
+    return register
+
+
+def learned(recordings: Mapping[str, Recording]) -> dict[str, Any] | None:
+    """What was learned: `sentences`, one per network, and a `table`; None where nothing is known of any run."""
+    judged, _ = with_part(recordings, "subject", judgement_of)
+    rows = tuple(learned_rows(judged))
     if not rows:
         return None
-    learners = {name: proof for name, proof in proofs.items() if proof.has("psi") and proof.psi.frozen}
-    sentences = tuple(f"{name}, {text}" for name, proof in learners.items() for text in verdicts(proof.psi))
-    heads = (Column(text=True), Column(text=True), *map(Column, proofs))
-    return {"sentences": sentences, "table": Table("Proof", heads, rows, (ABOUT_PROOF,))}
+    learners = {name: one for name, one in judged.items() if one.has("psi") and one.psi.frozen}
+    sentences = tuple(f"{name}, {text}" for name, one in learners.items() for text in verdicts(one.psi))
+    heads = (Column(text=True), Column(text=True), *map(Column, judged))
+    about = (ABOUT_FVU, *(row.about for row in JUDGED_ROWS if row.about))
+    return {"sentences": sentences, "table": Table("What was learned", heads, rows, about)}
 
 
-def proof_rows(proofs: Mapping[str, Proof]) -> Iterator[Row]:
+def learned_rows(judged: Mapping[str, Judgement]) -> Iterator[Row]:
     """Rows of the table; those that no run has a number for are left out."""
-    halves = {half: None for proof in proofs.values() if proof.has("psi") for half in proof.psi.halves}
+    halves = {half: None for one in judged.values() if one.has("psi") for half in one.psi.halves}
 
-    def fvu(half: str, kind: str = "") -> Callable[[Proof], Cell]:
+    def fvu(half: str, kind: str = "") -> Callable[[Recording], Cell]:
         """Cell of a run's FVU: online, or frozen on a kind of trajectory; one no better than a constant is bad."""
 
-        def cell(proof: Proof) -> Cell:
-            if not proof.has("psi") or (kind and kind not in proof.psi.frozen):
+        def cell(recording: Recording) -> Cell:
+            one = judgement_of(recording)
+            if not one.has("psi") or (kind and kind not in one.psi.frozen):
                 return Cell("")
-            every = proof.psi.frozen[kind].fvu if kind else proof.psi.online
-            value = worst(every[proof.psi.halves[half]])
+            every = one.psi.frozen[kind].fvu if kind else one.psi.online
+            value = worst(every[one.psi.halves[half]])
             return Cell(number(value), "bad" if value >= 1 else "")
 
         return cell
 
-    wanted = [("FVU online", half, fvu(half)) for half in halves]
-    wanted += [(f"FVU frozen, {words}", half, fvu(half, kind)) for kind, words in FROZEN.items() for half in halves]
-    wanted += [("V grows in", "% of the periods", growing), ("equality", "worst error", equality)]
+    wanted = [JudgedRow("FVU online", half, fvu(half)) for half in halves]
+    wanted += [
+        JudgedRow(f"FVU frozen, {words}", half, fvu(half, kind)) for kind, words in FROZEN.items() for half in halves
+    ]
     before = ""
-    for title, second, make in wanted:
-        cells = [make(proof) for proof in proofs.values()]
+    for row in (*wanted, *JUDGED_ROWS):
+        cells = [row.cell(one.subject.recording) for one in judged.values()]
         if any(cell.text for cell in cells):
-            yield row_of("" if title == before else title, second, *cells)
-            before = title
-
-
-def growing(proof: Proof) -> Cell:
-    """How much of the time V grows."""
-    return Cell(f"{100 * proof.growth.samples:.0f}") if proof.has("lyapunov") else Cell("")
-
-
-def equality(proof: Proof) -> Cell:
-    """The worst error of the equality that the run is held to."""
-    if not proof.has("balance"):
-        return Cell("")
-    found = proof.balance
-    return Cell(small(np.nanmax((found.identity, found.steps))), "" if found.holds else "bad")
+            yield row_of("" if row.title == before else row.title, row.second, *cells)
+            before = row.title

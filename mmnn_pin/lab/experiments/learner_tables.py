@@ -1,0 +1,44 @@
+"""The tables of all learners: keys of an experiment, each with the settings of a learner."""
+
+from __future__ import annotations
+
+from ...settings import Settings
+from ...torque.adaptive import AdaptiveSettings
+from ...torque.adaptive_composite import AdaptiveCompositeSettings
+from ...torque.classical import PIDSettings
+from ...torque.concurrent import ConcurrentSettings
+from ...torque.disturbance_observer import DisturbanceObserverSettings
+from ...torque.kalman_settings import (
+    KalmanBilinearSettings,
+    KalmanFeaturesSettings,
+    KalmanFrictionSettings,
+    KalmanRegressorSettings,
+    KalmanResidualSettings,
+)
+from ...torque.one_layer import OneLayer
+from ...torque.two_layer import TwoLayer
+from ...torque.two_layer_composite import TwoLayerCompositeSettings
+
+
+class KalmanTables(Settings, frozen=True, kw_only=True):
+    """The tables of the learners with a Kalman filter."""
+
+    regressor: KalmanRegressorSettings = KalmanRegressorSettings()
+    friction: KalmanFrictionSettings = KalmanFrictionSettings()
+    bilinear: KalmanBilinearSettings = KalmanBilinearSettings()
+    features: KalmanFeaturesSettings = KalmanFeaturesSettings()
+    residual: KalmanResidualSettings = KalmanResidualSettings()
+
+
+class LearnerTables(Settings, frozen=True, kw_only=True):
+    """The tables of all learners, by the keys that the list of controllers says."""
+
+    two_layer: TwoLayer = TwoLayer()
+    one_layer: OneLayer = OneLayer()
+    pid: PIDSettings = PIDSettings()
+    adaptive: AdaptiveSettings = AdaptiveSettings()
+    adaptive_composite: AdaptiveCompositeSettings = AdaptiveCompositeSettings()
+    concurrent: ConcurrentSettings = ConcurrentSettings()
+    two_layer_composite: TwoLayerCompositeSettings = TwoLayerCompositeSettings()
+    kalman: KalmanTables = KalmanTables()
+    disturbance_observer: DisturbanceObserverSettings = DisturbanceObserverSettings()

@@ -1,0 +1,308 @@
+"""The learner of a run, built again from its recording, and its steps over rows.
+
+A controller stepped again over the rows of its run, each with the torque of the sample before it still in place, gives
+the weights of every sample; with learning switched off it gives what fixed weights say of any rows. It is built from
+the settings that the recording tells, or from the experiment that it names. Nothing of this runs code of a user: a law
+in plain Python is rebuilt only where its class is handed over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ...errors import RecordingError
+from ...kinematic import Kinematic
+from ...loop.controller import context_of
+from ...loop.sample import Torque
+from ...model.base.overrides import Overrides
+from ...model.robot import Robot
+from ...model.robots import bundled, extra
+from ...recording.reading import AGAIN
+from ...recording.recording import Recording
+from ...recording.run_file import encode
+from ...settings.arguments import shortly
+from ...signals import Array
+from ...torque import CONTROLLERS
+from ...torque.controller import Context, ControllerState, Feedback
+from ...torque.learning_law import LearningLaw
+from ...torque.neural import Neural, channels
+from ..experiments.config import named_files, recorded_experiment
+from ..experiments.controllers import Granted, Nominal
+from ..experiments.laws import GIVEN, known_law, with_settings
+
+NAMES = {1: "base", 2: "arm"}  # of the networks
+LONGEST = 10.0  # lag or way of a torque that a recording may tell [s]
+
+
+@dataclass(frozen=True, eq=False)
+class Learner:
+    """A learner and its weights.
+
+    Attributes:
+        controller: Its settings; one with a field `learning`.
+        context: What it is given before the run.
+        start: Its state before the first row.
+        end: Its state at the end, or the last one that is known.
+        end_time: When that is [s].
+        robot: The robot whose model it adds, where it uses the loop's.
+    """
+
+    controller: Any
+    context: Context
+    start: ControllerState
+    end: ControllerState
+    end_time: float
+    robot: Robot
+
+    def frozen(self) -> Any:
+        """The controller with its weights held fixed."""
+        return replace(self.controller, learning=False)
+
+
+class Stepper:
+    """A controller stepped over rows of a recording, one after the other; the rows are not changed.
+
+    Args:
+        learner: The learner.
+        state: Its state, changed in place.
+        learning: Off holds its weights fixed.
+
+    Attributes:
+        row: (width,) the row that was stepped last, as the controller left it.
+        torque: The controller wired to it.
+    """
+
+    def __init__(self, learner: Learner, state: ControllerState, learning: bool = True) -> None:
+        layout = learner.context.layout
+        controller = learner.controller if learning else learner.frozen()
+        self.state, self.row = state, layout.new_row()
+        self._time, self._torque = layout.where("time").start, layout.where("torque")
+        self.psi_hat, self._sent = self.row[layout.where("psi_hat")], np.zeros(layout.dof)
+        self.torque = Torque(controller, learner.context, self.row, learner.robot, state)
+
+    def step(self, row: Array) -> Array:
+        """Output at a row (width,), a view (p,) that the next step overwrites; a learner learns from it."""
+        self.row[:] = row
+        self.psi_hat[:] = 0.0  # one that says nothing leaves it as it was
+        self.row[self._torque] = self._sent  # a controller finds what was sent last
+        self.torque.answer(float(row[self._time]))
+        self._sent[:] = self.row[self._torque] = row[self._torque]
+        self.torque.keep()
+        return self.psi_hat
+
+    @property
+    def known(self) -> Array:
+        """Psi_hat of the last step as the weights say it, before the motors' limits take of it, (p,), a view."""
+        limits = self.torque.limits
+        return self.psi_hat if limits is None else limits.asked
+
+    def features(self) -> Array | None:
+        """What the weights are multiplied with at the last step, (rows, k), a copy; None where it does not tell."""
+        found = self.torque.features()
+        return None if found is None else np.array(np.atleast_2d(found), float)
+
+
+def frozen_psi_hat(learner: Learner, state: ControllerState, rows: Array, every: int = 1) -> Array:
+    """What the weights of a state, held fixed, say along rows (N, width): Psi_hat of every so many of them, (k, p).
+
+    It is what they know: before the motors' limits take of it.
+    """
+    stepper = Stepper(learner, state.snapshot(), learning=False)
+    found = np.zeros((-(-len(rows) // every), learner.context.layout.dof))
+    for n, row in enumerate(rows):
+        stepper.step(row)
+        if n % every == 0:
+            found[n // every] = stepper.known
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Networks(Learner):
+    """A learner with a network for the base, one for the arm: the thesis's, on a nominal model, or composite."""
+
+    @property
+    def own(self) -> Neural:
+        """The thesis's controller in it."""
+        found: Neural = self.controller.networks
+        return found
+
+    @property
+    def networks(self) -> list[tuple[int, slice]]:
+        """Number of every network (1 the base's, 2 the arm's) and its velocities."""
+        layout = self.context.layout
+        parts = {1: slice(0, layout.base), 2: slice(layout.base, layout.dof)}
+        return [(i, parts[i]) for i, _ in channels(layout)]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What networks with fixed weights do along rows.
+
+    Attributes:
+        psi_hat: (N, p) their output [N, N m].
+        inputs: (N, nx) what they see.
+        activations: Network to (N, h) hidden outputs.
+    """
+
+    psi_hat: Array
+    inputs: Array
+    activations: dict[int, Array]
+
+
+def seen(learner: Networks, state: ControllerState, rows: Array) -> Seen:
+    """What networks with the weights of a state, held fixed, do along rows (N, width)."""
+    stepper = Stepper(learner, state.snapshot(), learning=False)
+    psi_hat, inputs = np.zeros((len(rows), learner.context.layout.dof)), np.zeros((len(rows), state["x"].size))
+    activations = {i: np.zeros((len(rows), state[f"sigma{i}"].size)) for i, _ in learner.networks}
+    x, hidden = stepper.state["x"], {i: stepper.state[f"sigma{i}"] for i in activations}
+    for k, row in enumerate(rows):
+        psi_hat[k], inputs[k] = stepper.step(row), x
+        for i, sigma in hidden.items():
+            activations[i][k] = sigma
+    return Seen(psi_hat, inputs, activations)
+
+
+def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
+    """The learner of a run; None where its controller learns nothing, or is none of this package's.
+
+    Args:
+        recording: The run.
+        robot: Its robot.
+
+    Raises:
+        RecordingError: It is one, and the recording does not hold its settings or its weights.
+        InputError: It needs a nominal robot that cannot be loaded.
+    """
+    with recording.using("what it tells of its controller"):
+        controller = controller_of(recording, robot)
+    if controller is None:
+        return None
+    seed = np.random.SeedSequence(int(recording.meta.get("seed", 0))).spawn(1)[0]
+    period = recording.fact("control_period", float)
+    kept, rng = recording.meta.get("within_limits"), np.random.default_rng(seed)
+    with recording.using("how long its torques were under way"):
+        lag = np.array(recording.meta.get("lag", np.zeros(robot.dimensions.dof)), float).reshape(robot.dimensions.dof)
+        way = float(recording.meta.get("way", 0.0))
+        unseen = float(recording.meta.get("unseen", 0.0))
+        if not all(0.0 <= each <= LONGEST for each in (*lag, way, unseen)):
+            raise ValueError(f"{lag}, {way} and {unseen} s")
+    with recording.using("the gains of its kinematic layer"):
+        gains = msgspec.convert(recording.meta.get("kinematic", {}), Kinematic)
+    weights = gains.pose_weights(robot.dimensions)
+    context = context_of(
+        controller, robot, period, len(recording), rng, kept, lag=lag, way=way, unseen=unseen, pose_weights=weights
+    )
+    with recording.using("what it tells of its controller"):
+        start = controller.init(context)
+    snapshots = recording.weights
+    if "time" in snapshots and len(snapshots["time"]) and abs(snapshots["time"][0] - recording.time[0]) < period / 2:
+        put(start, snapshots, 0)
+    kind = Learner if getattr(controller, "networks", None) is None else Networks
+    return kind(controller, context, start, *last(recording, start), robot)
+
+
+def controller_of(recording: Recording, robot: Robot) -> Any:
+    """The learning controller of a run; None where it learns nothing, or is none of this package's.
+
+    Raises:
+        RecordingError: The recording does not hold its settings, or they do not give it.
+        InputError: It needs a nominal robot that cannot be loaded.
+    """
+    name, settings = str(recording.meta.get("controller")), recording.meta.get("controller_settings") or {}
+    if "law" in recording.meta:
+        return law_of(recording, settings)
+    entry = CONTROLLERS.get(name)
+    if entry is None or entry.gain_of:
+        return None
+    kind = entry.load()
+    found = kind.from_facts(name, settings, Granted(entry, robot, Nominal(), Overrides()))
+    if found is None and (entry.thesis or (hasattr(kind, "learning") and not settings)):
+        raise RecordingError(
+            f"the recording does not tell the settings of {name}",
+            why="an older mmnn_pin wrote it",
+            fix="run it again",
+            file=recording.path,
+        )
+    return of_experiment(recording, robot, name, settings) if found is None else found
+
+
+def law_of(recording: Recording, settings: dict[str, Any]) -> LearningLaw | None:
+    """A user's law, where its class is defined in this process; None where it is not, or where it is no law.
+
+    Raises:
+        InputError: The class does not take the recorded settings.
+    """
+    about = recording.meta["law"]
+    kind = known_law(about["class"].rpartition(".")[2], about["sha256"]) if set(GIVEN) <= settings.keys() else None
+    if kind is None:
+        return None
+    given = {"feedback": msgspec.convert(settings["feedback"], Feedback), "learning": bool(settings["learning"])}
+    rest = {key: value for key, value in settings.items() if key not in GIVEN}
+    return with_settings(kind, rest, f"laws.{recording.meta['controller']}", given)
+
+
+def of_experiment(recording: Recording, robot: Robot, name: str, settings: dict[str, Any]) -> Any:
+    """A controller as the recorded experiment makes it; None where it learns nothing, or without an experiment.
+
+    Raises:
+        RecordingError: The experiment makes another one than the recording tells of.
+        InputError: It needs a nominal robot that cannot be loaded.
+    """
+    experiment = recorded_experiment(recording)
+    if experiment is None:
+        return None
+    if (nominal := experiment.nominal.robot) and nominal not in bundled() | extra():
+        why = f"its nominal robot is the file {shortly(nominal)}, which is not opened because a recording names it"
+        raise RecordingError(f"the {name} of the recording cannot be made again", why=why, file=recording.path)
+    if files := named_files(experiment):
+        why = f"its config names the file {shortly(files[0])}, which is not opened because a recording names it"
+        raise RecordingError(f"the {name} of the recording cannot be made again", why=why, file=recording.path)
+    controller = experiment.controller(name, robot=robot)
+    if not hasattr(controller, "learning"):
+        return None
+    if encode(controller.facts()) != encode(settings):
+        raise RecordingError(
+            f"the config of the recording does not give its {name}",
+            why="it tells of other settings",
+            file=recording.path,
+        )
+    return controller
+
+
+def put(state: ControllerState, snapshots: dict[str, Array], k: int) -> None:
+    """Write the k-th snapshot of the weights into a state.
+
+    Raises:
+        RecordingError: They are weights of another controller.
+    """
+    for name, values in snapshots.items():
+        if name == "time":
+            continue
+        if state.shapes.get(name) != values.shape[1:]:
+            why = f"{name} has the shape {values.shape[1:]}"
+            raise RecordingError("its weights are those of another controller", why=why, fix=AGAIN)
+        state[name] = values[k]
+
+
+def last(recording: Recording, start: ControllerState) -> tuple[ControllerState, float]:
+    """The last finite weights that a recording holds, and their time [s].
+
+    Raises:
+        RecordingError: There are none.
+    """
+    state, final = start.snapshot(), recording.final.get("controller_state")
+    if final is not None and final.shape == state.values.shape and np.isfinite(final).all():
+        state.values[:] = final
+        return state, recording.outcome.time
+    times = recording.weights.get("time", np.zeros(0))
+    for k in reversed(range(len(times))):
+        if all(np.isfinite(values[k]).all() for values in recording.weights.values()):
+            put(state, recording.weights, k)
+            return state, float(times[k])
+    raise RecordingError(
+        "the recording holds no weights", why="its run ended before", fix="run again", file=recording.path
+    )

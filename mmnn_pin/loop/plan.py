@@ -1,0 +1,66 @@
+"""What an engine needs of a loop, looked up and checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..elementary.matrices import pseudo_inverse
+from ..model.robot import Robot
+from ..plant.contact.feet import Contact
+from ..settings import Timing
+from ..signals import Array, Layout
+from ..torque.controller import CompiledController, Context, TorqueController
+from .lead import Lead
+from .servo_model import LinearServos
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What an engine needs of a loop, looked up and checked.
+
+    Attributes:
+        robot: The robot, as all but its plant take it.
+        true: The true robot, which may roll on wheels of other radii.
+        layout: Where the signals stand in a row.
+        timing: Periods.
+        controller: The controller.
+        context: What it is told before the run.
+        believed: The robot that it believes in, where it uses a model.
+        gains: (3,) of the kinematic layer.
+        K: (n,) gain of the filtered arm error [1/s].
+        bounds: (p,) on |nu|, beyond which a state counts as lost.
+        setpoints: The setpoint of every control sample, (samples, ...).
+        loaded: The robot once it has picked up its payload; None without one.
+        contact: The floor of the contact plant; None for the ideal plant.
+        block: Samples that an engine hands over at a time.
+        latency: Known delay between measurement and torque, for the check of the gains [s].
+        lag: Time constant of the motors, one number or one per motor, for the same [s].
+        servo: What the servos of velocity interfaces amount to, for the same; None without any.
+        lead: How Psi_hat looks ahead to where the torque acts; None where it does not.
+        age: By how much measurements are brought up to now [s].
+    """
+
+    robot: Robot
+    true: Robot
+    layout: Layout
+    timing: Timing
+    controller: TorqueController | CompiledController
+    context: Context
+    believed: Robot
+    gains: Array
+    K: Array
+    bounds: Array
+    setpoints: Array
+    loaded: Robot | None = None
+    contact: Contact | None = None
+    block: int = 1
+    latency: float = 0.0
+    lag: float | tuple[float, ...] = 0.0
+    servo: LinearServos | None = None
+    lead: Lead | None = None
+    age: float = 0.0
+
+    @property
+    def E_inv(self) -> Array:
+        """(motors, p) motor torques from the torque on nu."""
+        return pseudo_inverse(self.robot.E)

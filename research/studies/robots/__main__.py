@@ -1,0 +1,281 @@
+"""Load every robot of `corpus.toml`, hold it against the truth, follow the commands that refusals print.
+
+    python -m research.studies.robots FOLDER [--only TEXT] [--csv] [--inspect] [--track]
+
+FOLDER has the repositories as `owner+name/`, at the commits that `corpus.toml` names, beside them the packages that
+their xacro files ask for, and in `.packages/` as `owner+name@commit/` those that are given by `--package-dir`. Robots
+of example-robot-data load by name. The table is docs/reference/public-robots.csv. With `--inspect` the whole command
+`mmnn inspect` is timed on every robot that was accepted, with what it had to be told: processor time, compiled cache
+warm, the shortest of three; the slowest ten are told.
+With `--track` every robot that was accepted drives the experiment `track`, as in `studies.track_any`.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from mmnn_pin.errors import InputError
+from mmnn_pin.model.loading import load
+from mmnn_pin.model.robot import Robot
+from research.studies import track_any
+
+CONTROLLERS = ("pd_gravity", "adaptive", "computed_torque")  # that drive
+TOLERANCE = 0.03  # of the maker's radius and track
+WAY = re.compile(
+    r"--(base|wheels|radius|track|without|lock|xacro) ([A-Za-z0-9_,.:=-]*[A-Za-z0-9_])"
+)  # options in the fix of a refusal
+REPEATED = {"without": "without", "lock": "lock", "xacro": "xacro", "package-dir": "package_dirs"}
+READ: dict[str, Any] = {"wheels": lambda text: text.split(","), "radius": float, "track": float}
+WRITE = re.compile(r"write (<axis [^>]*/>) in ((?:'[^']*'(?:, )?)+)")  # what is to be written in a file
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one robot.
+
+    Attributes:
+        verdict: `right`, `right after the command`, `refused rightly`, `refused`, `ACCEPTED WRONG`, `refused wrongly`.
+        text: What was understood, or why not.
+        command: Options that were followed.
+        seconds: How long the first try took [s].
+        said: What was said about the robot in the end, by names of `Overrides`.
+        file: The file that it was said about.
+    """
+
+    verdict: str
+    text: str
+    command: str
+    seconds: float
+    said: dict[str, Any] = field(default_factory=dict)
+    file: str = ""
+
+
+def judge(entry: dict[str, Any], folder: Path) -> Outcome:
+    """The outcome of one robot, with the commands of its refusals followed, one after the other."""
+    path = place(entry, folder)
+    if path is None:
+        return Outcome("not there", "", "", 0.0)
+    said: dict[str, Any] = {"xacro": tuple(entry.get("xacro", ()))}
+    followed, start, took = list[str](), time.perf_counter(), 0.0
+    for _ in range(8):
+        try:
+            robot = load(path, **said)
+        except InputError as error:
+            took = took or time.perf_counter() - start
+            told = " ".join(f"{error.what}: {error.why}: {error.fix}".split())
+            if entry["kind"].startswith("refused: ") and entry["kind"].removeprefix("refused: ") in told.lower():
+                return Outcome("refused rightly", told, " ".join(followed), took)
+            options = packages_of(entry, folder, error.fix, said) or way_out(entry, error.fix, said)
+            if not options and (edit := WRITE.search(error.fix)):
+                path, said["package_dirs"] = written(Path(path), *edit.groups()), (str(Path(path).parent),)
+                followed.append(edit[0])
+                continue
+        else:
+            took = took or time.perf_counter() - start
+            wrong = faults(entry, robot)
+            options = told_by(entry, robot) if wrong and not followed else []
+            told = "; ".join(wrong) or words(robot)
+            if wrong and not options and "without" in said:  # left out as a package is missing, and missed
+                return Outcome("refused", told, " ".join(followed), took)
+            if not options:
+                right = "right after the command" if followed else "right"
+                return Outcome("ACCEPTED WRONG" if wrong else right, told, " ".join(followed), took, said, str(path))
+        if not options:
+            verdict = "refused, misleading" if entry["kind"].startswith("refused: ") else "refused"
+            return Outcome(verdict, told, " ".join(followed), took)
+        followed += [f"--{name} {text.removeprefix(f'{folder}/.packages/')}" for name, text in options]
+        for name, text in options:
+            key = REPEATED.get(name)
+            said[key or name] = (*said.get(key, ()), text) if key else READ.get(name, str)(text)
+    return Outcome("refused", told, " ".join(followed), took)
+
+
+def packages_of(entry: dict[str, Any], folder: Path, fix: str, said: dict[str, Any]) -> list[tuple[str, str]]:
+    """The options that give what a refusal asks for with `--package-dir`: packages of the versions that it needs."""
+    if "--package-dir" not in fix or "package_dirs" in said:
+        return []
+    places = [folder / ".packages" / name.replace("/", "+") for name in entry.get("packages", ())]
+    return [("package-dir", str(place)) for place in places if place.exists()]
+
+
+def written(path: Path, text: str, joints: str) -> Path:
+    """A copy of a file with an element written into some joints, as a refusal asks for."""
+    content = path.read_text()
+    for name in re.findall(r"'([^']*)'", joints):
+        content, count = re.subn(rf'(<joint\b[^>]*name="{re.escape(name)}"[^>]*>)', rf"\1{text}", content)
+        assert count == 1, name
+    copy = Path(tempfile.mkdtemp()) / path.name
+    copy.write_text(content)
+    return copy
+
+
+def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> list[tuple[str, str]]:
+    """The options of a refusal that suit the truth; a radius that it asks for is the maker's, as if measured."""
+    kind, asked = entry["kind"], "--radius" in fix and "radius" in entry and "radius" not in said
+    ways = re.split("; |, | or ", fix.replace("--radius METRES", f"--radius {entry['radius']}") if asked else fix)
+    if asked and not any("--wheels" in way and "--radius" in way for way in ways):
+        return [("radius", str(entry["radius"]))]
+    for way in sorted(ways, key=lambda way: asked and "--radius" not in way):
+        options = WAY.findall(way)
+        stated = dict(options)
+        fits = kind.startswith("refused: ") or stated.get("base", kind) == kind
+        fits &= {*stated.get("wheels", "").split(",")} == {*entry.get("wheels", stated.get("wheels", "").split(","))}
+        ends = kind.startswith("refused: ") and {"base", "wheels"} & stated.keys()
+        if (
+            options
+            and fits
+            and not ends
+            and not re.search(r"\b(METRES|FOLDER|VALUE|JOINT)\b", " ".join(stated.values()))
+        ):
+            return options
+    return []
+
+
+def told_by(entry: dict[str, Any], robot: Robot) -> list[tuple[str, str]]:
+    """The options of a finding that says what else the base may be."""
+    fixes = [f.fix for f in robot.findings if f.code == "base-none"]
+    return next(filter(None, (way_out(entry, fix, {}) for fix in fixes)), [])
+
+
+def place(entry: dict[str, Any], folder: Path) -> str | Path | None:
+    """Where its file is, or its name; None where it is not."""
+    if "repository" not in entry:
+        return str(entry["file"])
+    path = folder / entry["repository"].split("@")[0].replace("/", "+") / entry["file"]
+    return path if path.exists() else None
+
+
+def faults(entry: dict[str, Any], robot: Robot) -> list[str]:
+    """What is wrong about a robot that was accepted; a length that a finding questions is told, and not wrong."""
+    base, found = robot.base, []
+    if base.kind != entry["kind"]:
+        return [f"{base.kind} for {entry['kind']}: {words(robot)}"]
+    told = " ".join(f.message for f in robot.findings if f.code.startswith("base-"))
+    lengths = {"radius": [w.radius for w in base.wheels], "track": [base.track]}
+    for name, values in lengths.items():
+        for value in values[:1] if name in entry else ():
+            if abs(value / entry[name] - 1) > TOLERANCE and f"{entry[name]:.4g}" not in told:
+                found.append(f"{name} {value:.4g} m for {entry[name]:.4g} m")
+    if robot.dimensions.arm != entry.get("arm", robot.dimensions.arm):
+        found.append(f"{robot.dimensions.arm} joints of the arm for {entry['arm']}: {', '.join(robot.joint_names)}")
+    return found
+
+
+def words(robot: Robot) -> str:
+    """A robot in a few words: base, radius and track [m], how many joints its arm has."""
+    base = robot.base
+    lengths = f"{base.wheels[0].radius:.4g}, {base.track:.4g}" if base.wheels else "no wheels"
+    return f"{base.kind}, {lengths}, {robot.dimensions.arm} joints"
+
+
+def row_of(entry: dict[str, Any], outcome: Outcome) -> list[str]:
+    """A row of docs/reference/public-robots.csv: robot, repository, truth, outcome."""
+    truth = ", ".join([entry["kind"], *(f"{entry[name]:g}" for name in ("radius", "track") if name in entry)])
+    text = outcome.text.removeprefix(f"{entry['kind']}, ") if outcome.verdict.startswith("right") else ""
+    found = ": ".join(filter(None, (outcome.verdict, outcome.command, text)))
+    return [entry["name"], entry.get("repository", "example-robot-data"), truth, found]
+
+
+def inspected(outcome: Outcome) -> float:
+    """Processor time of `mmnn inspect` with what had to be said, all of its processes: the shortest of three [s]."""
+    names = {key: f"--{option}" for option, key in REPEATED.items()}
+    command = [sys.executable, "-c", "from mmnn_pin.cli import main; main()", "inspect", outcome.file]
+    for key, value in outcome.said.items():
+        if key in names:
+            command += [word for text in value for word in (names[key], text)]
+        else:
+            command += [f"--{key}", ",".join(value) if isinstance(value, list) else str(value)]
+    times = []
+    for _ in range(3):
+        before = os.times()
+        subprocess.run(command, check=True, capture_output=True)
+        after = os.times()
+        times.append(sum(after[2:4]) - sum(before[2:4]))
+    return min(times)
+
+
+def driven(entry: dict[str, Any], folder: Path, outcome: Outcome) -> track_any.Row | None:
+    """A row of the table of `studies.track_any`, None where it is refused; either is told as it comes."""
+    said = {key: list(value) if isinstance(value, tuple) else value for key, value in outcome.said.items() if value}
+    settings = tuple(f"overrides.{key}={json.dumps(value)}" for key, value in said.items())
+    try:
+        row = track_any.row_of(str(place(entry, folder)), settings, CONTROLLERS)
+    except InputError as refused:
+        click.echo(f"{entry['name']}: not run: {refused.what}: {refused.why}", err=True)
+        return None
+    click.echo(track_any.summary([replace(row, name=entry["name"])], CONTROLLERS)[2], err=True)
+    return replace(row, name=entry["name"])
+
+
+def tracked(rows: list[track_any.Row]) -> str:
+    """The table of the robots that were driven, and the joints on which `adaptive` is worse than `pd_gravity`."""
+    worse = [
+        f"{row.name}: {joint} ({track_any.cell(one)} for {track_any.cell(other)})"
+        for row in rows
+        for joint, one, other in zip(row.joints, row.errors["adaptive"], row.errors["pd_gravity"], strict=True)
+        if not one <= other
+    ]
+    joints = sum(len(row.joints) for row in rows)
+    text = (
+        f"adaptive errs no more than pd_gravity on {joints - len(worse)} of {joints} joints, not on: {', '.join(worse)}"
+    )
+    return "\n".join([*track_any.summary(rows, CONTROLLERS), "", text, ""])
+
+
+@click.command()
+@click.argument("folder", type=click.Path(exists=True, path_type=Path))
+@click.option("--only", default="", help="Robots whose names have this text.")
+@click.option(
+    "--csv",
+    "as_csv",
+    is_flag=True,
+    help="The rows of docs/reference/public-robots.csv; with --track of public-robots-track.csv.",
+)
+@click.option("--inspect", is_flag=True, help="Time `mmnn inspect` on every robot that is accepted.")
+@click.option("--track", is_flag=True, help="Drive the experiment `track` with every robot that is accepted.")
+def main(folder: Path, only: str, as_csv: bool, inspect: bool, track: bool) -> None:
+    """Hold all robots of the corpus against the truth."""
+    entries = tomllib.loads((Path(__file__).parent / "corpus.toml").read_text())["robot"]
+    counts, rows, times = dict[str, int](), list[track_any.Row | None](), dict[str, float]()
+    for entry in entries:
+        if only.lower() not in entry["name"].lower():
+            continue
+        outcome = judge(entry, folder)
+        counts[outcome.verdict] = counts.get(outcome.verdict, 0) + 1
+        if inspect and outcome.verdict.startswith("right"):
+            times[entry["name"]] = inspected(outcome)
+            click.echo(f"{times[entry['name']]:6.2f} s  {entry['name']}")
+        elif track:
+            rows += [driven(entry, folder, outcome)] if outcome.verdict.startswith("right") else []
+        elif as_csv:
+            csv.writer(sys.stdout, lineterminator="\n").writerow(row_of(entry, outcome))
+        else:
+            click.echo(
+                f"{outcome.verdict:24}{entry['name']:26}{outcome.seconds:6.2f} s  {outcome.command}  {outcome.text}"
+            )
+    if times:
+        slowest = sorted(times.items(), key=lambda item: -item[1])[:10]
+        click.echo(f"slowest of {len(times)}: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in slowest))
+    done = [row for row in rows if row is not None]
+    if track and as_csv:
+        csv.writer(sys.stdout, lineterminator="\n").writerows(track_any.cells(done, CONTROLLERS))
+    elif track:
+        click.echo(tracked(done))
+    click.echo(", ".join(f"{count} {verdict}" for verdict, count in sorted(counts.items())))
+
+
+if __name__ == "__main__":
+    main()
