@@ -340,9 +340,12 @@ class Stepper:
         self.past.times[:] = -math.inf
 
     def change(
-        self, controller: CompiledController | TorqueController | None = None, kinematic: Kinematic | None = None
+        self,
+        controller: CompiledController | TorqueController | None = None,
+        kinematic: Kinematic | None = None,
+        limits: Limits | None = None,
     ) -> None:
-        """Other gains or settings from the next sample on; what was learned stays. Call it between two samples.
+        """Other gains, settings or limits from the next sample on; what was learned stays. Call it between two samples.
 
         Raises:
             ConfigError: A controller that remembers something else, gains that are unstable; nothing has changed then.
@@ -353,7 +356,14 @@ class Stepper:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
             made = suited(controller, self.robot, lambda: Given(kinematic, self.period, delay, lag))
         setup = replace(self.setup, controller=made, kinematic=kinematic)
-        self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
+        before, self.limits = self.limits, limits or self.limits
+        try:
+            self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
+        except ConfigError:
+            self.limits = before
+            raise
+        if limits is not None:
+            self.follower.limit(self.robot, limits)
 
     def snapshot(self) -> Any:
         """A copy of what was learned, to start another stepper from (`state`)."""
