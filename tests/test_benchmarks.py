@@ -138,17 +138,6 @@ def test_ratios_of_a_result_are_kept_and_plotted(modules, monkeypatch, tmp_path)
     assert len((tmp_path / "kept.jsonl").read_text().splitlines()) == 2
 
 
-def test_instructions_of_a_call_are_counted(monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
-    import instructions
-
-    if not instructions.can_count():
-        pytest.skip("instructions are counted on Linux with x86-64 only")
-    few, twice, many = (instructions.counted(lambda n=n: sum(range(n))) for n in (50, 50, 550))
-    assert few > 0 and abs(twice - few) < 0.2 * few
-    assert 5 * 500 < many - few < 1000 * 500  # an addition of two integers takes Python dozens
-
-
 def test_an_installation_is_measured_by_what_each_dependency_alone_brings(monkeypatch, tmp_path):
     def package(name, size, *requires, extras=()):
         files = [f"fake_{name}.py", f"fake_{name}-1.dist-info/METADATA"]

@@ -88,6 +88,9 @@ class StepperSettings(Settings, frozen=True):
 
     Raises:
         ConfigError: No supervisor, or numbers out of range.
+
+    >>> StepperSettings(period=0.005, latency=0.002).period
+    0.005
     """
 
     kinematic: Kinematic = CALM
