@@ -732,7 +732,6 @@ def test_ctrl_c_that_a_compiler_swallows_is_not_a_fault_of_ours() -> None:
     ("experiment", "keys"),
     [
         ("certified", "reference.arm, feedback.arm, friction.arm"),
-        ("contest", "reference.arm, feedback.arm, sensor.velocity_noise"),
         ("chapter4", "reference.arm"),
     ],
 )
