@@ -58,7 +58,7 @@ COMMANDS = {
     "embed": "embed track --controller pd --no-check --steps 3 --out {out}/c",
 }
 GROWING = ("run", "contest", "study", "one row of a study", "tune")  # these keep what was done before
-SAYING = ("list", "ros2 --example", "export run.h5 --to csv --out {out}", "run x.toml --out {out}")
+SAYING = ("list", "export run.h5 --to csv --out {out}", "run x.toml --out {out}")
 # Those of the default tests are the other ones: these write, and go on, with the same functions.
 LONG = ("plot as svg", "report of a study", "judge", "excite", "embed")
 LONG += ("one row of a study", "tune", "export as npz", "export of a study")

@@ -606,7 +606,6 @@ KINDS: dict[str, tuple[list[Mutation], list[str]]] = {
         [json_file("identified/two_axis_arm.identified.json"), raw("identified/two_axis_arm.identified.json")],
         ["report identified --html out/i.html"],
     ),
-    "node": ([*3 * [words("node.toml")], raw("node.toml")], ["ros2 node.toml --check"]),
 }
 
 
