@@ -88,7 +88,7 @@ def test_a_managed_node_is_configured_changed_stopped_and_started_again(tmp_path
 def test_a_clock_that_was_set_back_is_a_stop_and_a_reset_goes_on(tmp_path: Path, domain: int) -> None:
     asked = "use_sim_time:=true", "end_after_trip:=false"
     faults = "sim_time", "sim_back@2.0", "no_plan"
-    run = drive(tmp_path, "kilted", domain, *faults, seconds=12.0, changes=asked, planner="switch_node.py")
+    run = drive(tmp_path, "kilted", domain, *faults, seconds=20.0, changes=asked, planner="switch_node.py")
     told = run.robot["planner"]
     assert told["tripped"] and told["reset"][0] and told["runs"], (told, run.lines)
     assert "/clock jumped by -" in run.lines
