@@ -40,7 +40,7 @@ from mmnn_pin.deploy.identify.equations import (
     low_pass,
     still_speeds,
 )
-from mmnn_pin.deploy.identify.excitation import ExcitationLimits, ExcitationSearch, eight_with_sines, excite
+from mmnn_pin.deploy.identify.excitation import RATE, ExcitationLimits, ExcitationSearch, ExcitingMotion, excite
 from mmnn_pin.deploy.identify.identification import MODELS, Identification, following, friction_alone, scaled
 from mmnn_pin.deploy.identify.least_squares import base_parameters, weighted_fit
 from mmnn_pin.deploy.identify.log import Log
@@ -86,6 +86,28 @@ CASES: dict[str, dict[str, Any]] = {
         "constants": UR10E,
     },
 }
+
+
+def eight_with_sines(search: ExcitationSearch, duration: float) -> ExcitingMotion:
+    """The motion that an excitation is compared with: an eight of the base, a sine of every joint.
+
+    It lasts as long, and is scaled alike into the limits of speed and position. It need not keep those of torque, nor
+    its links apart, so it may be more than the robot can do.
+    """
+    nb, t = search.unknowns.robot.dimensions.base, np.linspace(0.0, duration, round(duration * RATE))
+    p = len(search.speed)
+    w = 2 * np.pi / duration * np.concatenate(([4, 2][:nb], 3 + np.arange(p - nb)))
+    v, dv, x = (np.zeros((len(t), p)) for _ in range(3))
+    for j in range(p):
+        v[:, j], dv[:, j], x[:, j] = np.cos(w[j] * t), -w[j] * np.sin(w[j] * t), np.sin(w[j] * t) / w[j]
+    size = 1 / search.speed
+    size[nb:] = np.maximum(size[nb:], np.ptp(x[:, nb:], axis=0) / (search.high - search.low))
+    x, v, dv = x / size, v / size, dv / size
+    if nb:
+        v[:, 0] = search.speed[0] * (0.8 + 0.2 * np.cos(2 * w[1] * t))  # slower in the turns
+        dv[:, 0] = -0.4 * search.speed[0] * w[1] * np.sin(2 * w[1] * t)
+    x[:, nb:] += (search.high + search.low) / 2
+    return search.judged(t, x, v, dv)
 
 
 def by_figaroh(found: Identification, python: str) -> dict[str, float]:

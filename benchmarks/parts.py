@@ -16,7 +16,7 @@ from mmnn_pin.loop.ordinary import OrdinaryLoop
 from mmnn_pin.loop.sample import after_torque, before_torque
 from mmnn_pin.model.reduction import friction, spread
 from mmnn_pin.model.tree.dynamics import psi_again, terms
-from mmnn_pin.plant.integrators import SEMI_IMPLICIT, Joints, Terms, euler
+from mmnn_pin.plant.integrators import SEMI_IMPLICIT, PlantJoints, PlantTerms, euler
 from mmnn_pin.sensing import exact
 from mmnn_pin.torque import law
 
@@ -93,8 +93,8 @@ def compiled_parts() -> dict[str, Part]:
     at, row, b, w = e.at, engine.row, engine.true.body, engine.true.work
     nu_ref, nudot_ref, psi, tau = (row[layout.where(name)] for name in ("nu_ref", "nudot_ref", "psi", "torque"))
     state = engine.state.values
-    joints = Joints(b.T, b.damping, b.dry, b.viscous, b.base, b.sideways)
-    terms_at = Terms(w.v, w.M, w.h, w.F, w.hold, w.ydot, w.L, w.rest, w.grip)
+    joints = PlantJoints(b.T, b.damping, b.dry, b.viscous, b.base, b.sideways)
+    terms_at = PlantTerms(w.v, w.M, w.h, w.F, w.hold, w.ydot, w.L, w.rest, w.grip)
     return {
         "reference, measurement, velocity command": lambda n: repeat_before(
             n, row, at, position, nu, e.setpoints[100], b.arm, e.gains, e.K

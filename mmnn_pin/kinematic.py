@@ -64,18 +64,11 @@ def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
     nb, n = at[ALPHA + 1] - at[ALPHA], at[E + 1] - at[E]
     if nb:
         error, velocity = view(row, at, POSE_ERROR), view(row, at, VELOCITY)
-        alpha, alphadot, z = (
-            view(row, at, ALPHA),
-            view(row, at, ALPHADOT),
-            view(row, at, Z),
-        )
+        alpha, alphadot, z = (view(row, at, ALPHA), view(row, at, ALPHADOT), view(row, at, Z))
         pose_ref, pose = view(row, at, POSE_REF), view(row, at, POSE)
         body_error(pose_ref, pose, error)
         world_error(pose_ref, pose, view(row, at, WORLD_ERROR))
-        v_ref, a_ref = (
-            view(row, at, VELOCITY_REF),
-            view(row, at, ACCELERATION_REF),
-        )
+        v_ref, a_ref = (view(row, at, VELOCITY_REF), view(row, at, ACCELERATION_REF))
         velocity_command(at[SIDEWAYS], error, v_ref, a_ref, velocity, gains, alpha, alphadot)
         for i in range(nb):
             z[i] = alpha[i] - velocity[i]  # Eqn. 3.6

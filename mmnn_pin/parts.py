@@ -24,11 +24,11 @@ from typing import Annotated, Any, TypeVar, cast, get_type_hints
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core.types import Array, Integer
 from numba.extending import lower_builtin, type_callable
 from numpy.typing import NDArray
 
 T = TypeVar("T")
+Array, Integer = types.Array, types.Integer
 
 # Parts of a flat array, by their number of dimensions.
 Vector = Annotated[NDArray[np.float64], 1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -13,9 +13,11 @@ import pytest
 from mmnn_pin import PD, Circle, Feedback, Loop, Sine, Timing, Trajectory, load
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.robot import Robot
+from mmnn_pin.plant import integrators
+from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import Outcome, Recording
-from mmnn_pin.signals import Layout
+from mmnn_pin.signals import Array, Layout
 
 THESIS = Feedback(500.0, 30.0)
 MOBILE, FIXED = Layout(base=2, arm=2, full=7, motors=4), Layout(base=0, arm=2, full=2, motors=2)
@@ -90,3 +92,16 @@ def recording(
 def first_of(names: Iterable[str], *quick: str) -> list[Any]:
     """Parameters of a test: those named as quick always run; the others, the same code compiled again, are long."""
     return [pytest.param(name, marks=() if name in quick else pytest.mark.long) for name in names]
+
+
+def step_feedback(plant: IdealPlant, time: float, feedback: Callable[[float, Array, Array], Array]) -> None:
+    """Advance a plant by its step with RK4 under a feedback `tau(t, position, nu)`, evaluated at every stage."""
+    nv, p = plant.position.size, plant.nu.size
+    plant.trial[:] = plant.y
+    for stage, ahead in enumerate((0.0, 0.5, 0.5, 1.0)):
+        position, nu = plant.trial[:nv], plant.trial[nv : nv + p]
+        tau = np.ascontiguousarray(feedback(time + ahead * plant.dt, position, nu), float)
+        plant.dynamics.refresh(position, nu)
+        integrators.derivative(plant.trial, tau, plant.joints.base, plant.terms)
+        integrators.rk4_stage(stage, plant.dt, plant.y, plant.ydot, plant.total, plant.trial)
+    plant.y[:] = plant.trial

@@ -5,5 +5,3 @@
 
 from .effects import STATES, Backlash, Drive, Motors, MotorState, motor_state
 from .settings import NEVER, Actuator, motor_places
-
-__all__ = ["NEVER", "STATES", "Actuator", "Backlash", "Drive", "MotorState", "Motors", "motor_places", "motor_state"]

@@ -24,26 +24,3 @@ from .settings import (
     require_long_enough,
     windows,
 )
-
-__all__ = [
-    "BRAKE",
-    "BlockedJoint",
-    "CommandFault",
-    "DeadMotor",
-    "Disturbance",
-    "Forces",
-    "FrozenEncoder",
-    "Messages",
-    "Payload",
-    "Push",
-    "Pushes",
-    "block",
-    "commands",
-    "corruption",
-    "lateness",
-    "payload",
-    "pushes",
-    "require_in_time",
-    "require_long_enough",
-    "windows",
-]

@@ -9,7 +9,7 @@ import numpy as np
 from ..by_address import by_address
 from ..model.robot import Robot
 from ..model.tree.body import Body, Work, body_of, new_work
-from ..plant.integrators import Joints, Terms
+from ..plant.integrators import PlantJoints, PlantTerms
 from ..signals import Array
 
 
@@ -20,8 +20,8 @@ class Machine(NamedTuple):
     body: Body
     loaded: Body
     work: Work
-    terms: Terms
-    joints: Joints
+    terms: PlantTerms
+    joints: PlantJoints
     y: Array
     position: Array
     nu: Array
@@ -35,7 +35,7 @@ def new_machine(robot: Robot, loaded: Robot | None, position: Array, nu: Array) 
     """
     body, y, nv = body_of(robot), np.concatenate((position, nu, [0.0])), position.size
     work = new_work(body)
-    terms = Terms(work.v, work.M, work.h, work.F, work.hold, work.ydot, work.L, work.rest, work.grip)
-    joints = Joints(body.T, body.damping, body.dry, body.viscous, body.base, body.sideways)
+    terms = PlantTerms(work.v, work.M, work.h, work.F, work.hold, work.ydot, work.L, work.rest, work.grip)
+    joints = PlantJoints(body.T, body.damping, body.dry, body.viscous, body.base, body.sideways)
     with_load = body if loaded is None else body_of(loaded)
     return Machine(body, with_load, work, terms, joints, y, y[:nv], y[nv : nv + nu.size])

@@ -170,19 +170,21 @@ class Stepper:
         controller: CompiledController | TorqueController,
         settings: StepperSettings = StepperSettings(),  # noqa: B008 (frozen)
     ) -> None:
+        safety = settings.safety
+        assert safety is not None
         period, known = settings.period, Latency.of(settings.latency, settings.predict)
         timing = Timing(duration=period, control_period=period, plant_step=period)
         sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
         given = Given(settings.kinematic, period, known.total + known.margin, settings.lag)
         controller = suited(controller, robot, lambda: given)
         setup = Outside(
-            robot, controller, settings.kinematic, settings.safety, timing, settings.nominal, settings.seed,
+            robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency = period, settings.check_gains, known.total
-        self.safety, self.limits, layout = settings.safety, settings.limits, setup.layout
+        self.safety, self.limits, layout = safety, settings.limits, setup.layout
         self.follower, self.at = Follower(robot, self.limits, settings.setpoint_timeout), layout.offsets
         row = self.row = layout.new_row()
         self.received = row[layout.where("pose").start : layout.where("qdot").stop]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ..errors import UnknownName
@@ -12,8 +10,6 @@ from ..model.robot import Robot
 from ..model.tree.twin import terms_of
 from ..signals import Array, Layout
 from . import NO_PUSH, integrators
-
-Feedback = Callable[[float, Array, Array], Array]
 
 
 class IdealPlant:
@@ -86,16 +82,6 @@ class IdealPlant:
         """Nothing: its wheels roll."""
         return []
 
-    def step_feedback(self, time: float, feedback: Feedback) -> None:
-        """Advance by dt with RK4 under a continuous feedback `tau(t, position, nu)`, evaluated at every stage."""
-        nv, p = self.position.size, self.nu.size
-        self.trial[:] = self.y
-        for stage, ahead in enumerate((0.0, 0.5, 0.5, 1.0)):
-            tau = feedback(time + ahead * self.dt, self.trial[:nv], self.trial[nv : nv + p])
-            self._evaluate(np.ascontiguousarray(tau, float))
-            integrators.rk4_stage(stage, self.dt, self.y, self.ydot, self.total, self.trial)
-        self.y[:] = self.trial
-
     def _evaluate(self, tau: Array) -> None:
         nv, p = self.position.size, self.nu.size
         self.dynamics.refresh(self.trial[:nv], self.trial[nv : nv + p])
@@ -110,6 +96,6 @@ class IdealPlant:
         d, p = self.dynamics, robot.dimensions.dof
         # writable copies: compiled code exists once for these, not again for read-only arrays
         arrays = robot.T.copy(), robot.damping.copy(), robot.dry, robot.viscous.copy()
-        self.joints = integrators.Joints(*arrays, robot.dimensions.base, robot.dimensions.sideways)
+        self.joints = integrators.PlantJoints(*arrays, robot.dimensions.base, robot.dimensions.sideways)
         scratch = np.zeros((p, p)), np.zeros(p), np.zeros((robot.dimensions.full, p + 2))
-        self.terms = integrators.Terms(d.v, d.M, d.h, d.F, self.hold, self.ydot, *scratch)
+        self.terms = integrators.PlantTerms(d.v, d.M, d.h, d.F, self.hold, self.ydot, *scratch)

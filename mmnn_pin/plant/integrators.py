@@ -30,7 +30,7 @@ SWEEPS = 100  # of Gauss-Seidel at most
 
 
 @by_address
-class Joints(NamedTuple):
+class PlantJoints(NamedTuple):
     """A robot as an integrator sees it.
 
     Attributes:
@@ -51,7 +51,7 @@ class Joints(NamedTuple):
 
 
 @by_address
-class Terms(NamedTuple):
+class PlantTerms(NamedTuple):
     """The terms of the dynamics at a state, and scratch.
 
     Attributes:
@@ -78,7 +78,7 @@ class Terms(NamedTuple):
 
 
 @linked
-def derivative(y: Array, tau: Array, joints: Joints, terms: Terms) -> None:
+def derivative(y: Array, tau: Array, joints: PlantJoints, terms: PlantTerms) -> None:
     """Time derivative of y, into `terms.ydot`, under the generalized torque tau (p,)."""
     nv, p, rest, ydot = terms.v.size, tau.size, terms.rest, terms.ydot
     nu = y[nv : nv + p]
@@ -122,7 +122,7 @@ def friction_ratio(v: float, damping: float, dry: Array) -> float:
 
 
 @internal
-def stiffen(dt: float, joints: Joints, smooth: bool, terms: Terms) -> None:
+def stiffen(dt: float, joints: PlantJoints, smooth: bool, terms: PlantTerms) -> None:
     """Add `dt S` to M, so that `(M + dt S) nudot = tau - h` gives the velocity after a step with `F = S nu_new`.
 
     Args:
@@ -143,7 +143,7 @@ def stiffen(dt: float, joints: Joints, smooth: bool, terms: Terms) -> None:
 
 
 @internal
-def friction_ahead(dt: float, joints: Joints, smooth: bool, terms: Terms) -> None:
+def friction_ahead(dt: float, joints: PlantJoints, smooth: bool, terms: PlantTerms) -> None:
     """Friction F (p,) at the start of a step becomes that of its end, `F + dt S nudot`; arguments as in `stiffen`."""
     T, viscous, damping, dry, v, F = joints.T, joints.viscous, joints.damping, joints.dry, terms.v, terms.F
     nudot = terms.ydot[v.size : v.size + F.size]
@@ -160,7 +160,7 @@ def friction_ahead(dt: float, joints: Joints, smooth: bool, terms: Terms) -> Non
 
 
 @compiled
-def release(joints: Joints, terms: Terms) -> None:
+def release(joints: PlantJoints, terms: PlantTerms) -> None:
     """Take smooth dry friction out of h (p,) and F (p,)."""
     T, dry, v, h, F = joints.T, joints.dry, terms.v, terms.h, terms.F
     for i in range(v.size):
@@ -172,7 +172,7 @@ def release(joints: Joints, terms: Terms) -> None:
 
 
 @internal
-def stick(dt: float, joints: Joints, terms: Terms) -> None:
+def stick(dt: float, joints: PlantJoints, terms: PlantTerms) -> None:
     """Impulses of dry friction: each within `+-level dt`, bringing its joint to rest or as near to it as they can.
 
     Args:
@@ -193,7 +193,7 @@ def stick(dt: float, joints: Joints, terms: Terms) -> None:
 
 
 @internal
-def prepare_grip(joints: Joints, terms: Terms) -> None:
+def prepare_grip(joints: PlantJoints, terms: PlantTerms) -> None:
     """Responses to impulses into the rows of `terms.grip`, which begin with no impulse."""
     T, dry, hold, grip = joints.T, joints.dry, terms.hold, terms.grip
     nv, p = T.shape
@@ -209,7 +209,7 @@ def prepare_grip(joints: Joints, terms: Terms) -> None:
 
 
 @internal
-def sweep(dt: float, joints: Joints, terms: Terms) -> float:
+def sweep(dt: float, joints: PlantJoints, terms: PlantTerms) -> float:
     """One impulse after the other as the present velocity asks; the largest change of one, over its limit."""
     T, dry, v, hold, grip, new = joints.T, joints.dry, terms.v, terms.hold, terms.grip, terms.rest
     nv, p = T.shape
@@ -230,7 +230,7 @@ def sweep(dt: float, joints: Joints, terms: Terms) -> float:
 
 
 @linked
-def euler(method: int, dt: float, joints: Joints, terms: Terms, tau: Array, y: Array) -> None:
+def euler(method: int, dt: float, joints: PlantJoints, terms: PlantTerms, tau: Array, y: Array) -> None:
     """One step of semi-implicit Euler: nu first, then the position with the new nu; the work by the trapezoid of nu.
 
     With the methods `IMPLICIT_FRICTION` and `STICK` the friction is that of the end of the step, and M, h and F change.

@@ -29,7 +29,6 @@ FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLE
 DENSEST, ROOM = 64, 1 << 24
 MOST_MEMBERS, MOST_NAMES = 1000, 10_000
 END = ("outcome", "outcome_time", "outcome_signal", "outcome_message")
-NOT_FACTS = ("format", "format_version", "complete", *END)
 OURS = "name a file that `mmnn run` wrote"
 AGAIN = "take it from a copy, or run it again"
 

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ConfigError, UnknownName
-from ..signals import HAND, SIGNALS, Array, Layout
+from ..signals import SIGNALS, Array, Layout
 from .recording import Outcome, Recording, from_file
 from .run_file import Arrays, RunFile, SignalColumns, decode, encode
-from .schema import facts_problem
+from .schema import facts_problem, labels_of
 from .versions import versions
 
 BUFFER_BYTES = 1 << 22  # from this size on numpy asks for large pages, which are faster to get
@@ -230,23 +230,10 @@ def _facts(meta: Mapping[str, Any]) -> dict[str, Any]:
 
 def _columns(layout: Layout, facts: Mapping[str, Any]) -> dict[str, SignalColumns]:
     """Unit and labels of every signal that this robot has."""
-    velocities = _names(facts, "velocity_names", layout.dof)
-    labels = {
-        "pose": ("x", "y", "phi"),
-        "all": velocities,
-        "base": velocities[: layout.base],
-        "arm": velocities[layout.base :],
-        "full": _names(facts, "position_names", layout.full),
-        "motor": _names(facts, "actuator_names", layout.motors),
-        "wheel": _names(facts, "actuator_names", layout.motors)[: layout.wheels],
-        "hand": tuple(f"{frame}.{each}" for frame in facts.get("hands", ()) for each in HAND),
-    }
-    columns = {}
-    for name, kind, *_ in SIGNALS:
-        if size := layout.where(name).stop - layout.where(name).start:
-            own = (name,) if size == 1 else tuple(f"{name}[{i}]" for i in range(size))
-            columns[name] = SignalColumns(layout.unit(name), labels.get(kind.split()[-1], own))
-    return columns
+    counts = {"velocity_names": layout.dof, "position_names": layout.full, "actuator_names": layout.motors}
+    named = {**facts, **{key: _names(facts, key, count) for key, count in counts.items()}}
+    sizes = {name: layout.where(name).stop - layout.where(name).start for name, *_ in SIGNALS}
+    return {name: SignalColumns(layout.unit(name), labels_of(name, n, named)) for name, n in sizes.items() if n}
 
 
 def known(signals: Collection[str]) -> Collection[str]:

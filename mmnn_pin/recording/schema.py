@@ -89,18 +89,11 @@ def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
     return None
 
 
-def signal_problem(name: str, width: int, about: SignalColumns, meta: Mapping[str, Any]) -> str:
-    """The fault in unit or columns of a signal; empty where they are as the facts of the run want them."""
-    if name not in KIND:
-        return "this mmnn_pin knows no such signal"
-    kind, base, arm = KIND[name]
-    if about.unit not in (base, arm, f"{base}; {arm}"):
-        return f"its unit is {shortly(about.unit)}, not '{base or arm}'"
-    if len(about.labels) != width:
-        return f"it has {width} columns and {len(about.labels)} labels"
+def labels_of(name: str, width: int, meta: Mapping[str, Any]) -> tuple[str, ...]:
+    """Labels of the columns of a signal of so many columns, by the facts of its run; empty where these do not tell."""
     velocities, motors = (tuple(meta.get(f"{part}_names", ())) for part in ("velocity", "actuator"))
-    own = {"1": 1, "2": 2, "floor": 1, "rig": 1}.get(kind, 0)
-    wanted = {
+    own = {"1": 1, "2": 2, "floor": 1, "rig": 1}.get(KIND[name][0], 0)
+    return {
         "pose": ("x", "y", "phi"),
         "all": velocities,
         "base": velocities[:width],
@@ -109,7 +102,19 @@ def signal_problem(name: str, width: int, about: SignalColumns, meta: Mapping[st
         "motor": motors,
         "wheel": motors[:width],
         "hand": tuple(f"{frame}.{each}" for frame in meta.get("hands", ()) for each in HAND),
-    }.get(kind, (name,) if own == 1 else tuple(f"{name}[{i}]" for i in range(own)))
+    }.get(KIND[name][0], (name,) if own == 1 else tuple(f"{name}[{i}]" for i in range(own)))
+
+
+def signal_problem(name: str, width: int, about: SignalColumns, meta: Mapping[str, Any]) -> str:
+    """The fault in unit or columns of a signal; empty where they are as the facts of the run want them."""
+    if name not in KIND:
+        return "this mmnn_pin knows no such signal"
+    _, base, arm = KIND[name]
+    if about.unit not in (base, arm, f"{base}; {arm}"):
+        return f"its unit is {shortly(about.unit)}, not '{base or arm}'"
+    if len(about.labels) != width:
+        return f"it has {width} columns and {len(about.labels)} labels"
+    wanted = labels_of(name, width, meta)
     if wanted and about.labels != wanted:
         return f"its columns are {shortly(', '.join(about.labels))}, not {shortly(', '.join(wanted))}"
     return f"a label has more than {MOST_TEXT} letters" if max(map(len, about.labels)) > MOST_TEXT else ""

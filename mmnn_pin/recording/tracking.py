@@ -89,29 +89,21 @@ class Errors(Mapping[str, Error]):
 
     def _repr_html_(self) -> str:
         """The table for a notebook."""
-        head, *rows = (tuple(map(escape, row)) for row in self.rows())
-        lines = [f"<tr>{''.join(f'<{tag}>{cell}</{tag}>' for cell in row)}</tr>" for tag, row in tagged(head, rows)]
+        tagged = zip(("th", *["td"] * len(self)), self.rows(), strict=True)
+        lines = [f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in row)}</tr>" for tag, row in tagged]
         return f"<p>from {self.start:.3g} s to {self.stop:.3g} s</p><table>{''.join(lines)}</table>"
-
-
-def tagged(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[tuple[str, Sequence[str]]]:
-    """Rows of a table of HTML with the tags of their cells."""
-    yield "th", head
-    yield from (("td", row) for row in rows)
 
 
 def in_columns(rows: Sequence[Sequence[str]]) -> str:
     """Texts under each other: the first and the last column from the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     last = len(widths) - 1
-    padded = (
-        [
-            cell.ljust(w) if i in (0, last) else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
-        ]
-        for row in rows
-    )
-    return "\n".join("  ".join(cells).rstrip() for cells in padded)
+
+    def line(row: Sequence[str]) -> str:
+        cells = enumerate(zip(row, widths, strict=True))
+        return "  ".join(cell.ljust(w) if i in (0, last) else cell.rjust(w) for i, (cell, w) in cells).rstrip()
+
+    return "\n".join(map(line, rows))
 
 
 def prismatic_joints(urdf: str) -> set[str]:

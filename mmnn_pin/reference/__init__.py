@@ -10,28 +10,3 @@ from .path import BasePath, BaseSamples, Circle, Eight, Line, Waypoints
 from .samples import BaseTable, check_followable, warnings
 from .timed import Smoothed, Timed
 from .trajectory import SetpointSource, Trajectory
-
-__all__ = [
-    "BasePath",
-    "BaseSamples",
-    "BaseTable",
-    "Circle",
-    "Eight",
-    "Hold",
-    "HolonomicPath",
-    "JointProfile",
-    "JointSamples",
-    "JointTable",
-    "Line",
-    "MinimumJerk",
-    "Points",
-    "SetpointSource",
-    "Sine",
-    "Sines",
-    "Smoothed",
-    "Timed",
-    "Trajectory",
-    "Waypoints",
-    "check_followable",
-    "warnings",
-]

@@ -25,10 +25,10 @@ from ..model.robot import Robot
 from ..signals import Array
 from .guide import BASE
 from .limits import Limits
+from .motion import Motion
 from .path import Curve
 from .route import Arc, Leg, Route
 from .timed import Drivable, Timed, curve_along
-from .wishes import Motion
 
 SHARE = 0.98  # of the limits that are used at the points of a grid; between them it may be a little more
 NEAR = 0.1  # how far aside of a route the base counts as standing on it [m]

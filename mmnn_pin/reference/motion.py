@@ -56,12 +56,7 @@ class Motion:
 
     @classmethod
     def of(
-        cls,
-        trajectory: Trajectory,
-        duration: float,
-        period: float,
-        dimensions: Dimensions,
-        from_here: bool = False,
+        cls, trajectory: Trajectory, duration: float, period: float, dimensions: Dimensions, from_here: bool = False
     ) -> Motion:
         """The samples of a trajectory; one without a base path or without profiles moves the other part only.
 

@@ -12,6 +12,7 @@ so `xdot = v cos phi`, `ydot = v sin phi`, `phidot = w` hold by construction: th
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, ClassVar
@@ -79,6 +80,15 @@ class Curve:
     dg: Array | float
     k: Array
     dk: Array | float
+
+
+def bending(x: Sequence[Array], y: Sequence[Array]) -> tuple[Array, Array, Array, Array]:
+    """Speed g, dg, k and dk of a `Curve` (N,), by the first three derivatives of its points, (N,) each."""
+    (x1, x2, x3), (y1, y2, y3) = x, y
+    g = hypot(x1, y1)
+    dg = (x1 * x2 + y1 * y2) / g
+    k = (x1 * y2 - y1 * x2) / g**2
+    return g, dg, k, (x1 * y3 - y1 * x3) / g**2 - 2 * k * dg / g
 
 
 def start_up(t: Array, rate: float, ramp: float) -> Progress:
@@ -266,10 +276,7 @@ class Eight(BasePath):
         (c, sine), (c2, sine2) = cos_sin(s), cos_sin(2 * s)
         x1, x2, x3 = a * c, -a * sine, -a * c
         y1, y2, y3 = 2 * b * c2, -4 * b * sine2, -8 * b * c2
-        g = hypot(x1, y1)
-        dg = (x1 * x2 + y1 * y2) / g
-        k = (x1 * y2 - y1 * x2) / g**2
-        dk = (x1 * y3 - y1 * x3) / g**2 - 2 * k * dg / g
+        g, dg, k, dk = bending((x1, x2, x3), (y1, y2, y3))
         # The tangent never points along +y of the eight's own frame, so measured from -y its angle has no jump.
         phi = atan2(x1, -y1) - np.pi / 2
         x0, y0, phi0 = self.start

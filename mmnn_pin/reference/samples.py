@@ -119,13 +119,18 @@ def in_three(velocity: Array) -> tuple[Array, Array, Array]:
     return vx, velocity[:, 1] if has_vy(velocity) else np.zeros_like(vx), w
 
 
-def velocities(time: Array, pose: Array, sideways: bool) -> Array:
-    """Base velocities (N, 2 or 3) of poses (N, 3) at times (N,): the slope of a cubic spline, in the pose's frame."""
+def spline_rates(time: Array, pose: Array) -> tuple[Array, Array, Array]:
+    """Rates of poses (N, 3) by a cubic spline: in the world (N, 3), along the heading (N,), and across it (N,)."""
     from scipy.interpolate import CubicSpline  # slow to import, seldom needed
 
     rate = CubicSpline(time, pose)(time, 1)
     c, s = cos_sin(pose[:, 2])
-    forward, aside = rate[:, 0] * c + rate[:, 1] * s, rate[:, 1] * c - rate[:, 0] * s
+    return rate, rate[:, 0] * c + rate[:, 1] * s, rate[:, 1] * c - rate[:, 0] * s
+
+
+def velocities(time: Array, pose: Array, sideways: bool) -> Array:
+    """Base velocities (N, 2 or 3) of poses (N, 3) at times (N,): the slope of a cubic spline, in the pose's frame."""
+    rate, forward, aside = spline_rates(time, pose)
     return np.stack([forward, aside, rate[:, 2]] if sideways else [forward, rate[:, 2]], axis=1)
 
 
@@ -307,11 +312,7 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
     Raises:
         TrajectoryError: Naming the worst time and the speed there.
     """
-    from scipy.interpolate import CubicSpline  # slow to import, seldom needed
-
-    rate = CubicSpline(time, pose)(time, 1)
-    cos, sin = cos_sin(pose[:, 2])
-    forward, sideways = rate[:, 0] * cos + rate[:, 1] * sin, rate[:, 1] * cos - rate[:, 0] * sin
+    rate, forward, sideways = spline_rates(time, pose)
     if tolerance is None:
         tolerance = max(1e-3, 0.02 * float(max(abs(rate).max(), abs(velocity).max())))
     holonomic = has_vy(velocity)

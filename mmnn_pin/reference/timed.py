@@ -29,7 +29,7 @@ from ..model.robot import Robot, speed_limits
 from ..settings.arguments import is_numeric
 from ..signals import Array
 from .limits import Limits
-from .path import BasePath, BaseSamples, Curve, Progress, driven, require_finite, require_positive, times
+from .path import BasePath, BaseSamples, Curve, Progress, bending, driven, require_finite, require_positive, times
 
 AGAINST = -0.5  # cosine of a heading to the way below which it looks backwards
 EXACT = 1e-3  # a curve that wanders less goes through its points [m]
@@ -56,13 +56,10 @@ def curve_along(rates: list[Array], near: Array, backwards: bool) -> Curve:
         near: (k,) the way's directions, to less than half a turn [rad].
         backwards: Whether it is driven tail first.
     """
-    (x, y), (x1, y1), (x2, y2), (x3, y3) = (rate.T for rate in rates)
-    g = hypot(x1, y1)
-    dg = (x1 * x2 + y1 * y2) / g
-    k = (x1 * y2 - y1 * x2) / g**2
-    dk = (x1 * y3 - y1 * x3) / g**2 - 2 * k * dg / g
+    (x, *xs), (y, *ys) = zip(*(rate.T for rate in rates), strict=True)
+    g, dg, k, dk = bending(xs, ys)
     c, sine = cos_sin(near)
-    phi = near + atan2(c * y1 - sine * x1, c * x1 + sine * y1)
+    phi = near + atan2(c * ys[0] - sine * xs[0], c * xs[0] + sine * ys[0])
     return Curve(x, y, phi + np.pi, -g, -dg, k, dk) if backwards else Curve(x, y, phi, g, dg, k, dk)
 
 

@@ -264,10 +264,19 @@ class Trajectory:
         Raises:
             TrajectoryError: The base cannot follow, or it is for another kind of base or another number of joints.
         """
-        t = times(t) / self.slowness
+        t = times(t)
         self._require_fit(layout)
         table = np.zeros((len(t), layout.pose + 2 * layout.base + 3 * layout.arm))
-        setpoints = Setpoint.side_by_side(table, layout)
+        self._fill(t, Setpoint.side_by_side(table, layout))
+        return table
+
+    def write(self, time: float, measurement: Measurement, setpoint: Setpoint) -> None:
+        """See `SetpointSource.write`."""
+        self._fill(np.array([time]), Setpoint(*(getattr(setpoint, name)[None] for name in Setpoint.__slots__)))
+
+    def _fill(self, t: Array, setpoints: Setpoint) -> None:
+        """Write the setpoints of times (N,) [s], each of their arrays (N, size)."""
+        t = t / self.slowness
         if self.base is not None:
             base = self.base.sample(t)
             if not self.base.followable and len(t) > 3:
@@ -277,25 +286,9 @@ class Trajectory:
         for i, profile in enumerate(self.arm):
             joint = profile.sample(t)
             setpoints.q[:, i], setpoints.qdot[:, i], setpoints.qddot[:, i] = joint.q, joint.qdot, joint.qddot
-        self._slow(setpoints)
-        return table
-
-    def write(self, time: float, measurement: Measurement, setpoint: Setpoint) -> None:
-        """See `SetpointSource.write`."""
-        if self.base is not None:
-            base = self.base.sample([time / self.slowness])
-            setpoint.pose[:], setpoint.velocity[:] = base.pose[0], base.velocity[0]
-            setpoint.acceleration[:] = base.acceleration[0]
-        for i, profile in enumerate(self.arm):
-            joint = profile.sample([time / self.slowness])
-            setpoint.q[i], setpoint.qdot[i], setpoint.qddot[i] = joint.q[0], joint.qdot[0], joint.qddot[0]
-        self._slow(setpoint)
-
-    def _slow(self, setpoint: Setpoint) -> None:
-        """Rates of one setpoint or of many by the slower clock."""
-        for rates in (setpoint.velocity, setpoint.qdot):
+        for rates in (setpoints.velocity, setpoints.qdot):
             rates /= self.slowness
-        for rates in (setpoint.acceleration, setpoint.qddot):
+        for rates in (setpoints.acceleration, setpoints.qddot):
             rates /= self.slowness * self.slowness
 
     def _require_fit(self, layout: Dimensions) -> None:

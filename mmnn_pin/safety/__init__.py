@@ -26,24 +26,3 @@ from .supervisor import (
     press,
     supervise,
 )
-
-__all__ = [
-    "RAMPING",
-    "RUNNING",
-    "STEPPED_IN",
-    "STOPPING",
-    "TRIPPED",
-    "Safety",
-    "Supervisor",
-    "SupervisorState",
-    "accept",
-    "has_ended",
-    "may_learn",
-    "new_state",
-    "no_supervisor",
-    "press",
-    "release",
-    "remarks",
-    "supervise",
-    "trip_of",
-]

@@ -113,7 +113,7 @@ MARKS = len(SupervisorState._fields)
 
 @by_address
 class Door(NamedTuple):
-    """What measurements pass, as arrays: few, because a program of your own hands them over at every measurement.
+    """The door that measurements pass, as few arrays: a program of your own hands them over at every measurement.
 
     Attributes:
         joints: (6, n) of every joint: a whole turn, 0 for one that slides; its ends; the speed that explains how its

@@ -5,5 +5,3 @@
 
 from .effects import FrozenEncoders, Sensors, exact, observe
 from .settings import Sensor
-
-__all__ = ["FrozenEncoders", "Sensor", "Sensors", "exact", "observe"]

@@ -40,12 +40,7 @@ def exact(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -
         nu: (p,) true velocity.
         arm: (n,) places of the arm joints in the position.
     """
-    pose, velocity, q, qdot = (
-        view(row, at, POSE),
-        view(row, at, VELOCITY),
-        view(row, at, Q),
-        view(row, at, QDOT),
-    )
+    pose, velocity, q, qdot = (view(row, at, POSE), view(row, at, VELOCITY), view(row, at, Q), view(row, at, QDOT))
     for i in range(pose.size):
         pose[i] = position[i]
     for i in range(velocity.size):

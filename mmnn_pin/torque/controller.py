@@ -30,7 +30,7 @@ BANDWIDTHS = 30.0, 60.0  # of a base and of joints whose gains are not given [1/
 
 @dataclass(frozen=True)
 class Context:
-    """What a controller is given once before a run.
+    """The context that a controller is given once before a run.
 
     Args:
         layout: Dimensions of the robot and the places of the signals.
@@ -64,7 +64,7 @@ class Context:
 
 @dataclass
 class ControllerState:
-    """What a controller remembers between samples.
+    """State of a controller between samples.
 
     Attributes:
         values: (size,) all of it, float64; parts are named views into it.
@@ -116,7 +116,7 @@ class Law:
 
 
 class Machine(NamedTuple):
-    """What may be known of a robot without knowing how it moves.
+    """The machine, as far as it may be known without knowing how the robot moves.
 
     Attributes:
         velocities: (p,) names of the velocities.
@@ -136,13 +136,13 @@ class Machine(NamedTuple):
         return np.where(whole, self.lower, -np.pi), np.where(whole, self.upper, np.pi)
 
     def strength(self, K: Array) -> float:
-        """What the motors of the arm can give over its gains, the median of the joints [rad/s]; 0 without limits."""
+        """Torque limits of the arm over its gains, the median of the joints [rad/s]; 0 without limits."""
         n = self.effort.size
         return float(np.median(self.effort / K[-n:])) if n and np.isfinite(self.effort).all() else 0.0
 
 
 class Told(Protocol):
-    """What a controller is told of its robot, as far as the list of controllers grants it (`torque.Entry.told`)."""
+    """Knowledge of its robot that a controller is given, as the list of controllers grants it (`torque.Entry.told`)."""
 
     @property
     def motion(self) -> Any:
@@ -233,7 +233,7 @@ class Feedback(Settings, frozen=True):
 
 @dataclass(frozen=True)
 class Given:
-    """What an experiment gives a controller when it makes it; what is common to all of them, and its own settings.
+    """Settings with which an experiment makes a controller: those common to all of them, and its own.
 
     Attributes:
         name: Name of the controller in the experiment.
@@ -257,7 +257,7 @@ class Given:
 
 
 class Controller(ABC):
-    """What all torque controllers have.
+    """Base class of all torque controllers.
 
     Attributes:
         name: Name in tables, plots and recordings.
@@ -270,7 +270,7 @@ class Controller(ABC):
 
     @property
     def notes(self) -> list[str]:
-        """What a user should know about these settings."""
+        """Notes for the user about these settings."""
         return []
 
     @abstractmethod
@@ -286,7 +286,7 @@ class Controller(ABC):
         return {}
 
     def findings(self, state: Any) -> list[str]:
-        """What the state shows after a run that the user should be told, such as "not excited"."""
+        """Findings in the state after a run that the user should be told, such as "not excited"."""
         return []
 
     @property
@@ -398,7 +398,7 @@ class CompiledController(Controller):
         return K
 
     def features(self, law: Law, state: ControllerState) -> Array | None:
-        """What weights multiplied last, `Psi_hat = (Phi W).ravel()`, a view (rows, k); None if not linear."""
+        """The features Phi of the last step, `Psi_hat = (Phi W).ravel()`, a view (rows, k); None if not linear."""
         return None
 
 

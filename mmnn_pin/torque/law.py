@@ -99,7 +99,7 @@ class Ahead(NamedTuple):
 
 
 class Networks(NamedTuple):
-    """What the networks remember: input, weights, and of the last call hidden outputs, net inputs and error."""
+    """State of the networks: input, weights, and of the last call hidden outputs, net inputs and error."""
 
     x: Vector
     W1: Matrix
@@ -114,8 +114,18 @@ class Networks(NamedTuple):
     s2: Vector
 
 
+class NetworkState(NamedTuple):
+    """State of one network: weights, and of the last call hidden outputs, net inputs and error."""
+
+    W: Array
+    V: Array
+    sigma: Array
+    net: Array
+    s: Array
+
+
 class Schedule(NamedTuple):
-    """What a PD with a gain for every sample remembers: the sample, and the gains."""
+    """State of a PD with a gain for every sample: the sample, and the gains."""
 
     counter: Vector
     gains: Matrix
@@ -199,26 +209,11 @@ def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimit
         limits: What robust term and Psi_hat are kept within; None for nothing, and then nothing is compiled for it.
         ahead: Where Psi_hat leads, with its row; None where it does not, likewise.
     """
-    gain, psi_hat, robust, torque = (
-        view(row, at, EFFECTIVE_GAIN),
-        view(row, at, PSI_HAT),
-        view(row, at, ROBUST),
-        view(row, at, TORQUE),
-    )
-    n, layout = numbers_of(law.settings, law.sizes), law.sizes[STATE:]
-    K, kind, adds_model = n.gains[0], int(n.kind[0]), n.adds_model[0] == 1.0
-    if kind == CONSTANT_GAIN:
-        copy_to(K, gain)
-    elif kind == SCHEDULED_GAIN:
-        o = schedule_of(state, layout)
-        copy_to(o.gains[min(int(o.counter[0]), len(o.gains) - 1)], gain)
-        o.counter[0] += 1.0
-    else:
-        if adds_model:
-            copy_to(psi_hat, torque)
-        networks(row, at, law, state)
-        for i in range(torque.size if adds_model else 0):
-            psi_hat[i] += torque[i]
+    find_gain(row, at, law, state)
+    gain, psi_hat = view(row, at, EFFECTIVE_GAIN), view(row, at, PSI_HAT)
+    robust, torque = view(row, at, ROBUST), view(row, at, TORQUE)
+    n = numbers_of(law.settings, law.sizes)
+    K, kind = n.gains[0], int(n.kind[0])
     z, r = view(row, at, Z), view(row, at, R)
     for i in range(torque.size):
         s = z[i] if i < z.size else r[i - z.size]
@@ -240,6 +235,26 @@ def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimit
             limit(psi_hat, torque, limits)
         for i in range(torque.size):
             torque[i] += psi_hat[i]
+
+
+@internal
+def find_gain(row: Array, at: IntArray, law: Packed, state: Array) -> None:
+    """The effective gain of a sample; of a law with networks their outputs and updates, too, as of `step`."""
+    gain, psi_hat, torque = view(row, at, EFFECTIVE_GAIN), view(row, at, PSI_HAT), view(row, at, TORQUE)
+    n = numbers_of(law.settings, law.sizes)
+    kind, adds_model = int(n.kind[0]), n.adds_model[0] == 1.0
+    if kind == CONSTANT_GAIN:
+        copy_to(n.gains[0], gain)
+    elif kind == SCHEDULED_GAIN:
+        o = schedule_of(state, law.sizes[STATE:])
+        copy_to(o.gains[min(int(o.counter[0]), len(o.gains) - 1)], gain)
+        o.counter[0] += 1.0
+    else:
+        if adds_model:
+            copy_to(psi_hat, torque)
+        networks(row, at, law, state)
+        for i in range(torque.size if adds_model else 0):
+            psi_hat[i] += torque[i]
 
 
 @compiled
@@ -268,7 +283,7 @@ def networks(row: Array, at: IntArray, law: Packed, state: Array) -> None:
         for i in range(error.size):
             s[i] = n.gains[2, first + i] * error[i]
         psi_hat = view(row, at, PSI_HAT)[first : first + error.size]
-        norm = network(n, n.networks[which], W, V, o.x, net, sigma, s, psi_hat)
+        norm = network(n, n.networks[which], NetworkState(W, V, sigma, net, s), o.x, psi_hat)
         row[at[WEIGHT_NORM] + which] = norm
         for i in range(first, first + error.size):
             row[at[PSI_HAT] + i] *= n.gains[3, i]
@@ -277,9 +292,7 @@ def networks(row: Array, at: IntArray, law: Packed, state: Array) -> None:
 
 
 @internal
-def network(
-    n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array, psi_hat: Array
-) -> float:
+def network(n: Numbers, rates: Array, o: NetworkState, x: Array, psi_hat: Array) -> float:
     """Output and update of one network; returns the norm of its weights, taken with the output.
 
     The torque of a sample uses the weights from before it, unless the update comes first.
@@ -287,26 +300,26 @@ def network(
     kind, learning, first = int(n.kind[0]), n.learning[0] == 1.0, n.update_first[0] == 1.0
     if first and learning:
         if kind == TWO_LAYER:
-            hidden_input(V, x, net)
-        update(n, rates, W, V, x, net, sigma, s)
+            hidden_input(o.V, x, o.net)
+        update(n, rates, o, x)
     if kind == ONE_LAYER:
-        norm = one_layer_output(W, V, rates[1], x, sigma, psi_hat)
+        norm = one_layer_output(o.W, o.V, rates[1], x, o.sigma, psi_hat)
     else:
-        norm = two_layer_output(W, V, x, net, sigma, psi_hat)
+        norm = two_layer_output(o.W, o.V, x, o.net, o.sigma, psi_hat)
     if learning and not first:
-        update(n, rates, W, V, x, net, sigma, s)
+        update(n, rates, o, x)
     return norm
 
 
 @internal
-def update(n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array) -> None:
+def update(n: Numbers, rates: Array, o: NetworkState, x: Array) -> None:
     """Update of one network's weights, which end within their bounds; the centres V of a one-layer network stay."""
     if int(n.kind[0]) == ONE_LAYER:
-        one_layer_update(W, sigma, s, rates[0], rates[2], n.dt[0])
+        one_layer_update(o.W, o.sigma, o.s, rates[0], rates[2], n.dt[0])
     else:
-        two_layer_update(W, V, x, net, sigma, s, rates, n.dt[0])
-        project(V, rates[5])
-    project(W, rates[4])
+        two_layer_update(o.W, o.V, x, o.net, o.sigma, o.s, rates, n.dt[0])
+        project(o.V, rates[5])
+    project(o.W, rates[4])
 
 
 @by_address

@@ -328,7 +328,7 @@ FEW = {"deadline": None, "phases": (Phase.generate,), "suppress_health_check": l
 
 def test_whatever_is_asked_the_reference_moves_as_asked_within_its_limits_or_stops():
     run_state_machine_as_test(
-        Promise, settings=settings(max_examples=150, stateful_step_count=20, derandomize=True, **FEW)
+        Promise, settings=settings(max_examples=60, stateful_step_count=20, derandomize=True, **FEW)
     )
 
 

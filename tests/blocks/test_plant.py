@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from builders import step_feedback
 from closed_form import Planar
 from numba import config
 from scipy.integrate import solve_ivp
@@ -87,7 +88,7 @@ def run_feedback(dt: float, torque, duration: float, start: np.ndarray = START, 
     plant = IdealPlant(ROBOT, dt)
     plant.start(start, nu)
     for k in range(round(duration / dt)):
-        plant.step_feedback(k * dt, lambda t, position, nu: torque(t, position[POSE], position[JOINTS], nu))
+        step_feedback(plant, k * dt, lambda t, position, nu: torque(t, position[POSE], position[JOINTS], nu))
     return plant
 
 

@@ -11,6 +11,7 @@ import json
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any
 
@@ -102,12 +103,8 @@ def corrected_urdf(of: Identification) -> bytes:
             set_dynamics(joint, *friction)
     start, end = robot_element(data)
     words = " ".join(header(of, changed).replace("--", "- -").split())
-    return (
-        data[:start]
-        + f"<!-- {words} -->\n".encode()
-        + etree.tostring(root, encoding="utf-8", with_tail=False)
-        + data[end:]
-    )
+    robot_text = etree.tostring(root, encoding="utf-8", with_tail=False)
+    return data[:start] + f"<!-- {words} -->\n".encode() + robot_text + data[end:]
 
 
 def robot_element(data: bytes) -> tuple[int, int]:
@@ -144,15 +141,8 @@ def set_inertial(link: etree._Element, P: Array) -> None:
     origin.set("xyz", " ".join(map(repr, map(float, centre))))
     origin.set("rpy", "0 0 0")
     inertial.find("mass").set("value", repr(mass))
-    for name, (i, j) in {
-        "ixx": (0, 0),
-        "ixy": (0, 1),
-        "ixz": (0, 2),
-        "iyy": (1, 1),
-        "iyz": (1, 2),
-        "izz": (2, 2),
-    }.items():
-        inertial.find("inertia").set(name, repr(float(inertia[i, j])))
+    for i, j in combinations_with_replacement(range(3), 2):
+        inertial.find("inertia").set(f"i{'xyz'[i]}{'xyz'[j]}", repr(float(inertia[i, j])))
 
 
 def set_dynamics(joint: etree._Element, viscous: float, coulomb: float) -> None:
@@ -191,11 +181,7 @@ def beyond_urdf(of: Identification) -> dict[str, dict[str, float]]:
 
 def toml_of(of: Identification) -> bytes:
     """The TOML file of rotors, constants and Stribeck friction, with the held-out errors with and without them."""
-    about = {
-        "robot": of.robot.name,
-        "held_out_with": of.error("identified"),
-        "held_out_without": of.error("urdf_file"),
-    }
+    about = {"robot": of.robot.name, "held_out_with": of.error("identified"), "held_out_without": of.error("urdf_file")}
     if of.unknowns.stribeck:
         about["stribeck_speed"] = of.unknowns.stribeck
     head = (
@@ -276,13 +262,8 @@ def write(of: Identification, out: str | Path, force: bool = False) -> dict[str,
 def files_of(robot: Robot, out: Path) -> dict[str, Path]:
     """The files that are written for a robot: `urdf`, `toml`, `json`, `curves`, `overrides`."""
     urdf = out if out.suffix == ".urdf" else out / f"{robot.path.stem}.urdf"
-    stem, names = (
-        urdf.with_suffix(""),
-        {"toml": "identified.toml", "json": "identified.json", "curves": "identified.npz"},
-    )
-    return {"urdf": urdf} | {
-        kind: Path(f"{stem}.{name}") for kind, name in (names | {"overrides": "mmnn.toml"}).items()
-    }
+    names = {"toml": "identified.toml", "json": "identified.json", "curves": "identified.npz", "overrides": "mmnn.toml"}
+    return {"urdf": urdf} | {kind: Path(f"{urdf.with_suffix('')}.{name}") for kind, name in names.items()}
 
 
 def require_free(files: Mapping[str, Path], robot: Robot, force: bool) -> None:

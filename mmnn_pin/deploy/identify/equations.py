@@ -31,10 +31,8 @@ from .quality import Bools, saturated, spans
 
 ORDER = 4  # of the Butterworth low-pass
 FINE, KEPT = 10.0, 2.5  # rows per second over the cutoff: of the regressor, of the equations
-BAND, SPAN = (
-    10.0,
-    4.0,
-)  # cutoff over the frequency below which 99 % of a velocity's power lie: of the median, of the fastest joint
+# Cutoff over the frequency below which 99 % of a velocity's power lie: of the median, of the fastest joint.
+BAND, SPAN = 10.0, 4.0
 LEAST, MOST = 4.0, 20.0  # cutoff [Hz]
 SLOW = 0.03  # share of a joint's fast speed below which it counts as still
 PLACES, SAME = 20, 1e-6  # postures at which gravity is looked at; its change that counts as none
@@ -229,10 +227,8 @@ def coordinates(log: Log, robot: Robot) -> tuple[Array, tuple[str, ...]]:
 
 def efforts(log: Log, robot: Robot, rows: Sequence[int]) -> tuple[Array, Bools]:
     """Generalized forces `E u` of the measured rows, (N, r), and where a motor of a row is saturated, (N, r)."""
-    u, full = (
-        np.zeros((len(log.time), len(robot.actuator_names))),
-        np.zeros((len(log.time), len(robot.actuator_names)), bool),
-    )
+    size = len(log.time), len(robot.actuator_names)
+    u, full = np.zeros(size), np.zeros(size, bool)
     for j, name in enumerate(robot.actuator_names):
         if name in log.effort:
             u[:, j], full[:, j] = log.effort[name], saturated(log.effort[name])

@@ -12,6 +12,7 @@ stays unknown and its worst side; by steps that are kept when they help.
 from __future__ import annotations
 
 import time as clock
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -30,7 +31,6 @@ from ...torque.pseudo_inertia import BODY
 from .clearance import clearances
 from .equations import Unknowns
 from .least_squares import BaseParameters, base_parameters, inverted
-from .limits import ExcitationLimits, RefusedCandidate, none_found
 from .programme import mass_matrix
 
 HARMONICS, FASTEST = (1, 2, 3, 5, 8, 13, 21, 34), 1.0  # of the duration; largest frequency [Hz]
@@ -50,12 +50,66 @@ REACH = np.pi  # of a joint without limits, either way [rad]
 BASE_SPEED, BASE_TURN = 0.4, 0.8  # of a base [m/s, rad/s]
 NOISE = 0.02  # of a torque, of its limit; of its RMS where the URDF states none
 FORCE, ROTOR = 0.01, 0.1  # size of friction, of a motor's limit; of a rotor, of the inertia that its joint feels
+SHARE = 0.8  # of a limit that is used
+NEAR = 0.9  # of the distance at which links were found, for the spheres that are advised
+SHORT = {
+    "links": "for links that touch",
+    "hold": "for the arm's weight",
+    "move": "for torque",
+    "unseen": "for parameters that they do not tell apart",
+}
 
 Motion = tuple[Array, Array, Array, Array]  # times (N,), integrals of nu, nu, nudot, (N, p) each
 
 
+@dataclass(frozen=True)
+class ExcitationLimits:
+    """Limits of a motion that identifies.
+
+    Args:
+        duration: [s].
+        space: Half the side of the square that the base stays in [m].
+        share: Of the limits of position, speed and torque that is used.
+        clearance: Radius of the spheres along the links [m]; 0 for no look at collisions.
+        seconds: Time to look for it [s].
+        seed: Of the search.
+
+    Raises:
+        ConfigError: A number that cannot be.
+    """
+
+    duration: float = 40.0
+    space: float = 1.0
+    share: float = SHARE
+    clearance: float = 0.06
+    seconds: float = 20.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("duration", 5.0), ("space", 0.0), ("share", 0.0), ("clearance", 0.0), ("seconds", 0.0)):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= least) or (name == "share" and not 0 < value <= 1):
+                fix = "give a share up to 1" if name == "share" else f"give a finite number from {least:g}"
+                raise ConfigError(f"{value}", fix=fix, key=f"--{name}")
+
+
+@dataclass(frozen=True)
+class RefusedCandidate:
+    """Why a candidate is no motion.
+
+    Attributes:
+        what: `"links"` touch, a motor cannot `"hold"` its joint up or `"move"` it, parameters stay `"unseen"`.
+        size: Least distance of links, or largest torque, over what is allowed; 0 of parameters.
+        names: The velocity whose torque is the largest; the parameters.
+    """
+
+    what: Literal["links", "hold", "move", "unseen"]
+    size: float
+    names: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
-class Excitation:
+class ExcitingMotion:
     """A motion and what it would determine.
 
     Attributes:
@@ -137,7 +191,7 @@ class Excitation:
 # -- the search --------------------------------------------------------------------------------------------------------
 
 
-def excite(robot: Robot, limits: ExcitationLimits | None = None) -> Excitation:
+def excite(robot: Robot, limits: ExcitationLimits | None = None) -> ExcitingMotion:
     """The most informative motion found.
 
     Args:
@@ -154,11 +208,10 @@ def excite(robot: Robot, limits: ExcitationLimits | None = None) -> Excitation:
     refused: list[RefusedCandidate] = []
     while value == -np.inf or tried < 40 or clock.monotonic() < end:
         fresh = value == -np.inf
-        candidate = (
-            search.start(rng)
-            if fresh
-            else best + step * rng.standard_normal(best.shape) * (rng.random(best.shape) < 0.2)
-        )
+        if fresh:
+            candidate = search.start(rng)
+        else:
+            candidate = best + step * rng.standard_normal(best.shape) * (rng.random(best.shape) < 0.2)
         found = search.information(candidate)
         tried += 1
         if isinstance(found, RefusedCandidate):
@@ -207,9 +260,8 @@ class ExcitationSearch:
         speed = np.full(p, FAST)
         of_motor = dict(zip(robot.actuator_names, speed_limits(robot), strict=True))
         for i, name in enumerate(robot.joint_names):
-            speed[nb + i] = min(
-                of_motor.get(name, np.inf), FAST if not np.isfinite(of_motor.get(name, np.inf)) else np.inf
-            )
+            stated = of_motor.get(name, np.inf)
+            speed[nb + i] = stated if np.isfinite(stated) else FAST
         speed[:nb] = [BASE_TURN if name == "w" else BASE_SPEED for name in robot.velocity_names[:nb]]
         rest = robot.rest[robot.arm_index]
         low = np.maximum(robot.lower[robot.arm_index], rest - REACH)
@@ -302,10 +354,36 @@ class ExcitationSearch:
         return RefusedCandidate(what, float(load.max()), (name,))
 
     def none_found(self, refused: Sequence[RefusedCandidate]) -> ConfigError:
-        """The error for a search without a motion; see `limits.none_found`."""
-        robot, stuck = self.unknowns.robot, self.high - self.low < STUCK
-        names = [name for name, one in zip(robot.joint_names, stuck, strict=True) if one]
-        return none_found(refused, self.limits, 1 / SLOWED[-1], names, robot.dimensions.base > 0)
+        """The error that says what most candidates were refused for, at least one, and what to change."""
+        robot, still = self.unknowns.robot, self.high - self.low < STUCK
+        stuck = [name for name, one in zip(robot.joint_names, still, strict=True) if one]
+        counts = Counter(one.what for one in refused)
+        worst, count = counts.most_common(1)[0]
+        those = [one for one in refused if one.what == worst]
+        names = [name for name, _ in Counter(name for one in those for name in one.names).most_common(4)]
+        least, most = min(one.size for one in those), max(one.size for one in those)
+        torque = f"at least {least:.3g} times {self.limits.share:g} of the limit, most often at {', '.join(names[:2])}"
+        if worst == "links":
+            radius = NEAR * most * self.limits.clearance
+            why, key = f"links that are no neighbours come closer than {2 * self.limits.clearance:g} m", "--clearance"
+            fix = f"give a smaller one: {radius:.2g} leaves room" if most > 0.1 else "give 0: no look at links"
+        elif worst == "hold":
+            why, key = f"the arm's weight alone asks motors for {torque}", "--share"
+            fix = f"give a larger --share, or mend the URDF's masses or effort limits of {names[0]}"
+        elif worst == "move":
+            why, key = f"even {SLOWED[-1] ** -1:.2g} times as slow they ask motors for {torque}", "--share"
+            fix = "give a larger --share or a longer --duration, or mend the URDF's friction or effort limits"
+        elif stuck:
+            why, key = f"{', '.join(stuck)} cannot move", "--lock"
+            fix = " ".join(f"--lock {name}" for name in stuck)
+        elif robot.dimensions.base and self.limits.space == 0:
+            why, key, fix = "the base has no room", "--space", "give more than 0, or --base fixed"
+        else:
+            why, key = f"they do not tell {', '.join(names)} from others", "--duration"
+            fix = "give a longer --duration or a larger --share"
+        more = "".join(f", {number} {SHORT[kind]}" for kind, number in counts.most_common()[1:])
+        why = f"{count} of {len(refused)} candidates are refused: {why}{more}"
+        return ConfigError("no motion found", why=why, fix=fix, key=key)
 
     def regressor(self, motion: Motion) -> tuple[Array, float] | RefusedCandidate:
         """Y_b (N, p, b) along a motion slowed into the torque limits, and the factor of its speed."""
@@ -359,7 +437,7 @@ class ExcitationSearch:
         size[unknowns.columns("offset")] = force
         return np.asarray(np.abs(self.base.combination) @ size)
 
-    def described(self, candidate: Array, tried: int) -> Excitation:
+    def described(self, candidate: Array, tried: int) -> ExcitingMotion:
         """The motion of a candidate at full rate, and what it would determine."""
         coarse = self.motion(candidate, SAMPLES)
         assert not isinstance(coarse, RefusedCandidate)
@@ -377,7 +455,7 @@ class ExcitationSearch:
             slow *= 0.97
         return self.judged(t, x, v, dv, tried)
 
-    def judged(self, t: Array, x: Array, v: Array, dv: Array, tried: int = 0) -> Excitation:
+    def judged(self, t: Array, x: Array, v: Array, dv: Array, tried: int = 0) -> ExcitingMotion:
         """A motion (N, p) with the standard deviations that it would give under the assumed noise."""
         nb, robot = self.unknowns.robot.dimensions.base, self.unknowns.robot
         Y = self.unknowns.matrix(x[::THINNED, nb:], v[::THINNED], dv[::THINNED])[:, :, self.base.independent]
@@ -385,7 +463,7 @@ class ExcitationSearch:
         inverse, seen, condition = inverted(X.T @ X)
         sd = np.where(seen, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf)
         pose = driven(t, v[:, :nb], robot) if nb else np.zeros((len(t), 0))
-        return Excitation(robot, t, x[:, nb:], v, dv, pose, self.base, sd, self.scale, condition, tried)
+        return ExcitingMotion(robot, t, x[:, nb:], v, dv, pose, self.base, sd, self.scale, condition, tried)
 
 
 def driven(t: Array, v: Array, robot: Robot) -> Array:
@@ -402,25 +480,3 @@ def driven(t: Array, v: Array, robot: Robot) -> Array:
     phi = integral(w)
     c, s = np.cos(phi), np.sin(phi)
     return np.column_stack((integral(c * vx - s * vy), integral(s * vx + c * vy), phi))
-
-
-def eight_with_sines(search: ExcitationSearch, duration: float) -> Excitation:
-    """The motion that an excitation is compared with: an eight of the base, a sine of every joint.
-
-    It lasts as long, and is scaled alike into the limits of speed and position. It need not keep those of torque, nor
-    its links apart, so it may be more than the robot can do.
-    """
-    nb, t = search.unknowns.robot.dimensions.base, np.linspace(0.0, duration, round(duration * RATE))
-    p = len(search.speed)
-    w = 2 * np.pi / duration * np.concatenate(([4, 2][:nb], 3 + np.arange(p - nb)))
-    v, dv, x = (np.zeros((len(t), p)) for _ in range(3))
-    for j in range(p):
-        v[:, j], dv[:, j], x[:, j] = np.cos(w[j] * t), -w[j] * np.sin(w[j] * t), np.sin(w[j] * t) / w[j]
-    size = 1 / search.speed
-    size[nb:] = np.maximum(size[nb:], np.ptp(x[:, nb:], axis=0) / (search.high - search.low))
-    x, v, dv = x / size, v / size, dv / size
-    if nb:
-        v[:, 0] = search.speed[0] * (0.8 + 0.2 * np.cos(2 * w[1] * t))  # slower in the turns
-        dv[:, 0] = -0.4 * search.speed[0] * w[1] * np.sin(2 * w[1] * t)
-    x[:, nb:] += (search.high + search.low) / 2
-    return search.judged(t, x, v, dv)

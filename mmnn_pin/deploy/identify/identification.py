@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,17 +25,7 @@ from ...settings.arguments import checked
 from ...shown import AsText, shown
 from ...signals import Array
 from .constants import constants_of
-from .doubts import beyond_limits, misfits, missing_notes
-from .equations import (
-    Bools,
-    Equations,
-    Unknowns,
-    chosen_cutoff,
-    coordinates,
-    equations,
-    measured_rows,
-    still_speeds,
-)
+from .equations import Bools, Equations, Unknowns, chosen_cutoff, coordinates, equations, measured_rows, still_speeds
 from .least_squares import WeightedFit, base_parameters, weighted_fit
 from .log import Log
 from .odometry import Wheels, has_reference, wheels_of
@@ -48,7 +38,10 @@ FEWEST = 40  # equations of a joint
 WORSE = 1.03  # error over that of friction alone from which a joint does not follow the rigid body
 POOR = 0.6  # error from which nothing is explained
 HALF, FAIR = 0.5, 0.15  # errors that are never believed, and that always are
-FAR = 2.0  # between them: error over that of least squares from which no robot explains the efforts
+FAR = 2.0  # between them: error over that of least squares from which no body explains an effort
+ABOVE = 1.001  # times a motor's limit: more is not rounding
+BADLY = 0.05  # error below which no joint fits badly
+APART = 4.0  # error over the median of the other joints that is told
 MODELS = ("identified", "urdf", "friction", "least_squares", "urdf_file")
 
 
@@ -155,7 +148,7 @@ class Identification(AsText):
     def error(self, model: str, rows: Bools | None = None) -> float:
         """Held-out error of some rows together, by default of all that follow."""
         kept = self.held_out.only(self.follows if rows is None else rows)
-        return together(kept, self.predicted(model, self.held_out))
+        return float(relative(kept, self.predicted(model, self.held_out), None))
 
     @property
     def moving(self) -> Bools:
@@ -180,17 +173,17 @@ class Identification(AsText):
         return self.error("urdf_file") < self.error("urdf")
 
 
-def relative(of: Equations, predicted: Array) -> Array:
-    """RMS of measured minus predicted over RMS of measured, row by row, (r,); nan where nothing counts."""
-    error, size = (np.where(of.use, part, 0.0) for part in (of.y - predicted, of.y))
-    square = (size**2).sum(axis=0)
-    return np.where(square > 0, np.sqrt((error**2).sum(axis=0) / np.where(square > 0, square, 1.0)), np.nan)
+def relative(of: Equations, predicted: Array, axis: int | None = 0) -> Array:
+    """RMS of measured minus predicted over RMS of measured; nan where nothing counts.
 
-
-def together(of: Equations, predicted: Array) -> float:
-    """RMS of measured minus predicted over RMS of measured, of all rows together that count."""
+    Args:
+        of: The measured efforts.
+        predicted: (M, r).
+        axis: 0 for every row by itself, (r,); None for all rows together.
+    """
     error, size = (np.where(of.use, part, 0.0) for part in (of.y - predicted, of.y))
-    return float(np.sqrt((error**2).sum() / (size**2).sum())) if size.any() else float("nan")
+    square = (size**2).sum(axis=axis)
+    return np.where(square > 0, np.sqrt((error**2).sum(axis=axis) / np.where(square > 0, square, 1.0)), np.nan)
 
 
 @checked
@@ -271,19 +264,16 @@ def fitted(
     """The fit to some equations, judged on others; see `identify`."""
     prior, friction = Prior.of(unknowns, training), friction_alone(training, unknowns)
     follows, why, chosen = following(training, unknowns, prior, friction, tell)
-    moves = np.array(
-        [
-            np.ptp(np.concatenate([coordinates(log, robot)[0][:, i] for log in logs])) > 1e-3
-            for i in range(robot.dimensions.dof)
-        ]
-    )
+    moves = np.ptp(np.concatenate([coordinates(log, robot)[0] for log in logs]), axis=0) > 1e-3
     used = training.only(follows)
     tell("fitting base parameters", 0.0)
     fit = weighted_fit(used, base_parameters(unknowns, follows, moves))
     chosen = chosen if weight is None else weight
     tell("fitting all parameters", 0.0)
     consistent = consistent_fit(used, prior, follows, fit.deviation, chosen, fit.inflation)
-    notes = [*missing_notes(logs, robot), *misnamed_notes(training, unknowns)]
+    rigid = training.Y[:, :, : unknowns.regressor.inertial] @ unknowns.prior[: unknowns.regressor.inertial]
+    named = misnamed(unknowns.names, training.y, rigid, training.speed, training.use)
+    notes = [*missing_notes(logs, robot), *named]
     return Identification(
         robot, tuple(logs), unknowns, training, test, fit, consistent, prior, follows, why, friction, tuple(notes)
     )
@@ -434,11 +424,62 @@ def friction_left_out(of: Equations, unknowns: Unknowns) -> Array:
     return errors
 
 
-# -- notes -------------------------------------------------------------------------------------------------------------
+# -- doubts -----------------------------------------------------------------------------------------------------------
 
 
-def misnamed_notes(training: Equations, unknowns: Unknowns) -> list[str]:
-    """Efforts with another sign or of another joint."""
-    first = unknowns.regressor.inertial
-    predicted = training.Y[:, :, :first] @ unknowns.prior[:first]
-    return list(misnamed(unknowns.names, training.y, predicted, training.speed, training.use))
+def beyond_limits(logs: Sequence[Log], robot: Robot, unknown: Collection[str]) -> Iterator[str]:
+    """Efforts above the URDF's limit of their motor, a line for each, with how many samples.
+
+    Args:
+        logs: Motions, efforts in N m and N.
+        robot: Whose limits count.
+        unknown: Motors whose torque constant is not known yet.
+    """
+    limits = dict(zip(robot.actuator_names, robot.effort_limits, strict=True))
+    for name, limit in limits.items():
+        given = [log.effort[name] for log in logs if name in log.effort and name not in unknown]
+        sizes = np.abs(np.concatenate(given)) if given else np.zeros(0)
+        if count := int(np.count_nonzero(sizes > ABOVE * limit)):
+            yield (
+                f"effort.{name} is above the URDF's limit of {limit:g} in {count} of {sizes.size} samples, at most "
+                f"{sizes.max():.4g}: another unit, a torque constant (--torque-constant {name}=K), or a wrong limit"
+            )
+
+
+def misfits(names: Sequence[str], errors: Mapping[str, Array], follows: Bools) -> Iterator[str]:
+    """Joints that were fitted, and whose held-out error is far above least squares' or that of the other joints.
+
+    Args:
+        names: Of the r efforts.
+        errors: Held-out errors (r,) of `identified`, `least_squares` and `urdf`; nan for one that stands.
+        follows: (r,) whether an effort was fitted, of bool.
+    """
+    ours, theirs = errors["identified"], errors["least_squares"]
+    for i in map(int, np.flatnonzero(follows & (ours > BADLY))):
+        others = ours[follows & np.isfinite(ours) & (np.arange(len(names)) != i)]
+        usual = float(np.median(others)) if others.size else np.inf
+        here = f"{names[i]} fits badly: held-out error {100 * ours[i]:.3g} %"
+        if ours[i] > FAR * theirs[i]:
+            yield (
+                f"{here}, {100 * theirs[i]:.3g} % by least squares without regard to masses: no body that can be "
+                "explains its effort; check its sign, unit, gear and torque constant"
+            )
+        elif ours[i] > APART * usual:
+            fix = "check its unit and torque constant, or its friction (--stribeck)"
+            if errors["urdf"][i] < ours[i]:
+                fix = f"by the URDF {100 * errors['urdf'][i]:.3g} %, so the motion tells too little of it (mmnn excite)"
+            yield f"{here}, the other joints' median {100 * usual:.3g} %: {fix}"
+
+
+def missing_notes(logs: Sequence[Log], robot: Robot) -> list[str]:
+    """Notes on joints that the logs do not have and that are taken as still, and on locked ones that move."""
+    found = []
+    for log in logs:
+        _, missing = coordinates(log, robot)
+        if missing:
+            found.append(f"{log.name}: not in the log, taken as still: {', '.join(missing)}")
+        frozen = [name for name in log.position if name not in robot.joint_names and name in robot.arm.locked]
+        moved = [name for name in frozen if np.ptp(log.position[name]) > 0.02]
+        if moved:
+            found.append(f"{log.name}: locked in the model, but they move: {', '.join(moved)}: --free JOINT frees one")
+    return found

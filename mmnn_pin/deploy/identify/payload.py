@@ -42,10 +42,8 @@ SCALES = (0.005, 0.0125, 0.03, 0.08, 0.2, DOUBT)  # of the doubt in every body, 
 SHAPES = (0.2, 1.0)  # doubt in the ten numbers of a body by themselves, over that in all of them together
 TIMES = (1.0, 10.0)  # of the deviations of a covariance that is given
 BESIDE = (1e-4, 0.003, 0.01, 0.03, 0.1)  # and of what its parameters are off beside, relative
-UNSEEN, FAR = (
-    1e12,
-    10.0,
-)  # variance of what no torque tells; standard deviation of a centre from which nothing is known [m]
+UNSEEN = 1e12  # variance of what no torque tells
+FAR = 10.0  # standard deviation of a centre from which nothing is known [m]
 
 
 @dataclass(frozen=True, eq=False)

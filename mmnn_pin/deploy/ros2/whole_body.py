@@ -118,7 +118,7 @@ def whole_motion(
         raise Refused(f"it was over {since - points.times[-1]:.3g} s ago", OLD_STAMP)
     poses = placed(poses, place, base[2])
     times, poses = from_here(times, poses, base)
-    table = rolled(times, poses, base, arm) if not d.sideways else slid(times, poses, base, arm)
+    table = slid(times, poses, base, arm) if d.sideways else rolled(times, poses, base, arm)
     joints = joints_of(trajectory, points.name)
     motion = arm.motion(joints, now, min(since, 0.0)) if joints.joint_names and joints.points else None
     whole = together(arm, table, motion if isinstance(motion, Motion) else None, now)

@@ -14,21 +14,3 @@ from .online import FollowHand, HandCourse
 from .path import HandCircle, HandLine, HandPath, HandSpline, Pieces, Wait
 from .tasks import Task, WholeBodySettings
 from .whole_body import WholeBody
-
-__all__ = [
-    "Capsule",
-    "FollowHand",
-    "HandCircle",
-    "HandCourse",
-    "HandLine",
-    "HandMotion",
-    "HandPath",
-    "HandSpline",
-    "Pieces",
-    "Task",
-    "Wait",
-    "WholeBody",
-    "WholeBodySettings",
-    "comfortable",
-    "plan",
-]

@@ -389,17 +389,13 @@ def wanted(
     Raises:
         TrajectoryError: Nothing is left of the run.
     """
-    h, absolute = body.period, begin is not None
+    h = body.period
     count = round(lasts / h) + 1
     if count < 2:
         fix = "set a longer time.duration, or start nearer"
         raise TrajectoryError("the run ends before the robot is where the path begins", fix=fix)
     t, rows = np.arange(count) * h, np.zeros((count, len(paths), TARGET))
-    reach, ends = 0.0, 0.0
-    axes = np.eye(3)
-    if body.pose.size and not absolute:
-        c, s = cos_sin(body.pose[2])
-        axes = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    reach, ends, axes = 0.0, 0.0, np.eye(3) if begin is not None else body.axes
     for i, path in enumerate(paths):
         place = body.places[i]
         origin, R = place[9:].copy(), place[:9].reshape(3, 3).copy()
@@ -438,12 +434,11 @@ def joined(body: WholeBody, parts: Sequence[Samples], targets: Wanted, driven: i
     count = len(samples.nu)
     every = np.zeros((count, len(body.tasks), TARGET))
     every[:driven], every[driven:] = targets.rows[0], targets.rows
-    reached, d = np.zeros((count, len(body.tasks), SIZE)), body.robot.dimensions
+    reached = np.zeros((count, len(body.tasks), SIZE))
     for k in range(count):
         body.pose[:], body.q[:], body.nu[:] = samples.pose[k], samples.q[k], samples.nu[k]
         body.look_around()
         reached[k] = body.places
-    assert d.arm == samples.q.shape[1]
     before = driven * body.period
     when = (before + targets.begins, before + targets.ends)
     return HandMotion(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...elementary import cos_sin
 from ...elementary.matrices import product
 from ...model.reduction import as_measured
 from ...signals import Array, Setpoint
@@ -51,12 +50,8 @@ class HandCourse:
         self.body, self.wish, self.measured, self.parts = body, wish, measured, (0, 1) if d.base else (1,)
         start = Setpoint.side_by_side(now, d)
         body.put(start.pose, start.q, np.hstack((start.velocity, start.qdot)))
-        axes = np.eye(3)
-        if d.base:
-            c, s = cos_sin(body.pose[2])
-            axes = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         place = body.places[0]
-        self.rows = placed(wish.samples, place[9:].copy(), axes, place[:9].reshape(3, 3).copy()).flat
+        self.rows = placed(wish.samples, place[9:].copy(), body.axes, place[:9].reshape(3, 3).copy()).flat
         self.targets = np.array([body.target_here(i) for i in range(len(body.tasks))])
         self.elapsed, self.place = 0.0, np.zeros(SIZE)
         self.places, self.bends = np.array([[-np.inf], [np.inf]]).repeat(d.arm, axis=1), np.zeros(d.arm)

@@ -160,6 +160,14 @@ class WholeBody:
             self.posture[:] = q
         self.look_around()
 
+    @property
+    def axes(self) -> Array:
+        """The robot's axes in the world, (3, 3); the world's own for a fixed arm."""
+        if not self.pose.size:
+            return np.eye(3)
+        c, s = cos_sin(self.pose[2])
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
     def look_around(self) -> None:
         """Where all frames are and how they move, at the present state."""
         nb = self.robot.dimensions.base

@@ -13,16 +13,16 @@ import pytest
 from closed_form import inertial, joint
 from robots import dynamics, place, robot_of
 
+from benchmarks.identification import eight_with_sines
 from mmnn_pin import Feedback, Measurement, Setpoint, Stepper, StepperSettings, Trajectory, load, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify.excitation import (
     NOISE,
     RATE,
-    Excitation,
     ExcitationLimits,
     ExcitationSearch,
+    ExcitingMotion,
     clearances,
-    eight_with_sines,
     excite,
 )
 from mmnn_pin.errors import ConfigError
@@ -44,11 +44,11 @@ def robot() -> Robot:
 
 
 @pytest.fixture(scope="module")
-def found(robot: Robot) -> Excitation:
+def found(robot: Robot) -> ExcitingMotion:
     return excite(robot, LIMITS)
 
 
-def test_it_keeps_all_limits(found: Excitation, robot: Robot) -> None:
+def test_it_keeps_all_limits(found: ExcitingMotion, robot: Robot) -> None:
     low, high = robot.lower[robot.arm_index], robot.upper[robot.arm_index]
     assert (found.position >= low - 1e-9).all() and (found.position <= high + 1e-9).all()
     of_motor = dict(zip(robot.actuator_names, speed_limits(robot), strict=True))
@@ -61,7 +61,7 @@ def test_it_keeps_all_limits(found: Excitation, robot: Robot) -> None:
     assert (forces.max(axis=0) <= 0.801 * np.where(np.isfinite(limit), limit, np.inf)).all()
 
 
-def test_it_is_one_smooth_motion_from_rest_to_rest(found: Excitation) -> None:
+def test_it_is_one_smooth_motion_from_rest_to_rest(found: ExcitingMotion) -> None:
     np.testing.assert_allclose(np.diff(found.time), 1 / RATE, rtol=0.02)
     rate = np.gradient(found.position, found.time, axis=0)
     nb = found.robot.dimensions.base
@@ -71,7 +71,7 @@ def test_it_is_one_smooth_motion_from_rest_to_rest(found: Excitation) -> None:
         assert np.abs(found.nu[end]).max() < 1e-6 and np.abs(found.nudot[end]).max() < 1e-6
 
 
-def test_the_predicted_deviations_are_those_of_least_squares(found: Excitation) -> None:
+def test_the_predicted_deviations_are_those_of_least_squares(found: ExcitingMotion) -> None:
     """Of white noise on every row, over random draws, for the regressor that the fit would use."""
     search = ExcitationSearch.of(found.robot, LIMITS)
     Y = search.unknowns.matrix(found.position[::5], found.nu[::5], found.nudot[::5])[:, :, found.base.independent]
@@ -84,7 +84,7 @@ def test_the_predicted_deviations_are_those_of_least_squares(found: Excitation) 
     np.testing.assert_allclose(search.noise[np.isfinite(limits)], NOISE * limits[np.isfinite(limits)])
 
 
-def test_it_tells_more_than_an_eight_with_sines(found: Excitation, robot: Robot) -> None:
+def test_it_tells_more_than_an_eight_with_sines(found: ExcitingMotion, robot: Robot) -> None:
     """In what the eight determines, scaled alike; the wheels that it never turns back leave it the rest."""
     eight = eight_with_sines(ExcitationSearch.of(robot, LIMITS), found.time[-1])
     there = np.isfinite(eight.sd)
@@ -111,12 +111,14 @@ def test_spheres_are_as_far_apart_as_the_joints_that_they_stand_on() -> None:
     assert apart(folded) < 1.0
 
 
-def test_the_table_is_a_reference_of_the_base(found: Excitation, tmp_path: Path) -> None:
+def test_the_table_is_a_reference_of_the_base(found: ExcitingMotion, tmp_path: Path) -> None:
     table = BaseTable.read(found.save(tmp_path / "motion.csv"))
     np.testing.assert_allclose(table.pose, found.pose, atol=1e-8)
 
 
-def test_the_table_is_played_by_the_loop_and_by_the_stepper(found: Excitation, robot: Robot, tmp_path: Path) -> None:
+def test_the_table_is_played_by_the_loop_and_by_the_stepper(
+    found: ExcitingMotion, robot: Robot, tmp_path: Path
+) -> None:
     """`--set reference.file=...` and `Trajectory.from_csv`: base and arm are asked for what the table says."""
     file = found.save(tmp_path / "motion.csv")
     short = [f"reference.file='{file}'", "reference.share=0.0", "time.duration=0.5", "controllers=['pd']"]

@@ -22,9 +22,8 @@ from mmnn_pin.cli.identify import why_nothing
 from mmnn_pin.deploy.identify import programme
 from mmnn_pin.deploy.identify.constants import constants_of
 from mmnn_pin.deploy.identify.corrected import new_links, pseudo_inertia_of, said_of, transport, write
-from mmnn_pin.deploy.identify.doubts import misfits
 from mmnn_pin.deploy.identify.equations import Equations
-from mmnn_pin.deploy.identify.identification import Identification
+from mmnn_pin.deploy.identify.identification import Identification, misfits
 from mmnn_pin.deploy.identify.least_squares import BaseParameters
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.report import inertia_of, links_of, report_of
