@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -185,7 +184,7 @@ class Making:
         self.experiment, self.follow = experiment, settings.follow
         self.loop = experiment.loop(robot, experiment.controller(settings.controller, robot=robot))
         path = self.out or Path("runs/ros2") / f"{robot.name}.h5"
-        with in_parameters(experiment):
+        with experiment.in_its_keys(as_parameters):
             return Stepper.of(
                 self.loop,
                 limits=settings.limits,
@@ -217,7 +216,7 @@ class Making:
         if wrong := [name for name in fixed if name not in gains]:
             why, fix = "only gains, learning and the controller's table can", "clean up, set it, configure anew"
             raise ConfigError(f"set.{wrong[0]} cannot change now", why=why, fix=fix, key=f"set.{wrong[0]}")
-        with in_parameters(now):
+        with now.in_its_keys(as_parameters):
             return now.controller(settings.controller, robot=robot), now.kinematic
 
 
@@ -241,24 +240,13 @@ def asked(settings: Node) -> tuple[Experiment, Robot]:
         robot = experiment.load_robot()
     except InputError as error:
         if error.key is not None and error.key.partition(".")[0] in settings.set:
-            error.key = f"set.{error.key}"
+            raise error.but(key=f"set.{error.key}") from error
         raise
     interfaces(robot, settings)
     return experiment, robot
 
 
-@contextlib.contextmanager
-def in_parameters(experiment: Experiment) -> Iterator[None]:
-    """Errors of the loop within name keys of an experiment as the node's parameters take them."""
-    try:
-        with experiment.in_its_keys():
-            yield
-    except ConfigError as error:
-        error.fix = re.sub(r"--set '?([\w.]+)=(\[[^]]*\]|[^\s,']+)'?", as_parameter, error.fix)
-        raise
-
-
-def as_parameter(found: re.Match[str]) -> str:
-    """A change of an experiment as a file of parameters has it, whose lists have no whole numbers among others."""
-    value = re.sub(r"(?<![\w.])(\d+)(?![\w.])", r"\1.0", found[2])
-    return f"`set.{found[1]}: {value}`"
+def as_parameters(values: Mapping[str, str]) -> str:
+    """Changes of an experiment as a file of parameters has them, whose lists have no whole numbers among others."""
+    reals = {key: re.sub(r"(?<![\w.])(\d+)(?![\w.])", r"\1.0", value) for key, value in values.items()}
+    return " ".join(f"`set.{key}: {value}`" for key, value in reals.items())

@@ -68,11 +68,8 @@ class Plan:
     def fingerprints(self) -> tuple[str, ...]:
         """Fingerprint of every run, in order."""
         found: list[str] = []
-        other_robots = any(path.partition(".")[0] in ROBOT for path in paths_of(self.study.settings.factors))
         for point, seed in itertools.product(self.points, self.seeds):
-            experiment, settings = self.base, self.table_at(point, seed)[1]
-            if other_robots:
-                experiment, settings = self.experiment(point, seed)
+            experiment, settings = self.experiment(point, seed)
             found += [self.fingerprint(experiment, settings, controller) for controller in self.controllers]
         return tuple(found)
 
@@ -165,8 +162,8 @@ class Plan:
         if error.file is None and error.key:
             names = [n for n, f in self.study.settings.factors.items() for p in f.paths(n) if touches(p, error.key)]
             changes = [path for path, _ in flat(self.study.settings.set) if touches(path, error.key)]
-            error.key = [*(f"factors.{n}" for n in names), *(f"set.{path}" for path in changes), error.key][0]
-            return self.study.placed(error) if names or changes else error
+            keys = [*(f"factors.{n}" for n in names), *(f"set.{path}" for path in changes)]
+            return self.study.placed(error.but(key=keys[0])) if keys else error
         return error
 
     def nominal(self, experiment: Experiment) -> Experiment | None:
@@ -308,8 +305,7 @@ def expand_masses(table: dict[str, Any], study: StudyFile) -> None:
     try:
         robot = load_once(made.robot, made.overrides)
     except InputError as error:
-        error.file = error.file or study.path
-        raise
+        raise error.but(file=error.file or study.path) from None
     table["masses"] = dict.fromkeys(bodies_of(robot.model), float(table["masses"]))
 
 

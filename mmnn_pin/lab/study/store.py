@@ -121,9 +121,8 @@ class Store:
 
     def rewrite(self, facts: Mapping[str, Any], results: list[TrialResult]) -> None:
         """Replace the whole file, all or nothing."""
-        lines: list[TrialResult | Mapping[str, Any]] = [facts, *results]
         with whole_file(self.path, "results") as part:
-            part.write_bytes(b"".join(map(encoded, lines)))
+            part.write_bytes(encoded(facts) + b"".join(map(encoded, results)))
         self.facts, self.results = dict(facts), results
 
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from ... import __version__
 from ...actuator import Actuator
-from ...errors import ConfigError, MmnnError, StudyError
+from ...errors import ConfigError, MmnnError, StudyError, keyed
 from ...files import locked
 from ...loop.loop import Loop
 from ...sensing import Sensor
@@ -271,11 +271,8 @@ def tuned_part(study: StudyFile) -> tuple[Tune, dict[str, Any]]:
         for name, gain in tune.gains.items():
             for path in gain.paths(name):
                 require_path(table, path, f"tune.gains.{name}")
-            try:
+            with keyed(lambda key, name=name: f"tune.gains.{name}"):  # type: ignore[misc]
                 settings_of({name: gain.value(0.5)}, tune.gains, table)
-            except ConfigError as error:
-                error.key = f"tune.gains.{name}"
-                raise
     return tune, table
 
 

@@ -305,7 +305,7 @@ def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candi
         look = look_at(rest, joint, rollers, tag)
         if look.rounds and not look.gone:
             radius, travel, kind = max(look.rounds)
-            other, unseen = sight(rest, joint) if tag == "collision" and not look.rimmed else (math.nan, False)
+            other, unseen = visual_radius(rest, joint) if tag == "collision" and not look.rimmed else (math.nan, False)
             left = radius if unseen else math.nan
             return Candidate(joint, axis, hub + travel * axis, radius, kind, other=other, left=left)
         looks.append(look)
@@ -343,7 +343,7 @@ def look_at(rest: AtRest, joint: Joint, rollers: tuple[str, ...], tag: str) -> L
     return Look(rounds, bool(bodies), gone or rims_gone, bool(rims))
 
 
-def sight(rest: AtRest, joint: Joint) -> tuple[float, bool]:
+def visual_radius(rest: AtRest, joint: Joint) -> tuple[float, bool]:
     """Radius of the round visual shapes on a joint, nan where none is read [m], and whether one cannot be read."""
     bodies, gone = readable(rest, rest.document.body(joint.child), "visual")
     fits = [fit for s in bodies if (fit := round_about(s, rest.hub(joint), rest.axis(joint)))]
