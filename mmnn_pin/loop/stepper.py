@@ -88,6 +88,10 @@ class StepperSettings(Settings, frozen=True):
 
     Raises:
         ConfigError: No supervisor, or numbers out of range.
+
+    >>> from mmnn_pin.safety import Safety
+    >>> StepperSettings(safety=Safety(torque="urdf"), period=0.002).period
+    0.002
     """
 
     kinematic: Kinematic = CALM
