@@ -26,7 +26,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 settings.register_profile("untimed", deadline=None)  # the first example may compile, and machines are busy
 settings.load_profile("untimed")
 
-EXAMPLES = 15  # of a property are tried at most, in plain Python 4; `--full` tries as many as its test says
+EXAMPLES = 8  # of a property are tried at most, in plain Python 4; `--full` tries as many as its test says
 LOCKS = Path(tempfile.gettempdir()) / "mmnn_pin-compiling"
 
 

@@ -1,6 +1,6 @@
-"""How punctual `mmnn ros2` is: 500 Hz over the loopback, with a bare loop that only sleeps measured beside it.
+"""How punctual `mmnn ros2` is: 500 Hz with a robot in another process, and a bare loop that only sleeps beside it.
 
-    python benchmarks/ros2.py [--rate 500] [--seconds 60]
+    python benchmarks/ros2.py [--rate 500] [--seconds 60]        with rclpy and MuJoCo
 
 The robot is MuJoCo in a process of its own (examples/robot/robot.py), which tells how long after a measurement the next
 command came. A cycle is late that starts after its successor's tick, so that a tick is skipped.
@@ -45,9 +45,9 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         out, python = Path(folder) / "run.h5", sys.executable
         robot = subprocess.Popen([python, str(ROBOT / "robot.py"), "--rate", str(options.rate)])
-        changes = ["--set", f"rate={options.rate}", "--set", f"controller={options.controller}"]
+        changes = ["--ros-args", "-p", f"rate:={options.rate}", "-p", f"controller:={options.controller}"]
         asked = ["--seconds", str(options.seconds), "--wait", "60", "--out", str(out)]
-        node = subprocess.Popen([python, "-c", NODE, "ros2", str(ROBOT / "robot.toml"), *changes, *asked])
+        node = subprocess.Popen([python, "-c", NODE, "ros2", str(ROBOT / "robot.yaml"), *asked, *changes])
         while not out.exists() and node.poll() is None:
             time.sleep(0.2)
         time.sleep(3.0)

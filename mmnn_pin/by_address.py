@@ -20,6 +20,7 @@ from __future__ import annotations
 import ctypes
 import struct
 from functools import cached_property
+from hashlib import sha256
 from typing import Any, TypeVar
 
 import numba
@@ -89,7 +90,8 @@ class Placed(types.Type):
     def __init__(self, tuple_type: Any) -> None:
         self.tuple_type, self.instance_class = tuple_type, tuple_type.instance_class
         key = folders.source_key(self.instance_class.__module__)  # an edited learner recompiles its callers, too
-        super().__init__(f"{self.instance_class} {tuple_type} by address {key}")  # numba says no more than its name
+        told = sha256(f"{self.instance_class} {tuple_type} {key}".encode()).hexdigest()[:16]
+        super().__init__(f"{self.instance_class.__qualname__} {told}")  # numba says no more than its name, often
 
 
 @register_model(Placed)

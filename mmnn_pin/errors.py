@@ -88,7 +88,7 @@ class InputError(MmnnError):
         return restored, (type(self), self.args, self.__dict__)  # an error comes back from a process as it was
 
     def but(self, **changes: Any) -> Self:
-        """The same error with other attributes: as it is told from further outside."""
+        """A copy of the error with other attributes: as it is told from further outside."""
         found = copy.copy(self)
         found.__dict__.update(changes)
         return found

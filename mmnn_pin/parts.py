@@ -24,11 +24,11 @@ from typing import Annotated, Any, TypeVar, cast, get_type_hints
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core.types import Array, Integer
 from numba.extending import lower_builtin, type_callable
 from numpy.typing import NDArray
 
 T = TypeVar("T")
+Array, Integer = types.Array, types.Integer
 
 # Parts of a flat array, by their number of dimensions.
 Vector = Annotated[NDArray[np.float64], 1]
@@ -74,7 +74,7 @@ def views(kind: type[T]) -> Callable[[NDArray[np.float64], NDArray[np.int64]], T
 
     def code(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
         places = (load(builder, arguments[1], WORD(place)) for place in range(10**6))
-        return make(given.return_type, context, builder, (given.args[0], arguments[0]), places)
+        return shared(given.return_type, context, builder, (given.args[0], arguments[0]), places)
 
     def typed(values: Any, layout: Any) -> Any:
         flat = all(isinstance(one, Array) and one.ndim == 1 and one.layout == "C" for one in (values, layout))
@@ -167,7 +167,7 @@ def part_code(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
         context.cast(builder, value, kind, types.intp)
         for value, kind in zip(arguments[1:], given.args[1:], strict=True)
     )
-    return make(given.return_type, context, builder, (given.args[0], arguments[0]), places)
+    return shared(given.return_type, context, builder, (given.args[0], arguments[0]), places)
 
 
 def view_type(row: Any, at: Any, signal: Any) -> Any:
@@ -182,7 +182,15 @@ def view_code(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
     signal = context.cast(builder, arguments[2], given.args[2], types.intp)
     start, end = load(builder, at, signal), load(builder, at, builder.add(signal, WORD(1)))
     places = iter((start, builder.sub(end, start)))
-    return make(given.return_type, context, builder, (given.args[0], row), places)
+    return shared(given.return_type, context, builder, (given.args[0], row), places)
+
+
+def shared(kind: Any, context: Any, builder: Any, source: tuple[Any, Any], places: Iterator[Any]) -> Any:
+    """What `make` makes; where numba counts references, the flat array has more of them."""
+    made = make(kind, context, builder, source, places)
+    if context.enable_nrt:
+        context.nrt.incref(builder, kind, made)
+    return made
 
 
 def make(kind: Any, context: Any, builder: Any, source: tuple[Any, Any], places: Iterator[Any]) -> Any:

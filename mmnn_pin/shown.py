@@ -1,4 +1,4 @@
-"""What results are shown as: the types of tables, pictures and pages that editors see, and what makes them.
+"""Tables, pictures and pages of results: their types, as editors see them, and the register of what makes them.
 
 What makes them stands above what they are made of, in `lab.show` or `research`, and registers itself here with `shows`;
 what they are made of asks with `shown`.
@@ -42,14 +42,14 @@ def filled() -> None:
 
 
 def shown(thing: object, what: str, *args: Any, **kwargs: Any) -> Any:
-    """What was registered for a thing, made of it."""
+    """The table, text, picture or page that is registered for a thing, made of it."""
     filled()
     make = next(SHOWS[kind, what] for kind in type(thing).__mro__ if (kind, what) in SHOWS)
     return make(thing, *args, **kwargs)
 
 
 class AsText:
-    """What prints as text; a notebook shows the same."""
+    """A thing that prints as text; a notebook shows the same."""
 
     def _repr_html_(self) -> str:
         from html import escape
@@ -57,7 +57,7 @@ class AsText:
         return f"<pre>{escape(str(self))}</pre>"
 
 
-class Table(Protocol):
+class ShownTable(Protocol):
     """Tables that print as text; a notebook shows them."""
 
     @property
@@ -67,7 +67,7 @@ class Table(Protocol):
     def _repr_html_(self) -> str: ...
 
 
-class Picture(Protocol):
+class ShownPicture(Protocol):
     """A figure; a notebook shows it."""
 
     @property
@@ -88,7 +88,7 @@ class Picture(Protocol):
     def _repr_html_(self) -> str: ...
 
 
-class Page(Protocol):
+class ShownPage(Protocol):
     """A page of HTML that stands alone; a notebook shows it."""
 
     @property

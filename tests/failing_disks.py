@@ -49,16 +49,16 @@ COMMANDS = {
     "export as parquet": "export run.h5 --to parquet --out {out}",
     "export as mcap": "export run.h5 --to mcap --out {out}",
     "export of a study": "export db --to csv --out {out}",
-    "study": "study short.toml --out {out}",
+    "study": "study short.toml --workers 1 --out {out}",
     "one row of a study": "study short.toml --row 1 --out {out}",
-    "tune": "tune tuning.toml --out {out}",
+    "tune": "tune tuning.toml --workers 1 --out {out}",
     "judge": "judge run.h5 --plots {out}",
     "identify": "identify log.csv --robot two_axis_arm --even-if-worse --out {out}",
     "excite": "excite two_axis_arm --duration 10 --seconds 0 --out {out}/a.csv",
     "embed": "embed track --controller pd --no-check --steps 3 --out {out}/c",
 }
 GROWING = ("run", "contest", "study", "one row of a study", "tune")  # these keep what was done before
-SAYING = ("list", "ros2 --example", "export run.h5 --to csv --out {out}", "run x.toml --out {out}")
+SAYING = ("list", "export run.h5 --to csv --out {out}", "run x.toml --out {out}")
 # Those of the default tests are the other ones: these write, and go on, with the same functions.
 LONG = ("plot as svg", "report of a study", "judge", "excite", "embed")
 LONG += ("one row of a study", "tune", "export as npz", "export of a study")

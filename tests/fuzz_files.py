@@ -554,22 +554,29 @@ RUN = [
     *3 * ["judge run.h5"],
 ]
 SHORTLY = "--set set.time.duration=0.004"  # a file may ask for long runs: these are no hang
+HERE = f"--workers 1 --out out {SHORTLY}"
 STUDY = [
     *3 * ["report db --html out/s.html"],
     *2 * ["export db --to csv --out out"],
     "export db --to parquet --out out",
     "report db/results.jsonl --html out/s.html",
-    *2 * ["study short.toml --out db"],
-    "study short.toml --out db --force",
+    *2 * ["study short.toml --out db --workers 1"],
+    "study short.toml --out db --workers 1 --force",
     "study short.toml --out db --row 1",
 ]
 KINDS: dict[str, tuple[list[Mutation], list[str]]] = {
     "recording bytes": ([raw("run.h5")], RUN),
     "recording": ([structure("run.h5")], RUN),
     "study": ([*3 * [lines("db/results.jsonl")], raw("db/results.jsonl")], STUDY),
-    "tuning": ([database("tuned/tune.sqlite"), raw("tuned/tune.sqlite")], ["tune tuning.toml --out tuned"]),
-    "study file": ([*3 * [words("short.toml")], raw("short.toml")], [f"study short.toml --out out {SHORTLY}"]),
-    "tuning file": ([*3 * [words("tuning.toml")], raw("tuning.toml")], [f"tune tuning.toml --out out {SHORTLY}"]),
+    "tuning": ([database("tuned/tune.sqlite"), raw("tuned/tune.sqlite")], ["tune tuning.toml --workers 1 --out tuned"]),
+    "study file": (
+        [*3 * [words("short.toml")], raw("short.toml")],
+        [f"study short.toml {HERE}"],
+    ),
+    "tuning file": (
+        [*3 * [words("tuning.toml")], raw("tuning.toml")],
+        [f"tune tuning.toml {HERE}"],
+    ),
     "experiment": ([*3 * [words("x.toml")], raw("x.toml")], ["run x.toml --out out --set time.duration=0.004"]),
     "overrides": (
         [*3 * [words("robot.mmnn.toml")], raw("robot.mmnn.toml")],
@@ -599,7 +606,6 @@ KINDS: dict[str, tuple[list[Mutation], list[str]]] = {
         [json_file("identified/two_axis_arm.identified.json"), raw("identified/two_axis_arm.identified.json")],
         ["report identified --html out/i.html"],
     ),
-    "node": ([*3 * [words("node.toml")], raw("node.toml")], ["ros2 node.toml --check"]),
 }
 
 

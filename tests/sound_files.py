@@ -119,15 +119,12 @@ def motion(file: Path) -> None:
 
 
 def logs(folder: Path) -> None:
-    """A short motion of an arm as CSV with its columns, a recording as MCAP, what was identified, a ROS 2 node."""
+    """A short motion of an arm as CSV with its columns, a recording as MCAP, what was identified."""
     motion(folder / "log.csv")
     (folder / "columns.toml").write_text('time = "time"\n"position.{joint}" = "position.{joint}"\n')
     recording = sorted(folder.glob("run_*.h5"))[0]
     command(f"export {recording} --to mcap --out {folder / 'log.mcap'}")
     command(f"identify {folder / 'log.csv'} --robot two_axis_arm --even-if-worse --out {folder / 'identified'}")
-    with redirect_stdout(StringIO()) as text:
-        assert main(["ros2", "--example"]) == 0
-    (folder / "node.toml").write_text(text.getvalue())
 
 
 def old_recording(file: Path) -> Path:

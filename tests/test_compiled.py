@@ -432,15 +432,29 @@ def test_a_module_is_compiled_anew_when_what_it_calls_is_edited_and_no_other(mon
     assert changed_by("loop.loop") == set()
 
 
+PLAINLY = """
+import numpy as np
+from mmnn_pin.compiled import compiled
+from mmnn_pin.elementary import sin
+from mmnn_pin.parts import matrix, vector
+@compiled
+def summed(values):
+    a, b = vector(values, 1, 3), matrix(values, 2, 2, 2)
+    return sin(a[0]) + b[1, 1] + a[2]
+print(float(sum(summed(np.arange(8.0) + k) for k in range(1000))).hex())
+"""
+
+
 @compiles
-def test_without_numbas_insides_the_same_bits() -> None:
-    text = "from mmnn_pin.elementary import sin; from mmnn_pin.compiled import prepare; print(prepare, sin(0.3).hex())"
-    answers = [
-        subprocess.run(
-            [sys.executable, "-c", text], env=os.environ | {"MMNN_PLAIN_NUMBA": plain}, capture_output=True, text=True
-        ).stdout.split()[-1]
-        for plain in "01"
-    ]
+def test_without_numbas_insides_the_same_bits(tmp_path: Path) -> None:
+    """Views of a flat array that numba counts references of, too."""
+    (tmp_path / "part.py").write_text(PLAINLY)
+    answers = []
+    for plain in "01":
+        variables = os.environ | {"MMNN_PLAIN_NUMBA": plain, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+        variables |= {"PYTHONPATH": str(Path(__file__).parents[1])}
+        command = [sys.executable, str(tmp_path / "part.py")]
+        answers.append(subprocess.run(command, env=variables, capture_output=True, text=True, check=True).stdout)
     assert answers[0] == answers[1]
 
 

@@ -39,7 +39,6 @@ COMMANDS = {
     "state": "model platform_arm --at {}.json",
     "start": "run track --set time.duration=0.01 --controller adaptive --set adaptive.start={} --out out",
     "identified": "report {}.identified.json --html out.html",
-    "node": "ros2 {}.toml",
 }
 
 

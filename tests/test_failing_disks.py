@@ -55,7 +55,7 @@ def may_give_up() -> bool:
 
 
 PLACES = ("--out", "--html", "--plots")  # options of commands that write
-ELSEWHERE = {"ros2": "tests/deploy/ros2/test_recording_fails.py"}  # needs a middleware: tried there
+ELSEWHERE = {"ros2": "tests/deploy/ros2/test_node.py"}  # needs rclpy: tried there
 
 
 def test_no_command_that_writes_is_forgotten():

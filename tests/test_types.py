@@ -30,7 +30,7 @@ from mmnn_pin.lab.psi.judgement import Judgement
 from mmnn_pin.lab.study.choice import Level
 from mmnn_pin.loop.servo import Command
 from mmnn_pin.model.checks.properties import CheckReport
-from mmnn_pin.shown import Page, Picture, Table
+from mmnn_pin.shown import ShownPage, ShownPicture, ShownTable
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque.controller import ControllerState
 
@@ -44,13 +44,13 @@ reference = Trajectory(base=Line(speed=0.3), arm=[Sine(amplitude=0.8, period=4.0
 assert_type(Trajectory.from_csv(robot, Path("motion.csv")), Trajectory)
 runs = assert_type(compare(robot, reference, ["pd", PD(), Neural()], duration=0.4), Result)
 assert_type(runs["pd"], Recording)
-assert_type(runs.table(), Table)
+assert_type(runs.table(), ShownTable)
 assert_type(runs.plot().save("errors.svg"), Path)
-assert_type(runs.replay(fps=30.0), Page)
-assert_type(runs.report(with_replay=False), Page)
+assert_type(runs.replay(fps=30.0), ShownPage)
+assert_type(runs.report(with_replay=False), ShownPage)
 assert_type(runs["pd"].errors(start=0.1)["x"].rms, float)
 found = sweep(robot, reference, "feedback.arm", [1.0, 5.0])
-assert_type(found.plot(), Picture)
+assert_type(found.plot(), ShownPicture)
 assert_type(found.errors("pd")[5.0], Level)
 assert_type(check(robot), CheckReport)
 assert_type(judge(Recording.open("run.h5")), Judgement)

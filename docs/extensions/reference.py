@@ -373,7 +373,7 @@ FILES = {
         "What you say about a robot, in a file beside its URDF or in the `[overrides]` of an experiment.",
         "model.base.overrides:Overrides",
     ),
-    "ros2-keys": file_page("Keys of a ROS 2 node", "The file of `mmnn ros2`.", "deploy.ros2.settings:Node"),
+    "ros2-keys": file_page("Parameters of the ROS 2 node", "Parameters of `mmnn ros2`.", "deploy.ros2.settings:Node"),
     "signals": signals_page,
     "commands": command_page,
     "controllers": controllers_page,

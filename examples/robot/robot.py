@@ -12,10 +12,11 @@ import time
 
 import mujoco
 import numpy as np
-
-from mmnn_pin.deploy.ros2 import messages as msg
-from mmnn_pin.deploy.ros2.link import Inlet, Link, Outlet
-from mmnn_pin.deploy.ros2.settings import Network, Topic
+import rclpy
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
 STEP, TIMEOUT = 0.001, 0.5  # [s], [s] after which the base stops and the motors are off
 RADIUS, TRACK = 0.075, 0.342  # that its odometry believes [m]
@@ -57,32 +58,36 @@ MODEL = f"""
   </actuator>
 </mujoco>
 """
-NAMES = ("wheel_left_joint", "wheel_right_joint", "arm_1_joint", "arm_2_joint")
+NAMES = ["wheel_left_joint", "wheel_right_joint", "arm_1_joint", "arm_2_joint"]
 
 
 class Robot:
     """The simulated machine and its drivers."""
 
-    def __init__(self, link, seed):
+    def __init__(self, node, seed):
         self.model = mujoco.MjModel.from_xml_string(MODEL)
         self.data, self.rng = mujoco.MjData(self.model), np.random.default_rng(seed)
         places = [self.model.joint(name) for name in NAMES]
         self.q, self.v = [int(p.qposadr[0]) for p in places], [int(p.dofadr[0]) for p in places]
-        self.told, self.answers = math.inf, []
+        self.node, self.told, self.answers = node, math.inf, []
         self.pose, self.driven, self.worked, self.before = np.zeros(3), -math.inf, -math.inf, np.zeros(2)
-        self.twist = Inlet(link, "/diff_drive_controller/cmd_vel", msg.TwistStamped, Topic("/cmd_vel", "reliable"))
-        self.effort = Inlet(link, "/effort_controller/commands", msg.Float64MultiArray, Topic("/commands", "reliable"))
-        self.states = Outlet(link, "/joint_states", msg.JointState, Topic("/joint_states", "reliable"))
-        self.odometry = Outlet(link, "/odom", msg.Odometry, Topic("/odom", "reliable"))
+        node.create_subscription(TwistStamped, "/diff_drive_controller/cmd_vel", self.on_twist, 1)
+        node.create_subscription(Float64MultiArray, "/effort_controller/commands", self.on_effort, 1)
+        self.states = node.create_publisher(JointState, "/joint_states", 1)
+        self.odometry = node.create_publisher(Odometry, "/diff_drive_controller/odom", 1)
 
-    def listen(self, now):
-        """Take commands; the base stops and the arm's motors are off when none come."""
-        if (message := self.twist.newest(now)) is not None:
-            v, w, self.driven = message.twist.linear.x, message.twist.angular.z, now
-            self.data.ctrl[:2] = (v - w * TRACK / 2) / RADIUS, (v + w * TRACK / 2) / RADIUS
-        if (message := self.effort.newest(now)) is not None:
-            self.data.ctrl[2:], self.worked = message.data, now
-            self.answers.append(now - self.told)
+    def on_twist(self, message):
+        """Set the wheels' rates."""
+        v, w, self.driven = message.twist.linear.x, message.twist.angular.z, time.monotonic()
+        self.data.ctrl[:2] = (v - w * TRACK / 2) / RADIUS, (v + w * TRACK / 2) / RADIUS
+
+    def on_effort(self, message):
+        """Set the arm's efforts."""
+        self.data.ctrl[2:], self.worked = message.data, time.monotonic()
+        self.answers.append(self.worked - self.told)
+
+    def watch(self, now):
+        """The base stops and the arm's motors are off when no commands come."""
         if now - self.driven > TIMEOUT:
             self.data.ctrl[:2] = 0.0
         if now - self.worked > TIMEOUT:
@@ -90,8 +95,9 @@ class Robot:
 
     def tell(self):
         """Publish what the encoders say, and the wheels' odometry."""
-        seconds, rest = divmod(time.time(), 1.0)
-        header = msg.Header(msg.Time(int(seconds), int(1e9 * rest)), "odom")
+        states, odometry = JointState(name=NAMES), Odometry(child_frame_id="base_footprint")
+        states.header.stamp = odometry.header.stamp = self.node.get_clock().now().to_msg()
+        states.header.frame_id = odometry.header.frame_id = "odom"
         q = self.data.qpos[self.q] + NOISE * self.rng.standard_normal(4)
         qdot = self.data.qvel[self.v] + RATE_NOISE * self.rng.standard_normal(4)
         turned, self.before = q[:2] - self.before, q[:2].copy()
@@ -103,33 +109,33 @@ class Robot:
             (right - left) / TRACK,
         )
         v, w = RADIUS * (qdot[0] + qdot[1]) / 2, RADIUS * (qdot[1] - qdot[0]) / TRACK
-        self.states.send(msg.JointState(header, list(NAMES), q.tolist(), qdot.tolist(), []))
-        half = self.pose[2] / 2
-        turn = msg.Quaternion(0.0, 0.0, math.sin(half), math.cos(half))
-        pose = msg.Pose(msg.Point(float(self.pose[0]), float(self.pose[1])), turn)
-        twist = msg.Twist(msg.Vector3(float(v)), msg.Vector3(z=float(w)))
-        self.told, unknown = time.monotonic(), [0.0] * 36
-        told = msg.PoseWithCovariance(pose, unknown), msg.TwistWithCovariance(twist, unknown)
-        self.odometry.send(msg.Odometry(header, "base_footprint", *told))
+        states.position, states.velocity = q.tolist(), qdot.tolist()
+        pose, twist, half = odometry.pose.pose, odometry.twist.twist, self.pose[2] / 2
+        pose.position.x, pose.position.y = float(self.pose[0]), float(self.pose[1])
+        pose.orientation.z, pose.orientation.w = math.sin(half), math.cos(half)
+        twist.linear.x, twist.angular.z = float(v), float(w)
+        self.told = time.monotonic()
+        self.states.publish(states)
+        self.odometry.publish(odometry)
 
 
 def main():
     """Run until a signal comes, in real time."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--domain", type=int, default=42)
     options.add_argument("--seed", type=int, default=0)
     options.add_argument("--rate", type=float, default=200.0, help="messages per second (200)")
     options = options.parse_args()
     over = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.append(1))
-    link = Link(Network(domain=options.domain))
-    robot, start, k = Robot(link, options.seed), time.monotonic(), 0
+    rclpy.init(signal_handler_options=rclpy.SignalHandlerOptions.NO)
+    node = rclpy.create_node("robot")
+    robot, start, k = Robot(node, options.seed), time.monotonic(), 0
     while not over:
         k += 1
         while (now := time.monotonic()) < start + k / options.rate:  # hears commands as they come
-            robot.listen(now)
-            time.sleep(min(2.5e-4, max(0.0, start + k / options.rate - now)))
+            rclpy.spin_once(node, timeout_sec=max(0.0, start + k / options.rate - now))
+        robot.watch(now)
         while robot.data.time < now - start:
             mujoco.mj_step(robot.model, robot.data)
         robot.tell()
@@ -139,7 +145,7 @@ def main():
         print(f"robot: a command {median:.2f} ms after a measurement, 99 % within {tail:.2f} ms", flush=True)
     truth = robot.data.qpos[:2], robot.pose[:2]
     print(f"robot: true place {truth[0].round(3)}, by odometry {truth[1].round(3)}", flush=True)
-    link.close()
+    rclpy.shutdown()
 
 
 if __name__ == "__main__":

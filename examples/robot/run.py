@@ -2,8 +2,8 @@
 
     python examples/robot/run.py [--seconds 30] [--controllers pd two_layer]
 
-It starts `robot.py` and `mmnn ros2 robot.toml` as processes and plays joystick and planner itself: three participants
-of one ROS 2 graph on the loopback. `ros2 topic list` shows it where ROS 2 is installed (ROS_DOMAIN_ID=42).
+It starts `robot.py` and `mmnn ros2 robot.yaml` as processes and plays joystick and planner itself: three nodes of one
+ROS 2 graph. `ros2 topic list` shows them. It needs rclpy (`mmnn docs how-to/ros2`) and MuJoCo.
 """
 
 import argparse
@@ -14,60 +14,57 @@ import time
 from pathlib import Path
 
 import numpy as np
+import rclpy
+from geometry_msgs.msg import Twist
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from mmnn_pin.deploy.ros2 import messages as msg
-from mmnn_pin.deploy.ros2.link import Inlet, Link, Outlet
-from mmnn_pin.deploy.ros2.settings import Network, Topic
 from mmnn_pin.recording.recording import Recording
 
 HERE = Path(__file__).parent
-DOMAIN, SETTLED = 42, 5.0  # [s] after which errors count
+SETTLED = 5.0  # [s] after which errors count
 NODE = "import sys; from mmnn_pin.cli import main; sys.exit(main(sys.argv[1:]))"
 
 
 def arm_motion(seconds):
     """What a planner sends: points every quarter of a second, from rest to rest."""
-    points = []
+    message = JointTrajectory(joint_names=["arm_1_joint", "arm_2_joint"])
     for t in np.arange(1.0, seconds, 0.25):
         share = math.sin(math.pi * min(t / seconds, 1.0)) ** 2  # from rest to rest
         q = share * 0.7 * math.sin(0.9 * t), share * 0.5 * math.sin(1.4 * t + 1.0)
-        points.append(msg.JointTrajectoryPoint(list(q), [], [], [], msg.Duration(int(t), int(1e9 * (t % 1)))))
-    return msg.JointTrajectory(msg.Header(msg.Time()), ["arm_1_joint", "arm_2_joint"], points)
+        point = JointTrajectoryPoint(positions=list(q))
+        point.time_from_start.sec, point.time_from_start.nanosec = int(t), int(1e9 * (t % 1))
+        message.points.append(point)
+    return message
 
 
 def drive(controller, seconds, out):
     """One run; its recording, or None where the node failed."""
-    robot = subprocess.Popen([sys.executable, str(HERE / "robot.py"), "--domain", str(DOMAIN)])
-    asked = [
-        "--seconds",
-        str(seconds),
-        "--wait",
-        "30",
-        "--set",
-        f"controller={controller}",
-        "--out",
-        str(out),
-        "--force",
-    ]
-    node = subprocess.Popen([sys.executable, "-P", "-c", NODE, "ros2", str(HERE / "robot.toml"), *asked])
-    link = Link(Network(domain=DOMAIN))
-    joystick = Outlet(link, "/cmd_vel", msg.Twist, Topic("/cmd_vel", "reliable"))
-    planner = Outlet(link, "/mmnn/joint_trajectory", msg.JointTrajectory, Topic("/plan", "reliable"))
-    efforts = Inlet(link, "/effort_controller/commands", msg.Float64MultiArray, Topic("/commands"))
-    begun = None
-    while node.poll() is None:
-        now = time.monotonic()
-        if begun is None and efforts.newest(now) is not None:
-            begun = now
-            planner.send(arm_motion(seconds - 3.0))
-        if begun is not None:
-            t = now - begun
-            joystick.send(msg.Twist(msg.Vector3(0.25 * math.sin(0.5 * t)), msg.Vector3(z=0.5 * math.sin(0.9 * t))))
-        time.sleep(0.05)
+    robot = subprocess.Popen([sys.executable, str(HERE / "robot.py")])
+    asked = ["--seconds", str(seconds), "--wait", "30", "--out", str(out), "--force"]
+    changes = ["--ros-args", "-p", f"controller:={controller}"]
+    command = [sys.executable, "-P", "-c", NODE, "ros2", str(HERE / "robot.yaml"), *asked, *changes]
+    process, node = subprocess.Popen(command), rclpy.create_node("operator")
+    joystick = node.create_publisher(Twist, "/cmd_vel", 1)
+    planner = node.create_publisher(JointTrajectory, "/mmnn/joint_trajectory", 1)
+    begun = []
+    node.create_subscription(
+        Float64MultiArray, "/effort_controller/commands", lambda _: begun or begun.append(time.monotonic()), 1
+    )
+    is_planned = False
+    while process.poll() is None:
+        rclpy.spin_once(node, timeout_sec=0.05)
+        if not begun:
+            continue
+        if not is_planned:
+            planner.publish(arm_motion(seconds - 3.0))
+        is_planned, t, message = True, time.monotonic() - begun[0], Twist()
+        message.linear.x, message.angular.z = 0.25 * math.sin(0.5 * t), 0.5 * math.sin(0.9 * t)
+        joystick.publish(message)
     robot.terminate()
     robot.wait()
-    link.close()
-    return Recording.open(out) if node.returncode == 0 else None
+    node.destroy_node()
+    return Recording.open(out) if process.returncode == 0 else None
 
 
 def main():
@@ -77,6 +74,7 @@ def main():
     options.add_argument("--controllers", nargs="+", default=["pd", "two_layer"])
     options.add_argument("--out", type=Path, default=Path("runs/robot"))
     options = options.parse_args()
+    rclpy.init()
     rows, failed = [], False
     for controller in options.controllers:
         run = drive(controller, options.seconds, options.out / f"{controller}.h5")

@@ -1,4 +1,4 @@
-"""What the commands have in common: options, and examples at the end of their help."""
+"""Options that the commands have in common, and the examples at the end of their help."""
 
 from __future__ import annotations
 

@@ -255,7 +255,7 @@ def interruptible(show: Callable[P, None]) -> Iterator[Callable[P, None]]:
 
 
 def found_in(paths: tuple[Path, ...], what: str) -> Path | None:
-    """Where among some paths something else than runs is; None where it is not.
+    """The one path among some that holds something else than runs; None where none does.
 
     Args:
         paths: As the user named them.

@@ -179,7 +179,7 @@ def pictures(out: Path, whats: tuple[str, ...]) -> dict[str, Path]:
 )
 @ONE_RUN
 @judged_on
-@click.option("--plots", type=click.Path(path_type=Path), metavar="DIR", help="Write the figures to this folder.")
+@click.option("--plots", type=PATH, metavar="DIR", help="Write the figures to this folder.")
 @FORCE
 @law
 @shared
@@ -199,8 +199,11 @@ def judge(run: Path, payload: float | None, windows: int, plots: Path | None, fo
         found = judgement(recording, payload=payload, windows=windows, progress=show)
     files = {} if plots is None else write_judged(found, plots, force)
     written = {} if plots is None else {"files": named(files)}
-    text = styled(render(found, **look()))
-    answer(as_json, lambda: found.to_dict() | written, lambda: "\n".join((text, wrote(files.values()))).rstrip())
+
+    def text() -> str:
+        return f"{styled(render(found, **look()))}\n{wrote(files.values())}".rstrip()
+
+    answer(as_json, lambda: found.to_dict() | written, text)
     return DONE
 
 

@@ -2,129 +2,229 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
+import os
 import re
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 from msgspec.structs import replace
 
 from ..errors import ConfigError, InputError
-from ..files import quoted, read_text
+from ..files import quoted
 from .options import examples, robots, shared
-from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, note
+from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, wrote
 
 if TYPE_CHECKING:
     from ..deploy.ros2.settings import Node
-    from ..deploy.ros2.wiring import Row
+    from ..kinematic import Kinematic
     from ..lab.experiments.experiment import Experiment
+    from ..loop.stepper import Stepper
     from ..model.robot import Robot
-    from ..recording.recording import Recording
+    from ..reference.wishes import Motion
 
-Made = TypeVar("Made")
 COARSEST = 0.001  # step of a simulated plant, which is not used here [s]
+GET = "source /opt/ros/DISTRIBUTION/setup.bash (Jazzy or later), or pip install 'mmnn_pin[ros2]' (Linux on x86-64)"
 
 
 @click.command(
-    short_help="Run a controller as a ROS 2 node, without an installation of ROS 2.",
+    short_help="Run a controller as a ROS 2 node.",
+    context_settings={"ignore_unknown_options": True},
     epilog=examples(
-        "mmnn ros2 --example --robot my_robot.urdf > my_robot.toml     a file to start from",
-        "mmnn ros2 my_robot.toml --check                               what it would listen to and send",
-        "mmnn ros2 my_robot.toml --controllers                         YAML of the controllers for ros2_control",
-        "mmnn ros2 my_robot.toml",
-        "mmnn ros2 my_robot.toml --set controller=two_layer --set network.domain=7 --seconds 60",
+        "mmnn ros2 --example my_robot_control --robot my_robot.urdf    a package to start from",
+        "mmnn ros2 my_robot.yaml --check                               what it would listen to and send",
+        "mmnn ros2 my_robot.yaml --controllers                         YAML of the controllers for ros2_control",
+        "mmnn ros2 my_robot.yaml",
+        "mmnn ros2 my_robot.yaml --seconds 60 --ros-args -p controller:=two_layer -r cmd_vel:=teleop/cmd_vel",
     ),
 )
-@click.argument("file", metavar="SETTINGS.toml", required=False, type=click.Path(path_type=Path))
-@click.option("--example", "show_example", is_flag=True, help="Print a SETTINGS.toml with comments, and end.")
+@click.argument("arguments", metavar="[PARAMETERS.yaml] [--ros-args ...]", nargs=-1, type=click.UNPROCESSED)
+@click.option("--example", metavar="FOLDER", type=click.Path(path_type=Path), help="Write a ROS 2 package, and end.")
 @click.option(
     "--robot",
     metavar="ROBOT",
     shell_complete=robots,
+    default="platform_arm",
     help="For --example: a name or a URDF file.  [default: platform_arm]",
 )
-@click.option("--check", is_flag=True, help="Say what it would subscribe to and publish, and end. Nothing is started.")
+@click.option("--check", is_flag=True, help="Say what it would subscribe to and publish, and end. Nothing moves.")
 @click.option("--controllers", "show_controllers", is_flag=True, help="Print the YAML of ros2_control for it, and end.")
-@click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a key of the file; repeatable.")
+@click.option("--managed", is_flag=True, help="Wait for a lifecycle manager to configure and activate it.")
 @click.option("--seconds", type=float, default=math.inf, help="Stop after this time.  [default: never]")
 @click.option("--wait", type=float, default=10.0, help="How long to wait for the robot [s].  [default: 10]")
 @click.option("--out", type=click.Path(path_type=Path), help="The recording.  [default: runs/ros2/ROBOT.h5]")
 @click.option("--force", is_flag=True, help="Replace an existing recording.")
 @shared
 def ros2(
-    file: Path | None,
-    show_example: bool,
-    robot: str | None,
+    arguments: tuple[str, ...],
+    example: Path | None,
+    robot: str,
     check: bool,
     show_controllers: bool,
-    changes: tuple[str, ...],
+    managed: bool,
     seconds: float,
     wait: float,
     out: Path | None,
     force: bool,
     as_json: bool,
 ) -> int:
-    """Control a robot through its ROS 2 topics, as SETTINGS.toml says.
+    """Control a robot through its ROS 2 topics, as a file of parameters says.
 
     It subscribes to joint states and odometry, takes setpoints (Twist, JointTrajectory, Path, and the action
     FollowJointTrajectory that MoveIt sends), and publishes commands to the robot's ros2_control controllers, and
     diagnostics. A supervisor stands between controller and robot: it trips when measurements stay away for too long, or
-    when an error or a speed passes its limit; then the base brakes, the arm holds, and the node ends. Ctrl-C does the
-    same. Messages are checked: source, size, order, age, NaN, joint names. Every problem is one line.
+    when an error or a speed passes its limit; then the base brakes, the arm holds, until ~/reset is called. Ctrl-C
+    stops it likewise, and ends. Messages are checked: publishers, order, age, NaN, joint names.
 
-    It is recorded as a run: mmnn plot, report and replay show it. Exit codes: 0 done, 1 tripped, 2 bad input or no
-    robot there, 130 stopped by Ctrl-C. It needs: pip install 'mmnn_pin[ros2]'.
+    It is a lifecycle node of rclpy: what follows --ros-args is ROS 2's (parameters, remapping, namespace, logging). It
+    is recorded as a run: mmnn plot, report and replay show it. Exit codes: 0 done, 1 tripped, 2 bad input or no robot
+    there, 130 stopped by Ctrl-C.
     """
-    from ..deploy.ros2.reading import load_settings
-    from ..deploy.ros2.wiring import controllers, example, rows
-    from ..safety.settings import PRESSED, SIGNAL
-
-    if show_example:
+    if example is not None:
+        from ..deploy.ros2.example import write_package
         from ..model.loading import load
 
-        text = example(load(robot or "platform_arm"), robot or "platform_arm")
-        answer(as_json, lambda: {"toml": text}, lambda: text)
+        files = write_package(example, load(robot), robot)
+        answer(as_json, lambda: {"files": [str(file) for file in files]}, lambda: wrote(files))
         return DONE
-    if file is None:
-        raise ConfigError("no SETTINGS.toml", fix="mmnn ros2 --example > robot.toml writes one to start from")
-    settings = load_settings(file, changes)
-    experiment, made = asked(settings, file)
+    require_rclpy()
+    from ..deploy.ros2 import node
+
+    given, making = ros_arguments(arguments), Making(seconds, out, force, keep=not check)
     if show_controllers:
-        yaml = with_lines(lambda: controllers(made, settings), settings, file)
+        yaml = yaml_of(node.settings(making, given))
         answer(as_json, lambda: {"yaml": yaml}, lambda: yaml)
         return DONE
     if check:
-        table = rows(made, settings)
-        topics = {"robot": made.name, "topics": [row._asdict() for row in table]}
-        answer(as_json, lambda: topics, lambda: columns(table))
+        name, rows = node.checked(making, given)
+        topics = {"robot": name, "topics": [row._asdict() for row in rows]}
+        answer(as_json, lambda: topics, lambda: columns(rows))
         return DONE
-    to = out or Path("runs/ros2") / f"{made.name}.h5"
-    run, pressed = control(settings, file, experiment, made, seconds, wait, to, force)
+    compile_if_cold(True)
+    run, stopped = node.control(making, given, wait, managed)
+    if run is None:
+        return STOPPED if stopped else DONE
     outcome = run.outcome
     facts = {"status": outcome.status, "time": outcome.time, "message": outcome.message, "recording": str(run.path)}
     text = f"{outcome.status} after {outcome.time:.3f} s: {outcome.message}".rstrip(": ")
     answer(as_json, lambda: facts, lambda: text)
-    if pressed and outcome.signal == SIGNAL[PRESSED]:  # which stops the robot as a trip does
-        return STOPPED
-    return {"completed": DONE, "interrupted": STOPPED}.get(outcome.status, FAILED)
+    return STOPPED if stopped else DONE if outcome.status == "completed" else FAILED
 
 
-def columns(table: list[Row]) -> str:
+def require_rclpy() -> None:
+    """Refuse to go on without rclpy.
+
+    Raises:
+        ConfigError: It is not there, with how to get it.
+    """
+    try:
+        import rclpy  # noqa: F401
+    except ImportError as error:
+        version = ".".join(map(str, sys.version_info[:2]))
+        raise ConfigError(f"no rclpy for this Python {version}", why=str(error), fix=GET) from error
+
+
+def ros_arguments(given: Sequence[str]) -> list[str]:
+    """Arguments for ROS 2, a file of parameters in front as ROS 2 takes it.
+
+    Raises:
+        ConfigError: A file that is not there, an argument that is none.
+    """
+    own = list(given[: given.index("--ros-args")]) if "--ros-args" in given else list(given)
+    rest = list(given[len(own) :])
+    for name in own:
+        if name.startswith("-"):
+            raise ConfigError(f"no option {name}", fix="give arguments for ROS 2 after --ros-args", key="ros2")
+        if not os.path.isfile(name):
+            fix = "mmnn ros2 --example FOLDER writes one to start from"
+            raise ConfigError(f"no file {name}", fix=fix, key="ros2")
+    return [*(part for name in own for part in ("--ros-args", "--params-file", name, "--")), *rest]
+
+
+def yaml_of(settings: Node) -> str:
+    """The YAML of ros2_control."""
+    from ..deploy.ros2.wiring import controllers
+
+    return controllers(asked(settings)[1], settings)
+
+
+def columns(table: Sequence[Any]) -> str:
     """Topics, one a line, what is said of them below each other."""
     width = [max(len(row[i]) for row in table) for i in range(3)]
-    return "\n".join(
-        "  ".join((*(f"{row[i]:{width[i]}}" for i in range(3)), f"{row.qos}: {row.what}")) for row in table
-    )
+    return "\n".join("  ".join((*(f"{row[i]:{width[i]}}" for i in range(3)), row.qos, row.what)) for row in table)
 
 
-def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:
+@dataclass
+class Making:
+    """What makes steppers out of a node's settings.
+
+    Attributes:
+        seconds: How long they run at most.
+        out: File for the recording; None for one by the robot's name, or in memory where nothing runs.
+        force: Whether it may be replaced.
+        keep: Whether there is a file at all.
+    """
+
+    seconds: float
+    out: Path | None
+    force: bool
+    keep: bool = True
+
+    def stepper(self, settings: Node, count: int) -> Stepper:
+        """A stepper, the count-th of the process."""
+        from ..deploy.ros2.wiring import interfaces
+        from ..loop.stepper import Stepper
+        from ..safety import Safety
+
+        experiment, robot = asked(settings)
+        self.experiment, self.follow = experiment, settings.follow
+        self.loop = experiment.loop(robot, experiment.controller(settings.controller, robot=robot))
+        path = self.out or Path("runs/ros2") / f"{robot.name}.h5"
+        with experiment.in_its_keys(as_parameters):
+            return Stepper.of(
+                self.loop,
+                limits=settings.limits,
+                setpoint_timeout=settings.setpoint_timeout,
+                interfaces=interfaces(robot, settings),
+                path=path.with_stem(f"{path.stem}-{count}" if count else path.stem) if self.keep else None,
+                force=self.force,
+                safety=self.loop.safety or Safety(torque="urdf"),
+                meta={"config": experiment.to_json()},
+            )
+
+    def motion(self, stepper: Stepper) -> tuple[Motion | None, float]:
+        """What it follows from the start, and for how long [s]."""
+        if self.follow == "topics":
+            return None, self.seconds
+        duration = self.experiment.time.duration
+        return stepper.plan(self.loop.trajectory, duration, from_here=True), min(self.seconds, duration)
+
+    def law(self, settings: Node, before: Node) -> tuple[Any, Kinematic]:
+        """Controller and kinematic gains of changed settings.
+
+        Raises:
+            ConfigError: More than those changed.
+        """
+        now, robot = asked(settings)
+        then, _ = asked(before)
+        gains = ("kinematic", "feedback", "robust", "robust_of", "learning", settings.controller)
+        fixed = [name for name in now.__struct_fields__ if getattr(now, name) != getattr(then, name)]
+        if wrong := [name for name in fixed if name not in gains]:
+            why, fix = "only gains, learning and the controller's table can", "clean up, set it, configure anew"
+            raise ConfigError(f"set.{wrong[0]} cannot change now", why=why, fix=fix, key=f"set.{wrong[0]}")
+        with now.in_its_keys(as_parameters):
+            return now.controller(settings.controller, robot=robot), now.kinematic
+
+
+def asked(settings: Node) -> tuple[Experiment, Robot]:
     """The experiment with the settings' changes, and its robot; the wiring is checked.
 
     Raises:
-        InputError: They do not fit each other; with the line.
+        InputError: They do not fit each other.
     """
     from ..deploy.ros2.wiring import interfaces
     from ..lab.experiments.config import load_experiment
@@ -133,87 +233,20 @@ def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:
     step = period / math.ceil(period / COARSEST - 1e-9)
     times = [f"time.control_period={period!r}", f"time.plant_step={step!r}"]
     times += [f"time.duration={round(duration / period) * period!r}"]
-
-    def build() -> tuple[Experiment, Robot]:
-        changes = [f"robot={quoted(settings.robot)}", *times, *settings.changes]
+    changes = [f"robot={quoted(settings.robot)}", *times, *settings.changes]
+    try:
         experiment = load_experiment(settings.experiment, changes)
         experiment = replace(experiment, latency=settings.latency_of(experiment.latency))
         robot = experiment.load_robot()
-        interfaces(robot, settings)
-        return experiment, robot
-
-    return with_lines(build, settings, file)
-
-
-def with_lines(make: Callable[[], Made], settings: Node, file: Path) -> Made:
-    """What a function makes of the settings; what is wrong with them gets their file and line.
-
-    Raises:
-        InputError: It fails.
-    """
-    from ..deploy.ros2.reading import line_of
-
-    try:
-        return make()
     except InputError as error:
-        text = read_text(file)
-        if error.file is None or Path(error.file).suffix == ".toml":
-            own = error.key is not None and error.key.partition(".")[0] in settings.set
-            error.key = f"set.{error.key}" if own else error.key
-            error.file, error.line = file, line_of(text, error.key or "")
+        if error.key is not None and error.key.partition(".")[0] in settings.set:
+            raise error.but(key=f"set.{error.key}") from error
         raise
+    interfaces(robot, settings)
+    return experiment, robot
 
 
-def control(
-    settings: Node,
-    file: Path,
-    experiment: Experiment,
-    robot: Robot,
-    seconds: float,
-    wait: float,
-    out: Path,
-    force: bool,
-) -> tuple[Recording, bool]:
-    """Run the node; its recording, and whether Ctrl-C came.
-
-    Raises:
-        InputError: The package for DDS is missing, the robot is not there, settings that do not fit.
-    """
-    try:
-        import cyclonedds  # noqa: F401
-    except ImportError as error:
-        raise ConfigError("ROS 2 without DDS", why=str(error), fix="pip install 'mmnn_pin[ros2]'") from error
-    from ..deploy.ros2.node import Bridge
-    from ..deploy.ros2.wiring import interfaces
-    from ..loop.stepper import Stepper
-    from ..safety import Safety
-
-    compile_if_cold(True)
-    loop = experiment.loop(robot, experiment.controller(settings.controller, robot=robot))
-    more: dict[str, Any] = {"limits": settings.limits, "setpoint_timeout": settings.setpoint_timeout}
-    more |= {
-        "interfaces": interfaces(robot, settings),
-        "path": out,
-        "force": force,
-    }
-    more |= {"safety": loop.safety or Safety(torque="urdf"), "meta": {"config": experiment.to_json()}}
-    with of_settings(experiment):
-        made = with_lines(lambda: Stepper.of(loop, **more), settings, file)
-    with made as stepper, Bridge(stepper, settings, note) as node:
-        motion = None
-        if settings.follow == "experiment":
-            motion = stepper.plan(loop.trajectory, experiment.time.duration, from_here=True)
-            seconds = min(seconds, experiment.time.duration)
-        note(f"{robot.name} at {settings.rate:g} Hz in domain {settings.network.domain}, as {file} says")
-        return node.run(wait, seconds, motion), bool(node.stopped)
-
-
-@contextlib.contextmanager
-def of_settings(experiment: Experiment) -> Iterator[None]:
-    """Errors of the loop within name keys of an experiment as the node's settings take them."""
-    try:
-        with experiment.in_its_keys():
-            yield
-    except ConfigError as error:
-        error.fix = re.sub(r"--set ('?)", r"--set \1set.", error.fix)
-        raise
+def as_parameters(values: Mapping[str, str]) -> str:
+    """Changes of an experiment as a file of parameters has them, whose lists have no whole numbers among others."""
+    reals = {key: re.sub(r"(?<![\w.])(\d+)(?![\w.])", r"\1.0", value) for key, value in values.items()}
+    return " ".join(f"`set.{key}: {value}`" for key, value in reals.items())

@@ -58,15 +58,14 @@ def study(
     """
     from ..lab.experiments.runner import window_notes
     from ..lab.show.study import render, to_dict
-    from ..lab.study.execution import judged, probe, rerun
+    from ..lab.study.execution import probe, rerun
     from ..lab.study.plan import plan_of
     from ..lab.study.results import load_results
     from ..lab.study.settings import load_study
-    from ..lab.study.store import NAME
 
     study = load_study(file, settings)
     folder = out or Path("runs") / study.name
-    plan = plan_of(study, judged=judged(folder / NAME))
+    plan = plan_of(study)
     known = probe(plan)
     compile_if_cold()
     if row is not None:

@@ -61,8 +61,7 @@ def warm(
             msgspec.structs.replace(asked, time=timing), Path(experiment).stem, progress=show, leave_out=True
         )
     took, root = time.perf_counter() - began, checked_root()
-    names = list(result.recordings)
-    told = {"experiment": result.name, "controllers": names, "seconds": took, "folder": str(root or "")}
+    told = {"experiment": result.name, "controllers": list(result), "seconds": took, "folder": str(root or "")}
     where = f"kept in {root}" if root else "and not kept: no folder can be written"
-    answer(as_json, lambda: told, lambda: f"{', '.join(names)}: compiled in {took:.1f} s, {where}")
+    answer(as_json, lambda: told, lambda: f"{', '.join(result)}: compiled in {took:.1f} s, {where}")
     return DONE

@@ -56,14 +56,14 @@ def new_hardware(
     dead = disturbance.windows(disturbance.DeadMotor, events, robot.actuator_names)
     sensor = late(loop)
     is_exact = sensor.exact and not (faults.any() or len(frozen) or len(geared))
-    states = np.zeros((layout.motors, motor.STATES))
-    motor.motor_state(states).rotor_speed[:] = product(true.E.T, nu)
+    at_start = np.zeros((layout.motors, motor.STATES))
+    motor.motor_state(at_start).rotor_speed[:] = product(true.E.T, nu)
     sensed = sensor.init(robot, faults)
     kinds, on = interfaces_of(robot, loop.interfaces)
     under_way = np.zeros((loop.latency.slots(timing), layout.motors))
     slots = servo_slots(loop.servo, loop.latency.command, timing.plant_step) if on.any() else 0
     parts: tuple[Array, ...]
-    parts = (sensed, states, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof), under_way)
+    parts = (sensed, at_start, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof), under_way)
     parts = (*parts, np.zeros(state_size(on, layout.arm)), np.zeros((slots, layout.motors)))
     values, (sensed, kept, guard, held, sent, under_way, rows, ring) = flat(parts)
     states = motor.motor_state(kept)

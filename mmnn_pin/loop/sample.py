@@ -266,8 +266,8 @@ class Unflattened:
 
     def psi(self, row: Array, at: IntArray) -> None:
         """See `model_psi`."""
-        measured = (view(row, at, signal) for signal in (POSE, VELOCITY, Q, QDOT))
-        as_measured(*self.arm_map, *measured, self.position, self.nu)
+        pose, velocity, q, qdot = (view(row, at, signal) for signal in (POSE, VELOCITY, Q, QDOT))
+        as_measured(*self.arm_map, pose, velocity, q, qdot, self.position, self.nu)
         self.terms.refresh(self.position, self.nu)
         self.terms.refresh_psi(view(row, at, NU_REF), view(row, at, NUDOT_REF), view(row, at, PSI_HAT))
 
@@ -309,7 +309,8 @@ class Torque:
         layout = context.layout
         self.controller, self.state, self.row, self.at = controller, state, row, layout.offsets
         self.limits, self.learner, self.model = context.limits, None, None
-        self.ahead, self.later = (None, None) if lead is None else (lead.ahead, lead.learner)
+        self.ahead: Ahead | None = None if lead is None else lead.ahead
+        self.later: Any = None if lead is None else lead.learner
         self.psi_hat = row[layout.where("psi_hat")]
         numbers = law.constant_gain(np.zeros(layout.dof))
         if isinstance(controller, CompiledController):

@@ -170,19 +170,21 @@ class Stepper:
         controller: CompiledController | TorqueController,
         settings: StepperSettings = StepperSettings(),  # noqa: B008 (frozen)
     ) -> None:
+        safety = settings.safety
+        assert safety is not None
         period, known = settings.period, Latency.of(settings.latency, settings.predict)
         timing = Timing(duration=period, control_period=period, plant_step=period)
         sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
         given = Given(settings.kinematic, period, known.total + known.margin, settings.lag)
         controller = suited(controller, robot, lambda: given)
         setup = Outside(
-            robot, controller, settings.kinematic, settings.safety, timing, settings.nominal, settings.seed,
+            robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency = period, settings.check_gains, known.total
-        self.safety, self.limits, layout = settings.safety, settings.limits, setup.layout
+        self.safety, self.limits, layout = safety, settings.limits, setup.layout
         self.follower, self.at = Follower(robot, self.limits, settings.setpoint_timeout), layout.offsets
         row = self.row = layout.new_row()
         self.received = row[layout.where("pose").start : layout.where("qdot").stop]
@@ -338,9 +340,12 @@ class Stepper:
         self.past.times[:] = -math.inf
 
     def change(
-        self, controller: CompiledController | TorqueController | None = None, kinematic: Kinematic | None = None
+        self,
+        controller: CompiledController | TorqueController | None = None,
+        kinematic: Kinematic | None = None,
+        limits: Limits | None = None,
     ) -> None:
-        """Other gains or settings from the next sample on; what was learned stays. Call it between two samples.
+        """Other gains, settings or limits from the next sample on; what was learned stays. Call it between two samples.
 
         Raises:
             ConfigError: A controller that remembers something else, gains that are unstable; nothing has changed then.
@@ -351,7 +356,14 @@ class Stepper:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
             made = suited(controller, self.robot, lambda: Given(kinematic, self.period, delay, lag))
         setup = replace(self.setup, controller=made, kinematic=kinematic)
-        self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
+        before, self.limits = self.limits, limits or self.limits
+        try:
+            self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
+        except ConfigError:
+            self.limits = before
+            raise
+        if limits is not None:
+            self.follower.limit(self.robot, limits)
 
     def snapshot(self) -> Any:
         """A copy of what was learned, to start another stepper from (`state`)."""

@@ -123,6 +123,12 @@ class Follower:
         self.measured[:] = measured
         self.courses[:], self.stands = (None, None), True
 
+    def limit(self, robot: Robot, limits: Limits) -> None:
+        """Other limits from the next sample on; errors as of the class."""
+        made = new_guide(robot, limits)
+        for name in ("base", "wheels", "arm", "ends", "exact"):
+            getattr(self.guide, name)[...] = getattr(made, name)
+
     def step(
         self, time: float, dt: float, measured: Array, wishes: tuple[Wish, ...], courses: list[Course | None]
     ) -> None:

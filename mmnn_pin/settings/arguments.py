@@ -136,6 +136,8 @@ def fits(value: Any, kind: Any) -> bool:
         return test(value)
     if isinstance(value, str | bytes) and get_origin(kind) not in (None, Literal):
         return False  # a text is no list
+    if get_origin(kind) is tuple and parts[-1] is not ... and isinstance(value, Sequence):
+        return len(value) == len(parts) and all(map(fits, value, parts))
     try:
         msgspec.convert(bare(value), kind)
     except msgspec.ValidationError:

@@ -320,6 +320,14 @@ def test_first_run_says_that_it_compiles(call: Call, monkeypatch: pytest.MonkeyP
     assert "compiling" in err and json.loads(out)
 
 
+def test_warm_compiles_ahead_and_writes_nothing_else(call: Call) -> None:
+    code, out, _ = call("warm", "chapter4", "--controller", "pd", "--json")
+    told = json.loads(out)
+    assert (code, told["experiment"], told["controllers"]) == (0, "chapter4", ["pd"]) and told["seconds"] > 0.0
+    assert not any(Path.cwd().iterdir())
+    assert call("warm", "no_such_experiment")[0] == 2
+
+
 @pytest.mark.usefixtures("undrawn")
 def test_progress_is_shown_on_a_terminal_only(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     assert call("run", "chapter4", "--controller", "pd", *SHORT)[2] == ""
@@ -724,7 +732,6 @@ def test_ctrl_c_that_a_compiler_swallows_is_not_a_fault_of_ours() -> None:
     ("experiment", "keys"),
     [
         ("certified", "reference.arm, feedback.arm, friction.arm"),
-        ("contest", "reference.arm, feedback.arm, sensor.velocity_noise"),
         ("chapter4", "reference.arm"),
     ],
 )

@@ -15,6 +15,7 @@ from study_files import written
 
 from mmnn_pin.cli import main, mmnn
 from mmnn_pin.cli import ros2 as node
+from mmnn_pin.deploy import ros2 as graph_side
 from mmnn_pin.recording.recording import Outcome
 
 LINE = "error: stopped by Ctrl-C\n"
@@ -99,7 +100,7 @@ def test_before_the_first_row_there_is_nothing_else_to_tell(
     [
         ("tripped", "stop", True, 130),  # a Ctrl-C that stops the robot
         ("tripped", "stop", False, 1),  # its service
-        ("tripped", "e[0]", True, 1),  # after a trip of another cause
+        ("tripped", "e[0]", True, 130),  # after a trip of another cause
         ("interrupted", "", True, 130),
         ("completed", "", False, 0),
     ],
@@ -108,5 +109,8 @@ def test_a_node_that_ctrl_c_stops_ends_with_130(
     status: str, signal: str, pressed: bool, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = SimpleNamespace(outcome=Outcome(status, 1.0, signal, "so it ended"), path=tmp_path / "run.h5")
-    monkeypatch.setattr(sys.modules[node.callback.__module__], "control", lambda *_: (run, pressed))
-    assert main(["ros2", str(ROOT / "examples" / "robot" / "robot.toml")]) == code
+    monkeypatch.setattr(sys.modules[node.callback.__module__], "require_rclpy", lambda: None)
+    of_rclpy = SimpleNamespace(control=lambda *_: (run, pressed))
+    monkeypatch.setitem(sys.modules, "mmnn_pin.deploy.ros2.node", of_rclpy)
+    monkeypatch.setattr(graph_side, "node", of_rclpy, raising=False)
+    assert main(["ros2", str(ROOT / "examples" / "robot" / "robot.yaml")]) == code

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
+import plain_messages as msg
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin import PD, Stepper, StepperSettings, load
-from mmnn_pin.deploy.ros2 import messages as msg
 from mmnn_pin.deploy.ros2.planned import Arm, Refused
 from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import JointGoal

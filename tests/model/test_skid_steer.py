@@ -10,6 +10,8 @@ import pytest
 from drives import ARM, CYLINDER, LYING_CYLINDER, joint, link, moving, random_state, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_base import four
+from test_base import wheel as wheel_at
 
 from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.model.base.base import Wheel
@@ -228,3 +230,9 @@ def test_its_turning_friction_is_a_linear_parameter():
     assert sum(Adaptive(regressor=regressor, feedback=Feedback(1.0, 1.0)).counts()) == felt.size
     plain = Regressor.of(robot_of(rover(), base="holonomic"))
     assert "w.coulomb" not in plain.labels
+
+
+def test_a_wheel_in_the_middle_is_on_no_side():
+    drums = "".join(wheel_at(name, (x, 0.0, 0.1)) for name, x in (("front", 0.5), ("rear", -0.5)))
+    with pytest.raises(ConfigError, match=r"6 wheel.*, 2 of them on the left, for a skid-steer base: name two or 3"):
+        robot_of(four(more=drums), base="skid_steer")

@@ -245,7 +245,7 @@ def test_an_arm_on_a_stand_is_said_to_be_one():
     robot = robot_of(text)
     told = next(f for f in robot.findings if f.code == "base-none")
     assert robot.base.kind == "fixed" and told.severity == "note"
-    assert followed(text, ways_of(told.fix)[0]).base.is_pushed
+    assert followed(text, ways_of(told.fix)[0]).base.pushes
     assert "base-none" not in codes(robot_of(text, base="fixed"))
 
 

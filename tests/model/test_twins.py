@@ -100,7 +100,7 @@ def test_wheels_welded_to_their_steering_joints_are_no_rotors():
     with pytest.raises(Unsupported, match="this is a swerve drive") as error:
         robot_of(chassis(modules))
     robot = followed(chassis(modules), ways_of(error.value.fix)[0])
-    assert robot.base.is_pushed and set(robot.base.casters) == {"m0", "m1", "m2", "m3"}
+    assert robot.base.pushes and set(robot.base.casters) == {"m0", "m1", "m2", "m3"}
     with pytest.raises(Unsupported, match="drone"):
         robot_of(chassis(modules.replace("wheel.stl", "blade.stl")).replace(ARM, ""))
 
@@ -109,7 +109,7 @@ def test_a_tracked_machine_that_is_all_one_body_is_called_so():
     track = link("left_track_link", 5.0) + joint("t", "fixed", "base", "left_track_link", p=(0, 0.2, 0.1))
     with pytest.raises(Unsupported, match="tracked machine: 'left_track_link'") as error:
         robot_of(chassis(track).replace(ARM, ""))
-    assert followed(chassis(track).replace(ARM, ""), ways_of(error.value.fix)[0]).base.is_pushed
+    assert followed(chassis(track).replace(ARM, ""), ways_of(error.value.fix)[0]).base.pushes
 
 
 # --- Low joints of an arm ---------------------------------------------------------------------------------------------
@@ -208,7 +208,7 @@ def test_twin_tyres_make_two_sides_of_one_axle(y, apart):
     assert robot.base.kind == "skid_steer" and "twin tyres" in codes(robot)["base-evidence"]
     assert robot.base.track == pytest.approx(2 * y + apart)  # between the middles of the twins
     assert robot.base.turning == pytest.approx(mean_scrub(robot, apart), rel=1e-6)
-    assert robot_of(chassis(twins), base="holonomic").base.is_pushed
+    assert robot_of(chassis(twins), base="holonomic").base.pushes
 
 
 def mean_scrub(robot, apart: float) -> float:

@@ -219,7 +219,7 @@ def test_a_swerve_drive_without_limits_is_refused_by_name():
     with pytest.raises(Unsupported, match=r"base on powered casters: .*--base holonomic drives it"):
         robot_of(swerve(0.03))
     robot = robot_of(swerve(0.0), base="holonomic")  # as both are told
-    assert robot.base.is_pushed and robot.base.kind == robot_of(swerve(0.03), base="holonomic").base.kind == "holonomic"
+    assert robot.base.pushes and robot.base.kind == robot_of(swerve(0.03), base="holonomic").base.kind == "holonomic"
     assert robot.joint_names == ("shoulder", "elbow")
 
 

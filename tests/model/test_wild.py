@@ -223,7 +223,7 @@ def test_wheels_under_a_torso_that_is_the_root_are_a_base():
     with pytest.raises(Undecided):
         robot_of(text)
     robot = robot_of(text, base="holonomic")
-    assert robot.base.is_pushed and robot.joint_names == ("shoulder", "elbow") and "knee" in robot.base.casters
+    assert robot.base.pushes and robot.joint_names == ("shoulder", "elbow") and "knee" in robot.base.casters
 
 
 @pytest.mark.parametrize("moving", [True, False])
@@ -236,7 +236,7 @@ def test_wheels_that_are_welded_on_are_said(moving):
     text = f'<robot name="r">{text}{ARM if moving else ""}</robot>'
     with pytest.raises(Undecided, match=r"3 wheels are welded on.*--base fixed.*--base holonomic"):
         robot_of(text)
-    assert robot_of(text, base="holonomic").base.is_pushed
+    assert robot_of(text, base="holonomic").base.pushes
 
 
 def test_two_mirrored_endless_joints_are_no_arm_though_their_axes_are_wrong():

@@ -18,7 +18,7 @@ import math
 import operator
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -249,13 +249,7 @@ class FunctionBody:
             self.refuse(node, "'else' of a loop")
         call = node.iter
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "range"):
-            over = self.expression(call)
-            items = over.items if isinstance(over, Tuple) else ()
-            if isinstance(over, Static) and isinstance(over.object, tuple):
-                items = tuple(self.program.lifted(x, f"{over.name}_{i}") for i, x in enumerate(over.object))
-            elif not isinstance(over, Tuple):
-                self.refuse(node, "a loop over this")
-            self._written_out(node, items)
+            self._written_out(node, self.items(node, self.expression(call)))
             return
         given = [self.number(item) for item in call.args]
         first, last, step = (integer(0), *given, integer(1)) if len(given) == 1 else (*given, integer(1))[:3]
@@ -270,7 +264,7 @@ class FunctionBody:
             turns = range(first.value, last.value, step.value) if first.is_known and last.is_known else ()
             if not 0 < len(turns) <= UNROLLED:
                 self.refuse(node, f"memory at {error}")
-            self._written_out(node, tuple(integer(i) for i in turns))
+            self._written_out(node, [integer(i) for i in turns])
 
     def _loop(self, node: ast.For, first: Number, last: Number, step: Number) -> None:
         if not isinstance(node.target, ast.Name) or not step.is_known:
@@ -295,7 +289,7 @@ class FunctionBody:
         loops = [n.target for n in ast.walk(self.source.node) if isinstance(n, ast.For)]
         return sum(isinstance(target, ast.Name) and target.id == name for target in loops)
 
-    def _written_out(self, node: ast.For, items: tuple[Value, ...]) -> None:
+    def _written_out(self, node: ast.For, items: Sequence[Value]) -> None:
         if any(isinstance(n, ast.Break | ast.Continue) for n in ast.walk(node)):
             self.refuse(node, "'break' or 'continue' in a loop over this")
         for item in items:
@@ -363,7 +357,7 @@ class FunctionBody:
         if isinstance(value, Vec):
             whole = value if is_name(value.text) else self.fresh(value)
             return [Number("real", f"{whole.text}.v[{i}]") for i in range(whole.size)]
-        self.refuse(node, "several names for this")
+        self.refuse(node, "parts of this")
 
     def _to_name(self, target: ast.Name, value: Value, written_out: bool) -> None:
         name, once = target.id, written_out or self.source.stores[target.id] == 1

@@ -17,7 +17,6 @@ import numpy as np
 
 from ...elementary.matrices import product
 from ...errors import ConfigError, MmnnError
-from ...kinematic import Kinematic
 from ...loop.loop import Loop
 from ...loop.servo import Command
 from ...loop.stepper import Stepper
@@ -26,7 +25,6 @@ from ...recording.recording import Recording
 from ...reference.limits import Limits
 from ...reference.wishes import BaseVelocity, Stand, Wish
 from ...signals import Array, Measurement, Setpoint
-from ...torque.controller import CompiledController, TorqueController
 from .board import BAD_SETPOINT, BAD_TIME, FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND, Fresh
 from .files import Export, translated
 from .golden import PAUSE, RESET, RESUME, STOP
@@ -129,9 +127,7 @@ class Linked(Fresh):
         super().resume()
         self._act(RESUME)
 
-    def change(
-        self, controller: CompiledController | TorqueController | None = None, kinematic: Kinematic | None = None
-    ) -> NoReturn:
+    def change(self, *given: Any, **more: Any) -> NoReturn:
         """Refused: gains are constant tables of the exported controller.
 
         Raises:

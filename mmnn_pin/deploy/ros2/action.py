@@ -1,260 +1,274 @@
-"""The action `control_msgs/FollowJointTrajectory`: goals that are accepted or not, followed, cancelled, and answered.
+"""The action `control_msgs/FollowJointTrajectory`: goals that are followed, replaced, cancelled, and answered.
 
 Goals are judged as `joint_trajectory_controller` does: a new one takes the place of the one that is followed; it is
-reached when every joint is within its tolerance of the last point, and given up when that takes too long, when a joint
-strays from the way by more than its tolerance, or when the supervisor stops the robot.
+reached when every part is within its tolerance of the last point, and given up when that takes too long, when a part
+strays from the way by more than its tolerance, or when the supervisor stops the robot. A goal that cannot be followed
+is accepted and aborted at once, as only so its sender learns why (`error_string`).
+
+The server's callbacks run in an executor; goals are judged by the control loop, and `Goal.over` is where they meet.
 """
 
 from __future__ import annotations
 
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from threading import Event
 from typing import Any
 
 import numpy as np
+from control_msgs.action import FollowJointTrajectory
+from control_msgs.msg import JointTolerance
+from geometry_msgs.msg import Transform
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node as RosNode
+from trajectory_msgs.msg import JointTrajectoryPoint
 
-from ...errors import MmnnError
-from ...reference.guide import ARM
+from ...reference.guide import ARM, BASE
 from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array, Setpoint
-from . import messages as msg
-from .link import Link, Outlet, address_of, decoded
-from .planned import OFF_GOAL, OFF_PATH, OKAY, Arm, Made, Planner, Refused, caught_up
-from .sensing import Clock, seconds
-from .services import Caller, Services
-from .settings import Action, Topic
-from .wiring import resolved
+from .outputs import stamp_of
+from .planned import INVALID_GOAL, OFF_GOAL, OFF_PATH, OKAY, Arm, Made, Planner, Refused, Seen, caught_up
+from .sensing import Clock, Planar, seconds
+from .settings import Action
+from .whole_body import PARTS, base_points, whole_motion
 
-UNKNOWN, ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = range(7)  # action_msgs/GoalStatus
-NONE, REJECTED, NO_SUCH_GOAL, OVER = range(4)  # action_msgs/srv/CancelGoal
-SEND, CANCEL, RESULT = range(3)
-MOST_GOALS = 32
-EVENTS = Topic("/action", "reliable", 10)
-STATUS = Topic("/action", "reliable", 1)
+MOST_WAITING = 8
+KEEP = 300  # time that a result is kept [s]
 
 
 @dataclass
 class Goal:
-    """A goal that was accepted.
+    """A goal that came, and what becomes of it.
 
     Attributes:
-        key: Its number, 16 bytes.
-        stamp: When it was accepted.
-        last: (n,) where the joints are to end.
+        handle: The server's.
+        parts: Which parts of the robot it moves.
+        base: What the planner calls the base; empty where it does not move.
+        last: (n + 3,) where joints and base are to end.
         ends: When they are to be there, by the node's time [s].
-        on_way: (n,) largest errors on the way, inf for none.
-        at_end: (n,) likewise at the end.
+        on_way: (n + 3,) largest errors on the way, inf for none.
+        at_end: (n + 3,) likewise at the end.
         patience: Time after the end [s].
-        status: As `action_msgs/GoalStatus` numbers it.
-        result: What came of it.
-        waiting: Who waits for that.
+        over: Set at the end, when these hold:
+        outcome: "succeed", "abort" or "canceled".
+        code: As `FollowJointTrajectory` numbers it.
+        why: In one line.
     """
 
-    key: bytes
-    stamp: msg.Time
-    last: Array
-    ends: float
-    on_way: Array
-    at_end: Array
-    patience: float
-    status: int = EXECUTING
-    result: msg.FollowResult = field(default_factory=msg.FollowResult)
-    waiting: list[Caller] = field(default_factory=list)
+    handle: ServerGoalHandle
+    parts: tuple[int, ...] = (ARM,)
+    base: str = ""
+    last: Array = field(default_factory=lambda: np.zeros(0))
+    ends: float = 0.0
+    on_way: Array = field(default_factory=lambda: np.zeros(0))
+    at_end: Array = field(default_factory=lambda: np.zeros(0))
+    patience: float = 0.0
+    over: Event = field(default_factory=Event)
+    outcome: str = "abort"
+    code: int = OKAY
+    why: str = ""
 
-    @property
-    def info(self) -> msg.GoalInfo:
-        """Its number and stamp."""
-        return msg.GoalInfo(msg.UUID(list(self.key)), self.stamp)
+    def end(self, outcome: str, code: int, why: str) -> None:
+        """It is over."""
+        self.outcome, self.code, self.why = outcome, code, why
+        self.over.set()
 
 
-class ArmAction:
+class GoalAction:
     """The server of the action.
 
     Args:
-        link: The graph.
+        node: The node.
         arm: The robot's arm.
-        settings: Name and tolerances.
+        settings: Tolerances.
         planner: Makes motions.
+        place_of: Where a frame lies in the odometry's.
 
     Attributes:
-        refused: Goals that were not accepted.
-        why: Why the last one was not.
+        closed: Why no goal is followed at present; empty where one is.
+        refused: Goals that could not be followed.
+        why: Why the last one could not.
     """
 
-    def __init__(self, link: Link, arm: Arm, settings: Action, planner: Planner) -> None:
-        self.arm, self.settings, self.planner = arm, settings, planner
-        name = self.name = resolved(link.network, settings.name)
-        kinds: list[tuple[str, type[Any], type[Any]]] = [
-            ("send_goal", msg.FollowSendRequest, msg.SendResponse),
-            ("cancel_goal", msg.CancelRequest, msg.CancelResponse),
-            ("get_result", msg.ResultRequest, msg.FollowResultResponse),
-        ]
-        services = [(f"{name}/_action/{what}", typename(asked), typename(told)) for what, asked, told in kinds]
-        self.services = Services(link.network, [address_of(peer) for peer in link.network.peers], services)
-        self.status = Outlet(link, f"{name}/_action/status", msg.GoalStatusArray, STATUS, latched=True)
-        self.feedback = Outlet(link, f"{name}/_action/feedback", msg.FollowFeedbackMessage, EVENTS)
+    def __init__(
+        self,
+        node: RosNode,
+        arm: Arm,
+        settings: Action,
+        planner: Planner,
+        place_of: Callable[[str], Planar | None],
+    ) -> None:
+        self.arm, self.settings, self.planner, self.place_of = arm, settings, planner, place_of
+        self.closed, self.refused, self.why = "the node is not active", 0, ""
+        self.came: deque[Goal] = deque()
         self.goals: dict[bytes, Goal] = {}
         self.active: Goal | None = None
-        self.told, self.refused, self.why = 0.0, 0, ""
-        self._tell()
+        self.told = 0.0
+        self.server = ActionServer(
+            node, FollowJointTrajectory, "~/follow_joint_trajectory", self._execute, result_timeout=KEEP,
+            callback_group=ReentrantCallbackGroup(), handle_accepted_callback=self._accepted,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )  # fmt: skip
 
-    def poll(self, clock: Clock, reference: Array, measured: Array, stopped: bool) -> list[Wish]:
-        """Answer requests and judge the goal that is followed; what the arm is to do then.
+    # -- in the executor -----------------------------------------------------------------------------------------------
+
+    def _accepted(self, handle: ServerGoalHandle) -> None:
+        goal = self.goals[bytes(handle.goal_id.uuid)] = Goal(handle)
+        crowded = f"{MOST_WAITING} goals wait already" if len(self.came) >= MOST_WAITING else ""
+        if why := self.closed or crowded:
+            self._refuse(goal, Refused(why))
+        else:
+            self.came.append(goal)
+        handle.execute()
+
+    def _execute(self, handle: ServerGoalHandle) -> Any:
+        """Wait until the control loop has ended a goal, and answer."""
+        goal = self.goals[bytes(handle.goal_id.uuid)]
+        goal.over.wait()
+        getattr(handle, goal.outcome)()
+        del self.goals[bytes(handle.goal_id.uuid)]
+        return FollowJointTrajectory.Result(error_code=goal.code, error_string=goal.why)
+
+    # -- in the control loop -------------------------------------------------------------------------------------------
+
+    def poll(self, clock: Clock, now: Seen, stopped: bool) -> list[Wish]:
+        """Begin with goals that came, and judge the one that is followed; what the robot is to do then.
 
         Args:
             clock: The node's.
-            reference: (3, n) q, qdot, qddot of the arm's reference.
-            measured: (2, n) q, qdot.
+            now: Reference and measurement.
             stopped: Whether the supervisor has stopped the robot.
         """
-        wishes: list[Wish] = []
-        for caller, data in self.services.take():
-            try:
-                answer = (self._send, self._cancel, self._result)[caller.service]
-                wishes += answer(caller, data, clock, reference, stopped)
-            except MmnnError as error:
-                self.why = str(error)
-        if self.active is not None:
-            wishes += self._judge(self.active, clock, reference, measured, stopped)
-        return wishes
+        while self.came:
+            self._begin(self.came.popleft(), clock, now, stopped)
+        return [] if self.active is None else self._judge(self.active, clock, now, stopped)
 
-    def give_way(self, why: str) -> None:
-        """End the goal that is followed, as another motion takes its place."""
-        if self.active is not None:
-            self._end(self.active, ABORTED, OKAY, why)
+    def give_way(self, why: str, part: int | None = None) -> None:
+        """End the goal that is followed, as another motion takes its place, of a part or of all."""
+        if self.active is not None and (part is None or part in self.active.parts):
+            self._end(self.active, "abort", OKAY, why)
 
-    def close(self) -> None:
-        """Answer nothing more."""
-        self.give_way("the node ends")
-        self.services.close()
+    def close(self, why: str) -> None:
+        """Follow no goal any more."""
+        self.closed = why
+        self.give_way(why)
+        for goal in list(self.goals.values()):
+            goal.end("abort", INVALID_GOAL, why)
 
-    # -- requests ------------------------------------------------------------------------------------------------------
-
-    def _send(self, caller: Caller, data: bytes, clock: Clock, reference: Array, stopped: bool) -> list[Wish]:
-        now, asked, request = reference.copy(), clock.now, list[msg.FollowSendRequest]()
+    def _begin(self, goal: Goal, clock: Clock, now: Seen, stopped: bool) -> None:
+        """Plan the motion of a goal, and follow it when it is ready."""
+        asked, request = clock.now, goal.handle.request
+        reference, base = now.reference.copy(), now.base.copy()
 
         def make() -> Made:
-            request.append(decoded(data, msg.FollowSendRequest))
-            message = request[0].goal.trajectory
-            if stopped or not message.points or bytes(request[0].goal_id.uuid) in self.goals:
-                why = "the supervisor has stopped the robot" if stopped else "no points, or a goal that is known"
-                raise Refused(why)
-            return self.arm.motion(message, now, clock.since(message.header.stamp))
+            joints, several = request.trajectory, request.multi_dof_trajectory
+            if stopped or not (joints.points or several.points):
+                raise Refused("the supervisor has stopped the robot" if stopped else "no points")
+            since = clock.since(several.header.stamp if several.points else joints.header.stamp)
+            if (points := base_points(joints, several)) is None:
+                return self.arm.motion(joints, reference, since)
+            goal.base, frame = points.name, (several if several.points else joints).header.frame_id.lstrip("/")
+            if (place := self.place_of(frame)) is None:
+                raise Refused(f"no way from '{frame}' to the odometry's frame by /tf")
+            return whole_motion(self.arm, joints, points, reference, base, place, since)
 
         def done(made: Made | Refused) -> Wish | None:
-            stamp, accepted = clock.stamp, isinstance(made, Motion)
-            if isinstance(made, Motion):
-                self.give_way("another goal came")
-                self._accept(request[0], made, clock)
-            else:
-                self.refused, self.why = self.refused + 1, str(made)
-            self.services.reply(caller, encoded(msg.SendResponse(accepted, stamp)))
-            return caught_up(made, clock.now - asked) if isinstance(made, Motion) else None
+            if not isinstance(made, Motion):
+                self._refuse(goal, made if isinstance(made, Refused) else Refused("it moves nothing"))
+                return None
+            if goal.over.is_set():
+                return None
+            self.give_way("another goal came")
+            self._follow(goal, made, clock)
+            return caught_up(made, clock.now - asked) if made.parts == (ARM,) else made
 
         self.planner.plan(make, done)
-        return []
 
-    def _accept(self, request: msg.FollowSendRequest, made: Motion, clock: Clock) -> None:
-        goal, s = request.goal, self.settings
-        last = Setpoint.side_by_side(made.table, made.dimensions).q[-1].copy()
-        ends = clock.now + (len(made.table) - 1) * made.period
-        on_way = self._tolerances(goal.path_tolerance, s.path_tolerance)
-        at_end = self._tolerances(goal.goal_tolerance, s.goal_tolerance)
-        patience = seconds(goal.goal_time_tolerance) or s.goal_time
-        self.active = Goal(bytes(request.goal_id.uuid), clock.stamp, last, ends, on_way, at_end, patience)
-        self.goals[self.active.key] = self.active
-        over = [key for key, one in self.goals.items() if one.status >= SUCCEEDED]
-        for key in over[: max(len(self.goals) - MOST_GOALS, 0)]:
-            del self.goals[key]
-        self._tell()
+    def _refuse(self, goal: Goal, why: Refused) -> None:
+        self.refused, self.why = self.refused + 1, str(why)
+        goal.end("abort", why.code, str(why))
 
-    def _cancel(self, caller: Caller, data: bytes, clock: Clock, reference: Array, stopped: bool) -> list[Wish]:
-        asked = decoded(data, msg.CancelRequest).goal_info
-        key, before = bytes(asked.goal_id.uuid), seconds(asked.stamp)
-        goal, every = self.goals.get(key), not any(key)
-        current = self.active
-        early = current is not None and (before == 0.0 or seconds(current.stamp) <= before)
-        if current is not None and (current.key == key or (every and early)):
-            self.services.reply(caller, encoded(msg.CancelResponse(NONE, [current.info])))
-            current.status = CANCELING
-            self._tell()
-            self._end(current, CANCELED, OKAY, "cancelled")
-            return [Stand((ARM,))]
-        code = REJECTED if every else NO_SUCH_GOAL if goal is None else OVER
-        self.services.reply(caller, encoded(msg.CancelResponse(code, [])))
-        return []
+    def _follow(self, goal: Goal, made: Motion, clock: Clock) -> None:
+        request, s = goal.handle.request, self.settings
+        last = Setpoint.side_by_side(made.table[-1], made.dimensions)
+        goal.parts, goal.last = made.parts, np.append(last.q, last.pose)
+        goal.ends = clock.now + (len(made.table) - 1) * made.period
+        names = [*self.arm.names, *(f"{goal.base}/{part}" for part in PARTS[: len(last.pose)])]
+        goal.on_way = tolerances(names, request.path_tolerance, s.path_tolerance)
+        goal.at_end = tolerances(names, request.goal_tolerance, s.goal_tolerance)
+        if BASE not in goal.parts:
+            goal.on_way[len(last.q) :] = goal.at_end[len(last.q) :] = np.inf
+        goal.patience = seconds(request.goal_time_tolerance) or s.goal_time
+        self.active = goal
 
-    def _result(self, caller: Caller, data: bytes, clock: Clock, reference: Array, stopped: bool) -> list[Wish]:
-        goal = self.goals.get(bytes(decoded(data, msg.ResultRequest).goal_id.uuid))
-        if goal is not None and goal.status < SUCCEEDED:
-            goal.waiting = [*goal.waiting[-8:], caller]
-        else:
-            self._answer(caller, goal)
-        return []
-
-    def _answer(self, caller: Caller, goal: Goal | None) -> None:
-        status, result = (UNKNOWN, msg.FollowResult()) if goal is None else (goal.status, goal.result)
-        self.services.reply(caller, encoded(msg.FollowResultResponse(status, result)))
-
-    # -- the goal that is followed -------------------------------------------------------------------------------------
-
-    def _judge(self, goal: Goal, clock: Clock, reference: Array, measured: Array, stopped: bool) -> list[Wish]:
+    def _judge(self, goal: Goal, clock: Clock, now: Seen, stopped: bool) -> list[Wish]:
         """Whether a goal is reached, or lost."""
-        error, left = np.abs(reference[0] - measured[0]), np.abs(goal.last - measured[0])
+        there = np.append(now.measured[0], now.pose)
+        error, left = np.abs(np.append(now.reference[0], now.base[:3]) - there), np.abs(goal.last - there)
         if stopped:
-            self._end(goal, ABORTED, OFF_PATH, "the supervisor stopped the robot")
+            self._end(goal, "abort", OFF_PATH, "the supervisor stopped the robot")
+        elif goal.handle.is_cancel_requested:
+            self._end(goal, "canceled", OKAY, "cancelled")
+            return [Stand(goal.parts)]
         elif (error > goal.on_way).any():
             i = int(np.argmax(error - goal.on_way))
-            self._end(goal, ABORTED, OFF_PATH, f"{self.arm.names[i]} is {error[i]:.4g} off its way")
-            return [Stand((ARM,))]
+            self._end(goal, "abort", OFF_PATH, f"{self._name(goal, i)} is {error[i]:.4g} off its way")
+            return [Stand(goal.parts)]
         elif clock.now >= goal.ends and (left <= goal.at_end).all():
-            self._end(goal, SUCCEEDED, OKAY, "")
+            self._end(goal, "succeed", OKAY, "")
         elif clock.now > goal.ends + goal.patience:
             i = int(np.argmax(left - goal.at_end))
-            self._end(goal, ABORTED, OFF_GOAL, f"{self.arm.names[i]} is {left[i]:.4g} off its goal")
+            self._end(goal, "abort", OFF_GOAL, f"{self._name(goal, i)} is {left[i]:.4g} off its goal")
         elif clock.now - self.told >= 1.0 / self.settings.rate:
             self.told = clock.now
-            self.feedback.send(self._feedback(goal, clock, reference, measured))
+            goal.handle.publish_feedback(self._feedback(goal, clock, now))
         return []
 
-    def _end(self, goal: Goal, status: int, code: int, why: str) -> None:
-        """A goal is over: tell those who wait."""
-        goal.status, goal.result, self.active = status, msg.FollowResult(code, why), None
-        self._tell()
-        for caller in goal.waiting:
-            self._answer(caller, goal)
-        goal.waiting = []
+    def _end(self, goal: Goal, outcome: str, code: int, why: str) -> None:
+        self.active = None
+        goal.end(outcome, code, why)
 
-    def _tell(self) -> None:
-        self.status.send(msg.GoalStatusArray([msg.GoalStatus(one.info, one.status) for one in self.goals.values()]))
+    def _name(self, goal: Goal, i: int) -> str:
+        """A joint, or a part of the base's pose."""
+        n = len(self.arm.names)
+        return self.arm.names[i] if i < n else f"{goal.base}/{PARTS[i - n]}"
 
-    def _feedback(self, goal: Goal, clock: Clock, reference: Array, measured: Array) -> msg.FollowFeedbackMessage:
-        def point(values: Array) -> msg.JointTrajectoryPoint:
-            parts = [row.tolist() for row in values] + [[]] * (4 - len(values))
-            return msg.JointTrajectoryPoint(*parts, msg.Duration())
+    def _feedback(self, goal: Goal, clock: Clock, now: Seen) -> Any:
+        names = ("positions", "velocities", "accelerations")
 
-        nothing = msg.MultiDOFJointTrajectoryPoint([], [], [], msg.Duration())
-        points = point(reference), point(measured), point(reference[:2] - measured)
-        told = msg.FollowFeedback(
-            msg.Header(clock.stamp, ""), list(self.arm.names), *points, 0, [], nothing, nothing, nothing, 0
-        )
-        return msg.FollowFeedbackMessage(msg.UUID(list(goal.key)), told)
+        def point(values: Array) -> JointTrajectoryPoint:
+            rows = dict(zip(names, values.tolist(), strict=False))
+            return JointTrajectoryPoint(**rows)
 
-    def _tolerances(self, given: list[msg.JointTolerance], default: float) -> Array:
-        """Tolerance of every joint; one of 0 says nothing, one below 0 that there is none."""
-        found = np.full(len(self.arm.names), default or np.inf)
-        for one in given:
-            if one.name not in self.arm.names:
-                continue
-            i = self.arm.names.index(one.name)
+        points = {"desired": now.reference, "actual": now.measured, "error": now.reference[:2] - now.measured}
+        told = {name: point(values) for name, values in points.items()}
+        feedback = FollowJointTrajectory.Feedback(joint_names=list(self.arm.names), **told)
+        feedback.header.stamp = stamp_of(clock.by_ros)
+        if BASE in goal.parts:
+            feedback.multi_dof_joint_names = [goal.base]
+            feedback.multi_dof_desired.transforms = [transform(now.base[:3])]
+            feedback.multi_dof_actual.transforms = [transform(now.pose)]
+            feedback.multi_dof_error.transforms = [transform(now.base[:3] - now.pose)]
+        return feedback
+
+
+def tolerances(names: Sequence[str], given: Sequence[JointTolerance], default: float) -> Array:
+    """Tolerance of every name; one of 0 says nothing, one below 0 that there is none."""
+    found = np.full(len(names), default or np.inf)
+    for one in given:
+        if one.name in names:
+            i = list(names).index(one.name)
             found[i] = one.position if one.position > 0.0 else found[i] if one.position == 0.0 else np.inf
-        return found
+    return found
 
 
-def typename(kind: type[Any]) -> str:
-    """The name of a type on the wire."""
-    return str(kind.__idl_typename__)
-
-
-def encoded(message: Any) -> bytes:
-    """A message in CDR."""
-    return bytes(message.serialize(use_version_2=False))
+def transform(pose: Array) -> Transform:
+    """A pose (3,) in the plane as a message."""
+    made = Transform()
+    made.translation.x, made.translation.y = pose[:2].tolist()
+    made.rotation.z, made.rotation.w = math.sin(pose[2] / 2), math.cos(pose[2] / 2)
+    return made

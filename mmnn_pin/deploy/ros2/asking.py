@@ -8,106 +8,110 @@ takes it over without a jump.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from nav_msgs.msg import Path
+from rclpy.node import Node as RosNode
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from ...reference.drive import RouteDrive
-from ...reference.wishes import BaseVelocity, Motion, Stand, Wish
+from ...reference.guide import ARM, BASE
+from ...reference.wishes import BaseVelocity, Motion, Wish
 from ...signals import Array
-from . import messages as msg
-from .action import ArmAction
-from .link import Inlet, Link, decoded
-from .planned import Arm, Made, Planner, Refused, base_motion, caught_up, rest_of
-from .sensing import STILL, Clock, Planar, Tree, composed, inverse, wrapped
-from .settings import Node
+from .inlets import Inlet
+from .mapped import MappedRoute
+from .outputs import duration_of
+from .planned import Arm, Made, Planner, Refused, Seen, base_motion, caught_up
+from .sensing import Clock, Tree
+from .settings import Heard, Node
+
+if TYPE_CHECKING:
+    from .action import GoalAction
 
 
 class Asking:
     """The topics with setpoints of one robot.
 
     Args:
-        link: The graph.
+        node: The node.
         arm: The robot's arm.
         settings: Topics and limits.
         tree: Frames.
 
     Attributes:
         base: (3 + nb,) pose and velocity of the base's reference.
-        route: The path that is followed, its frame, where that was placed, and since when [s]; None for none.
+        route: The path that the base follows.
     """
 
-    def __init__(self, link: Link, arm: Arm, settings: Node, tree: Tree) -> None:
-        self.arm, self.settings, self.tree, self.planner = arm, settings, tree, Planner()
-        asked = settings.action
-        self.action = None if asked is None else ArmAction(link, arm, asked, self.planner)
-        s = settings
-        velocity = msg.TwistStamped if s.velocity is not None and s.velocity.stamped else msg.Twist
-        kinds = ((s.velocity, velocity), (s.trajectory, msg.JointTrajectory), (s.path, msg.Path))
-        made = [None if topic is None else Inlet(link, topic.topic, kind, topic) for topic, kind in kinds]
-        self.velocity, self.trajectory, self.path = made
-        self.inlets = [inlet for inlet in made if inlet is not None]
+    def __init__(self, node: RosNode, arm: Arm, settings: Node, tree: Tree) -> None:
+        self.arm, self.settings, self.planner = arm, settings, Planner()
+        self.route = MappedRoute(settings.tf, tree)
+        self.action = action_of(node, arm, settings, self.planner, self.route)
+
+        def listened(name: str, kind: type[Any], topic: Heard) -> Inlet:
+            return Inlet(node, name, kind, reliable=True, publishers=topic.publishers)
+
+        base, s = arm.robot.dimensions.base, settings
+        velocity = TwistStamped if s.velocity.stamped else Twist
+        self.velocity = listened("cmd_vel", velocity, s.velocity) if base else None
+        self.path = listened("plan", Path, s.path) if base else None
+        self.trajectory = listened("~/joint_trajectory", JointTrajectory, s.trajectory) if arm.names else None
+        self.inlets = [inlet for inlet in (self.velocity, self.path, self.trajectory) if inlet is not None]
         self.base = np.zeros(0)
-        self.route: tuple[Motion, str, Planar, float] | None = None
 
     def rehearse(self) -> None:
         """Make a motion of the arm and a path once: the first one takes longer, as libraries are loaded."""
         here = self.arm.robot.rest[self.arm.robot.arm_index]
-        points = [msg.JointTrajectoryPoint(here.tolist(), [], [], [], msg.Duration(i)) for i in range(2)]
+        points = [JointTrajectoryPoint(positions=here.tolist(), time_from_start=duration_of(i)) for i in range(2)]
         if here.size:
-            trajectory = msg.JointTrajectory(msg.Header(msg.Time()), list(self.arm.names), points)
+            trajectory = JointTrajectory(joint_names=list(self.arm.names), points=points)
             self.arm.motion(trajectory, np.stack([here, 0.0 * here, 0.0 * here]))
-        d, route = self.arm.robot.dimensions, self.settings.path
-        if route is not None and d.base:
-            header, spots = msg.Header(msg.Time()), [msg.Point(), msg.Point(1.0), msg.Point(1.0, 1.0)]
-            poses = [msg.PoseStamped(header, msg.Pose(spot, msg.Quaternion())) for spot in spots]
-            start = np.array([0.0, 1.0, 0.0]), np.ones(d.base)
-            base_motion(msg.Path(header, poses), route, self.settings.limits, self.arm.robot, self.arm.period, start)
+        if self.arm.robot.dimensions.base:
+            path = Path(poses=[PoseStamped() for _ in range(3)])
+            path.poses[1].pose.position.x = path.poses[2].pose.position.x = path.poses[2].pose.position.y = 1.0
+            start = np.array([0.0, 1.0, 0.0]), np.ones(self.arm.robot.dimensions.base)
+            s = self.settings
+            base_motion(path, s.path, s.limits, self.arm.robot, self.arm.period, start)
 
-    def poll(
-        self, clock: Clock, steady: float, reference: Array, base: Array, measured: Array, stopped: bool
-    ) -> tuple[Wish, ...]:
+    def poll(self, clock: Clock, now: Seen, stopped: bool) -> tuple[Wish, ...]:
         """What is asked from now on.
 
         Args:
             clock: The node's.
-            steady: The machine's steady time [s].
-            reference: (3, n) q, qdot, qddot of the arm's reference.
-            base: (3 + nb,) pose and velocity of the base's reference.
-            measured: (2, n) q, qdot.
+            now: Reference and measurement.
             stopped: Whether the supervisor has stopped the robot.
         """
         found: list[Wish] = []
-        self.base = base.copy()
-        if self.velocity is not None and (message := self.velocity.newest(steady)) is not None:
+        self.base = now.base.copy()
+        if self.velocity is not None and (message := self.velocity.newest()) is not None:
             found += self._base_velocity(self.velocity, message, clock)
-        if self.trajectory is not None and (data := self.trajectory.newest(steady, raw=True)) is not None:
-            self._arm_motion(self.trajectory, data, clock, reference)
-        if self.path is not None and (data := self.path.newest(steady, raw=True)) is not None:
-            self._base_path(self.path, data, clock)
+        if self.trajectory is not None and (message := self.trajectory.newest()) is not None:
+            self._arm_motion(self.trajectory, message, clock, now.reference)
+        if self.path is not None and (message := self.path.newest()) is not None:
+            self._base_path(self.path, message, clock)
         if self.action is not None:
-            found += self.action.poll(clock, reference, measured, stopped)
+            found += self.action.poll(clock, now, stopped)
         found += self.planner.poll()
-        found += self.placed_anew(clock.now)
+        found += self.route.placed_anew(clock.now)
         return tuple(found)
 
     def _base_velocity(self, inlet: Inlet, message: Any, clock: Clock) -> list[Wish]:
         """A velocity of the base, in its control frame."""
-        stamped = isinstance(message, msg.TwistStamped)
+        stamped, age = self.settings.velocity.stamped, self.settings.velocity.age
         twist = message.twist if stamped else message
-        when = clock.measured(message.header.stamp, inlet.silence) if stamped else clock.now
+        when = clock.measured(message.header.stamp, age) if stamped else clock.now
         given = (twist.linear.x, twist.linear.y, twist.angular.z)
         if isinstance(when, str) or not all(map(math.isfinite, given)):
             inlet.refuse(when if isinstance(when, str) else "a velocity that is not finite")
             return []
-        self.route = None
+        self.give_way("a velocity of the base came", BASE)
         return [BaseVelocity(given if self.arm.robot.dimensions.sideways else (given[0], given[2]))]
 
-    def _arm_motion(self, inlet: Inlet, data: bytes, clock: Clock, reference: Array) -> None:
+    def _arm_motion(self, inlet: Inlet, message: Any, clock: Clock, reference: Array) -> None:
         now, asked = reference.copy(), clock.now
 
         def make() -> Made:
-            message = decoded(data, msg.JointTrajectory)
             return self.arm.motion(message, now, clock.since(message.header.stamp))
 
         def done(made: Made | Refused) -> Wish | None:
@@ -115,72 +119,54 @@ class Asking:
                 inlet.refuse(str(made))
                 return None
             if self.action is not None:
-                self.action.give_way("another motion came")
+                self.action.give_way("another motion came", ARM)
             return caught_up(made, clock.now - asked) if isinstance(made, Motion) else made
 
         self.planner.plan(make, done)
 
-    def _base_path(self, inlet: Inlet, data: bytes, clock: Clock) -> None:
+    def _base_path(self, inlet: Inlet, message: Any, clock: Clock) -> None:
         """Make a motion of a path, and begin it from the reference, placed by what `/tf` says, when it is ready."""
-        arm, route, limits, frame = self.arm, self.settings.path, self.settings.limits, [""]
-        assert route is not None
+        arm, route, limits = self.arm, self.settings.path, self.settings.limits
+        frame = message.header.frame_id.lstrip("/")
 
         def make() -> Made:
-            message = decoded(data, msg.Path)
-            frame[0] = message.header.frame_id.lstrip("/")
             return base_motion(message, route, limits, arm.robot, arm.period)
 
         def done(made: Made | Refused) -> Wish | None:
-            placed = self.place_of(frame[0])
-            if isinstance(made, Refused) or placed is None:
-                unknown = f"no way from '{frame[0]}' to the odometry's frame by /tf"
-                inlet.refuse(str(made) if isinstance(made, Refused) else unknown)
+            wish = str(made) if isinstance(made, Refused) else self.route.begin(made, frame, self.base, clock.now)
+            if isinstance(wish, str):
+                inlet.refuse(wish)
                 return None
-            if isinstance(made, RouteDrive):
-                made = made.placed(*seen_from(placed, self.base))
-            self.route = None if isinstance(made, Stand) else (made, frame[0], placed, clock.now)
-            return made if isinstance(made, Stand) else rest_of(made, 0.0, placed)
+            if self.action is not None:
+                self.action.give_way("a path came", BASE)
+            return wish
 
         self.planner.plan(make, done)
 
-    def place_of(self, frame: str) -> Planar | None:
-        """Where a frame lies in the odometry's; None where that is not known."""
-        odom = self.settings.tf.odom if self.settings.tf else "odom"
-        if frame in ("", odom):
-            return STILL
-        found = self.tree.between(odom, frame)
-        return None if found is None else found[0]
-
-    def placed_anew(self, now: float) -> list[Wish]:
-        """The path where the map's correction has moved it to."""
-        if self.route is None or self.settings.tf is None:
-            return []
-        motion, frame, placed, since = self.route
-        there = self.place_of(frame)
-        if there is None or now - since > (len(motion.table) - 1) * motion.period:
-            return []
-        k = round((now - since) / motion.period)
-        before, after = (composed(place, tuple(motion.table[k, :3])) for place in (placed, there))
-        moved = max(math.hypot(after[0] - before[0], after[1] - before[1]), abs(wrapped(there[2] - placed[2])))
-        if moved < self.settings.tf.replace:
-            return []
-        self.route = motion, frame, there, since
-        return [rest_of(motion, now - since, there)]
-
-    def give_way(self, why: str) -> None:
-        """Follow neither a path nor a goal of the action any more."""
-        self.route = None
+    def give_way(self, why: str, part: int | None = None) -> None:
+        """Follow neither a path nor a goal of the action any more, of a part or of all."""
+        self.route.followed = None
         if self.action is not None:
-            self.action.give_way(why)
+            self.action.give_way(why, part)
 
-    def close(self) -> None:
-        """Plan nothing more, and answer nothing."""
-        self.planner.close()
+    def open(self) -> None:
+        """Follow goals of the action."""
         if self.action is not None:
-            self.action.close()
+            self.action.closed = ""
+
+    def close(self, why: str) -> None:
+        """Follow nothing any more."""
+        self.route.followed = None
+        if self.action is not None:
+            self.action.close(why)
 
 
-def seen_from(place: Planar, base: Array) -> tuple[Planar, Array]:
-    """Pose and velocity (nb,) of a base (3 + nb,) in a frame at a place."""
-    x, y, phi = base[:3].tolist()
-    return composed(inverse(place), (x, y, phi)), base[3:]
+def action_of(node: RosNode, arm: Arm, settings: Node, planner: Planner, route: MappedRoute) -> GoalAction | None:
+    """The server of the action; None, with a warning, where its messages are not there."""
+    try:
+        from .action import GoalAction
+    except ImportError:
+        where = "apt install ros-$ROS_DISTRO-control-msgs; beside wheels see `mmnn docs how-to/ros2`"
+        node.get_logger().warning(f"no action FollowJointTrajectory without the package control_msgs: {where}")
+        return None
+    return GoalAction(node, arm, settings.action, planner, route.place_of)

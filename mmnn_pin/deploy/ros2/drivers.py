@@ -29,7 +29,7 @@ from ...signals import Array
 
 SAME = 1e-3  # lengths and rates that differ by less than this fraction are one
 SLOTS = {"front_left": (-1, -1), "front_right": (1, 1), "rear_right": (-1, 1), "rear_left": (1, -1)}  # signs of vy, L w
-ONE_BY_ONE = 'command its wheels one by one: type = "Float64MultiArray", interface = "velocity", joints = [{}]'
+ONE_BY_ONE = "command its wheels one by one: {{type: Float64MultiArray, interface: velocity, joints: [{}]}}"
 
 
 class Driver(NamedTuple):

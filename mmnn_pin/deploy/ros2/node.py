@@ -1,353 +1,323 @@
-"""The node: a stepper at a fixed rate between what the graph publishes and what it subscribes to.
+"""A controller as an rclpy lifecycle node: configure, activate, deactivate, cleanup, shutdown, and an error on the way.
 
-A sample: read, step, send; then record, diagnose, and say in one line what is wrong. The stepper's own timeouts answer
-when measurements or setpoints stay away. Ctrl-C is an emergency stop: the robot brakes and holds, then the node leaves.
+                  executor's threads                                        the caller's thread
+    lifecycle, parameters, services, action ──▶ Bridge.between ──▶ Bridge.run: read, step, send, at its period
+
+Configuring reads the parameters, loads the robot, makes the stepper and all topics; activating waits for the robot and
+lets the control loop run; deactivating brakes, holds and lets efforts fade. What was learned stays until a cleanup.
 """
 
 from __future__ import annotations
 
-import gc
-import math
 import signal
-import sys
-import time as clock
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from threading import Event, Thread
+from typing import Any, Protocol
 
-import numpy as np
+import rclpy
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
 
-from ...errors import ConfigError, InputError
-from ...loop.stepper import SLOW, Stepper
-from ...recording.recording import Recording, Status
-from ...reference.wishes import Motion, Wish
-from . import messages as msg
-from .action import encoded, typename
-from .asking import Asking
-from .link import Inlet, Link, Outlet, address_of
-from .outputs import Commands, diagnostics
-from .planned import Arm
-from .sensing import Clock, Sensing, Tree
-from .services import Services
-from .settings import Node, Switches, Topic
+from ...errors import InputError, MmnnError
+from ...kinematic import Kinematic
+from ...loop.stepper import Stepper
+from ...recording.recording import Recording
+from ...reference.wishes import Motion
+from ...torque.controller import CompiledController, TorqueController
+from .bridge import Bridge, Row
+from .parameters import declare, given, is_live, value_of
+from .settings import Node, settings_of
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
-WATCH = 0.2  # time between two looks at what is wrong [s]
-SWITCH = 2e-4  # how long another thread may hold the interpreter [s]
-STOP, RESET = range(2)  # the services
-LATCHED = Topic("/tf_static", "reliable", 100, 1e5, 100)
-SIMULATED = Topic("/clock", "best_effort", 4, 10.0, 1)
+LEAVING = 10.0  # longest time in which the control loop ends [s]
+THREADS = 4  # of the executor; a goal of the action keeps one until it is over
+DEACTIVATED = "deactivated"
+LOOK = 0.02  # time between two looks for work [s]
+SUCCESS, FAILURE, ERROR = (
+    TransitionCallbackReturn.SUCCESS,
+    TransitionCallbackReturn.FAILURE,
+    TransitionCallbackReturn.ERROR,
+)
 
 
-class Pace:
-    """Ticks of a fixed rate; those that have passed already are skipped and counted.
+class Maker(Protocol):
+    """What makes steppers out of settings."""
+
+    def stepper(self, settings: Node, count: int) -> Stepper:
+        """A stepper, the count-th of the process."""
+
+    def motion(self, stepper: Stepper) -> tuple[Motion | None, float]:
+        """What it follows from the start, and for how long [s]."""
+
+    def law(self, settings: Node, before: Node) -> tuple[CompiledController | TorqueController, Kinematic]:
+        """Controller and kinematic gains of changed settings; raises a ConfigError where more than those changed."""
+
+
+class ControllerNode(LifecycleNode):
+    """The node.
 
     Args:
-        period: Between two ticks [s].
+        make: Makes steppers.
+        patience: How long activating waits for the robot [s].
 
     Attributes:
-        late: Start of every cycle after its tick [s], of the first `most` of them.
-        count: Cycles so far.
-        skipped: Ticks that passed while a cycle took too long.
+        bridge: The control loop; None while it is not configured.
+        problem: Why the last transition failed.
+        recording: Of the last run; None before one is over.
     """
 
-    def __init__(self, period: float, most: int = 1_000_000) -> None:
-        self.period, self.late, self.count, self.skipped, self.next = period, np.full(most, np.nan), 0, 0, 0
-        self.start = clock.monotonic()
+    def __init__(self, make: Maker, patience: float) -> None:
+        super().__init__("mmnn", automatically_declare_parameters_from_overrides=True)
+        self.make, self.patience = make, patience
+        self.bridge: Bridge | None = None
+        self.problem: InputError | None = None
+        self.failure: Exception | None = None
+        self.recording: Recording | None = None
+        self.count, self.stopped, self.is_managed = 0, list[int](), True
+        self.runs, self.is_wanted, self.is_done = False, Event(), Event()
+        declare(self)
+        self.add_on_set_parameters_callback(self._changed)
+        at_once = ReentrantCallbackGroup()
+        self.create_service(Trigger, "~/stop", self._stop, callback_group=at_once)
+        self.create_service(Trigger, "~/reset", self._reset, callback_group=at_once)
 
-    def wait(self) -> float:
-        """Sleep until the next tick to come, and its time [s]."""
-        passed = math.floor((clock.monotonic() - self.start) / self.period)
-        if passed > self.next:
-            self.skipped += passed - self.next
-            self.next = passed
-        tick = self.next * self.period
-        clock.sleep(max(0.0, self.start + tick - clock.monotonic()))
-        if self.count < len(self.late):
-            self.late[self.count] = clock.monotonic() - self.start - tick
-        self.count, self.next = self.count + 1, self.next + 1
-        return tick
+    # -- transitions ---------------------------------------------------------------------------------------------------
 
-
-class Bridge:
-    """One robot's stepper in a graph.
-
-    Args:
-        stepper: Made for the robot, with the interfaces of `outputs.interfaces`.
-        settings: Topics and all that.
-        say: Told one line at a time.
-
-    Raises:
-        InputError: Settings that do not fit the robot, no way into the network.
-    """
-
-    def __init__(self, stepper: Stepper, settings: Node, say: Callable[[str], None]) -> None:
-        self.stepper, self.settings, self.said, self.problem = stepper, settings, say, ""
-        robot, link = stepper.robot, Link(settings.network)
-        self.link, self.clock, self.tree = link, Clock(settings.clock), Tree()
-        self.sensing = Sensing(robot, settings, self.tree)
-        self.commands = Commands(link, robot, settings)
-        arm = Arm.of(robot, settings.joint_states.names, settings.limits, stepper.period)
-        self.asking = Asking(link, arm, settings, self.tree)
-        self.joints = Inlet(link, settings.joint_states.topic, msg.JointState, settings.joint_states)
-        by_topic = robot.dimensions.base and settings.odometry.pose == "odometry"
-        self.base = Inlet(link, settings.odometry.topic, msg.Odometry, settings.odometry) if by_topic else None
-        self.frames = [] if settings.tf is None else [
-            Inlet(link, settings.tf.topic, msg.TFMessage, settings.tf),
-            Inlet(link, LATCHED.topic, msg.TFMessage, LATCHED, latched=True),
-        ]  # fmt: skip
-        self.ticking = Inlet(link, SIMULATED.topic, msg.Clock, SIMULATED) if settings.clock.source == "sim" else None
-        told = settings.diagnostics
-        self.health = (
-            None if told is None else Outlet(link, told.topic, msg.DiagnosticArray, Topic(told.topic, "reliable"))
-        )
-        self.needed = [inlet for inlet in (self.ticking, self.joints, self.base) if inlet is not None]
-        self.inlets = [*self.needed, *self.frames, *self.asking.inlets]
-        self.before = {inlet.name: 0 for inlet in self.inlets}
-        self.stopped: list[int] = []
-        self.switches = None if settings.switches is None else services_of(link, settings.switches)
-
-    # -- before --------------------------------------------------------------------------------------------------------
-
-    def meet(self, patience: float) -> None:
-        """Wait for a whole measurement, and for the controllers that take the commands.
-
-        Raises:
-            InputError: They do not come in time [s], with what is missing and what was wrong with what came.
-        """
-        deadline = clock.monotonic() + patience
-        while True:
-            self.read()
-            lacking = self.missing()
-            if not lacking or self.stopped:
-                return
-            if clock.monotonic() > deadline:
-                n = self.settings.network
-                why = f"domain {n.domain}, interface {n.interface}, peers {', '.join(n.peers)}, {patience:g} s"
-                raise InputError(lacking, why=why, fix="see `mmnn docs how-to/ros2`, 'When nothing comes'")
-            clock.sleep(0.005)
-
-    def missing(self) -> str:
-        """What has to come before the robot may be moved; empty for nothing."""
-        for inlet in self.needed:
-            if inlet.received == 0 or inlet.why:
-                if inlet.clashes and not inlet.received:
-                    return f"{inlet.name}: its publisher offers best_effort, and reliable is asked for: set reliability"
-                if not inlet.received:
-                    return f"{inlet.name}: {'nothing comes' if inlet.publishers else 'no publisher'}"
-                if self.sensing.when == -math.inf:
-                    return f"{inlet.name}: {inlet.why}"
-        if self.sensing.when == -math.inf:
-            return f"no measurement of {self.sensing.lacking(math.inf)}"
-        unheard = self.commands.unheard
-        clash = f"{self.commands.clashes[0]}: its reader asks for reliable" if self.commands.clashes else ""
-        return clash or (f"nobody reads {', '.join(unheard)}: load the robot's controllers" if unheard else "")
-
-    # -- one sample ----------------------------------------------------------------------------------------------------
-
-    def read(self) -> float:
-        """Take what came; the steady time [s]."""
-        steady = clock.monotonic()
-        if self.ticking is not None:
-            for tick in self.ticking.take(steady):
-                self.clock.tick(tick)
-        for inlet in self.frames:
-            for message in inlet.take(steady):
-                self._noted(inlet, self.tree.take(message, self.clock.now))
-        if self.base is not None:
-            self._measured(self.base, self.sensing.take_base, steady)
-        self._measured(self.joints, self.sensing.take_joints, steady)
-        return steady
-
-    def _measured(self, inlet: Inlet, take: Callable[[Any, float], str], steady: float) -> None:
-        """Read the newest message of a topic, if its stamp can be."""
-        if (message := inlet.newest(steady)) is not None:
-            when = self.clock.measured(message.header.stamp, inlet.silence)
-            self._noted(inlet, when if isinstance(when, str) else take(message, when))
-
-    def _noted(self, inlet: Inlet, why: str) -> None:
-        if why:
-            inlet.refuse(why)
-
-    def sample(self, time: float, more: tuple[Wish, ...] = ()) -> None:
-        """Read, step, send."""
-        steady = self.read()
-        d, follower = self.stepper.robot.dimensions, self.stepper.follower
-        reference = follower.now[follower.q :].reshape(3, d.arm)
-        arm = np.array([self.sensing.q[: d.arm], self.sensing.qdot[: d.arm]])
-        base = follower.now[: d.pose + d.base]
-        asked = self.asking.poll(self.clock, steady, reference, base, arm, self.stepper.tripped)
-        measurement = self.sensing.measurement()
-        measured = min(self.sensing.when, time) if measurement is not None else None
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Read the parameters and make all that they ask for."""
         try:
-            command = self.stepper.step(time, measurement, asked + more or None, measured=measured)
-        except ConfigError as error:  # the reference has moved on since it was planned: what does not fit is left out
-            if not asked:
-                raise
-            self.asking.give_way(f"{error.what}: {error.why}")
-            self._say_once(f"not followed: {error.what}: {error.why}")
-            command = self.stepper.step(time, measurement, None, measured=measured)
-        self.commands.send(command, self.clock.stamp)
+            self.settings = settings_of(given(self))
+            stepper = self.make.stepper(self.settings, self.count)
+            self.count += 1
+            self.motion, self.seconds = self.make.motion(stepper)
+            self.bridge = Bridge(self, stepper, self.settings, bool(self.get_parameter("use_sim_time").value))
+        except Exception as error:
+            return self._failed(error)
+        return SUCCESS
 
-    def _switched(self, time: float) -> None:
-        """Stop or reset, where a service asks for it."""
-        for caller, _ in [] if self.switches is None else self.switches.take():
-            done, why = True, "stopped by its service" if caller.service == STOP else ""
-            if caller.service == STOP:
-                self.stepper.stop(why)
-            else:
-                try:
-                    self.stepper.reset()
-                    self.clock.resume(time)
-                    why = "it goes on from where it stands"
-                except ConfigError as error:
-                    done, why = False, ": ".join(filter(None, (error.what, error.why, error.fix)))
-            self.tell(f"{'stop' if caller.service == STOP else 'reset'}: {why}")
-            assert self.switches is not None
-            self.switches.reply(caller, encoded(msg.TriggerResponse(done, why)))
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Wait for the robot, then let the control loop run."""
+        assert self.bridge is not None
+        try:
+            self.bridge.leave = ""
+            self.bridge.meet(self.patience)
+        except Exception as error:
+            return self._failed(error)
+        self.runs = True
+        self.is_done.clear()
+        self.is_wanted.set()
+        return super().on_activate(state)
 
-    # -- the run -------------------------------------------------------------------------------------------------------
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Brake, hold, let efforts fade."""
+        assert self.bridge is not None
+        if self.is_wanted.is_set():
+            self.bridge.leave = self.bridge.leave or DEACTIVATED
+            self.is_done.wait(LEAVING)
+        self.runs = False
+        return ERROR if self.failure is not None else super().on_deactivate(state)
 
-    def run(self, patience: float, seconds: float = math.inf, motion: Motion | None = None) -> Recording:
-        """Control until the end, a trip or Ctrl-C; its recording.
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Close the recording, leave all topics."""
+        self._release()
+        return SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """As deactivate and cleanup."""
+        if self.runs:
+            self.on_deactivate(state)
+        self._release()
+        return SUCCESS
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """As cleanup; it may be configured anew."""
+        self._release()
+        return SUCCESS
+
+    def _failed(self, error: Exception) -> TransitionCallbackReturn:
+        """A transition that failed by what it was given, or by an error, which rclpy would swallow."""
+        if self.is_managed:
+            self.get_logger().error(str(error))
+        if isinstance(error, InputError):
+            self.problem = error
+            return FAILURE
+        self.failure = error
+        return ERROR
+
+    def _release(self) -> None:
+        """Close the recording, and leave all topics of the bridge."""
+        if (bridge := self.bridge) is None:
+            return
+        self.bridge = None
+        bridge.close()
+        signals = f"stopped by {signal.Signals(self.stopped[0]).name}" if self.stopped else ""
+        try:
+            self.recording = bridge.finish("interrupted" if self.stopped else "completed", signals or bridge.problem)
+        except Exception as error:  # where the recording has failed it says so once more
+            self.failure = self.failure or error
+
+    # -- services and parameters ---------------------------------------------------------------------------------------
+
+    def _stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._switched("stop", response)
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._switched("reset", response)
+
+    def _switched(self, name: str, response: Trigger.Response) -> Trigger.Response:
+        bridge = self.bridge
+        done, why = (False, "the node is not configured") if bridge is None else getattr(bridge, name)()
+        response.success, response.message = done, why
+        self.get_logger().info(f"{name}: {why}")
+        return response
+
+    def _changed(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+        """Take live parameters at once, others while nothing is configured."""
+        if (bridge := self.bridge) is None:
+            return SetParametersResult(successful=True)
+        try:
+            if fixed := [one.name for one in parameters if not is_live(one.name)]:
+                raise InputError(f"{', '.join(fixed)} cannot change now", fix="clean up, set it, configure anew")
+            changed = settings_of(given(self) | {one.name: value_of(one) for one in parameters})
+            controller, kinematic = self.make.law(changed, self.settings)
+            bridge.between(lambda: bridge.change(changed, controller, kinematic))
+        except MmnnError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self.settings = changed
+        return SetParametersResult(successful=True)
+
+    # -- the caller's thread -------------------------------------------------------------------------------------------
+
+    def control(self, is_managed: bool) -> Recording | None:
+        """Run the control loop whenever the node is active, until it is over; the recording of the last run.
 
         Args:
-            patience: How long to wait for the robot [s].
-            seconds: How long to control it.
-            motion: To follow from the start.
+            is_managed: Whether somebody else configures and activates it; else it does so itself, and ends with it.
 
         Raises:
-            InputError: The robot is not there.
+            InputError: A transition of its own that fails.
+            RecordingError: The recording cannot be written.
         """
-        before = [signal.signal(number, lambda came, _: self.stopped.append(came)) for number in STOPS]
-        switch = sys.getswitchinterval()
-        sys.setswitchinterval(SWITCH)
+        before = [signal.signal(number, self._signalled) for number in STOPS]
+        self.is_managed = is_managed
         try:
-            self.asking.rehearse()
-            self.meet(patience)
-            gc.collect()
-            gc.freeze()  # what is there is no garbage: a collection looks only at what comes
-            try:
-                status, message = self._drive(seconds, motion)
-            finally:  # also where the recording cannot be written any more
-                self._leave()
+            if not is_managed:
+                self._begin()
+            while not self.stopped:
+                if self.is_wanted.wait(LOOK):
+                    self._run()
+                    if not (is_managed or self._may_go_on()):
+                        break
         finally:
-            sys.setswitchinterval(switch)
+            self._end()
             for number, handler in zip(STOPS, before, strict=True):
                 signal.signal(number, handler)
-        dropped = [text for inlet in self.inlets for text in inlet.counted()]
-        skipped = [f"{self.pace.skipped} cycles skipped by overruns"] if self.pace.skipped else []
-        told = "; ".join(text for text in (message, *dropped, *skipped) if text)
-        late = self.pace.late[: min(self.pace.count, len(self.pace.late))]
-        return self.stepper.finish(status, told, {"late": late})
+        if self.failure is not None:
+            raise self.failure
+        return self.recording
 
-    def _drive(self, seconds: float, motion: Motion | None) -> tuple[Status, str]:
-        before = self.clock.now
-        self.clock.start()
-        self.sensing.shift(before)
-        self.pace, watched, reported = Pace(self.stepper.period), 0.0, -math.inf
-        told, asked = self.settings.diagnostics, () if motion is None else (motion,)
-        while not self.stepper.is_over or (self.switches is not None and not self.stopped):
-            time = self._next(self.pace)
-            self.sample(time, asked)
-            asked = ()
-            self._switched(time)
-            self.stepper.record()
-            if self.health is not None and told is not None and time - reported >= 1.0 / told.rate:
-                reported = time
-                self.health.send(diagnostics(self.stepper, self.clock.stamp, self.problem, self._counts()))
-            if time - watched >= WATCH:
-                watched = time
-                self._watch(time)
-            if time >= seconds:
-                return "completed", ""
-            if len(self.stopped) > 1:
-                return "interrupted", "left at once"
-        if self.stopped:
-            return "interrupted", f"stopped by {signal.Signals(self.stopped[0]).name}"
-        return "completed", self.problem
+    def _begin(self) -> None:
+        """Configure and activate itself."""
+        for transition in (self.trigger_configure, self.trigger_activate):
+            if transition() is not SUCCESS and not self.stopped:
+                raise self.failure or self.problem or InputError(f"{transition.__name__} failed")
 
-    def _next(self, pace: Pace) -> float:
-        """Wait for the next sample, by the steady clock or the simulator's, and its time [s]."""
-        if self.ticking is None:
-            return pace.wait()
-        pace.count += 1
-        while not (self.clock.jumped or self.stopped):
-            for tick in self.ticking.take(clock.monotonic()):
-                self.clock.tick(tick)
-            if self.clock.now >= self.stepper.time + self.stepper.period - 1e-9:
-                return self.clock.now
-            clock.sleep(0.0002)
-        clock.sleep(self.stepper.period)  # a stop does not wait for the simulator
-        return max(self.stepper.time, 0.0) + self.stepper.period
+    def _run(self) -> None:
+        """Control until the loop is over."""
+        assert self.bridge is not None
+        try:
+            self.bridge.run(self.seconds, self.motion)
+        except Exception as error:
+            self.failure = error
+        self.motion = None
+        self.is_wanted.clear()
+        self.is_done.set()
+        if self.is_managed and not self.stopped and self.bridge.leave != DEACTIVATED:
+            self.trigger_deactivate()
 
-    def _leave(self) -> None:
-        """Efforts fade, velocities end."""
-        if self.stepper.command is None:
-            return
-        steps = max(1, round(0.25 / self.stepper.period))
-        command = self.stepper.command
-        last = type(command)(*(array.copy() for array in command))
-        for k in range(steps):
-            self.commands.end(last, 1.0 - (k + 1) / steps, self.clock.stamp)
-            clock.sleep(self.stepper.period)
+    def _may_go_on(self) -> bool:
+        """Whether somebody deactivated it, who may activate it again."""
+        return self.bridge is not None and self.bridge.leave == DEACTIVATED and self.failure is None
 
-    # -- what is wrong -------------------------------------------------------------------------------------------------
+    def _end(self) -> None:
+        """Leave the state that it is in."""
+        if self.bridge is not None:
+            if self.runs:
+                self.trigger_deactivate()
+            if self.bridge is not None:
+                self.trigger_cleanup()
+        if not (self.failure or self.problem):  # after an error there may be nothing left to shut down
+            self.trigger_shutdown()
 
-    def tell(self, text: str) -> None:
-        """Say a line with the time."""
-        self.said(f"t = {max(self.stepper.time, 0.0):.2f} s: {text}")
-
-    def _watch(self, time: float) -> None:
-        """Stop where a clock jumped or Ctrl-C came; say what is new."""
-        if self.clock.jumped and not self.stepper.tripped:
-            self.stepper.stop(self.clock.jumped)
-            self._say_once(self.clock.jumped)
-        if self.stopped and not self.stepper.tripped:
-            self.stepper.stop(f"stopped by {signal.Signals(self.stopped[0]).name}")
-        problems = []
-        for inlet in self.inlets:
-            if (dropped := inlet.dropped) > self.before[inlet.name]:
-                problems.append(f"{inlet.name}: {dropped - self.before[inlet.name]} dropped: {inlet.why}")
-                self.before[inlet.name] = dropped
-        if lacking := self.sensing.lacking(self.clock.now):
-            silent = [inlet.name for inlet in self.needed if not inlet.publishers]
-            gone = f", no publisher of {', '.join(silent)}" if silent else ""
-            problems.append(f"nothing fresh of {lacking}{gone}")
-        if unheard := self.commands.unheard:
-            problems.append(f"nobody reads {', '.join(unheard)}")
-        if self.stepper.is_late:
-            problems.append(f"cycles are more than {SLOW:g} times the period apart: ask for a lower rate")
-        if problems and not self.stepper.tripped:
-            self._say_once("; ".join(problems))
-        elif not problems and not self.stepper.tripped:
-            self.problem = ""
-
-    def _say_once(self, text: str) -> None:
-        """Say what is wrong when it begins, and when it changes in kind."""
-        kind = "".join(c for c in text if not c.isdigit())
-        if kind != "".join(c for c in self.problem if not c.isdigit()):
-            self.tell(text)
-        self.problem = text
-
-    def _counts(self) -> dict[str, float]:
-        found: dict[str, float] = {}
-        for inlet in self.inlets:
-            for name in ("malformed", "foreign", "surplus", "refused"):
-                found[f"{inlet.name} {name}"] = float(getattr(inlet, name))
-        return found | {"skipped": float(self.pace.skipped)}
-
-    def __enter__(self) -> Bridge:
-        return self
-
-    def __exit__(self, *_: Any) -> None:
-        self.asking.close()
-        if self.switches is not None:
-            self.switches.close()
-        self.link.close()
+    def _signalled(self, number: int, _: Any) -> None:
+        self.stopped.append(number)
+        if self.bridge is not None:
+            self.bridge.leave = f"stopped by {signal.Signals(self.stopped[0]).name}"
+            self.bridge.hurry = len(self.stopped) > 1
 
 
-def services_of(link: Link, settings: Switches) -> Services:
-    """Services that stop and reset, in this order."""
-    kinds = typename(msg.TriggerRequest), typename(msg.TriggerResponse)
-    names = [(link.resolved(name), *kinds) for name in (settings.stop, settings.reset)]
-    return Services(link.network, [address_of(peer) for peer in link.network.peers], names)
+@contextmanager
+def made(make: Maker, arguments: Sequence[str], patience: float = 0.0) -> Iterator[ControllerNode]:
+    """The node, served by an executor in threads of its own.
+
+    Args:
+        make: Makes steppers.
+        arguments: Of the command line, for ROS 2 (`--ros-args ...`).
+        patience: How long to wait for the robot [s].
+
+    Raises:
+        InputError: Arguments that ROS 2 does not take.
+    """
+    try:
+        rclpy.init(args=["mmnn", *arguments], signal_handler_options=rclpy.SignalHandlerOptions.NO)
+        node, executor = ControllerNode(make, patience), MultiThreadedExecutor(THREADS)
+    except (RuntimeError, ValueError, TypeError) as error:  # of rclpy: RCLError and others
+        rclpy.try_shutdown()
+        raise InputError("ROS 2 does not take this", why=" ".join(str(error).split()), fix="see the file") from error
+    executor.add_node(node)
+    spinning = Thread(target=executor.spin, daemon=True)
+    spinning.start()
+    try:
+        yield node
+    finally:
+        executor.shutdown(LEAVING)
+        spinning.join(LEAVING)
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def settings(make: Maker, arguments: Sequence[str]) -> Node:
+    """The settings that arguments for ROS 2 say; errors as of `made` and `settings_of`."""
+    with made(make, arguments) as node:
+        return settings_of(given(node))
+
+
+def checked(make: Maker, arguments: Sequence[str]) -> tuple[str, list[Row]]:
+    """The robot's name and all topics of the node, as configuring makes them; errors as of `control`."""
+    with made(make, arguments) as node:
+        node.is_managed = False
+        if node.trigger_configure() is not SUCCESS or node.bridge is None:
+            raise node.failure or node.problem or InputError("it cannot be configured")
+        return node.bridge.stepper.robot.name, node.bridge.rows()
+
+
+def control(make: Maker, arguments: Sequence[str], patience: float, is_managed: bool) -> tuple[Recording | None, bool]:
+    """Run the node; the recording of its last run, and whether a signal ended it.
+
+    Args:
+        make: Makes steppers.
+        arguments: Of the command line, for ROS 2 (`--ros-args ...`).
+        patience: How long to wait for the robot [s].
+        is_managed: As in `ControllerNode.control`.
+
+    Raises:
+        InputError: Arguments that ROS 2 does not take, a transition that fails.
+        RecordingError: The recording cannot be written.
+    """
+    with made(make, arguments, patience) as node:
+        return node.control(is_managed), bool(node.stopped)

@@ -7,19 +7,24 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Twist, TwistStamped
+from rclpy.node import Node as RosNode
+from std_msgs.msg import Float64MultiArray, Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from ...loop.servo import Command
 from ...loop.stepper import Stepper
 from ...model.robot import Robot
 from ...signals import Array
-from . import messages as msg
-from .link import Link, Outlet
+from .inlets import Outlet
 from .settings import TRAJECTORY, TWIST_STAMPED, Node, Output
-from .wiring import names_of
+from .wiring import names_of, topic_of
 
 KINDS: dict[str, Any] = {
-    "Float64MultiArray": msg.Float64MultiArray, "JointTrajectory": msg.JointTrajectory,
-    "Twist": msg.Twist, "TwistStamped": msg.TwistStamped,
+    "Float64MultiArray": Float64MultiArray, "JointTrajectory": JointTrajectory,
+    "Twist": Twist, "TwistStamped": TwistStamped,
 }  # fmt: skip
 OK, WARN, ERROR = 0, 1, 2
 STATES = {
@@ -34,22 +39,22 @@ class Commands:
     """The commands of all of the robot's controllers.
 
     Args:
-        link: The graph.
+        node: The node.
         robot: The robot.
         settings: What each of its controllers takes.
     """
 
-    def __init__(self, link: Link, robot: Robot, settings: Node) -> None:
+    def __init__(self, node: RosNode, robot: Robot, settings: Node) -> None:
         names, d = names_of(robot, settings), robot.dimensions
         self.base, self.refused = d.base, 0
-        self.soon = msg.Duration(0, int(2e9 / settings.rate))
+        self.soon = duration_of(2.0 / settings.rate)
         self.outlets = []
-        for output in settings.commands:
+        for name, output in settings.commands.items():
             at = [robot.actuator_names.index(names[joint]) for joint in output.joints]
-            outlet = Outlet(link, output.topic, KINDS[output.type], output)
+            outlet = Outlet(node, topic_of(robot, name, output), KINDS[output.type])
             self.outlets.append((output, outlet, np.array(at, int), np.array(at, int) - d.motors + d.dof))
 
-    def send(self, command: Command, stamp: msg.Time) -> None:
+    def send(self, command: Command, stamp: Time) -> None:
         """Send a command; one that is not finite is not sent, and counted."""
         for output, outlet, motors, rows in self.outlets:
             values = self._values(command, output, motors, rows)
@@ -58,7 +63,7 @@ class Commands:
             else:
                 self.refused += 1
 
-    def end(self, command: Command, share: float, stamp: msg.Time) -> None:
+    def end(self, command: Command, share: float, stamp: Time) -> None:
         """Send a share of the efforts of a command, and velocities of zero; positions stay."""
         for output, outlet, motors, rows in self.outlets:
             values = self._values(command, output, motors, rows)
@@ -72,10 +77,23 @@ class Commands:
         """Topics of commands that nobody reads."""
         return [outlet.name for _, outlet, _, _ in self.outlets if not outlet.readers]
 
+    def crowd(self) -> str:
+        """Which other node sends commands, too; empty for none."""
+        for _, outlet, _, _ in self.outlets:
+            if others := outlet.others():
+                return f"{outlet.name}: {', '.join(others)} publishes it, too: one node controls a robot"
+        return ""
+
     @property
-    def clashes(self) -> list[str]:
-        """Topics whose readers ask for more than is offered."""
-        return [outlet.name for _, outlet, _, _ in self.outlets if outlet.clashes]
+    def trouble(self) -> str:
+        """Why nothing may be sent: nobody reads, asks for another quality, or another node sends; empty else."""
+        for _, outlet, _, _ in self.outlets:
+            if outlet.clash:
+                return f"{outlet.name}: its reader asks for another {outlet.clash}: set qos_overrides"
+        if crowd := self.crowd():
+            return crowd
+        unheard = self.unheard
+        return f"nobody reads {', '.join(unheard)}: load the robot's controllers" if unheard else ""
 
     def _values(self, command: Command, output: Output, motors: Any, rows: Any) -> Array:
         if output.is_twist:
@@ -85,28 +103,43 @@ class Commands:
         return (command.motor_effort if output.interface == "effort" else command.motor_velocity)[motors]
 
 
-def message_of(output: Output, values: list[float], stamp: msg.Time, soon: msg.Duration) -> Any:
+def message_of(output: Output, values: list[float], stamp: Time, soon: Duration) -> Any:
     """A command as its controller takes it."""
     if output.is_twist:
-        sideways = values[1] if len(values) == 3 else 0.0
-        twist = msg.Twist(msg.Vector3(values[0], sideways, 0.0), msg.Vector3(0.0, 0.0, values[-1]))
-        return msg.TwistStamped(msg.Header(stamp, output.frame), twist) if output.type == TWIST_STAMPED else twist
+        twist = Twist()
+        twist.linear.x, twist.angular.z = values[0], values[-1]
+        twist.linear.y = values[1] if len(values) == 3 else 0.0
+        header = Header(stamp=stamp, frame_id=output.frame)
+        return TwistStamped(header=header, twist=twist) if output.type == TWIST_STAMPED else twist
     if output.type == TRAJECTORY:
-        point = msg.JointTrajectoryPoint(values, [], [], [], soon)
-        return msg.JointTrajectory(msg.Header(msg.Time(), ""), list(output.joints), [point])
-    return msg.Float64MultiArray(msg.MultiArrayLayout([], 0), values)
+        point = JointTrajectoryPoint(positions=values, time_from_start=soon)
+        return JointTrajectory(joint_names=list(output.joints), points=[point])
+    return Float64MultiArray(data=values)
 
 
-def diagnostics(stepper: Stepper, stamp: msg.Time, problem: str, counts: dict[str, float]) -> msg.DiagnosticArray:
+def stamp_of(time: float) -> Time:
+    """A time [s] for a header."""
+    whole, rest = divmod(time, 1.0)
+    return Time(sec=int(whole), nanosec=int(1e9 * rest))
+
+
+def duration_of(time: float) -> Duration:
+    """A duration [s]."""
+    whole, rest = divmod(time, 1.0)
+    return Duration(sec=int(whole), nanosec=int(1e9 * rest))
+
+
+def diagnostics(stepper: Stepper, row: Array, stamp: Time, problem: str, counts: dict[str, float]) -> DiagnosticArray:
     """State of the supervisor, errors, Psi_hat and what the link counts.
 
     Args:
-        stepper: After a sample.
+        stepper: The stepper.
+        row: Its row after a sample.
         stamp: Now.
         problem: What is wrong at present; empty for nothing.
         counts: Numbers of the link.
     """
-    row, layout, robot = stepper.row, stepper.setup.layout, stepper.robot
+    layout, robot = stepper.setup.layout, stepper.robot
     state = int(row[layout.where("safety")][0])
     level = ERROR if stepper.tripped else WARN if problem or state else OK
     error = ("error x", "error y", "error phi")[: robot.dimensions.pose]
@@ -122,10 +155,10 @@ def diagnostics(stepper: Stepper, stamp: msg.Time, problem: str, counts: dict[st
         status(name, OK, "", dict(zip(names, values.tolist(), strict=True))) for name, (names, values) in tables.items()
     ]
     statuses.append(status("link", WARN if any(counts.values()) else OK, "", counts))
-    return msg.DiagnosticArray(msg.Header(stamp, ""), statuses)
+    return DiagnosticArray(header=Header(stamp=stamp), status=statuses)
 
 
-def status(name: str, level: int, text: str, values: dict[str, float]) -> msg.DiagnosticStatus:
+def status(name: str, level: int, text: str, values: dict[str, float]) -> DiagnosticStatus:
     """One part of the diagnostics; numbers as texts, as the message has them."""
-    pairs = [msg.KeyValue(key, f"{value:.6g}") for key, value in values.items() if not math.isnan(value)]
-    return msg.DiagnosticStatus(level, f"mmnn: {name}", text, "mmnn", pairs)
+    pairs = [KeyValue(key=key, value=f"{value:.6g}") for key, value in values.items() if not math.isnan(value)]
+    return DiagnosticStatus(level=bytes([level]), name=f"mmnn: {name}", message=text, hardware_id="mmnn", values=pairs)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,8 +27,7 @@ from ...reference.motion import require_within, slopes
 from ...reference.route import Route as Way
 from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array, Setpoint
-from . import messages as msg
-from .sensing import Planar, seconds
+from .sensing import Planar, quaternion, seconds
 from .settings import Route
 
 OKAY, INVALID_GOAL, INVALID_JOINTS, OLD_STAMP, OFF_PATH, OFF_GOAL = 0, -1, -2, -3, -4, -5
@@ -49,6 +49,22 @@ class Refused(MmnnError):
     def __init__(self, why: str, code: int = INVALID_GOAL) -> None:
         self.code = code
         super().__init__(why)
+
+
+class Seen(NamedTuple):
+    """What the robot is to do at present, and what it does.
+
+    Attributes:
+        reference: (3, n) q, qdot, qddot of the arm's reference.
+        measured: (2, n) q, qdot.
+        base: (3 + nb,) pose and velocity of the base's reference.
+        pose: (3,) measured.
+    """
+
+    reference: Array
+    measured: Array
+    base: Array
+    pose: Array
 
 
 @dataclass(frozen=True)
@@ -73,7 +89,7 @@ class Arm:
         called = tuple(names.get(name, name) for name in robot.joint_names)
         return cls(robot, called, new_guide(robot, limits), period)
 
-    def motion(self, message: msg.JointTrajectory, now: ArrayLike, since: float = 0.0) -> Motion | Stand:
+    def motion(self, message: Any, now: ArrayLike, since: float = 0.0) -> Motion | Stand:
         """The motion that a message asks for; standing where it has no points.
 
         Args:
@@ -120,7 +136,7 @@ class Arm:
         stays = (np.abs(q - start) < LEDGE).all(axis=0)
         q[:, stays] = np.clip(q[:, stays], *self.guide.ends[:, stays])
 
-    def _columns(self, message: msg.JointTrajectory) -> Array:
+    def _columns(self, message: Any) -> Array:
         """Places of its joints in ours."""
         unknown = [name for name in message.joint_names if name not in self.names]
         if unknown or not message.joint_names or len(set(message.joint_names)) < len(message.joint_names):
@@ -128,7 +144,7 @@ class Arm:
             raise Refused(f"{why}: there is {', '.join(self.names)}", INVALID_JOINTS)
         return np.array([self.names.index(name) for name in message.joint_names])
 
-    def _times(self, message: msg.JointTrajectory) -> Array:
+    def _times(self, message: Any) -> Array:
         at = np.array([seconds(point.time_from_start) for point in message.points])
         if len(at) > MOST_POINTS or at[-1] > LONGEST:
             raise Refused(f"{len(at):,} points in {at[-1]:g} s: at most {MOST_POINTS:,} in {LONGEST:g} s")
@@ -203,7 +219,7 @@ def caught_up(made: Motion, late: float) -> Motion:
 
 
 def base_motion(
-    message: msg.Path,
+    message: Any,
     route: Route,
     limits: Limits,
     robot: Robot,
@@ -234,7 +250,7 @@ def base_motion(
     if len(message.poses) > MOST_POINTS:
         raise Refused(f"{len(message.poses):,} poses: at most {MOST_POINTS:,}")
     points = np.array([(one.pose.position.x, one.pose.position.y) for one in message.poses], float)
-    x, y, z, w = np.array([astuple(one.pose.orientation) for one in message.poses], float).T
+    x, y, z, w = np.array([quaternion(one.pose.orientation) for one in message.poses], float).T
     if not ((np.abs(points) < 1e6).all() and np.isfinite([x, y, z, w]).all()):
         raise Refused("poses that are not finite")
     slower = msgspec.structs.replace(

@@ -18,7 +18,6 @@ from ...errors import ConfigError
 from ...model.robot import Robot
 from ...safety.door import FARTHEST
 from ...signals import Array, Measurement
-from . import messages as msg
 from .settings import Clocks, Node
 
 NANO = 1e-9
@@ -31,78 +30,62 @@ class Clock:
     """The time of the node, and how old a stamp is.
 
     Args:
-        settings: Which clock.
+        settings: What becomes of stamps.
+        is_simulated: Whether a simulator tells the time.
 
     Attributes:
         begin: Zero of the node's time, by its clock [s].
         simulated: Time of the simulator; NaN before it told [s].
-        told: What it told last [s].
-        jumped: What a simulated clock did that no clock does; empty else. Until it is resumed the node's time goes on
-            by the steady clock, and measurements count as made when they come: a stop needs both.
-        left: When that was, by the steady clock [s].
+        jumped: What a simulated clock did that no clock does; empty else. The node's time goes on from where it was,
+            with the simulator's.
     """
 
-    def __init__(self, settings: Clocks) -> None:
-        self.settings, self.simulated, self.jumped, self.begin, self.told = settings, math.nan, "", 0.0, math.nan
-        self.left = 0.0
+    def __init__(self, settings: Clocks, is_simulated: bool = False) -> None:
+        self.settings, self.is_simulated = settings, is_simulated
+        self.simulated, self.jumped, self.begin = math.nan, "", 0.0
 
     def start(self) -> None:
         """Count from now on."""
         self.begin += self.now
 
-    def resume(self, time: float) -> None:
-        """Go on after a jump, the node's time from a time on [s]."""
-        if self.jumped:
-            self.jumped, self.simulated = "", self.told
-            self.begin += self.now - time
-
     @property
     def now(self) -> float:
         """Time since the start [s]."""
-        by = clock.monotonic() if self.settings.source == "steady" else self.simulated
-        by += clock.monotonic() - self.left if self.jumped else 0.0
-        return by - self.begin
+        return (self.simulated if self.is_simulated else clock.monotonic()) - self.begin
 
     @property
     def by_ros(self) -> float:
-        """What ROS 2 calls now: the wall clock, or the simulator's [s]."""
-        return clock.time() if self.settings.source == "steady" else self.simulated
+        """What ROS 2 calls now: the wall clock, or the simulator's; 0 before that told [s]."""
+        by = self.simulated if self.is_simulated else clock.time()
+        return 0.0 if math.isnan(by) else by
 
-    @property
-    def stamp(self) -> msg.Time:
-        """Now, for a header."""
-        seconds, rest = divmod(0.0 if math.isnan(self.by_ros) else self.by_ros, 1.0)
-        return msg.Time(int(seconds), int(rest / NANO))
-
-    def tick(self, message: msg.Clock) -> None:
-        """Take the time of a simulator."""
-        told = self.told = seconds(message.clock)
-        if not math.isnan(self.simulated):
-            step = told - self.simulated
-            if step < 0.0 or step > self.settings.jump:
-                self.left = clock.monotonic() if not self.jumped else self.left
-                self.jumped = f"/clock jumped by {step:+.3g} s at {self.simulated:.3f} s"
-                return
+    def tick(self, message: Any) -> None:
+        """Take the time of a simulator, a `rosgraph_msgs/Clock`."""
+        told = seconds(message.clock)
+        step = 0.0 if math.isnan(self.simulated) else told - self.simulated
+        if step < 0.0 or step > self.settings.jump:
+            self.jumped = f"/clock jumped by {step:+.3g} s at {self.simulated:.3f} s"
+            self.begin += step
         self.simulated = told
 
-    def since(self, stamp: msg.Time) -> float:
+    def since(self, stamp: Any) -> float:
         """Time since the moment that a motion's stamp says; 0 for none, which is now [s]."""
         none = stamp.sec == 0 and stamp.nanosec == 0
         return 0.0 if none else min(max(self.by_ros - seconds(stamp), -3600.0), 1e6)
 
-    def measured(self, stamp: msg.Time, oldest: float) -> float | str:
+    def measured(self, stamp: Any, oldest: float) -> float | str:
         """When something was measured, in the node's time [s]; a text where its stamp cannot be.
 
         Args:
             stamp: Of the message; 0 for none.
             oldest: Age from which on it is refused [s].
         """
-        if self.jumped or self.settings.stamps == "ignore" or (stamp.sec == 0 and stamp.nanosec == 0):
+        if self.settings.stamps == "ignore" or (stamp.sec == 0 and stamp.nanosec == 0):
             return self.now
         age = self.by_ros - seconds(stamp)
         if not -self.settings.ahead <= age <= oldest:
             how = f"{age:.3g} s old" if age > 0 else f"{-age:.3g} s in the future"
-            return f'its stamp is {how}: synchronise the clocks, or say clock.stamps = "ignore"'
+            return f"its stamp is {how}: synchronise the clocks, or set clock.stamps to ignore"
         return self.now - max(age, 0.0)
 
 
@@ -113,7 +96,7 @@ class Tree:
         self.parents: dict[str, tuple[str, Planar, float]] = {}
         self.version = 0
 
-    def take(self, message: msg.TFMessage, when: float) -> str:
+    def take(self, message: Any, when: float) -> str:
         """Read transforms; those that are not finite are refused."""
         for one in message.transforms:
             there = planar(one.transform.translation, one.transform.rotation)
@@ -156,12 +139,12 @@ class Sensing:
 
     def __init__(self, robot: Robot, settings: Node, tree: Tree) -> None:
         self.robot, self.settings, self.tree, d = robot, settings, tree, robot.dimensions
-        names = settings.joint_states.names
+        names = settings.joint_states.theirs
         for name in names:
             if name not in robot.actuator_names:
                 fix = f"name joints with a motor: {', '.join(robot.actuator_names)}"
                 raise ConfigError(f"no joint '{name}'", fix=fix, key="joint_states.names")
-        by_wheels = bool(d.base) and settings.odometry.pose == "tf"
+        by_wheels = bool(d.base) and settings.odometry.source == "tf"
         self.wheels = robot.actuator_names[: d.motors - d.arm] if by_wheels else ()
         self.names = [names.get(name, name) for name in (*robot.joint_names, *self.wheels)]
         self.rolled = np.linalg.pinv(robot.E[: d.base, : len(self.wheels)].T) if by_wheels else np.zeros((d.base, 0))
@@ -203,11 +186,11 @@ class Sensing:
             parts.append("the pose of the base")
         return " and ".join(parts)
 
-    def take_joints(self, message: msg.JointState, when: float) -> str:
+    def take_joints(self, message: Any, when: float) -> str:
         """Read joints by their names, whatever their order; one that is missing stays as it was, and gets older."""
         if len(message.position) != len(message.name):
             return f"{len(message.position)} positions for {len(message.name)} joints"
-        if message.name != self.known:
+        if list(message.name) != self.known:
             if len(set(message.name)) < len(message.name):
                 return "a joint appears twice"
             at = {name: i for i, name in enumerate(message.name)}
@@ -226,7 +209,7 @@ class Sensing:
         self.q[here], self.qdot[here], self.heard[here], self.is_new = q, qdot, when, True
         return self._take_pose() if self.wheels else ""
 
-    def take_base(self, message: msg.Odometry, when: float) -> str:
+    def take_base(self, message: Any, when: float) -> str:
         """Read pose and velocity of the base."""
         there = planar(message.pose.pose.position, message.pose.pose.orientation)
         if isinstance(there, str):
@@ -248,7 +231,6 @@ class Sensing:
 
     def _take_pose(self) -> str:
         """The pose by `/tf`, the velocity by the wheels."""
-        assert self.settings.tf is not None
         found = self.tree.between(self.settings.tf.odom, self.settings.tf.base)
         if found is None or found[1] <= self.placed:
             return ""
@@ -290,14 +272,19 @@ def control_frame(robot: Robot, link: str) -> Planar:
     return composed(inverse((placement.translation[0], placement.translation[1], turn)), root)
 
 
-def planar(position: Any, turned: msg.Quaternion) -> Planar | str:
+def planar(position: Any, turned: Any) -> Planar | str:
     """Place and heading in the plane; a text where that is no pose."""
-    x, y, z, w = turned.x, turned.y, turned.z, turned.w
+    x, y, z, w = quaternion(turned)
     length = x * x + y * y + z * z + w * w
     if not (abs(position.x) < LARGEST and abs(position.y) < LARGEST and 0.98 < length < 1.02):
         finite = math.isfinite(position.x) and math.isfinite(position.y) and math.isfinite(length)
         return "a quaternion that is none" if finite else "a pose that is not finite"
     return position.x, position.y, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def quaternion(turned: Any) -> tuple[float, float, float, float]:
+    """The numbers of a `geometry_msgs/Quaternion`, `(x, y, z, w)`."""
+    return turned.x, turned.y, turned.z, turned.w
 
 
 def composed(a: Planar, b: Planar) -> Planar:
@@ -317,6 +304,6 @@ def wrapped(angle: float) -> float:
     return math.remainder(angle, math.tau)
 
 
-def seconds(stamp: msg.Time | msg.Duration) -> float:
+def seconds(stamp: Any) -> float:
     """Seconds of a stamp or a duration."""
     return stamp.sec + NANO * stamp.nanosec

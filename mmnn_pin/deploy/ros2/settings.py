@@ -1,146 +1,110 @@
-"""One TOML file that says what the node listens to, what it sends, and what it takes for wrong."""
+"""Parameters of the node: what it controls, what it listens to, what it sends, and what it takes for wrong.
+
+Topics, services and the action have fixed names, which ROS 2 remaps; their quality of service is overridden likewise.
+"""
 
 from __future__ import annotations
 
-import re
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any, Final, Literal
 
 import msgspec
 import numpy as np
 
-from ...errors import ConfigError
+from ...errors import ConfigError, UnknownName
 from ...loop.latency import Latency
 from ...reference.limits import Limits
-from ...settings import Settings, require_numbers
+from ...settings import LARGEST, Settings
+from ...settings.arguments import wrong_type
 
-NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
-MULTI_ARRAY, TRAJECTORY, TWIST, TWIST_STAMPED = "Float64MultiArray", "JointTrajectory", "Twist", "TwistStamped"
+TRAJECTORY: Final = "JointTrajectory"
+TWIST: Final = "Twist"
+TWIST_STAMPED: Final = "TwistStamped"
+Interface = Literal["effort", "velocity", "position"]
+FREE = ("set", "commands")  # tables whose keys are the user's
+LIVE = ("limits.", "set.", "learning")  # what may be changed while the node is configured
 
 
-class Network(Settings, frozen=True):
-    """Where the node speaks.
-
-    Args:
-        domain: `ROS_DOMAIN_ID`.
-        interface: Name or address of the one network interface that is used.
-        peers: Addresses to look for, and the only ones to listen to. No multicast is used.
-        namespace: Of relative topic names.
-        largest: Larger messages are refused [bytes].
-        participants: How many processes with DDS a peer may have.
-        config: More settings of Cyclone DDS, XML inside `<Domain>`, such as `<Security>`.
+def require_positive(settings: Settings, *names: str) -> None:
+    """Refuse fields whose number is not positive, or not finite.
 
     Raises:
-        ConfigError: A domain beyond 232, a number that is not positive.
+        ConfigError: With the first of them.
     """
-
-    domain: int = 0
-    interface: str = "lo"
-    peers: tuple[str, ...] = ("127.0.0.1",)
-    namespace: str = ""
-    largest: int = 1_000_000
-    participants: int = 30
-    config: str = ""
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.domain <= 232:
-            raise ConfigError(f"{self.domain}", fix="use 0 to 232, as ROS_DOMAIN_ID", key="network.domain")
-        if not (self.largest > 0 and 0 < self.participants <= 119):
-            key = "network.largest" if self.largest <= 0 else "network.participants"
-            raise ConfigError("out of range", fix="use more than 0, of participants up to 119", key=key)
-        if not self.peers:
-            raise ConfigError("no peers", fix='name those that may speak, e.g. ["127.0.0.1"]', key="network.peers")
+    for name in names:
+        if not 0.0 < getattr(settings, name) < LARGEST:
+            raise ConfigError(f"{getattr(settings, name)}", fix="use a number > 0", key=name)
 
 
-class Clocks(Settings, frozen=True):
-    """Clocks.
+class Heard(Settings, frozen=True):
+    """A topic that is listened to.
 
     Args:
-        source: "steady", the machine's clock that never jumps, or "sim": the topic `/clock` of a simulator.
-        stamps: "check" the age of what has a stamp, or "ignore" them: what comes is taken as measured when it came.
-        ahead: How far a stamp may lie in the future [s].
-        jump: By how much a simulated clock may go ahead at once [s].
-
-    Raises:
-        ConfigError: A number that is negative or not finite.
-    """
-
-    source: Literal["steady", "sim"] = "steady"
-    stamps: Literal["check", "ignore"] = "check"
-    ahead: float = 0.02
-    jump: float = 0.5
-
-    def __post_init__(self) -> None:
-        require_numbers(self, "clock", {"jump"})
-
-
-class Topic(Settings, frozen=True):
-    """A topic and its quality of service.
-
-    Args:
-        topic: Its name; one that does not begin with / gets the namespace.
-        reliability: "reliable", or "best_effort", which hears both kinds of writers.
-        depth: How many messages are kept.
         age: Oldest stamp that is taken [s].
-        publishers: How many may send on it at a time; messages of further ones are dropped.
+        publishers: How many may publish it; messages of further ones are refused.
 
     Raises:
-        ConfigError: A name that ROS 2 does not know, a number that is not positive.
+        ConfigError: A number that is not positive.
     """
 
-    topic: str
-    reliability: Literal["reliable", "best_effort"] = "best_effort"
-    depth: int = 4
     age: float = 0.2
     publishers: int = 1
 
     def __post_init__(self) -> None:
-        if not NAME.fullmatch(self.topic):
-            fix = "use letters, digits and _, parts joined by /"
-            raise ConfigError(f"'{self.topic}' is no name of a topic", fix=fix, key="topic")
-        for name in ("depth", "age", "publishers"):
-            if not 0 < getattr(self, name) < 1e6:
-                raise ConfigError(f"{getattr(self, name)}", fix="use a number > 0", key=name)
+        require_positive(self, "age", "publishers")
 
 
-class Joints(Topic, frozen=True):
+class Joints(Heard, frozen=True):
     """`sensor_msgs/JointState`.
 
     Args:
-        names: How the robot calls joints that have another name in its URDF, `urdf = "theirs"`.
+        names: How the robot calls joints that have another name in its URDF, "urdf=theirs".
+
+    Raises:
+        ConfigError: A text without `=`.
     """
 
-    topic: str = "joint_states"
-    names: dict[str, str] = msgspec.field(default_factory=dict)
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if wrong := [text for text in self.names if not all(text.partition("="))]:
+            raise ConfigError(f"'{wrong[0]}'", fix='write "urdf=theirs"', key="names")
+
+    @property
+    def theirs(self) -> dict[str, str]:
+        """The robot's names by those of the URDF."""
+        return {own: name for own, _, name in (text.partition("=") for text in self.names)}
 
 
-class Base(Topic, frozen=True):
+class Odometry(Heard, frozen=True):
     """`nav_msgs/Odometry`.
 
     Args:
-        pose: "odometry": pose and velocity of the message; "tf": the pose of `/tf` and velocities from the wheels'
+        source: "odometry": pose and velocity of the message; "tf": the pose of `/tf` and velocities from the wheels'
             rates, nothing of this topic.
-        at: Control frame in the frame whose pose comes, `(x, y, phi)`; None looks that link up in the URDF [m, rad].
+        at: Control frame in the frame whose pose comes, `(x, y, phi)`; none looks that link up in the URDF [m, rad].
         jump: Largest step of the pose between two messages beside what the velocity explains [m].
         turn: Likewise of the heading [rad].
+
+    Raises:
+        ConfigError: A number that is not positive, or not finite.
     """
 
-    topic: str = "odom"
-    pose: Literal["odometry", "tf"] = "odometry"
+    source: Literal["odometry", "tf"] = "odometry"
     at: tuple[float, float, float] | None = None
     jump: float = 0.2
     turn: float = 0.3
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("jump", "turn"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ConfigError(f"{getattr(self, name)}", fix="use a number > 0", key=name)
+        require_positive(self, "jump", "turn")
         if self.at is not None and not np.isfinite(self.at).all():
             raise ConfigError(f"{self.at}", fix="give finite numbers", key="at")
 
 
-class Frames(Topic, frozen=True):
-    """`/tf`, for poses by it and for paths in the frame of a map.
+class Frames(Settings, frozen=True):
+    """Frames of `/tf`, for poses by it and for paths in the frame of a map.
 
     Args:
         map: The frame of the map.
@@ -149,62 +113,45 @@ class Frames(Topic, frozen=True):
         replace: A correction of the map from which on a path is put anew [m, rad].
     """
 
-    topic: str = "/tf"
-    depth: int = 20
-    publishers: int = 8
-    age: float = 1.0
     map: str = "map"
     odom: str = "odom"
     base: str = "base_footprint"
     replace: float = 0.02
 
 
-class Velocity(Topic, frozen=True):
+class Velocity(Heard, frozen=True):
     """`geometry_msgs/Twist` of a joystick or of a navigation stack.
 
     Args:
         stamped: Whether it is a `TwistStamped`.
     """
 
-    topic: str = "cmd_vel"
-    reliability: Literal["reliable", "best_effort"] = "reliable"
     stamped: bool = False
-
-
-class JointMotions(Topic, frozen=True):
-    """`trajectory_msgs/JointTrajectory` of a planner, without an answer."""
-
-    topic: str = "arm_controller/joint_trajectory"
-    reliability: Literal["reliable", "best_effort"] = "reliable"
 
 
 class Action(Settings, frozen=True):
     """The action `control_msgs/FollowJointTrajectory`, which MoveIt sends.
 
     Args:
-        name: Of the action.
         path_tolerance: Largest error of a joint on the way where a goal states none; 0 for none [rad or m].
         goal_tolerance: Largest error at the end likewise.
         goal_time: Time after the end in which the goal has to be reached, likewise [s].
         rate: Of the feedback [1/s].
-        keep: Time that a result is kept [s].
 
     Raises:
         ConfigError: A number that is negative or not finite.
     """
 
-    name: str = "arm_controller/follow_joint_trajectory"
     path_tolerance: float = 0.0
     goal_tolerance: float = 0.05
     goal_time: float = 1.0
     rate: float = 20.0
-    keep: float = 300.0
 
     def __post_init__(self) -> None:
-        require_numbers(self, "action", {"rate"})
+        require_positive(self, "rate")
 
 
-class Route(Topic, frozen=True):
+class Route(Heard, frozen=True):
     """`nav_msgs/Path` of a planner, driven along its arc length.
 
     Args:
@@ -213,46 +160,35 @@ class Route(Topic, frozen=True):
         lateral: Largest sideways acceleration [m/s^2].
     """
 
-    topic: str = "plan"
-    reliability: Literal["reliable", "best_effort"] = "reliable"
     speed: float = 0.3
     acceleration: float = 0.3
     lateral: float = 0.5
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("speed", "acceleration", "lateral"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ConfigError(f"{getattr(self, name)}", fix="use a number > 0", key=name)
+        require_positive(self, "speed", "acceleration", "lateral")
 
 
 class Output(Settings, frozen=True):
     """Commands for one of the robot's controllers.
 
     Args:
-        topic: Its topic.
         type: "Float64MultiArray" of group and forward command controllers, "JointTrajectory" (one point) of
             `joint_trajectory_controller`, "TwistStamped" or "Twist" of a base's (`diff_drive_controller`).
         joints: In the order in which the controller lists them, as the robot calls them; none for a twist.
         interface: What it takes: "effort", "velocity" or "position".
         frame: `frame_id` of a stamped twist.
-        reliability: As in `Topic`.
-        depth: Likewise.
 
     Raises:
         ConfigError: Joints of a twist, none of anything else, an effort by a trajectory.
     """
 
-    topic: str
     type: Literal["Float64MultiArray", "JointTrajectory", "TwistStamped", "Twist"] = "Float64MultiArray"
     joints: tuple[str, ...] = ()
-    interface: Literal["effort", "velocity", "position"] = "effort"
+    interface: Interface = "effort"
     frame: str = "base_link"
-    reliability: Literal["reliable", "best_effort"] = "reliable"
-    depth: int = 1
 
     def __post_init__(self) -> None:
-        Topic(self.topic, depth=self.depth)
         if self.is_twist == bool(self.joints):
             fix = "leave joints out" if self.is_twist else "list them as the controller's `joints` does"
             raise ConfigError(f"a {self.type} with {len(self.joints)} joints", fix=fix, key="joints")
@@ -268,110 +204,90 @@ class Output(Settings, frozen=True):
         return self.type in (TWIST, TWIST_STAMPED)
 
 
-class Switches(Settings, frozen=True):
-    """Services `std_srvs/Trigger`. With them the node stays after a trip and waits for a call.
+class Clocks(Settings, frozen=True):
+    """Stamps of messages.
 
     Args:
-        stop: An emergency stop.
-        reset: Goes on after a trip: the robot holds where it is, and what was learned stays.
+        stamps: "check" the age of what has a stamp, or "ignore" them: what comes is taken as measured when it came.
+        ahead: How far a stamp may lie in the future [s].
+        jump: By how much a simulated clock may go ahead at once [s].
 
     Raises:
-        ConfigError: A name that ROS 2 does not know, or one for both.
+        ConfigError: A number that is negative or not finite.
     """
 
-    stop: str = "mmnn/stop"
-    reset: str = "mmnn/reset"
+    stamps: Literal["check", "ignore"] = "check"
+    ahead: float = 0.02
+    jump: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in (self.stop, self.reset):
-            Topic(name)
-        if self.stop == self.reset:
-            raise ConfigError(f"'{self.stop}' for both", fix="give each its own name", key="switches.reset")
-
-
-class Diagnostics(Settings, frozen=True):
-    """`diagnostic_msgs/DiagnosticArray`, for PlotJuggler and Foxglove.
-
-    Args:
-        topic: Its name.
-        rate: [1/s].
-    """
-
-    topic: str = "/diagnostics"
-    rate: float = 10.0
-
-    def __post_init__(self) -> None:
-        Topic(self.topic)
-        require_numbers(self, "diagnostics", {"rate"})
+        require_positive(self, "jump")
 
 
 class Node(Settings, frozen=True):
-    """All of the file.
+    """All parameters.
 
     Args:
         robot: Name or URDF file.
-        commands: What is sent, to all motors.
+        commands: What is sent, to all motors, by the names of the robot's controllers.
         controller: Name of a controller, see `mmnn list`.
         experiment: Experiment with gains, learners and the supervisor's limits, name or file.
         set: Its keys that are changed, tables in tables.
+        learning: Whether the controller learns; live.
         rate: Control samples per second.
-        latency: Known delay from the measurement to the motors, which the gains have to bear [s]; None as the
+        latency: Known delay from the measurement to the motors, which the gains have to bear [s]; none as the
             experiment says.
-        predict: Whether measurements are moved on as the reference has moved since their stamps; None likewise.
+        predict: Whether measurements are moved on as the reference has moved since their stamps; none likewise.
         setpoint_timeout: Age of a velocity at which the base brakes [s].
         follow: "topics", or "experiment": its own motion, from where the robot stands.
-        network: Where it speaks.
-        clock: Clocks.
+        end_after_trip: Whether the process ends after a trip; else it waits for a reset.
+        clock: Stamps.
         limits: Limits of references that are made on the way.
         joint_states: The joints.
-        odometry: The base; left out for a fixed arm.
+        odometry: The base.
         tf: Frames.
-        velocity: Of the base; None listens to none. Likewise the following.
-        trajectory: Motions of the arm.
-        action: Motions of the arm with an answer.
-        path: Of the base.
-        switches: Services that stop and reset; None for none, and the node ends after a trip.
-        diagnostics: What is published of the node itself.
+        velocity: Velocities of the base that are asked for.
+        trajectory: Motions of the arm that are asked for by a topic, without an answer.
+        action: Motions that are asked for by the action.
+        path: Paths of the base that are asked for.
+        diagnostics: How often the node tells of itself; 0 for never [1/s].
 
     Raises:
-        ConfigError: A number that is not positive, no commands.
+        ConfigError: A number that is not positive, no robot, no commands.
     """
 
-    robot: str
-    commands: tuple[Output, ...]
+    robot: str = ""
+    commands: dict[str, Output] = msgspec.field(default_factory=dict)
     controller: str = "pd"
     experiment: str = "track"
     set: dict[str, Any] = msgspec.field(default_factory=dict)
+    learning: bool = True
     rate: float = 200.0
     latency: float | None = None
     predict: bool | None = None
     setpoint_timeout: float = 0.5
     follow: Literal["topics", "experiment"] = "topics"
-    network: Network = Network()
+    end_after_trip: bool = False
     clock: Clocks = Clocks()
     limits: Limits = Limits()
     joint_states: Joints = Joints()
-    odometry: Base = Base()
-    tf: Frames | None = None
-    velocity: Velocity | None = None
-    trajectory: JointMotions | None = None
-    action: Action | None = None
-    path: Route | None = None
-    switches: Switches | None = None
-    diagnostics: Diagnostics | None = Diagnostics()
+    odometry: Odometry = Odometry()
+    tf: Frames = Frames()
+    velocity: Velocity = Velocity()
+    trajectory: Heard = Heard()
+    action: Action = Action()
+    path: Route = Route()
+    diagnostics: float = 10.0
 
     def __post_init__(self) -> None:
-        if not self.commands:
-            raise ConfigError(
-                "no commands", fix="give a table [[commands]] per controller of the robot", key="commands"
-            )
+        if not (self.robot and self.commands):
+            what, key = ("no commands", "commands") if self.robot else ("no robot", "robot")
+            raise ConfigError(what, fix="mmnn ros2 --example FOLDER --robot ROBOT writes a file to start from", key=key)
         if not 1 <= self.rate <= 2000:
             raise ConfigError(f"{self.rate} /s", fix="use 1 to 2000", key="rate")
         for name in ("latency", "setpoint_timeout"):
             if not 0 <= (getattr(self, name) or 0.0) < 10:
                 raise ConfigError(f"{getattr(self, name)} s", fix="use 0 to 10", key=name)
-        if self.odometry.pose == "tf" and self.tf is None:
-            raise ConfigError("poses by /tf without frames", fix="give a table [tf]", key="odometry.pose")
 
     def latency_of(self, own: Latency) -> Latency:
         """The latency of an experiment with what these settings say: its `margin` stays."""
@@ -383,7 +299,62 @@ class Node(Settings, frozen=True):
     @property
     def changes(self) -> list[str]:
         """The changes of the experiment as `key.path=value` texts, values as in TOML."""
-        return [f"{key}={msgspec.json.encode(value).decode()}" for key, value in leaves(self.set)]
+        learning = [("learning.learning", self.learning)]
+        return [f"{key}={msgspec.json.encode(value).decode()}" for key, value in leaves(self.set) + learning]
+
+
+def settings_of(parameters: Mapping[str, Any]) -> Node:
+    """Settings out of parameters by their full names, values of None left out.
+
+    Raises:
+        ConfigError: One that is unknown or cannot be, with its name.
+    """
+    table: dict[str, Any] = {}
+    for name, value in parameters.items():
+        *way, last = name.split(".")
+        here = table
+        for part in way:
+            here = here.setdefault(part, {})
+            if not isinstance(here, dict):
+                raise ConfigError(f"'{part}' is a value and a table", fix="leave one out", key=name)
+        here |= {} if value is None else {last: value}
+    return _converted(table)
+
+
+def _converted(table: dict[str, Any]) -> Node:
+    """A table as settings, part by part, so that an error of a part knows where it stands."""
+    kinds = {field.name: field.type for field in msgspec.structs.fields(Node) if is_part(field.type)}
+    parts = [(value, kinds[name], f"{name}.") for name, value in table.items() if name in kinds]
+    if isinstance(table.get("commands"), dict):
+        parts += [(value, Output, f"commands.{name}.") for name, value in table["commands"].items()]
+    for part in parts:
+        _convert(*part)
+    whole: Node = _convert(table, Node, "")
+    return whole
+
+
+def is_part(kind: Any) -> bool:
+    """Whether a type is that of a table."""
+    return isinstance(kind, type) and issubclass(kind, Settings)
+
+
+def _convert(value: Any, kind: type[Settings], prefix: str) -> Any:
+    """One table as settings of a kind; keys of errors begin with a prefix."""
+    try:
+        return msgspec.convert(value, kind, strict=True)
+    except msgspec.ValidationError as error:
+        message, _, where = str(error).partition(" - at ")
+        key = (prefix + where.strip("`").removeprefix("$").removeprefix(".")).rstrip(".")
+        if message.startswith("Object contains unknown field"):
+            unknown = message.split("`")[1]
+            known = [field.name for field in msgspec.structs.fields(kind)]
+            raise UnknownName("parameter", f"{prefix}{unknown}", [prefix + name for name in known]) from error
+        what, fix = wrong_type(message)
+        raise ConfigError(what, fix=fix, key=key or None) from error
+    except ConfigError as error:
+        own = (error.key or "").removeprefix(prefix)
+        error.key = (prefix + own.removeprefix(".")).rstrip(".") or None
+        raise
 
 
 def leaves(table: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:

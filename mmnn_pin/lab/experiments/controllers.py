@@ -76,7 +76,7 @@ def table_at(config: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def new_name(key: str, value: Any = None) -> str:
-    """What a key path, or a value that stands there, is called now; empty for one that was never called otherwise."""
+    """Today's name of a key path, or of a value that stands there; empty for one that was never called otherwise."""
     return RENAMED_VALUES.get(key, {}).get(value, "") if isinstance(value, str) else RENAMED.get(key, "")
 
 
@@ -147,7 +147,7 @@ class Nominal(Settings, frozen=True):
 
 @dataclass(frozen=True)
 class Granted:
-    """What a controller is told of its robot: of `torque.controller.Told` what its entry grants.
+    """The knowledge of a controller about its robot: the part of `torque.controller.Told` that its entry grants.
 
     Attributes:
         entry: The controller.
@@ -163,7 +163,7 @@ class Granted:
 
     @property
     def motion(self) -> Regressor:
-        """How the robot moves; errors as of `true`."""
+        """The regressor of the robot, its way to move; errors as of `true`."""
         return Regressor.of(self.true("motion"))
 
     @property
@@ -178,7 +178,7 @@ class Granted:
 
     @property
     def parameters(self) -> Array:
-        """Its parameters, (k,), with which a regressor of the robot gives its Psi; errors as of `nominal_robot`."""
+        """Parameters (k,) of the nominal robot, for a regressor of the robot; errors as of `nominal_robot`."""
         return parameters(nominal_robot(self.model, self.true("parameters"), self.overrides))
 
     @property
@@ -202,7 +202,7 @@ class Granted:
 
 
 def machine_of(robot: Robot) -> Machine:
-    """What a learner may know of a robot without knowing how it moves: names, and of its joints the ends and motors."""
+    """The facts of a robot that do not tell how it moves: names, and ends and motors of its joints."""
     n, limits = robot.dimensions.arm, robot.effort_limits
     joints = (
         product(np.abs(robot.E), limits)[robot.dimensions.dof - n :]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import lru_cache, partial
 from pathlib import Path
@@ -368,17 +368,22 @@ class Experiment(LearnerTables, frozen=True):
         return " ".join(f"--set {shlex.quote(f'{key}={value}')}" for key, value in values.items())
 
     @contextmanager
-    def in_its_keys(self) -> Iterator[None]:
-        """Errors of its loops within name gains and servos as this experiment takes them."""
+    def in_its_keys(self, written: Callable[[Mapping[str, str]], str] | None = None) -> Iterator[None]:
+        """Errors of its loops within name gains and servos as this experiment takes them.
+
+        Args:
+            written: Keys and their values in TOML to how a user sets them; None for options of a command.
+        """
         try:
             yield
         except ConfigError as error:
             if (values := error.values) is None:
                 raise
-            keys = {f"{values.table}.{name}": re.sub(r"\((.*)\)", r"[\1]", text) for name, text in values.texts.items()}
+            table = values.table
+            keys = {f"{table}.{name}": re.sub(r"\((.*)\)", r"[\1]", text) for name, text in values.texts.items()}
             if values.table == "feedback" and self.feedback.scaling != "none":
-                keys["feedback.scaling"] = '"none"'
-            raise error.but(fix=error.fix.replace(str(values), self.setting(keys))) from error
+                keys[f"{table}.scaling"] = '"none"'
+            raise error.but(fix=error.fix.replace(str(values), (written or self.setting)(keys))) from error
 
     def to_json(self) -> str:
         """The complete experiment with its defaults, as text (JSON) for a recording."""

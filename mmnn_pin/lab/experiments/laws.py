@@ -35,23 +35,22 @@ def is_spec(name: str) -> bool:
     return ":" in name or name.endswith(".py")
 
 
-def named(spec: str) -> str:
-    """Name of a controller in tables and files: that of its class.
+def parsed(spec: str) -> tuple[str, str]:
+    """File or module of a class, and its name, by which the controller is called in tables and files.
 
     Raises:
         ConfigError: The text does not say which class of which file.
     """
     found = SPEC.fullmatch(spec)
     if found is None:
-        raise ConfigError(
-            f"'{spec}' names no class", fix="write FILE.py:Class, or package.module:Class", key="controllers"
-        )
-    return found["kind"]
+        fix = "write FILE.py:Class, or package.module:Class"
+        raise ConfigError(f"'{spec}' names no class", fix=fix, key="controllers")
+    return found["place"], found["kind"]
 
 
 def name_of(controller: str) -> str:
     """Name of a controller in tables and files, also of one that says where its class is."""
-    return named(controller) if is_spec(controller) else controller
+    return parsed(controller)[1] if is_spec(controller) else controller
 
 
 def resolved(
@@ -71,7 +70,7 @@ def resolved(
     names = []
     for controller in controllers:
         if is_spec(controller):
-            name = named(controller)
+            name = name_of(controller)
             where = tables.setdefault(name, {}).setdefault(LAW, controller)
             if where != controller:
                 raise ConfigError(
@@ -97,7 +96,7 @@ def resolved(
                 fix=f"say law = 'FILE.py:Class' there, or run --controller FILE.py:{name}",
                 key=f"laws.{name}",
             )
-        named(table[LAW])
+        parsed(table[LAW])
     return tuple(names), tables
 
 
@@ -178,11 +177,7 @@ def load_class(spec: str) -> type[TorqueController]:
         InputError: No such file or module, one that fails when it is read, no such class, or one that is no
             `TorqueController` or lacks a method.
     """
-    found = SPEC.fullmatch(spec)
-    if found is None:
-        named(spec)
-    assert found is not None
-    place, name = found["place"], found["kind"]
+    place, name = parsed(spec)
     module = read_file(Path(place)) if place.endswith(".py") else read_module(place)
     kind, file = getattr(module, name, None), getattr(module, "__file__", None)
     if not isinstance(kind, type):
@@ -255,9 +250,8 @@ def read_module(name: str) -> Any:
 
 def digest_of(spec: str) -> str:
     """Hash of the file of a class, which is not run; empty where it cannot be read."""
-    found = SPEC.fullmatch(spec)
-    place = "" if found is None else found["place"]
-    with suppress(OSError, ImportError, AttributeError, TypeError, ValueError):
+    with suppress(ConfigError, OSError, ImportError, AttributeError, TypeError, ValueError):
+        place, _ = parsed(spec)
         file = place if place.endswith(".py") else importlib.util.find_spec(place).origin  # type: ignore[union-attr]
         return sha256(read_bytes(file))  # type: ignore[arg-type]
     return ""

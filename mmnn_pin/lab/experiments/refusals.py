@@ -1,4 +1,4 @@
-"""What to say of an experiment that cannot run: which key is to blame, or which robot it is made for."""
+"""Messages on an experiment that cannot run: which key is to blame, or which robot it is made for."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def explained(error: InputError, name: str, asked: Experiment, own: Experiment) 
 
 
 def count(robot: Robot) -> str:
-    """How many joints its arm has, in words."""
+    """Number of its arm joints, in words."""
     n = robot.dimensions.arm
     return f"{n} arm joint{'s' * (n != 1)}"
 
@@ -79,7 +79,7 @@ def names_of(robot: Robot) -> set[str]:
 
 
 def lengths_of(robot: Robot) -> set[int]:
-    """How long a list may be that has a number for each joint of its arm, velocity, motor, or joint."""
+    """Lengths of lists that have a number for each joint of its arm, velocity, motor, or joint."""
     size = robot.dimensions
     return {size.arm, size.dof, len(robot.actuator_names), size.full}
 

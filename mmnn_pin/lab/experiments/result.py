@@ -18,7 +18,7 @@ from typing import Any
 from ...errors import UnknownName
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
-from ...shown import Page, Picture, Table, shown
+from ...shown import ShownPage, ShownPicture, ShownTable, shown
 from .controllers import LEARNERS, effective
 from .experiment import Experiment
 from .hand import HandErrors
@@ -59,9 +59,6 @@ class Result(Mapping[str, Recording]):
     def __len__(self) -> int:
         return len(self.recordings)
 
-    def __contains__(self, controller: object) -> bool:
-        return controller in self.recordings
-
     def __repr__(self) -> str:
         ends = (f"{name} {recording.outcome.status}" for name, recording in self.items())
         return f"<Result: {', '.join(ends)}>"
@@ -72,22 +69,22 @@ class Result(Mapping[str, Recording]):
     def _repr_html_(self) -> str:
         return self.table()._repr_html_() + self.plot()._repr_html_()
 
-    def table(self) -> Table:
+    def table(self) -> ShownTable:
         """The runs beside each other: errors, torques, what was learned; it prints as text."""
-        made: Table = shown(self, "table")
+        made: ShownTable = shown(self, "table")
         return made
 
-    def plot(self, what: str = "errors") -> Picture:
+    def plot(self, what: str = "errors") -> ShownPicture:
         """A figure of the runs, of those that `mmnn plot --help` names; `.save("errors.svg")` writes it.
 
         Raises:
             UnknownName: There is no such figure.
             RecordingError: The runs have nothing for it.
         """
-        made: Picture = shown(self, "plot", what)
+        made: ShownPicture = shown(self, "plot", what)
         return made
 
-    def replay(self, *, title: str = "", fps: float = 60.0, package_dirs: Sequence[str | Path] = ()) -> Page:
+    def replay(self, *, title: str = "", fps: float = 60.0, package_dirs: Sequence[str | Path] = ()) -> ShownPage:
         """A page that plays the runs in one scene; `.save("replay.html")` writes it.
 
         Args:
@@ -98,10 +95,10 @@ class Result(Mapping[str, Recording]):
         Raises:
             InputError: There is nothing to show.
         """
-        made: Page = shown(self, "replay", title=title, fps=fps, package_dirs=package_dirs)
+        made: ShownPage = shown(self, "replay", title=title, fps=fps, package_dirs=package_dirs)
         return made
 
-    def report(self, *, with_replay: bool = True, package_dirs: Sequence[str | Path] = ()) -> Page:
+    def report(self, *, with_replay: bool = True, package_dirs: Sequence[str | Path] = ()) -> ShownPage:
         """A page that says how good the runs were; `.save("report.html")` writes it.
 
         Args:
@@ -111,7 +108,7 @@ class Result(Mapping[str, Recording]):
         Raises:
             RecordingError: There is nothing to report.
         """
-        made: Page = shown(self, "report", with_replay=with_replay, package_dirs=package_dirs)
+        made: ShownPage = shown(self, "report", with_replay=with_replay, package_dirs=package_dirs)
         return made
 
     @property

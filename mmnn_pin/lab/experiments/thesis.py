@@ -1,4 +1,4 @@
-"""What the thesis shows of its runs, beside ours.
+"""The thesis's figures and numbers beside our runs.
 
 Its figures survive as intervals read off their axes, twelve a chapter; chapter 5 also prints the largest errors of both
 joints, one-layer and two-layer. Those are what its encoders saw, so they are compared with the measured errors `e` of a
@@ -60,7 +60,7 @@ class FigureRange:
 
     @property
     def scale(self) -> float:
-        """What a signal in SI is multiplied with to be in `unit`."""
+        """Factor from SI to `unit`."""
         return 180.0 / math.pi if self.unit == "deg" else 1.0
 
     def extreme(self, runs: Mapping[str, Signals]) -> float | None:

@@ -20,7 +20,7 @@ IDENTIFIED = "*.identified.json"
 
 @dataclass(frozen=True)
 class FolderKind:
-    """What a path may hold beside runs.
+    """A kind of thing that a path may hold in place of runs.
 
     Attributes:
         finds: A path as the user names it to where this is, none where it holds none.
@@ -40,7 +40,7 @@ def studies(path: Path) -> list[Path]:
 
 
 def identifications(path: Path) -> list[Path]:
-    """What `mmnn identify` wrote."""
+    """Reports that `mmnn identify` wrote."""
     return [file for file in (path, *path.glob(IDENTIFIED)) if file.match(IDENTIFIED)]
 
 

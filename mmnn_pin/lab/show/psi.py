@@ -57,7 +57,7 @@ class Judged(NamedTuple):
         return f"{number(self.fvu)} of {self.worst}" if self.worst else number(self.fvu)
 
     def prediction(self) -> str:
-        """How well it predicts; never rounded to all of Psi."""
+        """The share of Psi that it predicts; never rounded to all of it."""
         if self.fvu >= 1:
             return f"predicts {some(self.lost)} worse than a constant" if self.lost else CONSTANT
         return f"explains {'more than 99.9' if 0 < self.fvu < 0.001 else f'{100 * (1 - self.fvu):.3g}'} % of Psi"
@@ -73,7 +73,7 @@ def some(names: Sequence[str]) -> str:
 
 
 def judgement(online: Judged, same: Judged, other: Judged) -> str:
-    """What FVU online, frozen on the run's own trajectory and frozen on a held-out one say together, in words."""
+    """The judgement in words on FVU online, frozen on the run's own trajectory and frozen on a held-out one."""
     numbers = f"FVU online {online}, frozen {same}" + (f", held out {other}" if math.isfinite(other.fvu) else "")
     if not math.isfinite(online.fvu) or not math.isfinite(same.fvu):
         return f"Psi does not vary, there is nothing to judge ({numbers})."
@@ -160,7 +160,7 @@ def component_table(title: str, psi: Psi, columns: Mapping[str, Array]) -> Table
 
 
 def excitation_rows(psi: Psi) -> Iterator[Row]:
-    """What the weights were multiplied with, and how well that was excited."""
+    """Rows of the features that multiply the weights, and how well they were excited."""
     networks, first = psi.networks, psi.networks[0]
     excitations, unknown = [n.excitation for n in networks], [n.unknown for n in networks]
     for weights in first.ranks:

@@ -22,7 +22,7 @@ from ...recording.metrics import Reducer, metrics
 from ...recording.versions import versions
 from ..experiments.controllers import EFFECTIVE
 from .plan import Plan, short
-from .pools import Pool, run_side_by_side
+from .pools import Pool
 from .results import DEFAULT, require_patterns, units_of, value_of
 from .settings import StudySettings, placing
 from .store import NAME, Store, TrialResult, encoded, reading
@@ -84,16 +84,6 @@ def shown(settings: StudySettings, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(pattern for pattern in DEFAULT if value_of(dict.fromkeys(names, 0.0), pattern) == 0.0)
 
 
-def judged(path: Path) -> str:
-    """Digest of the plan whose points this version judged before it wrote results; empty where there are none.
-
-    Raises:
-        StudyError: As in `reading`.
-    """
-    facts = reading(path).facts if path.is_file() else {}
-    return str(facts.get("plan", "")) if facts.get("mmnn_pin") == __version__ else ""
-
-
 def missing_trials(store: Store, plan: Plan, found: Probe, force: bool) -> list[int]:
     """Numbers of the runs that are still to be made, once the results agree with the study's settings.
 
@@ -106,7 +96,7 @@ def missing_trials(store: Store, plan: Plan, found: Probe, force: bool) -> list[
     Raises:
         StudyError: There are results of other settings, and `force` is off.
     """
-    numbers = {fingerprint: i for i, fingerprint in enumerate(plan.fingerprints())}
+    numbers = {fingerprint: i for i, fingerprint in enumerate(plan.fingerprints)}
     same_code, now = store.facts.get("mmnn_pin") == __version__, facts(plan, found)
     if store.results and not (same_code and store.facts.get("plan") == plan.digest):
         kept = {numbers[r.fingerprint]: r for r in store.results if r.fingerprint in numbers}
@@ -117,7 +107,7 @@ def missing_trials(store: Store, plan: Plan, found: Probe, force: bool) -> list[
     elif store.facts != json.loads(encoded(now)):
         store.add(now)
     done = {result.fingerprint for result in store.results if result.status not in AGAIN}
-    return [i for i, fingerprint in enumerate(plan.fingerprints()) if fingerprint not in done]
+    return [i for i, fingerprint in enumerate(plan.fingerprints) if fingerprint not in done]
 
 
 def facts(plan: Plan, found: Probe) -> dict[str, Any]:
@@ -191,16 +181,13 @@ def fill(
             progress(result)
 
 
-def execute(
-    pool: Pool, plan: Plan, numbers: Sequence[int], handed: dict[str, Any] | None = None
-) -> Iterator[TrialResult]:
+def execute(pool: Pool, plan: Plan, numbers: Sequence[int]) -> Iterator[TrialResult]:
     """Make runs, given back as they end, in any order.
 
     Args:
         pool: Makes them.
         plan: All runs.
         numbers: Of those to make.
-        handed: Robots' files that the pool has already, by digest; it is added to.
 
     Raises:
         MmnnError: The pool is lost; what was given back is done.
@@ -208,15 +195,12 @@ def execute(
     """
     finished: queue.SimpleQueue[Future[TrialResult]] = queue.SimpleQueue()
     pending: dict[Future[TrialResult], Trial] = {}
-    waiting, files = map(plan.trial, numbers), {} if handed is None else handed
+    waiting = map(plan.trial, numbers)
     try:
         while True:
             room = (pool.window() if pool.is_warm else 1) - len(pending)
             for trial in itertools.islice(waiting, max(room, 0)):
-                bundle = plan.bundle(trial.experiment)
-                if bundle.digest not in files:  # the pool gets the files of a robot once
-                    files[bundle.digest] = pool.share(bundle)
-                future = pool.executor.submit(run_side_by_side, trial, files[bundle.digest])
+                future = pool.submit(trial, plan.bundle(trial.experiment))
                 pending[future] = trial
                 future.add_done_callback(finished.put)
             if not pending:
@@ -262,29 +246,22 @@ class Rerun:
     """A run that was made again.
 
     Attributes:
-        trial: The run.
+        result: Its result now.
         file: Its recording.
-        status: How it ended.
-        message: One line for people.
-        metrics: Its numbers.
         stored: The stored result; None if there is none, or one with other settings.
     """
 
-    trial: Trial
+    result: TrialResult
     file: Path
-    status: str
-    message: str
-    metrics: dict[str, float]
     stored: TrialResult | None
 
     @property
     def different(self) -> list[str]:
         """Metrics that are not the stored ones bit for bit; "outcome" where it ended otherwise."""
-        if self.stored is None:
-            return []
-        ended = [] if self.stored.status == self.status else ["outcome"]
-        names = dict.fromkeys([*self.stored.metrics, *self.metrics])
-        return ended + [n for n in names if not same(self.stored.metrics.get(n), self.metrics.get(n))]
+        now, then = self.result, self.stored or self.result
+        names = dict.fromkeys([*then.metrics, *now.metrics])
+        other = [n for n in names if not same(then.metrics.get(n), now.metrics.get(n))]
+        return ["outcome"] * (now.status != then.status) + other
 
     @property
     def same(self) -> bool | None:
@@ -293,24 +270,25 @@ class Rerun:
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison for JSON."""
-        numbers = {name: value if math.isfinite(value) else None for name, value in self.metrics.items()}
-        about = {"row": self.trial.id, "controller": self.trial.controller, "seed": self.trial.seed}
-        about |= {"parameters": self.trial.parameters, "file": str(self.file), "outcome": self.status}
-        return about | {"message": self.message, "metrics": numbers, "same": self.same, "different": self.different}
+        now = self.result
+        numbers = {name: value if math.isfinite(value) else None for name, value in now.metrics.items()}
+        about = {"row": now.id, "controller": now.controller, "seed": now.seed, "parameters": now.parameters}
+        about |= {"file": str(self.file), "outcome": now.status, "message": now.message, "metrics": numbers}
+        return about | {"same": self.same, "different": self.different}
 
     def describe(self) -> str:
         """The comparison for people."""
-        values = ", ".join(f"{name} = {short(value)}" for name, value in self.trial.parameters.items())
+        now = self.result
+        values = ", ".join(f"{name} = {short(value)}" for name, value in now.parameters.items())
+        compared = f"the same numbers as stored, bit for bit: all {len(now.metrics)}"
         if self.stored is None:
             compared = "not stored with these settings, so nothing to compare"
         elif self.different:
             names = ", ".join(self.different[:6])
             compared = f"OTHER numbers than the stored ones (made on {self.stored.host}): {names}"
-        else:
-            compared = f"the same numbers as stored, bit for bit: all {len(self.metrics)}"
-        who = f"row {self.trial.id}: {self.trial.controller}, seed {self.trial.seed}"
-        end = f"{self.status}: {self.message}" if self.message else self.status
-        return f"{who}\n  {values}\n  {end}\n  {compared}\nwrote {self.file}"
+        end = f"{now.status}: {now.message}" if now.message else now.status
+        lines = (f"row {now.id}: {now.controller}, seed {now.seed}", values, end, compared)
+        return "\n  ".join(lines) + f"\nwrote {self.file}"
 
 
 def rerun(plan: Plan, number: int, folder: Path, force: bool = False) -> Rerun:
@@ -333,8 +311,7 @@ def rerun(plan: Plan, number: int, folder: Path, force: bool = False) -> Rerun:
     recording = loop_of(trial).run(file, force=force, meta=about | {"study_parameters": trial.parameters})
     results = reading(folder / NAME).results if (folder / NAME).exists() else []
     stored = next((r for r in results if (r.id, r.fingerprint) == (number, trial.fingerprint)), None)
-    outcome = recording.outcome
-    return Rerun(trial, file, outcome.status, outcome.message, metrics(recording, trial.experiment.windows), stored)
+    return Rerun(trial.ended(recording.outcome, metrics(recording, trial.experiment.windows)), file, stored)
 
 
 def same(one: float | None, other: float | None) -> bool:

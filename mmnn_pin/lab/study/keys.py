@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from ...errors import ConfigError, UnknownName
+from ...errors import ConfigError, UnknownName, keyed
 from ..experiments.config import keys_of, kind_at, put, value_at
 
 NEAR = 6  # how many near keys an error names
@@ -87,17 +87,14 @@ def changed(table: dict[str, Any], path: str, value: Any, relative: bool = False
     Raises:
         ConfigError: As in `put`, or the old value is no number and no list of numbers; with the path.
     """
-    try:
+    parts = path.split(".")
+    with keyed(lambda key: path):
         if relative:
             value = times(value_at(table, path), value)
-        parts = path.split(".")
         for above in (".".join(parts[:i]) for i in range(1, len(parts))):
             if value_at(table, above) is None and known_keys(above):  # a table that the experiment leaves out
                 put(table, above, {})
         put(table, path, value)
-    except ConfigError as error:
-        error.key = path
-        raise
     return value
 
 

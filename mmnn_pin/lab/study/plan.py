@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -64,25 +64,19 @@ class Plan:
     def __len__(self) -> int:
         return len(self.points) * len(self.seeds) * len(self.controllers)
 
-    def fingerprints(self) -> Iterator[str]:
-        """Fingerprint of every run, in order."""
-        yield from self._fingerprints
-
     @cached_property
-    def _fingerprints(self) -> tuple[str, ...]:
+    def fingerprints(self) -> tuple[str, ...]:
+        """Fingerprint of every run, in order."""
         found: list[str] = []
-        other_robots = any(path.partition(".")[0] in ROBOT for path in paths_of(self.study.settings.factors))
         for point, seed in itertools.product(self.points, self.seeds):
-            experiment, settings = self.base, self.table_at(point, seed)[1]
-            if other_robots:
-                experiment, settings = self.experiment(point, seed)
+            experiment, settings = self.experiment(point, seed)
             found += [self.fingerprint(experiment, settings, controller) for controller in self.controllers]
         return tuple(found)
 
     @cached_property
     def digest(self) -> str:
         """Hash of all fingerprints."""
-        return hashlib.sha256(" ".join(self._fingerprints).encode()).hexdigest()
+        return hashlib.sha256(" ".join(self.fingerprints).encode()).hexdigest()
 
     def trial(self, i: int) -> Trial:
         """Run i.
@@ -168,8 +162,8 @@ class Plan:
         if error.file is None and error.key:
             names = [n for n, f in self.study.settings.factors.items() for p in f.paths(n) if touches(p, error.key)]
             changes = [path for path, _ in flat(self.study.settings.set) if touches(path, error.key)]
-            error.key = [*(f"factors.{n}" for n in names), *(f"set.{path}" for path in changes), error.key][0]
-            return self.study.placed(error) if names or changes else error
+            keys = [*(f"factors.{n}" for n in names), *(f"set.{path}" for path in changes)]
+            return self.study.placed(error.but(key=keys[0])) if keys else error
         return error
 
     def nominal(self, experiment: Experiment) -> Experiment | None:
@@ -199,14 +193,13 @@ class Plan:
         return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
-def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int | None = None, judged: str = "") -> Plan:
+def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int | None = None) -> Plan:
     """The runs of a study, every point judged.
 
     Args:
         study: The study.
         sampling_seed: Seed of the draws in place of the study's.
         points: Number of draws in place of the study's.
-        judged: Digest of a plan whose points were judged before: they are not judged again.
 
     Raises:
         InputError: A change or a factor names no setting, or a point makes no experiment; with the line.
@@ -231,7 +224,7 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
     if len(plan) > MOST:
         what, fix = f"{len(plan)} runs", f"at most {MOST} are taken"
         raise study.placed(ConfigError(what, fix=fix, key="sampling.points"))
-    for point in () if judged and plan.digest == judged else plan.points:
+    for point in plan.points:
         plan.experiment(point, plan.seeds[0])
     return plan
 
@@ -312,8 +305,7 @@ def expand_masses(table: dict[str, Any], study: StudyFile) -> None:
     try:
         robot = load_once(made.robot, made.overrides)
     except InputError as error:
-        error.file = error.file or study.path
-        raise
+        raise error.but(file=error.file or study.path) from None
     table["masses"] = dict.fromkeys(bodies_of(robot.model), float(table["masses"]))
 
 

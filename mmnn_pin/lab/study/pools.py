@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, partial
 from types import ModuleType
 from typing import Any
@@ -43,6 +43,7 @@ class Pool:
         share: Hands a robot's files to it; gives what stands for them in a call, None where they are there already.
         check: Asked about once a second.
         is_warm: Whether runs may start at once: until the first one has ended, others would compile what it does.
+        shared: What stands for the files that were handed to it, by their digest.
     """
 
     executor: Executor
@@ -51,6 +52,13 @@ class Pool:
     share: Callable[[Bundle], Any] = lambda bundle: None
     check: Callable[[], None] = lambda: None
     is_warm: bool = False
+    shared: dict[str, Any] = field(default_factory=dict)
+
+    def submit(self, trial: Trial, bundle: Bundle) -> Future[TrialResult]:
+        """Have a run made; the files of a robot are handed in once."""
+        if bundle.digest not in self.shared:
+            self.shared[bundle.digest] = self.share(bundle)
+        return self.executor.submit(run_side_by_side, trial, self.shared[bundle.digest])
 
 
 def local(workers: int | None = None) -> AbstractContextManager[Pool]:
@@ -80,7 +88,7 @@ class Here(Executor):
 def here() -> Iterator[Pool]:
     """This process, one run after the other."""
     with threadpool_limits(1, "blas"):
-        yield Pool(Here(), "this process", lambda: 1)
+        yield Pool(Here(), "1 process", lambda: 1)
 
 
 @contextmanager

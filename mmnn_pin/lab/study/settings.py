@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar
 
 import msgspec
 
-from ...errors import ConfigError, InputError, UnknownName
+from ...errors import ConfigError, InputError, UnknownName, keyed
 from ...files import read_text, read_toml
 from ...settings import Settings
 from ...settings.arguments import wrong_type
@@ -228,26 +228,24 @@ def settings_of(table: dict[str, Any]) -> StudySettings:
     parts += [(name, table.get(name), kind) for name, kind in PARTS.items()]  # after the factors in them
     for prefix, content, kind in parts:
         if isinstance(content, dict):
-            part(content, kind, prefix)
-    return part(table, StudySettings, "")
+            with keyed(lambda key, prefix=prefix: joined(prefix, key)):  # type: ignore[misc]
+                part(content, kind)
+    return part(table, StudySettings)
 
 
-def part(table: dict[str, Any], kind: type[S], prefix: str) -> S:
-    """A part of the settings; errors name the key path from the top of the file."""
+def part(table: dict[str, Any], kind: type[S]) -> S:
+    """A part of the settings; errors name the key path within it."""
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
         message, _, where = str(error).partition(" - at ")
         inner = re.sub(r"^\$\.?", "", where.strip("`"))
         if not inner and (unknown := re.search(r"unknown field `([^`]*)`", message)):
-            raise UnknownName("key", unknown[1], kind.__struct_fields__, key=prefix or None) from None
+            raise UnknownName("key", unknown[1], kind.__struct_fields__) from None
         known = words_of({field.name: field.type for field in msgspec.structs.fields(kind)}.get(inner))
         what, fix = wrong_type(message, table.get(inner))
         fix = f"there is: {', '.join(known)}" if known else fix
-        raise ConfigError(what, fix=fix, key=joined(prefix, inner)) from None
-    except InputError as error:
-        error.key = joined(prefix, error.key or "")
-        raise
+        raise ConfigError(what, fix=fix, key=inner) from None
 
 
 def joined(*parts: str) -> str:
@@ -257,10 +255,9 @@ def joined(*parts: str) -> str:
 
 def placed(error: InputError, path: Path) -> InputError:
     """The error with the study's file, and the line of its key there."""
-    if error.file is None:
-        error.file = path
-        error.line = line_of(read_text(path), error.key or "") if error.key else None
-    return error
+    if error.file is not None:
+        return error
+    return error.but(file=path, line=line_of(read_text(path), error.key) if error.key else None)
 
 
 @contextmanager

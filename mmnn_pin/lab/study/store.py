@@ -122,7 +122,7 @@ class Store:
     def rewrite(self, facts: Mapping[str, Any], results: list[TrialResult]) -> None:
         """Replace the whole file, all or nothing."""
         with whole_file(self.path, "results") as part:
-            part.write_bytes(b"".join(encoded(line) for line in (facts, *results)))
+            part.write_bytes(encoded(facts) + b"".join(map(encoded, results)))
         self.facts, self.results = dict(facts), results
 
 

@@ -23,7 +23,7 @@ from ...recording.versions import versions
 from ...reference import Trajectory
 from ...settings import plain
 from ...settings.arguments import checked_but, fits, shortly
-from ...shown import Picture, Table, shown
+from ...shown import ShownPicture, ShownTable, shown
 from ..experiments.compare import Assembled, Controllers, assembled
 from ..experiments.controllers import EFFECTIVE
 from .choice import ASKED, MARGIN, Level, best_of, levels
@@ -69,14 +69,14 @@ class Sweep:
         found = {name: best_of(levels(self.results, name, self.key)) for name in self.results.controllers}
         return {name: None if level is None else level.value for name, level in found.items()}
 
-    def table(self) -> Table:
+    def table(self) -> ShownTable:
         """A line for every value, and which to take; it prints as text."""
-        made: Table = shown(self, "table")
+        made: ShownTable = shown(self, "table")
         return made
 
-    def plot(self) -> Picture:
+    def plot(self) -> ShownPicture:
         """Error against the value with intervals; `.save("sweep.svg")` writes it."""
-        made: Picture = shown(self, "plot")
+        made: ShownPicture = shown(self, "plot")
         return made
 
     def __repr__(self) -> str:

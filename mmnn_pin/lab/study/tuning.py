@@ -24,7 +24,7 @@ import numpy as np
 
 from ... import __version__
 from ...actuator import Actuator
-from ...errors import ConfigError, MmnnError, StudyError
+from ...errors import ConfigError, MmnnError, StudyError, keyed
 from ...files import locked
 from ...loop.loop import Loop
 from ...sensing import Sensor
@@ -106,9 +106,6 @@ class Scorer:
     points: int | None = None
     sampling_seed: int | None = None
 
-    def __post_init__(self) -> None:
-        self.handed: dict[str, Any] = {}
-
     def score(self, gains: Mapping[str, Any]) -> Score:
         """Run all draws with a set of gains.
 
@@ -119,7 +116,7 @@ class Scorer:
         if complaints := list(violations(plan)):
             return Score(np.zeros(0), self.tune.quantile, len(complaints) / len(judged(plan)), complaints[0])
         metric, runs = np.full(len(plan), math.inf), [(dict[str, Any](), 0)] * len(plan)
-        for result in execute(self.pool, plan, range(len(plan)), self.handed):
+        for result in execute(self.pool, plan, range(len(plan))):
             if result.status == "failed":
                 raise MmnnError(f"a run failed: {result.message}")
             metric[result.id] = worth(result.status, result.metrics, self.tune.objective)
@@ -274,11 +271,8 @@ def tuned_part(study: StudyFile) -> tuple[Tune, dict[str, Any]]:
         for name, gain in tune.gains.items():
             for path in gain.paths(name):
                 require_path(table, path, f"tune.gains.{name}")
-            try:
+            with keyed(lambda key, name=name: f"tune.gains.{name}"):  # type: ignore[misc]
                 settings_of({name: gain.value(0.5)}, tune.gains, table)
-            except ConfigError as error:
-                error.key = f"tune.gains.{name}"
-                raise
     return tune, table
 
 

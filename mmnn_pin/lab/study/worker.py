@@ -36,7 +36,7 @@ from ...model.robot import Robot
 from ...model.robots import find
 from ...model.urdf.packages import locate
 from ...model.urdf.reading import read
-from ...recording.recording import as_columns
+from ...recording.recording import Outcome, as_columns
 from ...signals import Array
 from ..experiments.controllers import EFFECTIVE
 from ..experiments.experiment import Experiment
@@ -79,6 +79,11 @@ class Trial:
             fingerprint=self.fingerprint, status=status, host=socket.gethostname(), finished=now, **more,
         )  # fmt: skip
 
+    def ended(self, outcome: Outcome, metrics: dict[str, float], seconds: float = 0.0) -> TrialResult:
+        """The result of a run that ended so."""
+        how = {name: getattr(outcome, name) for name in ("status", "time", "signal", "message")}
+        return self.result(**how, metrics=metrics, seconds=seconds)
+
 
 def run(trial: Trial, bundle: Bundle | None = None) -> TrialResult:
     """Make a run; whatever is wrong with it is part of its result.
@@ -99,8 +104,7 @@ def run(trial: Trial, bundle: Bundle | None = None) -> TrialResult:
         message = " ".join((str(error) if refused else f"{type(error).__name__}: {error}").split())
         status = "interrupted" if STOP.is_set() else "refused" if refused else "failed"
         return trial.result(status, message=message, seconds=time.perf_counter() - begun)
-    end = {name: getattr(ended.outcome, name) for name in ("status", "time", "signal", "message")}
-    return trial.result(**end, metrics=ended.metrics, seconds=time.perf_counter() - begun)
+    return trial.ended(ended.outcome, ended.metrics, time.perf_counter() - begun)
 
 
 def loop_of(trial: Trial, bundle: Bundle | None = None) -> Loop:

@@ -304,7 +304,7 @@ def skidding(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], ove
     base = frame_of(rest, drives, wheels, SkidSteer, overrides)
     left, right = sum(w.y > 0 for w in base.wheels), sum(w.y < 0 for w in base.wheels)
     alike = all(parallel(drives[0], c) for c in drives[1:])
-    if not (alike and left == right and 2 <= left <= MOST_PER_SIDE):
+    if not (alike and left == right == len(drives) / 2 and 2 <= left <= MOST_PER_SIDE):
         what = f"{len(drives)} wheel(s), {left} of them on the left, for a skid-steer base"
         fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
         raise ConfigError(what, fix=fix, key="wheels", file=rest.document.path)

@@ -181,7 +181,7 @@ def collada_corners(file: Path) -> Array:
             if isinstance(part, kinds) and part.vertex is not None and len(part.vertex_index):
                 used = part.vertex[np.unique(part.vertex_index)]
                 yield used.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
-        for child in (node.children or ()) if isinstance(node, collada.scene.GltfNode) else ():
+        for child in (node.children or ()) if isinstance(node, collada.scene.Node) else ():
             yield from shown(child, pose @ node.matrix)
 
     try:

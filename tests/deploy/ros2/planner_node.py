@@ -4,14 +4,16 @@ It needs the package control_msgs beside rclpy.
 """
 
 import json
+import math
 import os
 import sys
 import time
 
 import rclpy
 from control_msgs.action import FollowJointTrajectory
+from geometry_msgs.msg import Transform
 from rclpy.action import ActionClient
-from trajectory_msgs.msg import JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectoryPoint, MultiDOFJointTrajectoryPoint
 
 NAMES = ("arm_2_joint", "arm_1_joint")
 
@@ -25,6 +27,19 @@ def goal_of(*points, names=NAMES, step=1.0):
         point.time_from_start.sec = int(step * i)
         point.time_from_start.nanosec = int(1e9 * (step * i % 1))
         goal.trajectory.points.append(point)
+    return goal
+
+
+def whole_goal(*poses):
+    """A goal of base and arm through poses of the base, 2 s apart, as MoveIt writes it."""
+    goal = goal_of(*([0.3, 0.5 + 0.1 * i] for i in range(len(poses))), step=2.0)
+    goal.multi_dof_trajectory.joint_names = ["world_joint"]
+    for point, (x, y, phi) in zip(goal.trajectory.points, poses, strict=True):
+        there = Transform()
+        there.translation.x, there.translation.y = x, y
+        there.rotation.z, there.rotation.w = math.sin(phi / 2), math.cos(phi / 2)
+        several = MultiDOFJointTrajectoryPoint(transforms=[there], time_from_start=point.time_from_start)
+        goal.multi_dof_trajectory.points.append(several)
     return goal
 
 
@@ -52,8 +67,11 @@ def main():
     rclpy.init()
     planner, told = Planner(), {}
     told["there"] = planner.client.wait_for_server(timeout_sec=240.0)
-    told["unknown joint"] = planner.send(goal_of((0.0, 0.0), (0.1, 0.1), names=("arm_2_joint", "elbow"))).accepted
-    told["too fast"] = planner.send(goal_of((0.0, 0.0), (3.0, 0.0), step=0.02)).accepted
+    while planner.result(planner.send(goal_of())) != [6, -1, "no points"]:  # it is not active yet
+        time.sleep(0.2)
+    goal = goal_of((0.0, 0.0), (0.1, 0.1), names=("arm_2_joint", "elbow"))
+    told["unknown joint"] = planner.result(planner.send(goal))
+    told["too fast"] = planner.result(planner.send(goal_of((0.0, 0.0), (3.0, 0.0), step=0.02)))
     long = goal_of(*((0.2 + 1e-4 * i, 0.3) for i in range(6000)), (0.8, 0.3), step=0.05)
     handle = planner.send(long)  # more than one packet: fragments
     told["long"] = bool(handle and handle.accepted)
@@ -68,6 +86,10 @@ def main():
     time.sleep(0.5)
     told["cancel"] = len(planner.wait(handle.cancel_goal_async()).goals_canceling)
     told["cancelled"] = planner.result(handle)
+    told["whole"] = planner.result(planner.send(whole_goal((0.0, 0.0, 0.0), (0.0, 0.0, 0.5), (0.35, 0.19, 0.5))))
+    last = planner.feedback[-1].feedback
+    told["base"] = [last.multi_dof_joint_names, last.multi_dof_actual.transforms[0].translation.x]
+    told["sideways"] = planner.result(planner.send(whole_goal((0.35, 0.19, 0.5), (0.35, 0.49, 0.5))))
     print(json.dumps(told), flush=True)
     os._exit(0)  # rclpy's destructors are not what is tested
 

@@ -13,13 +13,14 @@ import time
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from geometry_msgs.msg import PoseStamped, TransformStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 RATE, STEP, INERTIA, DAMPING, LAG = 50.0, 0.0025, (1.2, 0.4), 0.5, 0.05
@@ -42,6 +43,7 @@ class Robot:
         self.drive = node.create_publisher(TwistStamped if "stamped" in faults else Twist, "/cmd_vel", 10)
         self.route = node.create_publisher(Path, "/plan", 1)
         self.plan = node.create_publisher(JointTrajectory, "/mmnn/joint_trajectory", 10)
+        self.maps = node.create_publisher(TFMessage, "/tf", 20) if "map" in faults else None
         self.simulator = node.create_publisher(Clock, "/clock", 10) if "sim_time" in faults else None
         self.open()
 
@@ -92,7 +94,7 @@ class Robot:
         self.pose[1] += h * self.v[0] * math.sin(self.pose[2])
         self.pose[2] += h * self.v[1]
         self.t += h
-        self.log.append([self.t, *self.pose, *self.v, *self.q, *self.qdot, *self.asked])
+        self.log.append([self.t, *self.pose, *self.v, *self.q, *self.qdot, *self.asked, *self.effort])
 
     def tell(self, k):
         """Publish what is measured, with what is broken about it."""
@@ -147,9 +149,18 @@ class Robot:
         odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = self.v
         self.odom.publish(odometry)
 
+    def localise(self, since):
+        """Tell where the map is, which is corrected 2.5 s after the first command."""
+        there = TransformStamped(child_frame_id="odom")
+        there.header.frame_id, there.header.stamp = "map", self.node.get_clock().now().to_msg()
+        there.transform.translation.y = 0.25 if since > 2.5 else 0.0
+        self.maps.publish(TFMessage(transforms=[there]))
+
     def ask(self, k, begun):
         """Drive the base and move the arm from half a second after the first command on."""
         since = self.t - begun
+        if self.maps is not None:
+            self.localise(since)
         if since > 0.5 and ("map" in self.faults or "path" in self.faults):
             if not hasattr(self, "asked_base"):
                 self.asked_base, path = self.t, Path()
@@ -159,7 +170,7 @@ class Robot:
                     pose.pose.position.x, pose.pose.orientation.w = 0.05 * i, 1.0
                     path.poses.append(pose)
                 self.route.publish(path)
-        elif since > 0.5 and k % 5 == 0 and not self.active("silent_joystick"):
+        elif since > 0.5 and k % 5 == 0 and not (self.active("silent_joystick") or "no_joystick" in self.faults):
             command = TwistStamped() if "stamped" in self.faults else Twist()
             twist = command.twist if "stamped" in self.faults else command
             if "stamped" in self.faults:

@@ -31,14 +31,15 @@ def main():
             rclpy.spin_once(node, timeout_sec=0.1)
         return (level[0] == ERROR) == tripped
 
-    while level[0] != ERROR and "early" not in told:  # the robot is driven by now: nothing to reset
+    while level[0] != ERROR and "nothing to reset" not in told.get("early", [0, ""])[1]:  # until it is driven
         rclpy.spin_once(node, timeout_sec=0.1)
         told["early"] = ask(reset)
     told["tripped"] = wait(True)
     told["blind"] = ask(reset)
-    limit = time.monotonic() + 20.0
-    while not (answer := ask(reset) or [False])[0] and time.monotonic() < limit:
+    limit, answer = time.monotonic() + 20.0, told["blind"]
+    while not answer[0] and time.monotonic() < limit:
         time.sleep(0.1)
+        answer = ask(reset) or [False]
     told["reset"], told["runs"] = answer, wait(False)
     time.sleep(1.0)
     told["stop"], told["stopped"] = ask(stop), wait(True)

@@ -19,7 +19,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin.deploy.ros2.settings import Node, Output
-from mmnn_pin.deploy.ros2.wiring import controllers
+from mmnn_pin.deploy.ros2.wiring import controllers, topic_of
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model import Robot
 
@@ -51,9 +51,9 @@ def on_wheels(wheels: dict[str, tuple], angles: tuple = (0.0, 0.0, 0.0), **said)
 
 def printed(robot: Robot, kind: str) -> dict:
     """The parameters that we print for its base's controller."""
-    arm = Output("/arm/commands", joints=robot.joint_names)
-    drive = Output(f"/drive/{KIND[kind]}", type="TwistStamped")
-    found = yaml.safe_load(controllers(robot, Node("r", (drive, arm))))
+    commands = {"drive": Output("TwistStamped"), "arm": Output(joints=robot.joint_names)}
+    assert topic_of(robot, "drive", commands["drive"]) == f"drive/{KIND[kind]}"
+    found = yaml.safe_load(controllers(robot, Node("r", commands)))
     assert found["controller_manager"]["ros__parameters"]["drive"]["type"].startswith(f"{kind}_controller/")
     return found["drive"]["ros__parameters"]
 
@@ -155,9 +155,9 @@ def test_the_other_way_out_of_a_refusal_is_one():
     robot = on_wheels(wheels, base="skid_steer")
     with pytest.raises(ConfigError, match=r"one radius for all wheels of a side, not fl 0\.12 m, rl 0\.1 m") as error:
         printed(robot, "diff_drive")
-    assert error.value.fix.endswith('interface = "velocity", joints = ["fl", "fr", "rl", "rr"]')
-    single = Output("/wheels/commands", joints=("fl", "fr", "rl", "rr"), interface="velocity")
-    text = controllers(robot, Node("r", (single, Output("/arm/commands", joints=robot.joint_names))))
+    assert error.value.fix.endswith('interface: velocity, joints: ["fl", "fr", "rl", "rr"]}')
+    single = Output(joints=("fl", "fr", "rl", "rr"), interface="velocity")
+    text = controllers(robot, Node("r", {"wheels": single, "arm": Output(joints=robot.joint_names)}))
     assert yaml.safe_load(text)["wheels"]["ros__parameters"]["interface_name"] == "velocity"
 
 

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import plain_messages as msg
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
-
 from mmnn_pin import PD, Stepper, StepperSettings, load
-from mmnn_pin.deploy.ros2 import messages as msg
-from mmnn_pin.deploy.ros2.action import encoded
-from mmnn_pin.deploy.ros2.asking import Asking
-from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Planner, Refused, base_motion, rest_of
+from mmnn_pin.deploy.ros2.mapped import MappedRoute
+from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Refused, base_motion, rest_of
 from mmnn_pin.deploy.ros2.sensing import Clock, Sensing, Tree, composed, inverse
-from mmnn_pin.deploy.ros2.settings import Base, Clocks, Frames, Joints, Node, Output, Route
+from mmnn_pin.deploy.ros2.settings import Clocks, Frames, Joints, Node, Odometry, Output, Route
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.urdf.reading import parse
@@ -33,13 +29,13 @@ from mmnn_pin.safety import Safety
 from mmnn_pin.signals import Measurement
 
 ROBOT = load("platform_arm")
-COMMANDS = (Output("/a", joints=ROBOT.actuator_names),)
+COMMANDS = {"a": Output(joints=ROBOT.actuator_names)}
 NAMES = ["arm_1_joint", "x", "arm_2_joint", "wheel_left_joint", "wheel_right_joint"]
 NOW = msg.Header(msg.Time(), "odom")
 
 
 def sensing(**more: Any) -> Sensing:
-    return Sensing(ROBOT, Node("platform_arm", COMMANDS, **({"odometry": Base(at=(0.0, 0.0, 0.0))} | more)), Tree())
+    return Sensing(ROBOT, Node("platform_arm", COMMANDS, **({"odometry": Odometry(at=(0.0, 0.0, 0.0))} | more)), Tree())
 
 
 def joints(names: list[str], q: list[float], qdot: list[float]) -> msg.JointState:
@@ -71,7 +67,7 @@ def test_joints_are_read_by_their_names(order: list[int]) -> None:
 
 
 def test_joints_of_other_names_and_in_two_messages() -> None:
-    s = sensing(joint_states=Joints(names={"arm_1_joint": "shoulder"}))
+    s = sensing(joint_states=Joints(names=("arm_1_joint=shoulder",)))
     s.take_base(odometry(0.0, 0.0, 0.0), 0.0)
     assert s.take_joints(joints(["shoulder"], [0.3], [0.1]), 1.0) == "" and s.measurement() is None
     assert s.take_joints(joints(["arm_2_joint"], [0.4], [0.2]), 2.0) == ""
@@ -120,7 +116,7 @@ def test_the_heading_goes_on_and_jumps_are_refused() -> None:
 @given(*[st.floats(-2.0, 2.0)] * 6)
 def test_the_control_frame_beside_the_childs(x: float, y: float, turn: float, px: float, py: float, phi: float) -> None:
     """Velocity of a point of a rigid body by finite differences of its place."""
-    s, v, w, dt = sensing(odometry=Base(at=(x, y, turn), jump=1e9, turn=1e9)), 0.4, 0.7, 1e-6
+    s, v, w, dt = sensing(odometry=Odometry(at=(x, y, turn), jump=1e9, turn=1e9)), 0.4, 0.7, 1e-6
     s.take_base(odometry(px, py, phi, v, w), 0.0)
     before = s.pose.copy()
     moved = (px + dt * v * math.cos(phi), py + dt * v * math.sin(phi), phi + dt * w)
@@ -131,13 +127,13 @@ def test_the_control_frame_beside_the_childs(x: float, y: float, turn: float, px
 
 
 def test_a_link_of_the_urdf_tells_where_the_control_frame_is() -> None:
-    s = sensing(odometry=Base())
+    s = sensing(odometry=Odometry())
     assert s.take_base(odometry(1.0, 2.0, 0.3, frame="base_footprint"), 0.0) == ""
     assert s.pose == pytest.approx([1.0, 2.0, 0.3])
     with pytest.raises(Exception, match="no link of the URDF"):
-        sensing(odometry=Base()).take_base(odometry(0.0, 0.0, 0.0, frame="nowhere"), 0.0)
+        sensing(odometry=Odometry()).take_base(odometry(0.0, 0.0, 0.0, frame="nowhere"), 0.0)
     with pytest.raises(Exception, match="moves against the base"):
-        sensing(odometry=Base()).take_base(odometry(0.0, 0.0, 0.0, frame="arm_2"), 0.0)
+        sensing(odometry=Odometry()).take_base(odometry(0.0, 0.0, 0.0, frame="arm_2"), 0.0)
 
 
 def transform(above: str, below: str, x: float, y: float, turn: float) -> msg.TransformStamped:
@@ -155,7 +151,7 @@ def test_frames_are_composed_and_poses_come_by_them() -> None:
     back = tree.between("base_footprint", "map")
     assert back is not None and composed(found[0], back[0]) == pytest.approx((0.0, 0.0, 0.0))
     assert tree.between("odom", "camera") is None and composed(inverse(one), one) == pytest.approx((0.0, 0.0, 0.0))
-    node = Node("platform_arm", COMMANDS, odometry=Base(pose="tf", at=(0.0, 0.0, 0.0)), tf=Frames())
+    node = Node("platform_arm", COMMANDS, odometry=Odometry(source="tf", at=(0.0, 0.0, 0.0)), tf=Frames())
     s = Sensing(ROBOT, node, tree)
     v, w = 0.3, 0.4  # by the wheels: radius 0.075, half the track 0.171
     rates = [0.0, 9.0, 0.0, (v - 0.171 * w) / 0.075, (v + 0.171 * w) / 0.075]
@@ -176,12 +172,15 @@ def test_stamps_are_judged() -> None:
     assert "10 s old" in str(clock.measured(at(10.0), 0.2)) and "in the future" in str(clock.measured(at(-5.0), 0.2))
     assert isinstance(clock.measured(msg.Time(), 0.2), float)  # no stamp
     assert isinstance(Clock(Clocks(stamps="ignore")).measured(at(1e6), 0.2), float)
-    simulated = Clock(Clocks(source="sim"))
+    simulated = Clock(Clocks(), is_simulated=True)
     for second in (5, 6):
         simulated.tick(msg.Clock(msg.Time(5, 0 if second == 5 else 200_000_000)))
     assert simulated.by_ros == pytest.approx(5.2) and not simulated.jumped
+    before = simulated.now
     simulated.tick(msg.Clock(msg.Time(3)))
-    assert "jumped by -2.2 s" in simulated.jumped and simulated.by_ros == pytest.approx(5.2)
+    assert "jumped by -2.2 s" in simulated.jumped and simulated.by_ros == pytest.approx(3.0)
+    assert simulated.now == pytest.approx(before)  # it goes on from where it was, with the simulator's
+    assert simulated.measured(msg.Time(3), 0.2) == pytest.approx(before)
 
 
 # -- motions -----------------------------------------------------------------------------------------------------------
@@ -345,23 +344,13 @@ def test_in_closed_loop_what_moves_is_what_was_asked(case: str) -> None:
 
 def test_a_path_in_a_maps_frame_begins_at_the_reference() -> None:
     """The base is at rest in the odometry's frame, 0.5 m beside the path, by its own angles and through the wishes."""
-    asking, tree = Asking.__new__(Asking), Tree()
-    asking.arm, asking.settings, asking.tree, asking.route = (
-        ARM_OF,
-        Node("r", COMMANDS, tf=Frames(), path=Route()),
-        tree,
-        None,
-    )
-    asking.planner, asking.base = Planner(), np.array([1.0, 2.0, 7.0, 0.0, 0.0])
+    tree = Tree()
     place = (1.0, 1.5, math.pi / 2)  # of the map in the odometry's frame
     tree.take(msg.TFMessage([transform("map", "odom", *inverse(place))]), 0.0)
-    message = path([(0.0, 0.1 * i) for i in range(1, 21)], math.pi / 2)  # y of the map is -x of the odometry
-    message.header.frame_id = "map"
-    asking._base_path(SimpleNamespace(refuse=pytest.fail), encoded(message), SimpleNamespace(now=0.0))  # type: ignore[arg-type]
-    wishes: list[Any] = []
-    while not wishes:
-        wishes = asking.planner.poll()
-    asking.planner.close()
+    motion = base_motion(path([(0.0, 0.1 * i) for i in range(1, 21)], math.pi / 2), Route(), Limits(), ROBOT, 0.01)
+    base = np.array([1.0, 2.0, 7.0, 0.0, 0.0])  # y of the map is -x of the odometry
+    assert "no way from 'elsewhere'" in str(MappedRoute(Frames(), tree).begin(motion, "elsewhere", base, 0.0))
+    wishes: list[Any] = [MappedRoute(Frames(), tree).begin(motion, "map", base, 0.0)]
     follower = Follower(ROBOT, Limits(), 0.5)
     follower.stand(np.array([1.0, 2.0, 7.0, 0.0, 0.0, *np.zeros(4)]))
     seen = []
@@ -379,20 +368,19 @@ def test_a_path_in_a_maps_frame_begins_at_the_reference() -> None:
 
 def test_a_correction_of_the_map_does_not_jerk_the_robot() -> None:
     """The path goes on where the corrected map has it, and the reference never leaps."""
-    node = Node("platform_arm", COMMANDS, tf=Frames(), path=Route(speed=0.4))
-    asking, tree = Asking.__new__(Asking), Tree()
-    asking.arm, asking.settings, asking.tree, asking.route = ARM_OF, node, tree, None
+    tree = Tree()
+    route = MappedRoute(Frames(), tree)
     tree.take(msg.TFMessage([transform("map", "odom", 0.0, 0.0, 0.0)]), 0.0)
     motion = base_motion(path([(0.1 * i, 0.0) for i in range(31)], 0.0), Route(speed=0.4), Limits(), ROBOT, 0.01)
     assert not isinstance(motion, Stand)
     follower = Follower(ROBOT, Limits(), 0.5)
     here = np.zeros(3 + 2 + 2 + 2)
     follower.stand(here)
-    asking.route, wishes, seen = (motion, "map", (0.0, 0.0, 0.0), 0.0), [rest_of(motion, 0.0)], []
+    route.followed, wishes, seen = (motion, "map", (0.0, 0.0, 0.0), 0.0), [rest_of(motion, 0.0)], []
     for k in range(1200):
         if k == 300:
             tree.take(msg.TFMessage([transform("map", "odom", -0.2, -0.3, 0.1)]), 3.0)
-        wishes += asking.placed_anew(0.01 * k)
+        wishes += route.placed_anew(0.01 * k)
         follower.step(0.01 * k, 0.01, here, tuple(wishes), [follower.check(wish) for wish in wishes])
         wishes = []
         seen.append(follower.now.copy())

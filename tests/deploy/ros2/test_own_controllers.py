@@ -91,9 +91,9 @@ def test_a_file_beside_counts_where_it_names_the_wheels(tmp_path):
     assert [w.radius for w in robot.base.wheels] == pytest.approx([0.1, 0.098])
     told = stated(robot)
     assert len(told) == 2 and "wheel_separation_multiplier 1.1" in told[0] and "--track 0.4" in told[0]
-    drive, arm = Output("/drive/cmd_vel", type="TwistStamped"), Output("/arm/commands", joints=robot.joint_names)
+    commands = {"drive": Output("TwistStamped"), "arm": Output(joints=robot.joint_names)}
     ours = file.with_name("a.yaml")  # what we print for it, beside it
-    ours.write_text(controllers(robot, Node("r", (drive, arm))))
+    ours.write_text(controllers(robot, Node("r", commands)))
     np.testing.assert_allclose(load(urdf).T, robot.T, rtol=1e-8)
     ours.unlink()
     again = load(urdf, track=0.4, radius=0.1)  # as it says

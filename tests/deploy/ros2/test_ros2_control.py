@@ -18,7 +18,11 @@ yaml = pytest.importorskip("yaml", reason="pip install pyyaml")
 
 from places import ROOT  # noqa: E402
 
-from mmnn_pin.cli import main  # noqa: E402
+from mmnn_pin import load  # noqa: E402
+from mmnn_pin.deploy.ros2.example import commands_of, write_package  # noqa: E402
+from mmnn_pin.deploy.ros2.settings import Joints, Node, Output  # noqa: E402
+from mmnn_pin.deploy.ros2.wiring import controllers, odometry_topic, topic_of  # noqa: E402
+from mmnn_pin.errors import ConfigError  # noqa: E402
 
 MANAGER = {"update_rate": int}
 STRINGS, NUMBERS = list[str], list[float]
@@ -49,25 +53,12 @@ CLASSES: dict[str, tuple[dict[str, Any], str]] = {  # their parameters, and the 
     "forward_command_controller/ForwardCommandController": (GROUP, "commands"),
     "joint_trajectory_controller/JointTrajectoryController": (TRAJECTORY, "joint_trajectory"),
 }
-FILE = """robot = "{robot}"
-rate = 250
-[network]
-namespace = "{namespace}"
-[joint_states]
-names = {{ arm_1_joint = "shoulder" }}
-[[commands]]
-topic = "base/cmd_vel"
-type = "TwistStamped"
-[[commands]]
-topic = "/first/commands"
-interface = "velocity"
-joints = ["shoulder"]
-[[commands]]
-topic = "/second/joint_trajectory"
-type = "JointTrajectory"
-interface = "position"
-joints = ["arm_2_joint"]
-"""
+COMMANDS = {
+    "base": Output("TwistStamped"),
+    "first": Output(joints=("shoulder",), interface="velocity"),
+    "second": Output("JointTrajectory", joints=("arm_2_joint",), interface="position"),
+}
+NAMES = Joints(names=("arm_1_joint=shoulder",))
 
 
 def is_a(value: Any, kind: Any) -> bool:
@@ -95,55 +86,39 @@ def judged(text: str) -> dict[str, Any]:
     return found | {"update_rate": manager["update_rate"]}
 
 
-def printed(capsys: Any, *options: str) -> tuple[int, str]:
-    code = main(["ros2", *options])
-    told = capsys.readouterr()
-    return code, told.out + told.err
-
-
-def test_the_example_gets_controllers_that_speak_on_its_topics(tmp_path: Path, capsys: Any) -> None:
-    """`diff_drive_controller` tells the odometry on `~/odom`: the example listens there."""
-    file = tmp_path / "robot.toml"
-    file.write_text(printed(capsys, "--example")[1])
-    code, text = printed(capsys, str(file), "--controllers")
-    assert code == 0
-    found = judged(text)
+def test_the_example_gets_controllers_that_speak_on_its_topics(tmp_path: Path) -> None:
+    """`diff_drive_controller` tells the odometry on `~/odom`: the node listens there."""
+    robot = load("platform_arm")
+    write_package(tmp_path / "example", robot, "platform_arm")
+    found = judged((tmp_path / "example/config/controllers.yaml").read_text())
     drive = found["diff_drive_controller/DiffDriveController"]
     assert drive["wheel_separation"] == 0.342 and drive["wheel_radius"] == 0.075
     assert drive["left_wheel_names"] == ["wheel_left_joint"] and drive["base_frame_id"] == "base_footprint"
     assert drive["publish_rate"] == found["update_rate"] == 200 and drive["velocity_rolling_window_size"] == 1
-    topics = set(re.findall(r"(/\S+) ", printed(capsys, str(file), "--check")[1]))
-    assert {"/diff_drive_controller/odom", "/diff_drive_controller/cmd_vel", "/joint_states"} <= topics
+    commands = commands_of(robot)
+    settings = Node("platform_arm", commands)
+    assert odometry_topic(robot, settings) == "diff_drive_controller/odom"
+    topics = {topic_of(robot, name, output) for name, output in commands.items()}
     for kind, (_, topic) in CLASSES.items():
         if kind in found and topic:
-            assert f"/{found[kind]['key']}/{topic}" in topics
+            assert f"{found[kind]['key']}/{topic}" in topics
 
 
-def test_namespaces_names_and_every_interface(tmp_path: Path, capsys: Any) -> None:
-    file = tmp_path / "robot.toml"
-    file.write_text(FILE.format(robot="platform_arm", namespace="/robot_1"))
-    code, text = printed(capsys, str(file), "--controllers")
-    assert code == 0, text
-    found = judged(text)
-    assert found["diff_drive_controller/DiffDriveController"]["key"] == "/robot_1/base"
+def test_names_and_every_interface() -> None:
+    robot, settings = load("platform_arm"), Node("platform_arm", COMMANDS, joint_states=NAMES, rate=250.0)
+    found = judged(controllers(robot, settings))
+    assert found["diff_drive_controller/DiffDriveController"]["key"] == "base"
     group = found["forward_command_controller/ForwardCommandController"]
     assert group["joints"] == ["shoulder"] and group["interface_name"] == "velocity"
     trajectory = found["joint_trajectory_controller/JointTrajectoryController"]
     assert trajectory["command_interfaces"] == ["position"] and trajectory["key"] == "second"
+    assert topic_of(robot, "second", COMMANDS["second"]) == "second/joint_trajectory"
 
 
-@pytest.mark.parametrize(
-    ("good", "bad", "why"),
-    [
-        ('"/first/commands"', '"/first/efforts"', "11:commands.1.topic: error: no controller takes '/first/efforts'"),
-        ('"TwistStamped"', '"Twist"', "9:commands.0.type: error: no controller of ros2_controllers takes this"),
-    ],
-)
-def test_what_no_controller_takes_is_one_line(tmp_path: Path, capsys: Any, good: str, bad: str, why: str) -> None:
-    file = tmp_path / "robot.toml"
-    file.write_text(FILE.format(robot="platform_arm", namespace="").replace(good, bad))
-    code, text = printed(capsys, str(file), "--controllers")
-    assert code == 2 and why in text and len(text.strip().splitlines()) == 1, text
+def test_what_no_controller_takes_is_named() -> None:
+    settings = Node("platform_arm", COMMANDS | {"base": Output("Twist")}, joint_states=NAMES)
+    with pytest.raises(ConfigError, match=r"commands\.base\.type: error: no controller of ros2_controllers takes this"):
+        controllers(load("platform_arm"), settings)
 
 
 def test_the_page_shows_what_is_declared() -> None:

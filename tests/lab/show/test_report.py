@@ -402,7 +402,7 @@ def test_the_example_makes_a_report(tmp_path: Path) -> None:
     assert "tracks best of 3" in page and "python examples/report.py" in page
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
+@pytest.mark.long
 def test_the_notebook_shows_a_recording_and_a_report(tmp_path: Path) -> None:
     nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
     notebook = nbformat.read(EXAMPLES / "report.ipynb", 4)

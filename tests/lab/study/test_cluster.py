@@ -166,7 +166,7 @@ def test_a_cluster_gives_the_local_rows_while_workers_die_and_join(
     here = planned(tmp_path / "here", study)
     local = run_here(here, tmp_path / "here")
     plan = planned(tmp_path / "there", study)
-    assert len(list(plan.fingerprints())) == 96
+    assert len(list(plan.fingerprints)) == 96
     assert any(name.endswith(".stl") for bundle in plan.bundles.values() for name in bundle.files)
     victims = [cluster.processes[2]]
 

@@ -50,7 +50,7 @@ def test_all_rows_are_there_once(done) -> None:
     _, plan, rows = done
     assert [row.id for row in rows] == list(range(len(plan)))
     assert {row.status for row in rows} == {"completed"}
-    assert [row.fingerprint for row in rows] == list(plan.fingerprints())
+    assert [row.fingerprint for row in rows] == list(plan.fingerprints)
 
 
 def test_a_row_is_the_run_that_its_settings_make_by_hand(done) -> None:

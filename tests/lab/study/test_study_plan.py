@@ -20,7 +20,6 @@ from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.origins import line_of
 from mmnn_pin.lab.study.factors import Factor, unit_cube
 from mmnn_pin.lab.study.keys import leaves, near
-from mmnn_pin.lab.study.plan import Plan, plan_of
 
 U = st.floats(0.0, 1.0, exclude_max=True)
 
@@ -231,7 +230,7 @@ def test_runs_are_all_draws_times_grid_times_controllers(tmp_path: Path) -> None
         assert row.seed == row.experiment.seed == row.parameters["seed"]
         assert row.nominal.masses["root"] == 1.0 and row.nominal.friction.arm == 0.5
     assert len({row.fingerprint for row in rows}) == len(rows)
-    assert [row.fingerprint for row in rows] == list(plan.fingerprints())
+    assert [row.fingerprint for row in rows] == list(plan.fingerprints)
     with pytest.raises(ConfigError, match="there is no row 24: use one from 0 to 23"):
         plan.trial(24)
 
@@ -243,13 +242,13 @@ def test_seeds_count_from_the_experiments_own_or_are_given(tmp_path: Path) -> No
 
 
 def test_a_fingerprint_is_of_what_decides_the_numbers(tmp_path: Path) -> None:
-    base = list(planned(tmp_path).fingerprints())
+    base = list(planned(tmp_path).fingerprints)
     same = SHORT.replace('title = "Short"', 'title = "Other"').replace("0.03", "0.5").replace('"e.*.peak"', '"effort"')
-    assert list(planned(tmp_path, same).fingerprints()) == base
-    assert list(planned(tmp_path, SHORT.replace("points = 4", "points = 8")).fingerprints())[:24] == base
+    assert list(planned(tmp_path, same).fingerprints) == base
+    assert list(planned(tmp_path, SHORT.replace("points = 4", "points = 8")).fingerprints)[:24] == base
     for old, new in (("0.04]]", "0.03]]"), ("seed = 3", "seed = 4"), ('title = "Short"', 'model = "true"')):
-        assert set(planned(tmp_path, SHORT.replace(old, new)).fingerprints()).isdisjoint(base), new
-    fewer = list(planned(tmp_path, SHORT.replace('["pd", ', "[")).fingerprints())
+        assert set(planned(tmp_path, SHORT.replace(old, new)).fingerprints).isdisjoint(base), new
+    fewer = list(planned(tmp_path, SHORT.replace('["pd", ', "[")).fingerprints)
     assert len(fewer) == 16 and set(fewer) <= set(base)
 
 
@@ -259,9 +258,9 @@ def test_a_fingerprint_knows_the_content_of_the_robots_files(tmp_path: Path) -> 
     urdf = tmp_path / "robot.urdf"
     urdf.write_text(bundled()["platform_arm"].read_text())
     text = SHORT.replace("[set]\n", f'[set]\nrobot = "{urdf}"\n')
-    before = list(planned(tmp_path, text).fingerprints())
+    before = list(planned(tmp_path, text).fingerprints)
     urdf.write_text(urdf.read_text().replace('mass value="5.0"', 'mass value="5.1"'))
-    assert set(planned(tmp_path, text).fingerprints()).isdisjoint(before)
+    assert set(planned(tmp_path, text).fingerprints).isdisjoint(before)
 
 
 def test_an_experiment_beside_the_study_is_found_from_any_folder(tmp_path: Path, monkeypatch) -> None:
@@ -271,15 +270,3 @@ def test_an_experiment_beside_the_study_is_found_from_any_folder(tmp_path: Path,
     monkeypatch.chdir("/")
     plan = planned(tmp_path, SHORT.replace('"chapter4"', '"mine.toml"'))
     assert plan.base.time.duration == 0.04
-
-
-def test_points_that_were_judged_before_are_not_judged_again(tmp_path: Path, monkeypatch) -> None:
-    plan = planned(tmp_path)
-    judged: list[object] = []
-    whole = Plan.experiment
-    monkeypatch.setattr(Plan, "experiment", lambda self, *point: judged.append(point) or whole(self, *point))
-    again = plan_of(plan.study, judged=plan.digest)
-    assert not judged and list(again.fingerprints()) == list(plan.fingerprints())
-    assert not judged  # nor made for a fingerprint, as no factor changes the robot's files
-    plan_of(plan.study, judged="of another plan")
-    assert len(judged) == len(plan.points)

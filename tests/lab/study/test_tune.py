@@ -187,7 +187,7 @@ def test_a_database_that_keeps_nothing_ends_the_search_in_one_line(tmp_path: Pat
     tuned(file, *more, capsys=capsys)
     with closing(sqlite3.connect(tmp_path / NAME)) as db, db:
         db.execute("UPDATE studies SET study_id = 3")
-    assert main(["tune", str(file), "--out", str(tmp_path), *more]) == 2
+    assert main(["tune", str(file), "--out", str(tmp_path), "--workers", "1", *more]) == 2
     said = capsys.readouterr().err
     assert "the database is damaged" in said and "internal error" not in said
     assert tuned(file, *more, "--out", str(tmp_path / "another"), capsys=capsys)["trials"] == 1

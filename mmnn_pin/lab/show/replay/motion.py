@@ -60,7 +60,7 @@ class MovingBody:
 
 
 @dataclass(frozen=True, eq=False)
-class BodyTree:
+class ReplayTree:
     """The bodies of a robot.
 
     Attributes:
@@ -74,7 +74,7 @@ class BodyTree:
     places: dict[str, tuple[int, Array]]
 
     @classmethod
-    def of(cls, document: Document) -> BodyTree:
+    def of(cls, document: Document) -> ReplayTree:
         """The tree of a URDF whose joints are fixed, revolute, continuous or prismatic."""
         root = document.root_link
         bodies, places = [MovingBody(-1, np.eye(4), None)], {root: (0, np.eye(4))}

@@ -29,7 +29,7 @@ from ...experiments.controllers import CONTROLLERS
 from ..figure import in_the_dark, run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, compressed, fill_template, web_file
 from ..serving import HOST, first_free
-from .motion import BodyTree, drawable, events_of, frames_of, packed
+from .motion import ReplayTree, drawable, events_of, frames_of, packed
 from .shapes import Shapes
 
 FPS = 60.0
@@ -58,7 +58,7 @@ class Scene:
     def __init__(self, package_dirs: Sequence[str | Path] = ()) -> None:
         self.blob, self.frames, self.samples = Blob(), 0, 0
         self._shapes, self._package_dirs = Shapes(self.blob, package_dirs), tuple(package_dirs)
-        self._robots: dict[str, tuple[int, BodyTree]] = {}
+        self._robots: dict[str, tuple[int, ReplayTree]] = {}
         self._for_page: list[dict[str, Any]] = []
         self._runs: list[dict[str, Any]] = []
 
@@ -106,10 +106,10 @@ class Scene:
         self._runs.append(about | {"frames": 1, "width": position.size, "time": time} | still)
         self.frames += 1
 
-    def _robot(self, robot: Robot) -> tuple[int, BodyTree]:
+    def _robot(self, robot: Robot) -> tuple[int, ReplayTree]:
         key = f"{robot.frame.tolist()} {robot.urdf}"
         if key not in self._robots:
-            tree = BodyTree.of(parse(robot.urdf.encode(), robot.path))
+            tree = ReplayTree.of(parse(robot.urdf.encode(), robot.path))
             self._robots[key] = len(self._robots), tree
             self._for_page.append(
                 {

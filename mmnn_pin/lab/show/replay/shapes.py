@@ -25,7 +25,7 @@ from ....model.urdf.packages import locate
 from ....recording.robot_file import UNSEEN
 from ....signals import Array
 from ..files import Blob
-from .motion import BodyTree, columns
+from .motion import ReplayTree, columns
 
 Color = tuple[float, float, float, float]  # red, green, blue, opacity, each in [0, 1]
 Placed = tuple[int, Color | None]  # a geometry's index, and the colour that its file gives
@@ -75,7 +75,7 @@ class Shapes:
                 lines[f"mesh '{names[0]}'{more} missing: {stands_in}: {fix}"] = None
         return tuple(lines)
 
-    def visuals(self, robot: Robot, tree: BodyTree) -> list[dict[str, Any]]:
+    def visuals(self, robot: Robot, tree: ReplayTree) -> list[dict[str, Any]]:
         """The shapes of a robot, as the page reads them: body, placement, geometry, colour."""
         links, root = tree.document.links, tree.document.root
         colors = {material.get("name"): rgba(material) for material in root.iterfind("material")}

@@ -291,7 +291,7 @@ def judged_row(
 
 
 def learned(recordings: Mapping[str, Recording]) -> dict[str, Any] | None:
-    """What was learned: `sentences`, one per network, and a `table`; None where nothing is known of any run."""
+    """Results of learning: `sentences`, one per network, and a `table`; None where nothing is known of any run."""
     judged, _ = with_part(recordings, "subject", judgement_of)
     rows = tuple(learned_rows(judged))
     if not rows:

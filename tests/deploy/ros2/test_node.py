@@ -1,0 +1,94 @@
+"""The node as ROS 2 manages it: transitions, live parameters, Ctrl-C, a second node, a full disk, a clock set back."""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from graph import SETTINGS, drive, mmnn, said, start
+
+DOMAINS = iter(range(95, 101))
+EFFORTS = slice(12, 14)  # of a row of the robot: what its arm's motors were told last
+
+
+@pytest.fixture
+def domain() -> int:
+    return next(DOMAINS)
+
+
+def when_it_drives(folder: Path, then: float) -> None:
+    """Wait until the recording has grown, and some seconds more."""
+    file, deadline = folder / "run.h5", time.monotonic() + 120.0
+    while not file.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(then)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_brakes_and_is_130(tmp_path: Path, domain: int, number: int) -> None:
+    def press(node: subprocess.Popen[str]) -> None:
+        when_it_drives(tmp_path, 6.0)
+        node.send_signal(number)
+
+    run = drive(tmp_path, "kilted", domain, "no_plan", seconds=30.0, meanwhile=press)
+    assert run.code == 130 and f"stopped by {signal.Signals(number).name}" in run.lines, run.lines
+    assert np.abs(run.rows[:, 4]).max() > 0.1  # it drove
+    assert np.abs(run.rows[-1, 4:6]).max() < 0.02 and np.abs(run.rows[-1, EFFORTS]).max() < 1e-6
+
+
+def test_a_full_disk_lets_the_efforts_fade(tmp_path: Path, domain: int) -> None:
+    def fill(node: subprocess.Popen[str]) -> None:
+        when_it_drives(tmp_path, 5.0)
+        resource.prlimit(node.pid, resource.RLIMIT_FSIZE, (4096, 4096))
+
+    run = drive(tmp_path, "kilted", domain, "no_plan", seconds=30.0, meanwhile=fill)
+    assert run.code not in (0, 2) and "run.h5: error: cannot write" in run.lines, run.lines  # HDF5 may crash at exit
+    assert "Traceback" not in run.lines
+    assert np.abs(run.rows[-1, 4:6]).max() < 0.02 and np.abs(run.rows[-1, EFFORTS]).max() < 1e-6
+
+
+def test_a_managed_node_is_configured_changed_stopped_and_started_again(tmp_path: Path, domain: int) -> None:
+    """By the services of the lifecycle and of parameters; a second node of the same robot is refused meanwhile."""
+    file = tmp_path / "robot.yaml"
+    file.write_text(SETTINGS)
+    robot = start("kilted", domain, "robot_node.py", 200.0, "no_plan")
+    own = [file, "--out", tmp_path / "run.h5", "--force"]
+    remapped = ["--ros-args", "-r", "diff_drive_controller/odom:=odom"]
+    node, manager = mmnn("kilted", domain, *own, "--managed", *remapped), start("kilted", domain, "manager_node.py", 0)
+    try:
+        told = json.loads(manager.stdout.readline())  # type: ignore[union-attr]
+        own = [file, "--out", tmp_path / "second.h5", "--wait", 3]
+        second = said("kilted", domain, *own, *remapped, "-r", "__node:=second")
+        goes_on = start("kilted", domain, "manager_node.py", 1)
+        told |= json.loads(goes_on.communicate(timeout=120)[0])
+        node.send_signal(signal.SIGINT)
+        lines = "".join(node.communicate(timeout=60))
+    finally:
+        for one in (robot, node, manager):
+            one.kill()
+    assert told["states"] == ["unconfigured", "inactive", "active"]
+    assert told["range"] == [0.0, 1e6] and "Largest speed of the base" in told["description"]
+    assert told["speed"] == [True, ""] and told["driven"] < 0.11  # the joystick asks for 0.2 m/s
+    assert told["gains"][0] and told["learning"][0]
+    assert not told["unstable"][0] and "the sampled PD loop is unstable" in told["unstable"][1]
+    assert not told["robot"][0] and "robot cannot change now" in told["robot"][1]
+    assert not told["wrong"][0] and "limits.speed" in told["wrong"][1]
+    assert second[0] in (1, 2) and "publishes it, too: one node controls a robot" in second[1], second
+    assert told["after"] == ["inactive", "active", "inactive", "unconfigured", "inactive"]
+    assert told["stands"] < 0.02 and told["drives again"] > 0.05, lines
+    assert node.returncode == 130, lines
+
+
+def test_a_clock_that_was_set_back_is_a_stop_and_a_reset_goes_on(tmp_path: Path, domain: int) -> None:
+    asked = "use_sim_time:=true", "end_after_trip:=false"
+    faults = "sim_time", "sim_back@2.0", "no_plan"
+    run = drive(tmp_path, "kilted", domain, *faults, seconds=20.0, changes=asked, planner="switch_node.py")
+    told = run.robot["planner"]
+    assert told["tripped"] and told["reset"][0] and told["runs"], (told, run.lines)
+    assert "/clock jumped by -" in run.lines
