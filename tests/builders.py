@@ -102,6 +102,6 @@ def step_feedback(plant: IdealPlant, time: float, feedback: Callable[[float, Arr
         position, nu = plant.trial[:nv], plant.trial[nv : nv + p]
         tau = np.ascontiguousarray(feedback(time + ahead * plant.dt, position, nu), float)
         plant.dynamics.refresh(position, nu)
-        integrators.derivative(plant.trial, tau, plant.joints.base, plant.terms)
+        integrators.derivative(plant.trial, tau, plant.joints, plant.terms)
         integrators.rk4_stage(stage, plant.dt, plant.y, plant.ydot, plant.total, plant.trial)
     plant.y[:] = plant.trial

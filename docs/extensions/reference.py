@@ -217,7 +217,7 @@ FLOORS = {
     "errors": "Errors",
 }
 MORE = {  # what is needed now and then, from its own module
-    "reference": ("Circle", "Eight", "Waypoints", "Table", "Timed", "Smoothed", "Hold", "Sines", "MinimumJerk"),
+    "reference": ("Circle", "Eight", "Waypoints", "BaseTable", "Timed", "Smoothed", "Hold", "Sines", "MinimumJerk"),
     "reference.limits": ("Limits",),
     "reference.wishes": ("HOLD", "BaseVelocity", "JointGoal", "Motion"),
     "reference.hand": (
@@ -255,8 +255,9 @@ def documented(module: str, name: str) -> str:
 def api_page() -> Iterator[str]:
     """The public names."""
     groups: dict[str, list[str]] = {title: [] for title in FLOORS.values()}
-    for name, module in mmnn_pin.WHERE.items():
-        groups[FLOORS[module.partition(".")[0]]].append(name)
+    for name in mmnn_pin.__all__:
+        floor = getattr(mmnn_pin, name).__module__.split(".")[1]
+        groups[FLOORS[floor]].append(name)
     yield "# Python\n"
     yield "All that `from mmnn_pin import ...` has. Units are SI, angles in radians; shapes are those of one sample."
     yield "[What is needed now and then](python-more.md) is imported from its own module.\n"
@@ -271,7 +272,7 @@ def more_page() -> Iterator[str]:
     yield "What [the public face](python.md) leaves out: `from mmnn_pin.reference.wishes import BaseVelocity`.\n"
     for module, names in MORE.items():
         yield f"## mmnn_pin.{module}\n"
-        own = [name for name in names if name not in mmnn_pin.WHERE]
+        own = [name for name in names if name not in mmnn_pin.__all__]
         yield from (documented(f"mmnn_pin.{module}", name) for name in own)
 
 

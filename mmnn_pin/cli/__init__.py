@@ -67,7 +67,7 @@ class CommandGroup(click.Group):
             return command
         if ctx.resilient_parsing:  # a shell completes
             return None
-        raise UnknownName("command", cmd_name, self.list_commands(ctx))
+        raise UnknownName("command", cmd_name, [*self.commands, *there.names])
 
 
 def tell_version(context: click.Context, _: click.Parameter, asked: bool) -> None:

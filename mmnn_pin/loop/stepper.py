@@ -89,8 +89,9 @@ class StepperSettings(Settings, frozen=True):
     Raises:
         ConfigError: No supervisor, or numbers out of range.
 
-    >>> StepperSettings(period=0.005, latency=0.002).period
-    0.005
+    >>> from mmnn_pin.safety import Safety
+    >>> StepperSettings(safety=Safety(torque="urdf"), period=0.002).period
+    0.002
     """
 
     kinematic: Kinematic = CALM

@@ -34,7 +34,7 @@ from ..compiled import compiled, internal, linked
 from ..elementary import tanh
 from ..elementary.matrices import product
 from ..errors import RobotError
-from ..signals import IntArray
+from ..signals import Array, IntArray
 from .reduction import COULOMB_SPEED, as_measured
 from .tree.dynamics import psi_again
 from .tree.motion import (
@@ -42,9 +42,8 @@ from .tree.motion import (
     BASE,
     LINK,
     NUMBER,
-    Array,
     BodyTree,
-    Vector3,
+    Triple,
     add,
     along,
     cross,
@@ -425,7 +424,7 @@ def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
 
 
 @compiled
-def turned(scratch: Array, i: int, a: Vector3) -> Vector3:
+def turned(scratch: Array, i: int, a: Triple) -> Triple:
     """A vector along O in the axes of body i."""
     k = AT.rotation
     x, y, z = get(scratch, i, k), get(scratch, i, k + 3), get(scratch, i, k + 6)

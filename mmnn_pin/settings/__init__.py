@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import LENGTH, ConfigError, InputError
 from ..signals import Array
-from .arguments import require_fit, shortly, wrong_type
+from .arguments import require_fit, shortly
 
 LARGEST = 1e12  # of a number that is squared somewhere
 Numbers = float | tuple[float, ...]  # one for all, or one for each; see `one_or_each`
@@ -42,22 +42,9 @@ class Typed(msgspec.StructMeta):
             required = [field.name for field in msgspec.structs.fields(cls) if field.required]  # type: ignore[arg-type]
             if len(args) > len(cls.__struct_fields__) or not set(required) <= set(given) <= set(cls.__struct_fields__):
                 raise
-            raise bad_argument(cls, given, error) from error
-
-
-def bad_argument(kind: Any, given: Mapping[str, Any], error: Exception) -> ConfigError:
-    """The error of the first of some arguments that is of a wrong type; what went wrong where none can be named."""
-    types = {field.name: field.type for field in msgspec.structs.fields(kind)}
-    for name, value in given.items():
-        try:
-            msgspec.convert(plain(value), types[name])
-        except msgspec.ValidationError as wrong:
-            what, fix = wrong_type(wrong, value)
-            return ConfigError(what, fix=fix, key=f"{kind.__name__}.{name}")
-        except (InputError, TypeError, ValueError, RecursionError):
-            return ConfigError(f"{shortly(value)} cannot be used", key=f"{kind.__name__}.{name}")
-    values = ", ".join(f"{name} = {shortly(value)}" for name, value in given.items())
-    return ConfigError(f"{values} cannot be used", why=" ".join(str(error).split()), key=kind.__name__)
+            values = ", ".join(f"{name} = {shortly(value)}" for name, value in given.items())
+            why = " ".join(str(error).split())
+            raise ConfigError(f"{values} cannot be used", why=why, key=cls.__name__) from error
 
 
 class Settings(msgspec.Struct, metaclass=Typed, frozen=True, forbid_unknown_fields=True):

@@ -29,7 +29,7 @@ import math
 from typing import NamedTuple
 
 from ..by_address import by_address
-from ..compiled import copy_to, internal, linked
+from ..compiled import copy_to, inlined, internal, linked
 from ..model.regressor import Massless, measured, regress
 from ..parts import Matrix, Vector, views
 from ..signals import INDEX, Array, IntArray
@@ -157,7 +157,7 @@ def settle(row: Array, at: IntArray, a: Linear, state: Array) -> None:
     find_cut(row, at, o.corrected)
 
 
-@internal
+@inlined
 def respond(
     row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None,
     friction: FrictionFeatures | None, correction: Correction | None, o: Parts,

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import compiled
+from ..compiled import compiled, inlined
 from ..elementary import tanh
 from ..signals import Array, IntArray
 
@@ -158,7 +158,7 @@ def fill(r: Random, a: Array, b: Array, m: Movement, phi: Array) -> None:
         phi[last + 1 + c] = r.g[r.pairs[c, 0]] * (r.t[term] if term >= 0 else 1.0)
 
 
-@compiled
+@inlined
 def fill_functions(r: Random, a: Array, b: Array, m: Movement, nu: Array) -> None:
     """The random functions (units,) of a movement with the velocity nu (p,), into r.g; the rest as of `fill`."""
     n, p, x = m.q.size, nu.size, r.x
@@ -176,7 +176,7 @@ def fill_functions(r: Random, a: Array, b: Array, m: Movement, nu: Array) -> Non
         r.g[u] = tanh(total)
 
 
-@compiled
+@inlined
 def fill_terms(r: Random, m: Movement, nu: Array) -> None:
     """The terms (terms,) of a movement with the velocity nu (p,), into r.t."""
     p, t = nu.size, r.t

@@ -27,11 +27,6 @@ LONG = 0.6  # FVU counts from 0.5 s on
 slow = pytest.mark.skipif(SLOW, reason="too long for uncompiled code")
 
 
-# -- FVU ------------------------------------------------------------------------------------------------------------
-
-
-@patient
-@given(seeds, st.floats(-3, 3), st.floats(0.1, 10))
 @slow
 def test_a_network_that_knows_is_told_from_one_that_follows() -> None:
     """Weights fitted offline, held fixed in a run, know Psi; the weights that the thesis's law leaves do not."""

@@ -243,7 +243,7 @@ def test_a_trajectory_of_arrays_is_one_short_line_and_a_table_in_a_notebook() ->
     robot, t = load("platform_arm"), np.linspace(0.0, 2.0, 500)
     pose, q = np.column_stack((0.1 * t, 0 * t, 0 * t)), np.zeros((500, 2))
     made = Trajectory.from_arrays(robot, t, pose, q)
-    assert repr(made) == "<Trajectory: base Table of 500 samples; arm 2 JointTable; 2 s>"
+    assert repr(made) == "<Trajectory: base BaseTable of 500 samples; arm 2 JointTable; 2 s>"
     assert made._repr_html_().count("<tr>") == 3 and len(made._repr_html_()) < 500
     drawn = Trajectory(Line(0.3), (Sine(0.8, 4.0), Hold(0.8)))
     assert repr(drawn) == "<Trajectory: base Line; arm Sine, Hold; without an end>"

@@ -1,6 +1,6 @@
-"""A stepper as a node of a ROS 2 graph, by DDS and without an installation of ROS 2 (extra `ros2`).
+"""A stepper as an rclpy lifecycle node of a ROS 2 graph (rclpy of an installation, or of the extra `ros2`).
 
-settings ─▶ link: topics, sources, floods ─▶ sensing: measurement ─┐
-│                                                  ├─▶ node: clock, stepper ─▶ outputs ─▶ link
-└────────▶ asking, action: setpoints ──────────────┘
+parameters ─▶ settings ─▶ node: states, services, live parameters ──────────────┐
+inlets ─▶ sensing: measurement ─┐                                               ▼
+inlets, action ─▶ asking ─▶ planned, mapped, whole_body: wishes ─┴─▶ bridge: clock, stepper ─▶ outputs
 """

@@ -286,7 +286,6 @@ class Bridge:
 
     def _answer(self) -> None:
         """Do what was asked for between two samples."""
-        with_errors = (ConfigError, InputError)
         while True:
             try:
                 call, future = self.calls.get_nowait()
@@ -294,7 +293,7 @@ class Bridge:
                 return
             try:
                 future.set_result(call())
-            except with_errors as error:
+            except InputError as error:
                 future.set_exception(error)
 
     # -- the run -------------------------------------------------------------------------------------------------------

@@ -159,10 +159,12 @@ class Outlet:
         return int(self.publisher.get_subscription_count())
 
     def others(self) -> list[str]:
-        """Other nodes that publish it."""
-        found = [one.node_name for one in self.node.get_publishers_info_by_topic(self.name)]
-        found.remove(self.node.get_name()) if self.node.get_name() in found else None
-        return found
+        """Other nodes that publish it; a node is known before its name is."""
+        found = sorted(
+            (one.node_name for one in self.node.get_publishers_info_by_topic(self.name)),
+            key=lambda name: name != self.node.get_name(),
+        )
+        return found[1:]  # one of them is ours
 
     def _clash(self, event: Any) -> None:
         self.clash = event.last_policy_kind.name.lower()

@@ -353,8 +353,7 @@ def _convert(value: Any, kind: type[Settings], prefix: str) -> Any:
         raise ConfigError(what, fix=fix, key=key or None) from error
     except ConfigError as error:
         own = (error.key or "").removeprefix(prefix)
-        error.key = (prefix + own.removeprefix(".")).rstrip(".") or None
-        raise
+        raise error.but(key=(prefix + own.removeprefix(".")).rstrip(".") or None) from error
 
 
 def leaves(table: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:

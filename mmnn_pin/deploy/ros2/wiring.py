@@ -113,8 +113,7 @@ def drive_controller(robot: Robot, settings: Node, name: str, output: Output) ->
     try:
         told = driver.geometry(robot.base, driven)
     except ConfigError as error:
-        error.what, error.key = f"{driver.name}: {error.what}", key
-        raise
+        raise error.but(what=f"{driver.name}: {error.what}", key=key) from error
     root = next(frame.name for frame in robot.model.frames if frame.type == BODY and frame.parentJoint == 1)
     told |= {driver.timeout: settings.setpoint_timeout}
     if driver is DIFF_DRIVE:  # its 10 make velocities late; until kilted it publishes less often than it is updated

@@ -140,7 +140,7 @@ def terminal_text(parts: Iterable[str | TextLine | Table], colour: bool = False,
     from rich.text import Text
 
     colours: Literal["standard"] | None = "standard" if colour else None
-    console = Console(width=width, height=HEIGHT, force_terminal=colour, color_system=colours)
+    console = Console(width=width, height=HEIGHT, force_terminal=colour, color_system=colours, force_jupyter=False)
     with console.capture() as capture:
         for part in (TextLine(part) if isinstance(part, str) else part for part in parts):
             if isinstance(part, Table):

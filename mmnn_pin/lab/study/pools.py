@@ -88,7 +88,7 @@ class Here(Executor):
 def here() -> Iterator[Pool]:
     """This process, one run after the other."""
     with threadpool_limits(1, "blas"):
-        yield Pool(Here(), "this process", lambda: 1)
+        yield Pool(Here(), "1 process", lambda: 1)
 
 
 @contextmanager

@@ -300,7 +300,7 @@ def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candi
 
     Its shape is `LUMPY` when its body is not round. Rollers reach out further than the rim that carries them.
     """
-    axis, hub, left, looks = rest.axis(joint), rest.hub(joint), math.nan, list[Look]()
+    axis, hub, left, looks = rest.axis(joint), rest.hub(joint), math.nan, list[WheelSight]()
     for tag in ("collision", "visual"):
         look = look_at(rest, joint, rollers, tag)
         if look.rounds and not look.gone:
@@ -314,7 +314,7 @@ def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candi
     return Candidate(joint, axis, hub, math.nan, PARTIAL if gone else LUMPY if seen else "unknown", left=left)
 
 
-class Look(NamedTuple):
+class WheelSight(NamedTuple):
     """The sight of a wheel by its collision or its visual shapes.
 
     Attributes:
@@ -330,7 +330,7 @@ class Look(NamedTuple):
     rimmed: bool
 
 
-def look_at(rest: AtRest, joint: Joint, rollers: tuple[str, ...], tag: str) -> Look:
+def look_at(rest: AtRest, joint: Joint, rollers: tuple[str, ...], tag: str) -> WheelSight:
     """The sight of a wheel on a joint, with the rollers on its rim, by its collision or its visual shapes."""
     axis, hub = rest.axis(joint), rest.hub(joint)
     bodies, gone = readable(rest, rest.document.body(joint.child), tag)
@@ -340,7 +340,7 @@ def look_at(rest: AtRest, joint: Joint, rollers: tuple[str, ...], tag: str) -> L
         reaches = [reach_about(s, hub, axis) for s in rims]
         middle = (min(low for _, low, _ in reaches) + max(high for _, _, high in reaches)) / 2
         rounds.append((max(out for out, _, _ in reaches), middle, "mesh" if rims[0].kind == "mesh" else "cylinder"))
-    return Look(rounds, bool(bodies), gone or rims_gone, bool(rims))
+    return WheelSight(rounds, bool(bodies), gone or rims_gone, bool(rims))
 
 
 def visual_radius(rest: AtRest, joint: Joint) -> tuple[float, bool]:

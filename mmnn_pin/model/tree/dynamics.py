@@ -16,16 +16,16 @@ from __future__ import annotations
 from mmnn_pin.compiled import inlined, linked
 
 from ...elementary import cos_sin
+from ...signals import Array
 from .motion import (
     AT,
     BASE,
     LINK,
     NUMBER,
     ZERO,
-    Array,
     BodyTree,
     Indices,
-    Vector3,
+    Triple,
     add,
     along,
     base_rates,
@@ -42,7 +42,7 @@ from .motion import (
 
 
 @inlined
-def _gravity(gravity: Vector3, frame: Vector3, level: int, position: Array) -> Vector3:
+def _gravity(gravity: Triple, frame: Triple, level: int, position: Array) -> Triple:
     """Gravity in O."""
     x, y, z = gravity
     if not level:
@@ -77,7 +77,7 @@ def _sum_masses(links: Indices, numbers: Array, scratch: Array) -> None:
 
 
 @inlined
-def _momentum(i: int, body: int, scratch: Array) -> tuple[Vector3, Vector3]:
+def _momentum(i: int, body: int, scratch: Array) -> tuple[Triple, Triple]:
     """Linear and angular momentum of a body with all that it carries, moving along axis i at rate 1."""
     w, s, mc = get(scratch, i, AT.w), get(scratch, i, AT.s), get(scratch, body, AT.all_moment)
     k = AT.all_second
@@ -89,7 +89,7 @@ def _momentum(i: int, body: int, scratch: Array) -> tuple[Vector3, Vector3]:
 
 @inlined
 def _couple(
-    links: Indices, numbers: Array, i: int, j: int, linear: Vector3, angular: Vector3, scratch: Array, M: Array
+    links: Indices, numbers: Array, i: int, j: int, linear: Triple, angular: Triple, scratch: Array, M: Array
 ) -> None:
     """Add what joint j feels of a momentum of joint i, through their rows of T."""
     value = dot(get(scratch, j, AT.w), angular) + dot(get(scratch, j, AT.s), linear)
@@ -121,9 +121,7 @@ def _mass(links: Indices, numbers: Array, rotors: Array, scratch: Array, M: Arra
 
 
 @inlined
-def _push_base(
-    numbers: Array, omega: float, g: Vector3, velocity: Vector3, acceleration: Vector3, scratch: Array
-) -> None:
+def _push_base(numbers: Array, omega: float, g: Triple, velocity: Triple, acceleration: Triple, scratch: Array) -> None:
     """Motion of the reference of the base, from its `(vx, vy, w)` and their rates, and the force it takes."""
     x, y, w = velocity
     ax, ay, alpha = acceleration
@@ -158,7 +156,7 @@ def _push(j: int, i: int, speed: float, speed_rate: float, scratch: Array) -> No
 
 
 @inlined
-def _pull(links: Indices, numbers: Array, i: int, force: Vector3, torque: Vector3, scratch: Array, out: Array) -> None:
+def _pull(links: Indices, numbers: Array, i: int, force: Triple, torque: Triple, scratch: Array, out: Array) -> None:
     """Add what joint i takes of a force, through its row of T."""
     tau = dot(get(scratch, i, AT.w), torque) + dot(get(scratch, i, AT.s), force)
     first = links[i, LINK.first]
@@ -170,7 +168,7 @@ def _pull(links: Indices, numbers: Array, i: int, force: Vector3, torque: Vector
 def _inverse(
     links: Indices,
     numbers: Array,
-    g: Vector3,
+    g: Triple,
     nu_ref: Array,
     nudot_ref: Array,
     share: float,

@@ -19,10 +19,10 @@ from mmnn_pin.compiled import compiled, inlined
 
 from ...by_address import by_address
 from ...elementary import cos_sin
+from ...signals import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Vector3 = tuple[float, float, float]
+Triple = tuple[float, float, float]
 REVOLUTE, PRISMATIC = 1, 2
 ZERO = (0.0, 0.0, 0.0)
 
@@ -106,8 +106,8 @@ class BodyTree(NamedTuple):
     links: Indices
     numbers: Array
     rotors: Array
-    gravity: Vector3
-    frame: Vector3
+    gravity: Triple
+    frame: Triple
     level: int
     root_energy: float
 
@@ -120,13 +120,13 @@ def new_scratch(tree: BodyTree) -> Array:
 
 
 @compiled
-def get(table: Array, i: int, k: int) -> Vector3:
+def get(table: Array, i: int, k: int) -> Triple:
     """Three entries of row i."""
     return table[i, k], table[i, k + 1], table[i, k + 2]
 
 
 @compiled
-def put(table: Array, i: int, k: int, a: Vector3) -> None:
+def put(table: Array, i: int, k: int, a: Triple) -> None:
     """Set three entries of row i."""
     table[i, k] = a[0]
     table[i, k + 1] = a[1]
@@ -134,31 +134,31 @@ def put(table: Array, i: int, k: int, a: Vector3) -> None:
 
 
 @compiled
-def dot(a: Vector3, b: Vector3) -> float:
+def dot(a: Triple, b: Triple) -> float:
     """`a' b`."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @compiled
-def cross(a: Vector3, b: Vector3) -> Vector3:
+def cross(a: Triple, b: Triple) -> Triple:
     """`a x b`."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @compiled
-def add(a: Vector3, b: Vector3) -> Vector3:
+def add(a: Triple, b: Triple) -> Triple:
     """`a + b`."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @compiled
-def along(a: Vector3, b: Vector3, x: float) -> Vector3:
+def along(a: Triple, b: Triple, x: float) -> Triple:
     """`a + x b`."""
     return a[0] + x * b[0], a[1] + x * b[1], a[2] + x * b[2]
 
 
 @compiled
-def times(table: Array, i: int, k: int, a: Vector3) -> Vector3:
+def times(table: Array, i: int, k: int, a: Triple) -> Triple:
     """Product of the symmetric matrix (xx xy xz yy yz zz) at `table[i, k]` and a vector."""
     xx, xy, xz, yy, yz, zz = (
         table[i, k],
@@ -185,7 +185,7 @@ def rate(links: Indices, numbers: Array, i: int, nu: Array) -> float:
 
 
 @inlined
-def base_rates(links: Indices, numbers: Array, nu: Array) -> Vector3:
+def base_rates(links: Indices, numbers: Array, nu: Array) -> Triple:
     """`(vx, vy, w)` of the base."""
     return rate(links, numbers, BASE.vx, nu), rate(links, numbers, BASE.vy, nu), rate(links, numbers, BASE.w, nu)
 
@@ -212,7 +212,7 @@ def locate(links: Indices, numbers: Array, position: Array, i: int, scratch: Arr
 
 
 @inlined
-def first_moment(numbers: Array, i: int, scratch: Array) -> Vector3:
+def first_moment(numbers: Array, i: int, scratch: Array) -> Triple:
     """First moment of body i."""
     mc = get(numbers, i, NUMBER.moment)
     rx, ry, rz = get(scratch, i, AT.rotation), get(scratch, i, AT.rotation + 3), get(scratch, i, AT.rotation + 6)

@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike
 
 from ...elementary.matrices import length, product
 from ...errors import RobotError
+from ...signals import Array
 from ..urdf.shapes import rotation
 from .dynamics import psi_again, terms
-from .motion import BASE, NUMBER, PRISMATIC, REVOLUTE, Array, BodyTree, Vector3, new_scratch
+from .motion import BASE, NUMBER, PRISMATIC, REVOLUTE, BodyTree, Triple, new_scratch
 
 TOLERANCE = 1e-10
 PLANAR = "JointModelPlanar"
@@ -356,7 +357,7 @@ def _by_pinocchio(
     return M, h, M @ nudot_ref + T.T @ C @ T @ nu_ref + g
 
 
-def configuration(model: pin.Model, position: Array, frame: Vector3) -> Array:
+def configuration(model: pin.Model, position: Array, frame: Triple) -> Array:
     """Pinocchio's q, shape (nq,), of a position (nv,) that begins with the pose of the control frame."""
     q = pin.neutral(model)
     for joint in list(model.joints)[1:]:
