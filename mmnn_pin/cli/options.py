@@ -21,13 +21,13 @@ PATH = click.Path(path_type=Path)
 
 
 class Number(click.FloatRange):
-    """A finite number within a range: click takes NaN for one that is in every range."""
+    """A number within a range: click takes NaN for one that is in every range."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """The number of a text."""
         number = float(super().convert(value, param, ctx))
-        if not math.isfinite(number):
-            self.fail(f"{value} is not a finite number.", param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value} is no number.", param, ctx)
         return number
 
 

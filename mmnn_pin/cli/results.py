@@ -110,7 +110,9 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
         make, wanted = (lambda what: PICTURES[what].make(recordings)), whats or ("errors",)
     else:
         content, about = FOLDERS[kind].opened(folder), {kind: str(folder)}
-        make, wanted = (lambda what: FIGURES[kind][what].make(content)), whats or tuple(FIGURES[kind])
+        entries = FIGURES[kind]
+        make = lambda what: entries[what].make(content)  # noqa: E731
+        wanted = whats or tuple(name for name, entry in entries.items() if not entry.lacks(content))
     files = pictures(out or Path("."), tuple(dict.fromkeys(wanted)))
     for file in files.values():
         require_free(file, force, "picture")

@@ -276,6 +276,9 @@ def made(make: Maker, arguments: Sequence[str], patience: float = 0.0) -> Iterat
     try:
         rclpy.init(args=["mmnn", *arguments], signal_handler_options=rclpy.SignalHandlerOptions.NO)
         node, executor = ControllerNode(make, patience), MultiThreadedExecutor(THREADS)
+    except InputError:
+        rclpy.try_shutdown()
+        raise
     except (RuntimeError, ValueError, TypeError) as error:  # of rclpy: RCLError and others
         rclpy.try_shutdown()
         raise InputError("ROS 2 does not take this", why=" ".join(str(error).split()), fix="see the file") from error

@@ -10,9 +10,11 @@ from typing import Any
 
 import msgspec
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node as RosNode
 from rclpy.parameter import Parameter
 
+from ...errors import ConfigError
 from .settings import FREE, LIVE, Node, is_part
 
 OWN = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # of rclpy itself
@@ -21,7 +23,11 @@ USUAL = (0.0, 1e6)  # no number of ours is negative
 
 
 def declare(node: RosNode) -> None:
-    """Declare all parameters of a node that declares what it was given by itself."""
+    """Declare all parameters of a node that declares what it was given by itself.
+
+    Raises:
+        ConfigError: A number out of range, with the parameter's name.
+    """
     for name, default, kind, meaning in fields(Node):
         floats = kind in (float, float | None)
         least, most = RANGES.get(name, USUAL)
@@ -36,7 +42,11 @@ def declare(node: RosNode) -> None:
             node.undeclare_parameter(name)
         if floats and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)  # `rate: 200`
-        node.declare_parameter(name, value, told, ignore_override=True)
+        try:
+            node.declare_parameter(name, value, told, ignore_override=True)
+        except InvalidParameterValueException as error:
+            fix = f"give a number from {least:g} to {most:g}"
+            raise ConfigError(f"{value} is out of range", fix=fix, key=name) from error
 
 
 def given(node: RosNode) -> dict[str, Any]:

@@ -92,3 +92,12 @@ def test_a_clock_that_was_set_back_is_a_stop_and_a_reset_goes_on(tmp_path: Path,
     told = run.robot["planner"]
     assert told["tripped"] and told["reset"][0] and told["runs"], (told, run.lines)
     assert "/clock jumped by -" in run.lines
+
+
+@pytest.mark.parametrize("given", ["rate:=-5.0", "latency:=.nan", "limits.speed:=-1.0"])
+def test_a_parameter_out_of_its_range_is_one_line_with_its_name(tmp_path: Path, domain: int, given: str) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(SETTINGS)
+    code, lines = said("kilted", domain, file, "--check", "--ros-args", "-p", given)
+    name, _, value = given.partition(":=")
+    assert code == 2 and f"{name}: error: {value.lstrip('.')} is out of range: give a number from " in lines, lines

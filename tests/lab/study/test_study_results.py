@@ -413,3 +413,13 @@ def test_rows_go_to_tables_only_and_files_are_not_replaced(done: Path, tmp_path:
     (tmp_path / "short.csv").write_text("mine")
     assert main(["export", str(done), "--to", "csv", "--out", str(tmp_path)]) == 2
     assert (tmp_path / "short.csv").read_text() == "mine"
+
+
+def test_plot_of_a_study_leaves_out_figures_that_it_has_nothing_for(tmp_path: Path, capsys) -> None:
+    text = SHORT[: SHORT.index("[factors]")] + '[factors]\n"masses.root" = { uniform = [0.5, 1.5] }\n'
+    run_here(planned(tmp_path, text), tmp_path)
+    assert main(["plot", str(tmp_path), "--out", str(tmp_path / "all")]) == 0
+    drawn = {file.stem for file in (tmp_path / "all").iterdir()}
+    assert "study-errors" in drawn and "study-maps" not in drawn
+    assert main(["plot", str(tmp_path), "--what", "study-maps"]) == 2
+    assert "nothing to plot for study-maps" in capsys.readouterr().err
