@@ -1,7 +1,7 @@
 """A learning law of your own: composite least squares on the filtered torque, with the regressor, in plain numpy.
 
 mmnn run track --controller examples/own_law.py:LeastSquares --controller adaptive --controller pd
-mmnn prove runs/track/LeastSquares.h5 --law examples/own_law.py
+python -m research.prove runs/track/LeastSquares.h5 --law examples/own_law.py
 """
 
 import numpy as np

@@ -54,7 +54,9 @@ GET = "source /opt/ros/DISTRIBUTION/setup.bash (Jazzy or later), or pip install 
 @click.option("--check", is_flag=True, help="Say what it would subscribe to and publish, and end. Nothing moves.")
 @click.option("--controllers", "show_controllers", is_flag=True, help="Print the YAML of ros2_control for it, and end.")
 @click.option("--managed", is_flag=True, help="Wait for a lifecycle manager to configure and activate it.")
-@click.option("--seconds", type=Number(0.0, min_open=True), default=math.inf, show_default="never", help="Stop after this time.")
+@click.option(
+    "--seconds", type=Number(0.0, min_open=True), default=math.inf, show_default="never", help="Stop after this time."
+)
 @click.option("--wait", type=Number(0.0), default=10.0, help="How long to wait for the robot [s].")
 @click.option("--out", type=click.Path(path_type=Path), help="The recording.  [default: runs/ros2/ROBOT.h5]")
 @click.option("--force", is_flag=True, help="Replace an existing recording.")

@@ -377,9 +377,9 @@ def following(
         why[unknowns.names[i]] = "it hardly moves"
     if not follows.any():
         raise RecordingError(
-            "too still a motion",
-            why=f"no joint moves in {FEWEST} rows of the filtered log",
-            fix="record a motion of all joints, see `mmnn excite`",
+            "too still or too short a motion",
+            why=f"no joint moves in {FEWEST} of the {len(training.use)} rows that it gives after filtering",
+            fix="record a longer motion of all joints, see `mmnn excite`",
         )
     blocks = Blocks.of(training, prior)
     alone = friction_left_out(training, unknowns)
