@@ -59,6 +59,14 @@ def meaning(key: str) -> str:
     return "\n".join([f"{key}: {said}", *subkeys(key, kind_at(key))])
 
 
+def siblings(key: str) -> list[str]:
+    """The keys of the table that a key with a point would stand in."""
+    from ..lab.experiments.config import keys_of, kind_at
+
+    above = key.rpartition(".")[0]
+    return [f"{above}.{name}" for name in keys_of(kind_at(above))] if above else []
+
+
 def subkeys(key: str, kind: Any) -> Iterator[str]:
     """The keys of a table with defaults and meanings, a line each; of tables with a `type`, type by type."""
     from ..lab.experiments import references
@@ -212,6 +220,7 @@ def docs(page: str | None, as_json: bool) -> int:
     if name in there:
         text = there[name].read_text("utf-8")
     elif not (text := listed(name) if name in LISTED else meaning(page) or public(page)):
-        raise UnknownName("page, key or name", page, [*there, *LISTED])
+        beside = siblings(page)
+        raise UnknownName("key" if beside else "page, key or name", page, beside or [*there, *LISTED])
     answer(as_json, lambda: {"page": page, "text": text}, lambda: text.rstrip())
     return DONE

@@ -109,7 +109,7 @@ class CompiledLoop:
         """
         if not 0 <= first <= last <= min(first + len(self.rows), len(self.run.controls.setpoints)):
             what = f"control samples {first} to {last} of a run of {len(self.run.controls.setpoints)}"
-            raise ConfigError(what, fix=f"ask for at most {len(self.rows)} of them at a time", key="last")
+            raise ConfigError(what, fix=f"ask for some that it has, at most {len(self.rows)} at a time", key="last")
         return advance(first, last, *self.blocks)
 
 

@@ -112,3 +112,9 @@ def test_what_a_build_of_the_site_wrote_does_not_hide_what_is_listed(
     monkeypatch.setattr(docs, "FOLDERS", (tmp_path,))
     assert list(docs.pages()) == ["how-to/here"]
     assert "Trajectory" in printed(capsys, "reference/python")
+
+
+def test_a_key_that_is_misspelt_is_told_with_its_neighbours(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["docs", "latency.margn"]) == 2
+    assert "unknown key 'latency.margn': did you mean 'latency.margin'? there is: latency." in capsys.readouterr().err
+    assert main(["docs", "nothing.such"]) == 2 and "how-to/robots" in capsys.readouterr().err
