@@ -40,8 +40,6 @@ FLOORS = (
     ("command line", ("cli",)),
 )
 FLOOR = {name: floor for floor, (_, names) in enumerate(FLOORS) for name in names}
-# Siblings that may use each other; all other blocks meet only in the loop.
-NEIGHBOURS = {("safety", "kinematic")}
 # What a controller imports is what it may know: nothing of the robot, or only how it moves.
 GROUND = dict(FLOORS)["ground"]
 KNOWS = {
@@ -150,7 +148,6 @@ def test_blocks_meet_only_in_the_loop() -> None:
         if block_of(module) in blocks
         for other in imports(module)
         if block_of(other) in blocks and block_of(other) != block_of(module)
-        if (block_of(module), block_of(other)) not in NEIGHBOURS
     ]
     assert meetings == []
 

@@ -1,1 +1,1 @@
-"""What judges: experiments, studies, the contest, the proof, and what shows their results."""
+"""What judges: experiments, studies, whether a run learned (`psi`), and what shows their results."""

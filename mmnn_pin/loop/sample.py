@@ -57,7 +57,7 @@ class Controls(NamedTuple):
         state: (size,) the controller's state.
         setpoints: The setpoint of every control sample, (samples, ...).
         then: Room for the reference of a measurement that is late.
-        age: By how much measurements are brought up to now [s].
+        age: By how much measurements are brought up to now [s]; 0 in a stepper, which does so before (`bring_up`).
         h: Control period [s].
     """
 
@@ -97,7 +97,7 @@ def sample(
         setpoint: The signals `pose_ref` ... `qddot_ref` side by side.
         before: The setpoint of the sample before, from which Psi_hat may lead.
         controls: What is worked on.
-        model: The robot that the controller believes in; None where it uses no model.
+        model: The robot that the controller believes in, also an `Unflattened`; None where it uses no model.
         hardware: Sensors, motors, supervisor and disturbances; None for an ideal robot.
         learner: What the controller learns with beside networks; None for nothing.
         limits: What Psi_hat is kept within; None for nothing.

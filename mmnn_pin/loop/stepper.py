@@ -276,10 +276,10 @@ class Stepper:
         courses = [self.follower.check(wish) for wish in wishes]
         if measurement is not None:
             self._take(measurement, time, time if measured is None else measured)
-        if not self.follower.stands and self.hardware.way.supervisor.state.good[0] > 0.0:
-            self.follower.stand(self.received)
         supervisor = self.hardware.way.supervisor
-        self.received[:] = supervisor.message
+        if not self.follower.stands and supervisor.state.good[0] > 0.0:
+            self.follower.stand(self.received)
+        self.received[:] = supervisor.message  # as it was taken: `bring_up` has moved that of the last sample
         self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
         if self.past.longest > 0.0:
             bring_up(self.row, self.at, time, supervisor.state.heard[0], self.follower.guide, self.past)

@@ -1,8 +1,8 @@
 """Torque controllers: velocity command and measurement in, generalized torque out. This file is the list of them.
 
 `controller` has the interface, `law` the step that all engines call. Every learner is one module, which has its
-settings, its compiled law and its controller, and one entry here. A new one needs no other place: experiments take its
-settings as a table, `run`, `prove`, `contest` and the plots know it by its entry. CONTRIBUTING.md shows how to add one.
+settings, its compiled law and its controller, one entry here, and its table in `lab.experiments.learner_tables`. By its
+entry `run`, `judge`, the plots and research know it. CONTRIBUTING.md shows how to add one.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The interface of a torque controller: velocity command and measurement in, generalized torque out.
 
 Settings are frozen; what a controller remembers is a `ControllerState`, so that a run can be resumed, or started twice.
-A `CompiledController` is one of this package, a `Law`; a `TorqueController` a user's, for the ordinary loop.
+A `CompiledController` is one of this package, a `Law`; a `TorqueController` a user's, in plain Python.
 """
 
 from __future__ import annotations
@@ -301,7 +301,7 @@ class Controller(ABC):
 
 
 class TorqueController(Controller):
-    """A torque controller of your own in plain Python: a subclass. It runs in the ordinary loop only, the slower one.
+    """A torque controller of your own in plain Python: a subclass. Of the engines only the ordinary loop runs it.
 
     >>> class Damper(TorqueController):
     ...     def step(self, time, reference, measurement, command, state):

@@ -44,7 +44,7 @@ from .two_layer import MOST_HIDDEN, TwoLayer, shrink
 
 Z, R = INDEX["z"], INDEX["r"]
 GOLDEN = 0.6180339887498949  # fractions of its multiples are spread evenly, and in no order
-# What every input is on a reference that is followed exactly; the others of `inputs.MEASURED` are zero there.
+# What every input is on a reference that is followed exactly; the others of `neural.MEASURED` are zero there.
 FOLLOWED = {
     "pose_ref": "pose", "pose": "pose", "q_ref": "q", "q": "q",
     "velocity_ref": "base", "velocity": "base", "alpha": "base", "qdot_ref": "arm", "qdot": "arm", "nu_ref": "nu",

@@ -305,7 +305,7 @@ class ReferenceTables(Settings, frozen=True):
 
 
 class HeldOutReference(ReferenceTables, frozen=True):
-    """A reference that no learner is trained on; `mmnn prove` judges a learner's knowledge on it.
+    """A reference that no learner is trained on; `mmnn judge` asks on it what a learner knows.
 
     Args:
         duration: Its length [s].

@@ -365,7 +365,7 @@ def render_readings(title: str, rows: list[dict[str, Any]], width: int = WIDTH) 
 
     Args:
         title: Heads it.
-        rows: As `experiments.readings` gives them.
+        rows: As `cases.readings` and `summaries` give them.
         width: Columns of the terminal.
     """
     learners = [name for name, value in rows[0].items() if isinstance(value, dict)]

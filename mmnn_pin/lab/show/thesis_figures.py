@@ -1,6 +1,6 @@
 """Figures 4.2 to 4.4 and 5.3 to 5.5 in the thesis's arrangement, over bands in which the extremes of its curves lie.
 
-The thesis's curves are lost; its axes leave an interval for each extreme (`experiments.figure_ranges`). A ring marks
+The thesis's curves are lost; its axes leave an interval for each extreme (`thesis.figure_ranges`). A ring marks
 the largest and the smallest value drawn: it should lie in its band.
 """
 
