@@ -191,11 +191,12 @@ class Stepper:
         self.safety, self.limits, layout = safety, settings.limits, setup.layout
         self.follower, self.at = Follower(robot, self.limits, settings.setpoint_timeout), layout.offsets
         row = self.row = layout.new_row()
-        self.received = row[layout.where("pose").start : layout.where("qdot").stop]
+        self.received = row[layout.where("pose").start : layout.where("qdot").stop]  # all of `measured`, in one piece
         self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
         self.torque, self.motor_torque = row[layout.where("torque")], row[layout.where("motor_torque")]
         self.command = Command._make(np.full(size, np.nan) for size in [layout.dof] * 3 + [layout.motors] * 2)
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
+        # Which velocities, and which motors, take a torque.
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()
         self.is_late = False
