@@ -171,3 +171,7 @@ class UnknownName(InputError, KeyError):  # a KeyError, so that `get` of a mappi
         many = len(self.available) - SHOWN
         names = ", ".join(self.available[:SHOWN]) + (f" and {many} more" if many > 0 else "")
         super().__init__(f"unknown {kind} '{name}'", fix=f"{guess}there is: {names}", file=file, key=key)
+
+
+class UnknownArgument(UnknownName, TypeError):  # as Python has it for functions without a check
+    """An argument that a class or a function does not have."""

@@ -108,7 +108,7 @@ def read_text(path: Path, most: int = LONGEST) -> str:
     try:
         return read_bytes(path, most).decode()
     except UnicodeDecodeError as error:
-        raise ConfigError("not a text in UTF-8", why=str(error), file=path) from error
+        raise ConfigError("not a text in UTF-8", why=str(error), fix="save it in UTF-8", file=path) from error
     except (OSError, ValueError) as error:  # a name that no file can have
         raise ConfigError("cannot be read", why=reason(error), file=path) from error
 

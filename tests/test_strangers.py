@@ -17,12 +17,14 @@ from random_options import tried
 from sound_files import study
 
 import mmnn_pin
+from mmnn_pin import Stepper, StepperSettings, compare, load
 from mmnn_pin.cli import main, mmnn
-from mmnn_pin.errors import ConfigError, MmnnError, StudyError
+from mmnn_pin.errors import ConfigError, MmnnError, StudyError, UnknownArgument
 from mmnn_pin.lab.show.replay.page import ReplayPage
 from mmnn_pin.lab.study.results import load_results
 from mmnn_pin.lab.study.store import NAME
 from mmnn_pin.lab.study.verdict import verdict
+from mmnn_pin.safety import Safety
 from mmnn_pin.settings import Settings, Timing
 
 WRONG = [None, True, -1, 0, 3, 10**20, 0.5, float("nan"), "x", "", b"a", [], [1], [1, "a"], (), {}, {"a": 1}, 1j, int]
@@ -67,8 +69,17 @@ def test_the_error_names_class_field_value_and_what_was_expected(given, says):
     with pytest.raises(ConfigError) as raised:
         Timing(**given)
     assert str(raised.value).startswith(says)
-    with pytest.raises(TypeError, match="nonsense"):  # a slip of the caller's pen, no setting
-        Timing(nonsense=1)
+
+
+@pytest.mark.parametrize(
+    "make", [Timing, load, compare, Safety, StepperSettings, lambda **given: Stepper(None, None, **given)]
+)
+def test_an_argument_that_does_not_exist_is_one_line_with_the_near_ones(make):
+    with pytest.raises(UnknownArgument, match=r"^\w+: error: unknown argument 'nonsense': there is: \w+, ") as raised:
+        make(nonsense=1)
+    assert isinstance(raised.value, TypeError)
+    with pytest.raises(UnknownArgument, match="did you mean 'duration'"):
+        Timing(duratoin=1.0)
 
 
 # -- commands ----------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import ConfigError
+from ..errors import ConfigError, UnknownName
 from .options import CHANGES, PATH, VARIANT, controllers, examples, experiments, shared, understanding
 from .output import DONE, FAILED, answer
 from .run import ROBOT, about_robot, in_toml, told_from_where
@@ -119,7 +119,7 @@ def limits_of(changes: tuple[str, ...]) -> Limits:
 
     from ..lab.experiments.config import override
     from ..reference.limits import Limits
-    from ..settings.arguments import wrong_type
+    from ..settings.arguments import unknown_key, wrong_type
 
     table: dict[str, Any] = {}
     for change in changes:
@@ -127,9 +127,11 @@ def limits_of(changes: tuple[str, ...]) -> Limits:
     try:
         return msgspec.convert(table, Limits)
     except msgspec.ValidationError as error:
-        what, fix = wrong_type(error)
-        fix = fix or f"its keys are {', '.join(Limits.__struct_fields__)}"
-        raise ConfigError(what, fix=fix, key="--limits") from error
+        if (unknown := unknown_key(error)) is not None:
+            raise UnknownName("limit", unknown, Limits.__struct_fields__, key="--limits") from error
+        name = str(error).rpartition("`$.")[2].rstrip("`").partition("[")[0]
+        what, fix = wrong_type(error, table.get(name))
+        raise ConfigError(what, fix=fix, key=f"--limits {name}") from error
 
 
 def told(made: Embedded, run: RunComparison | None, checked: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -17,6 +18,17 @@ from ..errors import ConfigError, InputError
 F = TypeVar("F", bound=Callable[..., Any])
 PACKAGE = Path(__file__).parent.parent
 PATH = click.Path(path_type=Path)
+
+
+class Number(click.FloatRange):
+    """A finite number within a range: click takes NaN for one that is in every range."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number of a text."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return number
 
 
 def shared(function: F) -> F:
@@ -67,7 +79,7 @@ def judged_on(function: F) -> F:
     """Add the options that say what a learner is judged on."""
     load = click.option(
         "--payload",
-        type=click.FloatRange(0, 1e6, min_open=True),
+        type=Number(0, 1e6, min_open=True),
         metavar="KG",
         help="Load of the changed robot.  [default: a quarter of what the arm weighs]",
     )

@@ -49,13 +49,13 @@ GET = "source /opt/ros/DISTRIBUTION/setup.bash (Jazzy or later), or pip install 
     metavar="ROBOT",
     shell_complete=robots,
     default="platform_arm",
-    help="For --example: a name or a URDF file.  [default: platform_arm]",
+    help="For --example: a name or a URDF file.",
 )
 @click.option("--check", is_flag=True, help="Say what it would subscribe to and publish, and end. Nothing moves.")
 @click.option("--controllers", "show_controllers", is_flag=True, help="Print the YAML of ros2_control for it, and end.")
 @click.option("--managed", is_flag=True, help="Wait for a lifecycle manager to configure and activate it.")
-@click.option("--seconds", type=float, default=math.inf, help="Stop after this time.  [default: never]")
-@click.option("--wait", type=float, default=10.0, help="How long to wait for the robot [s].  [default: 10]")
+@click.option("--seconds", type=float, default=math.inf, show_default="never", help="Stop after this time.")
+@click.option("--wait", type=float, default=10.0, help="How long to wait for the robot [s].")
 @click.option("--out", type=click.Path(path_type=Path), help="The recording.  [default: runs/ros2/ROBOT.h5]")
 @click.option("--force", is_flag=True, help="Replace an existing recording.")
 @shared

@@ -40,9 +40,10 @@ def warm(
     overrides: dict[str, Any],
     as_json: bool,
 ) -> int:
-    """Compile ahead what EXPERIMENT runs, so that its first run begins at once; nothing is written but compiled code.
+    """Compile ahead what EXPERIMENT runs.
 
-    Every controller is run for some samples. After Ctrl-C what is compiled by then is kept.
+    Its first run begins at once then. Every controller is run for some samples; nothing is written but compiled code.
+    After Ctrl-C what is compiled by then is kept.
     """
     import msgspec
 

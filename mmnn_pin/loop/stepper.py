@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from ..elementary.arrays import is_below
 from ..elementary.matrices import product
-from ..errors import ConfigError, UnknownName
+from ..errors import ConfigError, UnknownName, keyed
 from ..kinematic import Kinematic
 from ..model.robot import Robot
 from ..recording.recorder import Recorder
@@ -177,8 +177,10 @@ class Stepper:
         safety = settings.safety
         assert safety is not None
         period, known = settings.period, Latency.of(settings.latency, settings.predict)
-        timing = Timing(duration=period, control_period=period, plant_step=period)
-        sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
+        with keyed(lambda key: "period"):
+            timing = Timing(duration=period, control_period=period, plant_step=period)
+        with keyed(lambda key: "observer"):
+            sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
         given = Given(settings.kinematic, period, known.total + known.margin, settings.lag)
         controller = suited(controller, robot, lambda: given)
         setup = Outside(

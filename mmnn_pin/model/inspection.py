@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from lxml import etree
 from ..errors import ConfigError, InputError, RobotError, UnknownName
 from ..files import read_bytes, reason
 from ..settings import Settings
-from ..settings.arguments import wrong_type
+from ..settings.arguments import unknown_key, wrong_type
 from ..signals import Array
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
@@ -234,12 +233,13 @@ def read_state(path: str | Path, robot: Robot) -> tuple[Array, Array]:
     try:
         return msgspec.json.decode(read_bytes(path), type=NamedState).of(robot)
     except OSError as error:
-        raise ConfigError("cannot be read", why=reason(error), file=path) from error
+        fix = "name a JSON file, as in `mmnn model --help`"
+        raise ConfigError("cannot be read", why=reason(error), fix=fix, file=path) from error
     except msgspec.ValidationError as error:
         message, _, where = str(error).partition(" - at ")
         key = where.strip("`").removeprefix("$").removeprefix(".") or None
-        if unknown := re.search(r"unknown field `(.*)`", message):
-            raise UnknownName("key", unknown[1], NamedState.__struct_fields__, file=path) from error
+        if (unknown := unknown_key(error)) is not None:
+            raise UnknownName("key", unknown, NamedState.__struct_fields__, file=path) from error
         what, fix = wrong_type(message)
         raise ConfigError(what, fix=fix, file=path, key=key) from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:

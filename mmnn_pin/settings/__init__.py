@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import LENGTH, ConfigError, InputError
 from ..signals import Array
-from .arguments import require_fit, shortly
+from .arguments import require_fit, require_known, shortly
 
 LARGEST = 1e12  # of a number that is squared somewhere
 Numbers = float | tuple[float, ...]  # one for all, or one for each; see `one_or_each`
@@ -30,8 +30,10 @@ class Typed(msgspec.StructMeta):
 
         Raises:
             ConfigError: A value that cannot be used, with the class and the field as its key.
-            TypeError: An argument that does not exist, or one that is missing.
+            UnknownArgument: One that does not exist.
+            TypeError: One that is missing, or too many.
         """
+        require_known(cls, kwargs, cls.__struct_fields__)
         given = dict(zip(cls.__struct_fields__, args, strict=False)) | kwargs
         require_fit(cls, given)
         try:
@@ -40,7 +42,7 @@ class Typed(msgspec.StructMeta):
             raise
         except (TypeError, ValueError, AttributeError, LookupError, OverflowError) as error:
             required = [field.name for field in msgspec.structs.fields(cls) if field.required]  # type: ignore[arg-type]
-            if len(args) > len(cls.__struct_fields__) or not set(required) <= set(given) <= set(cls.__struct_fields__):
+            if len(args) > len(cls.__struct_fields__) or not set(required) <= set(given):
                 raise
             values = ", ".join(f"{name} = {shortly(value)}" for name, value in given.items())
             why = " ".join(str(error).split())

@@ -11,7 +11,7 @@ import collections.abc
 import inspect
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, wraps
 from pathlib import Path
 from types import NoneType, UnionType
@@ -20,7 +20,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 import msgspec
 import numpy as np
 
-from ..errors import ConfigError
+from ..errors import ConfigError, UnknownArgument
 
 KINDS = {
     "int": "a whole number",
@@ -49,6 +49,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     Raises:
         ConfigError: One of a wrong type, with the function and the argument as its key.
+        UnknownArgument: One that the function does not have.
     """
     return checked_but()(function)
 
@@ -62,9 +63,12 @@ def checked_but(*own: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
     def mark(function: Callable[P, R]) -> Callable[P, R]:
         signature = inspect.signature(function)
+        takes_any = any(one.kind is one.VAR_KEYWORD for one in signature.parameters.values())
 
         @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            if not takes_any:
+                require_known(function, kwargs, [name for name in signature.parameters if name != "self"])
             given = signature.bind(*args, **kwargs).arguments
             require_fit(function, {name: value for name, value in given.items() if name not in own})
             return function(*args, **kwargs)
@@ -87,6 +91,22 @@ def require_types(made: Any, *own: str) -> None:
     require_fit(type(made), {name: value for name, value in vars(made).items() if name not in own})
 
 
+def require_known(owner: Any, given: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse the first of some arguments that a function or a class does not have.
+
+    Raises:
+        UnknownArgument: With those that it has.
+    """
+    for name in given:
+        if name not in known:
+            raise UnknownArgument("argument", name, known, key=name_of(owner))
+
+
+def name_of(owner: Any) -> str:
+    """A function or a class as who calls it writes it."""
+    return str(owner.__qualname__).removesuffix(".__init__")
+
+
 def require_fit(owner: Any, given: Mapping[str, Any]) -> None:
     """Refuse the first of some arguments that is not of the type that its owner, a function or a class, says.
 
@@ -97,7 +117,7 @@ def require_fit(owner: Any, given: Mapping[str, Any]) -> None:
     for name, value in given.items():
         if name in kinds and not fits(value, kinds[name]):
             what, fix = misfit(value, kinds[name])
-            raise ConfigError(what, fix=fix, key=f"{owner.__qualname__.removesuffix('.__init__')}.{name}")
+            raise ConfigError(what, fix=fix, key=f"{name_of(owner)}.{name}")
 
 
 def misfit(value: Any, kind: Any) -> tuple[str, str]:
@@ -214,6 +234,12 @@ def wanted(kind: Any) -> str:
     return KINDS.get(NAMES.get(kind, ""), f"{'an' if name[0] in 'AEIOU' else 'a'} {name}") + such
 
 
+def unknown_key(error: msgspec.ValidationError) -> str | None:
+    """The key that settings do not have, whatever its characters, out of an error of a conversion; None for another."""
+    found = re.fullmatch(r"Object contains unknown field `(.*?)`(?: - at `\$.*`)?", str(error), re.S)
+    return found[1] if found else None
+
+
 def wrong_type(error: msgspec.ValidationError | str, value: Any = None) -> tuple[str, str]:
     """What is wrong and what to give instead, out of a message such as "Expected `int`, got `str` - at `$.seed`".
 
@@ -226,7 +252,7 @@ def wrong_type(error: msgspec.ValidationError | str, value: Any = None) -> tuple
     """
     message = str(error).partition(" - at ")[0]
     if missing := re.search(r"missing required field `(\w+)`", message):
-        return f"the key '{missing[1]}' is missing", ""
+        return f"the key '{missing[1]}' is missing", "write it"
     found = re.fullmatch(r"Expected `([a-z |]+)`(?: of length (\d+))?(?:, got `?(\w+)`?)?", message)
     if found is None or not (found[2] or found[3]):
         return message, ""

@@ -12,12 +12,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+import click
 import h5py
 import numpy as np
 import pytest
 
 from mmnn_pin import Recording, load
-from mmnn_pin.cli import main
+from mmnn_pin.cli import main, mmnn
 from mmnn_pin.cli.output import interruptible
 from mmnn_pin.lab.experiments.config import bundled, load_experiment
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS
@@ -95,6 +96,13 @@ def test_help_of_every_command_has_examples(call: Call, command: str) -> None:
     assert code == 0 and err == ""
     assert "Examples:" in out and f"  mmnn {command}" in out
     assert "--json" in out and "--debug" in out
+
+
+@pytest.mark.parametrize("command", mmnn.commands.values(), ids=mmnn.commands)
+def test_help_says_a_default_once_and_a_summary_whole(command: click.Command) -> None:
+    records = [record for one in command.params if (record := one.get_help_record(click.Context(command)))]
+    assert [name for name, text in records if text.count("[default: ") > 1] == []
+    assert not command.get_short_help_str(100).endswith("...")
 
 
 def test_help_imports_nothing_slow() -> None:
@@ -385,7 +393,18 @@ BAD = {
     "unknown path": (["run", "chapter4", "--set", "reference.base.type=loop"], ["unknown type 'loop'", "line, circle"]),
     "unknown argument": (["run", "chapter4", "--set", "reference.base.sped=1"], ["unknown key 'sped'", "speed"]),
     "unknown input": (["run", "chapter4", "--set", "inputs.signals=['psi']"], ["unknown network input", "pose_ref"]),
-    "unknown command": (["fly"], ["unknown command 'fly'", "model, plot, readings"]),
+    "unknown key that steers": (["run", "chapter4", "--set", "ti\x1bme.x=1"], ["--set ti me.x", "unknown key 'ti me'"]),
+    "unknown limit": (
+        ["embed", "chapter4", "--controller", "pd", "--out", "c", "--limits", "spede=1"],
+        ["--limits", "unknown limit 'spede'", "did you mean 'speed'"],
+    ),
+    "text for a limit": (
+        ["embed", "chapter4", "--controller", "pd", "--out", "c", "--limits", "speed=fast"],
+        ["--limits speed", "'fast' is a text: give a number"],
+    ),
+    "no number of frames": (["replay", "x.h5", "--html", "x.html", "--fps", "nan"], ["--fps", "nan is not a finite"]),
+    "no load": (["judge", "x.h5", "--payload", "nan"], ["--payload", "nan is not a finite number"]),
+    "unknown command": (["fly"], ["unknown command 'fly'", "readings, model, plot"]),
     "unknown option": (["run", "chapter4", "--robt", "x"], ["unknown option '--robt'", "--robot"]),
     "unknown plot": (["plot", "x.h5", "--what", "wieghts"], ["wieghts", "errors", "psi"]),
     "missing argument": (["run"], ["EXPERIMENT", "--help"]),
@@ -624,6 +643,7 @@ BAD_STATES = {
     '{"joints": {"elbow": 1}}': ["joints", "unknown joint 'elbow'", "arm_1_joint", "wheel_left_joint"],
     '{"joint_velocities": {"wheel_left_joint": 1}}': ["joint_velocities", "wheel_left_joint", "arm_1_joint"],
     '{"joints": {"arm_1_joint": "up"}}': ["joints", "a text: give a number"],
+    '{"a\\nb": 1}': ["unknown key 'a b'", "there is: pose"],
     '{"Pose": [1, 2, 3]}': ["unknown key 'Pose'", "did you mean 'pose'"],
     "[1, 2, 3]": ["a list: give a table"],
     '{"pose": [1, 2, 3]': ["not valid JSON"],

@@ -628,5 +628,5 @@ def test_an_observer_gives_velocities_of_coarse_angles_and_of_a_jumping_odometry
     assert np.abs(late[:, 2:4] - [speed, -speed]).max() < 0.1
     truth = np.outer(h * np.arange(300, 400), [speed, -speed])
     assert np.abs(late[:, 4:] - truth).max() < 0.0015
-    with pytest.raises(ConfigError, match=r"sensor\.bandwidth"):
+    with pytest.raises(ConfigError, match=r"observer: error: "):
         Stepper(robot, weak, StepperSettings(safety=Safety(), period=h, observer=-1.0))

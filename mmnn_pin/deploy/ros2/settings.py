@@ -15,7 +15,7 @@ from ...errors import ConfigError, UnknownName
 from ...loop.latency import Latency
 from ...reference.limits import Limits
 from ...settings import LARGEST, Settings
-from ...settings.arguments import wrong_type
+from ...settings.arguments import unknown_key, wrong_type
 
 TRAJECTORY: Final = "JointTrajectory"
 TWIST: Final = "Twist"
@@ -345,8 +345,7 @@ def _convert(value: Any, kind: type[Settings], prefix: str) -> Any:
     except msgspec.ValidationError as error:
         message, _, where = str(error).partition(" - at ")
         key = (prefix + where.strip("`").removeprefix("$").removeprefix(".")).rstrip(".")
-        if message.startswith("Object contains unknown field"):
-            unknown = message.split("`")[1]
+        if (unknown := unknown_key(error)) is not None:
             known = [field.name for field in msgspec.structs.fields(kind)]
             raise UnknownName("parameter", f"{prefix}{unknown}", [prefix + name for name in known]) from error
         what, fix = wrong_type(message)

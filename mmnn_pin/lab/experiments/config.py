@@ -21,7 +21,7 @@ from ...errors import ConfigError, InputError, RecordingError, UnknownKey, Unkno
 from ...files import parsed_toml, read_toml
 from ...model.base.overrides import Overrides
 from ...recording.recording import Recording
-from ...settings.arguments import checked, wrong_type
+from ...settings.arguments import checked, unknown_key, wrong_type
 from .controllers import new_name, renamed
 from .experiment import Experiment
 from .origins import of_override
@@ -330,18 +330,19 @@ def config_error(
     there = re.sub(r"\[(\d+)\]", r".\1", where.strip("`").removeprefix("$").replace("[...]", ".*")).removeprefix(".")
     key = with_names(there, table, root) or None
     kind, known = kind_at(key, table, root), tuple[str, ...]()
-    unknown = re.search(r"unknown field `(\w+)`", message)
-    last = unknown[1] if unknown else value_at(table, key)
-    if now := new_name(".".join(filter(None, (key, last))) if unknown else key or "", None if unknown else last):
+    unknown = unknown_key(error)
+    last = value_at(table, key) if unknown is None else unknown
+    old = ((key or ""), last) if unknown is None else (".".join(filter(None, (key, unknown))), None)
+    if now := new_name(*old):
         return ConfigError(f"'{last}' is now called '{now}'", fix=f"write {now}", file=path, key=key)
-    if unknown:
+    if unknown is not None:
         known = keys_of(kind)
-        near = get_close_matches(unknown[1], known, n=1)
+        near = get_close_matches(unknown, known, n=1)
         guess = f"did you mean '{near[0]}'? " if near else ""
         fix = f"{guess}there is: {', '.join(known)}" if known else "leave it out"
-        return UnknownKey(unknown[1], fix=fix, file=path, key=key)
-    if missing := re.search(r"missing required field `(\w+)`", message):
-        message, known = f"the key '{missing[1]}' is missing", tags_of(kind) if missing[1] == "type" else ()
+        return UnknownKey(unknown, fix=fix, file=path, key=key)
+    if "missing required field `type`" in message:
+        message, known = "the key 'type' is missing", tags_of(kind)
     elif key and (wrong := re.fullmatch(r"Invalid value '(.*)'", message)):
         message, known = f"unknown type '{wrong[1]}'", tags_of(kind_at(key.rpartition(".")[0], table, root))
     elif wrong := re.fullmatch(r"Invalid enum value '?(.*?)'?", message):

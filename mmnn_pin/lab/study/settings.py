@@ -15,7 +15,7 @@ import msgspec
 from ...errors import ConfigError, InputError, UnknownName, keyed
 from ...files import read_text, read_toml
 from ...settings import Settings
-from ...settings.arguments import wrong_type
+from ...settings.arguments import unknown_key, wrong_type
 from ..experiments.config import bundled, load_experiment, override, words_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.experiment import Experiment
@@ -240,8 +240,8 @@ def part(table: dict[str, Any], kind: type[S]) -> S:
     except msgspec.ValidationError as error:
         message, _, where = str(error).partition(" - at ")
         inner = re.sub(r"^\$\.?", "", where.strip("`"))
-        if not inner and (unknown := re.search(r"unknown field `([^`]*)`", message)):
-            raise UnknownName("key", unknown[1], kind.__struct_fields__) from None
+        if not inner and (unknown := unknown_key(error)) is not None:
+            raise UnknownName("key", unknown, kind.__struct_fields__) from None
         known = words_of({field.name: field.type for field in msgspec.structs.fields(kind)}.get(inner))
         what, fix = wrong_type(message, table.get(inner))
         fix = f"there is: {', '.join(known)}" if known else fix

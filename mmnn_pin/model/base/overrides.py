@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ import msgspec
 from ...errors import ConfigError, UnknownName
 from ...files import read_toml
 from ...settings import Settings
-from ...settings.arguments import wrong_type
+from ...settings.arguments import unknown_key, wrong_type
 from ..robots import package_dirs_of
 from ..urdf.finding import Finding
 from . import KINDS
@@ -205,8 +204,8 @@ def read_overrides(path: Path) -> Overrides:
             error.__cause__.file = path
             raise error.__cause__ from None
         message, _, where = str(error).partition(" - at ")
-        if unknown := re.search(r"unknown field `(.*)`", message):
-            raise UnknownName("key", unknown[1], Overrides.__struct_fields__, file=path) from None
+        if (unknown := unknown_key(error)) is not None:
+            raise UnknownName("key", unknown, Overrides.__struct_fields__, file=path) from None
         what, fix = wrong_type(message)
         raise ConfigError(what, fix=fix, file=path, key=where.strip("`").removeprefix("$.") or None) from None
     except (ConfigError, UnknownName) as error:
