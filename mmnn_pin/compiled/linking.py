@@ -110,7 +110,7 @@ def remember(dispatcher: Any, compilation: Any) -> None:
 
 
 @dataclass(frozen=True)
-class Load:
+class LinkedLoader:
     """Makes a linked function ready before code that calls it, which comes from the cache."""
 
     module: str
@@ -127,7 +127,7 @@ def publish(dispatcher: Any, compilation: Any) -> None:
     remember(dispatcher, compilation)
     target, types, library = dispatcher.targetctx, compilation.signature.args, compilation.library
     fndesc = copy(compilation.fndesc)
-    load = Load(fndesc.modname, fndesc.qualname, types)
+    load = LinkedLoader(fndesc.modname, fndesc.qualname, types)
     given = str([(getattr(kind, "instance_class", None), kind) for kind in types])  # numba says no more than its name
     name = f"{load.module}.{load.name}.{hashlib.sha256(given.encode()).hexdigest()[:16]}"
     add_symbol(name, library.get_pointer_to_function(fndesc.llvm_func_name))

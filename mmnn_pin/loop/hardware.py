@@ -36,7 +36,7 @@ ARRIVES, IS_LOST, IS_BROKEN = 0.0, 1.0, 2.0  # what becomes of a command
 
 
 @by_address
-class Command(NamedTuple):
+class SentTorque(NamedTuple):
     """What goes from the controller to the motors: torque (p,), and whether one arrived (1,), 0 or 1."""
 
     torque: Array
@@ -56,7 +56,7 @@ class CommandLine(NamedTuple):
     sent: Array
 
     @internal
-    def act(self, wire: Command, k: int, time: float) -> None:
+    def act(self, wire: SentTorque, k: int, time: float) -> None:
         """Let the command through, or not."""
         wire.arrived[0] = 0.0 if self.fates[k] == IS_LOST else 1.0
         if self.fates[k] == IS_BROKEN:
@@ -158,7 +158,7 @@ class Way(NamedTuple):
         expected: For an observer on a model.
     """
 
-    line: Command
+    line: SentTorque
     lines: tuple[Any, ...]
     supervisor: Supervisor
     E_inv: Array

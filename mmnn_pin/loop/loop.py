@@ -19,7 +19,7 @@ import numpy as np
 from ..actuator import Actuator
 from ..compiled import one_thread
 from ..disturbance import Disturbance, payload
-from ..errors import ConfigError, InputError, RobotError, UnknownName
+from ..errors import ConfigError, RobotError, UnknownName, keyed
 from ..kinematic import Kinematic
 from ..model.robot import Robot, carrying
 from ..plant.contact.feet import Contact
@@ -46,7 +46,7 @@ from .servo import Servo
 from .servo_model import linear_servos
 from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
 from .stable_gains import require_stable_gains
-from .suited import Given, suited, timing_for
+from .suited import LoopToSuit, suited, timing_for
 
 BLOCK = 250  # most samples that an engine hands over at a time
 PLANTS = ("ideal", "contact")
@@ -125,7 +125,7 @@ class Loop:
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")
         object.__setattr__(self, "timing", timing_for(self.robot, self.timing))
-        given = partial(Given.of, self, self.trajectory, self.timing, self.robot.dimensions)
+        given = partial(LoopToSuit.of, self, self.trajectory, self.timing, self.robot.dimensions)
         made = suited(self.controller, self.robot, given)
         object.__setattr__(self, "controller", made)
 
@@ -315,11 +315,8 @@ class Loop:
         key, load = payload(self.disturbances)
         if load is None:
             return None
-        try:
+        with keyed(lambda inside: f"{key}.{inside}"):
             return carrying(self.true, load.mass, load.joint, load.at)
-        except InputError as error:
-            error.key = f"{key}.{error.key}"
-            raise
 
     def table(self) -> Array:
         """The reference at every control sample, (samples, ...), in the order of the row's signals.

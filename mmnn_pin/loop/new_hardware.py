@@ -20,7 +20,7 @@ from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
 from .before_run import Start
-from .hardware import Command, CommandLine, Expected, Hardware, MotorSide, Totals, Way, World
+from .hardware import CommandLine, Expected, Hardware, MotorSide, SentTorque, Totals, Way, World
 from .latency import Transport
 from .lead import leads
 from .servo import interfaces_of, require_no_torque_regressor, split_of, state_size
@@ -93,7 +93,7 @@ def new_hardware(
         exact=is_exact,
         sensors=sensors._replace(effects=(*before, *sensors.effects)),
         way=Way(
-            line=Command(np.zeros(layout.dof), np.zeros(1)),
+            line=SentTorque(np.zeros(layout.dof), np.zeros(1)),
             lines=(CommandLine(disturbance.commands(events, timing), sent),),
             supervisor=supervisor_of(loop, state, guard),
             E_inv=pseudo_inverse(robot.E),

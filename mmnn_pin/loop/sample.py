@@ -74,7 +74,7 @@ class Controls(NamedTuple):
 
 
 @linked
-def sample(
+def sample(  # noqa: PLR0913 (compiled for those that are not None)
     k: int,
     time: float,
     setpoint: Array,
@@ -197,7 +197,7 @@ def machine_psi(row: Array, at: IntArray, model: Machine) -> None:
 
 
 @linked
-def after_torque(
+def after_torque(  # noqa: PLR0913 (arrays of the two engines)
     row: Array,
     at: IntArray,
     y: Array,

@@ -1,7 +1,7 @@
 """What a loop or a stepper is made from, and what a recording says of it.
 
-`Setup` is what the blocks between controller and robot need to know; a `Loop` has all of it. `Outside` is the same for
-a robot that is not simulated: its plant, sensors and motors are real, so all that would simulate them is off.
+`Setup` is what the blocks between controller and robot need to know; a `Loop` has all of it. `StepperSetup` is the same
+for a robot that is not simulated: its plant, sensors and motors are real, so all that would simulate them is off.
 """
 
 from __future__ import annotations
@@ -132,21 +132,18 @@ class Setup(Protocol):
 
 
 def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: int) -> Context:
-    """What the controller of a setup is told before a run; arguments as of `context_of`."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
-    return context_of(
-        setup.controller,
-        setup.robot,
-        setup.timing.control_period,
-        samples,
-        rng,
-        within_limits,
-        setup.layout,
+    """The context of the controller of a setup, for a run of some samples; `within_limits` as of `context_of`."""
+    context = Context(
+        layout=setup.layout,
+        control_period=setup.timing.control_period,
+        samples=samples,
+        rng=np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0]),
         lag=setup.lags,
         way=setup.known.way(setup.timing),
         unseen=unseen_by(setup),
         pose_weights=setup.kinematic.pose_weights(setup.robot.dimensions),
     )
+    return context_of(setup.controller, setup.robot, context, within_limits)
 
 
 def unseen_by(setup: Setup) -> float:
@@ -202,7 +199,7 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Outside:
+class StepperSetup:
     """The setup of a robot that is not simulated, its latency neither; arguments as of `stepper.Stepper`."""
 
     robot: Robot
@@ -262,7 +259,7 @@ class Outside:
         return new_context(self, self.seed, self.within_limits, 1)
 
 
-def plan_outside(setup: Outside) -> Plan:
+def plan_outside(setup: StepperSetup) -> Plan:
     """What is judged of a stepper, at some postures in place of its setpoints.
 
     Raises:

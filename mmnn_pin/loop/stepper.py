@@ -47,9 +47,9 @@ from .new_hardware import new_hardware
 from .sample import Control
 from .sampled import delay_margin
 from .servo import Command, Servo, interfaces_of, limit_commands
-from .setup import KNOWN, Outside, facts_of, plan_outside
+from .setup import KNOWN, StepperSetup, facts_of, plan_outside
 from .stable_gains import require_stable_gains
-from .suited import Given, suited
+from .suited import LoopToSuit, suited
 from .suited_safety import suited_safety
 
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
@@ -179,9 +179,9 @@ class Stepper:
         period, known = settings.period, Latency.of(settings.latency, settings.predict)
         timing = Timing(duration=period, control_period=period, plant_step=period)
         sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
-        given = Given(settings.kinematic, period, known.total + known.margin, settings.lag)
+        given = LoopToSuit(settings.kinematic, period, known.total + known.margin, settings.lag)
         controller = suited(controller, robot, lambda: given)
-        setup = Outside(
+        setup = StepperSetup(
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
@@ -358,7 +358,7 @@ class Stepper:
         made = self.setup.controller
         if controller is not None:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
-            made = suited(controller, self.robot, lambda: Given(kinematic, self.period, delay, lag))
+            made = suited(controller, self.robot, lambda: LoopToSuit(kinematic, self.period, delay, lag))
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         before, self.limits = self.limits, limits or self.limits
         try:
@@ -435,7 +435,7 @@ class Stepper:
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
-    def _equip(self, setup: Outside, state: Any, hardware_state: Array | None = None) -> None:
+    def _equip(self, setup: StepperSetup, state: Any, hardware_state: Array | None = None) -> None:
         """Wire controller and supervisor to the row; nothing changes where that fails."""
         robot, layout, plan = setup.robot, setup.layout, plan_outside(setup)
         if self.check_gains:

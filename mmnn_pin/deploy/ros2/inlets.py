@@ -19,7 +19,7 @@ BEST, LATCHED = ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.TRANSIENT_LOCAL
 OVERRIDES = QoSOverridingOptions.with_default_policies()
 
 
-class Outside(CallbackGroup):
+class UnservedGroup(CallbackGroup):
     """Of subscriptions that no executor serves."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -73,7 +73,7 @@ class Inlet:
         quality.durability = LATCHED if latched else DurabilityPolicy.VOLATILE
         events = SubscriptionEventCallbacks(incompatible_qos=self._clash)
         self.subscription = node.create_subscription(
-            kind, name, print, quality, callback_group=Outside(), event_callbacks=events,
+            kind, name, print, quality, callback_group=UnservedGroup(), event_callbacks=events,
             qos_overriding_options=OVERRIDES,
         )  # fmt: skip
         self.name = str(self.subscription.topic_name)

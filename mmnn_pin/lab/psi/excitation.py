@@ -32,7 +32,7 @@ from ...signals import Array, Layout
 from ...torque.adaptive import EXCITED
 from ...torque.neural import Neural, channels
 from ...torque.two_layer import numerical_rank
-from .learner import NAMES, Learner, Networks, Stepper, seen
+from .learner import NAMES, Learner, LearnerStepper, NetworkLearner, seen
 
 NOISE = 1e-3  # of what random motion does: less does not count as excited, as in `torque.adaptive`
 VISIBLE = 1e-6  # share of the largest eigenvalue on random motion from which a direction counts
@@ -160,7 +160,7 @@ def tangents(learner: Learner, own: Neural, rows: Array) -> dict[int, tuple[Arra
 
     The first is J (n, outputs, weights): each weight over the root of its rate.
     """
-    stepper = Stepper(learner, learner.end.snapshot(), learning=False)
+    stepper = LearnerStepper(learner, learner.end.snapshot(), learning=False)
     state = stepper.state
     found: dict[int, list[tuple[Array, Array]]] = {i: [] for i, _ in channels(learner.context.layout)}
     for row in rows:
@@ -180,7 +180,7 @@ def along(learner: Learner, rows: Array) -> tuple[Array, Array] | None:
 
     None where it does not give its features.
     """
-    stepper, found = Stepper(learner, learner.end.snapshot(), learning=False), list[tuple[Array, Array]]()
+    stepper, found = LearnerStepper(learner, learner.end.snapshot(), learning=False), list[tuple[Array, Array]]()
     for row in rows:
         psi_hat = stepper.step(row).copy()
         if (Phi := stepper.features()) is None:
@@ -263,7 +263,7 @@ class Network:
 def features_of(learner: Learner, rows: Array) -> list[Network]:
     """What a learner's weights were multiplied with along rows (N, width); empty where it does not tell."""
     lacks, weights = unknown(learner, rows), learner.controller.weights(learner.end)
-    if isinstance(learner, Networks):
+    if isinstance(learner, NetworkLearner):
         activations, found = seen(learner, learner.end, rows).activations, []
         for i, name in ((i, NAMES[i]) for i, _ in learner.networks):
             own = {key[0]: W for key, W in weights.items() if key.endswith(str(i))}

@@ -11,7 +11,7 @@ from ...errors import InputError
 from ...recording.recording import Recording
 from ...settings.arguments import checked
 from ...shown import AsText, shown
-from .psi import WINDOWS, Progress, Psi, psi_of
+from .psi import WINDOWS, ProgressCallback, Psi, psi_of
 from .subject import Subject
 
 J = TypeVar("J", bound="Judgement")
@@ -39,7 +39,7 @@ class Judgement(AsText):
         *,
         payload: float | None = None,
         windows: int = WINDOWS,
-        progress: Progress | None = None,
+        progress: ProgressCallback | None = None,
     ) -> None:
         self.subject, self.payload, self.windows = Subject.of(recording), payload, windows
         self.progress = progress

@@ -33,7 +33,7 @@ FLAT = 1e-9  # spread of Psi, relative to its size, below which it has no varian
 PARTS = ("feedback", "network", "robust")
 WINDOWS = 5
 MOST = 20_000  # rows of a run along which frozen weights are evaluated, evenly spread
-Progress = Callable[[str, float], None]
+ProgressCallback = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ class Psi:
 
 
 def psi_of(
-    subject: Subject, payload: float | None = None, count: int = WINDOWS, progress: Progress | None = None
+    subject: Subject, payload: float | None = None, count: int = WINDOWS, progress: ProgressCallback | None = None
 ) -> Psi:
     """Psi_hat of a run against the truth.
 
@@ -191,7 +191,7 @@ def how_to_know(subject: Subject) -> str:
 
 
 def frozen_weights(
-    subject: Subject, learner: Learner, payload: float | None, progress: Progress | None
+    subject: Subject, learner: Learner, payload: float | None, progress: ProgressCallback | None
 ) -> tuple[dict[str, Frozen], list[Network], list[str]]:
     """What the final weights say; the networks; what is left out, and why."""
     show = progress or (lambda what, fraction: None)

@@ -37,7 +37,7 @@ from .execution import execute
 from .factors import Factor, draws_of
 from .intervals import Interval, quantile
 from .keys import require_path, times
-from .plan import Plan, changed_base, plan_of
+from .plan import StudyPlan, changed_base, plan_of
 from .pools import Pool, optional
 from .results import worth
 from .settings import StudyFile, Tune, placing
@@ -123,7 +123,7 @@ class Scorer:
             runs[result.id] = result.parameters, result.seed
         return Score(metric, self.tune.quantile, draws=draws_of(self.study.settings.factors, runs))
 
-    def plan(self, gains: Mapping[str, Any]) -> Plan:
+    def plan(self, gains: Mapping[str, Any]) -> StudyPlan:
         """The runs of one set of gains."""
         settings = msgspec.structs.replace(
             self.study.settings,
@@ -177,7 +177,7 @@ def learns_slowly_enough(loop: Loop) -> None:
 CONSTRAINTS: tuple[tuple[Callable[[Loop], None], int], ...] = ((stable_when_sampled, 64), (learns_slowly_enough, 4))
 
 
-def violations(plan: Plan) -> Iterator[str]:
+def violations(plan: StudyPlan) -> Iterator[str]:
     """Complaints about the gains of a study, one per run that breaks a constraint."""
     refused: set[int] = set()
     for constraint, most in CONSTRAINTS:
@@ -190,7 +190,7 @@ def violations(plan: Plan) -> Iterator[str]:
                 yield f"row {number}: {error.what}"
 
 
-def judged(plan: Plan, most: int = CONSTRAINTS[0][1]) -> list[int]:
+def judged(plan: StudyPlan, most: int = CONSTRAINTS[0][1]) -> list[int]:
     """Runs on which gains are judged."""
     return sorted({int(i) for i in np.linspace(0, len(plan) - 1, min(most, len(plan)))})
 
