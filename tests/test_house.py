@@ -274,3 +274,14 @@ def type_names(tree: ast.Module) -> set[str]:
 def test_type_names_are_found() -> None:
     tree = ast.parse("class Arm: ...\nclass _Own: ...\nEnds = tuple[float, float]\nMOST, T = 3, 4\nwide = 5")
     assert type_names(tree) == {"Arm", "Ends"}
+
+
+def test_docstrings_begin_with_what_they_describe() -> None:
+    vague = [
+        f"{module}:{node.body[0].lineno} {text.splitlines()[0]}"
+        for module, file in modules().items()
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        if (text := ast.get_docstring(node) or "").startswith(("What ", "Itself", "The same"))
+    ]
+    assert vague == []

@@ -97,7 +97,7 @@ def linked(function: F) -> F:
 
 
 def internal(function: F) -> F:
-    """The same for a function that only compiled code calls: what hands over arguments from Python is not compiled."""
+    """Compile a function once, as `linked`, for compiled callers alone: nothing takes arguments from Python."""
     return made(function, by_address=True, from_python=False)
 
 

@@ -60,7 +60,7 @@ class OwnNames(IndexDataCacheFile):
         self._save_index(entries | {key: name})
 
     def load(self, key: Any) -> Any:
-        """What is kept; None for nothing that can be read."""
+        """The compilation that is kept under a key; None where nothing is, or nothing that can be read."""
         try:
             return super().load(key)
         except (OSError, EOFError, UnpicklingError):
@@ -89,7 +89,7 @@ def prepare(dispatcher: Any, by_address: bool, from_python: bool) -> None:
 
 
 class Internal(CPUDispatcher):
-    """What numba makes of a function; called from Python, it compiles a caller."""
+    """A function compiled for compiled callers; called from Python, it compiles a caller for itself."""
 
     def __call__(self, *args: Any) -> Any:
         """Call it from Python."""

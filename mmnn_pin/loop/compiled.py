@@ -213,7 +213,7 @@ def pick_up(time: float, true: Machine, world: World) -> None:
 
 @internal
 def observe(run: CompiledRun, body: Body, true: Machine, energy: float) -> int:
-    """What only a simulation knows of a sample, into the row; -1, or the column that went bad."""
+    """Write into the row the signals of a sample that only a simulation knows; -1, or the column that went bad."""
     row, at, work = run.controls.row, run.controls.at, true.work
     psi = view(row, at, PSI)
     evaluate(body, work, true.position, true.nu)

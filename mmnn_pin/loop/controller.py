@@ -41,7 +41,7 @@ def state_from(controller: CompiledController | TorqueController, context: Conte
 
 
 def new_state(controller: CompiledController | TorqueController, context: Context) -> Any:
-    """What a controller's `init` gives.
+    """A new state of a controller, by its `init`.
 
     Raises:
         InputError: It fails, or a learning law gives something else than a `ControllerState`.
@@ -65,7 +65,7 @@ def new_state(controller: CompiledController | TorqueController, context: Contex
 
 
 def findings_of(controller: CompiledController | TorqueController, state: Any) -> list[str]:
-    """What a controller's state shows after a run; of one in plain Python that fails, where: the run is kept."""
+    """Findings in a controller's state after a run; where one in plain Python fails, a line that says where instead."""
     if isinstance(controller, CompiledController):
         return controller.findings(state)
     try:

@@ -216,7 +216,7 @@ class Loop:
         return OrdinaryLoop(*arguments)
 
     def plan(self) -> Plan:
-        """What an engine needs of this loop.
+        """The plan of this loop, by which an engine steps it.
 
         Raises:
             TrajectoryError: A reference that the base cannot follow.
@@ -265,7 +265,7 @@ class Loop:
 
     @property
     def known(self) -> Latency:
-        """What the controller is told of the latency."""
+        """The latency as the controller is told it."""
         return self.latency
 
     @property
@@ -331,7 +331,7 @@ class Loop:
             return sampled_reference.__wrapped__(*arguments)
 
     def facts(self) -> dict[str, Any]:
-        """What a recording should know of this run."""
+        """Facts of this run for its recording."""
         floor = {"contact": plain(self.contact)} if self.plant == "contact" else {}
         watched = self.trajectory.watched
         hands = {} if watched is None else {"hands": dict(watched.frames)}

@@ -1,4 +1,4 @@
-"""What a loop or a stepper is made from, and what a recording says of it.
+"""The setup that a loop or a stepper is made from, and its facts for a recording.
 
 `Setup` is what the blocks between controller and robot need to know; a `Loop` has all of it. `StepperSetup` is the same
 for a robot that is not simulated: its plant, sensors and motors are real, so all that would simulate them is off.
@@ -42,7 +42,7 @@ Streams = tuple[np.random.Generator, np.random.Generator, np.random.Generator]
 
 
 class Setup(Protocol):
-    """What the hardware model is made from; a `Loop` has all of it."""
+    """The setup that the hardware model is made from; a `Loop` has all of it."""
 
     @property
     def robot(self) -> Robot:
@@ -78,11 +78,11 @@ class Setup(Protocol):
 
     @property
     def sensor(self) -> Sensor:
-        """What the sensors do to the truth."""
+        """The sensors."""
 
     @property
     def actuator(self) -> Actuator:
-        """What the motors make of their commands."""
+        """The motors and gears."""
 
     @property
     def safety(self) -> Safety | None:
@@ -90,7 +90,7 @@ class Setup(Protocol):
 
     @property
     def disturbances(self) -> tuple[Disturbance, ...]:
-        """What happens to the robot."""
+        """The disturbances of the robot."""
 
     @property
     def latency(self) -> Latency:
@@ -102,7 +102,7 @@ class Setup(Protocol):
 
     @property
     def servo(self) -> Servo:
-        """What is known of the servos of velocity interfaces."""
+        """The servos of velocity interfaces, as far as they are known."""
 
     @property
     def lead(self) -> bool:
@@ -118,7 +118,7 @@ class Setup(Protocol):
 
     @property
     def known(self) -> Latency:
-        """What the controller is told of it."""
+        """The latency as the controller is told it."""
 
     @property
     def smoothing(self) -> float:
@@ -128,7 +128,7 @@ class Setup(Protocol):
         """Random generators of the sensors, of the disturbances and of the commands' delays."""
 
     def context(self) -> Context:
-        """What the controller is told before a run."""
+        """The context that the controller is given before a run."""
 
 
 def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: int) -> Context:
@@ -178,7 +178,7 @@ def believed_by(setup: Setup) -> Robot:
 
 
 def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
-    """What a recording should know of a run."""
+    """Facts of a run for its recording."""
     own = {"controller": setup.controller.name, "seed": seed, "control_period": setup.timing.control_period}
     own |= {"kinematic": plain(setup.kinematic), "time": plain(setup.timing)}
     own |= {"controller_settings": setup.controller.facts(), "within_limits": setup.context().limits is not None}
@@ -255,12 +255,12 @@ class StepperSetup:
         return new_streams(self.seed)
 
     def context(self) -> Context:
-        """What the controller is told."""
+        """The context that the controller is given."""
         return new_context(self, self.seed, self.within_limits, 1)
 
 
 def plan_outside(setup: StepperSetup) -> Plan:
-    """What is judged of a stepper, at some postures in place of its setpoints.
+    """The plan of a stepper, for the check of its gains: at some postures in place of its setpoints.
 
     Raises:
         ConfigError: A nominal robot that is another one.
@@ -278,7 +278,7 @@ def plan_outside(setup: StepperSetup) -> Plan:
 
 
 class Sink(Protocol):
-    """What takes the rows of a run: a `Recorder`, or a `Reducer` that keeps only sums."""
+    """A taker of the rows of a run: a `Recorder`, or a `Reducer` that keeps only sums."""
 
     def append_block(self, rows: Array, step_times: Array) -> None:
         """Take rows (k, width) and the wall-clock time of each (k,) [s]."""

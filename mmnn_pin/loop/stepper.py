@@ -58,7 +58,7 @@ MOST_TOLD = 20  # trips that a recording tells of
 
 
 class StepperSettings(Settings, frozen=True):
-    """What a `Stepper` may be told beside its robot and its controller.
+    """Settings of a `Stepper` beside its robot and its controller.
 
     Args:
         kinematic: Gains of the kinematic layer.
@@ -450,7 +450,7 @@ class Stepper:
         self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan
 
     def _command(self) -> None:
-        """What is sent, from the row and from the servo rows."""
+        """Fill the command from the row and from the servo rows."""
         command, split, (rows, motors) = self.command, self.hardware.split, self.by_effort
         self.motor_torque[:] = self.hardware.way.totals.command
         np.copyto(command.effort, self.torque, where=rows)

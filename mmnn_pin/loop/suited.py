@@ -1,4 +1,4 @@
-"""What suits a robot: gains of a controller that is given none, and a reference that its motors can follow.
+"""Defaults that suit a robot: gains of a controller that is given none, a reference that its motors can follow.
 
 **Gains.** A gain k on a velocity is a bandwidth `k / I` times its effective inertia I. What a sampled loop bears is a
 matter of bandwidth, so one rule fits a gripper of grams and a base of a hundred kilograms: `BANDWIDTHS` (of
@@ -72,7 +72,7 @@ class LoopToSuit(NamedTuple):
 
     @classmethod
     def of(cls, loop: Any, trajectory: Trajectory, timing: Timing, layout: Dimensions) -> LoopToSuit:
-        """What a `Loop` or an experiment says of itself: `kinematic`, `latency`, `actuator`.
+        """The loop of a `Loop` or of an experiment, by its `kinematic`, `latency` and `actuator`.
 
         Raises:
             TrajectoryError: The base cannot follow the trajectory.
@@ -229,7 +229,7 @@ def held_velocities(M: Array, friction: Array, period: float) -> Array:
 
 
 class MotorLoad:
-    """What a robot's motors have to give, over their limits.
+    """Torque and speed that a motion asks of a robot's motors, over their limits.
 
     Args:
         robot: The robot.

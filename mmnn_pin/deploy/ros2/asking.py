@@ -1,4 +1,4 @@
-"""What the graph asks of the robot, as setpoints of the stepper: velocities, motions of the arm, paths of the base.
+"""Wishes of the graph as setpoints of the stepper: velocities, motions of the arm, paths of the base.
 
 Motions are made in a thread of their own, so that a long one does not make a control sample late. A path in the frame
 of a map is placed into the odometry's frame when it comes; when the map is corrected it is placed anew, and the stepper
@@ -75,7 +75,7 @@ class Asking:
             base_motion(path, s.path, s.limits, self.arm.robot, self.arm.period, start)
 
     def poll(self, clock: Clock, now: RobotSituation, stopped: bool) -> tuple[Wish, ...]:
-        """What is asked from now on.
+        """The wishes that hold from now on.
 
         Args:
             clock: The node's.

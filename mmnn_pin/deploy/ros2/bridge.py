@@ -180,7 +180,7 @@ class Bridge:
             clock.sleep(0.005)
 
     def missing(self) -> str:
-        """What has to come before the robot may be moved; empty for nothing."""
+        """The first thing that keeps the robot from being moved, in words; empty for nothing."""
         self.read()
         for inlet in self.needed:
             if crowd := inlet.crowd():
@@ -242,7 +242,7 @@ class Bridge:
     # -- what callbacks ask of it --------------------------------------------------------------------------------------
 
     def between(self, call: Callable[[], T]) -> T:
-        """What a call gives between two samples; errors as of the call.
+        """The result of a call that the loop makes between two samples; errors as of the call.
 
         Raises:
             TimeoutError: The loop does not come to it.
@@ -442,7 +442,7 @@ class Bridge:
             self.problem = ""
 
     def _dropped(self) -> list[str]:
-        """What was dropped since the last look, and who publishes beside."""
+        """Lines on inlets that dropped messages since the last look: how many, and why."""
         found = []
         for inlet in self.inlets:
             if (dropped := inlet.dropped) > self.before[inlet.name]:
@@ -451,7 +451,7 @@ class Bridge:
         return found
 
     def _silent(self) -> list[str]:
-        """What is measured no more."""
+        """A line that names measurements which come no more; empty where all come."""
         lacking = self.sensing.lacking(self.clock.now)
         if not lacking:
             return []

@@ -116,7 +116,7 @@ class Inlet:
         return f"{len(found)} publishers ({', '.join(found)}), there may be {self.most}"
 
     def counted(self) -> list[str]:
-        """What was dropped, a few words each."""
+        """A line on dropped messages, with the number of each kind; empty without any."""
         counts = [f"{getattr(self, name)} {name}" for name in ("surplus", "refused") if getattr(self, name)]
         return [f"{self.name}: {', '.join(counts)} messages dropped"] if counts else []
 

@@ -46,13 +46,13 @@ SUCCESS, FAILURE, ERROR = (
 
 
 class Maker(Protocol):
-    """What makes steppers out of settings."""
+    """A maker of steppers out of settings."""
 
     def stepper(self, settings: Node, count: int) -> Stepper:
         """A stepper, the count-th of the process."""
 
     def motion(self, stepper: Stepper) -> tuple[Motion | None, float]:
-        """What it follows from the start, and for how long [s]."""
+        """The motion that a stepper follows from the start, None for none; and for how long [s]."""
 
     def law(self, settings: Node, before: Node) -> tuple[CompiledController | TorqueController, Kinematic]:
         """Controller and kinematic gains of changed settings; raises a ConfigError where more than those changed."""

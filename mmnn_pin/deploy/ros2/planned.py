@@ -52,7 +52,7 @@ class Refused(MmnnError):
 
 
 class RobotSituation(NamedTuple):
-    """What the robot is to do at present, and what it does.
+    """The reference and the measured state of a robot at one sample.
 
     Attributes:
         reference: (3, n) q, qdot, qddot of the arm's reference.
@@ -69,7 +69,7 @@ class RobotSituation(NamedTuple):
 
 @dataclass(frozen=True)
 class PlannedArm:
-    """What of a robot a motion of its arm has to know.
+    """A robot's arm as its planner sees it: makes motions out of the planner's messages.
 
     Attributes:
         robot: The robot.
@@ -206,7 +206,7 @@ class Planner:
 
 
 def rest_of(motion: Motion, elapsed: float, shift: Planar | None = None) -> Motion:
-    """What is left of a motion after some time [s], its path moved in the plane."""
+    """The rest of a motion after some time [s], its path moved in the plane."""
     k = min(round(elapsed / motion.period), len(motion.table) - 1)
     moved = motion.shift if shift is None else np.array(shift)
     return Motion(motion.table[k:], motion.period, motion.parts, motion.dimensions, shift=moved)

@@ -101,7 +101,7 @@ def signals_for(controller: Any) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Unknown:
-    """What a run leaves undetermined of one network, or of all.
+    """The part of one network's weights, or of all, that a run leaves undetermined.
 
     Attributes:
         share: Of the directions that random motion shows.
@@ -122,7 +122,7 @@ class Unknown:
 
 
 def unknown(learner: Learner, rows: Array) -> dict[str, Unknown]:
-    """What rows (N, width) leave undetermined, by network: `base`, `arm`, or `all`.
+    """Network (`base`, `arm`, or `all`) to the part of its weights that rows (N, width) leave undetermined.
 
     Empty for learners that judge it themselves from what they keep (`findings`), for one that is not linear in its
     weights or does not give its features, and for one that did not learn.
@@ -156,7 +156,7 @@ def left(run: Array, random: Array) -> tuple[float, int]:
 
 
 def tangents(learner: Learner, own: Neural, rows: Array) -> dict[int, tuple[Array, Array]]:
-    """What every network's output does with its final weights along rows (n, width), and its hidden outputs (n, h).
+    """Network to the derivative of its output by its final weights along rows (n, width), and hidden outputs (n, h).
 
     The first is J (n, outputs, weights): each weight over the root of its rate.
     """
@@ -261,7 +261,7 @@ class Network:
 
 
 def features_of(learner: Learner, rows: Array) -> list[Network]:
-    """What a learner's weights were multiplied with along rows (N, width); empty where it does not tell."""
+    """Excitation of a learner's weights by their features along rows (N, width); empty where it does not tell them."""
     lacks, weights = unknown(learner, rows), learner.controller.weights(learner.end)
     if isinstance(learner, NetworkLearner):
         activations, found = seen(learner, learner.end, rows).activations, []

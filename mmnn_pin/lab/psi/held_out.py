@@ -1,4 +1,4 @@
-"""What frozen weights are judged on: a trajectory that the learner never saw, and a robot with a load.
+"""Motions on which frozen weights are judged: a trajectory that the learner never saw, and a robot with a load.
 
 The held-out trajectory has another path, speed and arm motion, and is recorded once under computed torque. A config may
 name one in `[held_out]`. Otherwise it follows from the run's reference alone, so that all learners of an experiment get

@@ -1,4 +1,4 @@
-"""What is known of one run: each part computed when it is first asked for, and why a part cannot be had."""
+"""The judgement of one run: each part computed when it is first asked for, and why a part cannot be had."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Judgement(AsText):
             raise InputError("nothing to judge", why=why, file=self.subject.recording.path)
 
     def remarks(self) -> list[str]:
-        """What to know before believing the numbers, one line each."""
+        """Reservations about the numbers, one line each."""
         subject, result = self.subject, []
         outcome = subject.recording.outcome
         if outcome.status != "completed":
@@ -150,7 +150,7 @@ def judge(
 
 
 def sentence(error: InputError) -> str:
-    """What and why of an error, on one line."""
+    """An error on one line: what is wrong, and why."""
     return " ".join(": ".join(part for part in (error.what, error.why) if part).split())
 
 

@@ -101,13 +101,13 @@ class LearnerStepper:
         return self.psi_hat if limits is None else limits.asked
 
     def features(self) -> Array | None:
-        """What the weights are multiplied with at the last step, (rows, k), a copy; None where it does not tell."""
+        """Features of the last step, which the weights multiply, (rows, k), a copy; None where it does not tell."""
         found = self.torque.features()
         return None if found is None else np.array(np.atleast_2d(found), float)
 
 
 def frozen_psi_hat(learner: Learner, state: ControllerState, rows: Array, every: int = 1) -> Array:
-    """What the weights of a state, held fixed, say along rows (N, width): Psi_hat of every so many of them, (k, p).
+    """Psi_hat of the weights of a state, held fixed, along rows (N, width): of every so many of them, (k, p) [N, N m].
 
     It is what they know: before the motors' limits take of it.
     """
@@ -140,7 +140,7 @@ class NetworkLearner(Learner):
 
 @dataclass(frozen=True, eq=False)
 class NetworkOutputs:
-    """What networks with fixed weights do along rows.
+    """Inputs, hidden outputs and outputs of networks with fixed weights along rows.
 
     Attributes:
         psi_hat: (N, p) their output [N, N m].
@@ -154,7 +154,7 @@ class NetworkOutputs:
 
 
 def seen(learner: NetworkLearner, state: ControllerState, rows: Array) -> NetworkOutputs:
-    """What networks with the weights of a state, held fixed, do along rows (N, width)."""
+    """Inputs and outputs of networks with the weights of a state, held fixed, along rows (N, width)."""
     stepper = LearnerStepper(learner, state.snapshot(), learning=False)
     psi_hat, inputs = np.zeros((len(rows), learner.context.layout.dof)), np.zeros((len(rows), state["x"].size))
     activations = {i: np.zeros((len(rows), state[f"sigma{i}"].size)) for i, _ in learner.networks}

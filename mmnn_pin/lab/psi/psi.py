@@ -38,7 +38,7 @@ ProgressCallback = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Frozen:
-    """What the final weights, held fixed, say along some rows.
+    """Psi and the Psi_hat of the final weights, held fixed, along some rows.
 
     Attributes:
         about: Which rows, in words.
@@ -61,7 +61,7 @@ class Frozen:
 
 @dataclass(frozen=True, eq=False)
 class Psi:
-    """What of Psi a run followed, and what its learner knows of it.
+    """The share of Psi that a run's Psi_hat followed, and that its final weights know.
 
     Attributes:
         labels: Names of the p components.
@@ -193,7 +193,7 @@ def how_to_know(subject: Subject) -> str:
 def frozen_weights(
     subject: Subject, learner: Learner, payload: float | None, progress: ProgressCallback | None
 ) -> tuple[dict[str, Frozen], list[Network], list[str]]:
-    """What the final weights say; the networks; what is left out, and why."""
+    """Psi_hat of the final weights by the name of the motion; the networks; remarks on what is left out, and why."""
     show = progress or (lambda what, fraction: None)
     robot, remarks, where = subject.robot, list[str](), subject.layout.where
     every = -(-len(subject.rows) // MOST)

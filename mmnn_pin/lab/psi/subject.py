@@ -161,7 +161,7 @@ class Subject:
 
     @property
     def applied(self) -> Array:
-        """What was sent of Psi_hat, (N, p): that of a later instant where it led, else Psi_hat [N, N m]."""
+        """The part of Psi_hat that was sent, (N, p): that of a later instant where it led, else Psi_hat [N, N m]."""
         if "psi_applied" not in self.recording:
             return self.signal("psi_hat")
         return np.asarray(self.recording["psi_applied"][: len(self.rows)])
@@ -179,7 +179,7 @@ class Subject:
 
     @cached_property
     def hardware(self) -> HardwareEffects:
-        """What motors, pushes and a payload did to the robot."""
+        """Effects of motors, pushes and a payload on the robot."""
         return HardwareEffects.of(self.recording, self.robot, self.timing)
 
     @cached_property
@@ -252,7 +252,7 @@ def finite_rows(recording: Recording, layout: Layout) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class HardwareEffects:
-    """What the hardware model of a run did to its robot.
+    """Effects of the hardware model of a run on its robot.
 
     Attributes:
         torque: (N, p) generalized torque of the motors [N, N m].

@@ -39,7 +39,7 @@ COSMETIC = ("title", "metrics", "success", "tune")  # settings that change no ru
 
 @dataclass(frozen=True)
 class Probe:
-    """What is known of a study before it runs.
+    """Facts of a study that are known before it runs.
 
     Attributes:
         units: Metric to its unit.

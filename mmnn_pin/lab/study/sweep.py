@@ -39,7 +39,7 @@ IN_MEMORY = Path("in memory")
 
 @dataclass(frozen=True, repr=False)
 class Sweep:
-    """What came of a sweep; `print` shows a line for every value.
+    """The results of a sweep; `print` shows a line for every value.
 
     Attributes:
         results: The rows, as of a study.

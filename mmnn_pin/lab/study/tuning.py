@@ -53,7 +53,7 @@ LOOK = 1.0  # of a run, to see where the weights go before the learning rates ar
 
 @dataclass(frozen=True)
 class Score:
-    """What a set of gains is worth.
+    """The score of a set of gains.
 
     Attributes:
         metric: (n,) the metric of every run, inf where it did not complete.
@@ -197,7 +197,7 @@ def judged(plan: StudyPlan, most: int = CONSTRAINTS[0][1]) -> list[int]:
 
 @dataclass(frozen=True)
 class Tuned:
-    """What a search found.
+    """The result of a search for gains.
 
     Attributes:
         tune: What was looked for.
@@ -257,7 +257,7 @@ def value_words(value: float | None) -> str:
 
 
 def tuned_part(study: StudyFile) -> tuple[Tune, dict[str, Any]]:
-    """What a study states about tuning, its keys judged, and its experiment as a table.
+    """The table `tune` of a study, its keys judged, and the study's experiment as a table.
 
     Raises:
         InputError: It says nothing, or names a gain that does not exist; with the line.
@@ -333,7 +333,7 @@ def require_there(path: Path) -> None:
 
 
 def result(study: StudyFile, folder: Path, pool: Pool | None) -> Tuned:
-    """What the trials so far have found, judged on fresh draws.
+    """The result of the trials so far, judged on fresh draws.
 
     Args:
         study: The study.
