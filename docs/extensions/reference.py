@@ -345,7 +345,7 @@ def paragraphs(text: str) -> str:
 
 def controllers_page() -> Iterator[str]:
     """The controllers, from their list."""
-    from mmnn_pin.torque import ENTRIES
+    from mmnn_pin.torque.entries import ENTRIES
 
     yield "# Controllers\n"
     yield (

@@ -142,7 +142,7 @@ class MachineLimits(NamedTuple):
 
 
 class Told(Protocol):
-    """Knowledge of its robot that a controller is given, as the list of controllers grants it (`torque.Entry.told`)."""
+    """Knowledge of its robot that a controller is given, as the list of controllers grants it (`Entry.told`)."""
 
     @property
     def motion(self) -> Any:

@@ -23,9 +23,9 @@ from ...model.tree.body import parameters
 from ...settings import Settings, require_numbers
 from ...settings.arguments import FORMERLY
 from ...signals import Array
-from ...torque import CONTROLLERS as ENTRIES
-from ...torque import DESCRIBED, Entry
 from ...torque.controller import CompiledController, ControllerSettings, Feedback, MachineLimits, TorqueController
+from ...torque.entries import CONTROLLERS as ENTRIES
+from ...torque.entries import DESCRIBED, Entry
 from ...torque.neural import STARTS, Robust
 from .laws import own_controller
 
@@ -195,7 +195,7 @@ class Granted:
         """
         name = self.entry.name
         if what not in self.entry.told:
-            raise ConfigError(f"{name} may not know '{what}'", fix="grant it in mmnn_pin/torque/__init__.py")
+            raise ConfigError(f"{name} may not know '{what}'", fix="grant it in mmnn_pin/torque/entries.py")
         if self.robot is None:
             raise ConfigError(f"{name} of no robot", fix="give the robot", key="controllers")
         return self.robot

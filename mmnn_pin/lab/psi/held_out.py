@@ -22,8 +22,8 @@ from ...model.robot import Robot, carrying
 from ...reference import BasePath, Eight, HolonomicPath, Sine, Trajectory
 from ...settings import Timing
 from ...signals import Array, Layout
-from ...torque import CONTROLLERS
 from ...torque.controller import Feedback
+from ...torque.entries import CONTROLLERS
 from ..experiments.config import named_files, recorded_experiment
 from ..experiments.experiment import Experiment
 from .subject import Subject, finite_rows

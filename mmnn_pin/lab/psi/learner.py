@@ -26,8 +26,8 @@ from ...recording.recording import Recording
 from ...recording.run_file import encode
 from ...settings.arguments import shortly
 from ...signals import Array, Layout
-from ...torque import CONTROLLERS
 from ...torque.controller import Context, ControllerState, Feedback
+from ...torque.entries import CONTROLLERS
 from ...torque.learning_law import LearningLaw
 from ...torque.neural import Neural, channels
 from ..experiments.config import named_files, recorded_experiment
