@@ -121,7 +121,7 @@ def start_energy(robot: Robot, true: Machine) -> float:
 
 
 @compiled
-def advance(  # noqa: PLR0913 (compiled for those that are not None)
+def advance(  # noqa: PLR0913 - parts that are None are not compiled
     first: int,
     last: int,
     run: CompiledRun,

@@ -74,7 +74,7 @@ class Controls(NamedTuple):
 
 
 @linked
-def sample(  # noqa: PLR0913 (compiled for those that are not None)
+def sample(  # noqa: PLR0913 - parts that are None are not compiled
     k: int,
     time: float,
     setpoint: Array,
@@ -197,7 +197,7 @@ def machine_psi(row: Array, at: IntArray, model: Machine) -> None:
 
 
 @linked
-def after_torque(  # noqa: PLR0913 (arrays of the two engines)
+def after_torque(  # noqa: PLR0913 - the arrays of either engine
     row: Array,
     at: IntArray,
     y: Array,

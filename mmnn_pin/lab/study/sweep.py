@@ -91,7 +91,7 @@ class Sweep:
 
 
 @checked_but("robot", "trajectory", "values")
-def sweep(  # noqa: PLR0913 (options, by keyword alone)
+def sweep(  # noqa: PLR0913 - options, by keyword alone
     robot: Robot,
     trajectory: Trajectory,
     key: str,
