@@ -147,7 +147,7 @@ def robots(context: click.Context, parameter: click.Parameter, incomplete: str) 
 
 def controllers(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Controllers of the package, or a file with one."""
-    from ..torque import CONTROLLERS
+    from ..torque.entries import CONTROLLERS
 
     return starting(CONTROLLERS, incomplete)
 

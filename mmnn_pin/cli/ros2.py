@@ -160,7 +160,7 @@ def columns(table: Sequence[Any]) -> str:
 
 @dataclass
 class Making:
-    """What makes steppers out of a node's settings.
+    """A maker of steppers out of a node's settings.
 
     Attributes:
         seconds: How long they run at most.
@@ -197,7 +197,7 @@ class Making:
             )
 
     def motion(self, stepper: Stepper) -> tuple[Motion | None, float]:
-        """What it follows from the start, and for how long [s]."""
+        """The motion that a stepper follows from the start, None for none; and for how long [s]."""
         if self.follow == "topics":
             return None, self.seconds
         duration = self.experiment.time.duration

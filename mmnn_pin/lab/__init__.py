@@ -1,1 +1,1 @@
-"""What judges: experiments, studies, whether a run learned (`psi`), and what shows their results."""
+"""The laboratory: experiments and studies, the judgement of learners, and the display of results."""

@@ -47,9 +47,9 @@ from .new_hardware import new_hardware
 from .sample import Control
 from .sampled import delay_margin
 from .servo import Command, Servo, interfaces_of, limit_commands
-from .setup import KNOWN, Outside, facts_of, plan_outside
+from .setup import KNOWN, StepperSetup, facts_of, plan_outside
 from .stable_gains import require_stable_gains
-from .suited import Given, suited
+from .suited import LoopToSuit, suited
 from .suited_safety import suited_safety
 
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
@@ -58,7 +58,7 @@ MOST_TOLD = 20  # trips that a recording tells of
 
 
 class StepperSettings(Settings, frozen=True):
-    """What a `Stepper` may be told beside its robot and its controller.
+    """Settings of a `Stepper` beside its robot and its controller.
 
     Args:
         kinematic: Gains of the kinematic layer.
@@ -181,9 +181,9 @@ class Stepper:
             timing = Timing(duration=period, control_period=period, plant_step=period)
         with keyed(lambda key: "observer"):
             sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
-        given = Given(settings.kinematic, period, known.total + known.margin, settings.lag)
+        given = LoopToSuit(settings.kinematic, period, known.total + known.margin, settings.lag)
         controller = suited(controller, robot, lambda: given)
-        setup = Outside(
+        setup = StepperSetup(
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
@@ -361,7 +361,7 @@ class Stepper:
         made = self.setup.controller
         if controller is not None:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
-            made = suited(controller, self.robot, lambda: Given(kinematic, self.period, delay, lag))
+            made = suited(controller, self.robot, lambda: LoopToSuit(kinematic, self.period, delay, lag))
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         before, self.limits = self.limits, limits or self.limits
         try:
@@ -438,7 +438,7 @@ class Stepper:
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
-    def _equip(self, setup: Outside, state: Any, hardware_state: Array | None = None) -> None:
+    def _equip(self, setup: StepperSetup, state: Any, hardware_state: Array | None = None) -> None:
         """Wire controller and supervisor to the row; nothing changes where that fails."""
         robot, layout, plan = setup.robot, setup.layout, plan_outside(setup)
         if self.check_gains:
@@ -453,7 +453,7 @@ class Stepper:
         self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan
 
     def _command(self) -> None:
-        """What is sent, from the row and from the servo rows."""
+        """Fill the command from the row and from the servo rows."""
         command, split, (rows, motors) = self.command, self.hardware.split, self.by_effort
         self.motor_torque[:] = self.hardware.way.totals.command
         np.copyto(command.effort, self.torque, where=rows)

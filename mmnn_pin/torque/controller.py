@@ -115,7 +115,7 @@ class Law:
     learner: Any = None
 
 
-class Machine(NamedTuple):
+class MachineLimits(NamedTuple):
     """The machine, as far as it may be known without knowing how the robot moves.
 
     Attributes:
@@ -142,14 +142,14 @@ class Machine(NamedTuple):
 
 
 class Told(Protocol):
-    """Knowledge of its robot that a controller is given, as the list of controllers grants it (`torque.Entry.told`)."""
+    """Knowledge of its robot that a controller is given, as the list of controllers grants it (`Entry.told`)."""
 
     @property
     def motion(self) -> Any:
         """How it moves: a `model.regressor.Regressor`, which knows no masses."""
 
     @property
-    def machine(self) -> Machine:
+    def machine(self) -> MachineLimits:
         """Names, ends of the joints, limits of the motors."""
 
     @property
@@ -232,7 +232,7 @@ class Feedback(Settings, frozen=True):
 
 
 @dataclass(frozen=True)
-class Given:
+class ControllerSettings:
     """Settings with which an experiment makes a controller: those common to all of them, and its own.
 
     Attributes:
@@ -343,7 +343,7 @@ class CompiledController(Controller):
     __post_init__ = require_types
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """The controller of an experiment."""
         return cls(feedback=given.feedback, settings=given.settings, learning=given.learning)  # type: ignore[call-arg]
 

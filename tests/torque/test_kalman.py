@@ -32,8 +32,8 @@ from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import INDEX, Layout, Measurement, Setpoint
-from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Context
+from mmnn_pin.torque.entries import CONTROLLERS
 from mmnn_pin.torque.factored import measure
 from mmnn_pin.torque.kalman import Kalman, factors
 from mmnn_pin.torque.kalman_settings import (
