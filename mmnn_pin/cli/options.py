@@ -20,7 +20,7 @@ PACKAGE = Path(__file__).parent.parent
 PATH = click.Path(path_type=Path)
 
 
-class Number(click.FloatRange):
+class FiniteNumber(click.FloatRange):
     """A finite number within a range: click takes NaN for one that is in every range."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
@@ -79,7 +79,7 @@ def judged_on(function: F) -> F:
     """Add the options that say what a learner is judged on."""
     load = click.option(
         "--payload",
-        type=Number(0, 1e6, min_open=True),
+        type=FiniteNumber(0, 1e6, min_open=True),
         metavar="KG",
         help="Load of the changed robot.  [default: a quarter of what the arm weighs]",
     )

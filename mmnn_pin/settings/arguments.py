@@ -191,9 +191,11 @@ def parts_of(kind: Any) -> tuple[Any, ...]:
 
 
 def bare(value: Any) -> Any:
-    """Numbers of numpy as Python's, and all sequences as lists."""
+    """Numbers of numpy as Python's, also in tables, and all sequences as lists."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: bare(item) for key, item in value.items()}
     is_list = isinstance(value, Sequence) and not isinstance(value, str | bytes)
     return [bare(item) for item in value] if is_list else value
 

@@ -161,9 +161,9 @@ def keep(judgement: Judgement) -> None:
 
 def judgement_of(recording: Recording) -> Judgement:
     """The judgement of a recording; errors as of `Judgement`."""
-    if recording not in KEPT:
-        keep(Judgement(recording))
-    return KEPT[recording]
+    if (judgement := KEPT.get(recording)) is None:
+        judgement = KEPT[recording] = Judgement(recording)
+    return judgement
 
 
 def with_part(
