@@ -12,8 +12,22 @@ import pytest
 from test_strangers import WRONG
 
 import mmnn_pin
-from mmnn_pin import PD, Feedback, Line, Loop, Measurement, Setpoint, Stepper, Timing, Trajectory, load, load_experiment
+from mmnn_pin import (
+    PD,
+    Feedback,
+    Line,
+    Loop,
+    Measurement,
+    Setpoint,
+    Stepper,
+    StepperSettings,
+    Timing,
+    Trajectory,
+    load,
+    load_experiment,
+)
 from mmnn_pin.errors import ConfigError, InputError, MmnnError
+from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.settings.arguments import HOW, fits, hints
 from mmnn_pin.torque.adaptive import Adaptive
 from mmnn_pin.torque.learning_law import LearningLaw
@@ -118,6 +132,38 @@ def test_ten_wrong_arguments_say_what_was_expected(sound):
         with pytest.raises(InputError) as raised:
             call()
         assert str(raised.value).startswith(says), str(raised.value)
+
+
+def refuses(call: Callable[..., Any], *given: Any, **named: Any) -> bool:
+    """Whether a call is refused by an error of the package, in one line."""
+    with pytest.raises(MmnnError) as raised:
+        call(*given, **named)
+    return "\n" not in str(raised.value) and "error: " in str(raised.value)
+
+
+@pytest.mark.parametrize("value", ["x", None, [1, "a"], {"a": 1}, object(), 1j], ids=repr)
+def test_methods_refuse_wrong_types_in_one_line(value, sound):
+    robot, loop = sound["Loop"]["robot"], Loop(**sound["Loop"])
+    run, here = loop.run(), robot.neutral()
+    assert refuses(robot.placement, value, here) and refuses(robot.jacobian, value, here)
+    assert value is None or refuses(robot.random, value)
+    assert all(refuses(getattr(robot, f"with_{name}"), value) for name in ("friction", "armature", "masses", "radii"))
+    assert refuses(run.errors, start=value) and refuses(simulate_many, [value])
+    with Stepper(robot, PD()) as stepper:
+        assert refuses(stepper.step, value) and refuses(stepper.step, 0.0, run, measured=value)
+
+
+def test_facts_that_no_file_can_hold_are_refused(sound):
+    circle: list[Any] = []
+    circle.append(circle)
+    for value in (object(), circle, {"a": {1, 2}, "b": object()}):
+        assert refuses(Loop(**sound["Loop"]).run, meta={"a": value})
+
+
+@pytest.mark.parametrize(("key", "value"), [("period", 0.0), ("period", -1.0), ("observer", -5.0)])
+def test_a_steppers_numbers_are_told_by_its_own_keys(key, value, sound):
+    with pytest.raises(ConfigError, match=f"^{key}: error: {value} "):
+        Stepper(sound["Loop"]["robot"], PD(), StepperSettings(**{key: value}))
 
 
 def test_what_an_error_tells_to_give_is_of_that_kind(sound):

@@ -21,6 +21,7 @@ from ..errors import ConfigError, keyed
 from ..recording.metrics import Reducer, Windows
 from ..recording.recorder import Recorder, known
 from ..recording.recording import Outcome, Recording
+from ..settings.arguments import checked
 from ..signals import Array
 from .controller import with_findings
 from .interruption import no_interruption
@@ -50,6 +51,7 @@ NOT_STARTED = BatchRun(Outcome("interrupted", 0.0, message="not started"), {}, {
 
 
 @one_thread
+@checked
 def simulate_many(
     loops: Sequence[Loop],
     *,

@@ -34,7 +34,7 @@ from ..reference.wishes import Motion, Wish
 from ..safety import Safety, accept, has_ended, press, release, remarks, trip_of
 from ..sensing import Sensor, observe
 from ..settings import Numbers, Settings, Timing, require_gain
-from ..settings.arguments import checked
+from ..settings.arguments import checked, shortly
 from ..signals import Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
@@ -271,14 +271,14 @@ class Stepper:
             ConfigError: A time not after the last one; a measurement or a setpoint of another robot, a setpoint that is
                 not finite, a joint goal that cannot be reached. Nothing has changed then, and the caller may go on.
         """
-        began, time = perf_counter(), float(time)
+        began, time = perf_counter(), seconds(time, "time")
         if not self.time < time < math.inf:
             what, why = f"a control sample at t = {time:g} s", f"the last one was at {self.time:g} s"
             raise ConfigError(what, why=why, fix="go forward in time", key="time")
         wishes = () if setpoint is None else setpoint if isinstance(setpoint, tuple) else (setpoint,)
         courses = [self.follower.check(wish) for wish in wishes]
         if measurement is not None:
-            self._take(measurement, time, time if measured is None else measured)
+            self._take(measurement, time, time if measured is None else seconds(measured, "measured"))
         supervisor = self.hardware.way.supervisor
         if not self.follower.stands and supervisor.state.good[0] > 0.0:
             self.follower.stand(self.received)
@@ -502,3 +502,15 @@ class Stepper:
         bring_up(self.row, self.at, 0.0, 0.0, self.follower.guide, self.past)
         self.past.times[:] = -math.inf
         self.hardware.state[:], self.control.controls.state[:], self.row[:] = *kept, 0.0
+
+
+def seconds(value: Any, key: str) -> float:
+    """A time of a sample [s] as a number.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ConfigError(f"{shortly(value)} is no time", fix="give seconds", key=key) from None

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import ConfigError, UnknownName
 from ..settings import Numbers, one_or_each
+from ..settings.arguments import checked, checked_but
 from ..signals import Array
 from .dynamics import Dynamics
 from .structure import Structure, bodies_of
@@ -57,6 +58,7 @@ class Robot(Structure):
         """The q of a robot at the origin whose joints rest: at 0, or at the limit that is nearest to it."""
         return self._q_of(self.neutral_position())
 
+    @checked
     def random(self, rng: np.random.Generator | int | None = None) -> Array:
         """A q anywhere: joints evenly within their limits (a turn for those without), the base within 1 m, any heading.
 
@@ -129,6 +131,7 @@ class Robot(Structure):
         asked = self._nu(nu_ref, "nu_ref"), self._nu(nudot_ref, "nudot_ref")
         return Dynamics(self).psi(self.position(q), self._nu(nu), *asked)
 
+    @checked_but("q")
     def placement(self, frame: str, q: ArrayLike) -> Array:
         """Placement of a link or a joint in the world, a homogeneous (4, 4) matrix [m].
 
@@ -140,6 +143,7 @@ class Robot(Structure):
         pin.framesForwardKinematics(self.model, data, self.configuration(self.position(q)))
         return np.array(data.oMf[place].homogeneous)
 
+    @checked_but("q")
     def jacobian(self, frame: str, q: ArrayLike, *, reduced: bool = True) -> Array:
         """Jacobian of a link or a joint: its velocity is `J @ nu`, linear, then angular, in the world's axes.
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ConfigError, UnknownName
+from ..settings.arguments import shortly
 from ..signals import SIGNALS, Array, Layout
 from .recording import Outcome, Recording, from_file
 from .run_file import Arrays, RunFile, SignalColumns, decode, encode
@@ -221,11 +222,24 @@ def _facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     facts = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "versions": dict(versions()), **meta}
     if "urdf" in facts:
         facts.setdefault("urdf_sha256", hashlib.sha256(facts["urdf"].encode()).hexdigest())
-    facts = {name: decode(encode(value)) for name, value in facts.items()}
+    facts = {name: as_it_reads(name, value) for name, value in facts.items()}
     if problem := facts_problem(facts):
         key, what, fix = problem
         raise ConfigError(what, fix=fix, key=f"meta.{key}")
     return facts
+
+
+def as_it_reads(name: str, value: Any) -> Any:
+    """A fact as the file of a recording gives it back.
+
+    Raises:
+        ConfigError: No file can hold it.
+    """
+    try:
+        return decode(encode(value))
+    except (TypeError, ValueError, RecursionError) as error:
+        what, fix = f"{shortly(value)} cannot be recorded", "give texts, numbers, lists and tables of them"
+        raise ConfigError(what, fix=fix, key=f"meta.{name}") from error
 
 
 def _columns(layout: Layout, facts: Mapping[str, Any]) -> dict[str, SignalColumns]:

@@ -220,6 +220,7 @@ class Recording:
         """Label of every column of a signal, e.g. `("x", "y", "phi")`."""
         return self._about(name).labels
 
+    @checked
     def errors(self, start: float = 0.0, stop: float = np.inf) -> Errors:
         """How well the robot followed its reference: RMS, peak and last error of the base and of every joint.
 

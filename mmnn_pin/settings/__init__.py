@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import LENGTH, ConfigError, InputError
 from ..signals import Array
-from .arguments import require_fit, require_known, shortly
+from .arguments import is_numeric, require_fit, require_known, shortly
 
 LARGEST = 1e12  # of a number that is squared somewhere
 Numbers = float | tuple[float, ...]  # one for all, or one for each; see `one_or_each`
@@ -154,8 +154,10 @@ def one_or_each(
     Raises:
         ConfigError: Another number of numbers, or one that is not allowed.
     """
-    values, fix = np.asarray(value, float), f"give one number or one per {kind}"
-    fix += f": {', '.join(names)}" if names else ""
+    fix = f"give one number or one per {kind}" + (f": {', '.join(names)}" if names else "")
+    if not is_numeric(value):
+        raise ConfigError(f"{shortly(value)} is no number", fix=fix, key=key)
+    values = np.asarray(value, float)
     if values.shape not in ((), (count,)):
         kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
         raise ConfigError(f"{values.size} numbers for {count} {kinds}", fix=fix, key=key, code=LENGTH)
@@ -170,6 +172,8 @@ def given_array(key: str, values: Any, shape: tuple[int, ...], *, finite: bool =
     Raises:
         ConfigError: It is not.
     """
+    if not is_numeric(values):
+        raise ConfigError(f"{shortly(values)} is no array", fix=f"give finite numbers of shape {shape}", key=key)
     array = np.array(values, float)
     if array.shape != shape or (finite and not np.isfinite(array).all()):
         what = f"of shape {array.shape}" if array.shape != shape else "not finite"
