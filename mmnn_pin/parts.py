@@ -186,7 +186,7 @@ def view_code(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
 
 
 def shared(kind: Any, context: Any, builder: Any, source: tuple[Any, Any], places: Iterator[Any]) -> Any:
-    """What `make` makes; where numba counts references, the flat array has more of them."""
+    """The view that `make` makes; where numba counts references, it adds one to the flat array's."""
     made = make(kind, context, builder, source, places)
     if context.enable_nrt:
         context.nrt.incref(builder, kind, made)

@@ -101,7 +101,7 @@ class ShownPage(Protocol):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What could not be shown, one line each."""
+        """Notes on things that could not be shown, one line each."""
 
     def save(self, path: str | Path, force: bool = True) -> Path:
         """Write it, whole or not at all; without `force` not in the place of another file."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mmnn_pin.lab.study.execution import fill, missing_trials, probe
-from mmnn_pin.lab.study.plan import Plan, plan_of
+from mmnn_pin.lab.study.plan import StudyPlan, plan_of
 from mmnn_pin.lab.study.pools import Pool, here
 from mmnn_pin.lab.study.settings import load_study
 from mmnn_pin.lab.study.store import NAME, TrialResult, reading, writing
@@ -49,12 +49,12 @@ def written(folder: Path, text: str = SHORT, name: str = "short.toml") -> Path:
     return folder / name
 
 
-def planned(folder: Path, text: str = SHORT, *overrides: str) -> Plan:
+def planned(folder: Path, text: str = SHORT, *overrides: str) -> StudyPlan:
     """Plan of a study's text."""
     return plan_of(load_study(written(folder, text), overrides))
 
 
-def run_here(plan: Plan, folder: Path, pool: Any = None, force: bool = False) -> list[TrialResult]:
+def run_here(plan: StudyPlan, folder: Path, pool: Any = None, force: bool = False) -> list[TrialResult]:
     """Make a study's missing rows and give back all."""
     with writing(folder / NAME) as store, pool or here() as made:
         assert isinstance(made, Pool)

@@ -32,8 +32,8 @@ from mmnn_pin.loop.latency import Transport
 from mmnn_pin.loop.servo_model import VelocityServo
 from mmnn_pin.parts import Cube, Matrix, Vector, cube, layout_of, matrix, vector, views
 from mmnn_pin.sensing import FrozenEncoders
-from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import CompiledController
+from mmnn_pin.torque.entries import CONTROLLERS
 
 compiles = pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 

@@ -40,8 +40,6 @@ FLOORS = (
     ("command line", ("cli",)),
 )
 FLOOR = {name: floor for floor, (_, names) in enumerate(FLOORS) for name in names}
-# Siblings that may use each other; all other blocks meet only in the loop.
-NEIGHBOURS = {("safety", "kinematic")}
 # What a controller imports is what it may know: nothing of the robot, or only how it moves.
 GROUND = dict(FLOORS)["ground"]
 KNOWS = {
@@ -150,7 +148,6 @@ def test_blocks_meet_only_in_the_loop() -> None:
         if block_of(module) in blocks
         for other in imports(module)
         if block_of(other) in blocks and block_of(other) != block_of(module)
-        if (block_of(module), block_of(other)) not in NEIGHBOURS
     ]
     assert meetings == []
 
@@ -252,3 +249,36 @@ def test_each_test_file_has_a_name_of_its_own() -> None:
     """Folders of tests are no packages: pytest refuses the second file of one name, but only when it collects both."""
     names = [file.name for file in (ROOT / "tests").rglob("*.py")]
     assert sorted(name for name in set(names) if names.count(name) > 1) == []
+
+
+def test_a_type_name_means_one_type() -> None:
+    """But `Array`, numpy's, which modules that may not import each other name alike."""
+    names: dict[str, set[str]] = {}
+    for module, file in modules().items():
+        for name in type_names(ast.parse(file.read_text())) - {"Array"}:
+            names.setdefault(name, set()).add(module)
+    assert {name: found for name, found in names.items() if len(found) > 1} == {}
+
+
+def type_names(tree: ast.Module) -> set[str]:
+    """Public classes and aliases of types at the top level of a module: names in camel case."""
+    classes = {node.name for node in tree.body if isinstance(node, ast.ClassDef)}
+    assigned = {node.targets[0] for node in tree.body if isinstance(node, ast.Assign)}
+    aliases = {node.id for node in assigned if isinstance(node, ast.Name) and re.fullmatch("[A-Z].*[a-z].*", node.id)}
+    return {name for name in classes | aliases if not name.startswith("_")}
+
+
+def test_type_names_are_found() -> None:
+    tree = ast.parse("class Arm: ...\nclass _Own: ...\nEnds = tuple[float, float]\nMOST, T = 3, 4\nwide = 5")
+    assert type_names(tree) == {"Arm", "Ends"}
+
+
+def test_docstrings_begin_with_what_they_describe() -> None:
+    vague = [
+        f"{module}:{node.body[0].lineno} {text.splitlines()[0]}"
+        for module, file in modules().items()
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        if (text := ast.get_docstring(node) or "").startswith(("What ", "Itself", "The same"))
+    ]
+    assert vague == []

@@ -194,7 +194,9 @@ def test_the_example_of_the_hand_draws_its_path(tmp_path: Path) -> None:
 
 
 def test_every_example_is_run_by_a_test() -> None:
-    tests = "".join(file.read_text() for file in Path(__file__).parent.rglob("test_*.py"))
+    tests = "".join(
+        file.read_text() for folder in ("tests", "research/tests") for file in (ROOT / folder).rglob("test_*.py")
+    )
     assert [file.name for file in EXAMPLES if file.name not in tests] == []
 
 
@@ -274,13 +276,14 @@ def test_the_page_on_controllers_knows_the_gain_k() -> None:
 def test_documents_name_modules_and_commands_that_exist() -> None:
     from mmnn_pin.cli import mmnn
 
+    beside = tomllib.loads((ROOT / "research/pyproject.toml").read_text())["project"]["entry-points"]
+    commands = {*mmnn.commands, *beside["mmnn_pin.commands"]}
     for document in (page.read_text() for page in PAGES):
         for module in re.findall(r"`(?:mmnn_pin/)?((?:[a-z_]+/)*[a-z_]+\.(?:py|toml))`", document):
-            assert list(PACKAGE.rglob(module)) or list((ROOT / "examples").rglob(module)) or (ROOT / module).exists(), (
-                module
-            )
-        for command in re.findall(r"\bmmnn ([a-z]+)\b", document):
-            assert command in mmnn.commands, command
+            folders = (PACKAGE, ROOT / "examples", ROOT / "research")
+            assert (ROOT / module).exists() or any(any(folder.rglob(module)) for folder in folders), module
+        for command in re.findall(r"(?<!/)\bmmnn ([a-z]+)\b", document):
+            assert command in commands, command
 
 
 # -- where the robots are found ---------------------------------------------------------------------------------------

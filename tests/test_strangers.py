@@ -7,7 +7,7 @@ import json
 import pkgutil
 import random
 from collections.abc import Iterator
-from contextlib import redirect_stdout
+from contextlib import nullcontext, redirect_stdout, suppress
 from http.client import HTTPConnection
 from io import StringIO
 from typing import Any
@@ -40,7 +40,8 @@ def kinds(of: type = Settings) -> Iterator[type]:
 
 def test_settings_of_wrong_types_raise_the_packages_error():
     for module in pkgutil.walk_packages(mmnn_pin.__path__, "mmnn_pin."):
-        importlib.import_module(module.name)
+        with suppress(ModuleNotFoundError) if ".ros2." in module.name else nullcontext():  # without rclpy
+            importlib.import_module(module.name)
     rng, tried, refused = random.Random(0), 0, 0
     for kind in kinds():
         names = kind.__struct_fields__

@@ -236,7 +236,7 @@ MORE = {  # what is needed now and then, from its own module
     "sensing": ("Sensor",),
     "loop.servo": ("Command",),
     "loop.before_run": ("Bounds", "Start"),
-    "loop.batch": ("Run", "simulate_many"),
+    "loop.batch": ("BatchRun", "simulate_many"),
     "recording.recording": ("Outcome",),
     "deploy.identify.log": ("Log",),
     "deploy.identify.excitation": ("excite",),
@@ -345,7 +345,7 @@ def paragraphs(text: str) -> str:
 
 def controllers_page() -> Iterator[str]:
     """The controllers, from their list."""
-    from mmnn_pin.torque import ENTRIES
+    from mmnn_pin.torque.entries import ENTRIES
 
     yield "# Controllers\n"
     yield (

@@ -1,4 +1,4 @@
-"""What motors and gears make of a commanded torque: limits, current loop, supply, backlash.
+"""The motors and gears between a commanded torque and the joints: limits, current loop, supply, backlash.
 
 `Actuator` in `settings` makes the list of effects, `effects` has one class for each.
 """

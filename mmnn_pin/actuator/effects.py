@@ -24,7 +24,7 @@ from ..signals import EARLY, Array, IntArray
 
 @by_address
 class MotorState(NamedTuple):
-    """What the motors remember, as views of their state.
+    """The memory of the motors from one plant step to the next, as views of their state.
 
     Attributes:
         values: (motors, STATES) the state, a row for each motor.
@@ -55,7 +55,7 @@ def motor_state(values: Array) -> MotorState:
 
 @by_address
 class Drive(NamedTuple):
-    """What goes from the commands to the joints; the effects change it one after the other.
+    """The signal from the commands to the joints, which the effects change one after the other.
 
     Attributes:
         torque: (motors,) first what is commanded, last what the joints get [N m or N].
@@ -122,7 +122,7 @@ class TorqueLimit(NamedTuple):
 
 @by_address
 class Supply(NamedTuple):
-    """What the battery's voltage and the PWM let a motor give at its speed: `kt (V - kt w) / R`."""
+    """The limit of a motor's torque by battery voltage and PWM at its speed: `kt (V - kt w) / R` [N m or N]."""
 
     voltage: float  # of the battery without a load [V]; 0 for a supply without end
     battery: float  # its resistance [Ohm]
@@ -200,7 +200,7 @@ class CurrentLoop(NamedTuple):
 
 @by_address
 class Battery(NamedTuple):
-    """What the bridges take from the battery, `V / supply` of the winding's current, negative where a motor brakes.
+    """The current that bridges take from the battery [A]: `V / supply` of the winding's, negative where a motor brakes.
 
     The supply's voltage sags by it in the next step.
     """
@@ -283,7 +283,7 @@ class Backlash(NamedTuple):
 
 @by_address
 class Meter(NamedTuple):
-    """What the joints get, now and as the sum over a control period: the signal `applied`."""
+    """The torque of the joints, now and as the sum over a control period: the signal `applied` [N m or N]."""
 
     states: MotorState
 

@@ -1,4 +1,4 @@
-"""What motors and gears make of a commanded torque: limits, current loop, supply, backlash. Perfect by default.
+"""Settings of motors and gears: limits, current loop, supply, backlash. They are perfect by default.
 
 Every motor is a chain of effects, each one class, and each part of it is off unless it is asked for:
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
 
 for _library in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
-    os.environ.setdefault(_library, "1")  # see compiled.py; read when numpy is imported
+    os.environ.setdefault(_library, "1")  # see `compiled`; read when numpy is imported
 
 
 def beside() -> EntryPoints:

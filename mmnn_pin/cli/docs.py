@@ -150,7 +150,7 @@ def commands() -> dict[str, str]:
 
 def controllers() -> dict[str, str]:
     """The controllers."""
-    from ..torque import CONTROLLERS
+    from ..torque.entries import CONTROLLERS
 
     return {name: entry.about for name, entry in CONTROLLERS.items()}
 

@@ -10,7 +10,7 @@ import click
 
 from ..errors import ConfigError
 from ..files import require_free
-from .options import FORCE, PATH, Number, examples, numbers, robots, run_command, shared, understanding
+from .options import FORCE, PATH, RangedNumber, examples, numbers, robots, run_command, shared, understanding
 from .output import DONE, FAILED, answer, look, named, progress_bar, styled, warn, wrote
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ HEADERS = (
 )
 @click.option("--out", default=Path("identified"), type=PATH, help="Folder, or NAME.urdf.")
 @click.option("--columns", metavar="SIGNAL=HEADER", multiple=True, help=HEADERS)
-@click.option("--rate", type=Number(1.0, 1e5), metavar="HZ", help="Rows per second of a table without times.")
+@click.option("--rate", type=RangedNumber(1.0, 1e5), metavar="HZ", help="Rows per second of a table without times.")
 @click.option("--degrees", is_flag=True, help="Angles are in degrees.")
 @click.option(
     "--torque-constant", "constants", metavar="JOINT=K", multiple=True,

@@ -20,7 +20,7 @@ PACKAGE = Path(__file__).parent.parent
 PATH = click.Path(path_type=Path)
 
 
-class Number(click.FloatRange):
+class RangedNumber(click.FloatRange):
     """A number within a range: click takes NaN for one that is in every range."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
@@ -79,7 +79,7 @@ def judged_on(function: F) -> F:
     """Add the options that say what a learner is judged on."""
     load = click.option(
         "--payload",
-        type=Number(0, 1e6, min_open=True),
+        type=RangedNumber(0, 1e6, min_open=True),
         metavar="KG",
         help="Load of the changed robot.  [default: a quarter of what the arm weighs]",
     )
@@ -147,7 +147,7 @@ def robots(context: click.Context, parameter: click.Parameter, incomplete: str) 
 
 def controllers(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Controllers of the package, or a file with one."""
-    from ..torque import CONTROLLERS
+    from ..torque.entries import CONTROLLERS
 
     return starting(CONTROLLERS, incomplete)
 

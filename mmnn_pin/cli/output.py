@@ -279,7 +279,7 @@ def open_runs(paths: tuple[Path, ...]) -> list[Recording]:
         RecordingError: None there, or one that cannot be read.
     """
     from ..recording.recording import Recording
-    from ..torque import CONTROLLERS
+    from ..torque.entries import CONTROLLERS
 
     places = {name: place for place, name in enumerate(CONTROLLERS)}  # the user's own come first
     files: list[Path] = []

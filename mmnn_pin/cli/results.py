@@ -14,7 +14,7 @@ import click
 
 from ..errors import ConfigError
 from ..files import require_free
-from .options import FORCE, PACKAGE_DIRS, PATH, Number, examples, judged_on, law, shared
+from .options import FORCE, PACKAGE_DIRS, PATH, RangedNumber, examples, judged_on, law, shared
 from .output import (
     DONE,
     answer,
@@ -233,7 +233,7 @@ def to_judge(run: Path) -> Recording:
 @RUNS
 @click.option("--html", type=PATH, help="Write the page to this file and open nothing; missing folders are made.")
 @FORCE
-@click.option("--fps", type=Number(0.1, 1000), default=60, help="Frames kept per second.")
+@click.option("--fps", type=RangedNumber(0.1, 1000), default=60, help="Frames kept per second.")
 @click.option("--port", type=click.IntRange(0, 65535), default=7007, help="Or the next that is free.")
 @click.option("--no-browser", is_flag=True, help="Only print the address.")
 @PACKAGE_DIRS

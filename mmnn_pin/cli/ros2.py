@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from ..errors import ConfigError, InputError
 from ..files import quoted
-from .options import Number, examples, robots, shared
+from .options import RangedNumber, examples, robots, shared
 from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, wrote
 
 if TYPE_CHECKING:
@@ -55,9 +55,13 @@ GET = "source /opt/ros/DISTRIBUTION/setup.bash (Jazzy or later), or pip install 
 @click.option("--controllers", "show_controllers", is_flag=True, help="Print the YAML of ros2_control for it, and end.")
 @click.option("--managed", is_flag=True, help="Wait for a lifecycle manager to configure and activate it.")
 @click.option(
-    "--seconds", type=Number(0.0, min_open=True), default=math.inf, show_default="never", help="Stop after this time."
-)
-@click.option("--wait", type=Number(0.0), default=10.0, help="How long to wait for the robot [s].")
+    "--seconds",
+    type=RangedNumber(0.0, min_open=True),
+    default=math.inf,
+    show_default="never",
+    help="Stop after this time.",
+)  # fmt: skip
+@click.option("--wait", type=RangedNumber(0.0), default=10.0, help="How long to wait for the robot [s].")
 @click.option("--out", type=click.Path(path_type=Path), help="The recording.  [default: runs/ros2/ROBOT.h5]")
 @click.option("--force", is_flag=True, help="Replace an existing recording.")
 @shared
@@ -162,7 +166,7 @@ def columns(table: Sequence[Any]) -> str:
 
 @dataclass
 class Making:
-    """What makes steppers out of a node's settings.
+    """A maker of steppers out of a node's settings.
 
     Attributes:
         seconds: How long they run at most.
@@ -199,7 +203,7 @@ class Making:
             )
 
     def motion(self, stepper: Stepper) -> tuple[Motion | None, float]:
-        """What it follows from the start, and for how long [s]."""
+        """The motion that a stepper follows from the start, None for none; and for how long [s]."""
         if self.follow == "topics":
             return None, self.seconds
         duration = self.experiment.time.duration

@@ -16,7 +16,7 @@ from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, counter, int
 
 if TYPE_CHECKING:
     from ..lab.study.execution import Probe
-    from ..lab.study.plan import Plan
+    from ..lab.study.plan import StudyPlan
     from ..lab.study.pools import Pool
     from ..lab.study.store import TrialResult
 
@@ -103,7 +103,7 @@ def before_the_first(stopped: bool) -> Iterator[None]:
         raise KeyboardInterrupt from None
 
 
-def require_at_hand(plan: Plan, cluster: str | None) -> None:
+def require_at_hand(plan: StudyPlan, cluster: str | None) -> None:
     """Refuse controllers from files on a cluster: its workers get settings, no code.
 
     Raises:
@@ -133,7 +133,7 @@ def choose(known: Probe, workers: int | None, cluster: str | None) -> AbstractCo
     return pools.local(workers)
 
 
-def make(plan: Plan, known: Probe, folder: Path, where: AbstractContextManager[Pool], force: bool) -> bool:
+def make(plan: StudyPlan, known: Probe, folder: Path, where: AbstractContextManager[Pool], force: bool) -> bool:
     """Make the missing runs and count them on standard error; whether Ctrl-C ended them."""
     from ..lab.study.execution import fill, missing_trials
     from ..lab.study.store import NAME, writing

@@ -97,7 +97,7 @@ def linked(function: F) -> F:
 
 
 def internal(function: F) -> F:
-    """The same for a function that only compiled code calls: what hands over arguments from Python is not compiled."""
+    """Compile a function once, as `linked`, for compiled callers alone: nothing takes arguments from Python."""
     return made(function, by_address=True, from_python=False)
 
 
@@ -106,7 +106,7 @@ def plain(function: F) -> F:
     return cast(F, getattr(function, "py_func", function))
 
 
-class Told(Listener):
+class CompileListener(Listener):
     """Hears from numba what is compiled, and tells its name.
 
     Args:
@@ -126,7 +126,7 @@ class Told(Listener):
 
 def when_compiling(tell: Callable[[str], None]) -> None:
     """From now on, tell the name of every function that this process compiles."""
-    register("numba:compile", Told(tell))
+    register("numba:compile", CompileListener(tell))
 
 
 @compiled

@@ -60,7 +60,7 @@ class OwnNames(IndexDataCacheFile):
         self._save_index(entries | {key: name})
 
     def load(self, key: Any) -> Any:
-        """What is kept; None for nothing that can be read."""
+        """The compilation that is kept under a key; None where nothing is, or nothing that can be read."""
         try:
             return super().load(key)
         except (OSError, EOFError, UnpicklingError):
@@ -89,7 +89,7 @@ def prepare(dispatcher: Any, by_address: bool, from_python: bool) -> None:
 
 
 class Internal(CPUDispatcher):
-    """What numba makes of a function; called from Python, it compiles a caller."""
+    """A function compiled for compiled callers; called from Python, it compiles a caller for itself."""
 
     def __call__(self, *args: Any) -> Any:
         """Call it from Python."""
@@ -110,7 +110,7 @@ def remember(dispatcher: Any, compilation: Any) -> None:
 
 
 @dataclass(frozen=True)
-class Load:
+class LinkedLoader:
     """Makes a linked function ready before code that calls it, which comes from the cache."""
 
     module: str
@@ -127,7 +127,7 @@ def publish(dispatcher: Any, compilation: Any) -> None:
     remember(dispatcher, compilation)
     target, types, library = dispatcher.targetctx, compilation.signature.args, compilation.library
     fndesc = copy(compilation.fndesc)
-    load = Load(fndesc.modname, fndesc.qualname, types)
+    load = LinkedLoader(fndesc.modname, fndesc.qualname, types)
     given = str([(getattr(kind, "instance_class", None), kind) for kind in types])  # numba says no more than its name
     name = f"{load.module}.{load.name}.{hashlib.sha256(given.encode()).hexdigest()[:16]}"
     add_symbol(name, library.get_pointer_to_function(fndesc.llvm_func_name))

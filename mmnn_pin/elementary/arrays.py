@@ -50,7 +50,7 @@ def fill_atan2(y: Array, x: Array, out: Array) -> None:
 
 
 def filled(fill: Callable[..., None], count: int, *given: ArrayLike) -> list[Array]:
-    """What a loop over numbers writes into `count` arrays of the shape that the given ones have together."""
+    """New arrays, `count` of them in the broadcast shape of the given ones, filled by a loop over their numbers."""
     arrays = np.broadcast_arrays(*(np.asarray(one, float) for one in given))
     out = [np.empty(arrays[0].shape) for _ in range(count)]
     fill(*(np.array(one).ravel() for one in arrays), *(one.reshape(-1) for one in out))

@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from .arrays import Array
 
 SWEEPS = 60  # of Jacobi's rotations at most; about ten are needed
 ALIGNED = 1e-15  # cosine of the angle between two columns that counts as orthogonal

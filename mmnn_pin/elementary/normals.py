@@ -13,10 +13,9 @@ import numpy as np
 from numba.np.random import _constants as ziggurat
 from numpy.typing import NDArray
 
+from .arrays import Array
 from .bits import horner
 from .exponentials import exp, log
-
-Array = NDArray[np.float64]
 
 UNIT = 2.0**-53
 ROOM = 64  # 64-bit words beyond one per number, and 1 % more

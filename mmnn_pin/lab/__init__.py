@@ -1,1 +1,1 @@
-"""What judges: experiments, studies, the contest, the proof, and what shows their results."""
+"""The laboratory: experiments and studies, the judgement of learners, and the display of results."""

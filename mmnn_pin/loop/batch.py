@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 from ..compiled import one_thread
-from ..errors import ConfigError, InputError
+from ..errors import ConfigError, keyed
 from ..recording.metrics import Reducer, Windows
 from ..recording.recorder import Recorder, known
 from ..recording.recording import Outcome, Recording
@@ -30,7 +30,7 @@ from .setup import Sink
 
 
 @dataclass(frozen=True)
-class Run:
+class BatchRun:
     """One run of a batch.
 
     Attributes:
@@ -47,7 +47,7 @@ class Run:
 
 
 LOOK = 0.2  # between looks whether Ctrl-C was pressed [s]
-NOT_STARTED = Run(Outcome("interrupted", 0.0, message="not started"), {}, {})
+NOT_STARTED = BatchRun(Outcome("interrupted", 0.0, message="not started"), {}, {})
 
 
 @one_thread
@@ -60,7 +60,7 @@ def simulate_many(
     keep: bool | Collection[str] = False,
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> list[Run]:
+) -> list[BatchRun]:
     """Run many loops, each with its own robot, gains, seed, reference or weights, on all cores.
 
     Vary a loop with `dataclasses.replace(loop, seed=...)`, a robot with `robot.with_masses` and `robot.with_friction`.
@@ -90,11 +90,8 @@ def simulate_many(
     def one(i: int) -> None:
         if stopped.is_set():
             return
-        try:
+        with keyed(lambda inside: ".".join(filter(None, (f"loops[{i}]", inside)))):
             results[i] = simulate(loops[i], starts[i], windows, keep, stopped.is_set)
-        except InputError as error:
-            error.key = ".".join(filter(None, (f"loops[{i}]", error.key)))
-            raise
 
     def told(done: int) -> None:
         if progress is not None:
@@ -143,7 +140,7 @@ def require_sound(loops: Sequence[Loop], states: Sequence[Any], keep: bool | Col
 
 def simulate(
     loop: Loop, state: Any, windows: Windows, keep: bool | Collection[str], cancelled: Callable[[], bool]
-) -> Run:
+) -> BatchRun:
     """One run, reduced to its metrics as it goes.
 
     Args:
@@ -165,7 +162,7 @@ def simulate(
         sink = Both(reducer, recorder)
     outcome = with_findings(loop.stream(engine, sink, cancelled=cancelled), loop.controller, engine.state)
     final = loop.final(engine)
-    return Run(outcome, reducer.result(), final, None if recorder is None else recorder.finish(outcome, final))
+    return BatchRun(outcome, reducer.result(), final, None if recorder is None else recorder.finish(outcome, final))
 
 
 @dataclass(frozen=True)
@@ -196,8 +193,7 @@ def require_fit(loops: Sequence[Loop], states: Sequence[Any]) -> None:
             try:
                 loop.state_from(state)
             except ConfigError as error:
-                error.key = f"states[{i}]"
-                raise
+                raise error.but(key=f"states[{i}]") from error
 
 
 def needed_bytes(loops: Sequence[Loop], keep: bool | Collection[str], workers: int) -> int:

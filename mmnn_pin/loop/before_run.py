@@ -1,4 +1,4 @@
-"""What is settled before a run: where it starts, and where its state counts as lost.
+"""The settings of a run that are fixed before it: where it starts, and where its state counts as lost.
 
 Refused are a nominal robot of another shape and a first sample without a measurement; `sampled` judges the gains.
 """

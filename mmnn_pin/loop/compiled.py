@@ -40,7 +40,7 @@ NU_REF, NUDOT_REF, PSI, TORQUE = (INDEX[n] for n in ("nu_ref", "nudot_ref", "psi
 
 
 @by_address
-class Numbers(NamedTuple):
+class RunNumbers(NamedTuple):
     """The numbers of a run: periods, steps per control and measurement, integrator, energy at the start."""
 
     h: float
@@ -52,10 +52,10 @@ class Numbers(NamedTuple):
 
 
 @by_address
-class Run(NamedTuple):
+class CompiledRun(NamedTuple):
     """The numbers of a run, what its control samples work on, and where they go."""
 
-    numbers: Numbers
+    numbers: RunNumbers
     controls: Controls
     E_inv: Array
     bounds: Array
@@ -84,8 +84,8 @@ class CompiledLoop:
             body_of(plan.believed)  # says why it cannot be flattened
         true = new_machine(plan.true, plan.loaded, position, nu)
         self.y = true.y
-        self.run = Run(
-            numbers=Numbers(
+        self.run = CompiledRun(
+            numbers=RunNumbers(
                 h=timing.control_period,
                 dt=timing.plant_step,
                 steps=timing.steps_per_control,
@@ -121,10 +121,10 @@ def start_energy(robot: Robot, true: Machine) -> float:
 
 
 @compiled
-def advance(
+def advance(  # noqa: PLR0913 - parts that are None are not compiled
     first: int,
     last: int,
-    run: Run,
+    run: CompiledRun,
     true: Machine,
     model: Machine | None,
     hardware: Hardware | None,
@@ -186,7 +186,7 @@ def advance(
 
 
 @internal
-def measure(number: int, time: float, run: Run, true: Machine, hardware: Hardware | None) -> None:
+def measure(number: int, time: float, run: CompiledRun, true: Machine, hardware: Hardware | None) -> None:
     """The measurement of this number at a time [s], into the row."""
     if hardware is not None:
         sense(number, time, run.controls.row, run.controls.at, true.position, true.nu, true.body.arm, hardware)
@@ -195,7 +195,7 @@ def measure(number: int, time: float, run: Run, true: Machine, hardware: Hardwar
 
 
 @internal
-def drive(k: int, time: float, run: Run, true: Machine, hardware: Hardware) -> None:
+def drive(k: int, time: float, run: CompiledRun, true: Machine, hardware: Hardware) -> None:
     """Motors, pushes and blocked joints of sample k over the step at a time [s]: `hardware.tau`, `work.hold`."""
     rotate(true.nu, hardware.E, hardware.motors.wire.joint)
     act(k, time, run.controls.row, run.controls.at, hardware)
@@ -212,8 +212,8 @@ def pick_up(time: float, true: Machine, world: World) -> None:
 
 
 @internal
-def observe(run: Run, body: Body, true: Machine, energy: float) -> int:
-    """What only a simulation knows of a sample, into the row; -1, or the column that went bad."""
+def observe(run: CompiledRun, body: Body, true: Machine, energy: float) -> int:
+    """Write into the row the signals of a sample that only a simulation knows; -1, or the column that went bad."""
     row, at, work = run.controls.row, run.controls.at, true.work
     psi = view(row, at, PSI)
     evaluate(body, work, true.position, true.nu)
@@ -223,7 +223,7 @@ def observe(run: Run, body: Body, true: Machine, energy: float) -> int:
 
 
 @internal
-def move(n: Numbers, i: int, body: Body, true: Machine, tau: Array) -> None:
+def move(n: RunNumbers, i: int, body: Body, true: Machine, tau: Array) -> None:
     """Step i of the plant in a control period under a torque (p,); at step 0 the dynamics are evaluated already."""
     work, terms, y = true.work, true.terms, true.y
     if n.method != RK4:

@@ -7,14 +7,11 @@ from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from numpy.random import Generator
-
 from ..errors import ConfigError, InputError
 from ..model.regressor import Regressor
 from ..model.robot import Robot
 from ..recording.recording import Outcome
 from ..settings import given_array
-from ..signals import Array, Layout
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from ..torque.law import motor_limits
 from ..torque.learning_law import LearningLaw, blamed
@@ -44,7 +41,7 @@ def state_from(controller: CompiledController | TorqueController, context: Conte
 
 
 def new_state(controller: CompiledController | TorqueController, context: Context) -> Any:
-    """What a controller's `init` gives.
+    """A new state of a controller, by its `init`.
 
     Raises:
         InputError: It fails, or a learning law gives something else than a `ControllerState`.
@@ -68,7 +65,7 @@ def new_state(controller: CompiledController | TorqueController, context: Contex
 
 
 def findings_of(controller: CompiledController | TorqueController, state: Any) -> list[str]:
-    """What a controller's state shows after a run; of one in plain Python that fails, where: the run is kept."""
+    """Findings in a controller's state after a run; where one in plain Python fails, a line that says where instead."""
     if isinstance(controller, CompiledController):
         return controller.findings(state)
     try:
@@ -91,37 +88,21 @@ REGRESSORS: WeakKeyDictionary[Robot, Regressor] = WeakKeyDictionary()
 def context_of(
     controller: CompiledController | TorqueController,
     robot: Robot,
-    period: float,
-    samples: int,
-    rng: Generator,
+    context: Context,
     within_limits: bool | None = None,
-    layout: Layout | None = None,
-    lag: Array | None = None,
-    way: float = 0.0,
-    unseen: float = 0.0,
-    pose_weights: Array | None = None,
 ) -> Context:
-    """What a controller is told before a run of a robot; how it moves only where a learning law asks for it.
+    """A context with the limits of the robot, and with its regressor only where a learning law asks for it.
 
     Args:
-        controller: The controller.
+        controller: The controller that is told it before a run.
         robot: Its robot.
-        period: Control period [s].
-        samples: Of the run.
-        rng: The controller's own random generator.
+        context: All else of the context.
         within_limits: Whether Psi_hat is kept within the motors' limits; None for what the controller says.
-        layout: Where the signals stand in a row; None where nothing but the robot is recorded.
-        lag: (p,) known time constants of the motors, seen from the velocities; None for none [s].
-        way: See `Context.way` [s].
-        unseen: See `Context.unseen` [s].
-        pose_weights: See `Context.pose_weights`.
     """
     told = isinstance(controller, LearningLaw) and controller.knows_motion
     kept = controller.within_limits if within_limits is None else within_limits
     limits = motor_limits(robot.E, robot.effort_limits) if kept else None
-    motion = regressor_of(robot) if told else None
-    layout = layout or Layout.of(robot.dimensions)
-    return Context(layout, period, samples, rng, motion, limits, lag, way, unseen, pose_weights)
+    return replace(context, regressor=regressor_of(robot) if told else None, limits=limits)
 
 
 def regressor_of(robot: Robot) -> Regressor:

@@ -36,8 +36,8 @@ ARRIVES, IS_LOST, IS_BROKEN = 0.0, 1.0, 2.0  # what becomes of a command
 
 
 @by_address
-class Command(NamedTuple):
-    """What goes from the controller to the motors: torque (p,), and whether one arrived (1,), 0 or 1."""
+class SentTorque(NamedTuple):
+    """A torque on its way from the controller to the motors: (p,) [N, N m], and whether it arrived (1,), 0 or 1."""
 
     torque: Array
     arrived: Array
@@ -56,7 +56,7 @@ class CommandLine(NamedTuple):
     sent: Array
 
     @internal
-    def act(self, wire: Command, k: int, time: float) -> None:
+    def act(self, wire: SentTorque, k: int, time: float) -> None:
         """Let the command through, or not."""
         wire.arrived[0] = 0.0 if self.fates[k] == IS_LOST else 1.0
         if self.fates[k] == IS_BROKEN:
@@ -89,7 +89,7 @@ class MotorSide(NamedTuple):
 
 @by_address
 class World(NamedTuple):
-    """What the world does to the robot.
+    """The disturbances of the robot from outside.
 
     Attributes:
         pushes: Whether anything does.
@@ -111,7 +111,7 @@ class World(NamedTuple):
 
 @by_address
 class Totals(NamedTuple):
-    """What is recorded of a control period.
+    """The sums over a control period that are recorded.
 
     Attributes:
         imperfect: Whether the motors are.
@@ -128,7 +128,7 @@ class Totals(NamedTuple):
 
 @by_address
 class Expected(NamedTuple):
-    """What is expected of nu after a sample, for an observer on a model: the controller's own estimate is the model.
+    """The nu expected after a sample, for an observer on a model: the controller's own estimate is the model.
 
     Where Psi_hat is right, `M (nudot - nudot_ref) = tau - Psi_hat + C s`, so nothing but inertias has to be known, and
     of these no more than the gains were chosen by; what is wrong with them the observer learns.
@@ -146,7 +146,7 @@ class Expected(NamedTuple):
 
 @by_address
 class Way(NamedTuple):
-    """What a torque meets between the controller and the motors, all that `send` needs: Python hands it over each time.
+    """The way of a torque from the controller to the motors, all that `send` needs: Python hands it over each time.
 
     Attributes:
         line, lines: The command under way, and the effects that it meets.
@@ -158,7 +158,7 @@ class Way(NamedTuple):
         expected: For an observer on a model.
     """
 
-    line: Command
+    line: SentTorque
     lines: tuple[Any, ...]
     supervisor: Supervisor
     E_inv: Array
@@ -211,7 +211,7 @@ def pass_through(effects: tuple[Any, ...], wire: Any, k: int, time: float) -> No
 
 @overload(pass_through, strict=False)
 def first_and_others(effects: Any, wire: Any, k: int, time: float) -> Any:
-    """The same for compiled code: the first effect, whose type says which function it is, then the others."""
+    """`pass_through` for compiled code: the first effect, whose type says which function it is, then the others."""
     if not effects.types:
         return lambda effects, wire, k, time: None
     act = effects.types[0].instance_class.act
@@ -367,7 +367,7 @@ def shift_energy(load: float, gain: float, world: World) -> None:
 
 @linked
 def note(steps: int, row: Array, at: IntArray, totals: Totals) -> None:
-    """What motors and pushes gave on average over a control period, into its row, once it is over."""
+    """Write into the row of a control period, once it is over, the mean torque of motors and force of pushes."""
     for j in range(at[APPLIED + 1] - at[APPLIED]):
         mean = totals.states.sum[j] / steps if totals.imperfect else totals.command[j]
         row[at[APPLIED] + j] = mean if math.isfinite(mean) else 0.0  # the motion has just left all bounds

@@ -48,7 +48,7 @@ class Latency(Settings, frozen=True):
 
     @classmethod
     def of(cls, latency: float | Latency, predict: bool | None) -> Latency:
-        """What a number says [s]: the command's delay, or the measurement's where that is predicted; None is as given.
+        """A latency out of a number [s]: the command's delay, or with `predict` the measurement's.
 
         Raises:
             ConfigError: It is negative or not finite.

@@ -19,7 +19,7 @@ import numpy as np
 from ..actuator import Actuator
 from ..compiled import one_thread
 from ..disturbance import Disturbance, payload
-from ..errors import ConfigError, InputError, RobotError, UnknownName
+from ..errors import ConfigError, RobotError, UnknownName, keyed
 from ..kinematic import Kinematic
 from ..model.robot import Robot, carrying
 from ..plant.contact.feet import Contact
@@ -46,7 +46,7 @@ from .servo import Servo
 from .servo_model import linear_servos
 from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
 from .stable_gains import require_stable_gains
-from .suited import Given, suited, timing_for
+from .suited import LoopToSuit, suited, timing_for
 
 BLOCK = 250  # most samples that an engine hands over at a time
 PLANTS = ("ideal", "contact")
@@ -125,7 +125,7 @@ class Loop:
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")
         object.__setattr__(self, "timing", timing_for(self.robot, self.timing))
-        given = partial(Given.of, self, self.trajectory, self.timing, self.robot.dimensions)
+        given = partial(LoopToSuit.of, self, self.trajectory, self.timing, self.robot.dimensions)
         made = suited(self.controller, self.robot, given)
         object.__setattr__(self, "controller", made)
 
@@ -216,7 +216,7 @@ class Loop:
         return OrdinaryLoop(*arguments)
 
     def plan(self) -> Plan:
-        """What an engine needs of this loop.
+        """The plan of this loop, by which an engine steps it.
 
         Raises:
             TrajectoryError: A reference that the base cannot follow.
@@ -265,7 +265,7 @@ class Loop:
 
     @property
     def known(self) -> Latency:
-        """What the controller is told of the latency."""
+        """The latency as the controller is told it."""
         return self.latency
 
     @property
@@ -315,11 +315,8 @@ class Loop:
         key, load = payload(self.disturbances)
         if load is None:
             return None
-        try:
+        with keyed(lambda inside: f"{key}.{inside}"):
             return carrying(self.true, load.mass, load.joint, load.at)
-        except InputError as error:
-            error.key = f"{key}.{error.key}"
-            raise
 
     def table(self) -> Array:
         """The reference at every control sample, (samples, ...), in the order of the row's signals.
@@ -334,7 +331,7 @@ class Loop:
             return sampled_reference.__wrapped__(*arguments)
 
     def facts(self) -> dict[str, Any]:
-        """What a recording should know of this run."""
+        """Facts of this run for its recording."""
         floor = {"contact": plain(self.contact)} if self.plant == "contact" else {}
         watched = self.trajectory.watched
         hands = {} if watched is None else {"hands": dict(watched.frames)}

@@ -15,7 +15,10 @@ from ..signals import Array
 
 @by_address
 class Machine(NamedTuple):
-    """A robot in motion: its body, also with its payload, memory to work in and views of it, position, nu."""
+    """A robot in motion: its body, also with its payload, memory to work in and views of it, position, nu.
+
+    Not `torque.controller.Machine`, which is what a controller may be told of one.
+    """
 
     body: Body
     loaded: Body

@@ -20,7 +20,7 @@ from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
 from .before_run import Start
-from .hardware import Command, CommandLine, Expected, Hardware, MotorSide, Totals, Way, World
+from .hardware import CommandLine, Expected, Hardware, MotorSide, SentTorque, Totals, Way, World
 from .latency import Transport
 from .lead import leads
 from .servo import interfaces_of, require_no_torque_regressor, split_of, state_size
@@ -93,7 +93,7 @@ def new_hardware(
         exact=is_exact,
         sensors=sensors._replace(effects=(*before, *sensors.effects)),
         way=Way(
-            line=Command(np.zeros(layout.dof), np.zeros(1)),
+            line=SentTorque(np.zeros(layout.dof), np.zeros(1)),
             lines=(CommandLine(disturbance.commands(events, timing), sent),),
             supervisor=supervisor_of(loop, state, guard),
             E_inv=pseudo_inverse(robot.E),
@@ -112,7 +112,7 @@ def new_hardware(
 
 
 def expected_of(loop: Setup, acceleration: Array) -> Expected:
-    """What an observer on a model is told, into an acceleration (p,) of its state; nothing, into one of size 0.
+    """The expectation for an observer on a model, in an acceleration (p,) of its state; without one its size is 0.
 
     No velocity counts as lighter than its gain times the control period: what a sample answers to it would be expected
     to turn it round, and the expectation would swing by itself.
@@ -177,7 +177,7 @@ def frozen_encoders(loop: Setup) -> Array:
 
 
 def world_of(loop: Setup, rng: np.random.Generator) -> World:
-    """What the world does in a run.
+    """The disturbances from outside in a run.
 
     Raises:
         ConfigError: Blocked joints, and the integrator has no friction that holds them; two payloads.

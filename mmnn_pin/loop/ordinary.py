@@ -107,7 +107,7 @@ class OrdinaryLoop:
             sense(number, time, self.row, self.at, self.plant.position, self.plant.nu, self.arm, self.hardware)
 
     def observe(self) -> int:
-        """What only a simulation knows of a sample, into the row; -1, or the column that went bad."""
+        """Write into the row the signals of a sample that only a simulation knows; -1, or the column that went bad."""
         plant, dynamics = self.plant, self.plant.dynamics
         plant.observe(self.row, self.plan.layout)
         dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)

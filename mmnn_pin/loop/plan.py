@@ -1,4 +1,4 @@
-"""What an engine needs of a loop, looked up and checked."""
+"""The plan of a loop: all that an engine needs of it, looked up and checked."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .servo_model import LinearServos
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What an engine needs of a loop, looked up and checked.
+    """The plan of a loop: all that an engine needs of it, looked up and checked.
 
     Attributes:
         robot: The robot, as all but its plant take it.

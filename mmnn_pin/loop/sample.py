@@ -46,7 +46,7 @@ ENERGY, WORK, RESIDUAL = (INDEX[n] for n in ("energy", "work", "energy_residual"
 
 @by_address
 class Controls(NamedTuple):
-    """What every control sample works on.
+    """The arrays and numbers that every control sample works on.
 
     Attributes:
         row: (width,) row of signals.
@@ -57,7 +57,7 @@ class Controls(NamedTuple):
         state: (size,) the controller's state.
         setpoints: The setpoint of every control sample, (samples, ...).
         then: Room for the reference of a measurement that is late.
-        age: By how much measurements are brought up to now [s].
+        age: By how much measurements are brought up to now [s]; 0 in a stepper, which does so before (`bring_up`).
         h: Control period [s].
     """
 
@@ -74,7 +74,7 @@ class Controls(NamedTuple):
 
 
 @linked
-def sample(
+def sample(  # noqa: PLR0913 - parts that are None are not compiled
     k: int,
     time: float,
     setpoint: Array,
@@ -97,7 +97,7 @@ def sample(
         setpoint: The signals `pose_ref` ... `qddot_ref` side by side.
         before: The setpoint of the sample before, from which Psi_hat may lead.
         controls: What is worked on.
-        model: The robot that the controller believes in; None where it uses no model.
+        model: The robot that the controller believes in, also an `Unflattened`; None where it uses no model.
         hardware: Sensors, motors, supervisor and disturbances; None for an ideal robot.
         learner: What the controller learns with beside networks; None for nothing.
         limits: What Psi_hat is kept within; None for nothing.
@@ -166,7 +166,7 @@ def law_torque(
 
 @compiled
 def estimate_ahead(at: IntArray, state: Array, model: Machine | None, ahead: Ahead, later: Any) -> None:
-    """What model and learner say where the torque acts, into the row there: a learner says first, then learns."""
+    """Write Psi_hat of model and learner where the torque acts into the row there, before the learner learns."""
     if model is not None:
         model_psi(ahead.row, at, model)
     if later is not None:
@@ -197,7 +197,7 @@ def machine_psi(row: Array, at: IntArray, model: Machine) -> None:
 
 
 @linked
-def after_torque(
+def after_torque(  # noqa: PLR0913 - the arrays of either engine
     row: Array,
     at: IntArray,
     y: Array,
@@ -359,7 +359,7 @@ class Torque:
             settle(self.row, self.at, self.learner, self.controls.state)
 
     def features(self) -> Array | None:
-        """What the weights were multiplied with at the last step, (rows, k) or (k,); None where it is not told."""
+        """Features of the last step, which the weights multiply, (rows, k) or (k,); None where it is not told."""
         if isinstance(self.controller, LearningLaw):
             return self.controller.features(self.sample, self.state)
         if isinstance(self.controller, CompiledController):
@@ -404,7 +404,7 @@ class Torque:
         self.torque[:] = feedback + sent
 
     def _of_shape(self, what: str, values: Any) -> Any:
-        """The same, if there is one number per velocity.
+        """The values, if there is one number per velocity.
 
         Raises:
             ConfigError: There is not.

@@ -52,7 +52,7 @@ BASE_FLOOR, ARM_FLOOR = 0.02, 0.05  # that psi may be besides [m/s, rad/s], of a
 
 
 class Servo(Settings, frozen=True):
-    """What is known of the servos of velocity and position interfaces, and the law that commands them.
+    """The servos of velocity and position interfaces as far as they are known, and the law that commands them.
 
     Args:
         bandwidth: b, one number or one per velocity [1/s].
@@ -76,7 +76,7 @@ class Servo(Settings, frozen=True):
 
 
 class Command(NamedTuple):
-    """What to send after a sample: views that the next step overwrites, NaN where the other interface holds.
+    """The command of a sample to the robot: views that the next step overwrites, NaN where the other interface holds.
 
     Attributes:
         effort: (p,) on nu: forces on the base, torques of the joints [N, N m; N m or N].

@@ -1,4 +1,4 @@
-"""What stands for a robot's servos: a torque within limits, with a bandwidth and a delay.
+"""The model of a robot's servos: a torque within limits, with a bandwidth and a delay.
 
 Before a run it is that, or what the law of `servo` takes servos for, in the linearised loop that is judged.
 """

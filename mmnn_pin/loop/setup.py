@@ -1,7 +1,7 @@
-"""What a loop or a stepper is made from, and what a recording says of it.
+"""The setup that a loop or a stepper is made from, and its facts for a recording.
 
-`Setup` is what the blocks between controller and robot need to know; a `Loop` has all of it. `Outside` is the same for
-a robot that is not simulated: its plant, sensors and motors are real, so all that would simulate them is off.
+`Setup` is what the blocks between controller and robot need to know; a `Loop` has all of it. `StepperSetup` is the same
+for a robot that is not simulated: its plant, sensors and motors are real, so all that would simulate them is off.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Streams = tuple[np.random.Generator, np.random.Generator, np.random.Generator]
 
 
 class Setup(Protocol):
-    """What the hardware model is made from; a `Loop` has all of it."""
+    """The setup that the hardware model is made from; a `Loop` has all of it."""
 
     @property
     def robot(self) -> Robot:
@@ -78,11 +78,11 @@ class Setup(Protocol):
 
     @property
     def sensor(self) -> Sensor:
-        """What the sensors do to the truth."""
+        """The sensors."""
 
     @property
     def actuator(self) -> Actuator:
-        """What the motors make of their commands."""
+        """The motors and gears."""
 
     @property
     def safety(self) -> Safety | None:
@@ -90,7 +90,7 @@ class Setup(Protocol):
 
     @property
     def disturbances(self) -> tuple[Disturbance, ...]:
-        """What happens to the robot."""
+        """The disturbances of the robot."""
 
     @property
     def latency(self) -> Latency:
@@ -102,7 +102,7 @@ class Setup(Protocol):
 
     @property
     def servo(self) -> Servo:
-        """What is known of the servos of velocity interfaces."""
+        """The servos of velocity interfaces, as far as they are known."""
 
     @property
     def lead(self) -> bool:
@@ -118,7 +118,7 @@ class Setup(Protocol):
 
     @property
     def known(self) -> Latency:
-        """What the controller is told of it."""
+        """The latency as the controller is told it."""
 
     @property
     def smoothing(self) -> float:
@@ -128,25 +128,22 @@ class Setup(Protocol):
         """Random generators of the sensors, of the disturbances and of the commands' delays."""
 
     def context(self) -> Context:
-        """What the controller is told before a run."""
+        """The context that the controller is given before a run."""
 
 
 def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: int) -> Context:
-    """What the controller of a setup is told before a run; arguments as of `context_of`."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
-    return context_of(
-        setup.controller,
-        setup.robot,
-        setup.timing.control_period,
-        samples,
-        rng,
-        within_limits,
-        setup.layout,
+    """The context of the controller of a setup, for a run of some samples; `within_limits` as of `context_of`."""
+    context = Context(
+        layout=setup.layout,
+        control_period=setup.timing.control_period,
+        samples=samples,
+        rng=np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0]),
         lag=setup.lags,
         way=setup.known.way(setup.timing),
         unseen=unseen_by(setup),
         pose_weights=setup.kinematic.pose_weights(setup.robot.dimensions),
     )
+    return context_of(setup.controller, setup.robot, context, within_limits)
 
 
 def unseen_by(setup: Setup) -> float:
@@ -181,7 +178,7 @@ def believed_by(setup: Setup) -> Robot:
 
 
 def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
-    """What a recording should know of a run."""
+    """Facts of a run for its recording."""
     own = {"controller": setup.controller.name, "seed": seed, "control_period": setup.timing.control_period}
     own |= {"kinematic": plain(setup.kinematic), "time": plain(setup.timing)}
     own |= {"controller_settings": setup.controller.facts(), "within_limits": setup.context().limits is not None}
@@ -202,7 +199,7 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Outside:
+class StepperSetup:
     """The setup of a robot that is not simulated, its latency neither; arguments as of `stepper.Stepper`."""
 
     robot: Robot
@@ -258,12 +255,12 @@ class Outside:
         return new_streams(self.seed)
 
     def context(self) -> Context:
-        """What the controller is told."""
+        """The context that the controller is given."""
         return new_context(self, self.seed, self.within_limits, 1)
 
 
-def plan_outside(setup: Outside) -> Plan:
-    """What is judged of a stepper, at some postures in place of its setpoints.
+def plan_outside(setup: StepperSetup) -> Plan:
+    """The plan of a stepper, for the check of its gains: at some postures in place of its setpoints.
 
     Raises:
         ConfigError: A nominal robot that is another one.
@@ -281,7 +278,7 @@ def plan_outside(setup: Outside) -> Plan:
 
 
 class Sink(Protocol):
-    """What takes the rows of a run: a `Recorder`, or a `Reducer` that keeps only sums."""
+    """A taker of the rows of a run: a `Recorder`, or a `Reducer` that keeps only sums."""
 
     def append_block(self, rows: Array, step_times: Array) -> None:
         """Take rows (k, width) and the wall-clock time of each (k,) [s]."""

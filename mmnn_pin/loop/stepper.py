@@ -47,9 +47,9 @@ from .new_hardware import new_hardware
 from .sample import Control
 from .sampled import delay_margin
 from .servo import Command, Servo, interfaces_of, limit_commands
-from .setup import KNOWN, Outside, facts_of, plan_outside
+from .setup import KNOWN, StepperSetup, facts_of, plan_outside
 from .stable_gains import require_stable_gains
-from .suited import Given, suited
+from .suited import LoopToSuit, suited
 from .suited_safety import suited_safety
 
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
@@ -58,7 +58,7 @@ MOST_TOLD = 20  # trips that a recording tells of
 
 
 class StepperSettings(Settings, frozen=True):
-    """What a `Stepper` may be told beside its robot and its controller.
+    """Settings of a `Stepper` beside its robot and its controller.
 
     Args:
         kinematic: Gains of the kinematic layer.
@@ -181,9 +181,9 @@ class Stepper:
             timing = Timing(duration=period, control_period=period, plant_step=period)
         with keyed(lambda key: "observer"):
             sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
-        given = Given(settings.kinematic, period, known.total + known.margin, settings.lag)
+        given = LoopToSuit(settings.kinematic, period, known.total + known.margin, settings.lag)
         controller = suited(controller, robot, lambda: given)
-        setup = Outside(
+        setup = StepperSetup(
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
@@ -193,11 +193,12 @@ class Stepper:
         self.safety, self.limits, layout = safety, settings.limits, setup.layout
         self.follower, self.at = Follower(robot, self.limits, settings.setpoint_timeout), layout.offsets
         row = self.row = layout.new_row()
-        self.received = row[layout.where("pose").start : layout.where("qdot").stop]
+        self.received = row[layout.where("pose").start : layout.where("qdot").stop]  # all of `measured`, in one piece
         self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
         self.torque, self.motor_torque = row[layout.where("torque")], row[layout.where("motor_torque")]
         self.command = Command._make(np.full(size, np.nan) for size in [layout.dof] * 3 + [layout.motors] * 2)
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
+        # Which velocities, and which motors, take a torque.
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()
         self.is_late = False
@@ -278,10 +279,10 @@ class Stepper:
         courses = [self.follower.check(wish) for wish in wishes]
         if measurement is not None:
             self._take(measurement, time, time if measured is None else seconds(measured, "measured"))
-        if not self.follower.stands and self.hardware.way.supervisor.state.good[0] > 0.0:
-            self.follower.stand(self.received)
         supervisor = self.hardware.way.supervisor
-        self.received[:] = supervisor.message
+        if not self.follower.stands and supervisor.state.good[0] > 0.0:
+            self.follower.stand(self.received)
+        self.received[:] = supervisor.message  # as it was taken: `bring_up` has moved that of the last sample
         self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
         if self.past.longest > 0.0:
             bring_up(self.row, self.at, time, supervisor.state.heard[0], self.follower.guide, self.past)
@@ -360,7 +361,7 @@ class Stepper:
         made = self.setup.controller
         if controller is not None:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
-            made = suited(controller, self.robot, lambda: Given(kinematic, self.period, delay, lag))
+            made = suited(controller, self.robot, lambda: LoopToSuit(kinematic, self.period, delay, lag))
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         before, self.limits = self.limits, limits or self.limits
         try:
@@ -437,7 +438,7 @@ class Stepper:
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
-    def _equip(self, setup: Outside, state: Any, hardware_state: Array | None = None) -> None:
+    def _equip(self, setup: StepperSetup, state: Any, hardware_state: Array | None = None) -> None:
         """Wire controller and supervisor to the row; nothing changes where that fails."""
         robot, layout, plan = setup.robot, setup.layout, plan_outside(setup)
         if self.check_gains:
@@ -452,7 +453,7 @@ class Stepper:
         self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan
 
     def _command(self) -> None:
-        """What is sent, from the row and from the servo rows."""
+        """Fill the command from the row and from the servo rows."""
         command, split, (rows, motors) = self.command, self.hardware.split, self.by_effort
         self.motor_torque[:] = self.hardware.way.totals.command
         np.copyto(command.effort, self.torque, where=rows)

@@ -1,4 +1,4 @@
-"""What suits a robot: gains of a controller that is given none, and a reference that its motors can follow.
+"""Defaults that suit a robot: gains of a controller that is given none, a reference that its motors can follow.
 
 **Gains.** A gain k on a velocity is a bandwidth `k / I` times its effective inertia I. What a sampled loop bears is a
 matter of bandwidth, so one rule fits a gripper of grams and a base of a hundred kilograms: `BANDWIDTHS` (of
@@ -53,7 +53,7 @@ TRIALS = 100  # postures that are looked at where the middle is too heavy
 NARROWER = 0.8 ** np.arange(1, 9)  # of the room about a posture, for a swing whose ends are too heavy
 
 
-class Given(NamedTuple):
+class LoopToSuit(NamedTuple):
     """The loop that gains have to suit.
 
     Attributes:
@@ -71,8 +71,8 @@ class Given(NamedTuple):
     reference: bytes = b""
 
     @classmethod
-    def of(cls, loop: Any, trajectory: Trajectory, timing: Timing, layout: Dimensions) -> Given:
-        """What a `Loop` or an experiment says of itself: `kinematic`, `latency`, `actuator`.
+    def of(cls, loop: Any, trajectory: Trajectory, timing: Timing, layout: Dimensions) -> LoopToSuit:
+        """The loop of a `Loop` or of an experiment, by its `kinematic`, `latency` and `actuator`.
 
         Raises:
             TrajectoryError: The base cannot follow the trajectory.
@@ -89,7 +89,7 @@ class Fit(NamedTuple):
     share: float
 
 
-def suited(controller: Any, robot: Robot, given: Callable[[], Given]) -> Any:
+def suited(controller: Any, robot: Robot, given: Callable[[], LoopToSuit]) -> Any:
     """A controller with gains: what was not given suits the robot, bandwidths are multiplied with its inertias.
 
     A network whose gains come from inertias is scaled by them, too; a robust term that was not given as well.
@@ -122,7 +122,7 @@ SCALED = Robust(1.0, 1.0)  # a robust term that was not given, beside gains from
 
 @lru_cache(16)
 @one_thread
-def fit(robot: Robot, feedback: Feedback, given: Given) -> Fit:
+def fit(robot: Robot, feedback: Feedback, given: LoopToSuit) -> Fit:
     """Inertias, and the share of the bandwidths that are not given with which the loop bears its delay; see the top.
 
     The loop is judged where its gains are largest for what they move.
@@ -228,8 +228,8 @@ def held_velocities(M: Array, friction: Array, period: float) -> Array:
     return held[:p, p:]
 
 
-class Load:
-    """What a robot's motors have to give, over their limits.
+class MotorLoad:
+    """Torque and speed that a motion asks of a robot's motors, over their limits.
 
     Args:
         robot: The robot.
@@ -267,11 +267,11 @@ def over(value: Array, limit: Array) -> Array:
     return np.divide(np.abs(value), limit, out=np.zeros_like(value), where=value != 0)
 
 
-Limits = tuple[Array, Array]
+JointEnds = tuple[Array, Array]
 
 
 @one_thread
-def followable(robot: Robot, reference: Callable[[Limits], Trajectory], duration: float, share: float) -> Trajectory:
+def followable(robot: Robot, reference: Callable[[JointEnds], Trajectory], duration: float, share: float) -> Trajectory:
     """A reference within the limits of a robot's joints that its motors can follow with a share of theirs; see the top.
 
     Args:
@@ -284,7 +284,7 @@ def followable(robot: Robot, reference: Callable[[Limits], Trajectory], duration
     given = reference((lower, upper))
     if not share:
         return given
-    load, rng, half = Load(robot), np.random.default_rng(0), (upper - lower) / 2
+    load, rng, half = MotorLoad(robot), np.random.default_rng(0), (upper - lower) / 2
     bounded, off, room = np.isfinite(half), np.zeros(len(half)), np.where(np.isfinite(half), half, np.pi)
     centre = np.where(bounded, lower + np.where(bounded, half, 0.0), np.clip(0.0, lower, upper))
 

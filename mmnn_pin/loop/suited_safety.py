@@ -35,7 +35,7 @@ HALVINGS = 7
 
 
 def suited_safety(given: Safety, plan: Plan, references: Array, limited: bool = True) -> Safety:
-    """What is given, and limits that suit the robot where nothing is.
+    """The given supervisor, with limits that suit the robot where none are given.
 
     Args:
         given: The supervisor's limits.

@@ -245,8 +245,7 @@ def read_state(path: str | Path, robot: Robot) -> tuple[Array, Array]:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise ConfigError("not valid JSON", why=str(error), file=path) from error
     except InputError as error:
-        error.file = error.file or path
-        raise
+        raise error.but(file=error.file or path) from error
 
 
 A_TURN = 2 * math.pi  # an angle beyond this looks like degrees, but a wheel's

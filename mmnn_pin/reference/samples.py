@@ -274,8 +274,7 @@ class TableColumns(Mapping[str, Array]):
         try:
             yield
         except TrajectoryError as error:
-            error.file = error.file or self.file
-            raise
+            raise error.but(file=error.file or self.file) from error
 
 
 def number_at(row: Sequence[str], place: int, column: str, file: Path, line: int) -> float:

@@ -68,7 +68,7 @@ class SupervisorNumbers(NamedTuple):
 
 @by_address
 class SupervisorState(NamedTuple):
-    """What a supervisor remembers as single numbers, each a view (1,) of its state.
+    """The memory of a supervisor: single numbers, each a view (1,) of its state.
 
     Attributes:
         tripped: 1 once something tripped: at a time, for a reason, at a place, with a value beyond a limit.

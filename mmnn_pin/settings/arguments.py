@@ -121,7 +121,7 @@ def require_fit(owner: Any, given: Mapping[str, Any]) -> None:
 
 
 def misfit(value: Any, kind: Any) -> tuple[str, str]:
-    """What is wrong with a value that is not of an annotated type, and what to give."""
+    """Two phrases on a value that is not of an annotated type: what is wrong, and what to give."""
     now = FORMERLY.get(value) if isinstance(value, str) else None
     if now and fits(now, kind):
         return f"'{value}' is now called '{now}'", f"write '{now}'"
@@ -191,9 +191,11 @@ def parts_of(kind: Any) -> tuple[Any, ...]:
 
 
 def bare(value: Any) -> Any:
-    """Numbers of numpy as Python's, and all sequences as lists."""
+    """Numbers of numpy as Python's, also in tables, and all sequences as lists."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: bare(item) for key, item in value.items()}
     is_list = isinstance(value, Sequence) and not isinstance(value, str | bytes)
     return [bare(item) for item in value] if is_list else value
 
@@ -214,7 +216,7 @@ def is_numeric(value: Any) -> bool:
 
 
 def wanted(kind: Any) -> str:
-    """What to give, in words."""
+    """A phrase for values of an annotated type: what to give."""
     origin, parts = get_origin(kind), parts_of(kind)
     if origin in UNIONS:
         return " or ".join(dict.fromkeys(wanted(part) for part in parts if part is not NoneType))
@@ -241,7 +243,7 @@ def unknown_key(error: msgspec.ValidationError) -> str | None:
 
 
 def wrong_type(error: msgspec.ValidationError | str, value: Any = None) -> tuple[str, str]:
-    """What is wrong and what to give instead, out of a message such as "Expected `int`, got `str` - at `$.seed`".
+    """Two phrases out of a message such as "Expected `int`, got `str` - at `$.seed`": what is wrong, and what to give.
 
     Args:
         error: From a conversion.

@@ -26,7 +26,7 @@ from ..parts import Matrix, Vector, layout_of, views
 from ..settings import Settings, plain, require_numbers
 from ..signals import Array, IntArray
 from .adaptive import Adaptation, Adaptive, Estimate, adapt, look
-from .controller import Context, ControllerState, Given, Law, Told
+from .controller import Context, ControllerSettings, ControllerState, Law, Told
 from .filtered import Filter, Filtered, low_pass, new_filter, parts, period, remember
 from .law import KERNELS, Kernels, constant_gain
 from .pseudo_inertia import LARGEST, Bodies, factor, inform, move, sandwich, to_matrix, to_vector, transposed_sandwich
@@ -287,7 +287,7 @@ class AdaptiveComposite(Adaptive):
     name: str = "adaptive_composite"
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """With the settings of `adaptive`, and its own."""
         adaptive, own = given.settings
         return replace(super().build(replace(given, settings=adaptive)), composite=own)

@@ -31,7 +31,7 @@ from ..model.regressor import Massless, Regressor, measured, regress
 from ..parts import Vector, layout_of, views
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
-from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law
+from .controller import CompiledController, Context, ControllerSettings, ControllerState, Feedback, Law
 from .law import KERNELS, Kernels, MotorLimits, constant_gain, limit, motor_limits, nothing_to_keep
 from .model_based import ConstantGain
 
@@ -92,7 +92,7 @@ class PDGravity(ConstantGain):
     within_limits: ClassVar[bool] = True
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """With the gravity of the robot's file."""
         return cls(feedback=given.feedback, motion=given.told.motion, theta=given.told.described)
 

@@ -1,7 +1,7 @@
 """The interface of a torque controller: velocity command and measurement in, generalized torque out.
 
 Settings are frozen; what a controller remembers is a `ControllerState`, so that a run can be resumed, or started twice.
-A `CompiledController` is one of this package, a `Law`; a `TorqueController` a user's, for the ordinary loop.
+A `CompiledController` is one of this package, a `Law`; a `TorqueController` a user's, in plain Python.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Law:
     learner: Any = None
 
 
-class Machine(NamedTuple):
+class MachineLimits(NamedTuple):
     """The machine, as far as it may be known without knowing how the robot moves.
 
     Attributes:
@@ -142,14 +142,14 @@ class Machine(NamedTuple):
 
 
 class Told(Protocol):
-    """Knowledge of its robot that a controller is given, as the list of controllers grants it (`torque.Entry.told`)."""
+    """Knowledge of its robot that a controller is given, as the list of controllers grants it (`Entry.told`)."""
 
     @property
     def motion(self) -> Any:
         """How it moves: a `model.regressor.Regressor`, which knows no masses."""
 
     @property
-    def machine(self) -> Machine:
+    def machine(self) -> MachineLimits:
         """Names, ends of the joints, limits of the motors."""
 
     @property
@@ -232,7 +232,7 @@ class Feedback(Settings, frozen=True):
 
 
 @dataclass(frozen=True)
-class Given:
+class ControllerSettings:
     """Settings with which an experiment makes a controller: those common to all of them, and its own.
 
     Attributes:
@@ -301,7 +301,7 @@ class Controller(ABC):
 
 
 class TorqueController(Controller):
-    """A torque controller of your own in plain Python: a subclass. It runs in the ordinary loop only, the slower one.
+    """A torque controller of your own in plain Python: a subclass. Of the engines only the ordinary loop runs it.
 
     >>> class Damper(TorqueController):
     ...     def step(self, time, reference, measurement, command, state):
@@ -343,7 +343,7 @@ class CompiledController(Controller):
     __post_init__ = require_types
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """The controller of an experiment."""
         return cls(feedback=given.feedback, settings=given.settings, learning=given.learning)  # type: ignore[call-arg]
 

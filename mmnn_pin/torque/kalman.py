@@ -21,7 +21,16 @@ from ..parts import layout_of
 from ..settings import plain
 from ..settings.arguments import require_types
 from ..signals import Array, Layout
-from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Machine, Told
+from .controller import (
+    CompiledController,
+    Context,
+    ControllerSettings,
+    ControllerState,
+    Feedback,
+    Law,
+    MachineLimits,
+    Told,
+)
 from .correction import Corrected, Correction, new_correction
 from .factored import NEGLIGIBLE, factors, left
 from .filtered import new_filter, parts
@@ -60,7 +69,7 @@ class Kalman(CompiledController):
     """
 
     settings: KalmanSettings
-    machine: Machine
+    machine: MachineLimits
     feedback: Feedback = field(default_factory=Feedback)
     regressor: Regressor | None = None
     theta0: Array | None = None
@@ -80,7 +89,7 @@ class Kalman(CompiledController):
                 raise ConfigError("no nominal parameters", fix=f"give {k0} finite ones", key=f"{key}.nominal")
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """With what its settings need to be told of the robot."""
         own, told = given.settings, given.told
         motion = told.motion if own.needs_regressor else None

@@ -6,7 +6,7 @@
     settle(row, at, learner, state)         the torque that is held from here on, to be looked back at
 
 The ordinary loop, the compiled loop and the batch call these three. They read and write the row of signals `row`, in
-which signal i begins at `at[i]`; `state` is the controller's flat array. A law is its `Numbers`, and what it learns
+which signal i begins at `at[i]`; `state` is the controller's flat array. A law is its `LawNumbers`, and what it learns
 with: a named tuple whose type has its code in `KERNELS`, or None. The thesis's networks stand in `step` themselves, so
 that its controllers share one compiled loop.
 
@@ -39,7 +39,7 @@ CONSTANT_GAIN, SCHEDULED_GAIN = 0, 1  # kinds of law, beside those of the networ
 ROUNDING = 1e-12  # part of a limit that is left for rounding, so that no sum is beyond it
 
 
-class Numbers(NamedTuple):
+class LawNumbers(NamedTuple):
     """The numbers of a law, as compiled code sees them; a law without networks has the gains alone.
 
     Attributes:
@@ -64,11 +64,11 @@ class Numbers(NamedTuple):
 
 
 class Packed(NamedTuple):
-    """`Numbers` as flat arrays, which cost less to hand over from Python.
+    """`LawNumbers` as flat arrays, which cost less to hand over from Python.
 
     Attributes:
         sizes: Where the parts of `settings` stand, and where those of the state do.
-        settings: `Numbers`.
+        settings: `LawNumbers`.
         rows: (nx,) where the inputs of networks stand in a row.
     """
 
@@ -139,8 +139,8 @@ class Kernels(NamedTuple):
 
 
 KERNELS: dict[type, Kernels] = {}  # every module of a learner enters its own
-numbers_of, networks_of, schedule_of = views(Numbers), views(Networks), views(Schedule)
-STATE = layout_of(Numbers, {}).size  # where in `Packed.sizes` the layout of the state begins
+numbers_of, networks_of, schedule_of = views(LawNumbers), views(Networks), views(Schedule)
+STATE = layout_of(LawNumbers, {}).size  # where in `Packed.sizes` the layout of the state begins
 
 
 def packed(
@@ -150,16 +150,16 @@ def packed(
 
     Args:
         kind: Which law.
-        gains: (4, p) or (1, p), as in `Numbers`.
+        gains: (4, p) or (1, p), as in `LawNumbers`.
         layout: Of `Networks` or `Schedule` in the state; None where the law itself remembers nothing.
         rows: (nx,) where the inputs of networks stand in a row.
-        more: Other parts of `Numbers`; zeros, or nothing, unless given.
+        more: Other parts of `LawNumbers`; zeros, or nothing, unless given.
     """
     absent: dict[str, Any] = dict.fromkeys(("learning", "update_first", "adds_model", "dt"), 0.0)
     absent |= dict.fromkeys(("networks", "inputs"), np.zeros((2, 0)))
     parts = {name: np.atleast_1d(np.asarray(part, float)) for name, part in (absent | more).items()}
     parts |= {"kind": np.full(1, float(kind)), "gains": gains}
-    sizes = layout_of(Numbers, {name: part.shape for name, part in parts.items()})
+    sizes = layout_of(LawNumbers, {name: part.shape for name, part in parts.items()})
     sizes = np.concatenate((sizes, np.zeros(0, np.int64) if layout is None else layout))
     settings = np.concatenate([part.ravel() for part in parts.values()])
     return Packed(sizes, settings, np.zeros(0, np.int64) if rows is None else rows.astype(np.int64))
@@ -292,7 +292,7 @@ def networks(row: Array, at: IntArray, law: Packed, state: Array) -> None:
 
 
 @internal
-def network(n: Numbers, rates: Array, o: NetworkState, x: Array, psi_hat: Array) -> float:
+def network(n: LawNumbers, rates: Array, o: NetworkState, x: Array, psi_hat: Array) -> float:
     """Output and update of one network; returns the norm of its weights, taken with the output.
 
     The torque of a sample uses the weights from before it, unless the update comes first.
@@ -312,7 +312,7 @@ def network(n: Numbers, rates: Array, o: NetworkState, x: Array, psi_hat: Array)
 
 
 @internal
-def update(n: Numbers, rates: Array, o: NetworkState, x: Array) -> None:
+def update(n: LawNumbers, rates: Array, o: NetworkState, x: Array) -> None:
     """Update of one network's weights, which end within their bounds; the centres V of a one-layer network stay."""
     if int(n.kind[0]) == ONE_LAYER:
         one_layer_update(o.W, o.sigma, o.s, rates[0], rates[2], n.dt[0])

@@ -13,7 +13,7 @@
             state["W"] += self.rate * sample.period * np.outer(features(sample), sample.s)
 
 The loop does the rest: it adds the feedback, which is the same for all controllers of an experiment, and records
-Psi_hat, gains and weights, so that all monitors work. Such a law runs in the ordinary loop.
+Psi_hat, gains and weights, so that all monitors work. Such a law runs in the ordinary loop and in a `Stepper`.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ class LearningLaw(TorqueController):
         Raises:
             ConfigError: Always.
         """
-        raise ConfigError(f"{self.name} has no step", fix="call estimate and learn, as `control.Torque` does")
+        raise ConfigError(f"{self.name} has no step", fix="call estimate and learn, as `loop.sample.Torque` does")
 
 
 @dataclass(eq=False)
@@ -276,7 +276,7 @@ def norms(weights: dict[str, Array], layout: Dimensions) -> tuple[float, float]:
 def origin_of(kind: type[TorqueController]) -> dict[str, Any]:
     """Class, file and hash of the file of a controller; file and hash are empty where there is none.
 
-    The hash is that of the file as it was read, where `experiments.own` read it.
+    The hash is that of the file as it was read, where `experiments.laws` read it.
     """
     file = file_of(kind)
     digest = getattr(sys.modules.get(kind.__module__), DIGEST, "")

@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import ConfigError
 from ..parts import layout_of
 from ..signals import Array, Dimensions
-from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law
+from .controller import CompiledController, Context, ControllerSettings, ControllerState, Feedback, Law
 from .law import SCHEDULED_GAIN, Schedule, constant_gain, packed
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class ConstantGain(CompiledController):
         return Law(constant_gain(self.feedback.vector(context.layout)))
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """With the gains of the experiment."""
         return cls(given.feedback)
 
@@ -75,7 +75,7 @@ class ComputedTorque(ConstantGain):
     name: str = "computed_torque"
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """With the gains of the experiment; `nominal` is told of the nominal robot, the oracle believes the loop's."""
         return cls(given.feedback, given.told.nominal if given.name == "nominal" else None, given.name)
 
@@ -109,7 +109,7 @@ class ScheduledPD(CompiledController):
         return Law(packed(SCHEDULED_GAIN, np.zeros((1, context.layout.dof)), layout_of(Schedule, self.shapes(context))))
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """At the gains of a learner's run."""
         assert given.gains is not None
         return cls(given.gains, given.name)

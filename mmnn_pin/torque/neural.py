@@ -23,9 +23,9 @@ from . import law
 from .controller import (
     CompiledController,
     Context,
+    ControllerSettings,
     ControllerState,
     Feedback,
-    Given,
     Law,
     Told,
     all_facts,
@@ -294,7 +294,7 @@ class Neural(CompiledController):
         return {name: fact for name, fact in all_facts(self).items() if name != "adds_model"}
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """The network of a name, with the switches of the experiment."""
         start = STARTS.get(given.name)
         network = given.settings if start is None else msgspec.structs.replace(given.settings, initial=start)

@@ -23,7 +23,7 @@ from ..files import read_text
 from ..model.regressor import BODY, Regressor
 from ..settings.arguments import require_types
 from ..signals import Array, Layout
-from .controller import CompiledController, ControllerState, Feedback, Given, Told, read_facts
+from .controller import CompiledController, ControllerSettings, ControllerState, Feedback, Told, read_facts
 
 DOUBT = 0.5  # standard deviation of a body, relative, that `mmnn identify` knows nothing of
 GAINS = 500.0, 30.0  # on a base's forward velocity and of an arm for which rates in 1/J are meant [N s/m, N m s]
@@ -70,7 +70,7 @@ class ParameterLearner(CompiledController):
         return self.nominal is not None and (self.settings.initial == "nominal" or self.covariance is not None)
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """With how the robot moves, and the nominal parameters where it starts from them."""
         own, motion = given.settings, given.told.motion
         start, covariance = given.told.parameters if own.initial == "nominal" else None, None

@@ -36,7 +36,17 @@ from ..errors import ConfigError
 from ..parts import Matrix, Vector, layout_of, views
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
-from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Told, all_facts, read_facts
+from .controller import (
+    CompiledController,
+    Context,
+    ControllerSettings,
+    ControllerState,
+    Feedback,
+    Law,
+    Told,
+    all_facts,
+    read_facts,
+)
 from .filtered import Filter, Filtered, new_filter, parts, period, remember
 from .law import KERNELS, Kernels, Networks
 from .neural import Inputs, Neural, layout_of_state
@@ -44,7 +54,7 @@ from .two_layer import MOST_HIDDEN, TwoLayer, shrink
 
 Z, R = INDEX["z"], INDEX["r"]
 GOLDEN = 0.6180339887498949  # fractions of its multiples are spread evenly, and in no order
-# What every input is on a reference that is followed exactly; the others of `inputs.MEASURED` are zero there.
+# What every input is on a reference that is followed exactly; the others of `neural.MEASURED` are zero there.
 FOLLOWED = {
     "pose_ref": "pose", "pose": "pose", "q_ref": "q", "q": "q",
     "velocity_ref": "base", "velocity": "base", "alpha": "base", "qdot_ref": "arm", "qdot": "arm", "nu_ref": "nu",
@@ -322,7 +332,7 @@ class TwoLayerComposite(CompiledController):
     within_limits: ClassVar[bool] = True
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """With the rates of the thesis's network, and its own settings."""
         network, own = given.settings
         rates = given.networks["rates"]

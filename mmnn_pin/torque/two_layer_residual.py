@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..signals import Array, Dimensions
-from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Told
+from .controller import CompiledController, Context, ControllerSettings, ControllerState, Feedback, Law, Told
 from .neural import Neural
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class TwoLayerResidual(CompiledController):
     within_limits: ClassVar[bool] = True
 
     @classmethod
-    def build(cls, given: Given) -> Self:
+    def build(cls, given: ControllerSettings) -> Self:
         """With the thesis's network, and the nominal robot."""
         learner, bound = Neural.build(given), given.networks["projection"]
         return cls(learner, given.told.nominal, given.learning, PROJECTION if bound is None else bound)

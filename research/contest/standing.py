@@ -12,7 +12,7 @@ from typing import Any
 
 from mmnn_pin.lab.experiments.controllers import ORACLES, PLAIN
 from mmnn_pin.settings import finite
-from mmnn_pin.torque import ENTRIES
+from mmnn_pin.torque.entries import ENTRIES
 
 from .settings import Contest, ContestExperiment
 from .task import Demand

@@ -21,10 +21,10 @@ import numpy as np
 
 from mmnn_pin.lab.psi.excitation import not_excited, signals_for, unknown
 from mmnn_pin.lab.psi.held_out import START
-from mmnn_pin.lab.psi.learner import Learner, Stepper
+from mmnn_pin.lab.psi.learner import Learner, LearnerStepper
 from mmnn_pin.lab.psi.psi import fvu
 from mmnn_pin.lab.psi.subject import finite_rows
-from mmnn_pin.loop.batch import Run, simulate_many
+from mmnn_pin.loop.batch import BatchRun, simulate_many
 from mmnn_pin.loop.controller import findings_of
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.recording.recording import Recording, as_columns
@@ -178,7 +178,7 @@ def run_trial(
 
 def train(
     task: Task, controller: Any, file: Path | None, workers: int | None, progress: Progress
-) -> tuple[Recording, list[Run]]:
+) -> tuple[Recording, list[BatchRun]]:
     """Training runs of all seeds; that of the first is recorded whole."""
     config = msgspec.structs.replace(task.experiment, overrides=task.robot.overrides, cases={}).to_json()
     one, *others = (task.training(controller, seed) for seed in task.seeds)
@@ -190,7 +190,7 @@ def train(
         progress=lambda t: progress(share * t / duration),
     )
     require_going(recording.outcome.status)
-    runs = [Run(recording.outcome, {}, dict(recording.final), recording)]
+    runs = [BatchRun(recording.outcome, {}, dict(recording.final), recording)]
     if others:
         runs += simulate_many(
             others,
@@ -213,7 +213,7 @@ def require_going(status: str) -> None:
         raise Stopped
 
 
-def state_after(task: Task, controller: Any, seed: int, run: Run) -> Any:
+def state_after(task: Task, controller: Any, seed: int, run: BatchRun) -> Any:
     """The state at the end of a training run; None where it was lost or is not kept as numbers."""
     if run.outcome.status != "completed" or "controller_state" not in run.final:
         return None
@@ -255,7 +255,7 @@ def result_of(
     name: str,
     controller: Any,
     seed: int,
-    run: Run,
+    run: BatchRun,
     state: Any,
     trials: dict[str, dict[str, Tracking]],
     knowledge: bool,
@@ -282,7 +282,7 @@ def result_of(
     )
 
 
-def findings_after(task: Task, name: str, controller: Any, seed: int, run: Run, state: Any) -> list[str]:
+def findings_after(task: Task, name: str, controller: Any, seed: int, run: BatchRun, state: Any) -> list[str]:
     """What the state shows at the end of a run, and whether the run excited the learner."""
     assert run.recording is not None
     loop = task.training(controller, seed)
@@ -319,7 +319,7 @@ def psi_hat_along(loop: Loop, layout: Layout, state: Any, rows: Array) -> Array:
         rows: The rows; they are not changed.
     """
     context = replace(loop.context(), layout=layout)
-    stepper = Stepper(Learner(loop.controller, context, state, state, 0.0, loop.believed), state)
+    stepper = LearnerStepper(Learner(loop.controller, context, state, state, 0.0, loop.believed), state)
     found = np.zeros((len(rows), layout.dof))
     for n, row in enumerate(rows):
         stepper.step(row)

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.psi.learner import Networks
+from mmnn_pin.lab.psi.learner import NetworkLearner
 from mmnn_pin.signals import Array
 
 TRIED = np.linspace(0.02, 0.98, 49)  # eps
@@ -168,7 +168,7 @@ class WeightsBound:
         return math.hypot(self.W, self.V)
 
 
-def weights_bound(learner: Networks, i: int, s: Array, x: float, projection: float | None = None) -> WeightsBound:
+def weights_bound(learner: NetworkLearner, i: int, s: Array, x: float, projection: float | None = None) -> WeightsBound:
     """Bounds for the i-th network (1 the base's, 2 the arm's).
 
     Args:

@@ -18,7 +18,7 @@ import numpy as np
 
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.psi.learner import Networks
+from mmnn_pin.lab.psi.learner import NetworkLearner
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
@@ -68,7 +68,7 @@ class CertifiedLoop:
     along: Along
     period: float
     gain: Array
-    learner: Networks | None
+    learner: NetworkLearner | None
     disturbance: Array
     projection: float | None = None
     supervisor: Supervisor | None = None
@@ -238,14 +238,24 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
 
 def refusal(subject: Subject) -> str:
     """The first assumption of the theorem that a run does not meet; empty if it meets all."""
-    meta, layout, timing = subject.recording.meta, subject.layout, subject.timing
+    asked = (plant_refusal, hardware_refusal, reference_refusal, controller_refusal)
+    return next(filter(None, (refused(subject) for refused in asked)), "")
+
+
+def plant_refusal(subject: Subject) -> str:
+    """The first assumption on base and plant that a run does not meet; empty if it meets all."""
     if not subject.robot.base.two_sided:
-        kind = f"the base is {subject.robot.base.kind}" if layout.base else "a fixed base has no pose to lose"
+        kind = f"the base is {subject.robot.base.kind}" if subject.layout.base else "a fixed base has no pose to lose"
         return f"{kind}; the theorem is about Kanayama's law for a differential drive"
     if subject.plant != "ideal":
         return f"on the {subject.plant} plant wheels may slip, and then nu does not move by the reduced model"
-    if timing.integrator == "stick":
+    if subject.timing.integrator == "stick":
         return "friction that sticks is an impulse, no force that is bounded"
+    return ""
+
+
+def hardware_refusal(subject: Subject) -> str:
+    """The first assumption on sensors, motors and disturbances that a run does not meet; empty if it meets all."""
     if not subject.exact_poses:
         return "it takes the true pose and joint angles at every control sample; these sensors err or are slower"
     if subject.latency.sensing > 0:
@@ -254,30 +264,37 @@ def refusal(subject: Subject) -> str:
         return "its wheels have other radii than its controller takes"
     if subject.motors_lag:
         return "its motors do not give what they are asked for, by more than a limit of torque"
-    if any(event["type"] != "push" for event in meta.get("disturbances", ())):
+    if any(event["type"] != "push" for event in subject.recording.meta.get("disturbances", ())):
         return "something else than pushes happens to the robot"
     if subject.recording.outcome.status == "tripped":
         return "its supervisor stopped it"
-    v_ref, k = subject.signal("velocity_ref"), subject.kinematic
+    return ""
+
+
+def reference_refusal(subject: Subject) -> str:
+    """The first assumption on the reference and the kinematic layer that a run does not meet; empty if it meets all."""
+    v_ref, time = subject.signal("velocity_ref"), subject.signal("time")[:, 0]
     if not v_ref[:, 0].min() > SPEED:
         return f"vr falls to {v_ref[:, 0].min():.3g} m/s; without vr >= vmin > 0 nothing pulls ey to 0"
     for name, rate in RATES:
-        at = jump(subject.signal("time")[:, 0], subject.signal(name), subject.signal(rate), timing.control_period)
+        at = jump(time, subject.signal(name), subject.signal(rate), subject.timing.control_period)
         if np.isfinite(at):
             return f"{name} jumps at t = {at:.4g} s, or {rate} is not its derivative"
     for name in ("kx", "ky", "kth", "K"):
-        if not np.all(np.asarray(getattr(k, name)) > 0):
+        if not np.all(np.asarray(getattr(subject.kinematic, name)) > 0):
             return f"kinematic.{name} is 0"
+    return ""
+
+
+def controller_refusal(subject: Subject) -> str:
+    """The first assumption on the torque controller that a run does not meet; empty if it meets all."""
     learner = subject.networks
     if learner is None:
         if proportional(subject) or weighing(subject):
             return ""
-        clipped = "safety" in subject.recording and np.any(subject.recording["safety"] > 0)
-        return (
-            "its supervisor stepped in"
-            if clipped
-            else f"{subject.controller} is no learner of the thesis, nor PD, nor PD with the gravity of the robot"
-        )
+        if "safety" in subject.recording and np.any(subject.recording["safety"] > 0):
+            return "its supervisor stepped in"
+        return f"{subject.controller} is no learner of the thesis, nor PD, nor PD with the gravity of the robot"
     if learner.context.limits is not None:
         return "its robust term and Psi_hat are kept within the motors' limits"
     if learner.own.update != "after_output":

@@ -23,7 +23,7 @@ import numpy as np
 from mmnn_pin.disturbance.settings import MOST
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.psi.judgement import sentence
-from mmnn_pin.lab.psi.learner import NAMES, Networks, seen
+from mmnn_pin.lab.psi.learner import NAMES, NetworkLearner, seen
 from mmnn_pin.lab.psi.psi import WINDOWS
 from mmnn_pin.lab.psi.rate import Rate, rate_of
 from mmnn_pin.lab.psi.subject import Subject
@@ -370,7 +370,7 @@ class ThesisBounds:
 
 
 def thesis_bounds(
-    subject: Subject, learner: Networks, ideal: dict[int, Ideal], force: Array
+    subject: Subject, learner: NetworkLearner, ideal: dict[int, Ideal], force: Array
 ) -> dict[int, ThesisBounds]:
     """The printed bounds of every network (1 the base's, 2 the arm's); empty where kappa is 0; force (p,) is d."""
     controller, h = learner.own, learner.own.network.hidden
@@ -400,7 +400,7 @@ def thesis_bounds(
     return result
 
 
-def follows(subject: Subject, learner: Networks, i: int) -> float:
+def follows(subject: Subject, learner: NetworkLearner, i: int) -> float:
     """c2 of the base's or c10 of the arm's network: largest factor from z, or r, to the input that depends on it."""
     signals, scale, k = learner.own.inputs.signals, learner.own.inputs.scale, subject.kinematic
     K = k.arm_gains(subject.layout)

@@ -23,7 +23,7 @@ from typing import Protocol
 import numpy as np
 
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.lab.psi.learner import Stepper
+from mmnn_pin.lab.psi.learner import LearnerStepper
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.signals import Array, IntArray
 from mmnn_pin.torque.controller import ControllerState
@@ -163,20 +163,20 @@ class Proved:
 
     # -- what follows --
 
-    def before(self, n: int, row: Array, stepper: Stepper) -> float:
+    def before(self, n: int, row: Array, stepper: LearnerStepper) -> float:
         """Before a row of the run."""
         b, state = int(np.searchsorted(self.starts, n)), stepper.state
         if b < len(self.starts) and self.starts[b] == n:
             self.begin(b, state)
         return self.count(state)
 
-    def after(self, n: int, row: Array, stepper: Stepper, counted: float) -> None:
+    def after(self, n: int, row: Array, stepper: LearnerStepper, counted: float) -> None:
         """After it."""
         b = min(int(np.searchsorted(self.starts, n, side="right")) - 1, len(self.starts) - 1)
         self.updates[b] += int(self.count(stepper.state) > counted)
         self.hear(b, stepper)
 
-    def hear(self, b: int, stepper: Stepper) -> None:
+    def hear(self, b: int, stepper: LearnerStepper) -> None:
         """Take the errors of a sample's equations."""
         state = stepper.state
         error = np.abs(state["Y_f"] - state["Phi_f"] @ self.ideal) / self.a.gain
@@ -184,7 +184,7 @@ class Proved:
 
     def hear_truth(self) -> None:
         """The errors of the equations as they were without noise."""
-        stepper, of = Stepper(self.learner, self.learner.start.snapshot()), self.steps.of
+        stepper, of = LearnerStepper(self.learner, self.learner.start.snapshot()), self.steps.of
         self.heard[:] = 0.0
         for row, b in zip(self.periods.subject.truth(self.periods.subject.rows)[: len(of)], of, strict=True):
             stepper.step(row)

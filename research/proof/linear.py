@@ -59,7 +59,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.psi.excitation import along
-from mmnn_pin.lab.psi.learner import Learner, Stepper
+from mmnn_pin.lab.psi.learner import Learner, LearnerStepper
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.settings import finite
 from mmnn_pin.signals import Array, IntArray
@@ -191,7 +191,7 @@ def of_shape(weights: dict[str, Array], k: int, m: int) -> Array | None:
     return result[0].T if result[0].shape == (m, k) and m > 1 else result[0].reshape(k, m)
 
 
-class Row(NamedTuple):
+class LinearSample(NamedTuple):
     """One sample of a linear learner.
 
     Attributes:
@@ -215,21 +215,21 @@ def linear_steps(
     subject: Subject,
     learner: Learner,
     keep: Callable[[ControllerState], Any],
-    visit: Callable[[Row], None],
+    visit: Callable[[LinearSample], None],
     progress: Progress,
 ) -> float:
     """`step_again` with features: visit every row, with what is kept of the state before it."""
-    still, own = Stepper(learner, learner.start.snapshot(), learning=False), isinstance(learner.controller, LearningLaw)
-    s = subject.s
+    still = LearnerStepper(learner, learner.start.snapshot(), learning=False)
+    own, s = isinstance(learner.controller, LearningLaw), subject.s
 
-    def before(n: int, row: Array, stepper: Stepper) -> tuple[Array | None, Any]:
+    def before(n: int, row: Array, stepper: LearnerStepper) -> tuple[Array | None, Any]:
         if own:  # features of a user's law may be learned
             still.state.values[:] = stepper.state.values
         still.step(row)
         return still.features(), keep(stepper.state)
 
-    def after(n: int, row: Array, stepper: Stepper, kept: Any) -> None:
-        visit(Row(n, row, s[n], kept[0], kept[1], stepper.state))
+    def after(n: int, row: Array, stepper: LearnerStepper, kept: Any) -> None:
+        visit(LinearSample(n, row, s[n], kept[0], kept[1], stepper.state))
 
     return step_again(learner, subject.rows, before, after, progress)
 
@@ -285,7 +285,7 @@ class Ledger:
         """Whether the next sample is an update."""
         return int(counts[0]) % self.a.every == 0 or counts[5] > 0.0
 
-    def take(self, row: Row) -> None:
+    def take(self, row: LinearSample) -> None:
         """Value, pull and terms of one row."""
         pull = float(row.s @ (row.Phi @ (self.ideal - row.before["W"]).T).ravel())
         self.found[:2, row.number] = self.value, pull
@@ -294,7 +294,7 @@ class Ledger:
             self.found[2:, row.number] = np.array(self.update(row, o, pull)) / self.h
             self.value = self.energy(row.state.view(Parts))
 
-    def update(self, row: Row, o: Parts, pull: float) -> tuple[float, float, float, float]:
+    def update(self, row: LinearSample, o: Parts, pull: float) -> tuple[float, float, float, float]:
         """Cut, prediction, noise and memory of one update, over the whole of it; changes o."""
         a, before, cut, forgotten = self.a, o.W.copy(), 0.0, 0.0
         o.counts[6] += 1.0
@@ -313,7 +313,7 @@ class Ledger:
         predict(a, o)
         return cut, prediction, noise, forgotten + self.energy(o) - known
 
-    def measured(self, row: Row, o: Parts) -> tuple[float, float, float]:
+    def measured(self, row: LinearSample, o: Parts) -> tuple[float, float, float]:
         """Prediction and noise of the equations of an update, and the part after them; o stays."""
         a, m = self.a, len(self.ideal)
         W, U, D = o.W.copy(), o.U.copy(), o.D.copy()
@@ -366,7 +366,7 @@ def stack_part(
         raise RecordingError(WITHOUT, why="the estimate does not follow s: tracking is 0")
     found = np.zeros((7, len(subject.rows)))
 
-    def visit(row: Row) -> None:
+    def visit(row: LinearSample) -> None:
         (w, L, P), state, s, n = row.before.values(), row.state, row.s, row.number
         error, g = ideal - w, row.Phi.T @ s
         pull = g @ error
@@ -397,7 +397,7 @@ def gain_part(subject: Subject, learner: Learner, ideal: Array, at: IntArray, pr
     h, found = learner.context.control_period, np.zeros((3, len(subject.rows)))
     weights_error(learner, learner.start, ideal)  # before the run is stepped again
 
-    def visit(row: Row) -> None:
+    def visit(row: LinearSample) -> None:
         error, weighed, gain = row.before
         g = row.Phi.T @ row.s[:, None] if ideal.shape[1] == 1 else np.outer(row.Phi[0], row.s)
         after, weighed_after, _ = weights_error(learner, row.state, ideal)

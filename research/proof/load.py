@@ -18,7 +18,7 @@ from mmnn_pin.deploy.identify.payload import CarriedLoad, payload
 from mmnn_pin.deploy.identify.reading import from_recording
 from mmnn_pin.deploy.identify.report import links_of
 from mmnn_pin.errors import InputError, RecordingError
-from mmnn_pin.lab.psi.learner import Stepper
+from mmnn_pin.lab.psi.learner import LearnerStepper
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.structure import bodies_of
@@ -94,7 +94,7 @@ def carried(subject: Subject) -> Carried | None:
     time = subject.signal("time")[:, 0]
     if load is None or learner is None or not hasattr(learner.controller, "knowledge") or hardware.pick >= time[-1]:
         return None
-    before = Stepper(learner, learner.start.snapshot())
+    before = LearnerStepper(learner, learner.start.snapshot())
     for row in subject.rows[time < hardware.pick]:
         before.step(row)
     knowledge = learner.controller.knowledge(before.state)

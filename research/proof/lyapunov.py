@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.lab.psi.learner import Learner, Stepper
+from mmnn_pin.lab.psi.learner import Learner, LearnerStepper
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.model.base.base import Base, PoseEnergy
 from mmnn_pin.settings import finite
@@ -241,7 +241,7 @@ def limited_power(learner: Learner, rows: Array, at: IntArray) -> Array:
     layout, limits, result = learner.context.layout, learner.context.limits, np.zeros(len(rows))
     if limits is None:
         return result[at]
-    stepper = Stepper(learner, learner.start.snapshot())
+    stepper = LearnerStepper(learner, learner.start.snapshot())
     for n, row in enumerate(rows):
         psi_hat = stepper.step(row)
         result[n] = np.concatenate((row[layout.where("z")], row[layout.where("r")])) @ (stepper.known - psi_hat)

@@ -36,7 +36,7 @@ import numpy as np
 from scipy.special import expit
 
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.lab.psi.learner import Networks, Stepper, seen
+from mmnn_pin.lab.psi.learner import LearnerStepper, NetworkLearner, seen
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.settings import finite
 from mmnn_pin.signals import Array, IntArray
@@ -100,7 +100,7 @@ class Ideal:
         }
 
 
-def ideal_weights(subject: Subject, learner: Networks) -> dict[int, Ideal]:
+def ideal_weights(subject: Subject, learner: NetworkLearner) -> dict[int, Ideal]:
     """Ideal weights of every network on the rows of a run, network (1 the base's, 2 the arm's) to weights.
 
     Raises:
@@ -155,7 +155,9 @@ def spread(V: Array) -> Array:
     return np.random.default_rng(0).uniform(-1.0, 1.0, V.shape)
 
 
-def ideal_network(learner: Networks, i: int, W: Array, V: Array, target: Array, hidden: Array, scale: Array) -> Ideal:
+def ideal_network(
+    learner: NetworkLearner, i: int, W: Array, V: Array, target: Array, hidden: Array, scale: Array
+) -> Ideal:
     """Ideal weights with what they leave and how far the run's weights are from them."""
     error = target - hidden @ W
     both = learner.own.network.hidden_learns
@@ -194,7 +196,7 @@ class Network:
         scale_out: (m,) torque over the network's output.
     """
 
-    def __init__(self, learner: Networks, i: int, part: slice, ideal: Ideal) -> None:
+    def __init__(self, learner: NetworkLearner, i: int, part: slice, ideal: Ideal) -> None:
         controller, h = learner.own, learner.context.control_period
         rate_W, rate_V, leakage = controller.network.rates(i - 1, controller.leakage)
         scale_in, self.scale_out = (scale[part] for scale in controller.network_scales(learner.context.layout))
@@ -226,7 +228,7 @@ class Network:
 
 
 def network_part(
-    subject: Subject, learner: Networks, ideal: dict[int, Ideal], at: IntArray, progress: Progress = None
+    subject: Subject, learner: NetworkLearner, ideal: dict[int, Ideal], at: IntArray, progress: Progress = None
 ) -> WeightsPart:
     """The part at some rows of a run, (k,) ascending, for ideal weights of every network."""
     ledger = Ledger(subject, learner, ideal, at)
@@ -253,22 +255,22 @@ class Ledger:
         found: (6, rows) value, leakage, remainder, step, prediction, projection of the rows that are asked for.
     """
 
-    def __init__(self, subject: Subject, learner: Networks, ideal: dict[int, Ideal], at: IntArray) -> None:
+    def __init__(self, subject: Subject, learner: NetworkLearner, ideal: dict[int, Ideal], at: IntArray) -> None:
         self.psi, self.h, self.wanted = subject.signal("psi"), learner.context.control_period, set(at.tolist())
         self.networks = {i: Network(learner, i, part, ideal[i]) for i, part in learner.networks}
         self.first, self.found = learner.own.update == "before_output", np.zeros((6, len(subject.rows)))
         self.predicted, self.last = learner.start.snapshot(), self.weights(learner.start)
         self.freed: Weights | None = None
-        self.free: Stepper | None = None
+        self.free: LearnerStepper | None = None
         if learner.own.projection is not None:
             free = replace(learner, controller=replace(learner.controller, projection=None))
-            self.free = Stepper(free, learner.start.snapshot())
+            self.free = LearnerStepper(free, learner.start.snapshot())
 
     def weights(self, state: ControllerState) -> Weights:
         """W and V of every network in a state, copies."""
         return {i: (state[f"W{i}"].copy(), state[f"V{i}"].copy()) for i in self.networks}
 
-    def before(self, n: int, row: Array, stepper: Stepper) -> tuple[Weights, Weights, Weights | None]:
+    def before(self, n: int, row: Array, stepper: LearnerStepper) -> tuple[Weights, Weights, Weights | None]:
         """Weights that a sample begins with, that its output uses, and that it ends with without the projection."""
         began, torque, freed = self.weights(stepper.state), stepper.torque, None
         used = began
@@ -282,7 +284,7 @@ class Ledger:
             freed = self.weights(self.free.state)
         return began, used, freed
 
-    def after(self, n: int, row: Array, stepper: Stepper, kept: tuple[Weights, Weights, Weights | None]) -> None:
+    def after(self, n: int, row: Array, stepper: LearnerStepper, kept: tuple[Weights, Weights, Weights | None]) -> None:
         """Value and terms of a sample; an update counts where its weights are used."""
         (began, used, freed), arrived, state = kept, self.freed, stepper.state
         if self.first:

@@ -11,8 +11,8 @@ import numpy as np
 
 from mmnn_pin.errors import InputError, RecordingError
 from mmnn_pin.lab.psi.judgement import Judgement, judgement_of, keep, sentence, with_part
-from mmnn_pin.lab.psi.learner import NAMES, Networks
-from mmnn_pin.lab.psi.psi import WINDOWS, Progress, how_to_know
+from mmnn_pin.lab.psi.learner import NAMES, NetworkLearner
+from mmnn_pin.lab.psi.psi import WINDOWS, ProgressCallback, how_to_know
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.torque.learning_law import LearningLaw
@@ -63,7 +63,7 @@ class Proof(Judgement):
         payload: float | None = None,
         windows: int = WINDOWS,
         budget: float = BUDGET,
-        progress: Progress | None = None,
+        progress: ProgressCallback | None = None,
     ) -> None:
         super().__init__(recording, payload=payload, windows=windows, progress=progress)
         self.budget, self.left_out = budget, ""
@@ -176,7 +176,7 @@ def best_weights(subject: Subject) -> IdealWeights:
         RecordingError: The controller has none of these, or its law is not at hand.
     """
     learner = subject.learner
-    if isinstance(learner, Networks):
+    if isinstance(learner, NetworkLearner):
         return ideal_weights(subject, learner)
     if learner is not None and weights_part_of(learner.controller) == "estimate":
         return true_parameters(subject, learner)

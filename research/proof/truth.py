@@ -41,7 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmnn_pin.errors import InputError, RecordingError
-from mmnn_pin.lab.psi.learner import Learner, Stepper
+from mmnn_pin.lab.psi.learner import Learner, LearnerStepper
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.settings import finite
@@ -131,7 +131,7 @@ def parts_of(numbers: Any) -> tuple[Adaptation, Any]:
 
 def regressors(learner: Learner, rows: Array) -> Array:
     """Y of an adaptive controller at rows (N, width), (N, p, k), which no estimate changes."""
-    stepper, Y = Stepper(learner, learner.start.snapshot(), learning=False), list[Array]()
+    stepper, Y = LearnerStepper(learner, learner.start.snapshot(), learning=False), list[Array]()
     for row in rows:
         stepper.step(row)
         Y.append(parts_of(stepper.torque.learner)[0].known.Y.copy())
@@ -151,10 +151,10 @@ def stepped(
     """
     theta, Y, wanted = np.zeros((len(rows), learner.start["theta"].size)), dict[int, Array](), set(at.tolist())
 
-    def before(n: int, row: Array, stepper: Stepper) -> None:
+    def before(n: int, row: Array, stepper: LearnerStepper) -> None:
         theta[n] = stepper.state["theta"]
 
-    def after(n: int, row: Array, stepper: Stepper, kept: None) -> None:
+    def after(n: int, row: Array, stepper: LearnerStepper, kept: None) -> None:
         if n in wanted:
             Y[n] = parts_of(stepper.torque.learner)[0].known.Y.copy()
         visit(n, stepper.state)

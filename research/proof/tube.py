@@ -103,16 +103,25 @@ class Tube:
 
 
 def refusal(subject: Subject) -> str:
-    """What of a run the tube does not know; empty if nothing."""
-    meta = subject.recording.meta
+    """The first property of a run that the tube does not cover; empty if it covers all."""
+    return hardware_refusal(subject) or timing_refusal(subject) or loop_refusal(subject)
+
+
+def hardware_refusal(subject: Subject) -> str:
+    """The first property of plant, motors and disturbances that the tube does not cover; empty if it covers all."""
     if subject.plant != "ideal" or subject.timing.integrator == "stick":
         return "wheels may slip, or friction stick, in its plant"
     if subject.rolls_otherwise:
         return "its wheels have other radii than its controller takes"
     if subject.motors_lag:
         return "its motors have more than a limit of torque"
-    if any(event["type"] != "push" for event in meta.get("disturbances", ())):
+    if any(event["type"] != "push" for event in subject.recording.meta.get("disturbances", ())):
         return "something else than pushes happens to the robot"
+    return ""
+
+
+def timing_refusal(subject: Subject) -> str:
+    """The first property of length and latency that the tube does not cover; empty if it covers all."""
     latency, h = subject.latency, subject.timing.control_period
     if len(subject.rows) <= SHORTEST:
         return f"it has {len(subject.rows)} rows only"
@@ -122,6 +131,11 @@ def refusal(subject: Subject) -> str:
         return "its measurements are late, or its commands by chance"
     if abs(latency.command / h - round(latency.command / h)) > 1e-6:
         return "its commands are late by a part of a period"
+    return ""
+
+
+def loop_refusal(subject: Subject) -> str:
+    """The first property of sensors, gains and torque that the tube does not cover; empty if it covers all."""
     if not subject.exact_poses:
         return "its sensors err by more than noise of velocities, or are slower than its controller"
     if subject.recording.outcome.status != "completed":

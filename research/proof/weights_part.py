@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin.lab.psi.learner import Learner, Stepper
+from mmnn_pin.lab.psi.learner import Learner, LearnerStepper
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.signals import Array, IntArray
 
@@ -67,8 +67,8 @@ def part_of(
 def step_again(
     learner: Learner,
     rows: Array,
-    before: Callable[[int, Array, Stepper], Any],
-    after: Callable[[int, Array, Stepper, Any], None],
+    before: Callable[[int, Array, LearnerStepper], Any],
+    after: Callable[[int, Array, LearnerStepper, Any], None],
     progress: Progress = None,
 ) -> float:
     """Step a learner over the rows of its run, from its start on, as long as it says what it said in the run.
@@ -84,7 +84,8 @@ def step_again(
         Largest difference of its Psi_hat from the recorded one, relative to the largest of the run; inf where one is no
         number.
     """
-    stepper, recorded = Stepper(learner, learner.start.snapshot()), rows[:, learner.context.layout.where("psi_hat")]
+    stepper = LearnerStepper(learner, learner.start.snapshot())
+    recorded = rows[:, learner.context.layout.where("psi_hat")]
     missed, largest = np.zeros(()), float(np.abs(recorded).max()) or 1.0
     for n, row in enumerate(rows):
         kept = before(n, row, stepper)

@@ -18,7 +18,7 @@ from mmnn_pin.lab.show.table import Column, Table, number, row_of, terminal_text
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.loop.suited import Given, suited
+from mmnn_pin.loop.suited import LoopToSuit, suited
 from mmnn_pin.model import Robot, load
 from mmnn_pin.reference import Hold, Line, Trajectory
 from mmnn_pin.settings import Timing
@@ -49,7 +49,9 @@ def swaying(robot: Robot, delay: float) -> Loop:
     """PD at rest, or along a line, from a small offset, its commands late by a delay [s]."""
     timing, d = Timing(SECONDS, 0.002, STEP, integrator="implicit_friction"), robot.dimensions
     arm = tuple(Hold(value) for value in robot.neutral_position()[robot.arm_index])
-    controller = suited(PD(Feedback(base=60.0, arm=60.0, scaling="inertia")), robot, lambda: Given(Kinematic(), 0.002))
+    controller = suited(
+        PD(Feedback(base=60.0, arm=60.0, scaling="inertia")), robot, lambda: LoopToSuit(Kinematic(), 0.002)
+    )
     start = Start(pose_offset=(OFFSET,) * 3, joint_offset=OFFSET)
     kinematic = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0)
     line = Trajectory(Line(speed=0.3) if d.base else None, arm)

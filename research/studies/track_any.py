@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mmnn_pin import load_experiment
 from mmnn_pin.errors import InputError
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.loop.batch import Run, simulate_many
+from mmnn_pin.loop.batch import BatchRun, simulate_many
 from mmnn_pin.loop.sampled import delay_margin
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.robots import bundled, extra
@@ -30,7 +30,7 @@ NAMES = ("pd", "pd_gravity", "pid", "two_layer", "adaptive", "computed_torque")
 
 
 @dataclass(frozen=True)
-class Row:
+class RobotRow:
     """One robot.
 
     Attributes:
@@ -63,7 +63,7 @@ def experiment_of(name: str, settings: tuple[str, ...] = ()) -> tuple[Experiment
     return load_experiment("track", [*laps, f"time.duration={end!r}", last]), robot
 
 
-def row_of(name: str, settings: tuple[str, ...] = (), controllers: tuple[str, ...] = NAMES) -> Row:
+def row_of(name: str, settings: tuple[str, ...] = (), controllers: tuple[str, ...] = NAMES) -> RobotRow:
     """Run controllers on one robot."""
     experiment, robot = experiment_of(name, settings)
     loops = [experiment.loop(robot, experiment.controller(c, robot=robot)) for c in controllers]
@@ -72,15 +72,15 @@ def row_of(name: str, settings: tuple[str, ...] = (), controllers: tuple[str, ..
     ending = ".rms_{:g}_{:g}".format(*experiment.windows[-1])
     joints, lost = robot.joint_names, np.inf
 
-    def rms(run: Run, signal: str) -> float:
+    def rms(run: BatchRun, signal: str) -> float:
         return run.metrics.get(signal + ending, lost) if run.outcome.status == "completed" else lost
 
-    def peak(run: Run, signal: str) -> float:
+    def peak(run: BatchRun, signal: str) -> float:
         assert run.recording is not None
         torque = np.abs(as_columns(run.recording[signal])).max(axis=0)
         return float(np.divide(torque, robot.effort_limits, out=np.zeros(len(torque)), where=torque > 0).max())
 
-    return Row(
+    return RobotRow(
         Path(name).stem,
         tuple(joints),
         loops[0].trajectory.slowness,
@@ -97,19 +97,19 @@ def cell(value: float) -> str:
     return f"{1e3 * value:.3g}" if np.isfinite(value) else "lost"
 
 
-def no_worse(row: Row) -> NDArray[np.bool_]:
+def no_worse(row: RobotRow) -> NDArray[np.bool_]:
     """(n,) joints on which `adaptive` errs no more than `pd_gravity`."""
     found: NDArray[np.bool_] = row.errors["adaptive"] <= row.errors["pd_gravity"]
     return found
 
 
-def summary(rows: list[Row], controllers: tuple[str, ...] = NAMES) -> list[str]:
+def summary(rows: list[RobotRow], controllers: tuple[str, ...] = NAMES) -> list[str]:
     """The table of `cells` in Markdown."""
     titles, *others = cells(rows, controllers)
     return [table_line(line) for line in (titles, ["---"] * len(titles), *others)]
 
 
-def cells(rows: list[Row], controllers: tuple[str, ...] = NAMES) -> list[list[str]]:
+def cells(rows: list[RobotRow], controllers: tuple[str, ...] = NAMES) -> list[list[str]]:
     """Titles, then per robot: the largest error of its joints under every controller, torques, slowness, margin."""
     lines = [["robot", "slower", "margin [ms]", *controllers, "torque given, asked", "adaptive no worse"]]
     for row in rows:
@@ -122,7 +122,7 @@ def cells(rows: list[Row], controllers: tuple[str, ...] = NAMES) -> list[list[st
     return lines
 
 
-def per_joint(rows: list[Row], wanted: bool | None = None) -> list[str]:
+def per_joint(rows: list[RobotRow], wanted: bool | None = None) -> list[str]:
     """A line per joint; `wanted` of those on which `adaptive` is, or is not, worse than `pd_gravity` alone."""
     lines = [table_line(["robot", "joint", *NAMES]), table_line(["---"] * (2 + len(NAMES)))]
     for row in rows:

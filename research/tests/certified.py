@@ -8,7 +8,7 @@ import numpy as np
 
 from mmnn_pin import Feedback, Hold, Line, Loop, Neural, Sine, Timing, Trajectory, load
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.psi.learner import Networks
+from mmnn_pin.lab.psi.learner import NetworkLearner
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.signals import Layout
@@ -70,6 +70,6 @@ def learner_loop(
         along=Along(v, a, q, qdot, qddot, pose),
         period=period,
         gain=control.feedback.vector(layout),
-        learner=Networks(control, context, state, state.snapshot(), 0.0, robot),
+        learner=NetworkLearner(control, context, state, state.snapshot(), 0.0, robot),
         disturbance=np.zeros(layout.dof) if disturbance is None else disturbance,
     )

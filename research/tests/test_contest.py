@@ -18,7 +18,7 @@ from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment, recorded_experiment
 from mmnn_pin.lab.experiments.controllers import PLAIN
-from mmnn_pin.loop.batch import Run
+from mmnn_pin.loop.batch import BatchRun
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.recording.recording import Outcome, Recording
@@ -110,7 +110,7 @@ def test_frozen_weights_say_what_the_regressor_times_the_estimate_says(standing)
     (task,) = tasks_of(quick(), NAMES)
     controller, row = task.controller("adaptive"), standing.of("eight", "adaptive")[1]
     run = task.training(controller, row.seed).run()
-    state = state_after(task, controller, row.seed, Run(run.outcome, {}, run.final))
+    state = state_after(task, controller, row.seed, BatchRun(run.outcome, {}, run.final))
     regressor, layout, found = Regressor.of(task.robot), Layout.of(task.robot.dimensions), []
     for name, rows in task.rows.items():
         loop = task.held_out_loop(controller, row.seed, name, False)

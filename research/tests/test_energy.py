@@ -17,7 +17,7 @@ from robots import feedback
 
 from mmnn_pin import LearningLaw, load_experiment
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.lab.psi.learner import Networks, Stepper, frozen_psi_hat
+from mmnn_pin.lab.psi.learner import LearnerStepper, NetworkLearner, frozen_psi_hat
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.pseudo_inertia import directions, factor, move
@@ -108,7 +108,7 @@ def alarms(proof: Proof) -> tuple[list[int], int]:
     """Rows at which a learner heard an alarm, and samples between its updates otherwise."""
     learner = proof.subject.learner
     assert learner is not None
-    stepper, found = Stepper(learner, learner.start.snapshot()), []
+    stepper, found = LearnerStepper(learner, learner.start.snapshot()), []
     for n, row in enumerate(proof.subject.rows):
         stepper.step(row)
         found += [n] if stepper.state["counts"][3] > 0 else []
@@ -126,7 +126,7 @@ def updates_by_dense_matrices(proof: Proof, rows: range) -> int:
     a, h = learner.controller.law(learner.context).learner, learner.context.control_period
     every = np.arange(len(subject.rows))
     found = covariance_part(subject, learner, W_true, every)
-    stepper, still = (Stepper(learner, learner.start.snapshot(), on) for on in (True, False))
+    stepper, still = (LearnerStepper(learner, learner.start.snapshot(), on) for on in (True, False))
     s, error = errors_of(proof)
     m, count = W_true.shape[1], 0
     lets = learner.start["prior"] > 0
@@ -200,7 +200,7 @@ def test_a_stack_by_derivatives_along_what_it_says() -> None:
     assert learner is not None
     a, h = learner.controller.law(learner.context).learner, learner.context.control_period
     found = stack_part(subject, learner, w_true, np.arange(len(subject.rows)))
-    stepper, count, eps = Stepper(learner, learner.start.snapshot()), 0, 1e-6
+    stepper, count, eps = LearnerStepper(learner, learner.start.snapshot()), 0, 1e-6
     share = 1 - np.exp(-a.rate * a.every * h)
     for n, row in enumerate(subject.rows):
         w, L = stepper.state["w"].copy(), stepper.state["L"].copy()
@@ -327,7 +327,7 @@ def pseudo(theta: np.ndarray, i: int) -> np.ndarray:
 def test_a_networks_part_changes_exactly_as_its_terms_say(name: str) -> None:
     proof = proof_of(name)
     subject, one = proof.subject, proof.subject.learner
-    assert isinstance(one, Networks) and subject.networks is None  # the certificate is for networks alone
+    assert isinstance(one, NetworkLearner) and subject.networks is None  # the certificate is for networks alone
     every = np.arange(len(subject.rows))
     found = network_part(subject, one, proof.ideal, every)
     change = np.diff(found.value) / subject.timing.control_period
@@ -349,7 +349,7 @@ def test_ideal_weights_put_into_the_learner_say_psi_up_to_eps(name: str) -> None
     """With a nominal model in front, too: its Psi is not theirs to say."""
     proof = proof_of(name)
     subject, learner = proof.subject, proof.subject.learner
-    assert isinstance(learner, Networks)
+    assert isinstance(learner, NetworkLearner)
     state = learner.start.snapshot()
     for i, ideal in proof.ideal.items():
         state[f"W{i}"], state[f"V{i}"] = ideal.W, ideal.V
@@ -434,7 +434,7 @@ def test_what_a_law_does_beside_is_told_apart() -> None:
     proof = law_of(shape="full", leak=2.0)
     v, learner, n = proof.lyapunov, proof.subject.learner, 30
     assert learner is not None
-    stepper = Stepper(learner, learner.start.snapshot())
+    stepper = LearnerStepper(learner, learner.start.snapshot())
     for row in proof.subject.rows[:n]:
         stepper.step(row)
     W, inverse = stepper.state["W"], np.linalg.inv(learner.controller.gain(learner.start))

@@ -36,6 +36,19 @@ def test_the_study_of_knowledge_runs(capsys):
     assert float(re.fullmatch(r"pd: ([0-9.]+) us a sample\n", capsys.readouterr().out)[1]) > 0
 
 
+KNOWN = {"regressor": 1e-3, "bilinear": 1e-2, "features": 0.1, "residual": 1e-2}
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")
+@pytest.mark.parametrize("kind", sorted(KNOWN))
+def test_a_rich_motion_brings_the_knowledge_that_is_asked_for(kind, capsys):
+    """48 s of an eight with the arm shaken: FVU frozen on three motions that it has not seen, by what it was told."""
+    runpy.run_path(str(STUDY))["main"]([f"kalman_{kind}", "only=rich"])
+    line = capsys.readouterr().out.splitlines()[0]
+    known = [float(found) for found in re.findall(r"(?:eight3|eight2|circle) (\d[.]\d{5})", line)]
+    assert len(known) == 3 and max(known) <= KNOWN[kind]
+
+
 # -- a load that was picked up --
 
 

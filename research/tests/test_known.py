@@ -13,7 +13,7 @@ from scipy.linalg import expm
 from mmnn_pin import Recording, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.runner import run_experiment
-from mmnn_pin.lab.psi.learner import Stepper
+from mmnn_pin.lab.psi.learner import LearnerStepper
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
@@ -72,7 +72,7 @@ def test_no_rows_however_wrong_take_the_weights_further_or_the_covariance_above(
     learner, rng = proved.learner, np.random.default_rng(1)
     first, where = 60, learner.context.layout.where
     rows, at = proved.periods.subject.rows, int(proved.starts[first])
-    stepper = Stepper(learner, learner.start.snapshot())
+    stepper = LearnerStepper(learner, learner.start.snapshot())
     for row in rows[:at]:
         stepper.step(row)
     a, k, N = stepper.torque.learner, proved.ideal.size, proved.distance[first]
@@ -113,7 +113,7 @@ def test_the_features_are_those_of_the_learner(proved: ProvedKalman) -> None:
         j = int(proved.starts[b])
         row, places = subject.rows[j], slice(j, j + 1)
         y = proved.periods.state(row, row[where("position")], row[where("nu")])
-        stepper = Stepper(proved.learner, proved.learner.start.snapshot())
+        stepper = LearnerStepper(proved.learner, proved.learner.start.snapshot())
         for one in subject.rows[:j]:
             stepper.step(one)
         value, slope, rest = proved.features.smooth(places, np.abs(y)[None])
@@ -232,7 +232,7 @@ def test_pushes_from_an_instant_on_take_the_learner_no_further_than_is_proved(no
     assert left is not None
     bound, stepper = (
         proved.equations(first, box, left.acceleration),
-        Stepper(proved.learner, proved.learner.start.snapshot()),
+        LearnerStepper(proved.learner, proved.learner.start.snapshot()),
     )
     nearest = 0.0
     for j, row in enumerate(pushed.rows[:-1]):
@@ -256,7 +256,7 @@ def test_equations_of_attacked_motions_err_no_more_than_is_proved(search: Search
     assert isinstance(known, ProvedKalman) and left is not None
     bound, start = known.equations(first, box, left.acceleration), search.starts[first]
     states = attacked(search, first, len(search.ends) - 1, wanted, eps)
-    stepper, worst = Stepper(known.learner, known.learner.start.snapshot()), np.zeros(4)
+    stepper, worst = LearnerStepper(known.learner, known.learner.start.snapshot()), np.zeros(4)
     for row in rows[:start]:
         stepper.step(row)
     taus = [search.periods.torque(rows[start + i], y) for i, y in enumerate(states)]
@@ -320,7 +320,7 @@ def test_a_learner_of_late_commands_says_again_what_it_said(controller: str) -> 
     subject = Subject.of(run(controller, "latency.command=0.001", seconds=0.4))
     learner = subject.learner
     assert learner is not None and learner.context.way == 1e-3
-    stepper, learned = Stepper(learner, learner.start.snapshot()), 0.0
+    stepper, learned = LearnerStepper(learner, learner.start.snapshot()), 0.0
     for row in subject.rows:
         psi_hat = stepper.step(row)
         learned = max(learned, float(np.abs(psi_hat).max()))
@@ -333,7 +333,7 @@ def test_an_adaptive_learner_says_again_what_it_said_under_a_margin_of_delay() -
     """Its share of the feedback follows delays that the recording tells: `latency.margin` among them."""
     subject = Subject.of(run("adaptive", "latency.margin=0.003", "adaptive.share=delays", seconds=0.4))
     assert subject.learner is not None and subject.learner.context.unseen == pytest.approx(0.003)
-    stepper = Stepper(subject.learner, subject.learner.start.snapshot())
+    stepper = LearnerStepper(subject.learner, subject.learner.start.snapshot())
     for row in subject.rows:
         psi_hat = stepper.step(row)
         np.testing.assert_allclose(psi_hat, row[subject.layout.where("psi_hat")], atol=1e-9)

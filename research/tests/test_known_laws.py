@@ -14,7 +14,7 @@ from test_known import assert_pushed_within, run, still
 
 from mmnn_pin import load_experiment
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.lab.psi.learner import Stepper
+from mmnn_pin.lab.psi.learner import LearnerStepper
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.pseudo_inertia import BODY, pseudo_inertias, vector_of
@@ -55,7 +55,7 @@ def test_no_rows_however_wrong_take_a_concurrent_estimate_further(proved: Proved
     """The learner itself, stepped over rows that are no motion: distance and P stay below their bounds."""
     learner, rng, first, where = proved.learner, np.random.default_rng(1), 60, proved.periods.layout.where
     rows, at, robot = proved.periods.subject.rows, int(proved.starts[60]), proved.periods.robot
-    stepper = Stepper(learner, learner.start.snapshot())
+    stepper = LearnerStepper(learner, learner.start.snapshot())
     for row in rows[:at]:
         stepper.step(row)
     a, regressor, F = stepper.torque.learner, learner.controller.regressor, stepper.state["F"].copy()
@@ -214,7 +214,7 @@ def test_no_rows_however_wrong_take_an_adaptive_estimate_out_of_its_bounds(confi
     assert isinstance(wide, Confined)
     learner, where, rng = wide.steps.periods.subject.learner, wide.steps.periods.layout.where, np.random.default_rng(2)
     assert learner is not None
-    stepper, nearest = Stepper(learner, learner.start.snapshot()), 0.0
+    stepper, nearest = LearnerStepper(learner, learner.start.snapshot()), 0.0
     for row in wide.steps.rows[:500]:
         wrong = row.copy()
         for name in ("q", "qdot", "velocity", "z", "r", "nu_ref", "nudot_ref"):

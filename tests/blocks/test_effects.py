@@ -32,7 +32,7 @@ from mmnn_pin.actuator.effects import (
 )
 from mmnn_pin.disturbance import BRAKE, Forces, Pushes, block
 from mmnn_pin.disturbance.effects import NOISE, SINE, STEP
-from mmnn_pin.loop.hardware import Command, CommandLine, MotorSide, pass_through
+from mmnn_pin.loop.hardware import CommandLine, MotorSide, SentTorque, pass_through
 from mmnn_pin.sensing.effects import (
     CLOCK,
     COLUMNS,
@@ -168,7 +168,7 @@ def test_a_meter_sums_what_the_joints_get():
 def test_a_lost_command_leaves_the_last_one_and_a_broken_one_is_no_number():
     line = CommandLine(np.array([0.0, 1.0, 2.0]), np.array([7.0, 8.0]))
     for k, (torque, arrived) in enumerate((([1.0, 2.0], 1.0), ([7.0, 8.0], 0.0), ([np.nan, np.nan], 1.0))):
-        wire = Command(np.array([1.0, 2.0]), np.zeros(1))
+        wire = SentTorque(np.array([1.0, 2.0]), np.zeros(1))
         pass_through((line,), wire, k, 0.0)
         np.testing.assert_array_equal(wire.torque, torque)
         assert wire.arrived[0] == arrived

@@ -62,13 +62,13 @@ def test_a_run_that_is_over_before_its_errors_count_is_no_verdict(capsys: pytest
 
 
 def test_the_command_line_says_it_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", "contest", "--set", "nominal.masses=[1]"]) == 2
+    assert main(["run", "track", "--set", "nominal.masses=[1]"]) == 2
     err = capsys.readouterr().err
     assert err.endswith("nominal.masses: error: [1] is a list: give a number or a table\n") and err.count("\n") == 1
 
 
 def test_all_bundled_sizes_are_within_their_bounds() -> None:
-    for name in ("eight", "contest", "chapter4", "chapter5", "track"):
+    for name in ("eight", "chapter4", "chapter5", "track"):
         assert load_experiment(
             name, ["kalman.features.hidden=2000", "concurrent.entries=5000", "two_layer.hidden=10000"]
         )

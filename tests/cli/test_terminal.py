@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from mmnn_pin.cli import main, mmnn, output
 from mmnn_pin.lab.experiments.config import keys_of, kind_at
-from mmnn_pin.torque import CONTROLLERS
+from mmnn_pin.torque.entries import CONTROLLERS
 
 
 def completed(words: str) -> list[str]:

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin import PD, Stepper, StepperSettings, load
-from mmnn_pin.deploy.ros2.planned import Arm, Refused
+from mmnn_pin.deploy.ros2.planned import PlannedArm, Refused
 from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import JointGoal
 from mmnn_pin.safety import Safety
@@ -50,7 +50,7 @@ class Robot:
         self.endless = [end is None for end in ends]
         more = {} if limits is None else {"limits": limits}
         self.stepper = Stepper(self.robot, PD(), StepperSettings(safety=Safety(torque="urdf"), period=PERIOD, **more))
-        self.arm = Arm.of(self.robot, {}, limits or Limits(), PERIOD)
+        self.arm = PlannedArm.of(self.robot, {}, limits or Limits(), PERIOD)
         self.places, self.asked = [], []
 
     def step(self, wish=None):

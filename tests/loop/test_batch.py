@@ -30,7 +30,7 @@ from mmnn_pin import (
 )
 from mmnn_pin.errors import ConfigError, TrajectoryError, UnknownName
 from mmnn_pin.loop import batch
-from mmnn_pin.loop.batch import Run, simulate_many
+from mmnn_pin.loop.batch import BatchRun, simulate_many
 from mmnn_pin.loop.before_run import Bounds, Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.recording.metrics import metrics
@@ -99,17 +99,17 @@ def different() -> tuple[list[Loop], list[ControllerState | None]]:
     return [loop for loop, _ in loops.values()], [state for _, state in loops.values()]
 
 
-def alone(loop: Loop, state: ControllerState | None) -> Run:
+def alone(loop: Loop, state: ControllerState | None) -> BatchRun:
     recording = replace(loop, check_gains=False).run(state=state)
-    return Run(recording.outcome, metrics(recording, WINDOWS), recording.final, recording)
+    return BatchRun(recording.outcome, metrics(recording, WINDOWS), recording.final, recording)
 
 
 @pytest.fixture(scope="module")
-def singles() -> list[Run]:
+def singles() -> list[BatchRun]:
     return [alone(loop, state) for loop, state in zip(*different(), strict=True)]
 
 
-def assert_same_bits(run: Run, single: Run) -> None:
+def assert_same_bits(run: BatchRun, single: BatchRun) -> None:
     ends = [(o.status, o.time, o.signal) for o in (run.outcome, single.outcome)]
     assert ends[0] == ends[1] and run.metrics.keys() == single.metrics.keys()
     np.testing.assert_array_equal(list(run.metrics.values()), list(single.metrics.values()))

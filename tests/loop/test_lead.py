@@ -32,8 +32,8 @@ from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Measurement, Setpoint
-from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Feedback
+from mmnn_pin.torque.entries import CONTROLLERS
 from mmnn_pin.torque.law import Ahead, constant_gain, step
 from mmnn_pin.torque.model_based import PD, ComputedTorque
 

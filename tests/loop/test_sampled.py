@@ -25,7 +25,7 @@ from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sampled import HeldLoop, SampledLoop, sampled_loop
 from mmnn_pin.loop.stable_gains import require_stable
 from mmnn_pin.loop.stepper import Stepper, StepperSettings
-from mmnn_pin.loop.suited import Given, suited
+from mmnn_pin.loop.suited import LoopToSuit, suited
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.base.base import Fixed, LinearErrors
 from mmnn_pin.model.base.differential import DifferentialDrive
@@ -330,7 +330,7 @@ def late(share: float, latency: Latency, controller: type = PD) -> Loop:
     timing = Timing(duration=0.5, control_period=0.002, plant_step=0.0005)
     gains = Feedback(base=share * 50.0, arm=share * 80.0, scaling="inertia")
     robot = load("platform_arm")
-    made = suited(controller(gains), robot, lambda: Given(Kinematic(), 0.002))
+    made = suited(controller(gains), robot, lambda: LoopToSuit(Kinematic(), 0.002))
     return Loop(robot, Trajectory(Line(speed=0.3), (Hold(0.3), Hold(0.4))), made, timing=timing, latency=latency)
 
 

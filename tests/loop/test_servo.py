@@ -41,7 +41,7 @@ from mmnn_pin.loop.ordinary import OrdinaryLoop
 from mmnn_pin.loop.sampled import verdicts
 from mmnn_pin.loop.servo import Servo, interfaces_of, split_of
 from mmnn_pin.loop.servo_model import servo_slots, velocity_servo
-from mmnn_pin.loop.suited import Given, suited
+from mmnn_pin.loop.suited import LoopToSuit, suited
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robots import robot_data
 from mmnn_pin.safety import Safety
@@ -59,7 +59,9 @@ CALM = Kinematic(kx=2.0, ky=16.0, kth=8.0, K=5.0)
 def made(controller=None, interfaces=WHEELS, duration=0.3, **more):
     timing = Timing(duration, H, 0.001, integrator="implicit_friction")
     arm = tuple(Sine(0.4, 2.0, phase=0.5 * i) for i in range(ROBOT.dimensions.arm))
-    controller = suited(controller or ComputedTorque(Feedback(20.0, 30.0, "inertia")), ROBOT, lambda: Given(CALM, H))
+    controller = suited(
+        controller or ComputedTorque(Feedback(20.0, 30.0, "inertia")), ROBOT, lambda: LoopToSuit(CALM, H)
+    )
     given = {"kinematic": CALM, "timing": timing, "interfaces": interfaces, "servo": Servo(bandwidth=25.0)} | more
     return Loop(ROBOT, Trajectory(Eight(3.0, 1.5, 20.0), arm), controller, **given)
 

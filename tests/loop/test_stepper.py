@@ -535,8 +535,8 @@ def test_the_rehearsal_leaves_no_trace():
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="uncompiled blocks allocate")
 @pytest.mark.parametrize(("name", "samples"), [
-    ("two_layer", 6000),
-    ("computed_torque", 6000),
+    ("two_layer", 10_000),
+    ("computed_torque", 10_000),
     *(pytest.param(name, 100_000, marks=pytest.mark.long) for name in CONTROLLERS if name != "python"),
 ])  # fmt: skip
 def test_steps_collect_no_garbage_and_keep_no_memory(name, samples):

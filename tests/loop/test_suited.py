@@ -19,7 +19,7 @@ from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.experiment import made_for
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.latency import Latency
-from mmnn_pin.loop.suited import MARGIN, SLOWEST, Given, Load, effective_inertia, fit, followable, timing_for
+from mmnn_pin.loop.suited import MARGIN, SLOWEST, LoopToSuit, MotorLoad, effective_inertia, fit, followable, timing_for
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.robots import extra
@@ -81,7 +81,7 @@ def test_a_slow_loop_has_lower_gains(period: float) -> None:
     timing = Timing(duration=1.0, control_period=period, plant_step=0.001)
     loop = loop_of(robot, PD(), timing=timing)
     assert loop.delay_margin() >= MARGIN
-    assert (fit(robot, Feedback(), Given(loop.kinematic, period)).share == 1.0) == (period < 0.05)
+    assert (fit(robot, Feedback(), LoopToSuit(loop.kinematic, period)).share == 1.0) == (period < 0.05)
 
 
 def test_gains_follow_the_inertia() -> None:
@@ -197,7 +197,7 @@ def test_an_arm_too_weak_for_the_middle_of_its_range_swings_about_another_postur
     q = np.array([profile.sample(np.linspace(0, 10, 50) * moved.slowness).q for profile in moved.arm])
     assert (q.min(axis=1) >= robot.lower[robot.arm_index]).all()
     assert (q.max(axis=1) <= robot.upper[robot.arm_index]).all()
-    assert Load(weak).along(moved, 10.0).max() < 1.0
+    assert MotorLoad(weak).along(moved, 10.0).max() < 1.0
 
 
 @pytest.mark.skipif("so101" not in extra(), reason="example-robot-data is not installed")
@@ -215,11 +215,13 @@ def test_an_arm_too_weak_for_the_ends_of_its_swing_swings_less_far() -> None:
 
 @pytest.mark.skipif("so101" not in extra(), reason="example-robot-data is not installed")
 def test_a_hopeless_search_ends_early_with_the_answer_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot, looked, whole, of = load("so101"), [], Load.along, Start.state
+    robot, looked, whole, of = load("so101"), [], MotorLoad.along, Start.state
     weak = replace(robot, effort_limits=1e-3 * robot.effort_limits)  # no posture helps
     monkeypatch.setattr(Start, "state", lambda *given: (looked.append(1), of(*given))[1])
     found, few = load_experiment("track", ["robot=so101"]).trajectory_of(weak), len(looked)
-    monkeypatch.setattr(Load, "along", lambda self, reference, duration, enough=0.0: whole(self, reference, duration))
+    monkeypatch.setattr(
+        MotorLoad, "along", lambda self, reference, duration, enough=0.0: whole(self, reference, duration)
+    )
     made_for.cache_clear()
     assert load_experiment("track", ["robot=so101"]).trajectory_of(weak) == found
     assert len(looked) - few > 1.5 * few

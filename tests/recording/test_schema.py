@@ -361,9 +361,8 @@ def test_facts_that_are_missing_are_told_where_they_are_needed(tmp_path, monkeyp
     assert "not recorded" in (tmp_path / "r.html").read_text()
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         del file.attrs["control_period"]
-    assert main(["judge", "run.h5"]) == 0
-    told = capsys.readouterr()
-    assert "does not hold its 'control_period'" in told.out and "internal error" not in told.err
+    assert main(["report", "run.h5", "--html", "r.html", "--no-replay", "--force"]) == 2
+    assert capsys.readouterr().err == "run.h5: error: two_layer does not have its control period\n"
 
 
 def test_a_report_of_a_recording_that_knows_no_limits_is_made(tmp_path, monkeypatch):

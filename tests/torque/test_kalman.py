@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
-import runpy
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +12,6 @@ from builders import first_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning import assert_engines_agree, assert_it_resumes
-from places import ROOT
 from robots import fixed_arm, mobile_arm
 from scipy.signal import lfilter
 
@@ -32,8 +29,8 @@ from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import INDEX, Layout, Measurement, Setpoint
-from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Context
+from mmnn_pin.torque.entries import CONTROLLERS
 from mmnn_pin.torque.factored import measure
 from mmnn_pin.torque.kalman import Kalman, factors
 from mmnn_pin.torque.kalman_settings import (
@@ -606,19 +603,6 @@ def test_a_poor_motion_is_told_and_harmless(kind):
     run = loop.run()
     assert run.outcome.status == "completed" and f"{controller.name}: not excited" in run.outcome.message
     assert (late_rms(run, 6.0) < np.array([1e-3, 1e-3, 2e-3, 1e-3, 1e-3])).all()
-
-
-@LONG
-@pytest.mark.parametrize("kind", sorted(KINDS))
-def test_a_rich_motion_brings_the_knowledge_that_is_asked_for(kind, capsys):
-    """48 s of an eight with the arm shaken: FVU frozen on three motions that it has not seen, by what it was told."""
-    study = runpy.run_path(str(ROOT / "studies" / "learners" / "knowledge.py"))
-    study["main"]([f"kalman_{kind}", "only=rich"])
-    line = capsys.readouterr().out.splitlines()[0]
-    known = [float(found) for found in re.findall(r"(?:eight3|eight2|circle) (\d[.]\d{5})", line)]
-    assert (
-        len(known) == 3 and max(known) <= {"regressor": 1e-3, "bilinear": 1e-2, "features": 0.1, "residual": 1e-2}[kind]
-    )
 
 
 @LONG

@@ -17,7 +17,7 @@ from robots import feedback
 from mmnn_pin import PD, LearningLaw, TorqueController
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.psi.judgement import Judgement
-from mmnn_pin.lab.psi.learner import Stepper
+from mmnn_pin.lab.psi.learner import LearnerStepper
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.safety import Safety
@@ -409,7 +409,7 @@ def test_stepping_it_again_gives_its_weights_and_what_is_known_is_not_asked_of_t
     subject = subject_of("differential", loop_of("differential", law, duration=0.05).run())
     learner = subject.learner
     assert learner is not None and np.abs(learner.end["W"]).max() > 1e-6
-    stepper = Stepper(learner, learner.start.snapshot())
+    stepper = LearnerStepper(learner, learner.start.snapshot())
     again = np.array([stepper.step(row).copy() for row in subject.rows])
     np.testing.assert_allclose(again, subject.signal("psi_hat"), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(stepper.state["W"], learner.end["W"], rtol=1e-12)

@@ -38,7 +38,7 @@ from .values import (
     PRODUCT,
     SUM,
     UNARY,
-    Array,
+    ArrayValue,
     Number,
     Pointer,
     Root,
@@ -137,7 +137,7 @@ class FunctionBody:
                     self._to_variable(name, value)
                 else:
                     self.kinds[name] = value.kind if isinstance(value, Number) else value.size
-            elif isinstance(value, Array) and isinstance(value.base, Root) and value.alias is None:
+            elif isinstance(value, ArrayValue) and isinstance(value.base, Root) and value.alias is None:
                 self.names[name] = self._aliased(name, value)
 
     # -- statements ----------------------------------------------------------------------------------------------------
@@ -367,7 +367,7 @@ class FunctionBody:
             self._to_variable(name, self.vec(target, value))
         elif not once:
             self.refuse(target, f"'{name}', which is several things,")
-        elif isinstance(value, Array):
+        elif isinstance(value, ArrayValue):
             self.names[name] = self._aliased(name, value)
         else:
             self.names[name] = value
@@ -387,7 +387,7 @@ class FunctionBody:
             value = as_kind(value, self.kinds[local])
         self.lines.append(Assign(local, value.text))
 
-    def _aliased(self, name: str, array: Array) -> Array:
+    def _aliased(self, name: str, array: ArrayValue) -> ArrayValue:
         """An array under a name of its own: a pointer, which is written only where it is used."""
         if array.alias is not None and array.alias.name == self.local(name):
             return array
@@ -396,11 +396,11 @@ class FunctionBody:
         pointer = self.pointer(self.address(array), array.kind, (array.alias or array.base,), self.local(name))
         if isinstance(array.base, Root) and array.offset.is_known:
             return replace(array, alias=pointer)
-        return Array(pointer, integer(0), array.shape, array.strides, array.kind)
+        return ArrayValue(pointer, integer(0), array.shape, array.strides, array.kind)
 
     def _to_memory(self, target: ast.Subscript, value: Value) -> None:
         place = self.expression(target.value)
-        if not isinstance(place, Array):
+        if not isinstance(place, ArrayValue):
             self.refuse(target, "an assignment to a part of this")
         items = target.slice.elts if isinstance(target.slice, ast.Tuple) else [target.slice]
         if self.program.is_dropped(place.base):
@@ -415,22 +415,22 @@ class FunctionBody:
             self.lines.append(f"{found.text.removeprefix('(int64_t)')} = {value.text};")
             return
         part = self.part(target, place, items)
-        assert isinstance(part, Array)
+        assert isinstance(part, ArrayValue)
         self._fill(target, part, value)
 
-    def _fill(self, target: ast.AST, part: Array, value: Value) -> None:
+    def _fill(self, target: ast.AST, part: ArrayValue, value: Value) -> None:
         """A number, or an array, into all places of an array whose rows stand one after the other."""
         size = integer(1)
         for one in part.shape:
             size = self.operate(target, size, ast.Mult(), one)
-        if part.layout != "C" or (isinstance(value, Array) and (value.layout != "C" or len(value.shape) != 1)):
+        if part.layout != "C" or (isinstance(value, ArrayValue) and (value.layout != "C" or len(value.shape) != 1)):
             self.refuse(target, "an assignment to an array like this")
-        if not isinstance(value, Number | Array):
+        if not isinstance(value, Number | ArrayValue):
             self.refuse(target, "an assignment of this")
         self.program.write(part)
         i = "at_"
         one = Number("int", i)
-        text = self.element(value, one).text if isinstance(value, Array) else value.text
+        text = self.element(value, one).text if isinstance(value, ArrayValue) else value.text
         into = self.element(part, one).text
         if size.value != 0:
             head = f"for (int32_t {i} = 0; {i} < {size.text}; {i}++)"
@@ -446,7 +446,7 @@ class FunctionBody:
             return
         assert isinstance(node.target, ast.Subscript)
         place = self.expression(node.target.value)
-        assert isinstance(place, Array)
+        assert isinstance(place, ArrayValue)
         if self.program.is_dropped(place.base):
             return
         self.program.write(place)
@@ -529,7 +529,7 @@ class FunctionBody:
             return item
         if isinstance(value, Static):
             return self.program.attribute(value, node.attr)
-        if isinstance(value, Array):
+        if isinstance(value, ArrayValue):
             if node.attr == "T":
                 return replace(value, shape=value.shape[::-1], strides=value.strides[::-1])
             if node.attr == "size":
@@ -678,7 +678,12 @@ class FunctionBody:
                 return a
             text = f"{test.within(CHOICE + 1)} ? {a.within(CHOICE + 1)} : {b.within(CHOICE)}"
             return Number(joined(a.kind, b.kind), text, CHOICE)
-        if isinstance(a, Array) and isinstance(b, Array) and a.kind == b.kind and len(a.shape) == len(b.shape):
+        if (
+            isinstance(a, ArrayValue)
+            and isinstance(b, ArrayValue)
+            and a.kind == b.kind
+            and len(a.shape) == len(b.shape)
+        ):
             if a == b:
                 return a
             pairs = zip(a.shape, b.shape, strict=True)
@@ -688,7 +693,7 @@ class FunctionBody:
             strides = row_strides(shape) if a.layout == "C" else tuple(reversed(row_strides(shape[::-1])))
             text = f"{test.within(CHOICE + 1)} ? {self.address(a)} : {self.address(b)}"
             pointer = self.pointer(text, a.kind, tuple(x.alias or x.base for x in (a, b)))
-            return Array(pointer, integer(0), shape, strides, a.kind)
+            return ArrayValue(pointer, integer(0), shape, strides, a.kind)
         self.refuse(node, "a choice of these")
 
     def vec(self, node: ast.AST, value: Value) -> Vec:
@@ -704,18 +709,18 @@ class FunctionBody:
             )
         self.refuse(node, "this in the place of a few numbers")
 
-    def base(self, array: Array) -> str:
+    def base(self, array: ArrayValue) -> str:
         """The text of where an array's memory begins."""
         if array.alias is not None:
             return array.alias.name
         return self.program.text_of(array.base) if isinstance(array.base, Root) else array.base.name
 
-    def address(self, array: Array) -> str:
+    def address(self, array: ArrayValue) -> str:
         """The text of a pointer to an array's first number."""
         offset = integer(0) if array.alias is not None else array.offset
         return self.base(array) if offset.value == 0 else f"{self.base(array)} + {offset.within(SUM)}"
 
-    def element(self, array: Array, place: Number) -> Number:
+    def element(self, array: ArrayValue, place: Number) -> Number:
         """A number of an array."""
         value, everywhere = None, ""
         if isinstance(array.base, Root) and (array.offset.is_known and place.is_known):
@@ -735,7 +740,7 @@ class FunctionBody:
     def _subscript(self, node: ast.Subscript) -> Value:
         value = self.expression(node.value)
         items = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
-        if isinstance(value, Array):
+        if isinstance(value, ArrayValue):
             return self.part(node, value, items)
         if isinstance(value, Static) and isinstance(value.object, dict):
             key = self.expression(items[0])
@@ -753,7 +758,7 @@ class FunctionBody:
             vec = self.fresh(vec)
         return Number("real", f"{vec.text}.v[{place.text}]")
 
-    def part(self, node: ast.AST, array: Array, items: list[ast.expr]) -> Value:
+    def part(self, node: ast.AST, array: ArrayValue, items: list[ast.expr]) -> Value:
         """A number of an array, or a part of it."""
         offset, shape, strides = integer(0), list[Number](), list[Number]()
         for i, (size, stride) in enumerate(zip(array.shape, array.strides, strict=True)):
@@ -777,12 +782,14 @@ class FunctionBody:
     def _from(self, index: Number, size: Number) -> Number:
         return plus(size, index) if index.is_known and index.value < 0 else index
 
-    def placed(self, array: Array, offset: Number, shape: tuple[Number, ...], strides: tuple[Number, ...]) -> Array:
+    def placed(
+        self, array: ArrayValue, offset: Number, shape: tuple[Number, ...], strides: tuple[Number, ...]
+    ) -> ArrayValue:
         """A part of an array that begins at an offset."""
         alias = array.alias if offset.value == 0 else None
         if array.alias is not None and not isinstance(array.base, Root):
             array = replace(array, base=array.alias, offset=integer(0))
-        found = Array(array.base, plus(array.offset, offset), shape, strides, array.kind, alias)
+        found = ArrayValue(array.base, plus(array.offset, offset), shape, strides, array.kind, alias)
         if array.offset.value == 0 and offset.is_known and offset.text != str(offset.value):
             found = replace(found, offset=offset)
         if isinstance(found.base, Root) and found.base.parts:
@@ -796,7 +803,7 @@ class FunctionBody:
     def _call(self, node: ast.Call) -> Value:
         if isinstance(node.func, ast.Attribute) and node.func.attr == "reshape":
             array = self.expression(node.func.value)
-            if isinstance(array, Array):
+            if isinstance(array, ArrayValue):
                 return self._reshaped(node, array)
         function = self.expression(node.func)
         if not isinstance(function, Static):
@@ -828,7 +835,7 @@ class FunctionBody:
             self.refuse(node, f"{type(value).__name__.lower()} in the place of a number")
         return value
 
-    def _reshaped(self, node: ast.Call, array: Array) -> Array:
+    def _reshaped(self, node: ast.Call, array: ArrayValue) -> ArrayValue:
         shape = self.items(node, self.expression(node.args[0]))
         sizes = tuple(self._plain(node, size) for size in shape)
         return replace(array, shape=sizes, strides=row_strides(sizes))
@@ -921,7 +928,7 @@ class FunctionBody:
 
     def _length(self, node: ast.Call, given: list[Value]) -> Value:
         value = given[0]
-        if isinstance(value, Array):
+        if isinstance(value, ArrayValue):
             return value.shape[0]
         return integer(len(self.items(node, value)))
 

@@ -66,7 +66,7 @@ class Embedded:
 
 
 @checked
-def embed(
+def embed(  # noqa: PLR0913 - options, by keyword alone
     loop: Loop,
     folder: str | Path,
     *,

@@ -18,7 +18,7 @@ import numpy as np
 from .source import defined_in, source_of
 from .values import (
     C_TYPES,
-    Array,
+    ArrayValue,
     Number,
     Pointer,
     Root,
@@ -135,7 +135,7 @@ class CProgram:
             self.functions[key] = self._translated(key, source, arguments)
         return self.functions[key]
 
-    def _sameness(self, part: Any, array: Array | None) -> Any:
+    def _sameness(self, part: Any, array: ArrayValue | None) -> Any:
         """A key that is equal in all calls where a part of an argument is known; `VARIES` for one that never is."""
         if array is not None:
             if isinstance(array.base, Root) and array.offset.is_known:
@@ -197,7 +197,7 @@ class CProgram:
             strides = tuple(self._size(one) for one in found)
         if is_known:
             return replace(value, shape=shape, strides=strides, alias=None)
-        return Array(pointer, integer(0), shape, strides, value.kind)
+        return ArrayValue(pointer, integer(0), shape, strides, value.kind)
 
     def _size(self, value: Value) -> Number:
         assert isinstance(value, Number)
@@ -256,7 +256,7 @@ class CProgram:
 
     # -- memory -------------------------------------------------------------------------------------------------------
 
-    def array(self, array: np.ndarray, name: str) -> Array:
+    def array(self, array: np.ndarray, name: str) -> ArrayValue:
         """An array of Python, as the part of a block of memory that it is."""
         base = array
         while isinstance(base.base, np.ndarray):
@@ -271,15 +271,15 @@ class CProgram:
         shape = tuple(integer(one) for one in array.shape)
         plain = row_strides(shape)
         strides = plain if array.flags.c_contiguous else tuple(integer(one // size) for one in array.strides)
-        found = Array(root, integer(offset), shape, strides, root.kind)
+        found = ArrayValue(root, integer(offset), shape, strides, root.kind)
         return self.part_of(found) if root.parts else found
 
-    def table(self, numbers: tuple[float, ...], name: str) -> Array:
+    def table(self, numbers: tuple[float, ...], name: str) -> ArrayValue:
         """Numbers of a tuple as a constant table."""
         if id(numbers) not in self.roots:
             self.kept.append(numbers)
             self.roots[id(numbers)] = Root(self._unique(name or "table"), np.array(numbers), "real", np.array(numbers))
-        return Array(self.roots[id(numbers)], integer(0), (integer(len(numbers)),), (integer(1),), "real")
+        return ArrayValue(self.roots[id(numbers)], integer(0), (integer(len(numbers)),), (integer(1),), "real")
 
     def memory(self, array: np.ndarray, name: str, parts: Mapping[str, int] | None = None) -> Root:
         """Name a block of memory before it is used, and split it into members."""
@@ -294,7 +294,7 @@ class CProgram:
             self.pieces[root.name, start] = Root(part, root.data[start:end], root.kind, root.live[start:end])
         return root
 
-    def part_of(self, array: Array) -> Array:
+    def part_of(self, array: ArrayValue) -> ArrayValue:
         """An array as a part of the member of a split block that it lies in, where that is known."""
         root = array.base
         assert isinstance(root, Root)
@@ -312,7 +312,7 @@ class CProgram:
         self.taken[name] = count = self.taken.get(name, 0) + 1
         return name if count == 1 else f"{name}_{count}"
 
-    def write(self, array: Array) -> None:
+    def write(self, array: ArrayValue) -> None:
         """Note that something is written into an array."""
         for owner in (array.alias, array.base):
             self._write(owner)

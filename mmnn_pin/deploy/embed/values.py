@@ -84,7 +84,7 @@ class Pointer:
 
 
 @dataclass(frozen=True)
-class Array:
+class ArrayValue:
     """An array: where it begins, its shape and its strides, in elements; `alias` is a pointer to where it begins."""
 
     base: Root | Pointer
@@ -131,7 +131,7 @@ class Static:
     name: str = ""
 
 
-Value = Number | Array | Vec | Tuple | Static
+Value = Number | ArrayValue | Vec | Tuple | Static
 
 
 def integer(value: int, text: str = "") -> Number:
@@ -213,7 +213,7 @@ def leaves(value: Value, name: str) -> Iterator[tuple[str, Number | Pointer | Ro
     """Parts of a value that a function in C may be handed: name, number or pointer, and the array."""
     if isinstance(value, Number | Vec):
         yield name, value, None
-    elif isinstance(value, Array):
+    elif isinstance(value, ArrayValue):
         yield name, value.base, value
         for place, size in zip(dimensions(name, len(value.shape)), value.shape, strict=True):
             yield place, size, None
@@ -238,7 +238,7 @@ def structure(value: Value) -> Any:
         return value.kind
     if isinstance(value, Vec):
         return value.size
-    if isinstance(value, Array):
+    if isinstance(value, ArrayValue):
         return value.kind, len(value.shape), value.layout
     if isinstance(value, Tuple):
         return (value.of, *map(structure, value.items))

@@ -59,7 +59,7 @@ SHORT = {
     "unseen": "for parameters that they do not tell apart",
 }
 
-Motion = tuple[Array, Array, Array, Array]  # times (N,), integrals of nu, nu, nudot, (N, p) each
+MotionSamples = tuple[Array, Array, Array, Array]  # times (N,), integrals of nu, nu, nudot, (N, p) each
 
 
 @dataclass(frozen=True)
@@ -307,7 +307,7 @@ class ExcitationSearch:
         """A random candidate, (p, 2 harmonics + 1): coefficients, and where a joint's range is used."""
         return rng.standard_normal((len(self.speed), 2 * len(self.harmonics) + 1))
 
-    def motion(self, candidate: Array, samples: int) -> Motion | RefusedCandidate:
+    def motion(self, candidate: Array, samples: int) -> MotionSamples | RefusedCandidate:
         """Times, integrals of nu, nu and nudot of a candidate within limits of position and speed, its links apart."""
         T = self.limits.duration
         t = np.linspace(0.0, T, samples)
@@ -385,7 +385,7 @@ class ExcitationSearch:
         why = f"{count} of {len(refused)} candidates are refused: {why}{more}"
         return ConfigError("no motion found", why=why, fix=fix, key=key)
 
-    def regressor(self, motion: Motion) -> tuple[Array, float] | RefusedCandidate:
+    def regressor(self, motion: MotionSamples) -> tuple[Array, float] | RefusedCandidate:
         """Y_b (N, p, b) along a motion slowed into the torque limits, and the factor of its speed."""
         _, x, v, dv = motion
         nb = self.unknowns.robot.dimensions.base

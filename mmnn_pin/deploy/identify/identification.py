@@ -31,7 +31,7 @@ from .log import Log
 from .odometry import Wheels, has_reference, wheels_of
 from .programme import BLOCKS, Blocks, Consistent, Prior, consistent_fit
 from .quality import misnamed, sound
-from .reading import Motion, logs_of
+from .reading import MotionSource, logs_of
 
 HELD_OUT = 1 / 3  # of each log
 FEWEST = 40  # equations of a joint
@@ -189,9 +189,9 @@ def relative(of: Equations, predicted: Array, axis: int | None = 0) -> Array:
 @checked
 def identify(
     robot: Robot,
-    logs: Motion | Sequence[Motion],
+    logs: MotionSource | Sequence[MotionSource],
     *,
-    held_out: Motion | Sequence[Motion] = (),
+    held_out: MotionSource | Sequence[MotionSource] = (),
     cutoff: float | None = None,
     stribeck: float | None = None,
     torque_constants: Mapping[str, float | None] | None = None,

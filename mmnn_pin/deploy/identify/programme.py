@@ -257,7 +257,7 @@ def consistent_fit(
         rows: (r,) which rows count.
         deviation: (r,) their residual standard deviations.
         weight: Of the prior.
-        inflation: How many equations say as much as one, see `least_squares.Fit`.
+        inflation: How many equations say as much as one, see `least_squares.WeightedFit`.
 
     Raises:
         SolverError: The solver found no solution.

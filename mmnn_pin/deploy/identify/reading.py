@@ -32,10 +32,10 @@ TAKEN = {"q": "position", "qdot": "velocity", "velocity": "base"}  # of a record
 BAGS = (".db3", ".mcap", ".bag")
 
 
-Motion = Log | Recording | str | Path
+MotionSource = Log | Recording | str | Path
 
 
-def logs_of(given: Motion | Sequence[Motion], robot: Robot) -> list[Log]:
+def logs_of(given: MotionSource | Sequence[MotionSource], robot: Robot) -> list[Log]:
     """Logs of whatever holds a motion: a log, a recording, a file of `read_logs`, or several of these.
 
     Raises:

@@ -31,7 +31,18 @@ from ...reference.guide import ARM, BASE
 from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array, Setpoint
 from .outputs import stamp_of
-from .planned import INVALID_GOAL, OFF_GOAL, OFF_PATH, OKAY, Arm, Made, Planner, Refused, Seen, caught_up
+from .planned import (
+    INVALID_GOAL,
+    OFF_GOAL,
+    OFF_PATH,
+    OKAY,
+    Made,
+    PlannedArm,
+    Planner,
+    Refused,
+    RobotSituation,
+    caught_up,
+)
 from .sensing import Clock, Planar, seconds
 from .settings import Action
 from .whole_body import PARTS, base_points, whole_motion
@@ -97,7 +108,7 @@ class GoalAction:
     def __init__(
         self,
         node: RosNode,
-        arm: Arm,
+        arm: PlannedArm,
         settings: Action,
         planner: Planner,
         place_of: Callable[[str], Planar | None],
@@ -135,7 +146,7 @@ class GoalAction:
 
     # -- in the control loop -------------------------------------------------------------------------------------------
 
-    def poll(self, clock: Clock, now: Seen, stopped: bool) -> list[Wish]:
+    def poll(self, clock: Clock, now: RobotSituation, stopped: bool) -> list[Wish]:
         """Begin with goals that came, and judge the one that is followed; what the robot is to do then.
 
         Args:
@@ -159,7 +170,7 @@ class GoalAction:
         for goal in list(self.goals.values()):
             goal.end("abort", INVALID_GOAL, why)
 
-    def _begin(self, goal: Goal, clock: Clock, now: Seen, stopped: bool) -> None:
+    def _begin(self, goal: Goal, clock: Clock, now: RobotSituation, stopped: bool) -> None:
         """Plan the motion of a goal, and follow it when it is ready."""
         asked, request = clock.now, goal.handle.request
         reference, base = now.reference.copy(), now.base.copy()
@@ -205,7 +216,7 @@ class GoalAction:
         goal.patience = seconds(request.goal_time_tolerance) or s.goal_time
         self.active = goal
 
-    def _judge(self, goal: Goal, clock: Clock, now: Seen, stopped: bool) -> list[Wish]:
+    def _judge(self, goal: Goal, clock: Clock, now: RobotSituation, stopped: bool) -> list[Wish]:
         """Whether a goal is reached, or lost."""
         there = np.append(now.measured[0], now.pose)
         error, left = np.abs(np.append(now.reference[0], now.base[:3]) - there), np.abs(goal.last - there)
@@ -237,7 +248,7 @@ class GoalAction:
         n = len(self.arm.names)
         return self.arm.names[i] if i < n else f"{goal.base}/{PARTS[i - n]}"
 
-    def _feedback(self, goal: Goal, clock: Clock, now: Seen) -> Any:
+    def _feedback(self, goal: Goal, clock: Clock, now: RobotSituation) -> Any:
         names = ("positions", "velocities", "accelerations")
 
         def point(values: Array) -> JointTrajectoryPoint:

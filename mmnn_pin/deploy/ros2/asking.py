@@ -1,4 +1,4 @@
-"""What the graph asks of the robot, as setpoints of the stepper: velocities, motions of the arm, paths of the base.
+"""Wishes of the graph as setpoints of the stepper: velocities, motions of the arm, paths of the base.
 
 Motions are made in a thread of their own, so that a long one does not make a control sample late. A path in the frame
 of a map is placed into the odometry's frame when it comes; when the map is corrected it is placed anew, and the stepper
@@ -22,7 +22,7 @@ from ...signals import Array
 from .inlets import Inlet
 from .mapped import MappedRoute
 from .outputs import duration_of
-from .planned import Arm, Made, Planner, Refused, Seen, base_motion, caught_up
+from .planned import Made, PlannedArm, Planner, Refused, RobotSituation, base_motion, caught_up
 from .sensing import Clock, Tree
 from .settings import Heard, Node
 
@@ -44,7 +44,7 @@ class Asking:
         route: The path that the base follows.
     """
 
-    def __init__(self, node: RosNode, arm: Arm, settings: Node, tree: Tree) -> None:
+    def __init__(self, node: RosNode, arm: PlannedArm, settings: Node, tree: Tree) -> None:
         self.arm, self.settings, self.planner = arm, settings, Planner()
         self.route = MappedRoute(settings.tf, tree)
         self.action = action_of(node, arm, settings, self.planner, self.route)
@@ -74,8 +74,8 @@ class Asking:
             s = self.settings
             base_motion(path, s.path, s.limits, self.arm.robot, self.arm.period, start)
 
-    def poll(self, clock: Clock, now: Seen, stopped: bool) -> tuple[Wish, ...]:
-        """What is asked from now on.
+    def poll(self, clock: Clock, now: RobotSituation, stopped: bool) -> tuple[Wish, ...]:
+        """The wishes that hold from now on.
 
         Args:
             clock: The node's.
@@ -161,7 +161,9 @@ class Asking:
             self.action.close(why)
 
 
-def action_of(node: RosNode, arm: Arm, settings: Node, planner: Planner, route: MappedRoute) -> GoalAction | None:
+def action_of(
+    node: RosNode, arm: PlannedArm, settings: Node, planner: Planner, route: MappedRoute
+) -> GoalAction | None:
     """The server of the action; None, with a warning, where its messages are not there."""
     try:
         from .action import GoalAction

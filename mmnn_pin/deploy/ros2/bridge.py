@@ -36,7 +36,7 @@ from ...torque.controller import CompiledController, TorqueController
 from .asking import Asking
 from .inlets import Inlet, Outlet
 from .outputs import Commands, diagnostics, stamp_of
-from .planned import Arm, Seen
+from .planned import PlannedArm, RobotSituation
 from .sensing import Clock, Sensing, Tree
 from .settings import Node
 from .wiring import odometry_topic
@@ -52,7 +52,7 @@ MOST_LATE = 1_000_000  # cycles whose lateness is kept
 T = TypeVar("T")
 
 
-class Row(NamedTuple):
+class GraphRow(NamedTuple):
     """A topic, a service or an action of the node: which way, its name, type and quality of service, what it is for."""
 
     way: str
@@ -119,7 +119,7 @@ class Bridge:
         self.clock, self.tree = Clock(settings.clock, is_simulated), Tree()
         self.sensing = Sensing(robot, settings, self.tree)
         self.commands = Commands(node, robot, settings)
-        arm = Arm.of(robot, settings.joint_states.theirs, settings.limits, stepper.period)
+        arm = PlannedArm.of(robot, settings.joint_states.theirs, settings.limits, stepper.period)
         self.asking = Asking(node, arm, settings, self.tree)
         self._listen()
         self.health = Outlet(node, "/diagnostics", DiagnosticArray, depth=4) if settings.diagnostics else None
@@ -147,21 +147,21 @@ class Bridge:
         self.needed = [inlet for inlet in (self.ticking, self.joints, self.base) if inlet is not None]
         self.inlets = [*self.needed, *self.frames, *self.asking.inlets]
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[GraphRow]:
         """All topics, services and actions."""
         heard = ((one.name, type_of(one.kind), quality_of(one.subscription)) for one in self.inlets)
-        found = [Row("subscribes", *one, "") for one in heard]
+        found = [GraphRow("subscribes", *one, "") for one in heard]
         if self.asking.action is not None:
             name = self.node.resolve_service_name("~/follow_joint_trajectory")
-            found.append(Row("serves", name, "control_msgs/action/FollowJointTrajectory", "reliable", ""))
+            found.append(GraphRow("serves", name, "control_msgs/action/FollowJointTrajectory", "reliable", ""))
         for name in ("~/stop", "~/reset"):
             name = self.node.resolve_service_name(name)
-            found.append(Row("serves", name, "std_srvs/srv/Trigger", "reliable", ""))
+            found.append(GraphRow("serves", name, "std_srvs/srv/Trigger", "reliable", ""))
         for output, one, _, _ in self.commands.outlets:
             what = "" if output.is_twist else f"{output.interface} of {', '.join(output.joints)}"
-            found.append(Row("publishes", one.name, type_of(one.kind), quality_of(one.publisher), what))
+            found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), what))
         if (health := self.health) is not None:
-            found.append(Row("publishes", health.name, type_of(health.kind), quality_of(health.publisher), ""))
+            found.append(GraphRow("publishes", health.name, type_of(health.kind), quality_of(health.publisher), ""))
         return found
 
     # -- before --------------------------------------------------------------------------------------------------------
@@ -180,7 +180,7 @@ class Bridge:
             clock.sleep(0.005)
 
     def missing(self) -> str:
-        """What has to come before the robot may be moved; empty for nothing."""
+        """The first thing that keeps the robot from being moved, in words; empty for nothing."""
         self.read()
         for inlet in self.needed:
             if crowd := inlet.crowd():
@@ -225,7 +225,8 @@ class Bridge:
         reference = follower.now[follower.q :].reshape(3, d.arm)
         arm = np.array([self.sensing.q[: d.arm], self.sensing.qdot[: d.arm]])
         base = follower.now[: d.pose + d.base]
-        asked = self.asking.poll(self.clock, Seen(reference, arm, base, self.sensing.pose), self.stepper.tripped)
+        now = RobotSituation(reference, arm, base, self.sensing.pose)
+        asked = self.asking.poll(self.clock, now, self.stepper.tripped)
         measurement = self.sensing.measurement()
         measured = min(self.sensing.when, time) if measurement is not None else None
         try:
@@ -241,7 +242,7 @@ class Bridge:
     # -- what callbacks ask of it --------------------------------------------------------------------------------------
 
     def between(self, call: Callable[[], T]) -> T:
-        """What a call gives between two samples; errors as of the call.
+        """The result of a call that the loop makes between two samples; errors as of the call.
 
         Raises:
             TimeoutError: The loop does not come to it.
@@ -441,7 +442,7 @@ class Bridge:
             self.problem = ""
 
     def _dropped(self) -> list[str]:
-        """What was dropped since the last look, and who publishes beside."""
+        """Lines on inlets that dropped messages since the last look: how many, and why."""
         found = []
         for inlet in self.inlets:
             if (dropped := inlet.dropped) > self.before[inlet.name]:
@@ -450,7 +451,7 @@ class Bridge:
         return found
 
     def _silent(self) -> list[str]:
-        """What is measured no more."""
+        """A line that names measurements which come no more; empty where all come."""
         lacking = self.sensing.lacking(self.clock.now)
         if not lacking:
             return []

@@ -51,7 +51,7 @@ class Driver(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """The driver's name."""
         return self.kind.partition("/")[0]
 
 

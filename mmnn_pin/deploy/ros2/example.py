@@ -113,7 +113,7 @@ FILES = {
 
 
 def commands_of(robot: Robot) -> dict[str, Output]:
-    """What the URDF's joints take, an effort where it can be, by the names of controllers."""
+    """Outputs to the joints of a URDF by the names of their controllers: an effort where a joint takes one."""
     driver, offered = driver_of(robot.base) or DIFF_DRIVE, interfaces_of(robot)["interfaces"]
     found = {driver.name: Output(TWIST_STAMPED)} if robot.dimensions.base else {}
     for interface in INTERFACES:

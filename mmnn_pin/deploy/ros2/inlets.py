@@ -19,7 +19,7 @@ BEST, LATCHED = ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.TRANSIENT_LOCAL
 OVERRIDES = QoSOverridingOptions.with_default_policies()
 
 
-class Outside(CallbackGroup):
+class UnservedGroup(CallbackGroup):
     """Of subscriptions that no executor serves."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -73,7 +73,7 @@ class Inlet:
         quality.durability = LATCHED if latched else DurabilityPolicy.VOLATILE
         events = SubscriptionEventCallbacks(incompatible_qos=self._clash)
         self.subscription = node.create_subscription(
-            kind, name, print, quality, callback_group=Outside(), event_callbacks=events,
+            kind, name, print, quality, callback_group=UnservedGroup(), event_callbacks=events,
             qos_overriding_options=OVERRIDES,
         )  # fmt: skip
         self.name = str(self.subscription.topic_name)
@@ -116,7 +116,7 @@ class Inlet:
         return f"{len(found)} publishers ({', '.join(found)}), there may be {self.most}"
 
     def counted(self) -> list[str]:
-        """What was dropped, a few words each."""
+        """A line on dropped messages, with the number of each kind; empty without any."""
         counts = [f"{getattr(self, name)} {name}" for name in ("surplus", "refused") if getattr(self, name)]
         return [f"{self.name}: {', '.join(counts)} messages dropped"] if counts else []
 

@@ -28,7 +28,7 @@ class MappedRoute:
         self.followed: tuple[Motion, str, Planar, float] | None = None
 
     def begin(self, made: Motion | Stand, frame: str, base: Array, now: float) -> Wish | str:
-        """What follows a path from now on; a text where its frame is not known.
+        """The wish that follows a path from now on; a text where its frame is not known.
 
         Args:
             made: The path in its frame.

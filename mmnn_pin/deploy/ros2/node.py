@@ -29,7 +29,7 @@ from ...loop.stepper import Stepper
 from ...recording.recording import Recording
 from ...reference.wishes import Motion
 from ...torque.controller import CompiledController, TorqueController
-from .bridge import Bridge, Row
+from .bridge import Bridge, GraphRow
 from .parameters import declare, given, is_live, value_of
 from .settings import Node, settings_of
 
@@ -46,13 +46,13 @@ SUCCESS, FAILURE, ERROR = (
 
 
 class Maker(Protocol):
-    """What makes steppers out of settings."""
+    """A maker of steppers out of settings."""
 
     def stepper(self, settings: Node, count: int) -> Stepper:
         """A stepper, the count-th of the process."""
 
     def motion(self, stepper: Stepper) -> tuple[Motion | None, float]:
-        """What it follows from the start, and for how long [s]."""
+        """The motion that a stepper follows from the start, None for none; and for how long [s]."""
 
     def law(self, settings: Node, before: Node) -> tuple[CompiledController | TorqueController, Kinematic]:
         """Controller and kinematic gains of changed settings; raises a ConfigError where more than those changed."""
@@ -300,7 +300,7 @@ def settings(make: Maker, arguments: Sequence[str]) -> Node:
         return settings_of(given(node))
 
 
-def checked(make: Maker, arguments: Sequence[str]) -> tuple[str, list[Row]]:
+def checked(make: Maker, arguments: Sequence[str]) -> tuple[str, list[GraphRow]]:
     """The robot's name and all topics of the node, as configuring makes them; errors as of `control`."""
     with made(make, arguments) as node:
         node.is_managed = False

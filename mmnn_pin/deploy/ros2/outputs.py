@@ -1,4 +1,4 @@
-"""What the node sends: commands as the robot's controllers take them, and what the supervisor and the learner do."""
+"""Messages of the node: commands as the robot's controllers take them, and the state of supervisor and learner."""
 
 from __future__ import annotations
 

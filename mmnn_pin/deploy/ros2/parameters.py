@@ -78,7 +78,7 @@ def fields(kind: Any, before: str = "") -> Iterator[tuple[str, Any, Any, str]]:
 
 
 def meanings(kind: Any) -> dict[str, str]:
-    """What the docstrings of a kind of settings, and of those that it extends, say of its fields."""
+    """Descriptions of the fields of a kind of settings, from its docstring and those of the kinds that it extends."""
     texts = [inspect.cleandoc(one.__doc__ or "").partition("Args:\n")[2] for one in reversed(kind.__mro__)]
     found = [re.findall(r"^    (\w+): (.+(?:\n {6,}.+)*)", text, re.MULTILINE) for text in texts]
     return {name: " ".join(text.split()) for pairs in found for name, text in pairs}

@@ -24,11 +24,11 @@ from ...reference.goal import LEDGE
 from ...reference.guide import ARM, BASE, Guide, new_guide
 from ...reference.limits import Limits
 from ...reference.motion import require_within, slopes
-from ...reference.route import Route as Way
+from ...reference.route import Route
 from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array, Setpoint
 from .sensing import Planar, quaternion, seconds
-from .settings import Route
+from .settings import PlannedPath
 
 OKAY, INVALID_GOAL, INVALID_JOINTS, OLD_STAMP, OFF_PATH, OFF_GOAL = 0, -1, -2, -3, -4, -5
 MOST_POINTS, LONGEST = 10_000, 3600.0  # of a trajectory, [s]
@@ -51,8 +51,8 @@ class Refused(MmnnError):
         super().__init__(why)
 
 
-class Seen(NamedTuple):
-    """What the robot is to do at present, and what it does.
+class RobotSituation(NamedTuple):
+    """The reference and the measured state of a robot at one sample.
 
     Attributes:
         reference: (3, n) q, qdot, qddot of the arm's reference.
@@ -68,8 +68,8 @@ class Seen(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Arm:
-    """What of a robot a motion of its arm has to know.
+class PlannedArm:
+    """A robot's arm as its planner sees it: makes motions out of the planner's messages.
 
     Attributes:
         robot: The robot.
@@ -84,7 +84,7 @@ class Arm:
     period: float
 
     @classmethod
-    def of(cls, robot: Robot, names: dict[str, str], limits: Limits, period: float) -> Arm:
+    def of(cls, robot: Robot, names: dict[str, str], limits: Limits, period: float) -> PlannedArm:
         """Of a robot, with the names that the planner has for its joints."""
         called = tuple(names.get(name, name) for name in robot.joint_names)
         return cls(robot, called, new_guide(robot, limits), period)
@@ -206,7 +206,7 @@ class Planner:
 
 
 def rest_of(motion: Motion, elapsed: float, shift: Planar | None = None) -> Motion:
-    """What is left of a motion after some time [s], its path moved in the plane."""
+    """The rest of a motion after some time [s], its path moved in the plane."""
     k = min(round(elapsed / motion.period), len(motion.table) - 1)
     moved = motion.shift if shift is None else np.array(shift)
     return Motion(motion.table[k:], motion.period, motion.parts, motion.dimensions, shift=moved)
@@ -220,7 +220,7 @@ def caught_up(made: Motion, late: float) -> Motion:
 
 def base_motion(
     message: Any,
-    route: Route,
+    route: PlannedPath,
     limits: Limits,
     robot: Robot,
     period: float,
@@ -259,7 +259,7 @@ def base_motion(
     told = x * x + y * y + z * z + w * w > 1e-6
     headings = np.where(told, atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.nan)
     try:
-        asked = Way.of(points, headings, told & (abs(headings) < 1e-6))
+        asked = Route.of(points, headings, told & (abs(headings) < 1e-6))
         drive = RouteDrive.along(asked, robot, slower, route.lateral, period)
     except TrajectoryError as error:
         raise Refused(error.what) from error

@@ -55,7 +55,7 @@ class Clock:
 
     @property
     def by_ros(self) -> float:
-        """What ROS 2 calls now: the wall clock, or the simulator's; 0 before that told [s]."""
+        """The time of ROS 2 [s]: the wall clock's, or the simulator's; 0 before the simulator told it."""
         by = self.simulated if self.is_simulated else clock.time()
         return 0.0 if math.isnan(by) else by
 
@@ -163,7 +163,7 @@ class Sensing:
         return float(min(base, self.heard.min(initial=math.inf)))
 
     def measurement(self) -> Measurement | None:
-        """What came since the last call, whole; None where nothing did, or a part has never come."""
+        """The measurement with all that came since the last call; None where nothing did, or a part has never come."""
         if not self.is_new or self.when == -math.inf:
             return None
         self.is_new, n = False, self.robot.dimensions.arm

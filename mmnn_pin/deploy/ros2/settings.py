@@ -151,7 +151,7 @@ class Action(Settings, frozen=True):
         require_positive(self, "rate")
 
 
-class Route(Heard, frozen=True):
+class PlannedPath(Heard, frozen=True):
     """`nav_msgs/Path` of a planner, driven along its arc length.
 
     Args:
@@ -276,7 +276,7 @@ class Node(Settings, frozen=True):
     velocity: Velocity = Velocity()
     trajectory: Heard = Heard()
     action: Action = Action()
-    path: Route = Route()
+    path: PlannedPath = PlannedPath()
     diagnostics: float = 10.0
 
     def __post_init__(self) -> None:

@@ -21,7 +21,7 @@ from ...reference.guide import ARM, BASE
 from ...reference.motion import instants, require_within, slopes
 from ...reference.wishes import Motion, Stand
 from ...signals import Array, Setpoint
-from .planned import INVALID_JOINTS, OLD_STAMP, Arm, Refused, rest_of
+from .planned import INVALID_JOINTS, OLD_STAMP, PlannedArm, Refused, rest_of
 from .sensing import Planar, composed, planar, seconds
 
 ASIDE = 0.02  # farthest from a point that the base rolls by [m]
@@ -90,7 +90,7 @@ def times_of(trajectory: Any) -> Array:
 
 
 def whole_motion(
-    arm: Arm, trajectory: Any, points: BasePoints, now: Array, base: Array, place: Planar, since: float
+    arm: PlannedArm, trajectory: Any, points: BasePoints, now: Array, base: Array, place: Planar, since: float
 ) -> Motion | Stand:
     """The motion of base and arm that a goal asks for.
 
@@ -101,7 +101,7 @@ def whole_motion(
         now: (3, n) q, qdot, qddot of the arm's reference.
         base: (3 + nb,) pose and velocity of the base's reference.
         place: Where the frame of the points lies in the odometry's.
-        since: As in `Arm.motion` [s].
+        since: As in `PlannedArm.motion` [s].
 
     Raises:
         Refused: It breaks a rule, begins elsewhere, or the base cannot roll it.
@@ -151,7 +151,7 @@ def from_here(times: Array, poses: Array, base: Array) -> tuple[Array, Array]:
     return times, np.vstack([base[:3], poses[1:]])
 
 
-def rolled(times: Array, poses: Array, base: Array, arm: Arm) -> Array:
+def rolled(times: Array, poses: Array, base: Array, arm: PlannedArm) -> Array:
     """(N, 7) pose, velocity and acceleration of a base on wheels from point to point.
 
     Raises:
@@ -187,7 +187,7 @@ def require_passed(times: Array, poses: Array, t: Array, places: Array) -> None:
         raise Refused(f"the base cannot roll to its point {k} at {times[k]:.3g} s: it passes {away[k]:.3g} m aside")
 
 
-def slid(times: Array, poses: Array, base: Array, arm: Arm) -> Array:
+def slid(times: Array, poses: Array, base: Array, arm: PlannedArm) -> Array:
     """(N, 9) pose, velocity and acceleration of a base that moves in every direction."""
     from scipy.interpolate import CubicHermiteSpline  # slow to import, seldom needed
 
@@ -201,7 +201,7 @@ def slid(times: Array, poses: Array, base: Array, arm: Arm) -> Array:
     return np.concatenate([pose, velocity, np.gradient(velocity, arm.period, axis=0)], axis=1)
 
 
-def together(arm: Arm, base: Array, motion: Motion | None, now: Array) -> Motion:
+def together(arm: PlannedArm, base: Array, motion: Motion | None, now: Array) -> Motion:
     """One motion of both parts, the shorter one waiting at its end.
 
     Args:

@@ -1,4 +1,4 @@
-"""What a robot and its settings make together, before anything speaks: who takes what, and the YAML of ros2_control."""
+"""The wiring of a robot by its settings, before anything speaks: who takes what, and the YAML of ros2_control."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TRAJECTORIES = "joint_trajectory_controller/JointTrajectoryController"
 
 
 def interfaces(robot: Robot, settings: Node) -> dict[str, str]:
-    """What every motor takes, by the commands that are sent to it.
+    """Joint of every motor to the interface that it takes, by the commands that are sent to it.
 
     Raises:
         UnknownName: A joint that is no motor of the robot.

@@ -47,7 +47,7 @@ class CaseVerdict:
 
 
 @dataclass(frozen=True)
-class Matrix:
+class CaseMatrix:
     """All cases of an experiment.
 
     Attributes:
@@ -138,7 +138,7 @@ def run_cases(
     out: Path | None = None,
     force: bool = False,
     progress: Callable[[str, float], None] | None = None,
-) -> Matrix:
+) -> CaseMatrix:
     """Run all controllers in every case of an experiment; arguments and errors as in `run_experiment`.
 
     Recordings go to `out/CASE/CONTROLLER.h5`. All cases are read before the first is run.
@@ -165,7 +165,7 @@ def run_cases(
         }
         if any(verdict.kind == "interrupted" for verdict in verdicts[case].values()):
             break
-    return Matrix(experiment, name, results, verdicts)
+    return CaseMatrix(experiment, name, results, verdicts)
 
 
 def require_settled(experiment: Experiment) -> None:

@@ -23,9 +23,9 @@ from ...model.tree.body import parameters
 from ...settings import Settings, require_numbers
 from ...settings.arguments import FORMERLY
 from ...signals import Array
-from ...torque import CONTROLLERS as ENTRIES
-from ...torque import DESCRIBED, Entry
-from ...torque.controller import CompiledController, Feedback, Given, Machine, TorqueController
+from ...torque.controller import CompiledController, ControllerSettings, Feedback, MachineLimits, TorqueController
+from ...torque.entries import CONTROLLERS as ENTRIES
+from ...torque.entries import DESCRIBED, Entry
 from ...torque.neural import STARTS, Robust
 from .laws import own_controller
 
@@ -167,7 +167,7 @@ class Granted:
         return Regressor.of(self.true("motion"))
 
     @property
-    def machine(self) -> Machine:
+    def machine(self) -> MachineLimits:
         """Names, ends of the joints, limits of the motors; errors as of `true`."""
         return machine_of(self.true("machine"))
 
@@ -195,13 +195,13 @@ class Granted:
         """
         name = self.entry.name
         if what not in self.entry.told:
-            raise ConfigError(f"{name} may not know '{what}'", fix="grant it in mmnn_pin/torque/__init__.py")
+            raise ConfigError(f"{name} may not know '{what}'", fix="grant it in mmnn_pin/torque/entries.py")
         if self.robot is None:
             raise ConfigError(f"{name} of no robot", fix="give the robot", key="controllers")
         return self.robot
 
 
-def machine_of(robot: Robot) -> Machine:
+def machine_of(robot: Robot) -> MachineLimits:
     """The facts of a robot that do not tell how it moves: names, and ends and motors of its joints."""
     n, limits = robot.dimensions.arm, robot.effort_limits
     joints = (
@@ -209,7 +209,7 @@ def machine_of(robot: Robot) -> Machine:
         if np.isfinite(limits).all()
         else np.full(n, np.inf)
     )
-    return Machine(
+    return MachineLimits(
         velocities=tuple(robot.velocity_names),
         lower=robot.lower[robot.arm_index],
         upper=robot.upper[robot.arm_index],
@@ -257,7 +257,7 @@ def new_controller(
     entry = ENTRIES[name]
     tables = [attrgetter(ENTRIES[other].key)(experiment) for other in entry.beside]
     own = attrgetter(entry.key)(experiment) if entry.settings else None
-    given = Given(
+    given = ControllerSettings(
         name=name,
         settings=(*tables, own) if tables else own,
         feedback=feedback,

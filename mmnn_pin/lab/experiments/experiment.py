@@ -24,7 +24,7 @@ from ...loop.before_run import Bounds, Start
 from ...loop.latency import Latency
 from ...loop.loop import PLANTS, Loop
 from ...loop.servo import Servo
-from ...loop.suited import Fit, Given, effective_inertia, fit, followable
+from ...loop.suited import Fit, LoopToSuit, effective_inertia, fit, followable
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
@@ -312,7 +312,7 @@ class Experiment(LearnerTables, frozen=True):
             table = self.trajectory_of(robot).table(np.linspace(0.0, self.time.duration, PLACES), robot.dimensions)
             positions = (Start().state(robot, row)[0] for row in table)
             return Fit(effective_inertia(robot, positions, self.time.control_period), 1.0)
-        return fit(robot, self.feedback, Given.of(self, self.trajectory_of(robot), self.time, robot.dimensions))
+        return fit(robot, self.feedback, LoopToSuit.of(self, self.trajectory_of(robot), self.time, robot.dimensions))
 
     def controller(
         self, name: str, gains: Array | None = None, robot: Robot | None = None

@@ -168,10 +168,10 @@ class HandTables(Settings, frozen=True):
             return self._drawn(body, size, timing)
         except TrajectoryError as refused:
             smaller = self._followed(body, size, timing) if refused.key == f"{KEY}.path" else None
-            if smaller is not None:
-                fits = f"--set {KEY}.scale={smaller:g} draws it smaller, which it can follow"
-                refused.fix = f"{fits}; or {refused.fix}"
-            raise
+            if smaller is None:
+                raise
+            fits = f"--set {KEY}.scale={smaller:g} draws it smaller, which it can follow"
+            raise refused.but(fix=f"{fits}; or {refused.fix}") from refused
 
     def _followed(self, body: WholeBody, size: float, timing: Timing) -> float | None:
         """The largest of some smaller sizes in which the path can be followed."""
@@ -305,7 +305,7 @@ class ReferenceTables(Settings, frozen=True):
 
 
 class HeldOutReference(ReferenceTables, frozen=True):
-    """A reference that no learner is trained on; `mmnn prove` judges a learner's knowledge on it.
+    """A reference that no learner is trained on; `mmnn judge` asks on it what a learner knows.
 
     Args:
         duration: Its length [s].

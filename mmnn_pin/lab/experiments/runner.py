@@ -229,7 +229,7 @@ def require_free(files: Sequence[Path], force: bool) -> None:
             raise RecordingError("the folder cannot be written to", fix="choose another with --out", file=existing)
 
 
-Window = tuple[float, float]
+TimeWindow = tuple[float, float]
 
 
 def window_notes(experiment: Experiment) -> list[str]:
@@ -245,7 +245,7 @@ def window_notes(experiment: Experiment) -> list[str]:
     return found
 
 
-def words(windows: Sequence[Window]) -> str:
+def words(windows: Sequence[TimeWindow]) -> str:
     """Windows in words."""
     return "the window" + "s" * (len(windows) > 1) + " " + ", ".join(f"{start:g}-{stop:g} s" for start, stop in windows)
 

@@ -32,7 +32,7 @@ from ...signals import Array, Layout
 from ...torque.adaptive import EXCITED
 from ...torque.neural import Neural, channels
 from ...torque.two_layer import numerical_rank
-from .learner import NAMES, Learner, Networks, Stepper, seen
+from .learner import NAMES, Learner, LearnerStepper, NetworkLearner, seen
 
 NOISE = 1e-3  # of what random motion does: less does not count as excited, as in `torque.adaptive`
 VISIBLE = 1e-6  # share of the largest eigenvalue on random motion from which a direction counts
@@ -101,7 +101,7 @@ def signals_for(controller: Any) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Unknown:
-    """What a run leaves undetermined of one network, or of all.
+    """The part of one network's weights, or of all, that a run leaves undetermined.
 
     Attributes:
         share: Of the directions that random motion shows.
@@ -122,7 +122,7 @@ class Unknown:
 
 
 def unknown(learner: Learner, rows: Array) -> dict[str, Unknown]:
-    """What rows (N, width) leave undetermined, by network: `base`, `arm`, or `all`.
+    """Network (`base`, `arm`, or `all`) to the part of its weights that rows (N, width) leave undetermined.
 
     Empty for learners that judge it themselves from what they keep (`findings`), for one that is not linear in its
     weights or does not give its features, and for one that did not learn.
@@ -156,11 +156,11 @@ def left(run: Array, random: Array) -> tuple[float, int]:
 
 
 def tangents(learner: Learner, own: Neural, rows: Array) -> dict[int, tuple[Array, Array]]:
-    """What every network's output does with its final weights along rows (n, width), and its hidden outputs (n, h).
+    """Network to the derivative of its output by its final weights along rows (n, width), and hidden outputs (n, h).
 
     The first is J (n, outputs, weights): each weight over the root of its rate.
     """
-    stepper = Stepper(learner, learner.end.snapshot(), learning=False)
+    stepper = LearnerStepper(learner, learner.end.snapshot(), learning=False)
     state = stepper.state
     found: dict[int, list[tuple[Array, Array]]] = {i: [] for i, _ in channels(learner.context.layout)}
     for row in rows:
@@ -180,7 +180,7 @@ def along(learner: Learner, rows: Array) -> tuple[Array, Array] | None:
 
     None where it does not give its features.
     """
-    stepper, found = Stepper(learner, learner.end.snapshot(), learning=False), list[tuple[Array, Array]]()
+    stepper, found = LearnerStepper(learner, learner.end.snapshot(), learning=False), list[tuple[Array, Array]]()
     for row in rows:
         psi_hat = stepper.step(row).copy()
         if (Phi := stepper.features()) is None:
@@ -261,9 +261,9 @@ class Network:
 
 
 def features_of(learner: Learner, rows: Array) -> list[Network]:
-    """What a learner's weights were multiplied with along rows (N, width); empty where it does not tell."""
+    """Excitation of a learner's weights by their features along rows (N, width); empty where it does not tell them."""
     lacks, weights = unknown(learner, rows), learner.controller.weights(learner.end)
-    if isinstance(learner, Networks):
+    if isinstance(learner, NetworkLearner):
         activations, found = seen(learner, learner.end, rows).activations, []
         for i, name in ((i, NAMES[i]) for i, _ in learner.networks):
             own = {key[0]: W for key, W in weights.items() if key.endswith(str(i))}

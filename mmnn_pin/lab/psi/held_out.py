@@ -1,4 +1,4 @@
-"""What frozen weights are judged on: a trajectory that the learner never saw, and a robot with a load.
+"""Motions on which frozen weights are judged: a trajectory that the learner never saw, and a robot with a load.
 
 The held-out trajectory has another path, speed and arm motion, and is recorded once under computed torque. A config may
 name one in `[held_out]`. Otherwise it follows from the run's reference alone, so that all learners of an experiment get
@@ -22,8 +22,8 @@ from ...model.robot import Robot, carrying
 from ...reference import BasePath, Eight, HolonomicPath, Sine, Trajectory
 from ...settings import Timing
 from ...signals import Array, Layout
-from ...torque import CONTROLLERS
 from ...torque.controller import Feedback
+from ...torque.entries import CONTROLLERS
 from ..experiments.config import named_files, recorded_experiment
 from ..experiments.experiment import Experiment
 from .subject import Subject, finite_rows

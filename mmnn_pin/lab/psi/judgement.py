@@ -1,4 +1,4 @@
-"""What is known of one run: each part computed when it is first asked for, and why a part cannot be had."""
+"""The judgement of one run: each part computed when it is first asked for, and why a part cannot be had."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ...errors import InputError
 from ...recording.recording import Recording
 from ...settings.arguments import checked
 from ...shown import AsText, shown
-from .psi import WINDOWS, Progress, Psi, psi_of
+from .psi import WINDOWS, ProgressCallback, Psi, psi_of
 from .subject import Subject
 
 J = TypeVar("J", bound="Judgement")
@@ -39,7 +39,7 @@ class Judgement(AsText):
         *,
         payload: float | None = None,
         windows: int = WINDOWS,
-        progress: Progress | None = None,
+        progress: ProgressCallback | None = None,
     ) -> None:
         self.subject, self.payload, self.windows = Subject.of(recording), payload, windows
         self.progress = progress
@@ -74,7 +74,7 @@ class Judgement(AsText):
             raise InputError("nothing to judge", why=why, file=self.subject.recording.path)
 
     def remarks(self) -> list[str]:
-        """What to know before believing the numbers, one line each."""
+        """Reservations about the numbers, one line each."""
         subject, result = self.subject, []
         outcome = subject.recording.outcome
         if outcome.status != "completed":
@@ -150,7 +150,7 @@ def judge(
 
 
 def sentence(error: InputError) -> str:
-    """What and why of an error, on one line."""
+    """An error on one line: what is wrong, and why."""
     return " ".join(": ".join(part for part in (error.what, error.why) if part).split())
 
 
@@ -161,9 +161,9 @@ def keep(judgement: Judgement) -> None:
 
 def judgement_of(recording: Recording) -> Judgement:
     """The judgement of a recording; errors as of `Judgement`."""
-    if recording not in KEPT:
-        keep(Judgement(recording))
-    return KEPT[recording]
+    if (judgement := KEPT.get(recording)) is None:
+        judgement = KEPT[recording] = Judgement(recording)
+    return judgement
 
 
 def with_part(

@@ -25,9 +25,9 @@ from ...recording.reading import AGAIN
 from ...recording.recording import Recording
 from ...recording.run_file import encode
 from ...settings.arguments import shortly
-from ...signals import Array
-from ...torque import CONTROLLERS
+from ...signals import Array, Layout
 from ...torque.controller import Context, ControllerState, Feedback
+from ...torque.entries import CONTROLLERS
 from ...torque.learning_law import LearningLaw
 from ...torque.neural import Neural, channels
 from ..experiments.config import named_files, recorded_experiment
@@ -63,7 +63,7 @@ class Learner:
         return replace(self.controller, learning=False)
 
 
-class Stepper:
+class LearnerStepper:
     """A controller stepped over rows of a recording, one after the other; the rows are not changed.
 
     Args:
@@ -101,17 +101,17 @@ class Stepper:
         return self.psi_hat if limits is None else limits.asked
 
     def features(self) -> Array | None:
-        """What the weights are multiplied with at the last step, (rows, k), a copy; None where it does not tell."""
+        """Features of the last step, which the weights multiply, (rows, k), a copy; None where it does not tell."""
         found = self.torque.features()
         return None if found is None else np.array(np.atleast_2d(found), float)
 
 
 def frozen_psi_hat(learner: Learner, state: ControllerState, rows: Array, every: int = 1) -> Array:
-    """What the weights of a state, held fixed, say along rows (N, width): Psi_hat of every so many of them, (k, p).
+    """Psi_hat of the weights of a state, held fixed, along rows (N, width): of every so many of them, (k, p) [N, N m].
 
     It is what they know: before the motors' limits take of it.
     """
-    stepper = Stepper(learner, state.snapshot(), learning=False)
+    stepper = LearnerStepper(learner, state.snapshot(), learning=False)
     found = np.zeros((-(-len(rows) // every), learner.context.layout.dof))
     for n, row in enumerate(rows):
         stepper.step(row)
@@ -121,7 +121,7 @@ def frozen_psi_hat(learner: Learner, state: ControllerState, rows: Array, every:
 
 
 @dataclass(frozen=True, eq=False)
-class Networks(Learner):
+class NetworkLearner(Learner):
     """A learner with a network for the base, one for the arm: the thesis's, on a nominal model, or composite."""
 
     @property
@@ -139,8 +139,8 @@ class Networks(Learner):
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What networks with fixed weights do along rows.
+class NetworkOutputs:
+    """Inputs, hidden outputs and outputs of networks with fixed weights along rows.
 
     Attributes:
         psi_hat: (N, p) their output [N, N m].
@@ -153,9 +153,9 @@ class Seen:
     activations: dict[int, Array]
 
 
-def seen(learner: Networks, state: ControllerState, rows: Array) -> Seen:
-    """What networks with the weights of a state, held fixed, do along rows (N, width)."""
-    stepper = Stepper(learner, state.snapshot(), learning=False)
+def seen(learner: NetworkLearner, state: ControllerState, rows: Array) -> NetworkOutputs:
+    """Inputs and outputs of networks with the weights of a state, held fixed, along rows (N, width)."""
+    stepper = LearnerStepper(learner, state.snapshot(), learning=False)
     psi_hat, inputs = np.zeros((len(rows), learner.context.layout.dof)), np.zeros((len(rows), state["x"].size))
     activations = {i: np.zeros((len(rows), state[f"sigma{i}"].size)) for i, _ in learner.networks}
     x, hidden = stepper.state["x"], {i: stepper.state[f"sigma{i}"] for i in activations}
@@ -163,7 +163,7 @@ def seen(learner: Networks, state: ControllerState, rows: Array) -> Seen:
         psi_hat[k], inputs[k] = stepper.step(row), x
         for i, sigma in hidden.items():
             activations[i][k] = sigma
-    return Seen(psi_hat, inputs, activations)
+    return NetworkOutputs(psi_hat, inputs, activations)
 
 
 def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
@@ -192,16 +192,15 @@ def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
             raise ValueError(f"{lag}, {way} and {unseen} s")
     with recording.using("the gains of its kinematic layer"):
         gains = msgspec.convert(recording.meta.get("kinematic", {}), Kinematic)
-    weights = gains.pose_weights(robot.dimensions)
-    context = context_of(
-        controller, robot, period, len(recording), rng, kept, lag=lag, way=way, unseen=unseen, pose_weights=weights
-    )
+    layout, weights = Layout.of(robot.dimensions), gains.pose_weights(robot.dimensions)
+    context = Context(layout, period, len(recording), rng, lag=lag, way=way, unseen=unseen, pose_weights=weights)
+    context = context_of(controller, robot, context, kept)
     with recording.using("what it tells of its controller"):
         start = controller.init(context)
     snapshots = recording.weights
     if "time" in snapshots and len(snapshots["time"]) and abs(snapshots["time"][0] - recording.time[0]) < period / 2:
         put(start, snapshots, 0)
-    kind = Learner if getattr(controller, "networks", None) is None else Networks
+    kind = Learner if getattr(controller, "networks", None) is None else NetworkLearner
     return kind(controller, context, start, *last(recording, start), robot)
 
 

@@ -33,12 +33,12 @@ FLAT = 1e-9  # spread of Psi, relative to its size, below which it has no varian
 PARTS = ("feedback", "network", "robust")
 WINDOWS = 5
 MOST = 20_000  # rows of a run along which frozen weights are evaluated, evenly spread
-Progress = Callable[[str, float], None]
+ProgressCallback = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Frozen:
-    """What the final weights, held fixed, say along some rows.
+    """Psi and the Psi_hat of the final weights, held fixed, along some rows.
 
     Attributes:
         about: Which rows, in words.
@@ -61,7 +61,7 @@ class Frozen:
 
 @dataclass(frozen=True, eq=False)
 class Psi:
-    """What of Psi a run followed, and what its learner knows of it.
+    """The share of Psi that a run's Psi_hat followed, and that its final weights know.
 
     Attributes:
         labels: Names of the p components.
@@ -117,7 +117,7 @@ class Psi:
 
 
 def psi_of(
-    subject: Subject, payload: float | None = None, count: int = WINDOWS, progress: Progress | None = None
+    subject: Subject, payload: float | None = None, count: int = WINDOWS, progress: ProgressCallback | None = None
 ) -> Psi:
     """Psi_hat of a run against the truth.
 
@@ -191,9 +191,9 @@ def how_to_know(subject: Subject) -> str:
 
 
 def frozen_weights(
-    subject: Subject, learner: Learner, payload: float | None, progress: Progress | None
+    subject: Subject, learner: Learner, payload: float | None, progress: ProgressCallback | None
 ) -> tuple[dict[str, Frozen], list[Network], list[str]]:
-    """What the final weights say; the networks; what is left out, and why."""
+    """Psi_hat of the final weights by the name of the motion; the networks; remarks on what is left out, and why."""
     show = progress or (lambda what, fraction: None)
     robot, remarks, where = subject.robot, list[str](), subject.layout.where
     every = -(-len(subject.rows) // MOST)

@@ -24,7 +24,7 @@ from ...loop.sampled import HeldLoop, held_loop
 from ...settings import finite
 from ...signals import Array
 from ...torque.controller import ControllerState
-from .learner import Networks, put
+from .learner import NetworkLearner, put
 from .subject import Subject
 
 PLACES = 12
@@ -90,7 +90,7 @@ def rate_of(subject: Subject, places: int = PLACES) -> Rate:
     return Rate(time, radii, without, share, limit, leakage(subject, learner))
 
 
-def learned_at(subject: Subject, learner: Networks, places: int) -> list[tuple[Array, ControllerState]]:
+def learned_at(subject: Subject, learner: NetworkLearner, places: int) -> list[tuple[Array, ControllerState]]:
     """Rows of a run at which its weights are recorded, with them."""
     snapshots, times = subject.recording.weights, subject.signal("time")[:, 0]
     if "time" not in snapshots or not len(snapshots["time"]):
@@ -105,7 +105,7 @@ def learned_at(subject: Subject, learner: Networks, places: int) -> list[tuple[A
 
 
 def judged(
-    subject: Subject, learner: Networks, row: Array, state: ControllerState
+    subject: Subject, learner: NetworkLearner, row: Array, state: ControllerState
 ) -> tuple[float, float, Array, float]:
     """Radius with and without the learner, shares of the gain, factor left; at a row (width,) and its weights.
 
@@ -136,7 +136,7 @@ def judged(
     return radius(held, gain, L, first), without, share, factor(held, gain, L, first)
 
 
-def kernel(learner: Networks, row: Array, state: ControllerState) -> Array:
+def kernel(learner: NetworkLearner, row: Array, state: ControllerState) -> Array:
     """L (p, p): what one update adds to Psi_hat per s, at a row (width,) and the weights of a state [N s/m, ...]."""
     controller, layout = learner.own, learner.context.layout
     scale, offset = controller.inputs.affine(layout)
@@ -189,7 +189,7 @@ def factor(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:
     return float(low)
 
 
-def leakage(subject: Subject, learner: Networks) -> Array:
+def leakage(subject: Subject, learner: NetworkLearner) -> Array:
     """Largest kappa F |s| per sample over a run, (2,) base and arm; of W and V the larger."""
     controller, layout = learner.own, subject.layout
     s, result = subject.s * controller.network_scales(layout)[0], np.zeros(2)

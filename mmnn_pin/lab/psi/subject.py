@@ -26,7 +26,7 @@ from ...sensing import Sensor, exact
 from ...settings import Timing
 from ...signals import Array, Layout
 from ...torque.neural import Neural
-from .learner import Learner, Networks, recorded_learner
+from .learner import Learner, NetworkLearner, recorded_learner
 
 NOISE = 4.0  # standard deviations that noise is bounded by
 MOST_STEPS = 10_000  # of the plant in a control period
@@ -161,7 +161,7 @@ class Subject:
 
     @property
     def applied(self) -> Array:
-        """What was sent of Psi_hat, (N, p): that of a later instant where it led, else Psi_hat [N, N m]."""
+        """The part of Psi_hat that was sent, (N, p): that of a later instant where it led, else Psi_hat [N, N m]."""
         if "psi_applied" not in self.recording:
             return self.signal("psi_hat")
         return np.asarray(self.recording["psi_applied"][: len(self.rows)])
@@ -172,15 +172,15 @@ class Subject:
         return recorded_learner(self.recording, self.told)
 
     @property
-    def networks(self) -> Networks | None:
+    def networks(self) -> NetworkLearner | None:
         """The learner where it is one of the thesis, networks alone; None otherwise; errors as of `learner`."""
         learner = self.learner
-        return learner if isinstance(learner, Networks) and isinstance(learner.controller, Neural) else None
+        return learner if isinstance(learner, NetworkLearner) and isinstance(learner.controller, Neural) else None
 
     @cached_property
-    def hardware(self) -> Hardware:
-        """What motors, pushes and a payload did to the robot."""
-        return Hardware.of(self.recording, self.robot, self.timing)
+    def hardware(self) -> HardwareEffects:
+        """Effects of motors, pushes and a payload on the robot."""
+        return HardwareEffects.of(self.recording, self.robot, self.timing)
 
     @cached_property
     def _dynamics(self) -> tuple[Dynamics, Dynamics]:
@@ -251,8 +251,8 @@ def finite_rows(recording: Recording, layout: Layout) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Hardware:
-    """What the hardware model of a run did to its robot.
+class HardwareEffects:
+    """Effects of the hardware model of a run on its robot.
 
     Attributes:
         torque: (N, p) generalized torque of the motors [N, N m].
@@ -276,7 +276,7 @@ class Hardware:
     senses: bool
 
     @classmethod
-    def of(cls, recording: Recording, robot: Robot, timing: Timing) -> Hardware:
+    def of(cls, recording: Recording, robot: Robot, timing: Timing) -> HardwareEffects:
         """From a recording."""
         with recording.using("its attribute 'disturbances'"):
             events = msgspec.convert(recording.meta.get("disturbances", ()), tuple[Disturbance, ...])

@@ -16,12 +16,12 @@ import numpy as np
 from ...plant.contact.plant import SLIPPING
 from ...recording.metrics import ERRORS, halves
 from ...recording.recording import Recording, as_columns, recorded_robot
-from ..experiments.cases import CaseVerdict, Matrix
+from ..experiments.cases import CaseMatrix, CaseVerdict
 from ..experiments.controllers import MODELS, ORACLES
 from ..experiments.hand import peak_speeds, speed_limit
 from ..experiments.result import Improvement, Result, unfair
 from .curves import column_units, milli
-from .table import WIDTH, Cell, Column, Kind, Row, Table, TextLine, grouped, number, row_of, terminal_text
+from .table import WIDTH, Cell, CellKind, Column, Row, Table, TextLine, grouped, number, row_of, terminal_text
 
 CASES_WIDTH = 120
 NAME = 9  # letters of a controller's name on a line
@@ -56,7 +56,7 @@ ABOUT_READINGS = (
     "RMS errors of the last window, in thousandths (mm, mrad). share: RMS of Psi_hat over RMS of the torque. met: "
     "intervals of the thesis's figures. A dash: the run did not get there."
 )
-VERDICT_KINDS: dict[str, Kind] = {"tracked": "good", "stopped": "warn", "failed": "bad", "interrupted": "dim"}
+VERDICT_KINDS: dict[str, CellKind] = {"tracked": "good", "stopped": "warn", "failed": "bad", "interrupted": "dim"}
 HIDDEN_ERRORS = ("pose_error.y",)  # a straight line has next to none
 
 
@@ -321,7 +321,7 @@ def range_cells(row: dict[str, Any]) -> tuple[Cell, Cell]:
 # -- cases -------------------------------------------------------------------------------------------------------------
 
 
-def render_cases(matrix: Matrix, colour: bool = False, width: int = CASES_WIDTH) -> str:
+def render_cases(matrix: CaseMatrix, colour: bool = False, width: int = CASES_WIDTH) -> str:
     """The verdicts on all cases and what they add up to, as text of at most `width` columns."""
     controllers, t = matrix.experiment.controllers, matrix.experiment.tolerance
     heads = (Column(head, text=True, fold=True) for head in ("case", *controllers))
@@ -365,7 +365,7 @@ def render_readings(title: str, rows: list[dict[str, Any]], width: int = WIDTH) 
 
     Args:
         title: Heads it.
-        rows: As `experiments.readings` gives them.
+        rows: As `cases.readings` and `summaries` give them.
         width: Columns of the terminal.
     """
     learners = [name for name, value in rows[0].items() if isinstance(value, dict)]

@@ -21,8 +21,8 @@ from ..experiments.controllers import ORACLES
 from ..experiments.hand import HandErrors, hand_errors
 
 Recordings = Mapping[str, Recording]
-Curve = tuple[Array, Array]  # times and values, (N,) each
-Curves = Mapping[str, Curve]  # by run
+CurvePoints = tuple[Array, Array]  # times and values, (N,) each
+Curves = Mapping[str, CurvePoints]  # by run
 
 NETWORKS = ("base", "arm")
 RESIDUALS = {
@@ -53,7 +53,7 @@ class Panel:
     curves: Curves = field(default_factory=dict)
     label: str = ""
     group: str = ""
-    truth: Curve | None = None
+    truth: CurvePoints | None = None
     tracks: tuple[tuple[str | None, Array], ...] = ()
     step: bool = False
     scale: str = "linear"

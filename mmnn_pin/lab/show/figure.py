@@ -24,7 +24,7 @@ from ...errors import RecordingError
 from ...files import whole_file
 from ...recording.recording import Recording
 from ...signals import Array
-from ...torque import CONTROLLERS
+from ...torque.entries import CONTROLLERS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,7 +13,7 @@ from ...errors import RecordingError
 from ...files import LARGEST, opened, read_bytes
 from .figure import TRUTH, Look, add_legend, folded, new_figure, styled, svg
 from .files import HtmlPage, fill_template
-from .table import WIDTH, Cell, Column, Kind, Table, TextLine, number, row_of, terminal_text
+from .table import WIDTH, Cell, CellKind, Column, Table, TextLine, number, row_of, terminal_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,7 +95,7 @@ def bodies_table(report: dict[str, Any]) -> Table:
     )  # fmt: skip
     rows = []
     for name, body in report["bodies"].items():
-        kind: Kind = "dim" if body["known"] < PRIOR else ""
+        kind: CellKind = "dim" if body["known"] < PRIOR else ""
         texts = [f"{body['mass']:.3g} ± {1.96 * body['mass_sd']:.2g}", f"{body['urdf_mass']:.3g}"]
         for value, sd in zip(body["com"], body["com_sd"], strict=True):
             texts.append(f"{1e3 * value:.0f} ± {1.96e3 * sd:.0f}")

@@ -5,7 +5,7 @@ A figure is one function of recordings by name, with the line `@figure(NAME, of=
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -18,7 +18,7 @@ from ...signals import Array
 from ..experiments.controllers import ORACLES
 from ..psi.judgement import Judgement, judgement_of, keep, with_part
 from ..psi.psi import error_in, windows
-from .curves import column_units
+from .curves import Recordings, column_units
 from .figure import (
     FIGURES,
     TRUTH,
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-Recordings = Mapping[str, Recording]
 J = TypeVar("J", bound=Judgement)
 
 SLICES = 20  # windows of the curve over time

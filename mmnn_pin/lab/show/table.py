@@ -1,4 +1,4 @@
-"""A table as data, and how a terminal shows it; the pages have a macro of their own for the same data (`pages.html`).
+"""A table as data, and how a terminal shows it; the pages have a macro of their own for the same data (`table.html`).
 
 What makes a table (a comparison, a contest, a study, a proof) says what stands in its cells and which of them are good
 or bad. It knows nothing of colours, widths or tags.
@@ -24,8 +24,8 @@ HEIGHT = 25  # its rows; with both given, rich takes the width even where TERM=d
 LABELS = 0.4  # share of a terminal that texts left of numbers keep before the numbers go below each other
 UNBOUNDED = 100_000  # columns that no line needs
 NARROWEST = 24  # columns that a text beside others has at least
-Kind = Literal["", "best", "good", "bad", "warn", "dim"]
-STYLES: dict[Kind, str] = {"best": "bold", "good": "green", "bad": "bold red", "warn": "yellow", "dim": "dim"}
+CellKind = Literal["", "best", "good", "bad", "warn", "dim"]
+STYLES: dict[CellKind, str] = {"best": "bold", "good": "green", "bad": "bold red", "warn": "yellow", "dim": "dim"}
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Cell:
     """Text of a cell, what to think of it, and a mark beside it such as a star."""
 
     text: str
-    kind: Kind = ""
+    kind: CellKind = ""
     mark: str = ""
 
 

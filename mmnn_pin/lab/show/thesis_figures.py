@@ -1,6 +1,6 @@
 """Figures 4.2 to 4.4 and 5.3 to 5.5 in the thesis's arrangement, over bands in which the extremes of its curves lie.
 
-The thesis's curves are lost; its axes leave an interval for each extreme (`experiments.figure_ranges`). A ring marks
+The thesis's curves are lost; its axes leave an interval for each extreme (`thesis.figure_ranges`). A ring marks
 the largest and the smallest value drawn: it should lie in its band.
 """
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Curve = tuple[str, Recording, int, Look]  # controller, recording, column, look
+DrawnCurve = tuple[str, Recording, int, Look]  # controller, recording, column, look
 
 BAND: Look = {"facecolor": "0.87", "linewidth": 0, "zorder": 0.5}
 COMPONENTS: dict[str, Look] = {
@@ -161,7 +161,7 @@ def arrange(
     what: str,
     learners: Recordings,
     signal: str,
-    panels: Mapping[str, Sequence[Curve]],
+    panels: Mapping[str, Sequence[DrawnCurve]],
     legend: Sequence[tuple[str, Look]],
     reference: str = "",
 ) -> Figure:
@@ -185,7 +185,7 @@ def arrange(
     return picture
 
 
-def draw_curves(axes: Axes, signal: str, curves: Sequence[Curve], ranges: Sequence[FigureRange]) -> None:
+def draw_curves(axes: Axes, signal: str, curves: Sequence[DrawnCurve], ranges: Sequence[FigureRange]) -> None:
     """Curves, rings at their common extremes, crosses where a run ended early."""
     seen = [rec[signal][rows, column] for _, each, column, _ in curves for rec, rows in scale_rows([each])]
     edges = np.array([edge / known.scale for known in ranges for edge in (known.lower, known.upper)])
@@ -205,7 +205,11 @@ def shown(values: Array, ranges: Sequence[FigureRange]) -> Array:
 
 
 def mark_extreme(
-    axes: Axes, signal: str, curves: Sequence[Curve], ranges: Sequence[FigureRange], place: Callable[[Array], np.intp]
+    axes: Axes,
+    signal: str,
+    curves: Sequence[DrawnCurve],
+    ranges: Sequence[FigureRange],
+    place: Callable[[Array], np.intp],
 ) -> None:
     """Ring at the extreme of all curves of a plot."""
     values = [shown(recording[signal][:, column], ranges) for _, recording, column, _ in curves]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...torque import CONTROLLERS
+from ...torque.entries import CONTROLLERS
 from .intervals import Interval, quantile, rate
 from .results import Results
 from .verdict import bins_of

@@ -21,7 +21,7 @@ from ...loop.batch import needed_bytes
 from ...recording.metrics import Reducer, metrics
 from ...recording.versions import versions
 from ..experiments.controllers import EFFECTIVE
-from .plan import Plan, short
+from .plan import StudyPlan, short
 from .pools import Pool
 from .results import DEFAULT, require_patterns, units_of, value_of
 from .settings import StudySettings, placing
@@ -39,7 +39,7 @@ COSMETIC = ("title", "metrics", "success", "tune")  # settings that change no ru
 
 @dataclass(frozen=True)
 class Probe:
-    """What is known of a study before it runs.
+    """Facts of a study that are known before it runs.
 
     Attributes:
         units: Metric to its unit.
@@ -50,7 +50,7 @@ class Probe:
     bytes_per_run: int
 
 
-def probe(plan: Plan) -> Probe:
+def probe(plan: StudyPlan) -> Probe:
     """Make the loop of the first run of every controller, without running it, and judge what is asked of its metrics.
 
     Raises:
@@ -84,7 +84,7 @@ def shown(settings: StudySettings, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(pattern for pattern in DEFAULT if value_of(dict.fromkeys(names, 0.0), pattern) == 0.0)
 
 
-def missing_trials(store: Store, plan: Plan, found: Probe, force: bool) -> list[int]:
+def missing_trials(store: Store, plan: StudyPlan, found: Probe, force: bool) -> list[int]:
     """Numbers of the runs that are still to be made, once the results agree with the study's settings.
 
     Args:
@@ -110,7 +110,7 @@ def missing_trials(store: Store, plan: Plan, found: Probe, force: bool) -> list[
     return [i for i, fingerprint in enumerate(plan.fingerprints) if fingerprint not in done]
 
 
-def facts(plan: Plan, found: Probe) -> dict[str, Any]:
+def facts(plan: StudyPlan, found: Probe) -> dict[str, Any]:
     """The facts that stand before the results."""
     study = plan.study
     return {
@@ -129,7 +129,7 @@ def facts(plan: Plan, found: Probe) -> dict[str, Any]:
     }
 
 
-def changed_settings(store: Store, plan: Plan, kept: int) -> StudyError:
+def changed_settings(store: Store, plan: StudyPlan, kept: int) -> StudyError:
     """The complaint about results of other settings."""
     before, rows = store.facts, len(store.results)
     if before.get("mmnn_pin") != __version__:
@@ -158,7 +158,7 @@ def differences(one: Any, other: Any, prefix: str = "") -> list[str]:
 
 def fill(
     store: Store,
-    plan: Plan,
+    plan: StudyPlan,
     missing: Sequence[int],
     pool: Pool,
     progress: Callable[[TrialResult], None] = lambda result: None,
@@ -181,7 +181,7 @@ def fill(
             progress(result)
 
 
-def execute(pool: Pool, plan: Plan, numbers: Sequence[int]) -> Iterator[TrialResult]:
+def execute(pool: Pool, plan: StudyPlan, numbers: Sequence[int]) -> Iterator[TrialResult]:
     """Make runs, given back as they end, in any order.
 
     Args:
@@ -291,7 +291,7 @@ class Rerun:
         return "\n  ".join(lines) + f"\nwrote {self.file}"
 
 
-def rerun(plan: Plan, number: int, folder: Path, force: bool = False) -> Rerun:
+def rerun(plan: StudyPlan, number: int, folder: Path, force: bool = False) -> Rerun:
     """Make a run alone and record all its signals in `folder/rows/NUMBER.h5`.
 
     Args:

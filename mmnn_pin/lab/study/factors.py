@@ -19,7 +19,7 @@ KINDS = ("grid", *DRAWN)
 
 
 class Factor(Settings, frozen=True):
-    """What a factor varies and how: exactly one of `grid` and the distributions.
+    """A factor of a study: the keys that it varies, and exactly one of `grid` and the distributions.
 
     Args:
         grid: Every one of these values, with every other setting.

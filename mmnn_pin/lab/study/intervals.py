@@ -1,4 +1,4 @@
-"""What so many runs say of a rate or of a quantile: intervals of 95 % that assume no distribution, and a paired test.
+"""Intervals of 95 % for a rate or a quantile of so many runs, which assume no distribution; and a paired test.
 
 Draws of the factors are independent; runs of one draw, with several seeds or in several cells of a grid, are not: they
 share masses, friction and whatever else was drawn. So n runs of G draws say as much of a share as n / d independent

@@ -40,7 +40,7 @@ TRUTH = ("masses", "friction")  # of the true robot only, where the model is nom
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class StudyPlan:
     """All runs of a study.
 
     Attributes:
@@ -193,7 +193,7 @@ class Plan:
         return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
-def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int | None = None) -> Plan:
+def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int | None = None) -> StudyPlan:
     """The runs of a study, every point judged.
 
     Args:
@@ -213,7 +213,7 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
                 require_path(known, path, f"factors.{name}.keys.{i}" if factor.keys else f"factors.{name}")
     method, seed = settings.sampling.method, settings.sampling.seed if sampling_seed is None else sampling_seed
     count = settings.sampling.points if points is None or not settings.sampling.points else points
-    plan = Plan(
+    plan = StudyPlan(
         study,
         base,
         table,

@@ -33,7 +33,7 @@ DEFAULT = ("pose_error.[xy].peak", "pose_error.phi.peak", "e.*.peak", "effort")
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What a study gave so far.
+    """The results of a study so far.
 
     Attributes:
         path: Their file.

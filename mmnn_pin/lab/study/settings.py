@@ -65,7 +65,7 @@ class Success(Settings, frozen=True):
 
 
 class Tune(Settings, frozen=True):
-    """What `mmnn tune` looks for.
+    """Settings of a search for gains by `mmnn tune`.
 
     Args:
         controller: Whose gains.

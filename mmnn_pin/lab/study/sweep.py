@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from ...errors import ConfigError, UnknownName
-from ...loop.batch import Run, simulate_many
+from ...loop.batch import BatchRun, simulate_many
 from ...loop.loop import Loop
 from ...model.robot import Robot
 from ...recording.versions import versions
@@ -39,7 +39,7 @@ IN_MEMORY = Path("in memory")
 
 @dataclass(frozen=True, repr=False)
 class Sweep:
-    """What came of a sweep; `print` shows a line for every value.
+    """The results of a sweep; `print` shows a line for every value.
 
     Attributes:
         results: The rows, as of a study.
@@ -91,7 +91,7 @@ class Sweep:
 
 
 @checked_but("robot", "trajectory", "values")
-def sweep(
+def sweep(  # noqa: PLR0913 - options, by keyword alone
     robot: Robot,
     trajectory: Trajectory,
     key: str,
@@ -196,7 +196,7 @@ def loops_of(made: Assembled, i: int, runs: int, masses: tuple[float, float]) ->
     return found
 
 
-def row_of(number: int, key: str, job: tuple[Any, int, str, Loop], run: Run) -> TrialResult:
+def row_of(number: int, key: str, job: tuple[Any, int, str, Loop], run: BatchRun) -> TrialResult:
     """A run as the row of a study, with its delay margin and the one that is asked for."""
     (value, draw, controller, loop), end = job, run.outcome
     margins = {MARGIN: loop.delay_margin(), ASKED: loop.latency.margin + loop.latency.total}

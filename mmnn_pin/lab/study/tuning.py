@@ -37,7 +37,7 @@ from .execution import execute
 from .factors import Factor, draws_of
 from .intervals import Interval, quantile
 from .keys import require_path, times
-from .plan import Plan, changed_base, plan_of
+from .plan import StudyPlan, changed_base, plan_of
 from .pools import Pool, optional
 from .results import worth
 from .settings import StudyFile, Tune, placing
@@ -53,7 +53,7 @@ LOOK = 1.0  # of a run, to see where the weights go before the learning rates ar
 
 @dataclass(frozen=True)
 class Score:
-    """What a set of gains is worth.
+    """The score of a set of gains.
 
     Attributes:
         metric: (n,) the metric of every run, inf where it did not complete.
@@ -123,7 +123,7 @@ class Scorer:
             runs[result.id] = result.parameters, result.seed
         return Score(metric, self.tune.quantile, draws=draws_of(self.study.settings.factors, runs))
 
-    def plan(self, gains: Mapping[str, Any]) -> Plan:
+    def plan(self, gains: Mapping[str, Any]) -> StudyPlan:
         """The runs of one set of gains."""
         settings = msgspec.structs.replace(
             self.study.settings,
@@ -177,7 +177,7 @@ def learns_slowly_enough(loop: Loop) -> None:
 CONSTRAINTS: tuple[tuple[Callable[[Loop], None], int], ...] = ((stable_when_sampled, 64), (learns_slowly_enough, 4))
 
 
-def violations(plan: Plan) -> Iterator[str]:
+def violations(plan: StudyPlan) -> Iterator[str]:
     """Complaints about the gains of a study, one per run that breaks a constraint."""
     refused: set[int] = set()
     for constraint, most in CONSTRAINTS:
@@ -190,14 +190,14 @@ def violations(plan: Plan) -> Iterator[str]:
                 yield f"row {number}: {error.what}"
 
 
-def judged(plan: Plan, most: int = CONSTRAINTS[0][1]) -> list[int]:
+def judged(plan: StudyPlan, most: int = CONSTRAINTS[0][1]) -> list[int]:
     """Runs on which gains are judged."""
     return sorted({int(i) for i in np.linspace(0, len(plan) - 1, min(most, len(plan)))})
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """What a search found.
+    """The result of a search for gains.
 
     Attributes:
         tune: What was looked for.
@@ -257,7 +257,7 @@ def value_words(value: float | None) -> str:
 
 
 def tuned_part(study: StudyFile) -> tuple[Tune, dict[str, Any]]:
-    """What a study states about tuning, its keys judged, and its experiment as a table.
+    """The table `tune` of a study, its keys judged, and the study's experiment as a table.
 
     Raises:
         InputError: It says nothing, or names a gain that does not exist; with the line.
@@ -333,7 +333,7 @@ def require_there(path: Path) -> None:
 
 
 def result(study: StudyFile, folder: Path, pool: Pool | None) -> Tuned:
-    """What the trials so far have found, judged on fresh draws.
+    """The result of the trials so far, judged on fresh draws.
 
     Args:
         study: The study.

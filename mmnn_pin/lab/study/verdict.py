@@ -1,4 +1,4 @@
-"""What numbers of many runs show, and the answer of a study: which controller to take, and within which values.
+"""The verdict of many runs: which factors decide, which controller to take, and within which values.
 
 How much of a result each factor decides: first-order variance shares from the runs themselves. The box of factors in
 which a controller succeeds often enough is found on half of the draws and judged on the other half. The search peels
@@ -30,7 +30,7 @@ FEWEST = 20  # runs of either half that it must hold
 
 @dataclass(frozen=True)
 class Share:
-    """What a factor decides of a result.
+    """The share of a result that a factor decides.
 
     Attributes:
         share: Its first-order share of the variance of the result's ranks, from 0 (nothing) to 1 (all); corrected for
@@ -106,7 +106,7 @@ def levels_of(values: Sequence[Any], ordered: bool) -> list[Any]:
 
 @dataclass(frozen=True)
 class Cut:
-    """What a box demands of one factor.
+    """The interval of one factor in a box.
 
     Attributes:
         factor: Its name.

@@ -93,7 +93,7 @@ class Base:
     """A mobile base and how it can move; a kind of base is a child, in a module with the law that drives it.
 
     Attributes:
-        kind: Its name, `differential_drive`, `holonomic` or `fixed`.
+        kind: Its name, a key of `KINDS`.
         words: All of its kind in a sentence.
         velocity_names: Names of the nb base velocities: `v`, or `vx`, `vy`, in the control frame [m/s], `w` to the
             left [rad/s].

@@ -201,13 +201,11 @@ def read_overrides(path: Path) -> Overrides:
         return msgspec.structs.replace(overrides, package_dirs=folders, controllers_file=file)
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, ConfigError | UnknownName):
-            error.__cause__.file = path
-            raise error.__cause__ from None
+            raise error.__cause__.but(file=path) from None
         message, _, where = str(error).partition(" - at ")
         if (unknown := unknown_key(error)) is not None:
             raise UnknownName("key", unknown, Overrides.__struct_fields__, file=path) from None
         what, fix = wrong_type(message)
         raise ConfigError(what, fix=fix, file=path, key=where.strip("`").removeprefix("$.") or None) from None
     except (ConfigError, UnknownName) as error:
-        error.file = path
-        raise
+        raise error.but(file=path) from error

@@ -12,7 +12,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from mmnn_pin.loop.batch import Run, simulate_many
+from mmnn_pin.loop.batch import BatchRun, simulate_many
 from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
 from research.contest.task import Task
@@ -53,7 +53,7 @@ def errors_by_delay(task: Task, names: Sequence[str]) -> dict[str, list[list[flo
     return found
 
 
-def errors(run: Run, loop: Loop, window: tuple[float, float]) -> list[float]:
+def errors(run: BatchRun, loop: Loop, window: tuple[float, float]) -> list[float]:
     """Errors of the base's place [mm] and of the arm [mrad] as in the contest's tables; inf for a lost run."""
     if run.outcome.status != "completed":
         return [math.inf, math.inf]

@@ -18,7 +18,7 @@ import numpy as np
 from mmnn_pin import load_experiment
 from mmnn_pin.errors import InputError
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS, EFFECTIVE
-from mmnn_pin.loop.batch import Run, simulate_many
+from mmnn_pin.loop.batch import BatchRun, simulate_many
 from mmnn_pin.model.robots import bundled, extra
 from mmnn_pin.recording.recording import as_columns
 from mmnn_pin.signals import Array
@@ -28,19 +28,19 @@ PLAIN = ("pd", "pd_gravity", "pid")  # what an engineer tries first: the best of
 NAMES = tuple(name for name in CONTROLLERS if name not in (*EFFECTIVE, *PLAIN, "two_layer_random"))
 
 
-def error(run: Run, signal: str, wanted: tuple[str, ...] = ()) -> float:
+def error(run: BatchRun, signal: str, wanted: tuple[str, ...] = ()) -> float:
     """RMS error after 2 s, root of the sum over components; nan where a robot has none."""
     ends = tuple(f".{name}.rms_{LATE[0]:g}_{LATE[1]:g}" for name in wanted) or (f".rms_{LATE[0]:g}_{LATE[1]:g}",)
     found = [value for key, value in run.metrics.items() if key.startswith(signal + ".") and key.endswith(ends)]
     return float(np.sqrt(np.sum(np.square(found)))) if found else np.nan
 
 
-def errors(run: Run) -> Array:
+def errors(run: BatchRun) -> Array:
     """Errors of the base's position [m] and of the arm [rad], (2,)."""
     return np.array([error(run, "pose_error", ("x", "y")), error(run, "e")])
 
 
-def peak(run: Run, limits: Array) -> float:
+def peak(run: BatchRun, limits: Array) -> float:
     """Largest peak torque over its motor's limit."""
     assert run.recording is not None
     return float(np.max(abs(as_columns(run.recording["motor_torque"])) / limits))

@@ -207,7 +207,7 @@ def inspected(outcome: Outcome) -> float:
     return min(times)
 
 
-def driven(entry: dict[str, Any], folder: Path, outcome: Outcome) -> track_any.Row | None:
+def driven(entry: dict[str, Any], folder: Path, outcome: Outcome) -> track_any.RobotRow | None:
     """A row of the table of `studies.track_any`, None where it is refused; either is told as it comes."""
     said = {key: list(value) if isinstance(value, tuple) else value for key, value in outcome.said.items() if value}
     settings = tuple(f"overrides.{key}={json.dumps(value)}" for key, value in said.items())
@@ -220,7 +220,7 @@ def driven(entry: dict[str, Any], folder: Path, outcome: Outcome) -> track_any.R
     return replace(row, name=entry["name"])
 
 
-def tracked(rows: list[track_any.Row]) -> str:
+def tracked(rows: list[track_any.RobotRow]) -> str:
     """The table of the robots that were driven, and the joints on which `adaptive` is worse than `pd_gravity`."""
     worse = [
         f"{row.name}: {joint} ({track_any.cell(one)} for {track_any.cell(other)})"
@@ -249,7 +249,7 @@ def tracked(rows: list[track_any.Row]) -> str:
 def main(folder: Path, only: str, as_csv: bool, inspect: bool, track: bool) -> None:
     """Hold all robots of the corpus against the truth."""
     entries = tomllib.loads((Path(__file__).parent / "corpus.toml").read_text())["robot"]
-    counts, rows, times = dict[str, int](), list[track_any.Row | None](), dict[str, float]()
+    counts, rows, times = dict[str, int](), list[track_any.RobotRow | None](), dict[str, float]()
     for entry in entries:
         if only.lower() not in entry["name"].lower():
             continue

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from mmnn_pin import PD, Stepper, StepperSettings, load
 from mmnn_pin.deploy.ros2.mapped import MappedRoute
-from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Refused, base_motion, rest_of
+from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, PlannedArm, Refused, base_motion, rest_of
 from mmnn_pin.deploy.ros2.sensing import Clock, Sensing, Tree, composed, inverse
-from mmnn_pin.deploy.ros2.settings import Clocks, Frames, Joints, Node, Odometry, Output, Route
+from mmnn_pin.deploy.ros2.settings import Clocks, Frames, Joints, Node, Odometry, Output, PlannedPath
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.urdf.reading import parse
@@ -185,7 +185,7 @@ def test_stamps_are_judged() -> None:
 
 # -- motions -----------------------------------------------------------------------------------------------------------
 
-ARM_OF = Arm.of(ROBOT, {}, Limits(joint_speed=2.0), 0.01)
+ARM_OF = PlannedArm.of(ROBOT, {}, Limits(joint_speed=2.0), 0.01)
 HERE = np.array([[0.1, 0.2], [0.0, 0.0], [0.0, 0.0]])
 
 
@@ -250,7 +250,7 @@ def test_paths_can_be_driven_and_keep_to_their_limits(
     c, sn = math.cos(turn), math.sin(turn)
     points = np.stack([c * x - sn * y, sn * x + c * y], axis=1)
     looks = math.atan2(points[1, 1] - points[0, 1], points[1, 0] - points[0, 0]) + (math.pi if back else 0.0)
-    route, limits = Route(speed=speed, acceleration=0.5, lateral=0.3), Limits(yaw_rate=0.8)
+    route, limits = PlannedPath(speed=speed, acceleration=0.5, lateral=0.3), Limits(yaw_rate=0.8)
     motion = base_motion(path(points, looks), route, limits, ROBOT, 0.01)
     assert not isinstance(motion, Stand)
     table = motion.table
@@ -269,22 +269,22 @@ def test_a_path_keeps_to_the_speeds_of_the_wheels() -> None:
     text = re.sub(r'velocity="30[.0]*"', 'velocity="3"', ROBOT.urdf)
     slow = build(parse(text.encode(), "slow.urdf"), Overrides())
     around = [(math.sin(a), 1.0 - math.cos(a)) for a in np.linspace(0.0, 4.0, 60)]
-    motion = base_motion(path(around, 0.0), Route(speed=1.0, lateral=5.0), Limits(), slow, 0.01)
+    motion = base_motion(path(around, 0.0), PlannedPath(speed=1.0, lateral=5.0), Limits(), slow, 0.01)
     assert not isinstance(motion, Stand)
     wheels = abs(motion.table[:, 3:5] @ slow.E[:2, :2]).max(axis=0)  # [rad/s]
     assert wheels.max() == pytest.approx(3.0, rel=0.03) and wheels.min() < 2.5
 
 
 def test_a_path_is_moved_with_its_map() -> None:
-    motion = base_motion(path([(0.1 * i, 0.0) for i in range(20)], 0.0), Route(), Limits(), ROBOT, 0.01)
+    motion = base_motion(path([(0.1 * i, 0.0) for i in range(20)], 0.0), PlannedPath(), Limits(), ROBOT, 0.01)
     moved, out = rest_of(motion, 1.0, (2.0, 3.0, math.pi / 2)), np.zeros(motion.table.shape[1])
     moved.write(0.0, out)
     assert out[:3] == pytest.approx([2.0, 3.0 + motion.table[100, 0], math.pi / 2])
-    assert base_motion(path([], 0.0), Route(), Limits(), ROBOT, 0.01) == Stand((BASE,))
+    assert base_motion(path([], 0.0), PlannedPath(), Limits(), ROBOT, 0.01) == Stand((BASE,))
     with pytest.raises(Refused, match="not finite"):
-        base_motion(path([(1.0, 1.0), (1.0, math.nan)], 0.0), Route(), Limits(), ROBOT, 0.01)
+        base_motion(path([(1.0, 1.0), (1.0, math.nan)], 0.0), PlannedPath(), Limits(), ROBOT, 0.01)
     with pytest.raises(Refused, match="20,000 poses"):
-        base_motion(path([(1.0, 1.0)] * 20_000, 0.0), Route(), Limits(), ROBOT, 0.01)
+        base_motion(path([(1.0, 1.0)] * 20_000, 0.0), PlannedPath(), Limits(), ROBOT, 0.01)
 
 
 def closed_loop(motion: Any, start: tuple[float, float, float], seconds: float) -> np.ndarray:
@@ -328,7 +328,7 @@ def test_in_closed_loop_what_moves_is_what_was_asked(case: str) -> None:
         for (x, y), (z, w) in zip(points, quaternions, strict=True)
     ]
     message = msg.Path(NOW, [msg.PoseStamped(NOW, pose) for pose in poses])
-    motion = base_motion(message, Route(), Limits(), ROBOT, 0.01)
+    motion = base_motion(message, PlannedPath(), Limits(), ROBOT, 0.01)
     seen = closed_loop(motion, start, 25.0)
     v, w = seen[:, 3], seen[:, 4]
     assert 0.01 * np.abs(w).sum() == pytest.approx(turned, abs=0.1)
@@ -337,7 +337,7 @@ def test_in_closed_loop_what_moves_is_what_was_asked(case: str) -> None:
     )
     assert math.dist(seen[-1, :2], points[-1]) < 0.02 and abs(math.remainder(seen[-1, 2] - heading, math.tau)) < 0.05
     assert not case.startswith("tip") or seen[:, 0].max() == pytest.approx(1.0, abs=0.02)
-    here = base_motion(message, Route(), Limits(), ROBOT, 0.01, (start, np.zeros(2)))
+    here = base_motion(message, PlannedPath(), Limits(), ROBOT, 0.01, (start, np.zeros(2)))
     assert isinstance(motion, RouteDrive) and isinstance(here, RouteDrive)
     assert np.array_equal(here.table, motion.placed(np.array(start, float)).table)
 
@@ -347,7 +347,9 @@ def test_a_path_in_a_maps_frame_begins_at_the_reference() -> None:
     tree = Tree()
     place = (1.0, 1.5, math.pi / 2)  # of the map in the odometry's frame
     tree.take(msg.TFMessage([transform("map", "odom", *inverse(place))]), 0.0)
-    motion = base_motion(path([(0.0, 0.1 * i) for i in range(1, 21)], math.pi / 2), Route(), Limits(), ROBOT, 0.01)
+    motion = base_motion(
+        path([(0.0, 0.1 * i) for i in range(1, 21)], math.pi / 2), PlannedPath(), Limits(), ROBOT, 0.01
+    )
     base = np.array([1.0, 2.0, 7.0, 0.0, 0.0])  # y of the map is -x of the odometry
     assert "no way from 'elsewhere'" in str(MappedRoute(Frames(), tree).begin(motion, "elsewhere", base, 0.0))
     wishes: list[Any] = [MappedRoute(Frames(), tree).begin(motion, "map", base, 0.0)]
@@ -371,7 +373,7 @@ def test_a_correction_of_the_map_does_not_jerk_the_robot() -> None:
     tree = Tree()
     route = MappedRoute(Frames(), tree)
     tree.take(msg.TFMessage([transform("map", "odom", 0.0, 0.0, 0.0)]), 0.0)
-    motion = base_motion(path([(0.1 * i, 0.0) for i in range(31)], 0.0), Route(speed=0.4), Limits(), ROBOT, 0.01)
+    motion = base_motion(path([(0.1 * i, 0.0) for i in range(31)], 0.0), PlannedPath(speed=0.4), Limits(), ROBOT, 0.01)
     assert not isinstance(motion, Stand)
     follower = Follower(ROBOT, Limits(), 0.5)
     here = np.zeros(3 + 2 + 2 + 2)

@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin import load
-from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Refused
+from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, PlannedArm, Refused
 from mmnn_pin.deploy.ros2.sensing import STILL
 from mmnn_pin.deploy.ros2.whole_body import base_points, whole_motion
 from mmnn_pin.reference.guide import ARM, BASE
 from mmnn_pin.reference.limits import Limits
 
 ROBOT = load("platform_arm")
-OF_ROBOT = Arm.of(ROBOT, {}, Limits(), 0.01)
+OF_ROBOT = PlannedArm.of(ROBOT, {}, Limits(), 0.01)
 HERE, NOW = np.zeros(5), np.array([[0.1, 0.2], [0.0, 0.0], [0.0, 0.0]])
 NOTHING = msg.JointTrajectory(msg.Header(), [], [])
 

@@ -7,15 +7,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmnn_pin import PD, Feedback, LearningLaw, Line, Loop, Sine, Timing, Trajectory, compare, load, load_experiment
+from mmnn_pin import (
+    PD,
+    Feedback,
+    LearningLaw,
+    Line,
+    Loop,
+    Sine,
+    Timing,
+    Trajectory,
+    compare,
+    load,
+    load_experiment,
+    torque,
+)
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.experiments.compare import DEFAULTS, assembled
 from mmnn_pin.lab.experiments.config import complete, find, recorded_experiment
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import ControllerState, TorqueController
+from mmnn_pin.torque.entries import CONTROLLERS
 
 SHORT = 0.04
 
@@ -94,14 +107,11 @@ def test_every_controller_has_gains_that_suit_the_robot(name, robot, path):
 
 
 @pytest.mark.parametrize(
-    "kind", ["model_based:PD", "classical:PID", "neural:Neural", "model_based:ComputedTorque",
-             "disturbance_observer:DisturbanceObserver"],
-)  # fmt: skip
+    "kind", [torque.PD, torque.PID, torque.Neural, torque.ComputedTorque, torque.DisturbanceObserver]
+)
 def test_a_controller_made_without_arguments_gets_the_same_gains(kind, robot, path):
-    from mmnn_pin.torque import found
-
     gains = Loop(robot, path, PD()).controller.feedback
-    controller = Loop(robot, path, found(kind)()).controller
+    controller = Loop(robot, path, kind()).controller
     assert controller.feedback == gains
 
 

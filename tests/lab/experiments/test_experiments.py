@@ -33,7 +33,7 @@ from mmnn_pin.lab.experiments.runner import in_order, limit_notes, weak_notes
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recording import as_columns
 from mmnn_pin.signals import Layout
-from mmnn_pin.torque import ENTRIES
+from mmnn_pin.torque.entries import ENTRIES
 
 SHORT = ("time.duration=0.02",)
 

@@ -24,7 +24,7 @@ from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.study import worker
 from mmnn_pin.lab.study.execution import fill, missing_trials, probe
-from mmnn_pin.lab.study.plan import Plan
+from mmnn_pin.lab.study.plan import StudyPlan
 from mmnn_pin.lab.study.pools import here, processes
 from mmnn_pin.lab.study.results import load_results
 from mmnn_pin.lab.study.store import NAME, OLD_NAME, TrialResult, reading, writing
@@ -36,7 +36,7 @@ BASE = ["time.duration=0.04", "windows=[[0.0,0.02],[0.02,0.04]]"]  # what the sh
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plan, list[TrialResult]]:
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyPlan, list[TrialResult]]:
     """A study that has run: its folder, plan and rows."""
     folder = tmp_path_factory.mktemp("study")
     plan = planned(folder)

@@ -24,7 +24,7 @@ from ....safety import RAMPING, STEPPED_IN, STOPPING
 from ....signals import HAND, Array, IntArray
 from ..files import Blob
 
-Kind = Literal["stop", "slip", "limit"]
+IncidentKind = Literal["stop", "slip", "limit"]
 FAR = 1e6  # a coordinate beyond this is as good as infinite: it is not drawn [m or rad]
 MOST_TIPS = 4  # more ends than this are fingers: only the one with the most joints before it is traced
 GAP = 0.1  # two stretches that are nearer than this are one [s]
@@ -195,7 +195,7 @@ class ReplayEvent:
         joints: Whose bodies are coloured; the whole robot if empty.
     """
 
-    kind: Kind
+    kind: IncidentKind
     start: float
     end: float
     text: str
@@ -258,7 +258,7 @@ def stretches(time: Array, holds: NDArray[np.bool_]) -> Iterator[tuple[float, fl
             yield float(time[part[0]]), float(time[part[-1]])
 
 
-SUPERVISED: tuple[tuple[Kind, float, str], ...] = (
+SUPERVISED: tuple[tuple[IncidentKind, float, str], ...] = (
     ("limit", STEPPED_IN, "the supervisor clips a torque or holds a value"),
     ("stop", STOPPING, "the supervisor stops the robot"),
     ("stop", RAMPING, "stopped without feedback: the torque goes to zero"),

@@ -28,7 +28,7 @@ from ..files import Blob
 from .motion import ReplayTree, columns
 
 Color = tuple[float, float, float, float]  # red, green, blue, opacity, each in [0, 1]
-Placed = tuple[int, Color | None]  # a geometry's index, and the colour that its file gives
+ColouredMesh = tuple[int, Color | None]  # a geometry's index, and the colour that its file gives
 
 STAND_IN = 0.1  # edge of the box in the place of a mesh [m]
 STANDS_IN = {True: "collision shapes stand in", False: f"a box of {STAND_IN:g} m stands in"}  # whether there are some
@@ -61,7 +61,7 @@ class Shapes:
         self._warned: list[str] = []
         self._missing: dict[str, bool] = {}  # whether collision shapes stand in
         self._blob, self._folders = blob, tuple(package_dirs)
-        self._files: dict[Path, list[Placed]] = {}
+        self._files: dict[Path, list[ColouredMesh]] = {}
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -117,7 +117,7 @@ class Shapes:
                 self._missing[name] = bool(shapes)
         yield from shapes or [(at, (self._box(STAND_IN), MISSING)) for at, _ in lost]
 
-    def _solids(self, robot: Robot, holder: etree._Element) -> Iterator[tuple[Array, Placed | Lost]]:
+    def _solids(self, robot: Robot, holder: etree._Element) -> Iterator[tuple[Array, ColouredMesh | Lost]]:
         """Placement on the link, geometry and own colour of what is in a `<visual>` or `<collision>`."""
         at = placement(holder.find("origin"))
         for solid in holder.iterfind("geometry/*"):
@@ -129,7 +129,7 @@ class Shapes:
                 sizes = [number(solid, "radius", 0.0), number(solid, "length", 0.0)]
                 yield at, (self._index({"kind": solid.tag, "size": sizes}), None)
 
-    def _mesh(self, robot: Robot, at: Array, solid: etree._Element) -> Iterator[tuple[Array, Placed | Lost]]:
+    def _mesh(self, robot: Robot, at: Array, solid: etree._Element) -> Iterator[tuple[Array, ColouredMesh | Lost]]:
         name = solid.get("filename", "")
         found = locate(name, robot.path, (*self._folders, *folders_of(robot.path, robot.overrides)))
         try:

@@ -32,7 +32,7 @@ from ...experiments.result import Result
 from ...psi.judgement import judgement_of, with_part
 from .. import replay
 from ..comparison import tables_of
-from ..curves import CHARTS, Curve, Panel, Recordings, chart, controller_of, learners, require_comparable
+from ..curves import CHARTS, CurvePoints, Panel, Recordings, chart, controller_of, learners, require_comparable
 from ..figure import in_the_dark, run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, fill_template, web_file
 from ..psi_figures import sliced
@@ -305,7 +305,7 @@ class Charts:
         made = {"title": panel.title, "unit": panel.unit, "curves": [*truth, *curves, *tracks]}
         return made | {key: value for key, value in about.items() if value is not None}
 
-    def curve(self, run: int | None, curve: Curve) -> dict[str, Any]:
+    def curve(self, run: int | None, curve: CurvePoints) -> dict[str, Any]:
         """A curve over time."""
         time, values = curve
         rows = kept_rows(values)

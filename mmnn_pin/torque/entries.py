@@ -1,0 +1,127 @@
+"""The list of all torque controllers: their classes, by name, and how they are described and drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from .. import torque
+
+# Properties of `controller.Told`.
+MOTION, MACHINE, NOMINAL, PARAMETERS, DESCRIBED = "motion", "machine", "nominal", "parameters", "described"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One controller; its module is imported when it is first used.
+
+    Attributes:
+        name: Its name in experiments, tables and recordings.
+        kind: Class of the controller, a name in `torque`.
+        settings: Class of its settings likewise, a table of an experiment; empty for none.
+        about: What it is, in a line.
+        colour: In plots.
+        dashes: In plots: lengths of dashes and gaps; empty for a line.
+        width: Of its line.
+        told: What it is told of its robot, properties of `controller.Told`.
+        table: Key path of its table; its name unless it says.
+        beside: Names of controllers whose tables it takes before its own.
+        gain_of: The learner whose effective gain it takes; empty for all others.
+        oracle: Whether it knows the true model.
+        thesis: Whether it is a learner of the thesis.
+        baseline: Whether an engineer has it without learning Psi: what a learner is compared with.
+    """
+
+    name: str
+    kind: str
+    settings: str
+    about: str
+    colour: str
+    dashes: tuple[float, ...] = ()
+    width: float = 1.4
+    told: tuple[str, ...] = ()
+    table: str = ""
+    beside: tuple[str, ...] = ()
+    gain_of: str = ""
+    oracle: bool = False
+    thesis: bool = False
+    baseline: bool = False
+
+    @property
+    def key(self) -> str:
+        """Key path of its table in an experiment."""
+        return self.table or self.name
+
+    def load(self) -> Any:
+        """The class of the controller."""
+        return getattr(torque, self.kind)
+
+    def load_settings(self) -> Any:
+        """The class of its settings; None for none."""
+        return getattr(torque, self.settings) if self.settings else None
+
+
+# fmt: off
+ENTRIES = (
+    Entry("two_layer", "Neural", "TwoLayer",
+          "the thesis's two-layer network, both layers learn (3.39), (3.48)-(3.50)", "#0072B2", (), 1.8, thesis=True),
+    Entry("two_layer_zero", "Neural", "TwoLayer",
+          "the same with all weights from zero, whatever two_layer.initial says", "#0072B2", (), 1.8,
+          table="two_layer", thesis=True),
+    Entry("two_layer_random", "Neural", "TwoLayer", "the same with W = 0 and V random",
+          "#CC79A7", (9, 1.5), 1.6, table="two_layer", thesis=True),
+    Entry("one_layer", "Neural", "OneLayer",
+          "one-layer Gaussian network of reference [9], its law reconstructed", "#D55E00", (5, 1.6), thesis=True),
+    Entry("pd", "PD", "", "the feedback alone", "#000000", (1, 1.4), baseline=True),
+    Entry("pd_gravity", "PDGravity", "", "PD and the gravity of the URDF, at the measured joints",
+          "#4D4D4D", (4, 1.2, 1, 1.2), told=(MOTION, DESCRIBED), baseline=True),
+    Entry("pid", "PID", "PIDSettings",
+          "PD and its integral, which stops where a motor is at its limit", "#999999", (2, 1.2), baseline=True),
+    Entry("pd_effective", "ScheduledPD", "",
+          "PD at the effective gain of two_layer (or two_layer_zero): its gain without its network",
+          "#56B4E9", (6, 1.5, 1, 1.5), 1.6, gain_of="two_layer"),
+    Entry("pd_effective_one_layer", "ScheduledPD", "", "PD at the effective gain of one_layer",
+          "#E69F00", (5, 1.2, 1, 1.2, 1, 1.2), 1.6, gain_of="one_layer"),
+    Entry("adaptive", "Adaptive", "AdaptiveSettings",
+          "Slotine-Li adaptive control: knows the kinematics, learns masses, inertias and friction",
+          "#7F4F24", (3, 1), told=(MOTION, PARAMETERS)),
+    Entry("adaptive_composite", "AdaptiveComposite", "AdaptiveCompositeSettings",
+          "the same, which learns from filtered torque too: it knows the robot afterwards",
+          "#B7950B", (8, 1.5, 3, 1.2), told=(MOTION, PARAMETERS), beside=("adaptive",)),
+    Entry("concurrent", "Concurrent", "ConcurrentSettings",
+          "knows the kinematics; a stack of chosen equations, so that knowledge outlasts the excitation",
+          "#2E7D32", (5, 1), told=(MOTION, PARAMETERS)),
+    Entry("two_layer_composite", "TwoLayerComposite",
+          "TwoLayerCompositeSettings",
+          "the two-layer network with the prediction error of filtered torque and kept samples",
+          "#8E44AD", (11, 1.5), beside=("two_layer",)),
+    Entry("two_layer_residual", "TwoLayerResidual", "TwoLayer",
+          "a nominal model with wrong masses, and the two-layer network on the difference",
+          "#5DADE2", (4, 1), told=(NOMINAL,), table="two_layer"),
+    Entry("nominal", "ComputedTorque", "",
+          "feedback and that nominal model, nothing learned: what two_layer_residual has to beat",
+          "#7F8C8D", (1, 1), told=(NOMINAL,), baseline=True),
+    Entry("kalman_regressor", "Kalman", "KalmanRegressorSettings",
+          "knows the kinematics; least squares with a covariance on filtered torque",
+          "#C0392B", (2, 1), told=(MACHINE, MOTION), table="kalman.regressor"),
+    Entry("kalman_friction", "Kalman", "KalmanFrictionSettings",
+          "the same with friction features learned offline, and a constant per velocity that changes",
+          "#4A235A", (9, 1, 2, 1), told=(MACHINE, MOTION), table="kalman.friction"),
+    Entry("kalman_bilinear", "Kalman", "KalmanBilinearSettings",
+          "knows the form of the equations: random functions of the arm's joints, the same least squares",
+          "#E0A800", (7, 1.5), told=(MACHINE,), table="kalman.bilinear"),
+    Entry("kalman_features", "Kalman", "KalmanFeaturesSettings",
+          "knows nothing: random functions of states and references, the same least squares",
+          "#E84393", (3, 1.5, 1, 1.5), told=(MACHINE,), table="kalman.features"),
+    Entry("kalman_residual", "Kalman", "KalmanResidualSettings",
+          "a nominal model with wrong masses, and kalman_bilinear for the rest",
+          "#FF7F50", (6, 1.5, 2, 1.5), told=(MACHINE, MOTION, PARAMETERS), table="kalman.residual"),
+    Entry("disturbance_observer", "DisturbanceObserver",
+          "DisturbanceObserverSettings",
+          "knows nothing: one constant per velocity, learned as an integral action", "#16A085", (6, 1, 1, 1, 1, 1),
+          baseline=True),
+    Entry("computed_torque", "ComputedTorque", "", "feedback and the true model: the oracle",
+          "#009E73", (10, 2.5), oracle=True),
+)
+# fmt: on
+CONTROLLERS = {entry.name: entry for entry in ENTRIES}
