@@ -141,7 +141,7 @@ def refuses(call: Callable[..., Any], *given: Any, **named: Any) -> bool:
     return "\n" not in str(raised.value) and "error: " in str(raised.value)
 
 
-@pytest.mark.parametrize("value", ["x", None, [1, "a"], {"a": 1}, object(), 1j], ids=repr)
+@pytest.mark.parametrize("value", ["x", None, [1, "a"], {"a": 1}, object(), 1j], ids=lambda value: type(value).__name__)
 def test_methods_refuse_wrong_types_in_one_line(value, sound):
     robot, loop = sound["Loop"]["robot"], Loop(**sound["Loop"])
     run, here = loop.run(), robot.neutral()

@@ -100,7 +100,7 @@ def warn(text: str) -> None:
 
 
 def compile_if_cold(hardware: bool = False) -> None:
-    """Announce on standard error what a first run compiles, and what is compiled from now on.
+    """Tell on standard error what is compiled from now on, and before the first of it how long a first run takes.
 
     Args:
         hardware: Whether the run has sensors, motors, a supervisor or disturbances; then more is compiled.
@@ -110,14 +110,23 @@ def compile_if_cold(hardware: bool = False) -> None:
 
     tell_what_compiles()
     if not is_warm():
-        note("first run of this version: compiling takes about half a minute, later runs start at once")
+        announce("first run of this version: compiling takes about half a minute, later runs start at once")
         return
     folder = cache_folder()
     if hardware and folder is not None and not (announced := folder / "hardware was announced").exists():
         parts = "sensors, motors, a supervisor or disturbances"
-        note(f"first run with {parts}: their part of the loop is compiled, about 20 s more")
+        announce(f"first run with {parts}: their part of the loop is compiled, about 20 s more")
         with suppress(OSError):  # a full disk: it is announced again
             announced.touch()
+
+
+@cache
+def announce(text: str) -> None:
+    """Print a line on standard error as soon as something is compiled: not before an input that is refused."""
+    from ..compiled import when_compiling
+
+    waiting = [text]
+    when_compiling(lambda _: note(waiting.pop()) if waiting else None)
 
 
 @cache

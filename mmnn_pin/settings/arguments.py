@@ -160,7 +160,7 @@ def fits(value: Any, kind: Any) -> bool:
         return len(value) == len(parts) and all(map(fits, value, parts))
     try:
         msgspec.convert(bare(value), kind)
-    except msgspec.ValidationError:
+    except (msgspec.ValidationError, RecursionError):  # the second: a list that holds itself
         return False
     except TypeError:  # of items of several classes
         items = value.values() if isinstance(value, Mapping) else value
