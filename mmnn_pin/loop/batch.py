@@ -57,7 +57,7 @@ def simulate_many(
     *,
     states: Sequence[Any] | None = None,
     windows: Windows = ((0.0, 1.0), (1.0, 5.0)),
-    keep: bool | Collection[str] = False,
+    keep: bool | str | Collection[str] = False,
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[BatchRun]:
@@ -119,7 +119,9 @@ def simulate_many(
     return results
 
 
-def require_sound(loops: Sequence[Loop], states: Sequence[Any], keep: bool | Collection[str], workers: int) -> None:
+def require_sound(
+    loops: Sequence[Loop], states: Sequence[Any], keep: bool | str | Collection[str], workers: int
+) -> None:
     """Refuse a batch that cannot be run; arguments as in `simulate_many`.
 
     Raises:
@@ -139,7 +141,7 @@ def require_sound(loops: Sequence[Loop], states: Sequence[Any], keep: bool | Col
 
 
 def simulate(
-    loop: Loop, state: Any, windows: Windows, keep: bool | Collection[str], cancelled: Callable[[], bool]
+    loop: Loop, state: Any, windows: Windows, keep: bool | str | Collection[str], cancelled: Callable[[], bool]
 ) -> BatchRun:
     """One run, reduced to its metrics as it goes.
 
@@ -196,13 +198,13 @@ def require_fit(loops: Sequence[Loop], states: Sequence[Any]) -> None:
                 raise error.but(key=f"states[{i}]") from error
 
 
-def needed_bytes(loops: Sequence[Loop], keep: bool | Collection[str], workers: int) -> int:
+def needed_bytes(loops: Sequence[Loop], keep: bool | str | Collection[str], workers: int) -> int:
     """Memory that signals, weights and references take [bytes]; reading a recording's signals copies them once more."""
     in_flight = sum(sorted(8 * loop.timing.samples * loop.layout.width for loop in loops)[-workers:])
     return in_flight + 8 * sum(kept_numbers(loop, keep) for loop in loops)
 
 
-def kept_numbers(loop: Loop, keep: bool | Collection[str]) -> int:
+def kept_numbers(loop: Loop, keep: bool | str | Collection[str]) -> int:
     """How many numbers are kept of a run."""
     layout = loop.layout
     if isinstance(keep, bool):

@@ -142,7 +142,7 @@ def test_goals_of_the_action_are_followed(tmp_path: Path, domain: int, distribut
 def test_a_robot_goes_on_after_its_reset_and_stops_when_told(tmp_path: Path, domain: int, distribution: str) -> None:
     """A silent second trips it; a reset without a measurement is refused, one with it is not."""
     asked = ("end_after_trip:=false",)
-    run = drive(tmp_path, distribution, domain, "silent_for@2.0", seconds=20.0, changes=asked, planner="switch_node.py")
+    run = drive(tmp_path, distribution, domain, "silent_for@4.0", seconds=22.0, changes=asked, planner="switch_node.py")
     told = run.robot["planner"]
     assert run.code == 0 and told["there"] and told["tripped"], (told, run.lines)
     assert told["early"] == [False, "nothing to reset: the supervisor has not tripped"]
@@ -151,7 +151,7 @@ def test_a_robot_goes_on_after_its_reset_and_stops_when_told(tmp_path: Path, dom
     assert told["again"][0] and told["runs again"]
     assert "tripped" in run.lines or "nothing fresh" in run.lines
     v = run.rows[:, 4]  # the joystick drives it at first, stands after trip and stop, and drives it again after each
-    assert (np.abs(v[run.rows[:, 0] < 2.5].max() - 0.2) < 0.05) and np.abs(run.at(19.0)[4] - 0.2) < 0.05, run.lines
+    assert (np.abs(v[run.rows[:, 0] < 4.5].max() - 0.2) < 0.05) and np.abs(run.at(21.0)[4] - 0.2) < 0.05, run.lines
 
 
 BY_POSITION = SETTINGS.replace(

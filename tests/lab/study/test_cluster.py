@@ -160,6 +160,7 @@ def study(tmp_path: Path) -> str:
     return text.replace("[set]\n", f'[set]\nrobot = "{package}/urdf/mine.urdf"\n')
 
 
+@pytest.mark.long
 def test_a_cluster_gives_the_local_rows_while_workers_die_and_join(
     cluster: Cluster, study: str, tmp_path: Path
 ) -> None:
