@@ -285,7 +285,8 @@ def make_private(folder: Path) -> str:
 def way_in(folder: Path) -> str:
     """The way by which others can put files into a folder, also one to be made; empty where there is none.
 
-    It looks at the folders above up to the user's own one, or to one whose entries only their owners can replace.
+    It looks at all folders above, up to the user's own one. One whose entries only their owners can replace is no way
+    in, but may stand in a folder that is.
     """
     home = Path.home().resolve()
     for place in (folder, *folder.parents):
@@ -299,7 +300,7 @@ def way_in(folder: Path) -> str:
         sticky = state.st_mode & stat.S_ISVTX and place != folder
         if (by_group or state.st_mode & stat.S_IWOTH) and not sticky:
             return f"others can write to {place} (mode {stat.S_IMODE(state.st_mode):o})"
-        if sticky or place == home:
+        if place == home:
             break
     return ""
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin.errors import ConfigError, RecordingError
@@ -196,6 +196,7 @@ def gets_in(folders: list[Path]) -> bool:
 
 @pytest.mark.skipif(os.getuid() != 0, reason="a stranger is played by root")
 @given(st.lists(st.tuples(MODES, st.sampled_from([0, 0, STRANGER])), min_size=1, max_size=3))
+@example([(0o757, 0), (0o1777, 0), (0o700, 0)])  # its own place is taken from a folder of many
 @settings(max_examples=150, deadline=None)
 def test_into_a_folder_that_is_private_no_stranger_gets(chain: list[tuple[int, int]]) -> None:
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
