@@ -90,7 +90,8 @@ class Dimensions:
         full: Number of velocities nv of the full model (pose and all joints).
         motors: Number of actuators.
         kind: Kind of the base, a key of `model.base.KINDS`; empty where nobody asks for it.
-        sideways: Whether the base velocities are `(vx, vy, w)` and not `(v, w)`. Compiled code knows a base by it.
+        sideways: Whether a twist is `(vx, vy, w)` and not `(v, w)`. Compiled code knows a base by it.
+        shape: Number of measured angles on which the motions of the base depend: steering, casters, hitches.
     """
 
     base: int
@@ -99,6 +100,12 @@ class Dimensions:
     motors: int
     kind: str = ""
     sideways: bool = False
+    shape: int = 0
+
+    @property
+    def twist(self) -> int:
+        """Number of velocities of the control frame that a reference has: 3, 2, or 0 for a fixed arm."""
+        return (3 if self.sideways else 2) if self.base else 0
 
     @property
     def pose(self) -> int:

@@ -77,7 +77,7 @@ class Bounds(Settings, frozen=True):
 
     def vector(self, layout: Dimensions) -> Array:
         """Bounds on |nu|, (p,)."""
-        base = kind_of(layout).per_velocity(self.speed, self.yaw_rate)
+        base = kind_of(layout).per_base_velocity(self.speed, self.yaw_rate, layout.base)
         return np.array(base + [self.joint_speed] * layout.arm, float)
 
 

@@ -292,7 +292,7 @@ def require_within(motion: Motion, guide: Guide, names: Sequence[str], start: Ar
         require_slower(fastest, guide.arm[0], names, "/s", "joint_speed")
         require_slower(motion.bends, guide.arm[3], names, "/s^2", "joint_acceleration", slack=BETWEEN)
     if BASE in motion.parts:
-        names, v, a = kind_of(d).velocity_names, setpoints.velocity, setpoints.acceleration
+        names, v, a = kind_of(d).twist_names, setpoints.velocity, setpoints.acceleration
         for limit, found, kind in ((guide.base[0], v, ("speed", "yaw_rate")), (guide.base[2], a, BENDS)):
             keys = [kind[name == "w"] for name in names]
             require_slower(np.abs(found).max(axis=0), limit, names, "/s" if found is v else "/s^2", *keys)

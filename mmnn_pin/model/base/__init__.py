@@ -12,8 +12,11 @@ from .base import Base, Fixed
 from .differential import DifferentialDrive, kanayama
 from .holonomic import HolonomicBase, holonomic_command
 from .skid_steer import SkidSteer
+from .steered import STEERED_KINDS
 
-KINDS: dict[str, type[Base]] = {kind.kind: kind for kind in (DifferentialDrive, SkidSteer, HolonomicBase, Fixed)}
+KINDS: dict[str, type[Base]] = {
+    kind.kind: kind for kind in (DifferentialDrive, SkidSteer, HolonomicBase, *STEERED_KINDS, Fixed)
+}
 
 
 def kind_of(dimensions: Dimensions) -> type[Base]:

@@ -42,6 +42,8 @@ class Wheel:
         heading: Rolling direction in the control frame, counterclockwise from x [rad].
         roller: Angle from the rolling direction to the axis of the roller on the floor, counterclockwise seen from
             above [rad]; None for a plain wheel.
+        pivot: Number of the pivot that carries it, in whose frame it is placed; -1 for the base's body.
+        driven: Whether a motor drives it.
     """
 
     joint: str
@@ -51,6 +53,8 @@ class Wheel:
     x: float = 0.0
     heading: float = 0.0
     roller: float | None = None
+    pivot: int = -1
+    driven: bool = True
 
     @property
     def grip(self) -> Array:
@@ -95,11 +99,11 @@ class Base:
     Attributes:
         kind: Its name, a key of `KINDS`.
         words: All of its kind in a sentence.
-        velocity_names: Names of the nb base velocities: `v`, or `vx`, `vy`, in the control frame [m/s], `w` to the
-            left [rad/s].
-        columns: Which of the control frame's `(vx, vy, w)` the base velocities are.
+        twist_names: Names of the velocities that a reference has: `v`, or `vx`, `vy`, in the control frame [m/s], `w`
+            to the left [rad/s].
+        columns: Which of the control frame's `(vx, vy, w)` those are.
         gain_names: Fields of `Kinematic` with the gains of its law.
-        sideways: Whether it moves to the side, too: its velocities are `(vx, vy, w)`, else `(v, w)`.
+        sideways: Whether it moves to the side, too: its twist is `(vx, vy, w)`, else `(v, w)`.
         two_sided: Whether its wheels stand on a left and a right side, each of one rim speed.
         scrubs: Whether its wheels slide over the floor where it turns: dry friction opposes that.
         wheels: Drive wheels, left before right. A holonomic base without any is driven by forces on its frame.
@@ -115,7 +119,7 @@ class Base:
 
     kind: ClassVar[str]
     words: ClassVar[str]
-    velocity_names: ClassVar[tuple[str, ...]]
+    twist_names: ClassVar[tuple[str, ...]]
     columns: ClassVar[list[int]]
     gain_names: ClassVar[tuple[str, ...]]
     sideways: ClassVar[bool] = False
@@ -171,8 +175,28 @@ class Base:
 
     @classmethod
     def per_velocity(cls, speed: float, yaw_rate: float) -> list[float]:
-        """A number for translation and one for turning as one for every base velocity."""
-        return [yaw_rate if name == "w" else speed for name in cls.velocity_names]
+        """A number for translation and one for turning as one for every velocity of a reference."""
+        return [yaw_rate if name == "w" else speed for name in cls.twist_names]
+
+    @classmethod
+    def per_base_velocity(cls, speed: float, yaw_rate: float, count: int) -> list[float]:
+        """Likewise as one for each of the `count` base velocities."""
+        return cls.per_velocity(speed, yaw_rate)
+
+    @property
+    def velocity_names(self) -> tuple[str, ...]:
+        """Names of the nb base velocities: the twist's, or others of a base that steers."""
+        return self.twist_names
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Its joints with motors."""
+        return tuple(wheel.joint for wheel in self.wheels)
+
+    @property
+    def shape(self) -> tuple[str, ...]:
+        """Joints whose angles say how it may move: steering, casters, hitches; none where T is constant."""
+        return ()
 
     def with_radii(self, factors: Mapping[str, float]) -> Self:
         """A copy on wheels whose radii are other by a factor, every wheel's by its joint."""
@@ -241,7 +265,7 @@ class Fixed(Base):
 
     kind = "fixed"
     words = "fixed arms"
-    velocity_names = ()
+    twist_names = ()
     columns: ClassVar[list[int]] = []
     gain_names = ()
 

@@ -20,7 +20,7 @@ class DifferentialDrive(Base):
 
     kind = "differential_drive"
     words = "differential bases"
-    velocity_names = ("v", "w")
+    twist_names = ("v", "w")
     columns: ClassVar[list[int]] = [0, 2]
     gain_names = ("kx", "ky", "kth")
     two_sided = True

@@ -17,7 +17,7 @@ class HolonomicBase(Base):
 
     kind = "holonomic"
     words = "holonomic bases"
-    velocity_names = ("vx", "vy", "w")
+    twist_names = ("vx", "vy", "w")
     columns: ClassVar[list[int]] = [0, 1, 2]
     gain_names = ("holonomic",)
     sideways = True

@@ -1,0 +1,428 @@
+"""T(theta): the motions of a base whose wheels steer, trail behind swivels, or ride on a trailer.
+
+The posture model of G. Campion, G. Bastin, B. d'Andrea-Novel, IEEE T-RA 12(1), 1996, in one mechanism. A base is a
+planar tree: its body, *pivots* (vertical joints: steering, casters, hitches, a loader's waist) and wheels on either. A
+wheel at (x, y) on its carrier, rolling along the heading h there, neither slips nor slides:
+
+    across = cos h (vy + x w) - sin h (vx - y w) = 0        along = cos h (vx - y w) + sin h (vy + x w) = sign r phidot
+
+(vx, vy, w) the carrier's velocity in its own axes. A pivot is one of three:
+
+    master      its rate is a velocity of the base: a motor steers
+    follower    it stands along its path as a linkage, or the wheel's own controller, holds it (a car's other wheel)
+    passive     its wheel is off its axis, and the rolling turns it (casters, hitches)
+
+The body moves with `eta = (vx, vy, w)` of the control frame. It is free where no wheel on the body or on a master holds
+it (powered casters), free but for vy on a fixed axle that nothing steers (a differential drive with a trailer), else
+
+    eta = n(theta) u + X(theta) zeta        zeta the masters' rates, u = n' W eta, W = diag(1, 1, l^2), n' W n = 1
+
+With a fixed axle at the control frame and one master, whose wheel is at p ahead and t behind its axis, both closed:
+
+    n ~ (px cos h + py sin h + t, 0, sin h)        X the least motion that lets the wheel swing by t
+
+so that u is the speed of a car's virtual front wheel, bounded at a right angle, where l is its wheelbase. Without an
+axle all steered wheels are masters: n is the direction along which they slide least, exact where their axles meet in
+one place. The sign of n goes on from the one before: a wheel may turn by half a turn, and u keeps its meaning.
+
+Every number has its rate beside it, so that Tdot is exact.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ...by_address import by_address
+from ...compiled import compiled, internal, linked
+from ...elementary import cos_sin
+from ...signals import Array, IntArray
+
+MASTER, FOLLOWER, PASSIVE = 0, 1, 2
+ROLES = ("master", "follower", "passive")
+STEERED, AXLE, FREE = 0, 2, 3  # what the body may do: as its wheels steer; `(v, w)`; `(vx, vy, w)`
+
+
+@dataclass(frozen=True)
+class Pivot:
+    """A vertical joint of the base.
+
+    Attributes:
+        joint: Its name.
+        role: One of `ROLES`.
+        x: Its axis on its carrier, ahead [m]; in the control frame where the body carries it.
+        y: Likewise, to the left [m].
+        parent: Number of the pivot that carries it, -1 for the body; a carrier stands before what it carries.
+        sign: +1 where a positive joint velocity turns to the left seen from above, else -1.
+        lower: Lower stop [rad], -inf for none.
+        upper: Upper stop [rad], inf for none.
+        rate: Largest rate [rad/s], inf where the file states none.
+        motor: Whether a motor turns it; a follower on a linkage has none.
+        wheel: The wheel, or the middle of the axle, that it carries: ahead, to the left [m], heading [rad] on it.
+    """
+
+    joint: str
+    role: str
+    x: float
+    y: float
+    parent: int = -1
+    sign: float = 1.0
+    lower: float = -math.inf
+    upper: float = math.inf
+    rate: float = math.inf
+    motor: bool = False
+    wheel: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class _Turn(NamedTuple):
+    """Columns of `Rolling.turns`."""
+
+    role: int = 0
+    parent: int = 1
+    place: int = 2  # of its angle in a position, and its row of T
+    column: int = 3  # of its rate in nu, -1 for none
+
+
+class _Pivot(NamedTuple):
+    """Columns of `Rolling.pivots`: place, sign, and the wheel on it that decides."""
+
+    x: int = 0
+    y: int = 1
+    sign: int = 2
+    wheel_x: int = 3
+    wheel_y: int = 4
+    c: int = 5
+    s: int = 6
+    lower: int = 7
+    upper: int = 8
+    rate: int = 9
+
+
+class _Wheel(NamedTuple):
+    """Columns of `Rolling.wheels`."""
+
+    x: int = 0
+    y: int = 1
+    c: int = 2
+    s: int = 3
+    per: int = 4  # joint velocity per rim speed [1/m]
+
+
+TURN, PIVOT, WHEEL = _Turn(), _Pivot(), _Wheel()
+
+
+@by_address
+class Rolling(NamedTuple):
+    """A base that rolls by T(theta), as arrays.
+
+    Attributes:
+        turns: (K, 4) of every pivot: role, carrier, place in the position, column in nu.
+        pivots: (K, 10) of every pivot: where it is, its sign, the wheel on it, its limits.
+        carriers: (W, 2) of every wheel: its carrier, its row of T.
+        wheels: (W, 5) of every wheel: where it is, its heading, joint velocity per rim speed.
+        body: `STEERED`, `AXLE` or `FREE`.
+        axle: Whether an axle at the control frame is fixed.
+        length: l of W [m].
+        root: (3, 3) map from eta to the root's planar velocity.
+    """
+
+    turns: IntArray
+    pivots: Array
+    carriers: IntArray
+    wheels: Array
+    body: int
+    axle: bool
+    length: float
+    root: Array
+
+
+@by_address
+class Maps(NamedTuple):
+    """The maps of a base at a state, and memory to work in; one per thread.
+
+    Attributes:
+        T: (nv, p) map from nu to all velocities.
+        Tdot: (nv, p) its rate.
+        V: (K + 1, 3, nb) velocity of the body and of what every pivot carries, in its own axes.
+        Vdot: (K + 1, 3, nb) its rate.
+        eta: (3,) velocity of the control frame.
+        n: (3,) direction of u, in the measure of W; the sign of the next one goes on from it.
+        gram: (4, 3, 3) scratch.
+    """
+
+    T: Array
+    Tdot: Array
+    V: Array
+    Vdot: Array
+    eta: Array
+    n: Array
+    gram: Array
+
+
+def new_maps(rolling: Rolling | None, T: Array) -> Maps:
+    """Memory for the maps of a base, T (nv, p) of what is constant in it already there; `rolling` None: T is."""
+    pivots, nb = (0, 0) if rolling is None else (len(rolling.turns), base_size(rolling))
+    drift = np.zeros_like(T) if rolling is not None else np.zeros((0, 0))
+    parts = np.zeros((pivots + 1, 3, nb)), np.zeros((pivots + 1, 3, nb)), np.zeros(3), np.array([1.0, 0.0, 0.0])
+    return Maps(T.copy(), drift, *parts, np.zeros((4, 3, 3)))
+
+
+def base_size(rolling: Rolling) -> int:
+    """Number of base velocities."""
+    own = {STEERED: 1, AXLE: 2, FREE: 3}[rolling.body]
+    return own + int(np.sum(rolling.turns[:, TURN.role] == MASTER))
+
+
+@linked
+def roll(rolling: Rolling, position: Array, nu: Array, maps: Maps) -> None:
+    """Write the maps at a position (nv,) and velocity nu (p,): rows of T and Tdot of the root, pivots and wheels.
+
+    Args:
+        rolling: The base.
+        position: (nv,) only the angles of pivots are read.
+        nu: (p,) independent velocities, the base's first.
+        maps: Written.
+    """
+    T, Tdot, V, Vdot = maps.T, maps.Tdot, maps.V, maps.Vdot
+    nb = V.shape[2]
+    body_motion(rolling, position, nu, maps)
+    for i in range(3):
+        maps.eta[i] = 0.0
+        for j in range(nb):
+            maps.eta[i] += V[0, i, j] * nu[j]
+            T[i, j], Tdot[i, j] = 0.0, 0.0
+            for k in range(3):
+                T[i, j] += rolling.root[i, k] * V[0, k, j]
+                Tdot[i, j] += rolling.root[i, k] * Vdot[0, k, j]
+    for k in range(len(rolling.turns)):
+        carry(rolling, k, position, nu, maps)
+    for i in range(len(rolling.carriers)):
+        w, at, row = rolling.wheels[i], rolling.carriers[i, 0] + 1, rolling.carriers[i, 1]
+        for j in range(nb):
+            T[row, j] = w[WHEEL.per] * along(V[at], w[WHEEL.x], w[WHEEL.y], w[WHEEL.c], w[WHEEL.s], j)
+            Tdot[row, j] = w[WHEEL.per] * along(Vdot[at], w[WHEEL.x], w[WHEEL.y], w[WHEEL.c], w[WHEEL.s], j)
+
+
+@compiled
+def along(V: Array, x: float, y: float, c: float, s: float, j: int) -> float:
+    """Speed along a heading (c, s) of a point (x, y) of a carrier, per velocity j."""
+    return c * (V[0, j] - y * V[2, j]) + s * (V[1, j] + x * V[2, j])
+
+
+@compiled
+def across(V: Array, x: float, y: float, c: float, s: float, j: int) -> float:
+    """Speed across it, to the left."""
+    return c * (V[1, j] + x * V[2, j]) - s * (V[0, j] - y * V[2, j])
+
+
+@compiled
+def heading_of(rolling: Rolling, k: int, position: Array) -> tuple[float, float, float]:
+    """Cosine and sine of the heading of the wheel on a pivot of the body, and its trail: how far ahead it is [m]."""
+    p = rolling.pivots[k]
+    c, s = cos_sin(p[PIVOT.sign] * position[rolling.turns[k, TURN.place]])
+    trail = p[PIVOT.wheel_x] * p[PIVOT.c] + p[PIVOT.wheel_y] * p[PIVOT.s]
+    return c * p[PIVOT.c] - s * p[PIVOT.s], s * p[PIVOT.c] + c * p[PIVOT.s], trail
+
+
+@internal
+def body_motion(rolling: Rolling, position: Array, nu: Array, maps: Maps) -> None:
+    """Velocity of the body per base velocity, (3, nb), and its rate, into the first layer of `V` and `Vdot`."""
+    V, Vdot = maps.V[0], maps.Vdot[0]
+    V[:] = 0.0
+    Vdot[:] = 0.0
+    if rolling.body == FREE:
+        V[0, 0] = V[1, 1] = V[2, 2] = 1.0
+    elif rolling.body == AXLE:
+        V[0, 0] = V[2, 1] = 1.0
+    elif rolling.axle:
+        for k in range(len(rolling.turns)):
+            if rolling.turns[k, TURN.role] == MASTER:
+                steer_axle(rolling, k, position, nu, V, Vdot)
+    else:
+        meet(rolling, position, nu, maps)
+
+
+@internal
+def steer_axle(rolling: Rolling, k: int, position: Array, nu: Array, V: Array, Vdot: Array) -> None:
+    """n and X of a fixed axle and one master k, closed; see the heading."""
+    p, column = rolling.pivots[k], rolling.turns[k, TURN.column]
+    x, y, sign, L2 = p[PIVOT.x], p[PIVOT.y], p[PIVOT.sign], rolling.length * rolling.length
+    (c, s, t), rate = heading_of(rolling, k, position), sign * nu[column]
+    a, b, a1 = x * c + y * s + t, s, y * c - x * s
+    size2 = a * a + L2 * b * b
+    size, grow = math.sqrt(size2), (a * a1 + L2 * b * c) / size2  # grow = (d size / d heading) / size
+    forward = 1.0 if x + t > 0.0 else -1.0
+    V[0, 0], V[2, 0] = forward * a / size, forward * b / size
+    Vdot[0, 0], Vdot[2, 0] = forward * rate * (a1 - a * grow) / size, forward * rate * (c - b * grow) / size
+    V[0, column], V[2, column] = sign * t * L2 * b / size2, -sign * t * a / size2
+    Vdot[0, column] = sign * t * L2 * rate * (c - 2.0 * b * grow) / size2
+    Vdot[2, column] = -sign * t * rate * (a1 - 2.0 * a * grow) / size2
+
+
+@internal
+def meet(rolling: Rolling, position: Array, nu: Array, maps: Maps) -> None:
+    """n of a base whose wheels all steer, and its rate: three steps of inverse iteration from the n before.
+
+    Of the rows `r` of the masters on `(vx, vy, l w)`, `G = sum r r'` has n as the eigenvector of its least eigenvalue,
+    and its adjugate is `sum of (r_i x r_j)(r_i x r_j)'` over pairs: n n' times a factor where all axles meet.
+    """
+    adj, adjdot, n, ndot = maps.gram[0], maps.gram[1], maps.gram[2, 0], maps.gram[2, 1]
+    adjugate_of_axles(rolling, position, nu, maps)
+    for i in range(3):
+        n[i], ndot[i] = maps.n[i], 0.0
+    for _ in range(3):
+        turn_towards(adj, adjdot, n, ndot, maps.gram[2, 2])
+    if n[0] * maps.n[0] + n[1] * maps.n[1] + n[2] * maps.n[2] < 0.0:
+        for i in range(3):
+            n[i], ndot[i] = -n[i], -ndot[i]
+    for i in range(3):
+        scale = 1.0 if i < 2 else 1.0 / rolling.length
+        maps.n[i] = n[i]
+        maps.V[0, i, 0], maps.Vdot[0, i, 0] = scale * n[i], scale * ndot[i]
+
+
+@internal
+def adjugate_of_axles(rolling: Rolling, position: Array, nu: Array, maps: Maps) -> None:
+    """The adjugate of the masters' `sum r r'` into `gram[0]`, its rate into `gram[1]`."""
+    adj, adjdot = maps.gram[0], maps.gram[1]
+    adj[:] = 0.0
+    adjdot[:] = 0.0
+    for i in range(len(rolling.turns)):
+        for j in range(i):
+            if rolling.turns[i, TURN.role] == MASTER and rolling.turns[j, TURN.role] == MASTER:
+                add_meeting(rolling, i, j, position, nu, maps.gram[3], adj, adjdot)
+
+
+@internal
+def add_meeting(
+    rolling: Rolling, i: int, j: int, position: Array, nu: Array, scratch: Array, adj: Array, adjdot: Array
+) -> None:
+    """Add `m m'` of the cross product m of two masters' rows, and its rate."""
+    r, rd = axle_row(rolling, i, position, nu)
+    q, qd = axle_row(rolling, j, position, nu)
+    m, md = scratch[0], scratch[1]
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        m[a] = r[b] * q[c] - r[c] * q[b]
+        md[a] = rd[b] * q[c] + r[b] * qd[c] - rd[c] * q[b] - r[c] * qd[b]
+    for a in range(3):
+        for b in range(3):
+            adj[a, b] += m[a] * m[b]
+            adjdot[a, b] += md[a] * m[b] + m[a] * md[b]
+
+
+Triple = tuple[float, float, float]
+
+
+@compiled
+def axle_row(rolling: Rolling, k: int, position: Array, nu: Array) -> tuple[Triple, Triple]:
+    """Row of master k on `(vx, vy, l w)` that vanishes where its wheel does not slide, and its rate."""
+    p, (c, s, t) = rolling.pivots[k], heading_of(rolling, k, position)
+    rate, l = p[PIVOT.sign] * nu[rolling.turns[k, TURN.column]], rolling.length
+    x, y = p[PIVOT.x], p[PIVOT.y]
+    return (-s, c, (x * c + y * s + t) / l), (-c * rate, -s * rate, (y * c - x * s) * rate / l)
+
+
+@compiled
+def turn_towards(adj: Array, adjdot: Array, n: Array, ndot: Array, scratch: Array) -> None:
+    """`n <- adj n / |adj n|` in place, and its rate."""
+    size2, grow = 0.0, 0.0
+    x, y, z, xd, yd, zd = n[0], n[1], n[2], ndot[0], ndot[1], ndot[2]
+    for a in range(3):
+        n[a] = adj[a, 0] * x + adj[a, 1] * y + adj[a, 2] * z
+        ndot[a] = adjdot[a, 0] * x + adjdot[a, 1] * y + adjdot[a, 2] * z
+        ndot[a] += adj[a, 0] * xd + adj[a, 1] * yd + adj[a, 2] * zd
+        size2 += n[a] * n[a]
+    size = math.sqrt(size2)
+    for a in range(3):
+        grow += n[a] * ndot[a] / size2
+    for a in range(3):
+        ndot[a] = (ndot[a] - n[a] * grow) / size
+        n[a] = n[a] / size
+
+
+@internal
+def carry(rolling: Rolling, k: int, position: Array, nu: Array, maps: Maps) -> None:
+    """Velocity of what pivot k carries, its row of T, and their rates; those of its carrier are known."""
+    p, turn = rolling.pivots[k], rolling.turns[k]
+    P, Pd, V, Vd = maps.V[turn[TURN.parent] + 1], maps.Vdot[turn[TURN.parent] + 1], maps.V[k + 1], maps.Vdot[k + 1]
+    T, Td, row, sign, nb = maps.T, maps.Tdot, turn[TURN.place], p[PIVOT.sign], maps.V.shape[2]
+    c, s = cos_sin(sign * position[row])
+    for j in range(nb):
+        vx, vy = P[0, j] - p[PIVOT.y] * P[2, j], P[1, j] + p[PIVOT.x] * P[2, j]
+        V[0, j], V[1, j], V[2, j] = c * vx + s * vy, c * vy - s * vx, P[2, j]
+    pivot_rates(rolling, k, position, nu, maps, T[row], Td[row])
+    turning = 0.0
+    for j in range(nb):
+        turning += T[row, j] * nu[j]
+    for j in range(nb):
+        vx, vy = Pd[0, j] - p[PIVOT.y] * Pd[2, j], Pd[1, j] + p[PIVOT.x] * Pd[2, j]
+        Vd[0, j] = c * vx + s * vy + turning * V[1, j]
+        Vd[1, j] = c * vy - s * vx - turning * V[0, j]
+        Vd[2, j] = Pd[2, j]
+    if turn[TURN.role] == PASSIVE:
+        trail = p[PIVOT.wheel_x] * p[PIVOT.c] + p[PIVOT.wheel_y] * p[PIVOT.s]
+        for j in range(nb):
+            Td[row, j] = -across(Vd, p[PIVOT.wheel_x], p[PIVOT.wheel_y], p[PIVOT.c], p[PIVOT.s], j) / trail
+    for j in range(nb):
+        V[2, j] += T[row, j]
+        Vd[2, j] += Td[row, j]
+        T[row, j] *= sign
+        Td[row, j] *= sign
+
+
+@internal
+def pivot_rates(
+    rolling: Rolling, k: int, position: Array, nu: Array, maps: Maps, rates: Array, ratesdot: Array
+) -> None:
+    """Rate of pivot k to the left per base velocity, and of a master or follower its rate; V[k + 1] is its place's."""
+    p, turn, nb = rolling.pivots[k], rolling.turns[k], maps.V.shape[2]
+    for j in range(nb):
+        rates[j], ratesdot[j] = 0.0, 0.0
+    if turn[TURN.role] == MASTER:
+        rates[turn[TURN.column]] = p[PIVOT.sign]
+    elif turn[TURN.role] == FOLLOWER:
+        follow(rolling, k, position, nu, rates, ratesdot)
+    else:
+        trail = p[PIVOT.wheel_x] * p[PIVOT.c] + p[PIVOT.wheel_y] * p[PIVOT.s]
+        for j in range(nb):
+            rates[j] = -across(maps.V[k + 1], p[PIVOT.wheel_x], p[PIVOT.wheel_y], p[PIVOT.c], p[PIVOT.s], j) / trail
+
+
+@internal
+def follow(rolling: Rolling, k: int, position: Array, nu: Array, rates: Array, ratesdot: Array) -> None:
+    """Rate of a follower: its wheel keeps along its path as the master turns.
+
+    Of the master's `(a, b)` as in `steer_axle`, the path there is along `(a - y b, x b)`; the angle of it has the
+    derivative `x (a b' - b a') / |.|^2`.
+    """
+    x, y = rolling.pivots[k, PIVOT.x], rolling.pivots[k, PIVOT.y]
+    for m in range(len(rolling.turns)):
+        if rolling.turns[m, TURN.role] == MASTER:
+            q, column = rolling.pivots[m], rolling.turns[m, TURN.column]
+            (c, s, t), sign = heading_of(rolling, m, position), q[PIVOT.sign]
+            a, a1 = q[PIVOT.x] * c + q[PIVOT.y] * s + t, q[PIVOT.y] * c - q[PIVOT.x] * s
+            P, Q, P1, Q1 = a - y * s, x * s, a1 - y * c, x * c
+            size2, D = P * P + Q * Q, x * (a * c - s * a1)
+            rates[column] = sign * D / size2
+            ratesdot[column] = nu[column] * (-x * s * t * size2 - 2.0 * D * (P * P1 + Q * Q1)) / (size2 * size2)
+
+
+def closed(rolling: Rolling, position: Array) -> Array:
+    """The position with its followers where their master has them, (nv,), changed in place.
+
+    Of the two ways in which a wheel can stand along its path it is the nearer one.
+    """
+    masters = [k for k, turn in enumerate(rolling.turns) if turn[TURN.role] == MASTER]
+    for k, turn in enumerate(rolling.turns):
+        if turn[TURN.role] == FOLLOWER:
+            m, p = rolling.pivots[masters[0]], rolling.pivots[k]
+            c, s, t = heading_of(rolling, masters[0], position)
+            a = m[PIVOT.x] * c + m[PIVOT.y] * s + t
+            want = math.atan2(p[PIVOT.x] * s, a - p[PIVOT.y] * s) - math.atan2(p[PIVOT.s], p[PIVOT.c])
+            now = p[PIVOT.sign] * position[turn[TURN.place]]
+            position[turn[TURN.place]] = p[PIVOT.sign] * (now + (want - now + math.pi / 2) % math.pi - math.pi / 2)
+    return position
