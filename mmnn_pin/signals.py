@@ -31,8 +31,8 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("position", "full", "m, rad", "rad or m"),
     ("nu", "all", "m/s, rad/s", "rad/s or m/s"),
     ("pose_ref", "pose", "m, m, rad", ""),
-    ("velocity_ref", "base", "m/s, rad/s", ""),
-    ("acceleration_ref", "base", "m/s^2, rad/s^2", ""),
+    ("velocity_ref", "twist", "m/s, rad/s", ""),
+    ("acceleration_ref", "twist", "m/s^2, rad/s^2", ""),
     ("q_ref", "arm", "", "rad or m"),
     ("qdot_ref", "arm", "", "rad/s or m/s"),
     ("qddot_ref", "arm", "", "rad/s^2 or m/s^2"),
@@ -138,12 +138,13 @@ class Layout(Dimensions):
     def of(cls, dimensions: Dimensions, wheels: int = 0, hardware: int = 0, lead: int = 0, hands: int = 0) -> Layout:
         """Layout of the rows of a robot with these dimensions."""
         d = dimensions
-        return cls(d.base, d.arm, d.full, d.motors, d.kind, d.sideways, wheels, hardware, lead, hands)
+        return cls(d.base, d.arm, d.full, d.motors, d.kind, d.sideways, d.shape, wheels, hardware, lead, hands)
 
     @cached_property
     def offsets(self) -> NDArray[np.int64]:
         """Start of every signal in the order of `SIGNALS`, width of the row, and `sideways`: (len(SIGNALS) + 2,)."""
         size = {"pose": self.pose, "base": self.base, "arm": self.arm, "all": self.dof, "full": self.full}
+        size |= {"twist": self.twist, "shape": self.shape}
         size |= {"motor": self.motors, "wheel": self.wheels, "floor": min(1, self.wheels), "1": 1, "2": 2}
         size |= {"rig": self.hardware, "rig motor": self.hardware * self.motors, "rig all": self.hardware * self.dof}
         size |= {"lead all": self.lead * self.dof, "hand": len(HAND) * self.hands}
@@ -218,7 +219,7 @@ class Setpoint(View):
     def side_by_side(cls, values: Array, dimensions: Dimensions) -> Setpoint:
         """Views into its six arrays side by side, (..., 3 + 2 nb + 3 n): a row, or the rows of a table."""
         d, parts, end = dimensions, [], 0
-        for size in (d.pose, d.base, d.base, d.arm, d.arm, d.arm):
+        for size in (d.pose, d.twist, d.twist, d.arm, d.arm, d.arm):
             parts.append(values[..., end : end + size])
             end += size
         return cls(*parts)

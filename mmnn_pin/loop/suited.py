@@ -164,7 +164,7 @@ def postures(robot: Robot, count: int = 9, speed: float = 0.5) -> Array:
         speed: Of the base, forwards, but for the first, which stands [m/s].
     """
     d, rng, quarter = robot.dimensions, np.random.default_rng(0), np.pi / 2
-    table = np.zeros((count, d.pose + 2 * d.base + 3 * d.arm))
+    table = np.zeros((count, d.pose + 2 * d.twist + 3 * d.arm))
     setpoints, arm = Setpoint.side_by_side(table, d), robot.arm_index
     lower, upper = np.maximum(robot.lower[arm], -np.pi), np.minimum(robot.upper[arm], np.pi)
     setpoints.q[:] = rng.uniform(lower, upper, (count, d.arm))

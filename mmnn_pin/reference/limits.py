@@ -63,11 +63,11 @@ class Limits(Settings, frozen=True):
         return USUAL[0] if along is None else along, USUAL[1] if about is None else about
 
     def of_base(self, dimensions: Dimensions) -> Array:
-        """Speeds, accelerations, and accelerations that a motion may bring along of the base's velocities, (3, nb)."""
+        """Speeds, accelerations, and those that a motion may bring along, of a twist's velocities, (3, twist)."""
         per_velocity, none = kind_of(dimensions).per_velocity, math.inf
         brought = (none if a is None else a for a in (self.acceleration, self.yaw_acceleration))
         rows = [(self.speed, self.yaw_rate), self.accelerations, brought]
-        return np.array([per_velocity(*row) for row in rows], float).reshape(3, dimensions.base)
+        return np.array([per_velocity(*row) for row in rows], float).reshape(3, dimensions.twist)
 
     def of_arm(self, robot: Robot) -> Array:
         """Speed, acceleration, jerk, and the acceleration that a motion may bring along of the joints, (4, n).

@@ -33,9 +33,9 @@ class BaseSamples:
     Attributes:
         t: (N,) time [s].
         pose: (N, 3) pose of the control frame in the world `(x, y, phi)`, phi unwrapped [m, m, rad].
-        velocity: (N, nb) base velocity in the reference's own frame, `(v, w)`; `(vx, vy, w)` of a holonomic base
+        velocity: (N, twist) base velocity in the reference's own frame, `(v, w)`; `(vx, vy, w)` of a holonomic base
             [m/s, rad/s].
-        acceleration: (N, nb) its time derivative [m/s^2, rad/s^2].
+        acceleration: (N, twist) its time derivative [m/s^2, rad/s^2].
     """
 
     t: Array

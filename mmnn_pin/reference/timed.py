@@ -238,7 +238,7 @@ class Timed(BasePath):
         pace: float = 0.0,
     ) -> Self:
         """A path under the limits of setpoints, and those of a robot's wheels as its URDF states them."""
-        nb, speeds = robot.dimensions.base, speed_limits(robot)
+        nb, speeds = robot.dimensions.twist, speed_limits(robot)
         rows = robot.E.T[: robot.dimensions.motors - robot.dimensions.arm, :nb]  # a wheel turns by its row times nu
         wheels = tuple(
             (float(row[0]), float(row[-1]), float(fastest))
