@@ -37,6 +37,7 @@ from .guide import (
 from .hand import FollowHand, HandCourse
 from .limits import Limits
 from .motion import between, require_within
+from .steerable import require_steerable
 from .wishes import BaseVelocity, Course, JointGoal, Motion, Stand, Wish
 
 LARGEST = 1e9  # a number beyond this is none [SI units]
@@ -61,6 +62,7 @@ class Follower:
 
     def __init__(self, robot: Robot, limits: Limits, timeout: float) -> None:
         self.dimensions, self.timeout, self.names = robot.dimensions, timeout, robot.joint_names
+        self.base = robot.base
         self.guide = new_guide(robot, limits)
         self.now, self.q = self.guide.now, robot.dimensions.pose + 2 * robot.dimensions.twist
         self.sample = np.zeros(self.now.size)
@@ -107,6 +109,7 @@ class Follower:
             motion = wish.placed(self.now[: d.pose], self.now[d.pose : d.pose + d.twist])
             motion = motion.at_nearest_turn(self.now, self.guide.turn)
             require_within(motion, self.guide, self.names, self.now[self.q : self.q + d.arm])
+            require_steerable(self.base, motion.times, Setpoint.side_by_side(motion.table, d))
             return motion
         elif isinstance(wish, FollowHand):
             if wish.body.robot.dimensions != d:

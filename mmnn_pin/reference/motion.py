@@ -137,6 +137,11 @@ class Motion:
         """Time from the first sample to the last [s]."""
         return (len(self.table) - 1) * self.period
 
+    @property
+    def times(self) -> Array:
+        """(N,) of its samples [s]."""
+        return np.asarray(np.arange(len(self.table)) * self.period)
+
     @cached_property
     def places(self) -> Array:
         """See `Course`."""
