@@ -31,10 +31,10 @@ import numpy as np
 from ..compiled import compiled, copy_to
 from ..elementary import cos_sin, hypot, nearest_turn
 from ..errors import ConfigError
-from ..model.robot import Robot, speed_limits
+from ..model.robot import Robot
 from ..signals import Array, IntArray
 from .braking import brought_home, in_one_step, led
-from .limits import Limits
+from .limits import Limits, rims
 
 HOLD, VELOCITY, SAMPLE, PLANNED = range(4)
 BASE, ARM = 0, 1  # parts
@@ -91,13 +91,13 @@ def new_guide(robot: Robot, limits: Limits) -> Guide:
         ConfigError: Not one limit per joint; ends that leave a joint no room.
     """
     d = robot.dimensions
-    width, wheels = d.pose + 2 * d.twist + 3 * d.arm, d.motors - d.arm
+    width = d.pose + 2 * d.twist + 3 * d.arm
     margin = limits.joint_margin
     ends = np.array([robot.lower[robot.arm_index] + margin, robot.upper[robot.arm_index] - margin]).reshape(2, d.arm)
     if not (ends[0] < ends[1]).all():
         fix = "use a smaller limits.joint_margin"
         raise ConfigError(f"{margin:g} from both ends leaves a joint no room", fix=fix, key="limits.joint_margin")
-    rows, speeds, arm = robot.E.T[:wheels, : d.twist], speed_limits(robot)[:wheels], limits.of_arm(robot)
+    (rows, speeds), arm = rims(robot), limits.of_arm(robot)
     return Guide(
         base=limits.of_base(d),
         sideways=d.sideways,

@@ -26,6 +26,7 @@ from .trajectory import Trajectory
 
 OF_STOPS, OF_RATE = 0.95, 0.9  # shares that a reference may need: of the way between stops, of the largest rate
 EXACT = 1e-6  # beyond a limit that is none, by the limit
+SLACK = 1.01  # times a rate: a timed path may need a little more between the points of its grid
 JUMP = 0.02  # between two samples that is one, beyond what the rates explain [rad]
 FOLDED = math.pi / 2  # angle of a hitch without stops beyond which it is folded [rad]
 SPOT = 1e3  # curvature that is none, by the largest
@@ -256,7 +257,7 @@ def rates_needed(base: SteeredBase, time: Array, stance: Stance) -> Needs:
         return Needs()
     over = np.abs(stance.rates) / most
     i, k = (int(at) for at in np.unravel_index(int(np.argmax(over)), over.shape))
-    if over[i, k] > 1.0 + EXACT:
+    if over[i, k] > SLACK:
         slower = rounded_up(float(over[i, k]))
         what = f"'{base.pivots[k].joint}' would turn at {abs(stance.rates[i, k]):.3g} rad/s at t = {time[i]:.4g} s"
         why, fix = f"a reference may ask for {most[k]:.3g} rad/s", f"let everything take {slower:g} times as long"

@@ -15,13 +15,14 @@ from mmnn_pin.errors import TrajectoryError
 from mmnn_pin.model.base.rolling import MASTER, STEERED, TURN, new_maps, roll
 from mmnn_pin.model.base.stance import along, bends
 from mmnn_pin.model.base.steered import SteeredBase
-from mmnn_pin.reference import Circle, Eight, HolonomicPath, Line, Sine, Trajectory, Waypoints
+from mmnn_pin.reference import Circle, Eight, HolonomicPath, Line, Parking, Sine, Timed, Trajectory, Waypoints
 from mmnn_pin.reference.steerable import (
     OF_RATE,
     OF_STOPS,
     Enlarged,
     curvatures,
     fitted,
+    in_columns,
     needs_of,
     require_steerable,
     start_angles,
@@ -285,3 +286,67 @@ def test_it_starts_along_the_first_setpoint_that_moves():
     assert start_angles(base, first) == pytest.approx(0.0)  # it stands: as it is
     sideways = Setpoint(np.zeros(3), np.array([0.0, 1.0, 0.0]), np.zeros(3), *np.zeros((3, 0)))
     assert np.cos(start_angles(steered.casters(), sideways) - math.pi / 2) == pytest.approx(1.0)  # they trail
+
+
+# -- parking and backing -----------------------------------------------------------------------------------------------
+
+
+@given(
+    st.floats(0.2, 3.0) | st.floats(-3.0, -0.2), st.floats(0.8, 3.0), st.floats(0.1, 0.6) | st.floats(-0.6, -0.1),
+    st.integers(1, 5), st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3)),
+)  # fmt: skip
+@settings(max_examples=40, deadline=None)
+def test_it_parks_where_it_should_and_is_one_motion(aside, radius, speed, strokes, start):
+    try:
+        path = Parking(aside, radius, speed, strokes, start, 0.0)
+        path = Parking(aside, radius, speed, strokes, start, 0.5 * path.length / abs(speed))
+    except TrajectoryError as refused:
+        least = int(re.search(r"strokes >= (\d+)", refused.fix)[1])
+        assert least > strokes
+        path = Parking(aside, radius, speed, least, start, 0.0)
+        path = Parking(aside, radius, speed, least, start, 0.5 * path.length / abs(speed))
+    t = np.linspace(0.0, path.duration + 1.0, 8001)
+    one = path.sample(t)
+    c, s = math.cos(start[2]), math.sin(start[2])
+    dx, dy = one.pose[-1, 0] - start[0], one.pose[-1, 1] - start[1]
+    along_, across = c * dx + s * dy, c * dy - s * dx
+    assert across == pytest.approx(aside, abs=1e-9) and one.pose[-1, 2] == pytest.approx(start[2])
+    assert along_ == pytest.approx(0.0 if path.strokes % 2 == 0 else -math.copysign(path.room, speed), abs=1e-9)
+    rate, h = np.gradient(one.pose, t, axis=0)[2:-2], t[1]
+    v, w = one.velocity[2:-2].T
+    heading = one.pose[2:-2, 2]
+    scale = 20.0 * h * (1.0 + np.abs(one.acceleration).max())
+    np.testing.assert_allclose(rate[:, 0], v * np.cos(heading), atol=scale)
+    np.testing.assert_allclose(rate[:, 1], v * np.sin(heading), atol=scale)
+    np.testing.assert_allclose(rate[:, 2], w, atol=scale)
+    assert np.abs(w).max() <= np.abs(v).max() / radius * (1 + 1e-9)
+    assert np.all(np.abs(w) <= np.abs(v) / radius * (1 + 1e-9))
+    assert np.count_nonzero(np.diff(np.sign(v[v != 0.0]))) == path.strokes - 1  # it turns back at every cusp
+
+
+def test_a_car_parks_and_a_trailer_does_not():
+    radius = 1.01 / curvatures(steered.car())[1]
+    path = Parking(-1.2, radius, 0.4, strokes=2)
+    require_steerable(steered.car(), *sampled(Trajectory(path), steered.car(), path.duration + 1.0))
+    with pytest.raises(TrajectoryError, match="the path bends by"):
+        tight = Parking(-1.2, 0.9 * radius, 0.4, strokes=2)
+        require_steerable(steered.car(), *sampled(Trajectory(tight), steered.car(), tight.duration))
+    with pytest.raises(TrajectoryError, match="backs up by"):
+        require_steerable(steered.truck(), *sampled(Trajectory(path), steered.truck(), path.duration))
+
+
+@given(st.sampled_from(["car", "tricycle", "loader"]), st.floats(0.2, 3), st.floats(0.3, 2), st.sampled_from([1, -1]))
+@settings(max_examples=15, deadline=None)
+def test_a_timed_path_turns_no_pivot_faster_than_it_can(name, rate, speed, sign):
+    base = getattr(steered, name)(rate=rate)
+    radius = 1.2 / curvatures(base)[1]
+    way = Waypoints(((0.0, 0.0), (14.0, 0.0), (14.0, 14.0), (28.0, 14.0)), sign * 0.5, radius, ramp=0.0)
+    free = Timed(way, speed)
+    path = Timed(way, speed, base=base)
+    t, setpoints = sampled(Trajectory(path), base, path.duration, 6001)
+    require_steerable(base, t, setpoints)
+    stance = along(base.pivots, t, in_columns(setpoints.velocity), in_columns(setpoints.acceleration))
+    fastest = np.abs(stance.rates).max()
+    assert fastest <= OF_RATE * rate * 1.02
+    if path.duration > 1.01 * free.duration:  # slower, since it has to be
+        assert fastest > 0.9 * OF_RATE * rate
