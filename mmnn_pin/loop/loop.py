@@ -26,6 +26,7 @@ from ..plant.contact.feet import Contact
 from ..recording.recorder import Recorder
 from ..recording.recording import Outcome, Recording
 from ..reference import Trajectory
+from ..reference.steerable import require_steerable
 from ..safety import Safety
 from ..sensing import Sensor
 from ..settings import Timing, given_array, plain
@@ -334,9 +335,12 @@ class Loop:
         """
         arguments = (self.trajectory, self.timing.samples, self.timing.control_period, self.layout)
         try:
-            return sampled_reference(*arguments).copy()
+            rows = sampled_reference(*arguments).copy()
         except TypeError:  # a path of arrays has no hash
-            return sampled_reference.__wrapped__(*arguments)
+            rows = sampled_reference.__wrapped__(*arguments)
+        times = np.asarray(np.arange(len(rows)) * self.timing.control_period)
+        require_steerable(self.robot.base, times, Setpoint.side_by_side(rows, self.layout))
+        return rows
 
     def facts(self) -> dict[str, Any]:
         """Facts of this run for its recording."""

@@ -11,6 +11,7 @@ not given. Light enough anywhere is too light elsewhere: gains that suit any pos
 effort and speed limits: the rest is for errors. What gravity and dry friction alone ask for no slowness saves; so the
 arm swings about the middle of its range only where its motors hold it there within that share, else about the posture,
 of some, where they are loaded least; and less far where they would not hold the ends of that swing within the share.
+A base that steers first gets a path as large, and as slow, as its steering needs.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from ..kinematic import Kinematic
 from ..model.robot import Robot, speed_limits
 from ..model.tree.twin import terms_of
 from ..reference import Trajectory
+from ..reference.steerable import fitted
 from ..settings import Numbers, Timing
 from ..signals import Array, Dimensions, Setpoint
 from ..torque.controller import Feedback
@@ -287,6 +289,12 @@ def followable(robot: Robot, reference: Callable[[JointEnds], Trajectory], durat
     given = reference((lower, upper))
     if not share:
         return given
+    to_steer = fitted(given, robot.base, robot.dimensions, duration)
+
+    def steerable(ends: JointEnds) -> Trajectory:
+        return replace(reference(ends), base=to_steer.base)
+
+    given = replace(given, base=to_steer.base)
     load, rng, half = MotorLoad(robot), np.random.default_rng(0), (upper - lower) / 2
     bounded, off, room = np.isfinite(half), np.zeros(len(half)), np.where(np.isfinite(half), half, np.pi)
     centre = np.where(bounded, lower + np.where(bounded, half, 0.0), np.clip(0.0, lower, upper))
@@ -297,17 +305,17 @@ def followable(robot: Robot, reference: Callable[[JointEnds], Trajectory], durat
     best, static = given, held(given)
     for _ in range(TRIALS if static.max(initial=0.0) > share and bounded.any() else 0):
         other = np.where(bounded, rng.uniform(-0.5, 0.5, len(half)) * room, 0.0)
-        tried = reference((lower + np.maximum(2 * other, 0.0), upper + np.minimum(2 * other, 0.0)))
+        tried = steerable((lower + np.maximum(2 * other, 0.0), upper + np.minimum(2 * other, 0.0)))
         if (load_there := held(tried, static.max(initial=0.0))).max(initial=0.0) < static.max(initial=0.0):
             best, static, off = tried, load_there, other
     for width in NARROWER if static.max(initial=0.0) > share else ():
         reach = width * (room - np.abs(off))
-        tried = reference((centre + off - reach, centre + off + reach))
+        tried = steerable((centre + off - reach, centre + off + reach))
         if (load_there := held(tried)).max(initial=0.0) < static.max(initial=0.0):
             best, static = tried, load_there
         if static.max(initial=0.0) <= share:
             break
-    slowness, enough = 1.0, np.maximum(share, static + LEFT * np.maximum(1.0 - static, 0.1))
+    slowness, enough = to_steer.slowness, np.maximum(share, static + LEFT * np.maximum(1.0 - static, 0.1))
     while slowness < SLOWEST and (load.along(replace(best, slowness=slowness), duration, enough) > enough).any():
         slowness = min(SLOWER * slowness, SLOWEST)
     return replace(best, slowness=slowness)

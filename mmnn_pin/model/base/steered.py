@@ -58,6 +58,15 @@ class SteeredBase(Base):
         wheels = tuple(wheel.joint for wheel in self.wheels if wheel.driven)
         return wheels + tuple(pivot.joint for pivot in self.pivots if pivot.motor)
 
+    def place(self, wheel: Wheel) -> tuple[float, float]:
+        """Where a wheel is, its axis where it is on a pivot, all pivots at zero: ahead and to the left [m]."""
+        at, x, y = wheel.pivot, wheel.x, wheel.y
+        if at >= 0:
+            at, x, y = self.pivots[at].parent, self.pivots[at].x, self.pivots[at].y
+        while at >= 0:
+            at, x, y = self.pivots[at].parent, x + self.pivots[at].x, y + self.pivots[at].y
+        return x, y
+
     @cached_property
     def shape(self) -> tuple[str, ...]:
         """See `Base.shape`."""
