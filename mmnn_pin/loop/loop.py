@@ -205,7 +205,13 @@ class Loop:
         dims, first_setpoint = self.robot.dimensions, plan.setpoints[first]
         position, nu = self.start.state(self.robot, first_setpoint) if plant_state is None else plant_state
         position, nu = given_array("plant_state", position, (dims.full,)), given_array("plant_state", nu, (dims.dof,))
-        arguments = (plan, position, nu, state, new_hardware(self, nu, state, hardware_state))
+        arguments = (
+            plan,
+            position,
+            nu,
+            state,
+            new_hardware(self, (position, nu), state, hardware_state, plan.steering),
+        )
         if self.engine == "compiled":
             require_compilable(self)
             return CompiledLoop(*arguments)
@@ -242,6 +248,7 @@ class Loop:
             servo=linear_servos(self.robot, self.interfaces, self.servo, True),
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
+            steering=self.kinematic.steering_of(self.robot, self.timing.control_period),
         )
 
     def require_stable_gains(self) -> None:

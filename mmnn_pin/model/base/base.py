@@ -44,6 +44,7 @@ class Wheel:
             above [rad]; None for a plain wheel.
         pivot: Number of the pivot that carries it, in whose frame it is placed; -1 for the base's body.
         driven: Whether a motor drives it.
+        grips: Whether it holds the floor sideways; not one of several axles of a trailer, which must slide.
     """
 
     joint: str
@@ -55,6 +56,7 @@ class Wheel:
     roller: float | None = None
     pivot: int = -1
     driven: bool = True
+    grips: bool = True
 
     @property
     def grip(self) -> Array:

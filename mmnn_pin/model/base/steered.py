@@ -6,7 +6,7 @@ pose's law, a velocity of the control frame, goes to the law that steers (`steer
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -15,10 +15,10 @@ import numpy as np
 
 from ...elementary import cos_sin
 from ...signals import Array
-from .base import Base, PoseEnergy
+from .base import Base, PoseEnergy, Wheel
 from .differential import DifferentialDrive
 from .holonomic import HolonomicBase
-from .rolling import AXLE, FREE, MASTER, ROLES, STEERED, Pivot, Rolling
+from .rolling import AXLE, FOLLOWER, FREE, MASTER, ROLES, STEERED, Pivot, Rolling
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +72,7 @@ class SteeredBase(Base):
         first, masters = len(self.velocity_names) - len(self.masters), self.masters
         column = {k: first + i for i, k in enumerate(masters)}
         turns = [(ROLES.index(p.role), p.parent, places[p.joint], column.get(k, -1)) for k, p in enumerate(self.pivots)]
-        pivots = [
-            (p.x, p.y, p.sign, *p.wheel[:2], *cos_sin(p.wheel[2]), p.lower, p.upper, p.rate) for p in self.pivots
-        ]
+        pivots = [(p.x, p.y, p.sign, *p.wheel[:2], *cos_sin(p.wheel[2]), p.lower, p.upper, p.rate) for p in self.pivots]
         wheels = [(w.x, w.y, *cos_sin(w.heading), 1.0 / (w.sign * w.radius)) for w in self.wheels]
         return Rolling(
             turns=np.array(turns, np.int64).reshape(-1, 4),
@@ -102,6 +100,59 @@ class SteeredBase(Base):
         """See `Base.per_base_velocity`: a steering joint turns."""
         own = [speed] if cls.body == STEERED else cls.per_velocity(speed, yaw_rate)
         return own + [yaw_rate] * (count - len(own))
+
+
+def steered_rows(base: SteeredBase, rows: Mapping[str, int], position: Array) -> Array:
+    """Rows on all velocities that vanish: of every wheel those along and across it, of followers that they follow.
+
+    They come from the places of the wheels, not from T.
+
+    Args:
+        base: The base.
+        rows: Place of every joint in the position.
+        position: (nv,).
+    """
+    nv, K = len(rows) + 3, len(base.pivots)
+    yaw = np.array([p.sign * position[rows[p.joint]] for p in base.pivots])
+    carriers = [np.eye(3, 3 + K)]  # velocity of the body and of pivots' frames from (vx, vy, w) and the yaw rates
+    for k, p in enumerate(base.pivots):
+        vx, vy, w = carriers[p.parent + 1]
+        vx, vy = vx - p.y * w, vy + p.x * w
+        c, s = np.cos(yaw[k]), np.sin(yaw[k])
+        carriers.append(np.array([c * vx + s * vy, c * vy - s * vx, w + np.eye(3 + K)[3 + k]]))
+    wheels: list[tuple[int, float, float, float, Wheel | None]] = [
+        (w.pivot, w.x, w.y, w.heading, w) for w in base.wheels
+    ]
+    wheels += [(k, *p.wheel, None) for k, p in enumerate(base.pivots)]
+    found, to_eta = list[Array](), np.zeros((3 + K, nv))
+    to_eta[:3, :3] = base.to_control
+    for k, p in enumerate(base.pivots):
+        to_eta[3 + k, rows[p.joint]] = p.sign
+    for pivot, x, y, heading, wheel in wheels:
+        vx, vy, w = carriers[pivot + 1]
+        vx, vy, c, s = vx - y * w, vy + x * w, np.cos(heading), np.sin(heading)
+        if wheel is None or wheel.grips:
+            found.append((c * vy - s * vx) @ to_eta)
+        if wheel is not None:
+            row = (c * vx + s * vy) @ to_eta
+            row[rows[wheel.joint]] -= wheel.sign * wheel.radius
+            found.append(row)
+    found += [following_row(base, k, yaw) @ to_eta for k, p in enumerate(base.pivots) if p.role == ROLES[FOLLOWER]]
+    return np.array(found).reshape(-1, nv)
+
+
+def following_row(base: SteeredBase, k: int, yaw: Array) -> Array:
+    """Row on `(vx, vy, w)` and the yaw rates, (3 + K,): follower k's axle meets the master's on the fixed axle's line.
+
+    The axle of a wheel at (x, y) under the heading h meets the line x = 0 at `y + x / tan h`, the same for both:
+    `(yk - ym) sin hk sin hm + xk cos hk sin hm - xm cos hm sin hk = 0`, whose derivative the row is.
+    """
+    row, m = np.zeros(3 + len(base.pivots)), base.masters[0]
+    one, other = base.pivots[k], base.pivots[m]
+    h, g, apart = yaw[k] + one.wheel[2], yaw[m] + other.wheel[2], one.y - other.y
+    row[3 + k] = apart * np.cos(h) * np.sin(g) - one.x * np.sin(h) * np.sin(g) - other.x * np.cos(g) * np.cos(h)
+    row[3 + m] = apart * np.sin(h) * np.cos(g) + one.x * np.cos(h) * np.cos(g) + other.x * np.sin(g) * np.sin(h)
+    return row
 
 
 class OnAxle(SteeredBase):
@@ -173,6 +224,6 @@ class Casters(Swerve):
     pose_weights = staticmethod(HolonomicBase.pose_weights)
 
 
-STEERED_KINDS: Sequence[type[SteeredBase]] = (
+STEERED_KINDS: tuple[type[SteeredBase], ...] = (
     CarLike, Tricycle, Articulated, CarWithTrailer, DriveWithTrailer, Swerve, Casters,
 )  # fmt: skip
