@@ -191,7 +191,7 @@ def bend_needed(base: SteeredBase, time: Array, twist: Array) -> Needs:
     return Needs(larger, refused=TrajectoryError(what, why=can, fix=fix))
 
 
-def curvatures(base: Base) -> tuple[float, float]:
+def curvatures(base: Base | None) -> tuple[float, float]:
     """Smallest and largest curvature of a reference [1/m]; without bounds where a base turns on the spot."""
     if isinstance(base, SteeredBase) and base.body == STEERED and not base.sideways:
         return bends(base.pivots, OF_STOPS)
