@@ -16,7 +16,6 @@ from .by_address import by_address
 from .compiled import compiled, copy_to, internal
 from .elementary import cos_sin
 from .model.base import kind_of, velocity_command
-from .model.base.base import LinearErrors
 from .model.base.rolling import Maps, Rolling, new_maps, roll
 from .model.base.steered import SteeredBase
 from .model.base.steering_law import SteeringNumbers, steered_velocity
@@ -214,7 +213,7 @@ class Kinematic(Settings, frozen=True):
         require_gains(self, "kinematic")
 
     def base_gains(self, layout: Dimensions) -> Array:
-        """Gains of the law of a robot's base, (3,); zeros for a fixed arm, which has none."""
+        """Gains of the law of a robot's base, (3,), and of the law that steers; zeros for a fixed arm, without one."""
         names = kind_of(layout).gain_names
         return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
@@ -240,10 +239,6 @@ class Kinematic(Settings, frozen=True):
             position=np.zeros(3 + d.shape),
             h=float(period),
         )
-
-    def linear_errors(self, layout: Dimensions, v_ref: Array) -> LinearErrors:
-        """The pose error under the law for small errors at a reference velocity (nb,), see `Base.linear_errors`."""
-        return kind_of(layout).linear_errors(v_ref, self.base_gains(layout))
 
     def pose_weights(self, layout: Dimensions) -> Array | None:
         """Weights of the squares of the errors of a base's velocities in its pose error, (base,); None for all alike.

@@ -142,7 +142,8 @@ def fit(robot: Robot, feedback: Feedback, given: LoopToSuit) -> Fit:
     worst = np.argsort([-np.abs(np.linalg.eigvals(Gamma * full)).max() for Gamma in held])[:JUDGED]
     K, slow = given.kinematic.arm_gains(layout), lags(robot, given.lag)
     velocities = Setpoint.side_by_side(table, layout).velocity
-    laws = {i: given.kinematic.linear_errors(layout, velocities[i]) for i in worst}
+    gains = given.kinematic.base_gains(layout)
+    laws = {i: robot.base.linear_errors(velocities[i], gains) for i in worst}
     loops = [held_loop(masses[i], laws[i], K, h, friction, slow) for i in worst]
     share = 1.0
     while share > LEAST:
@@ -239,7 +240,7 @@ class MotorLoad:
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.terms = robot, terms_of(robot)
-        self.to_motors, self.psi = pseudo_inverse(robot.E), np.zeros(robot.dimensions.dof)
+        self.psi = np.zeros(robot.dimensions.dof)
         self.limits, self.speeds = robot.effort_limits, speed_limits(robot)
 
     def along(self, trajectory: Trajectory, duration: float, enough: float | Array = np.inf) -> Array:
@@ -256,8 +257,10 @@ class MotorLoad:
             setpoint = Setpoint.side_by_side(row, layout)
             position, nu = Start(moving=True).state(robot, row)
             self.terms.refresh(position, nu)
-            self.terms.refresh_psi(nu, np.concatenate((setpoint.acceleration, setpoint.qddot)), self.psi)
-            torque, speed = product(self.to_motors, self.psi), product(robot.E.T, nu)
+            faster = robot.base_velocity(position, setpoint.acceleration)
+            self.terms.refresh_psi(nu, np.concatenate((faster, setpoint.qddot)), self.psi)
+            E = robot.E_at(position)
+            torque, speed = product(pseudo_inverse(E), self.psi), product(E.T, nu)
             found = np.maximum(found, (over(torque, self.limits), over(speed, self.speeds)))
             if (found > enough).any():
                 break

@@ -197,6 +197,16 @@ class Structure:
             found = rolling_rows(self.base, self.rows)
         return read_only(np.vstack((found, joint_rows(self.dimensions.full, self.rows, self.arm))))
 
+    def base_velocity(self, position: ArrayLike, twist: Array) -> Array:
+        """Base velocities, (nb,), with which it moves by a twist at a position (nv,), as far as its wheels permit."""
+        return self.base.along(self.maps_at(position), twist) if isinstance(self.base, SteeredBase) else twist
+
+    def steered_along(self, position: Array, twist: Array) -> Array:
+        """The position with its wheels along the path of a twist, where that is not 0; (nv,), changed in place."""
+        if isinstance(self.base, SteeredBase) and self.base.masters and np.any(twist):
+            position[[self.rows[self.base.pivots[k].joint] for k in self.base.masters]] = self.base.angles(twist)
+        return self.follow(position)
+
     @property
     def position_names(self) -> tuple[str, ...]:
         """Names of the columns of a position, nv of them: the pose, then every joint in the model's order."""
@@ -423,6 +433,7 @@ class Structure:
             "velocity_names": self.velocity_names,
             "position_names": self.position_names,
             "actuator_names": self.actuator_names,
+            **({"shape_names": self.base.shape} if self.steers else {}),
             "effort_limits": self.effort_limits.tolist(),
         }
 

@@ -67,10 +67,10 @@ class Wheel:
 
 
 class LinearErrors(NamedTuple):
-    """The pose error e (3,) for small errors, under a law: `edot = rates e + by_velocity dnu`, `dalpha = command e`.
+    """The pose error e for small errors, under a law: `edot = rates e + by_velocity dnu`, `dalpha = command e`.
 
     Attributes:
-        rates: (3, 3).
+        rates: (3, 3); of a base that steers its angles are further errors.
         by_velocity: (3, nb) effect of the base velocity.
         command: (nb, 3) what the law answers.
     """

@@ -434,17 +434,18 @@ def follow(rolling: Rolling, k: int, position: Array, nu: Array, rates: Array, r
 
 
 def closed(rolling: Rolling, position: Array) -> Array:
-    """The position with its followers where their master has them, (nv,), changed in place.
+    """The position with its followers where their master has them, (nv,) or (nv, N), changed in place.
 
     Of the two ways in which a wheel can stand along its path it is the nearer one.
     """
     masters = [k for k, turn in enumerate(rolling.turns) if turn[TURN.role] == MASTER]
     for k, turn in enumerate(rolling.turns):
         if turn[TURN.role] == FOLLOWER:
-            m, p = rolling.pivots[masters[0]], rolling.pivots[k]
-            c, s, t = heading_of(rolling, masters[0], position)
-            a = m[PIVOT.x] * c + m[PIVOT.y] * s + t
-            want = math.atan2(p[PIVOT.x] * s, a - p[PIVOT.y] * s) - math.atan2(p[PIVOT.s], p[PIVOT.c])
-            now = p[PIVOT.sign] * position[turn[TURN.place]]
-            position[turn[TURN.place]] = p[PIVOT.sign] * (now + (want - now + math.pi / 2) % math.pi - math.pi / 2)
+            m, p, at = rolling.pivots[masters[0]], rolling.pivots[k], turn[TURN.place]
+            h = m[PIVOT.sign] * position[rolling.turns[masters[0], TURN.place]] + math.atan2(m[PIVOT.s], m[PIVOT.c])
+            c, s, trail = np.cos(h), np.sin(h), m[PIVOT.wheel_x] * m[PIVOT.c] + m[PIVOT.wheel_y] * m[PIVOT.s]
+            along = m[PIVOT.x] * c + m[PIVOT.y] * s + trail - p[PIVOT.y] * s
+            want = np.arctan2(p[PIVOT.x] * s, along) - math.atan2(p[PIVOT.s], p[PIVOT.c])
+            now = p[PIVOT.sign] * position[at]
+            position[at] = p[PIVOT.sign] * (now + (want - now + math.pi / 2) % math.pi - math.pi / 2)
     return position

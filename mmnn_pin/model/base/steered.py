@@ -13,12 +13,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...elementary import cos_sin
+from ...elementary import atan2, cos_sin, hypot
 from ...signals import Array
-from .base import Base, PoseEnergy, Wheel
+from .base import Base, LinearErrors, PoseEnergy, Wheel
 from .differential import DifferentialDrive
 from .holonomic import HolonomicBase
-from .rolling import AXLE, FOLLOWER, FREE, MASTER, ROLES, STEERED, Pivot, Rolling
+from .rolling import AXLE, FOLLOWER, FREE, MASTER, ROLES, STEERED, Maps, Pivot, Rolling, closed, new_maps, roll
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +94,84 @@ class SteeredBase(Base):
             root=np.ascontiguousarray(np.linalg.inv(self.to_control)),
         )
 
+    def angles(self, twist: Array) -> Array:
+        """Angles of the steering joints whose wheels stand along the path of a twist, (masters,), nearest to 0 [rad].
+
+        Args:
+            twist: (2,) or (3,) of the control frame, not 0.
+        """
+        vx, vy, w = self.eta_of(twist)
+        found = list[float]()
+        for p in (self.pivots[k] for k in self.masters):
+            turned = atan2(vy + p.x * w, vx - p.y * w) - p.wheel[2]
+            trail = p.wheel[0] * np.cos(p.wheel[2]) + p.wheel[1] * np.sin(p.wheel[2])
+            if trail != 0.0:  # the wheel is off its axis and does not move along the axis's path
+                far = hypot(vx - p.y * w, vy + p.x * w)
+                turned += float(np.arcsin(np.clip(trail * w / far, -1.0, 1.0))) if far > 0.0 else 0.0
+            half = np.pi * np.round(turned / np.pi)  # it may roll backwards
+            found.append(p.sign * (turned - half))
+        return np.array(found)
+
+    def eta_of(self, twist: Array) -> Array:
+        """`(vx, vy, w)` of a twist."""
+        eta = np.zeros(3)
+        eta[self.columns] = twist
+        return eta
+
+    def linear_errors(self, v_ref: Array, gains: Array) -> LinearErrors:  # type: ignore[override]
+        """See `Base.linear_errors`: the errors are those of the pose, then of the steering angles, (3 + masters).
+
+        The wheels stand along the path. How the command of a wheel answers to an error of u along a curve is left out.
+
+        Args:
+            v_ref: (2,) or (3,) twist [m/s, rad/s].
+            gains: Those of the pose's law, then of the law that steers.
+        """
+        law, m = self.pose_errors(v_ref, gains[:-1]), len(self.masters)
+        if self.body != STEERED:
+            return law
+        base = {p.joint: 3 + k for k, p in enumerate(self.pivots)}
+        wheels = {w.joint: 3 + len(base) + k for k, w in enumerate(self.wheels)}
+        rolling, eta = self.rolling_at(base | wheels), self.eta_of(v_ref)
+        position = np.zeros(3 + len(base) + len(wheels))
+        if eta.any():
+            position[[base[self.pivots[k].joint] for k in self.masters]] = self.angles(v_ref)
+        closed(rolling, position)
+        maps, one = new_maps(rolling, np.zeros((position.size, 1 + m))), np.eye(1 + m)
+        roll(rolling, position, 0.0 * one[0], maps)
+        n, W = maps.V[0][:, 0].copy(), np.array([1.0, 1.0, self.length**2])
+        u, turned = float(n @ (W * eta)), np.zeros((3, m))
+        for i in range(m):
+            roll(rolling, position, one[1 + i], maps)
+            turned[:, i] = maps.Vdot[0][:, 0]
+        rates, by_velocity, command = np.zeros((3 + m, 3 + m)), np.zeros((3 + m, 1 + m)), np.zeros((1 + m, 3 + m))
+        rates[:3, :3], rates[:3, 3:] = law.rates, u * law.by_velocity @ turned[self.columns]
+        by_velocity[:3, 0], by_velocity[3:, 1:] = law.by_velocity @ n[self.columns], np.eye(m)
+        command[0, :3] = (W * n)[self.columns] @ law.command
+        for i, k in enumerate(self.masters):
+            p, angle = self.pivots[k], position[base[self.pivots[k].joint]]
+            h = p.sign * angle + p.wheel[2]
+            row = np.array([-np.sin(h), np.cos(h), p.x * np.cos(h) + p.y * np.sin(h)])
+            speed = float(np.array([np.cos(h), np.sin(h), p.x * np.sin(h) - p.y * np.cos(h)]) @ eta)
+            if abs(speed) > 0.0:
+                along = p.sign * row[self.columns] / speed
+                command[1 + i, :3] = along @ law.command @ (gains[-1] * np.eye(3) + law.rates)
+                command[1 + i, 3:] = along @ law.command @ rates[:3, 3:]
+                command[1 + i, 3 + i] -= gains[-1]
+        return LinearErrors(rates, by_velocity, command)
+
+    @staticmethod
+    def pose_errors(v_ref: Array, gains: Array) -> LinearErrors:
+        """`linear_errors` of the law of its pose, for a base that moves as asked."""
+        raise NotImplementedError
+
+    def along(self, maps: Maps, twist: Array) -> Array:
+        """See `Structure.base_velocity`: u, the part of a twist that the wheels permit; the steering stands still."""
+        if self.body != STEERED:
+            return twist
+        n, W = maps.V[0][:, 0], np.array([1.0, 1.0, self.length**2])
+        return np.append(n @ (W * self.eta_of(twist)), np.zeros(len(self.masters)))
+
     @staticmethod
     def pose_energy(error: Array, z: Array, v_ref: Array, gains: Array) -> PoseEnergy | None:
         """See `Base.pose_energy`: the steering stands between the pose and nu, so there is none of these alone."""
@@ -103,6 +181,16 @@ class SteeredBase(Base):
     def pose_weights(gains: Array) -> Array | None:
         """See `Base.pose_weights`: none."""
         return None
+
+    @classmethod
+    def largest_gain(cls, gains: Array, speed: float) -> float:
+        """See `Base.largest_gain`: of the law of its pose, or of the law that steers."""
+        return max(cls.pose_gain(gains[:-1], speed), float(gains[-1]))
+
+    @staticmethod
+    def pose_gain(gains: Array, speed: float) -> float:
+        """`largest_gain` of the law of its pose."""
+        raise NotImplementedError
 
     @classmethod
     def per_base_velocity(cls, speed: float, yaw_rate: float, count: int) -> list[float]:
@@ -169,9 +257,9 @@ class OnAxle(SteeredBase):
 
     twist_names = DifferentialDrive.twist_names
     columns = DifferentialDrive.columns
-    gain_names = DifferentialDrive.gain_names
-    linear_errors = staticmethod(DifferentialDrive.linear_errors)
-    largest_gain = staticmethod(DifferentialDrive.largest_gain)
+    gain_names = (*DifferentialDrive.gain_names, "steering")
+    pose_errors = staticmethod(DifferentialDrive.linear_errors)
+    pose_gain = staticmethod(DifferentialDrive.largest_gain)
 
 
 class CarLike(OnAxle):
@@ -217,10 +305,10 @@ class Swerve(SteeredBase):
     words = "swerve drives"
     twist_names = HolonomicBase.twist_names
     columns = HolonomicBase.columns
-    gain_names = HolonomicBase.gain_names
+    gain_names = (*HolonomicBase.gain_names, "steering")
     sideways = True
-    linear_errors = staticmethod(HolonomicBase.linear_errors)
-    largest_gain = staticmethod(HolonomicBase.largest_gain)
+    pose_errors = staticmethod(HolonomicBase.linear_errors)
+    pose_gain = staticmethod(HolonomicBase.largest_gain)
 
 
 class Casters(Swerve):
@@ -229,8 +317,16 @@ class Casters(Swerve):
     kind = "casters"
     words = "powered casters"
     body = FREE
-    pose_energy = staticmethod(HolonomicBase.pose_energy)
-    pose_weights = staticmethod(HolonomicBase.pose_weights)
+
+    @staticmethod
+    def pose_energy(error: Array, z: Array, v_ref: Array, gains: Array) -> PoseEnergy | None:
+        """See `Base.pose_energy`: as of a holonomic base."""
+        return HolonomicBase.pose_energy(error, z, v_ref, gains[:-1])
+
+    @staticmethod
+    def pose_weights(gains: Array) -> Array | None:
+        """See `Base.pose_weights`: as of a holonomic base."""
+        return HolonomicBase.pose_weights(gains[:-1])
 
 
 STEERED_KINDS: tuple[type[SteeredBase], ...] = (
