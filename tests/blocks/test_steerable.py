@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-import steerable
+import steerable as steered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -73,8 +73,8 @@ def wave(rng: np.random.Generator, t: np.ndarray, size: float, about: float = 0.
 @settings(max_examples=20, deadline=None)
 def test_a_base_that_stands_as_it_should_moves_as_asked(name, seed):
     """Second answer: the mechanism of `rolling`, which knows nothing of paths."""
-    makes = {"car": steerable.car, "other way round": lambda: steerable.car(sign=-1.0), "tricycle": steerable.tricycle}
-    base, rng = {**makes, "swerve": steerable.swerve}[name](), np.random.default_rng(seed)
+    makes = {"car": steered.car, "other way round": lambda: steered.car(sign=-1.0), "tricycle": steered.tricycle}
+    base, rng = {**makes, "swerve": steered.swerve}[name](), np.random.default_rng(seed)
     t = np.linspace(0.0, 4.0, 401)
     (v, vdot), (k, kdot) = wave(rng, t, 0.1, rng.choice([-1.0, 1.0]) * 0.6), wave(rng, t, 0.2)
     twist, change = np.stack([v, 0 * v, k * v], 1), np.stack([vdot, 0 * v, k * vdot + kdot * v], 1)
@@ -93,7 +93,7 @@ def test_a_base_that_stands_as_it_should_moves_as_asked(name, seed):
 @pytest.mark.parametrize("curvature", [-0.3, 0.0, 0.4])
 def test_a_waist_and_hitches_stand_along_a_circle(speed, curvature):
     """On a circle all that a base carries turns with it: `rolling` finds no rate of what is passive."""
-    for base in (steerable.loader(), steerable.truck(2)):
+    for base in (steered.loader(), steered.truck(2)):
         twist = np.tile([speed, 0.0, speed * curvature], (2, 1))
         stance = along(base.pivots, np.array([0.0, 1.0]), twist, 0 * twist)
         if base.kind == "trailer":  # a long way forwards, until it has settled
@@ -108,7 +108,7 @@ def test_a_waist_and_hitches_stand_along_a_circle(speed, curvature):
 @given(st.integers(0, 999))
 @settings(max_examples=10, deadline=None)
 def test_what_is_passive_swings_as_it_rolls(seed):
-    for base in (steerable.truck(2), steerable.casters()):
+    for base in (steered.truck(2), steered.casters()):
         rng, t = np.random.default_rng(seed), np.linspace(0.0, 3.0, 3001)
         (v, vdot), (w, wdot) = wave(rng, t, 0.1, 0.6), wave(rng, t, 0.1)
         twist, change = np.stack([v, 0 * v, w], 1), np.stack([vdot, 0 * v, wdot], 1)
@@ -119,7 +119,7 @@ def test_what_is_passive_swings_as_it_rolls(seed):
             np.testing.assert_allclose(rates, stance.rates[i], atol=1e-9)
 
 
-@pytest.mark.parametrize("base", [*(make() for make in steerable.ON_AXLE), steerable.car(sign=-1.0), steerable.car(-0.65)])
+@pytest.mark.parametrize("base", [*(make() for make in steered.ON_AXLE), steered.car(sign=-1.0), steered.car(-0.65)])
 def test_the_curvatures_are_those_at_the_stops(base):
     least, most = bends(base.pivots)
     assert least == pytest.approx(-most)
@@ -132,8 +132,8 @@ def test_the_curvatures_are_those_at_the_stops(base):
 
 
 def test_a_wheel_that_turns_past_a_right_angle_has_no_tightest_curve():
-    assert bends(steerable.tricycle(stop=1.7).pivots) == (-math.inf, math.inf)
-    most = bends(steerable.tricycle(stop=1.5).pivots)[1]
+    assert bends(steered.tricycle(stop=1.7).pivots) == (-math.inf, math.inf)
+    most = bends(steered.tricycle(stop=1.5).pivots)[1]
     assert most == pytest.approx(math.tan(1.5) / 1.2)
 
 
@@ -148,7 +148,7 @@ shapes = st.one_of(
 )  # fmt: skip
 
 
-@given(shapes, st.sampled_from([*steerable.ON_AXLE, steerable.swerve]), st.floats(0.3, 4.0))
+@given(shapes, st.sampled_from([*steered.ON_AXLE, steered.swerve]), st.floats(0.3, 4.0))
 @settings(max_examples=60, deadline=None)
 def test_what_is_accepted_can_be_steered_and_advice_works(path, make, rate):
     base = make(rate=rate)
@@ -180,7 +180,7 @@ def test_what_is_accepted_can_be_steered_and_advice_works(path, make, rate):
 
 
 def test_an_eight_is_drawn_as_large_as_a_car_needs_it_and_no_larger():
-    base = steerable.car(rate=1.0)
+    base = steered.car(rate=1.0)
     for period in (40.0, 7.0):
         asked = Trajectory(Eight(6.0, 3.0, period, ramp=2.0))
         found = fitted(asked, base, dimensions_of(base), 20.0)
@@ -192,7 +192,7 @@ def test_an_eight_is_drawn_as_large_as_a_car_needs_it_and_no_larger():
 
 
 def test_what_a_base_follows_stays_as_it_is():
-    base = steerable.car()
+    base = steered.car()
     for asked in (Trajectory(Eight(12.0, 6.0, 30.0, ramp=2.0)), Trajectory(Line(0.5))):
         assert fitted(asked, base, dimensions_of(base), 20.0) is asked
 
@@ -211,7 +211,7 @@ def test_an_enlarged_path_is_one_motion():
 
 
 def test_turning_on_the_spot_is_no_curve_of_a_car():
-    base, t = steerable.car(), np.linspace(0.0, 1.0, 11)
+    base, t = steered.car(), np.linspace(0.0, 1.0, 11)
     spin = np.tile([0.0, 0.5], (11, 1))
     still = Setpoint(np.zeros((11, 3)), spin, 0 * spin, *np.zeros((3, 11, 0)))
     with pytest.raises(TrajectoryError, match=r"turns on the spot at t = 0 s.*drive a curve of"):
@@ -219,13 +219,13 @@ def test_turning_on_the_spot_is_no_curve_of_a_car():
 
 
 def test_a_swerve_drive_turns_while_it_drives():
-    base = steerable.swerve()
+    base = steered.swerve()
     whole = Trajectory(HolonomicPath(Eight(3.0, 1.5, 20.0, ramp=2.0), Sine(amplitude=1.0, period=20.0)))
     t, setpoints = sampled(whole, base, 20.0)
     require_steerable(base, t, setpoints)
     stance = along(base.pivots, t, setpoints.velocity, setpoints.acceleration)
     assert np.ptp(stance.angles, axis=0).min() > 1.0  # the wheels have to turn, and do
-    slow = steerable.swerve(rate=0.3)
+    slow = steered.swerve(rate=0.3)
     with pytest.raises(TrajectoryError, match=r"'steer_\d' would turn at .* times as long"):
         require_steerable(slow, t, setpoints)
     free = fitted(whole, slow, dimensions_of(slow), 20.0)
@@ -233,7 +233,7 @@ def test_a_swerve_drive_turns_while_it_drives():
 
 
 def test_a_swerve_drive_that_goes_on_elsewhere_stands_meanwhile():
-    base, t = steerable.swerve(rate=2.0), np.linspace(0.0, 10.0, 2001)
+    base, t = steered.swerve(rate=2.0), np.linspace(0.0, 10.0, 2001)
     for rest, fine in ((0.2, False), (1.0, True)):
         v = np.zeros((len(t), 3))
         v[:, 0] = np.where(t < 4, np.sin(np.pi * t / 4), 0.0)
@@ -247,7 +247,7 @@ def test_a_swerve_drive_that_goes_on_elsewhere_stands_meanwhile():
 
 
 def test_wheels_with_stops_start_on_the_side_that_they_can_keep():
-    base = steerable.swerve(stop=2.0)
+    base = steered.swerve(stop=2.0)
     t = np.linspace(0.0, 4.0, 401)
     way = 1.3 + 0.475 * t  # from 1.3 to 3.2 rad: beyond the stop, but not half a turn less
     v = np.stack([np.cos(way), np.sin(way), 0 * t], axis=1)
@@ -262,12 +262,12 @@ def test_wheels_with_stops_start_on_the_side_that_they_can_keep():
 
 
 def test_a_trailer_that_would_fold_or_be_pushed_is_refused():
-    base = steerable.truck()
+    base = steered.truck()
     require_steerable(base, *sampled(Trajectory(Eight(9.0, 4.5, 40.0, ramp=3.0)), base, 40.0))
     with pytest.raises(TrajectoryError, match=r"backs up by 4 m with a trailer.*at most"):
         require_steerable(base, *sampled(Trajectory(Line(-0.4)), base, 10.0))
     require_steerable(base, *sampled(Trajectory(Line(-0.4)), base, 1.5))
-    long = steerable.truck(length=3.0)
+    long = steered.truck(length=3.0)
     with pytest.raises(TrajectoryError, match=r"'hitch_0' would stand at .*draw it") as refused:
         require_steerable(long, *sampled(Trajectory(Circle(2.0, 0.5)), long, 60.0))
     factor = float(re.search(r"draw it ([\d.]+) times", refused.value.fix)[1])
@@ -275,17 +275,17 @@ def test_a_trailer_that_would_fold_or_be_pushed_is_refused():
 
 
 def test_it_starts_along_the_first_setpoint_that_moves():
-    base = steerable.car()
+    base = steered.car()
     _, setpoints = sampled(Trajectory(Circle(2.0, 0.5, ramp=1.0)), base, 5.0)
     angles = start_angles(base, setpoints)
     assert angles == pytest.approx([math.atan2(0.65, 2.0 - 0.22), math.atan2(0.65, 2.0 + 0.22)], abs=1e-9)
-    assert start_angles(steerable.car(sign=-1.0), setpoints) == pytest.approx(-angles)
+    assert start_angles(steered.car(sign=-1.0), setpoints) == pytest.approx(-angles)
     _, back = sampled(Trajectory(Circle(2.0, -0.5, ramp=1.0)), base, 5.0)
     assert start_angles(base, back) == pytest.approx(angles)
     first = Setpoint(*(getattr(setpoints, name)[0] for name in Setpoint.__slots__))
     assert start_angles(base, first) == pytest.approx(0.0)  # it stands: as it is
     sideways = Setpoint(np.zeros(3), np.array([0.0, 1.0, 0.0]), np.zeros(3), *np.zeros((3, 0)))
-    assert np.cos(start_angles(steerable.casters(), sideways) - math.pi / 2) == pytest.approx(1.0)  # they trail
+    assert np.cos(start_angles(steered.casters(), sideways) - math.pi / 2) == pytest.approx(1.0)  # they trail
 
 
 # -- parking and backing -----------------------------------------------------------------------------------------------
@@ -325,14 +325,14 @@ def test_it_parks_where_it_should_and_is_one_motion(aside, radius, speed, stroke
 
 
 def test_a_car_parks_and_a_trailer_does_not():
-    radius = 1.01 / curvatures(steerable.car())[1]
+    radius = 1.01 / curvatures(steered.car())[1]
     path = Parking(-1.2, radius, 0.4, strokes=2)
-    require_steerable(steerable.car(), *sampled(Trajectory(path), steerable.car(), path.duration + 1.0))
+    require_steerable(steered.car(), *sampled(Trajectory(path), steered.car(), path.duration + 1.0))
     with pytest.raises(TrajectoryError, match="the path bends by"):
         tight = Parking(-1.2, 0.9 * radius, 0.4, strokes=2)
-        require_steerable(steerable.car(), *sampled(Trajectory(tight), steerable.car(), tight.duration))
+        require_steerable(steered.car(), *sampled(Trajectory(tight), steered.car(), tight.duration))
     with pytest.raises(TrajectoryError, match="backs up by"):
-        require_steerable(steerable.truck(), *sampled(Trajectory(path), steerable.truck(), path.duration))
+        require_steerable(steered.truck(), *sampled(Trajectory(path), steered.truck(), path.duration))
 
 
 @given(st.sampled_from(["car", "tricycle", "loader"]), st.floats(0.2, 3), st.floats(0.3, 2), st.sampled_from([1, -1]))
