@@ -44,6 +44,7 @@ REACH = 0.3  # way on which the base curves onto a route, at least where there i
 TIGHTEST = 3.0  # curvature of a present motion that is gone on with [1/m]
 SLOWER = 0.9  # share of the present speed from which on a motion is gone on with
 TINY = 1e-6  # [m, rad]
+STEERED = 0.01  # share of the tightest curve by which the steering may be off where a leg begins
 BENDS_APART = 0.02  # of the points at which a path's curvature is looked at [m]
 
 
@@ -121,8 +122,14 @@ def bent_too_far(path: Drivable, base: SteeredBase | None, end: float | None = N
     end = path.span if end is None else end
     curve = path.curve(np.linspace(0.0, end, max(50, math.ceil(abs(end) / BENDS_APART))))
     bends = curve.k / curve.g
-    beyond = (bends > most) | (bends < least)
+    beyond = (bends > SHARE * most) | (bends < SHARE * least)
     return float(np.abs(bends[beyond]).max(initial=0.0))
+
+
+def end_bend(path: Drivable, at: float | None = None) -> float:
+    """Curvature `w / v` of a path at its end, or at a parameter [1/m]."""
+    curve = path.curve(np.array([path.span if at is None else at]))
+    return float(curve.k[0] / curve.g[0])
 
 
 def faced(pose: Array, there: Array, away: float) -> Array:
@@ -171,10 +178,13 @@ class RouteDrive(Motion):
         least = replace(least, **{name: SHARE * getattr(least, name) for name in names})
         drive = cls(np.zeros((0, 0)), period, (BASE,), robot.dimensions, route=route, limits=least, blocks=[])
         at = start = route.legs[0].pose(0.0) if route.legs else np.array([*route.end, route.heading or 0.0])
-        blocks = list[Array]()
+        blocks, bend = list[Array](), math.nan
         for leg in route.legs:
-            blocks += [drive.driven(drive.led(leg, at))] if drive.steers else []
-            blocks += [] if drive.steers else [*drive.turned(at, leg.pose(0.0)[2]), drive.driven(leg.path)]
+            if drive.steers:
+                blocks.append(drive.driven(drive.led(leg, at, bend)))
+                bend = end_bend(leg.path)
+            else:
+                blocks += [*drive.turned(at, leg.pose(0.0)[2]), drive.driven(leg.path)]
             at = blocks[-1][-1, :3]
         if route.legs and route.heading is not None:
             blocks += drive.turned(at, route.heading)
@@ -269,21 +279,30 @@ class RouteDrive(Motion):
             reach /= 2
         return None
 
-    def led(self, leg: Leg, pose: Array) -> Drivable:
+    def led(self, leg: Leg, pose: Array, bend: float = math.nan) -> Drivable:
         """A leg from rest at a pose (3,), curved onto within what can be steered.
+
+        Args:
+            leg: The leg.
+            pose: Where the base rests.
+            bend: The curvature at which it steers [1/m]; NaN for that of the leg.
 
         Raises:
             TrajectoryError: There is no room, or the leg itself bends too far.
         """
         base, (s, away) = self.limits.base, leg.nearest(pose)
         off = nearest_turn(leg.pose(s)[2] - pose[2], 0.0)
-        can = f"it turns within {1.0 / min(map(abs, curvatures(base))):.3g} m, not on the spot"
+        tightest = min(map(abs, curvatures(base)))
+        can = f"it turns within {1.0 / tightest:.3g} m, not on the spot"
         if too_far := bent_too_far(leg.path, base):
-            fix = "plan with a larger smallest turning radius"
+            fix = f"raise the planner's smallest turning radius, by {math.ceil(100.0 * (too_far / tightest - 1.0))} %"
             raise TrajectoryError(f"the route bends by {too_far:.3g} 1/m", why=can, fix=fix)
-        if s == 0.0 and away < TINY and abs(off) < TINY:
+        first = end_bend(leg.path, 0.0)
+        bend = first if math.isnan(bend) else bend
+        if s == 0.0 and away < TINY and abs(off) < TINY and abs(bend - first) < STEERED * tightest:
             return leg.path
-        curve = self.joined(leg, s, away, pose, 0.0, 0.0) if abs(off) <= ALONG else None
+        way = -bend if leg.backwards else bend
+        curve = self.joined(leg, s, away, pose, way, 0.0) if abs(off) <= ALONG else None
         if curve is None:
             what = f"a route {away:.3g} m beside the base and turned by {abs(off):.3g} rad"
             raise TrajectoryError(what, why=can, fix="plan from where it stands, along its heading or against it")

@@ -75,7 +75,7 @@ class Smoothed(BasePath):
         looks: Heading with which it begins [rad]; where that is against the way, it is driven tail first.
         wander: How far it may go beside the polygon of the points, on average [m]; less where they are smooth, and
             nowhere further than `FARTHEST` times that. Its ends stay where they are.
-        bends: Largest curvature; for it, smooth points may be left, too [1/m].
+        bends: Largest curvature; where it would bend more it keeps nearer to the points [1/m].
 
     Attributes:
         span: Length of the polygon [m], which is the curve's parameter.
@@ -125,8 +125,8 @@ class Smoothed(BasePath):
         while wander > EXACT and hypot(*(spline(u).T - polygon)).max() > self.FARTHEST * self.wander:
             wander /= 2
             spline = fitted(points, along, count, wander)
-        while wander < self.wander and sharpest(spline, u) > self.bends:
-            wander = min(max(2 * wander, EXACT), self.wander)
+        while wander > EXACT and sharpest(spline, u) > self.bends:  # fewer pieces may bend more
+            wander /= 2
             spline = fitted(points, along, count, wander)
         splines = [spline, *(spline.derivative(i) for i in (1, 2, 3))]
         dx, dy = splines[1](u).T
