@@ -67,12 +67,16 @@ def load(  # noqa: PLR0913 - options of a file, by name
     strict: bool = False,
     controllers_file: str | Path | None = None,
     mu: float | None = None,
+    steer: Sequence[str] | None = None,
+    hitch: Sequence[str] | None = None,
+    wheelbase: float | None = None,
+    steering_limit: float | None = None,
 ) -> Robot:
     """Load a robot. What is not given comes from `NAME.mmnn.toml` beside it or is found in it (docs/how-to/robots.md).
 
     Args:
         robot: Name of a bundled robot or of one of example-robot-data, or path of a URDF or xacro file.
-        base: `differential_drive`, `skid_steer`, `holonomic` or `fixed`.
+        base: One of `mmnn_pin.model.base.KINDS`, such as `differential_drive`, `car_like` or `fixed`.
         wheels: Joints of the drive wheels; left, right for a differential drive.
         radius: Radius of the drive wheels [m].
         wheel_radii: Radius of single drive wheels, `joint=radius` [m].
@@ -87,6 +91,10 @@ def load(  # noqa: PLR0913 - options of a file, by name
         strict: Whether impossible inertias and implausible sizes are errors.
         controllers_file: YAML file of the robot's controllers, see `Overrides`.
         mu: Friction coefficient between the floor and the wheels of a skid-steer base, 1 by default.
+        steer: Joints that steer, about vertical axes above wheels.
+        hitch: Joints on which trailers follow.
+        wheelbase: Distance from the fixed axle to the wheels that steer [m].
+        steering_limit: Largest angle of what steers, to either side [rad].
 
     Raises:
         UnknownName: Neither a name nor a path; a joint, link or kind of base that does not exist.
@@ -113,6 +121,10 @@ def load(  # noqa: PLR0913 - options of a file, by name
         strict=strict,
         controllers_file=None if controllers_file is None else str(controllers_file),
         mu=mu,
+        steer=None if steer is None else tuple(steer),
+        hitch=None if hitch is None else tuple(hitch),
+        wheelbase=wheelbase,
+        steering_limit=steering_limit,
     )
     return load_with(robot, overrides)
 

@@ -23,6 +23,7 @@ from .machines import MOST_PER_SIDE
 from .overrides import Overrides
 from .report import BaseReading, BaseResult, note, undecided
 from .skid_steer import SkidSteer, loads, rotation_centre, turning_friction, turning_track
+from .steered import SteeredBase
 from .wheels import (
     HUB,
     SLOPPY,
@@ -179,7 +180,7 @@ def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
     Raises:
         RobotError: It does.
     """
-    motors, names = motors_named(rest), [wheel.joint for wheel in base.wheels]
+    motors, names = motors_named(rest), [wheel.joint for wheel in base.wheels if wheel.driven]
     idle = [name for name in names if name not in motors]
     if base.scrubs or overrides.wheels is not None or not 0 < len(idle) < len(names):
         return
@@ -202,12 +203,16 @@ def require_used(overrides: Overrides, base: Base) -> None:
     for name in overrides.radius_of:
         if name not in names:
             raise UnknownName("drive wheel", name, names, key="wheel_radii")
+    pivots = base.pivots if isinstance(base, SteeredBase) else ()
     unused = {"radius": not base.wheels, "track": len(base.wheels) < 2, "roller": not base.sideways}
     unused["mu"] = not base.scrubs
+    steers = any(p.role != "passive" for p in pivots)
+    unused |= {"steer": not steers, "hitch": not pivots, "wheelbase": not steers, "steering_limit": not steers}
     unused["roller"] |= not base.wheels
     for key, ignored in unused.items():
         if ignored and getattr(overrides, key) is not None:
-            what = f"a {key} for a base '{base.kind}'" + ("" if base.wheels else " without drive wheels")
+            what = f"a {key.replace('_', ' ')} for a base '{base.kind}'"
+            what += "" if base.wheels else " without drive wheels"
             raise ConfigError(what, why="nothing would use it", fix="leave it out, or say what the base is", key=key)
 
 

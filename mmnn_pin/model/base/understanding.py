@@ -37,8 +37,7 @@ from .machines import (
     machine,
     plain,
     propellers,
-    refuse_steered,
-    refuse_steered_pair,
+    refuse_legs,
     steering_named,
     track_named,
     tracks,
@@ -76,6 +75,7 @@ from .report import (
     weld_notes,
     welded_note,
 )
+from .steering import behind_drive, says_steered, steered_base
 from .wheels import (
     COAXIAL,
     LUMPY,
@@ -186,7 +186,7 @@ def chosen(rest: AtRest, candidates: Candidates, named: list[Candidate], overrid
     """The base as the user says, else as geometry and evidence have it."""
     if overrides.base == "fixed":
         return BaseResult(parked([*candidates.wheels, *candidates.near_misses, *candidates.limited]))
-    if overrides.wheels is not None:
+    if overrides.wheels is not None and not says_steered(overrides):
         return declared(rest, named, [*candidates.wheels, *candidates.limited], overrides)
     if overrides.base == "holonomic" and not plain(candidates.wheels):
         return pushed(rest, candidates)
@@ -224,7 +224,7 @@ def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseR
 
 def strays_of(rest: AtRest, base: Base, overrides: Overrides) -> list[Joint]:
     """Joints that turn without end low on the base, and have no part in it."""
-    used = {*base.locked, *(wheel.joint for wheel in base.wheels), *overrides.free}
+    used = {*base.locked, *base.joints, *overrides.free}
     alike = [*alike_on_root(rest), *odd_casters(rest, base)]
     return [j for j in rest.document.joints.values() if (is_low(rest, j) or j in alike) and j.name not in used]
 
@@ -284,11 +284,23 @@ def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:
 def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
     """The base as geometry and evidence have it."""
     require_sound_wheels(rest, candidates, overrides)
-    wheels = candidates.wheels
-    if not wheels:
+    if not candidates.wheels:
         return without_wheels(rest, overrides, candidates.floor)
+    refuse_legs(rest, candidates.wheels)
+    found = steered_base(rest, candidates, overrides)
+    if found is None:
+        return on_plain(rest, candidates, overrides)
+    if overrides.base == "holonomic":
+        return pushed(rest, candidates)
+    if isinstance(found, BaseResult):
+        return found
+    return behind_drive(rest, on_plain(rest, found.without_trailers(candidates), found.said(overrides)), found)
+
+
+def on_plain(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
+    """The base on wheels that do not steer, as geometry and evidence have it."""
+    wheels = candidates.wheels
     drives = without_balls(plain(wheels))
-    refuse_steered(rest, wheels)
     if overrides.base == "holonomic" and (len(drives) < 3 or one_axle(drives) or not in_pairs(drives)):
         return pushed(rest, candidates)
     refuse_mimic_wheels(rest, wheels, drives)
@@ -312,7 +324,6 @@ def on_driven(
     if sure:
         return with_wheels(rest, drives, wheels, overrides)
     if len(drives) == 2 and coaxial(*drives):
-        refuse_steered_pair(rest, drives, wheels)
         return with_wheels(rest, drives, wheels, overrides)
     if len(drives) >= 3 and overrides.base != "differential_drive":
         if not all(parallel(drives[0], c) for c in drives[1:]):
