@@ -34,7 +34,7 @@ from .base.understanding import understand
 from .dynamics import Dynamics
 from .robot import Robot
 from .robots import find
-from .structure import configuration_indices, constraint_rows, motion_map, motor_map, read_only
+from .structure import configuration_indices, motion_map, motor_map, read_only
 from .urdf.audit import BodyPart
 from .urdf.document import Document, Joint
 from .urdf.finding import Finding, excused
@@ -273,7 +273,7 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
     joints = [document.joints[name] for name in model.names[2 if root else 1 :]]
     names = [joint.name for joint in joints]
     arm = replace(arm, joints=tuple(name for name in names if name in arm.joints))
-    driven = (w.joint for w in base.wheels if document.joints[w.joint].mimics is None)
+    driven = (name for name in base.driven if document.joints[name].mimics is None)
     motors = (*driven, *arm.joints)
     pushes, rows = base.pushes, {name: i for i, name in enumerate(names, root)}
     T, E_full = motion_map(base, rows, arm), motor_map(base, rows, motors)
@@ -294,15 +294,14 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
             motors=E_full.shape[1],
             kind=base.kind,
             sideways=base.sideways,
+            shape=len(base.shape),
         ),
         joint_names=arm.joints,
         velocity_names=base.velocity_names + arm.joints,
         full_velocity_names=ROOT_NAMES[:root] + tuple(names),
         actuator_names=pushes + motors,
-        T=read_only(T),
-        A=read_only(constraint_rows(base, rows, arm)),
+        template=read_only(T),
         E_full=read_only(E_full),
-        E=read_only(product(T.T, E_full)),
         q_index=q_index,
         is_continuous=is_continuous,
         frame=read_only(base.frame.copy()),

@@ -126,7 +126,7 @@ class RouteDrive(Motion):
     Attributes:
         route: The route.
         limits: Of speeds and accelerations, as those of any timed path.
-        blocks: Of every leg and turn from rest to rest poses, velocities and accelerations (N, 3 + 2 nb).
+        blocks: Of every leg and turn from rest to rest poses, velocities and accelerations (N, 3 + 2 twist).
         begins: (3,) the pose that it begins from; None for the route's own start.
     """
 
@@ -160,8 +160,8 @@ class RouteDrive(Motion):
         return replace(drive, blocks=blocks, table=drive.chained(blocks, start))
 
     def placed(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> RouteDrive:
-        """The drive from a pose (3,) and a velocity (nb,) of the reference, at rest without one."""
-        v = np.zeros(self.dimensions.base) if velocity is None else np.array(velocity, float)
+        """The drive from a pose (3,) and a velocity (twist,) of the reference, at rest without one."""
+        v = np.zeros(self.dimensions.twist) if velocity is None else np.array(velocity, float)
         at, rests = np.array(pose, float), bool((abs(v) < REST).all())
         if rests and self.begins is not None and (abs(at - self.begins) < REST).all():
             return self
@@ -174,7 +174,7 @@ class RouteDrive(Motion):
         return replace(self, table=self.chained(blocks, at), begins=at)
 
     def in_motion(self, pose: Array, velocity: Array) -> Array | None:
-        """The first leg from a pose (3,), gone on with at a velocity (nb,); None where it leads elsewhere."""
+        """The first leg from a pose (3,), gone on with at a velocity (twist,); None where it leads elsewhere."""
         v, w = float(velocity[0]), float(velocity[-1])
         if not self.route.legs or abs(v) < REST or abs(w) > TIGHTEST * abs(v) or (abs(velocity[1:-1]) > REST).any():
             return None
@@ -188,7 +188,7 @@ class RouteDrive(Motion):
         return self.rows(timed) if timed.fastest_entry >= SLOWER * abs(v) else None
 
     def braked(self, pose: Array, velocity: Array) -> Array:
-        """To rest along the present arc, from a pose (3,) and a velocity (nb,)."""
+        """To rest along the present arc, from a pose (3,) and a velocity (twist,)."""
         v, w, aside = velocity[0], velocity[-1], 0.0
         if velocity.size == 3:
             v, aside = hypot(velocity[0], velocity[1]), atan2(velocity[1], velocity[0])
@@ -246,7 +246,7 @@ class RouteDrive(Motion):
         return [self.driven(Arc((pose[0], pose[1], pose[2]), 0.0, math.copysign(1.0, turn), abs(turn)))]
 
     def driven(self, curve: Drivable) -> Array:
-        """A curve from rest to rest, (N, 3 + 2 nb)."""
+        """A curve from rest to rest, (N, 3 + 2 twist)."""
         return self.rows(replace(self.limits, path=curve))
 
     def instants(self, duration: float) -> Array:
@@ -254,7 +254,7 @@ class RouteDrive(Motion):
         return np.asarray(np.arange(math.ceil(duration / self.period - TINY) + 1) * self.period)
 
     def rows(self, timed: Timed, aside: float = 0.0) -> Array:
-        """Samples (N, 3 + 2 nb) of a path; its way leads that much aside of the heading, where a base can [rad]."""
+        """Samples (N, 3 + 2 twist) of a path; its way leads that much aside of the heading, where a base can [rad]."""
         one, k = timed.sample(self.instants(timed.duration)), 1.0
         if timed.pace == 0.0:  # between the points of its grid it may be pushed harder: as much slower, then
             most = np.array([timed.acceleration, timed.yaw_acceleration]) / SHARE
@@ -272,10 +272,10 @@ class RouteDrive(Motion):
         """Setpoints of the robot: blocks one after the other, each from where the last rests.
 
         Args:
-            blocks: Samples (N, 3 + 2 nb); where there are none, it stands.
+            blocks: Samples (N, 3 + 2 twist); where there are none, it stands.
             at: (3,) pose whose heading theirs go on from, by whole turns.
         """
-        width = 3 + 2 * self.dimensions.base
+        width = 3 + 2 * self.dimensions.twist
         ends = np.cumsum([0, *(len(block) - 1 for block in blocks)])
         table = np.zeros((ends[-1] + 1 if blocks else 2, width + 3 * self.dimensions.arm))
         table[:, :3], heading = at if not blocks else 0.0, float(at[2])

@@ -31,10 +31,10 @@ import numpy as np
 from ..compiled import compiled, copy_to
 from ..elementary import cos_sin, hypot, nearest_turn
 from ..errors import ConfigError
-from ..model.robot import Robot, speed_limits
+from ..model.robot import Robot
 from ..signals import Array, IntArray
 from .braking import brought_home, in_one_step, led
-from .limits import Limits
+from .limits import Limits, rims
 
 HOLD, VELOCITY, SAMPLE, PLANNED = range(4)
 BASE, ARM = 0, 1  # parts
@@ -50,9 +50,9 @@ class Guide(NamedTuple):
     A setpoint is flat: pose, velocity, acceleration of the base, q, qdot, qddot of the arm side by side.
 
     Attributes:
-        base: (3, nb) largest speeds and accelerations of the base, see `Limits.of_base`.
+        base: (3, twist) largest speeds and accelerations of the base, see `Limits.of_base`.
         sideways: Whether its velocities are `(vx, vy, w)`.
-        wheels: (m, nb) speeds of the wheels by those of the base, over their limits.
+        wheels: (m, twist) speeds of the wheels by those of the base, over their limits.
         arm: (4, n) limits of the joints, see `Limits.of_arm`.
         ends: (2, n) where the joints' reference must stay [rad or m].
         turn: (n,) 1 for a joint without ends, for which a whole turn is none.
@@ -91,13 +91,13 @@ def new_guide(robot: Robot, limits: Limits) -> Guide:
         ConfigError: Not one limit per joint; ends that leave a joint no room.
     """
     d = robot.dimensions
-    width, wheels = d.pose + 2 * d.base + 3 * d.arm, d.motors - d.arm
+    width = d.pose + 2 * d.twist + 3 * d.arm
     margin = limits.joint_margin
     ends = np.array([robot.lower[robot.arm_index] + margin, robot.upper[robot.arm_index] - margin]).reshape(2, d.arm)
     if not (ends[0] < ends[1]).all():
         fix = "use a smaller limits.joint_margin"
         raise ConfigError(f"{margin:g} from both ends leaves a joint no room", fix=fix, key="limits.joint_margin")
-    rows, speeds, arm = robot.E.T[:wheels, : d.base], speed_limits(robot)[:wheels], limits.of_arm(robot)
+    (rows, speeds), arm = rims(robot), limits.of_arm(robot)
     return Guide(
         base=limits.of_base(d),
         sideways=d.sideways,
@@ -167,7 +167,7 @@ def brake(part: int, measured: Array, guide: Guide) -> None:
 
 @compiled
 def drive(velocity: Array, guide: Guide) -> None:
-    """Let the base follow a velocity (nb,), scaled as a whole to what base and wheels can do."""
+    """Let the base follow a velocity (twist,), scaled as a whole to what base and wheels can do."""
     wanted = guide.wanted[3 : 3 + velocity.size]
     copy_to(velocity, wanted)
     share = within_reach(wanted, guide)
@@ -287,7 +287,7 @@ def take_pace(sample: Array, nb: int, guide: Guide) -> None:
 
 @compiled
 def within_reach(velocity: Array, guide: Guide) -> float:
-    """By what a base velocity (nb,) has to be multiplied so that base and wheels reach it; at most 1."""
+    """By what a base velocity (twist,) has to be multiplied so that base and wheels reach it; at most 1."""
     nb, over = velocity.size, 1.0
     for i in range(nb):
         over = max(over, abs(velocity[i]) / guide.base[0, i])

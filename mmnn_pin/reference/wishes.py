@@ -41,7 +41,7 @@ class BaseVelocity:
     """A velocity of the base; the robot goes where it leads, pose errors are zero. It has to be renewed.
 
     Args:
-        velocity: (nb,) in the control frame [m/s, rad/s].
+        velocity: (twist,) in the control frame [m/s, rad/s].
     """
 
     velocity: ArrayLike

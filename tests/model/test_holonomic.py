@@ -198,7 +198,9 @@ def test_sampled_loop_agrees_with_the_run(share):
     trajectory = Trajectory(path, (Hold(0.0),) * 2)
     kinematic = Kinematic(holonomic=(2.0, 3.0, 1.0), K=2.0)
     v_ref = path.sample([0.0]).velocity[0]
-    verdict = sampled_loop(mass(robot), gains, kinematic.linear_errors(robot.dimensions, v_ref), np.full(2, 2.0), h)
+    verdict = sampled_loop(
+        mass(robot), gains, robot.base.linear_errors(v_ref, kinematic.base_gains(robot.dimensions)), np.full(2, 2.0), h
+    )
     assert verdict.stable == (share < 1)
     feedback = Feedback(base=tuple(gains[:3].tolist()), arm=tuple(gains[3:].tolist()))
     timing = Timing(0.3 if config.DISABLE_JIT else 3.0, h, h / 2)

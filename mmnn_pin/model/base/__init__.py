@@ -14,9 +14,8 @@ from .holonomic import HolonomicBase, holonomic_command
 from .skid_steer import SkidSteer
 from .steered import STEERED_KINDS
 
-KINDS: dict[str, type[Base]] = {
-    kind.kind: kind for kind in (DifferentialDrive, SkidSteer, HolonomicBase, *STEERED_KINDS, Fixed)
-}
+ALL: tuple[type[Base], ...] = (DifferentialDrive, SkidSteer, HolonomicBase, *STEERED_KINDS, Fixed)
+KINDS: dict[str, type[Base]] = {kind.kind: kind for kind in ALL}
 
 
 def kind_of(dimensions: Dimensions) -> type[Base]:
