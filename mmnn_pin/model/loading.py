@@ -377,7 +377,7 @@ def require_finite(document: Document, robot: Robot) -> None:
     Raises:
         RobotError: One is not finite, or the mass matrix is not positive definite.
     """
-    model, T, p = robot.model, robot.T, robot.dimensions.dof
+    model, T, p = robot.model, robot.T_at(robot.neutral_position()), robot.dimensions.dof
     data, q = model.createData(), robot.configuration(robot.neutral_position())
     with np.errstate(all="ignore"):
         M = np.triu(pin.crba(model, data, q))
