@@ -30,6 +30,8 @@ from .arm import Arm
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
 from .base.report import friction_notes, printed_notes, settle, weak_notes
+from .base.rolling import FREE
+from .base.steered import SteeredBase
 from .base.understanding import understand
 from .dynamics import Dynamics
 from .robot import Robot
@@ -178,7 +180,12 @@ def settled(overrides: Overrides, base: Base) -> Overrides:
     if overrides.controllers_file is None:
         return overrides
     result: dict[str, Any] = {"base": base.kind, "controllers_file": None}
-    if base.wheels:
+    if isinstance(base, SteeredBase):
+        steer = tuple(pivot.joint for pivot in base.pivots if pivot.role != "passive")
+        hitch = tuple(pivot.joint for pivot in base.pivots if pivot.role == "passive" and not pivot.motor)
+        result |= {"wheels": tuple(w.joint for w in base.wheels if w.driven), "steer": steer or None}
+        result["hitch"] = hitch if base.body != FREE and hitch else None
+    elif base.wheels:
         result |= {"wheels": tuple(wheel.joint for wheel in base.wheels), "track": base.track}
         alike = len({wheel.radius for wheel in base.wheels}) == 1 and not overrides.wheel_radii
         result["radius"] = base.wheels[0].radius if alike else overrides.radius

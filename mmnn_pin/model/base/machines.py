@@ -178,14 +178,18 @@ def upright_along_y(rest: AtRest) -> list[Joint]:
 
 
 def steering_modules(rest: AtRest) -> list[str]:
-    """Names of three or more low joints about vertical axes on which names say that wheels are, and nothing turns."""
+    """Names of low joints about vertical axes on which names say that wheels are, and nothing turns.
+
+    There are three or more of them, or two that are said to steer.
+    """
     highest, names = height_at(rest, LOW), []
     for joint in trunk_joints(rest):
         words = [joint.name, joint.child, *map(mesh_name, rest.document.links[joint.child].iter("mesh"))]
         ends = rest.is_vertical(joint) and not rest.document.moving_children(joint.child)
         if ends and MODULE_NAMES.search(" ".join(words)) and rest.hub(joint)[2] <= highest:
             names.append(joint.name)
-    return names if len(names) >= ROTORS else []
+    steer = [name for name in names if "steer" in name.lower()]
+    return names if len(names) >= ROTORS or len(steer) >= 2 else []
 
 
 def rotors(rest: AtRest) -> Iterator[str]:

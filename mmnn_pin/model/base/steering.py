@@ -32,7 +32,7 @@ from ..urdf.document import Joint
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Wheel
-from .evidence import Stated, controllers_motors, driving_signs, motors_named, stated
+from .evidence import RADII, controllers_motors, driving_signs, motors_named, stated
 from .overrides import Overrides
 from .placing import casters_of, forward_of, in_order, rolling
 from .report import BaseReading, BaseResult, in_words, note, undecided, unsupported
@@ -305,6 +305,7 @@ def steered_base(rest: AtRest, candidates: Candidates, overrides: Overrides) -> 
     steered = layout.of("steered", "waist")
     if layout.fixed and not steered:
         return layout if layout.of("hitch") else None
+    layout = layout._replace(fixed=axle_of(rest, layout, overrides) if steered and layout.fixed else layout.fixed)
     if layout.fixed:
         base = on_axle(rest, layout, overrides)
     elif steered:
@@ -415,17 +416,38 @@ def on_line(wheels: Sequence[Candidate]) -> bool:
     return all(parallel(wheels[0], c) for c in wheels) and max(off) <= max(ON_LINE * width, 1e-6)
 
 
+def axle_of(rest: AtRest, layout: Layout, overrides: Overrides) -> list[Candidate]:
+    """The fixed wheels that hold the base: on one line, those that are not balls, or those that the user names.
+
+    Raises:
+        Unsupported: They stand on several lines; with the options that choose one.
+    """
+    fixed, named = layout.fixed, [c for c in layout.fixed if c.joint.name in (overrides.wheels or ())]
+    proper = [c for c in fixed if c.shape != "sphere"]
+    for wheels in (named, fixed, proper):
+        if wheels and on_line(wheels):
+            return wheels
+    why = f"wheels that do not steer stand on several lines: {'; '.join(c.text for c in fixed)}"
+    lines = {tuple(o.joint.name for o in fixed if o is c or coaxial(c, o)) for c in fixed}
+    kind = Tricycle.kind if len(layout.of("steered")) == 1 else CarLike.kind
+    ways = [f"--base {kind} --wheels {','.join(names)}" for names in sorted(lines) if len(names) > 1]
+    fix = f"{', or '.join(ways)} if the others slide or swivel; {STILL}" if ways else STILL
+    raise unsupported(rest, "base that steers and skids", why, fixed, fix)
+
+
 def on_axle(rest: AtRest, layout: Layout, overrides: Overrides) -> SteeredBase:
     """A car, a tricycle or a loader, without what it pulls.
 
+    Args:
+        rest: The robot at rest.
+        layout: Its fixed wheels are those of the axle.
+        overrides: What the user says.
+
     Raises:
-        Unsupported: Wheels that do not steer on several lines, or on the one of a wheel that steers.
+        Unsupported: A wheel that steers stands on the line of those that do not.
         ConfigError: The user says that it is another kind.
     """
     fixed, steered = layout.fixed, layout.of("steered", "waist")
-    if not on_line(fixed):
-        why = f"wheels that do not steer stand on several lines: {'; '.join(c.text for c in fixed)}"
-        raise unsupported(rest, "base that steers and skids", why, fixed, STILL)
     frame = frame_at(np.mean([c.centre for c in fixed], axis=0), forward_of(fixed))
     steered = sorted(steered, key=lambda m: order(frame, rest, m))
     master = first_master(steered, layout.motors)
@@ -593,7 +615,7 @@ def finished(
     kind_as_said(rest, base, overrides)
     base = replace(base, scrub=scrub_of(base))
     notes = [steered_note(rest, base), *findings, *driving, *trailing, *spinless_note(rest, own)]
-    return BaseResult(base, (*notes, *scrub_note(rest, base), *wheelbase_notes(rest, base, overrides)))
+    return BaseResult(base, (*notes, *scrub_note(rest, base), *stated_notes(rest, base, overrides)))
 
 
 def with_trailers(rest: AtRest, base: Base, layout: Layout) -> tuple[SteeredBase, list[Finding]]:
@@ -615,8 +637,9 @@ def with_trailers(rest: AtRest, base: Base, layout: Layout) -> tuple[SteeredBase
         frames[m.joint.name] = frame_on(rest, m.joint, float(at[2]))
         pivot = placed_pivot(rest, at, m, ROLES[PASSIVE], layout)
         pivots.append(replace(pivot, parent=numbers.get(carrier, -1), motor=False))
-        wheels += placed_wheels(rest, frames[m.joint.name], m.wheels, len(pivots) - 1, driven=False)
-        if not on_line(m.wheels):
+        alone = on_line(m.wheels)
+        wheels += placed_wheels(rest, frames[m.joint.name], m.wheels, len(pivots) - 1, driven=False, grips=alone)
+        if not alone:
             text = f"the trailer on '{m.joint.name}' has several axles, which scrub about their middle"
             why = f"it is taken as on one, {abs(pivot.wheel[0]):.3g} m from the hitch"
             findings.append(note(rest, "base-scrub", m.joint.name, text, why))
@@ -639,7 +662,7 @@ def behind_drive(rest: AtRest, result: BaseResult, layout: Layout) -> BaseResult
 def with_motors(
     rest: AtRest, wheels: list[Wheel], layout: Layout, overrides: Overrides
 ) -> tuple[list[Wheel], list[Finding]]:
-    """The wheels, those with motors marked: named by the user, else by the file, else all.
+    """The wheels, those with motors marked: which the file and the user name, the file, the user, else all.
 
     Raises:
         UnknownName: The user names another joint.
@@ -648,7 +671,8 @@ def with_motors(
     for name in overrides.wheels or ():
         if name not in names:
             raise UnknownName("wheel joint", name, names, key="wheels")
-    told = [name for name in names if name in (overrides.wheels or layout.motors)]
+    ours, theirs = [n for n in names if n in (overrides.wheels or ())], [n for n in names if n in layout.motors]
+    told = [name for name in ours if name in theirs] or theirs or ours
     driven = [replace(w, driven=not told or w.joint in told) for w in wheels]
     if told or not wheels:
         return driven, []
@@ -684,6 +708,26 @@ def with_limits(
     return base, [note(rest, "base-limit", endless[0], text, "a robot has stops there", "--steering-limit RAD")]
 
 
+def virtual_joints(rest: AtRest, base: SteeredBase) -> list[str]:
+    """Joints of a bicycle model beside the wheels of a car: they turn in the middle of its axles, and carry nothing.
+
+    One is about the line of an axle, or between two pivots that steer, within a fraction of the wheelbase.
+    """
+    if base.sideways or not base.masters:
+        return []
+    hubs = [in_frame(base.frame, rest.hub(rest.document.joints[p.joint])) for p in base.pivots if p.parent < 0]
+    places = [(0.0, 0.0), *(((x, (y + v) / 2) for x, y in hubs for u, v in hubs if x == u or abs(x - u) < 1e-3))]
+    ends = [j for j in rest.document.moving_children(rest.document.root_link) if j.type != "prismatic"]
+    ends = [j for j in ends if j.name not in base.joints and not rest.document.moving_children(j.child)]
+    highest = max(float(rest.hub(rest.document.joints[w.joint])[2]) + w.radius for w in base.wheels)
+    low = [j for j in ends if rest.hub(j)[2] <= highest and (rest.is_vertical(j) or rest.is_horizontal(j))]
+    return [
+        j.name
+        for j in low
+        if min(math.dist(in_frame(base.frame, rest.hub(j)), at) for at in places) < ON_LINE * base.length
+    ]
+
+
 def standing(rest: AtRest, base: SteeredBase, candidates: Candidates) -> SteeredBase:
     """The base with what stands still of it: casters, what holds its wheels, rollers."""
     used = [c for c in candidates.wheels if c.joint.name in {w.joint for w in base.wheels}]
@@ -696,7 +740,7 @@ def standing(rest: AtRest, base: SteeredBase, candidates: Candidates) -> Steered
         base,
         casters=in_order(rest, others),
         suspensions=in_order(rest, above - moving),
-        parked=in_order(rest, [name for c in candidates.wheels for name in c.rollers]),
+        parked=in_order(rest, [*virtual_joints(rest, base), *(name for c in candidates.wheels for name in c.rollers)]),
     )
 
 
@@ -754,7 +798,7 @@ def scrub_of(base: SteeredBase) -> float:
         nu[0] = 1.0
         maps = new_maps(rolls, np.zeros((3 + len(joints), nu.size)))
         roll(rolls, closed(rolls, position), nu, maps)
-        for w in base.wheels:
+        for w in (w for w in base.wheels if w.grips):
             c, s = cos_sin(w.heading)
             worst = max(worst, abs(across(maps.V[w.pivot + 1], w.x, w.y, c, s, 0)))
     return worst if worst > SIDEWAYS else 0.0
@@ -770,20 +814,15 @@ def scrub_note(rest: AtRest, base: SteeredBase) -> list[Finding]:
     return [note(rest, "base-scrub", base.pivots[0].joint, text, why, fix)]
 
 
-def wheelbase_notes(rest: AtRest, base: SteeredBase, overrides: Overrides) -> list[Finding]:
-    """A warning where a plugin or a controller states another wheelbase than the geometry."""
-    if overrides.wheelbase is not None or base.sideways or not base.masters:
-        return []
-    lengths: list[Stated] = stated(rest, overrides.controllers_file, WHEELBASES)
-    return [
-        note(
-            rest,
-            "base-stated",
-            base.pivots[0].joint,
-            f"{length.text} states a wheelbase of {length.value:.4g} m, its geometry {base.length:.4g} m",
-            "taken is the geometry",
-            f"--wheelbase {length.value:.6g}",
-        )
-        for length in lengths
-        if abs(length.value / base.length - 1) > OPINION
-    ]
+def stated_notes(rest: AtRest, base: SteeredBase, overrides: Overrides) -> list[Finding]:
+    """Warnings where a plugin or a controller states another wheelbase or radius than the geometry."""
+    measured = {"wheelbase": [base.length] if not base.sideways and base.masters else []}
+    measured["radius"] = [w.radius for w in base.wheels]
+    findings = list[Finding]()
+    for name, names in (("wheelbase", WHEELBASES), ("radius", RADII)):
+        for length in stated(rest, overrides.controllers_file, names) if getattr(overrides, name) is None else ():
+            if measured[name] and all(abs(length.value / used - 1) > OPINION for used in measured[name]):
+                text = f"{length.text} states a {name} of {length.value:.4g} m, its geometry {measured[name][0]:.4g} m"
+                fix = f"--{name} {length.value:.6g}"
+                findings.append(note(rest, "base-stated", base.shape[0], text, "taken is the geometry", fix))
+    return findings

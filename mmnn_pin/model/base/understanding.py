@@ -89,12 +89,14 @@ from .wheels import (
     coaxial,
     is_endless_end,
     is_low,
+    moving_above,
     one_axle,
     parallel,
     welded_cylinders,
     welded_wheels,
     wheel_candidates,
     wheel_of,
+    written_to_turn,
 )
 
 UPRIGHT = "like bodies turn without end about vertical axes: wheels in a file with y up, or casters"
@@ -344,7 +346,7 @@ def require_sound_wheels(rest: AtRest, candidates: Candidates, overrides: Overri
     turning = wheels or near
     if turning and (names := propellers(rest, [c.joint for c in turning])):
         raise unsupported(rest, PROPELLERS, f"{names} by their names", ())
-    if candidates.limited and (wheels or not machine(rest)):
+    if candidates.limited and (wheels or any(moving_above(rest, c) for c in candidates.limited) or not machine(rest)):
         raise undecided_limits(rest, candidates)
     if near and not wheels and not (rest.is_vertical(near[0].joint) and machine(rest)):
         raise not_on_floor(rest, candidates, overrides.package_dirs)
@@ -415,14 +417,15 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
     moving = [joint for joint in rest.document.joints.values() if joint.moves]
     welded = welded_wheels(rest, floor)
     if welded and (why := steering_named(rest)):
-        raise unsupported(rest, "car-like base", f"{why}, and its wheels are welded on")
+        fix = f"{written_to_turn(rest, welded)}; {PUSHED}; --base fixed parks it"
+        raise unsupported(rest, "base that steers", f"{why}, and its wheels are welded on", (), fix)
     if welded:
         names = ", ".join(f"'{joint.name}'" for joint in welded)
         rolls = BaseReading(
             "holonomic", ("wheels under casters on all sides",), (f"{names} are welded on (fixed joints)",)
         )
         still = BaseReading("fixed", ("no wheel can turn in this file",), ("there are wheels under it",))
-        fix = f"{UNDRIVEN}, or make the wheels' joints continuous"
+        fix = f"{UNDRIVEN}, or {written_to_turn(rest, welded)}"
         raise undecided(rest, [], [rolls, still], f"{len(welded)} wheels are welded on", fix, welded[0].line, names)
     if why := track_named(rest) if not moving else welded_tracks(rest):
         more = "; --base fixed takes it as an arm" if moving else ""
@@ -492,7 +495,7 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     still = BaseReading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
     drives = ",".join(c.joint.name for c in plain(candidates.wheels))
     others = f"name the others with --wheels {drives}, " if drives else ""
-    fix = f'write type="continuous" for wheels, {others}or --base fixed to park them'
+    fix = f'write type="continuous" in {names} for wheels, {others}or --base fixed to park them'
     return undecided(rest, [*candidates.wheels, *candidates.limited], [two, still], why, fix)
 
 
