@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-import steered
+import steerable as steered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

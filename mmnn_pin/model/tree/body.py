@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ...by_address import by_address
-from ...compiled import linked
+from ...compiled import compiled, linked
 from ...signals import Array, IntArray
 from ..base.rolling import Maps, Rolling, new_maps, roll
 from ..dynamics import feels_gravity
@@ -149,12 +149,18 @@ def parameters(robot: Robot) -> Array:
     )
 
 
+@compiled
+def turn_wheels(rolling: Rolling | None, tree: BodyTree, position: Array, nu: Array, work: Work) -> None:
+    """Write the maps of a base that steers at a state where its dynamics read them."""
+    if rolling is not None:
+        roll(rolling, position, nu, work.maps)
+        steer(tree, work.maps.T, work.maps.Tdot, work.scratch)
+
+
 @linked
 def evaluate(body: Body, work: Work, position: Array, nu: Array) -> None:
     """M, `h = C nu + gravity + friction`, friction F and `v = T nu` at a state."""
-    if body.rolling is not None:
-        roll(body.rolling, position, nu, work.maps)
-        steer(body.tree, work.maps.T, work.maps.Tdot, work.scratch)
+    turn_wheels(body.rolling, body.tree, position, nu, work)
     terms(body.tree, position, nu, work.scratch, work.M, work.h)
     spread(work.maps.T, nu, work.v)
     friction(work.maps.T, work.v, nu, body.damping, body.dry, body.viscous, work.F)
