@@ -77,16 +77,13 @@ def steering_named(rest: AtRest) -> str:
     return f"'{hit.string}' among its names" if hit else ""
 
 
-def tracks(rest: AtRest, drives: Sequence[Candidate]) -> str:
-    """The sign that a machine with parallel wheels runs on tracks, empty when there is none."""
+def many_wheels(rest: AtRest, drives: Sequence[Candidate]) -> str:
+    """The sign that a machine with parallel wheels runs on tracks by how many they are, empty when there is none."""
     on_root = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_horizontal(j)]
     alike = sum(abs(rest.axis(on_root[0]) @ rest.axis(j)) > 0.99 for j in on_root) if on_root else 0
     wheels = max(alike, len(drives))
-    if wheels > 2 * MOST_PER_SIDE:
-        return f"{wheels} parallel wheels: more than {MOST_PER_SIDE} per side run in tracks"
-    if hit := track_named(rest):
-        return f"{wheels} parallel wheels, and {hit}"
-    return ""
+    many = wheels > 2 * MOST_PER_SIDE
+    return f"{wheels} parallel wheels: more than {MOST_PER_SIDE} per side run in tracks" if many else ""
 
 
 def track_named(rest: AtRest) -> str:

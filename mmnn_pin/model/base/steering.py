@@ -430,7 +430,8 @@ def axle_of(rest: AtRest, layout: Layout, overrides: Overrides) -> list[Candidat
     why = f"wheels that do not steer stand on several lines: {'; '.join(c.text for c in fixed)}"
     lines = {tuple(o.joint.name for o in fixed if o is c or coaxial(c, o)) for c in fixed}
     kind = Tricycle.kind if len(layout.of("steered")) == 1 else CarLike.kind
-    ways = [f"--base {kind} --wheels {','.join(names)}" for names in sorted(lines) if len(names) > 1]
+    rolling_too = [c.joint.name for m in layout.of("steered") if m.spins for c in m.wheels]
+    ways = [f"--base {kind} --wheels {','.join([*n, *rolling_too])}" for n in sorted(lines) if len(n) > 1]
     fix = f"{', or '.join(ways)} if the others slide or swivel; {STILL}" if ways else STILL
     raise unsupported(rest, "base that steers and skids", why, fixed, fix)
 

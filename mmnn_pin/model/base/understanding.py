@@ -30,17 +30,16 @@ from .evidence import (
     verdict,
 )
 from .machines import (
-    MOST_PER_SIDE,
     PROPELLERS,
     PUSHED,
     SWERVE,
     machine,
+    many_wheels,
     plain,
     propellers,
     refuse_legs,
     steering_named,
     track_named,
-    tracks,
     welded_tracks,
 )
 from .opinions import calibration, second_opinions, unasked
@@ -75,6 +74,7 @@ from .report import (
     weld_notes,
     welded_note,
 )
+from .skid_steer import Tracked
 from .steering import behind_drive, says_steered, steered_base
 from .wheels import (
     COAXIAL,
@@ -449,11 +449,13 @@ def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]
         found = skidding(rest, drives, wheels, overrides)
         return replace(found, findings=(note(rest, "base-evidence", drives[0].joint.name, text), *found.findings))
     pieces = evidence(rest, drives, overrides.controllers_file)
-    if overrides.wheels is None and (why := tracks(rest, drives)):
-        few = len(drives) <= 2 * MOST_PER_SIDE
-        if overrides.base != "skid_steer" or not few:
-            fix = "--base skid_steer if it runs on these wheels, --base fixed takes it as an arm" if few else ""
-            raise unsupported(rest, "tracked machine", why, drives, fix)
+    if (overrides.wheels is None and overrides.base is None) or overrides.base == Tracked.kind:
+        if (why := many_wheels(rest, drives)) or overrides.base == Tracked.kind:
+            return on_belts(rest, drives, wheels, overrides, why)
+        if why := track_named(rest):
+            why = f"{len(drives)} parallel wheels, and {why}"
+            fix = "--base tracked if belts run over them, --base skid_steer if it runs on these wheels"
+            raise unsupported(rest, "tracked machine", why, drives, f"{fix}, --base fixed takes it as an arm")
     meaning = overrides.base if overrides.base in ("holonomic", "skid_steer") else verdict(pieces)
     if meaning is None and (why := steering_named(rest)):
         raise unsupported(rest, "car-like base", why, drives)
@@ -470,6 +472,17 @@ def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]
         return replace(found, findings=(*findings, *along(rest, drives), *found.findings))
     base, assumed = mecanum(rest, drives, wheels, overrides, stated_rollers(cited))
     return BaseResult(base, (*findings, *assumed))
+
+
+def on_belts(
+    rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides, why: str
+) -> BaseResult:
+    """A tracked machine: a skid-steer base on the wheels under its belts."""
+    found = skidding(rest, drives, wheels, overrides, Tracked)
+    text = f"taken as tracked: {why or 'you said so'}"
+    more = "a belt makes the radius larger by its thickness, which is not in the file"
+    belts = note(rest, "base-evidence", drives[0].joint.name, text, more, "--radius with the belt")
+    return replace(found, findings=(belts, *found.findings))
 
 
 def along(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
