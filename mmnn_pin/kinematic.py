@@ -253,7 +253,7 @@ class Kinematic(Settings, frozen=True):
         return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
     def steering_of(self, robot: Structure, period: float) -> Steering | None:
-        """What steers a robot's base, at a control period [s]; None where nothing steers."""
+        """The steering of a robot's base, at a control period [s]; None where nothing steers."""
         base, d = robot.base, robot.dimensions
         if not isinstance(base, SteeredBase):
             return None

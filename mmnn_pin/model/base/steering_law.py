@@ -34,7 +34,7 @@ SWING = 0.05  # share of the wheelbase that a waist moves its axle by; what move
 
 
 class Asked(NamedTuple):
-    """What a wheel is asked for: across and along it, their rates, and the rates of these; [m/s], [m/s^2], [m/s^3]."""
+    """The speeds that a wheel is asked for: across and along it, their rates, and the rates of these; [m/s], [m/s^2], [m/s^3]."""
 
     s: float
     f: float
@@ -143,7 +143,7 @@ def part(asked: Array, i: int, x: float, y: float, w: float) -> float:
 
 @compiled
 def asked_of(rolling: Rolling, k: int, angles: Array, rate: float, asked: Array) -> Asked:
-    """What the wheel of master k is asked for; rate is that of its joint [rad/s]."""
+    """The speeds that the wheel of master k is asked for; rate is that of its joint [rad/s]."""
     p, (c, s, t) = rolling.pivots[k], heading_of(rolling, k, angles)
     turning = p[PIVOT.sign] * rate
     across, along = p[PIVOT.x] * c + p[PIVOT.y] * s + t, p[PIVOT.x] * s - p[PIVOT.y] * c
