@@ -34,7 +34,7 @@ SWING = 0.05  # share of the wheelbase that a waist moves its axle by; what move
 
 
 class Asked(NamedTuple):
-    """The speeds that a wheel is asked for: across and along it, their rates, and the rates of these; [m/s], [m/s^2], [m/s^3]."""
+    """Speeds that a wheel is asked for, across and along it, their rates, and the rates of these [m/s, m/s^2, m/s^3]."""
 
     s: float
     f: float
