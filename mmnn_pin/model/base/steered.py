@@ -6,7 +6,7 @@ pose's law, a velocity of the control frame, goes to the law that steers (`steer
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -77,6 +77,16 @@ class SteeredBase(Base):
     def shape(self) -> tuple[str, ...]:
         """See `Base.shape`."""
         return tuple(pivot.joint for pivot in self.pivots)
+
+    def carriers(self, pose: Sequence[float], angles: Sequence[float]) -> list[Sequence[float]]:
+        """See `Base.carriers`."""
+        places = [pose]
+        for pivot, angle in zip(self.pivots, angles, strict=True):
+            x, y, heading = places[pivot.parent + 1]
+            c, s = cos_sin(heading)
+            at = x + c * pivot.x - s * pivot.y, y + s * pivot.x + c * pivot.y
+            places.append((*at, heading + pivot.sign * angle))
+        return places
 
     def rolling_at(self, places: Mapping[str, int]) -> Rolling:
         """The base as arrays for `rolling.roll`.
