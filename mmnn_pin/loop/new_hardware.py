@@ -111,7 +111,7 @@ def new_hardware(
         ),
         motors=motors,
         world=world_of(loop, gust_rng),
-        E=np.ascontiguousarray(true.E_at(position)),
+        E=np.array(true.E_at(position), order="C"),
         tau=np.zeros(layout.dof),
         state=values,
         split=split,
