@@ -67,7 +67,8 @@ class Steering(NamedTuple):
         maps: Its maps, T for the twist, the pivots and the wheels alone.
         numbers: Of the law that steers.
         motors: Rows of that T of the base's motors.
-        E_inv: (motors, p) motor torques from the torque on nu, at the measured angles.
+        E: (p, motors) torque on nu from motor torques, at the measured angles.
+        E_inv: (motors, p) and back.
         factor: (2, nb, nb) scratch.
         later: (8, 3) scratch: `eta_c`, its rate and the rate of that; then what the law is asked a moment later.
         position: (3 + shape,) scratch: measured angles behind a pose that nobody reads.
@@ -78,6 +79,7 @@ class Steering(NamedTuple):
     maps: Maps
     numbers: SteeringNumbers
     motors: IntArray
+    E: Array
     E_inv: Array
     factor: Array
     later: Array
@@ -103,6 +105,8 @@ def steer(row: Array, at: IntArray, steering: Steering) -> None:
         EE[i, i] += SINGULAR * largest
     for m in range(motors.size):  # E' (E E')^-1: the least torques
         solve(EE, maps.T[motors[m], :nb], L, E_inv[m, :nb])
+        for i in range(nb):
+            steering.E[i, m] = maps.T[motors[m], i]
 
 
 @internal
@@ -233,6 +237,7 @@ class Kinematic(Settings, frozen=True):
             maps=new_maps(rolling, T),
             numbers=SteeringNumbers(self.steering, self.slow, self.align),
             motors=np.array([places[name] for name in driven], np.int64),
+            E=E_inv.T.copy(),
             E_inv=E_inv,
             factor=np.zeros((2, d.base, d.base)),
             later=np.zeros((8, 3)),

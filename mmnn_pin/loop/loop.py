@@ -41,7 +41,7 @@ from .latency import Latency
 from .lead import delays
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
-from .plan import Plan
+from .plan import Plan, limited_by
 from .sampled import delay_margin
 from .servo import Servo
 from .servo_model import linear_servos
@@ -230,13 +230,14 @@ class Loop:
             TrajectoryError: A reference that the base cannot follow.
             UnknownName: A payload on a joint that does not exist.
         """
+        steering = self.kinematic.steering_of(self.robot, self.timing.control_period)
         return Plan(
             robot=self.robot,
             true=self.true,
             layout=self.layout,
             timing=self.timing,
             controller=self.controller,
-            context=self.context(),
+            context=limited_by(self.context(), steering),
             believed=self.believed,
             gains=self.kinematic.base_gains(self.layout),
             K=self.kinematic.arm_gains(self.layout),
@@ -250,7 +251,7 @@ class Loop:
             servo=linear_servos(self.robot, self.interfaces, self.servo, True),
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
-            steering=self.kinematic.steering_of(self.robot, self.timing.control_period),
+            steering=steering,
         )
 
     def require_stable_gains(self) -> None:

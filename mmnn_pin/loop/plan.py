@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..elementary.matrices import pseudo_inverse
 from ..kinematic import Steering
@@ -67,3 +67,10 @@ class Plan:
     def E_inv(self) -> Array:
         """(motors, p) motor torques from the torque on nu; of a base that steers those of the last sample."""
         return pseudo_inverse(self.robot.E) if self.steering is None else self.steering.E_inv
+
+
+def limited_by(context: Context, steering: Steering | None) -> Context:
+    """A context whose limits are those of the motors as they act on nu at every sample."""
+    if steering is None or context.limits is None:
+        return context
+    return replace(context, limits=context.limits._replace(E=steering.E, E_inv=steering.E_inv))
