@@ -31,6 +31,7 @@ JUMP = 0.02  # between two samples that is one, beyond what the rates explain [r
 FOLDED = math.pi / 2  # angle of a hitch without stops beyond which it is folded [rad]
 SPOT = 1e3  # curvature that is none, by the largest
 LARGER, LARGEST = 1.1, 20.0  # sizes that are tried are powers of it, and at most that
+GRID = 101  # curvatures at which their rates are looked at
 FINELY = 2000  # instants at which a reference is looked at that is made to fit
 
 
@@ -191,11 +192,25 @@ def bend_needed(base: SteeredBase, time: Array, twist: Array) -> Needs:
     return Needs(larger, refused=TrajectoryError(what, why=can, fix=fix))
 
 
-def curvatures(base: Base) -> tuple[float, float]:
+def curvatures(base: Base | None) -> tuple[float, float]:
     """Smallest and largest curvature of a reference [1/m]; without bounds where a base turns on the spot."""
     if isinstance(base, SteeredBase) and base.body == STEERED and not base.sideways:
         return bends(base.pivots, OF_STOPS)
     return -math.inf, math.inf
+
+
+def bend_rate(base: Base) -> float:
+    """Rate of the curvature that a reference may have at any curvature [1/(m s)]; inf where nothing bounds it."""
+    least, most = curvatures(base)
+    if not isinstance(base, SteeredBase) or not most - least < math.inf:
+        return math.inf
+    grid = np.linspace(least, most, GRID)
+    twist, change = np.stack([grid**0, 0 * grid, grid], 1), np.stack([0 * grid, 0 * grid, grid**0], 1)
+    steers = [k for k, p in enumerate(base.pivots) if p.role != ROLES[PASSIVE] and p.parent < 0]
+    rates = np.abs(along(base.pivots, grid - grid[0], twist, change).rates)
+    return min(
+        (OF_RATE * base.pivots[k].rate / rates[:, k].max() for k in steers if rates[:, k].any()), default=math.inf
+    )
 
 
 def hitches(base: SteeredBase) -> list[Pivot]:

@@ -64,7 +64,7 @@ def mecanum(arm: int = 2) -> Robot:
     T[:3, :3] = np.linalg.inv(robot.base.to_control)
     T[robot.arm_index, 3 + np.arange(arm)] = 1.0
     still = [i for i in range(3, nv) if i not in robot.arm_index]
-    A = np.eye(nv)[still]
+    stands = {robot.full_velocity_names[i]: 0.0 for i in still}
     E_full = np.eye(nv)[:, [0, 1, 2, *robot.arm_index]]
     return replace(
         robot,
@@ -72,10 +72,9 @@ def mecanum(arm: int = 2) -> Robot:
         dimensions=Dimensions(base=3, arm=arm, full=nv, motors=p, kind="holonomic", sideways=True),
         velocity_names=("vx", "vy", "w", *robot.joint_names),
         actuator_names=("push", "slide", "turn", *robot.joint_names),
-        T=T,
-        A=A,
+        template=T,
         E_full=E_full,
-        E=T.T @ E_full,
+        arm=replace(robot.arm, locked=stands),
         effort_limits=np.full(p, np.inf),
         viscous=np.zeros(p),
     )

@@ -196,6 +196,11 @@ class Base:
         return tuple(wheel.joint for wheel in self.wheels)
 
     @property
+    def joints(self) -> tuple[str, ...]:
+        """Its joints that move, none of them the arm's: those of its wheels, and what they steer or swivel on."""
+        return tuple(wheel.joint for wheel in self.wheels) + self.shape
+
+    @property
     def shape(self) -> tuple[str, ...]:
         """Joints whose angles say how it may move: steering, casters, hitches; none where T is constant."""
         return ()
