@@ -41,7 +41,7 @@ from .latency import Latency
 from .lead import delays
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
-from .plan import Plan, limited_by
+from .plan import Plan
 from .sampled import delay_margin
 from .servo import Servo
 from .servo_model import linear_servos
@@ -230,14 +230,13 @@ class Loop:
             TrajectoryError: A reference that the base cannot follow.
             UnknownName: A payload on a joint that does not exist.
         """
-        steering = self.kinematic.steering_of(self.robot, self.timing.control_period)
         return Plan(
             robot=self.robot,
             true=self.true,
             layout=self.layout,
             timing=self.timing,
             controller=self.controller,
-            context=limited_by(self.context(), steering),
+            context=self.context(),
             believed=self.believed,
             gains=self.kinematic.base_gains(self.layout),
             K=self.kinematic.arm_gains(self.layout),
@@ -251,7 +250,8 @@ class Loop:
             servo=linear_servos(self.robot, self.interfaces, self.servo, True),
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
-            steering=steering,
+            steering=self.kinematic.steering_of(self.robot, self.timing.control_period),
+            hitch=self.kinematic.hitch_of(self.robot, self.robot.rows),
         )
 
     def require_stable_gains(self) -> None:
@@ -340,7 +340,8 @@ class Loop:
         except TypeError:  # a path of arrays has no hash
             rows = sampled_reference.__wrapped__(*arguments)
         times = np.asarray(np.arange(len(rows)) * self.timing.control_period)
-        require_steerable(self.robot.base, times, Setpoint.side_by_side(rows, self.layout))
+        guided = self.kinematic.guide == "trailer"
+        require_steerable(self.robot.base, times, Setpoint.side_by_side(rows, self.layout), guided)
         return rows
 
     def facts(self) -> dict[str, Any]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from ..elementary.matrices import pseudo_inverse
 from ..kinematic import Steering
@@ -40,6 +42,7 @@ class Plan:
         lead: How Psi_hat looks ahead to where the torque acts; None where it does not.
         age: By how much measurements are brought up to now [s].
         steering: Of a base that steers; None for others.
+        hitch: Of the trailer that follows the reference, as of `Kinematic.hitch_of`; (0,) where the base does.
     """
 
     robot: Robot
@@ -62,15 +65,9 @@ class Plan:
     lead: Lead | None = None
     age: float = 0.0
     steering: Steering | None = None
+    hitch: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def E_inv(self) -> Array:
         """(motors, p) motor torques from the torque on nu; of a base that steers those of the last sample."""
         return pseudo_inverse(self.robot.E) if self.steering is None else self.steering.E_inv
-
-
-def limited_by(context: Context, steering: Steering | None) -> Context:
-    """A context whose limits are those of the motors as they act on nu at every sample."""
-    if steering is None or context.limits is None:
-        return context
-    return replace(context, limits=context.limits._replace(E=steering.E, E_inv=steering.E_inv))

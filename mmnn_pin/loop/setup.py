@@ -27,7 +27,7 @@ from .before_run import lags, require_nominal
 from .controller import context_of
 from .latency import Latency
 from .lead import Lead, delays, lead_of, leads
-from .plan import Plan, limited_by
+from .plan import Plan
 from .servo import Servo
 from .servo_model import linear_servos
 from .suited import postures
@@ -268,9 +268,9 @@ def plan_outside(setup: StepperSetup) -> Plan:
     robot, layout, believed = setup.robot, setup.layout, believed_by(setup)
     require_nominal(believed, robot)
     gains, K = setup.kinematic.base_gains(layout), setup.kinematic.arm_gains(layout)
-    steering = setup.kinematic.steering_of(robot, setup.timing.control_period)
-    bounds, context = np.full(layout.dof, np.inf), limited_by(setup.context(), steering)
+    bounds, context = np.full(layout.dof, np.inf), setup.context()
     blocks = setup.timing, setup.controller, context, believed, gains, K, bounds, postures(robot)
+    steering = setup.kinematic.steering_of(robot, setup.timing.control_period)
     plan, servo = Plan(robot, robot, layout, *blocks), linear_servos(robot, setup.interfaces, setup.servo, False)
     return replace(plan, latency=setup.known.total, lag=setup.lag, servo=servo, lead=new_lead(setup), steering=steering)
 

@@ -235,9 +235,8 @@ def nominal_robot(nominal: Nominal, robot: Robot, said: Overrides) -> Robot:
         believed = load_with(nominal.robot, said) if nominal.robot else robot
     except UnknownName as error:
         raise error.but(key="nominal.robot") from None
-    some = robot.rest, robot.rest + 0.3
-    alike = believed.dimensions == robot.dimensions
-    if not alike or not all(np.array_equal(believed.T_at(each), robot.T_at(each)) for each in some):
+    alike = (believed.dimensions.dof, believed.dimensions.base) == (robot.dimensions.dof, robot.dimensions.base)
+    if not alike or believed.base.shape != robot.base.shape or not np.array_equal(believed.template, robot.template):
         raise ConfigError(
             f"{believed.name} does not move as {robot.name}",
             fix="name one with the same base and the same joints",
