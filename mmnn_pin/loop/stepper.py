@@ -285,7 +285,8 @@ class Stepper:
         self.received[:] = supervisor.message  # as it was taken: `bring_up` has moved that of the last sample
         self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
         if self.past.longest > 0.0:
-            bring_up(self.row, self.at, time, supervisor.state.heard[0], self.follower.guide, self.past)
+            heard = supervisor.state.heard[0]
+            bring_up(self.row, self.at, time, heard, self.follower.guide, self.past, self.control.steering)
         self.control.step(time, self.follower.now, before=self.before if self.k >= 0 else None)
         self.before[:] = self.follower.now
         self._command()
@@ -499,7 +500,7 @@ class Stepper:
         if isinstance(self.setup.controller, CompiledController | LearningLaw):
             self.control.step(0.0, self.follower.now)
         has_ended(0.0, supervisor.numbers, supervisor.state)
-        bring_up(self.row, self.at, 0.0, 0.0, self.follower.guide, self.past)
+        bring_up(self.row, self.at, 0.0, 0.0, self.follower.guide, self.past, self.control.steering)
         self.past.times[:] = -math.inf
         self.hardware.state[:], self.control.controls.state[:], self.row[:] = *kept, 0.0
 

@@ -118,6 +118,13 @@ class SteeredBase(Base):
         """
         return along(self.pivots, np.zeros(1), self.eta_of(twist)[None], np.zeros((1, 3))).angles[0]
 
+    def random_angles(self, rng: np.random.Generator) -> Array:
+        """Angles of all pivots within their stops, (K,); those whose wheels must agree stand along one twist [rad]."""
+        found = np.array([rng.uniform(max(p.lower, -np.pi), min(p.upper, np.pi)) for p in self.pivots])
+        if self.sideways and self.body == STEERED:
+            found[self.masters] = self.angles(rng.uniform(-1.0, 1.0, 3))
+        return found
+
     def eta_of(self, twist: Array) -> Array:
         """`(vx, vy, w)` of a twist."""
         eta = np.zeros(3)
