@@ -8,13 +8,19 @@ command is analytic, taken along the error kinematics with the measured velociti
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from .compiled import compiled, internal
+from .by_address import by_address
+from .compiled import compiled, copy_to, internal
 from .elementary import cos_sin
 from .model.base import kind_of, velocity_command
-from .model.base.base import LinearErrors
+from .model.base.rolling import Maps, Rolling, new_maps, roll
+from .model.base.steered import SteeredBase
+from .model.base.steering_law import SteeringNumbers, steered_velocity
+from .model.reduction import solve
+from .model.structure import Structure
 from .parts import view
 from .settings import Settings, one_or_each, require_gains
 from .signals import INDEX, SIDEWAYS, Array, Dimensions, IntArray
@@ -23,7 +29,9 @@ POSE_REF, VELOCITY_REF, ACCELERATION_REF = INDEX["pose_ref"], INDEX["velocity_re
 Q_REF, QDOT_REF, QDDOT_REF = INDEX["q_ref"], INDEX["qdot_ref"], INDEX["qddot_ref"]
 POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
 ALPHA, ALPHADOT, POSE_ERROR, Z = INDEX["alpha"], INDEX["alphadot"], INDEX["pose_error"], INDEX["z"]
-WORLD_ERROR = INDEX["world_error"]
+WORLD_ERROR, SHAPE = INDEX["world_error"], INDEX["shape"]
+MOMENT = 1e-4  # over which the second derivative of a command is taken [s]
+SINGULAR = 1e-12  # share of the largest motor's effect: where none drives, none is asked for infinitely much
 E, EDOT, R, NU_REF, NUDOT_REF = INDEX["e"], INDEX["edot"], INDEX["r"], INDEX["nu_ref"], INDEX["nudot_ref"]
 
 
@@ -50,8 +58,97 @@ def world_error(pose_ref: Array, pose: Array, error: Array) -> None:
     error[2] = wrap(pose_ref[2] - pose[2])
 
 
+@by_address
+class Steering(NamedTuple):
+    """The steering of one robot's base, for the velocity command: its maps at the measured angles, and its law.
+
+    Attributes:
+        rolling: The base, its pivots placed as in `position`.
+        maps: Its maps, T for the twist, the pivots and the wheels alone.
+        numbers: Of the law that steers.
+        motors: Rows of that T of the base's motors.
+        E_inv: (motors, p) motor torques from the torque on nu, at the measured angles.
+        factor: (2, nb, nb) scratch.
+        later: (8, 3) scratch: `eta_c`, its rate and the rate of that; then what the law is asked a moment later.
+        position: (3 + shape,) scratch: measured angles behind a pose that nobody reads.
+        h: Control period [s].
+    """
+
+    rolling: Rolling
+    maps: Maps
+    numbers: SteeringNumbers
+    motors: IntArray
+    E_inv: Array
+    factor: Array
+    later: Array
+    position: Array
+    h: float
+
+
 @internal
-def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
+def steer(row: Array, at: IntArray, steering: Steering) -> None:
+    """The maps of a base at its measured angles and velocity, into `steering`."""
+    maps, nb = steering.maps, steering.factor.shape[1]
+    copy_to(view(row, at, SHAPE), steering.position[3:])
+    roll(steering.rolling, steering.position, view(row, at, VELOCITY), maps)
+    EE, L, motors, E_inv = steering.factor[0], steering.factor[1], steering.motors, steering.E_inv
+    largest = 0.0
+    for i in range(nb):
+        for j in range(nb):
+            EE[i, j] = 0.0
+            for m in range(motors.size):
+                EE[i, j] += maps.T[motors[m], i] * maps.T[motors[m], j]
+        largest = max(largest, EE[i, i])
+    for i in range(nb):
+        EE[i, i] += SINGULAR * largest
+    for m in range(motors.size):  # E' (E E')^-1: the least torques
+        solve(EE, maps.T[motors[m], :nb], L, E_inv[m, :nb])
+
+
+@internal
+def steered(row: Array, at: IntArray, gains: Array, before: Array, steering: Steering) -> None:
+    """Fill alpha and alphadot of a base that steers: the law of its pose, and below it the law that steers.
+
+    The second derivative of what the pose's law asks for is taken a moment later along the motion as asked.
+
+    Args:
+        row: (width,) row of signals with the pose error.
+        at: Offsets of the signals.
+        gains: As of `command`.
+        before: The setpoint of the sample before, side by side.
+        steering: Of the base; its maps are those of this sample.
+    """
+    o, eta, sideways = steering.later, steering.maps.eta, at[SIDEWAYS]
+    v_ref, a_ref, error = view(row, at, VELOCITY_REF), view(row, at, ACCELERATION_REF), view(row, at, POSE_ERROR)
+    twist, c, cd = o[3], o[0], o[1]
+    o[:] = 0.0
+    for i in range(v_ref.size):
+        twist[i] = eta[i if sideways or i == 0 else 2]
+    velocity_command(sideways, error, v_ref, a_ref, twist, gains, c, cd)
+    moved, v_later, a_later, cd_later = o[4], o[5], o[6], o[2]  # o[7]: the command itself, which nobody needs
+    vx, vy, w = v_ref[0], v_ref[1] if sideways else 0.0, v_ref[v_ref.size - 1]
+    (cosine, sine), first = cos_sin(error[2]), at[ACCELERATION_REF] - at[POSE_REF]
+    moved[0] = error[0] + MOMENT * (eta[2] * error[1] - eta[0] + cosine * vx - sine * vy)
+    moved[1] = error[1] + MOMENT * (-eta[2] * error[0] - eta[1] + sine * vx + cosine * vy)
+    moved[2] = error[2] + MOMENT * (w - eta[2])
+    for i in range(v_ref.size):
+        v_later[i] = v_ref[i] + MOMENT * a_ref[i]
+        a_later[i] = a_ref[i] + MOMENT * (a_ref[i] - before[first + i]) / steering.h
+        twist[i] += MOMENT * cd[i]
+    velocity_command(sideways, moved, v_later, a_later, twist, gains, o[7], cd_later)
+    for i in range(v_ref.size):
+        cd_later[i] = (cd_later[i] - cd[i]) / MOMENT
+    if not sideways:
+        for i in range(3):
+            o[i, 2] = o[i, 1]
+            o[i, 1] = 0.0
+    alpha, alphadot = view(row, at, ALPHA), view(row, at, ALPHADOT)
+    nu = view(row, at, VELOCITY)
+    steered_velocity(steering.rolling, steering.position, nu, steering.maps, steering.numbers, o, alpha, alphadot)
+
+
+@internal
+def command(row: Array, at: IntArray, gains: Array, K: Array, before: Array, steering: Steering | None) -> None:
     """Velocity command of one sample: fills alpha ... nudot_ref of the row from its reference and measurement.
 
     Args:
@@ -59,6 +156,8 @@ def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
         at: offsets of the signals (`Layout.offsets`).
         gains: (3,) of the law that fits the base (`Kinematic.base_gains`); unused for a fixed arm.
         K: (n,) gain of the filtered error [1/s].
+        before: The setpoint of the sample before, side by side; only a base that steers asks for it.
+        steering: Of a base that steers, its maps those of this sample; None for others.
     """
     nu_ref, nudot_ref = view(row, at, NU_REF), view(row, at, NUDOT_REF)
     nb, n = at[ALPHA + 1] - at[ALPHA], at[E + 1] - at[E]
@@ -68,8 +167,11 @@ def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
         pose_ref, pose = view(row, at, POSE_REF), view(row, at, POSE)
         body_error(pose_ref, pose, error)
         world_error(pose_ref, pose, view(row, at, WORLD_ERROR))
-        v_ref, a_ref = (view(row, at, VELOCITY_REF), view(row, at, ACCELERATION_REF))
-        velocity_command(at[SIDEWAYS], error, v_ref, a_ref, velocity, gains, alpha, alphadot)
+        if steering is not None:
+            steered(row, at, gains, before, steering)
+        else:
+            v_ref, a_ref = (view(row, at, VELOCITY_REF), view(row, at, ACCELERATION_REF))
+            velocity_command(at[SIDEWAYS], error, v_ref, a_ref, velocity, gains, alpha, alphadot)
         for i in range(nb):
             z[i] = alpha[i] - velocity[i]  # Eqn. 3.6
             nu_ref[i], nudot_ref[i] = alpha[i], alphadot[i]
@@ -90,6 +192,9 @@ class Kinematic(Settings, frozen=True):
         kth: Differential drive: gain of the heading error [1/m].
         K: Gain of the arm's filtered error `r = edot + K e`, one number or one per joint [1/s].
         holonomic: Holonomic base: gains of the errors along x, along y and of the heading [1/s].
+        steering: Base that steers: how fast a wheel turns to its path, K of `steering_law` [1/s].
+        slow: Base that steers: speed of a wheel under which it steers less, so that it coasts at rest [m/s].
+        align: Base that steers: whether it waits for wheels that do not stand along their paths.
 
     Raises:
         ConfigError: A gain is negative or not finite.
@@ -100,18 +205,40 @@ class Kinematic(Settings, frozen=True):
     kth: float = 16.0
     K: float | tuple[float, ...] = 7.0
     holonomic: tuple[float, float, float] = (5.0, 5.0, 5.0)
+    steering: float = 6.0
+    slow: float = 0.03
+    align: bool = False
 
     def __post_init__(self) -> None:
         require_gains(self, "kinematic")
 
     def base_gains(self, layout: Dimensions) -> Array:
-        """Gains of the law of a robot's base, (3,); zeros for a fixed arm, which has none."""
+        """Gains of the law of a robot's base, (3,), and of the law that steers; zeros for a fixed arm, without one."""
         names = kind_of(layout).gain_names
         return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
-    def linear_errors(self, layout: Dimensions, v_ref: Array) -> LinearErrors:
-        """The pose error under the law for small errors at a reference velocity (nb,), see `Base.linear_errors`."""
-        return kind_of(layout).linear_errors(v_ref, self.base_gains(layout))
+    def steering_of(self, robot: Structure, period: float) -> Steering | None:
+        """What steers a robot's base, at a control period [s]; None where nothing steers."""
+        base, d = robot.base, robot.dimensions
+        if not isinstance(base, SteeredBase):
+            return None
+        names = [*base.shape, *(wheel.joint for wheel in base.wheels)]
+        places = {name: 3 + i for i, name in enumerate(names)}
+        rolling = base.rolling_at(places)
+        T, driven = np.zeros((3 + len(names), d.base)), robot.actuator_names[: d.motors - d.arm]
+        E_inv = np.zeros((d.motors, d.dof))
+        E_inv[d.motors - d.arm :, d.base :] = np.eye(d.arm)
+        return Steering(
+            rolling=rolling,
+            maps=new_maps(rolling, T),
+            numbers=SteeringNumbers(self.steering, self.slow, self.align),
+            motors=np.array([places[name] for name in driven], np.int64),
+            E_inv=E_inv,
+            factor=np.zeros((2, d.base, d.base)),
+            later=np.zeros((8, 3)),
+            position=np.zeros(3 + d.shape),
+            h=float(period),
+        )
 
     def pose_weights(self, layout: Dimensions) -> Array | None:
         """Weights of the squares of the errors of a base's velocities in its pose error, (base,); None for all alike.

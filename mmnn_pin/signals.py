@@ -4,14 +4,15 @@ A row holds every signal of one control sample. The compiled blocks read and wri
 the rows one after the other. `Layout` says what stands where; `Setpoint`, `Measurement` and
 `VelocityCommand` are views for people, refreshed in place at every sample (copy what you want to keep).
 
-Notation: `nb` base velocities (2 for a differential drive `(v, w)`, 3 for a holonomic base `(vx, vy, w)`, 0 for a
-fixed arm), `n` arm joints, `p = nb + n`, `nv` velocities of the full Pinocchio model. Poses are those of the
-base's control frame in the world, `(x, y, phi)` with phi unwrapped; base velocities are in the control frame.
+Notation: a *twist* is the velocity of the base's control frame in its own axes, `(v, w)`, or `(vx, vy, w)` where it
+moves sideways. There are `nb` base velocities: the twist, or `[u; steering rates]` of a base that steers, 0 for a fixed
+arm; `n` arm joints, `p = nb + n`, `nv` velocities of the full Pinocchio model. Poses are those of the control frame in
+the world, `(x, y, phi)` with phi unwrapped.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import ClassVar, Self
 
@@ -22,17 +23,18 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 # The signals of a row in the order in which a sample computes them: (name, size, unit of base part, unit of arm part).
-# Sizes: "pose" 3 or 0, "base" nb, "arm" n, "all" p, "full" coordinates of all joints, "motor" actuators, or a number;
-# on the contact plant "wheel" drive wheels and "floor" 1 with wheels, else 0; those that begin with "rig" where motors,
-# disturbances or a supervisor are simulated, else 0; "lead all" p where Psi_hat leads, else 0; "hand" 7 for
-# every frame that the reference takes along a path: position and quaternion, `HAND`.
+# Sizes: "pose" 3 or 0, "twist" 3, 2 or 0, "base" nb, "arm" n, "all" p, "shape" pivots of a base that steers, else 0,
+# "full" coordinates of all joints, "motor" actuators, or a number; on the contact plant "wheel" drive wheels and
+# "floor" 1 with wheels, else 0; those that begin with "rig" where motors, disturbances or a supervisor are simulated,
+# else 0; "lead all" p where Psi_hat leads, else 0; "hand" 7 for every frame that the reference takes along a path:
+# position and quaternion, `HAND`.
 SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("time", "1", "s", ""),
     ("position", "full", "m, rad", "rad or m"),
     ("nu", "all", "m/s, rad/s", "rad/s or m/s"),
     ("pose_ref", "pose", "m, m, rad", ""),
-    ("velocity_ref", "base", "m/s, rad/s", ""),
-    ("acceleration_ref", "base", "m/s^2, rad/s^2", ""),
+    ("velocity_ref", "twist", "m/s, rad/s", ""),
+    ("acceleration_ref", "twist", "m/s^2, rad/s^2", ""),
     ("q_ref", "arm", "", "rad or m"),
     ("qdot_ref", "arm", "", "rad/s or m/s"),
     ("qddot_ref", "arm", "", "rad/s^2 or m/s^2"),
@@ -40,6 +42,7 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("velocity", "base", "m/s, rad/s", ""),
     ("q", "arm", "", "rad or m"),
     ("qdot", "arm", "", "rad/s or m/s"),
+    ("shape", "shape", "rad", ""),
     ("alpha", "base", "m/s, rad/s", ""),
     ("alphadot", "base", "m/s^2, rad/s^2", ""),
     ("pose_error", "pose", "m, m, rad", ""),
@@ -138,12 +141,13 @@ class Layout(Dimensions):
     def of(cls, dimensions: Dimensions, wheels: int = 0, hardware: int = 0, lead: int = 0, hands: int = 0) -> Layout:
         """Layout of the rows of a robot with these dimensions."""
         d = dimensions
-        return cls(d.base, d.arm, d.full, d.motors, d.kind, d.sideways, wheels, hardware, lead, hands)
+        return cls(d.base, d.arm, d.full, d.motors, d.kind, d.sideways, d.shape, wheels, hardware, lead, hands)
 
     @cached_property
     def offsets(self) -> NDArray[np.int64]:
         """Start of every signal in the order of `SIGNALS`, width of the row, and `sideways`: (len(SIGNALS) + 2,)."""
         size = {"pose": self.pose, "base": self.base, "arm": self.arm, "all": self.dof, "full": self.full}
+        size |= {"twist": self.twist, "shape": self.shape}
         size |= {"motor": self.motors, "wheel": self.wheels, "floor": min(1, self.wheels), "1": 1, "2": 2}
         size |= {"rig": self.hardware, "rig motor": self.hardware * self.motors, "rig all": self.hardware * self.dof}
         size |= {"lead all": self.lead * self.dof, "hand": len(HAND) * self.hands}
@@ -194,8 +198,8 @@ class Setpoint(View):
 
     Attributes:
         pose: (3,) pose of the control frame in the world [m, m, rad]; (0,) for a fixed arm.
-        velocity: (nb,) base velocity in the reference's own frame [m/s, rad/s].
-        acceleration: (nb,) its time derivative [m/s^2, rad/s^2].
+        velocity: (2,) or (3,) twist in the reference's own frame [m/s, rad/s].
+        acceleration: (likewise) its time derivative [m/s^2, rad/s^2].
         q: (n,) arm joints [rad or m].
         qdot: (n,) their rates [rad/s or m/s].
         qddot: (n,) their accelerations [rad/s^2 or m/s^2].
@@ -216,9 +220,9 @@ class Setpoint(View):
 
     @classmethod
     def side_by_side(cls, values: Array, dimensions: Dimensions) -> Setpoint:
-        """Views into its six arrays side by side, (..., 3 + 2 nb + 3 n): a row, or the rows of a table."""
+        """Views into its six arrays side by side, (..., 3 + 2 twist + 3 n): a row, or the rows of a table."""
         d, parts, end = dimensions, [], 0
-        for size in (d.pose, d.base, d.base, d.arm, d.arm, d.arm):
+        for size in (d.pose, d.twist, d.twist, d.arm, d.arm, d.arm):
             parts.append(values[..., end : end + size])
             end += size
         return cls(*parts)
@@ -230,9 +234,10 @@ class Measurement(View):
 
     Attributes:
         pose: (3,) pose of the control frame in the world, phi unwrapped [m, m, rad].
-        velocity: (nb,) base velocity in the control frame [m/s, rad/s].
+        velocity: (nb,) base velocity [m/s, rad/s].
         q: (n,) arm joints [rad or m].
         qdot: (n,) their rates [rad/s or m/s].
+        shape: (pivots,) angles of steering, casters and hitches of a base that steers [rad]; else (0,).
 
     >>> seen = Measurement(pose=np.zeros(3), velocity=np.zeros(2), q=np.array([0.1, 0.2]), qdot=np.zeros(2))
     >>> seen.q[1]
@@ -243,6 +248,7 @@ class Measurement(View):
     velocity: Array
     q: Array
     qdot: Array
+    shape: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -288,12 +288,13 @@ def test_documents_name_modules_and_commands_that_exist() -> None:
 
 # -- where the robots are found ---------------------------------------------------------------------------------------
 
+ROBOTS = sorted(file.name for file in (ROOT / "urdf").glob("*.urdf"))
 FIND = "import mmnn_pin; from mmnn_pin.model import bundled; print(mmnn_pin.__file__, *bundled().values(), sep='\\n')"
 
 
 def test_robots_are_found_from_another_folder(tmp_path: Path) -> None:
     _, *robots = python("-c", FIND, cwd=tmp_path).split()
-    assert [Path(robot).name for robot in robots] == ["platform_arm.urdf", "two_axis_arm.urdf"]
+    assert [Path(robot).name for robot in robots] == ROBOTS
     assert all(Path(robot).is_file() for robot in robots)
 
 
@@ -306,7 +307,7 @@ def test_a_wheel_brings_robots_experiments_and_types(tmp_path: Path) -> None:
     site = tmp_path / "site"
     here, *robots = python("-c", FIND, cwd=tmp_path, PYTHONPATH=str(site)).split()
     assert Path(here).is_relative_to(site)
-    assert [Path(robot).name for robot in robots] == ["platform_arm.urdf", "two_axis_arm.urdf"]
+    assert [Path(robot).name for robot in robots] == ROBOTS
     assert all(Path(robot).is_relative_to(site) for robot in robots)
     assert (site / "mmnn_pin/py.typed").exists() and (site / "mmnn_pin/lab/experiments/chapter4.toml").exists()
     assert not (site / "tests").exists()

@@ -67,8 +67,9 @@ def understanding(function: F) -> F:
     @functools.wraps(function)
     def gathered(*args: Any, **kwargs: Any) -> Any:
         given = {name: kwargs.pop(name) for name in OVERRIDES}
-        if given["wheels"] is not None:
-            given["wheels"] = tuple(name.strip() for name in given["wheels"].split(","))
+        for key in LISTED:
+            if given[key] is not None:
+                given[key] = tuple(name.strip() for name in given[key].split(","))
         kept = {name: value for name, value in given.items() if not (value is None or value is False or value == ())}
         return function(*args, overrides=kept, **kwargs)
 
@@ -198,13 +199,33 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.  [default: runs/STUDY]"),
 )
 OVERRIDES = (
-    "base", "wheels", "radius", "wheel_radii", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro",
-    "without", "controllers_file", "mu", "strict",
-)  # fmt: skip
+    "base",
+    "wheels",
+    "radius",
+    "wheel_radii",
+    "track",
+    "roller",
+    "lock",
+    "free",
+    "arm_tip",
+    "package_dirs",
+    "xacro",
+    "without",
+    "controllers_file",
+    "mu",
+    "steer",
+    "hitch",
+    "wheelbase",
+    "steering_limit",
+    "strict",
+)
+LISTED = ("wheels", "steer", "hitch")  # joints, separated by commas  # fmt: skip
 OPTION_OF = {"package_dirs": "package_dir", "controllers_file": "controllers"}  # where the option has another name
 ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option(
-        "--base", metavar="KIND", help="What the base is: differential_drive, skid_steer, holonomic or fixed."
+        "--base",
+        metavar="KIND",
+        help="What the base is: differential_drive, skid_steer, holonomic, car_like, tricycle, swerve, ... or fixed.",
     ),
     click.option("--wheels", metavar="LEFT,RIGHT", help="Joints of the drive wheels, separated by commas."),
     click.option("--radius", type=float, metavar="M", help="Radius of the drive wheels."),
@@ -231,6 +252,10 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option(
         "--mu", type=float, metavar="MU", help="Friction under the wheels of a skid-steer base.  [default: 1]"
     ),
+    click.option("--steer", metavar="JOINT,...", help="Joints that steer, separated by commas."),
+    click.option("--hitch", metavar="JOINT,...", help="Joints on which trailers follow, separated by commas."),
+    click.option("--wheelbase", type=float, metavar="M", help="Distance of the wheels that steer from the fixed axle."),
+    click.option("--steering-limit", type=float, metavar="RAD", help="Largest angle of what steers, to either side."),
     click.option("--strict", is_flag=True, help="Refuse impossible inertias and implausible sizes."),
 )
 
@@ -252,7 +277,7 @@ def run_command(robot: str, overrides: Mapping[str, Any], *controllers: str, **s
     words = ["mmnn", "run", "track", "--robot", robot]
     for name, value in overrides.items():
         option = "--" + OPTION_OF.get(name, name).replace("_", "-")
-        if name == "wheels":
+        if name in LISTED:
             words += [option, ",".join(value)]
         elif value is True:
             words += [option]

@@ -38,8 +38,13 @@ class Start(Settings, frozen=True):
             if not np.all(np.isfinite(getattr(self, name))):
                 raise ConfigError(f"{getattr(self, name)} is not finite", fix="use finite numbers", key=f"start.{name}")
 
-    def state(self, robot: Robot, first: Array) -> tuple[Array, Array]:
+    def state(self, robot: Robot, first: Array, twist: Array | None = None) -> tuple[Array, Array]:
         """Position (nv,) and nu (p,) for the first setpoint, its six arrays side by side.
+
+        Args:
+            robot: The robot; wheels that steer stand along their path.
+            first: The setpoint.
+            twist: With which it is going to move, where it stands; None for the setpoint's own.
 
         Raises:
             ConfigError: Neither one joint offset nor as many as arm joints.
@@ -54,8 +59,10 @@ class Start(Settings, frozen=True):
             c, s = cos_sin(phi)
             position[:3] = x + c * dx - s * dy, y + s * dx + c * dy, phi + dphi
         position[robot.arm_index] = setpoint.q + joint_offset
+        robot.steered_along(position, setpoint.velocity if twist is None else twist)
         if self.moving:
-            nu[: layout.base], nu[layout.base :] = setpoint.velocity, setpoint.qdot
+            nu[: layout.base] = robot.base_velocity(position, setpoint.velocity)
+            nu[layout.base :] = setpoint.qdot
         return robot.follow(position), nu
 
 
@@ -83,13 +90,14 @@ class Bounds(Settings, frozen=True):
 
 def viscous_friction(robot: Robot) -> Array:
     """Viscous friction of a robot's joints and base on nu, (p, p); Coulomb friction has none once it slides."""
-    return product(robot.T.T, robot.damping[:, None] * robot.T) + np.diag(robot.viscous)
+    T = robot.T_at(robot.rest)
+    return product(T.T, robot.damping[:, None] * T) + np.diag(robot.viscous)
 
 
 def lags(robot: Robot, lag: Numbers) -> Array:
     """Time constants of the motors, seen from the velocities (p,); the longest of those that move one [s]."""
     motors = one_or_each(lag, robot.dimensions.motors, "motor", "lag", 0.0)
-    return np.array([motors[np.abs(row) > 0].max(initial=0.0) for row in robot.E])
+    return np.array([motors[np.abs(row) > 0].max(initial=0.0) for row in robot.E_at(robot.rest)])
 
 
 def require_nominal(nominal: Robot, robot: Robot) -> None:

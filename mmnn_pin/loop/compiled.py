@@ -18,6 +18,7 @@ from ..by_address import by_address
 from ..compiled import compiled, copy_to, internal
 from ..disturbance import block
 from ..errors import ConfigError
+from ..kinematic import Steering
 from ..model.reduction import quadratic
 from ..model.robot import Robot
 from ..model.tree.body import Body, body_of, energy_of, evaluate
@@ -30,7 +31,7 @@ from ..sensing import exact
 from ..signals import INDEX, Array, IntArray
 from ..torque.controller import ControllerState
 from ..torque.law import Ahead, MotorLimits
-from .hardware import Hardware, World, act, load_at, note, rotate, sense, shift_energy
+from .hardware import Hardware, World, act, load_at, note, rotate, sense, shift_energy, turn_motors
 from .machine import Machine, new_machine
 from .plan import Plan
 from .sample import Control, Controls, after_torque, sample
@@ -133,6 +134,7 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
     ahead: Ahead | None,
     later: Any,
     split: Split | None,
+    steering: Steering | None,
 ) -> int:
     """Control samples first ... last - 1 into the rows; -1, the column of the row that went bad, or `TRIPPED`.
 
@@ -148,6 +150,7 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
         ahead: Likewise.
         later: Likewise.
         split: Likewise.
+        steering: Likewise.
     """
     n, row, at, setpoints = run.numbers, run.controls.row, run.controls.at, run.controls.setpoints
     for k in range(first, last):
@@ -161,7 +164,7 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
             measure(k * n.steps // n.per_measurement, time, run, true, hardware)
         sample(
             k, time, setpoints[k], setpoints[max(k - 1, 0)], run.controls, model, hardware, learner, limits, ahead,
-            later, split, None,
+            later, split, steering, None,
         )  # fmt: skip
         bad = observe(run, body, true, energy)
         if bad >= 0:
@@ -189,14 +192,15 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
 def measure(number: int, time: float, run: CompiledRun, true: Machine, hardware: Hardware | None) -> None:
     """The measurement of this number at a time [s], into the row."""
     if hardware is not None:
-        sense(number, time, run.controls.row, run.controls.at, true.position, true.nu, true.body.arm, hardware)
+        sense(number, time, run.controls.row, run.controls.at, true.position, true.nu, true.body.places, hardware)
     else:
-        exact(run.controls.row, run.controls.at, true.position, true.nu, true.body.arm)
+        exact(run.controls.row, run.controls.at, true.position, true.nu, true.body.places)
 
 
 @internal
 def drive(k: int, time: float, run: CompiledRun, true: Machine, hardware: Hardware) -> None:
     """Motors, pushes and blocked joints of sample k over the step at a time [s]: `hardware.tau`, `work.hold`."""
+    turn_motors(hardware, true.work.maps)
     rotate(true.nu, hardware.E, hardware.motors.wire.joint)
     act(k, time, run.controls.row, run.controls.at, hardware)
     block(time, hardware.world.blocked, true.work.hold)
@@ -219,7 +223,7 @@ def observe(run: CompiledRun, body: Body, true: Machine, energy: float) -> int:
     evaluate(body, work, true.position, true.nu)
     psi_of(body, work, true.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), psi)
     potential = potential_energy(body.tree, true.position, work.scratch) if body.feels_gravity else 0.0
-    return after_torque(row, at, true.y, body.arm, work.M, run.E_inv, potential, energy, run.bounds)
+    return after_torque(row, at, true.y, body.places, work.M, run.E_inv, potential, energy, run.bounds)
 
 
 @internal

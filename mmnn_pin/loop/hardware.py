@@ -23,6 +23,7 @@ from ..actuator import Motors, MotorState
 from ..by_address import by_address
 from ..compiled import compiled, copy_to, entry, internal, linked
 from ..disturbance import Forces
+from ..model.base.rolling import Maps
 from ..safety import Supervisor, SupervisorState
 from ..sensing import Sensors, exact
 from ..sensing.effects import COUNT, RECEIVED, Reading
@@ -30,7 +31,7 @@ from ..signals import EARLY, INDEX, Array, IntArray
 from .servo import Split
 
 APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
-TORQUE, PSI_HAT, POSE, QDOT = INDEX["torque"], INDEX["psi_hat"], INDEX["pose"], INDEX["qdot"]
+TORQUE, PSI_HAT, POSE, SHAPE = INDEX["torque"], INDEX["psi_hat"], INDEX["pose"], INDEX["shape"]
 PSI_APPLIED, NUDOT_REF = INDEX["psi_applied"], INDEX["nudot_ref"]
 ARRIVES, IS_LOST, IS_BROKEN = 0.0, 1.0, 2.0  # what becomes of a command
 
@@ -183,6 +184,7 @@ class Hardware(NamedTuple):
         state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent, commands
             under way, servo rows and their servos.
         split: The rows that take a velocity; None where all take effort.
+        turning: (motors,) rows of T of the motors' joints where T changes; (0,) elsewhere.
     """
 
     exact: bool
@@ -194,6 +196,7 @@ class Hardware(NamedTuple):
     tau: Array
     state: Array
     split: Split | None
+    turning: IntArray
 
 
 def pass_through(effects: tuple[Any, ...], wire: Any, k: int, time: float) -> None:
@@ -225,7 +228,7 @@ def first_and_others(effects: Any, wire: Any, k: int, time: float) -> Any:
 
 @linked
 def sense(
-    number: int, time: float, row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray, hardware: Hardware
+    number: int, time: float, row: Array, at: IntArray, position: Array, nu: Array, places: IntArray, hardware: Hardware
 ) -> None:
     """Take the measurement of this number into the row.
 
@@ -236,19 +239,19 @@ def sense(
         at: Offsets of the signals.
         position: (nv,) true position.
         nu: (p,) true velocity.
-        arm: (n,) places of the arm joints in the position.
+        places: (n + shape,) of the arm joints in the position, then of the pivots.
         hardware: The hardware model.
     """
     is_new, measured = True, time
     if hardware.exact:
-        exact(row, at, position, nu, arm)
+        exact(row, at, position, nu, places)
     else:
         wire = hardware.sensors.wire
         copy_to(position, wire.position)
         copy_to(nu, wire.nu)
         before = wire.clock[RECEIVED] if wire.clock[COUNT] > 0.0 else -1.0
         pass_through(hardware.sensors.effects, wire, number, time)
-        copy_to(wire.received, row[at[POSE] : at[QDOT + 1]])
+        copy_to(wire.received, row[at[POSE] : at[SHAPE + 1]])
         is_new = wire.clock[RECEIVED] != before
         measured = wire.clock[RECEIVED] * hardware.sensors.period
     supervisor = hardware.way.supervisor
@@ -319,6 +322,15 @@ def rotate(nu: Array, E: Array, speeds: Array) -> None:
         speeds[j] = 0.0
         for i in range(nu.size):
             speeds[j] += E[i, j] * nu[i]
+
+
+@compiled
+def turn_motors(hardware: Hardware, maps: Maps) -> None:
+    """What the motors of a base that steers do on nu where it stands, from its maps there: E."""
+    E, rows = hardware.E, hardware.turning
+    for j in range(rows.size):
+        for i in range(E.shape[0]):
+            E[i, j] = maps.T[rows[j], i]
 
 
 @linked

@@ -26,11 +26,12 @@ from ..plant.contact.feet import Contact
 from ..recording.recorder import Recorder
 from ..recording.recording import Outcome, Recording
 from ..reference import Trajectory
+from ..reference.steerable import require_steerable
 from ..safety import Safety
 from ..sensing import Sensor
 from ..settings import Timing, given_array, plain
 from ..settings.arguments import checked, require_types
-from ..signals import Array, Dimensions, Layout
+from ..signals import Array, Dimensions, Layout, Setpoint
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from .before_run import Bounds, Start, lags, require_first, require_nominal, require_seed, samples_between
 from .compiled import CompiledLoop
@@ -48,6 +49,7 @@ from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals,
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited, timing_for
 
+STILL = 1e-3  # slower than this a reference does not tell where wheels should stand [m/s, rad/s]
 BLOCK = 250  # most samples that an engine hands over at a time
 PLANTS = ("ideal", "contact")
 
@@ -202,10 +204,16 @@ class Loop:
         require_first(self.timing, first)
         require_nominal(self.believed, self.robot)
         plan, state = self.plan(), self.state_from(state)
-        dims, first_setpoint = self.robot.dimensions, plan.setpoints[first]
-        position, nu = self.start.state(self.robot, first_setpoint) if plant_state is None else plant_state
+        dims = self.robot.dimensions
+        position, nu = self.start.state(self.robot, *moving(plan, first)) if plant_state is None else plant_state
         position, nu = given_array("plant_state", position, (dims.full,)), given_array("plant_state", nu, (dims.dof,))
-        arguments = (plan, position, nu, state, new_hardware(self, nu, state, hardware_state))
+        arguments = (
+            plan,
+            position,
+            nu,
+            state,
+            new_hardware(self, (position, nu), state, hardware_state, plan.steering),
+        )
         if self.engine == "compiled":
             require_compilable(self)
             return CompiledLoop(*arguments)
@@ -242,6 +250,7 @@ class Loop:
             servo=linear_servos(self.robot, self.interfaces, self.servo, True),
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
+            steering=self.kinematic.steering_of(self.robot, self.timing.control_period),
         )
 
     def require_stable_gains(self) -> None:
@@ -326,9 +335,12 @@ class Loop:
         """
         arguments = (self.trajectory, self.timing.samples, self.timing.control_period, self.layout)
         try:
-            return sampled_reference(*arguments).copy()
+            rows = sampled_reference(*arguments).copy()
         except TypeError:  # a path of arrays has no hash
-            return sampled_reference.__wrapped__(*arguments)
+            rows = sampled_reference.__wrapped__(*arguments)
+        times = np.asarray(np.arange(len(rows)) * self.timing.control_period)
+        require_steerable(self.robot.base, times, Setpoint.side_by_side(rows, self.layout))
+        return rows
 
     def facts(self) -> dict[str, Any]:
         """Facts of this run for its recording."""
@@ -378,6 +390,13 @@ class Loop:
             sink = Watching(sink, self.trajectory.watched.writer(self.robot, self.layout))
         outcome = to_the_end(self, self.samples_between_weights, engine, sink, first, progress, cancelled)
         return with_remarks(outcome, engine, self.robot)
+
+
+def moving(plan: Plan, first: int) -> tuple[Array, Array]:
+    """The setpoint of a sample, and the twist with which the reference begins to move from there, 0 where it stands."""
+    twists = Setpoint.side_by_side(plan.setpoints[first:], plan.layout).velocity
+    moves = np.flatnonzero(np.abs(twists).max(axis=1, initial=0.0) > STILL)
+    return plan.setpoints[first], twists[moves[0]] if moves.size else np.zeros(twists.shape[1])
 
 
 def require_compilable(loop: Loop) -> None:

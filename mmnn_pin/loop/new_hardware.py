@@ -12,6 +12,7 @@ from .. import disturbance, safety
 from ..disturbance import Forces
 from ..elementary.matrices import inverse, product, pseudo_inverse, svd
 from ..errors import ConfigError
+from ..kinematic import Steering
 from ..model.tree.twin import Twin
 from ..safety import Supervisor
 from ..sensing import FrozenEncoders, Sensor
@@ -32,21 +33,27 @@ STOP_BANDWIDTH = 20.0  # of a stop under a controller whose gains are not known 
 
 
 def new_hardware(
-    loop: Setup, nu: Array, state: ControllerState | object, given: Array | None = None
+    loop: Setup,
+    at: tuple[Array, Array],
+    state: ControllerState | object,
+    given: Array | None = None,
+    steering: Steering | None = None,
 ) -> Hardware | None:
     """The hardware model of a loop; None where there is nothing but an ideal robot.
 
     Args:
         loop: The closed loop.
-        nu: (p,) where it starts from.
+        at: Position (nv,) and velocity nu (p,) where it starts from.
         state: The controller's state.
         given: The hardware's state to start from, copied; None for a new one.
+        steering: Of a base that steers, the one of the loop's plan; None for others.
 
     Raises:
         ConfigError: Settings that do not fit the robot; a state of wrong shape or not finite.
         UnknownName: A joint that does not exist.
     """
     robot, true, layout = loop.robot, loop.true, loop.layout
+    position, nu = at
     timing, events = loop.timing, loop.disturbances
     if not layout.hardware and given is None and loop.sensor == Sensor():
         return None  # nothing to judge
@@ -57,7 +64,7 @@ def new_hardware(
     sensor = late(loop)
     is_exact = sensor.exact and not (faults.any() or len(frozen) or len(geared))
     at_start = np.zeros((layout.motors, motor.STATES))
-    motor.motor_state(at_start).rotor_speed[:] = product(true.E.T, nu)
+    motor.motor_state(at_start).rotor_speed[:] = product(true.E_at(position).T, nu)
     sensed = sensor.init(robot, faults)
     kinds, on = interfaces_of(robot, loop.interfaces)
     under_way = np.zeros((loop.latency.slots(timing), layout.motors))
@@ -96,7 +103,7 @@ def new_hardware(
             line=SentTorque(np.zeros(layout.dof), np.zeros(1)),
             lines=(CommandLine(disturbance.commands(events, timing), sent),),
             supervisor=supervisor_of(loop, state, guard),
-            E_inv=pseudo_inverse(robot.E),
+            E_inv=pseudo_inverse(robot.E) if steering is None else steering.E_inv,
             totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
             sent=sent,
             shorted=motors.wire.shorted,
@@ -104,10 +111,11 @@ def new_hardware(
         ),
         motors=motors,
         world=world_of(loop, gust_rng),
-        E=np.ascontiguousarray(true.E),
+        E=np.ascontiguousarray(true.E_at(position)),
         tau=np.zeros(layout.dof),
         state=values,
         split=split,
+        turning=np.array([true.rows[name] for name in true.actuator_names] if true.steers else [], np.int64),
     )
 
 

@@ -18,7 +18,7 @@ from ..plant.ideal import IdealPlant
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
 from ..signals import Array
-from .hardware import Hardware, act, load_at, note, sense, shift_energy
+from .hardware import Hardware, act, load_at, note, sense, shift_energy, turn_motors
 from .plan import Plan
 from .sample import Control, after_torque
 
@@ -62,7 +62,7 @@ class OrdinaryLoop:
         self.plant.start(position, nu)
         self.y = self.plant.y
         self.control = Control(plan, self.row, state, hardware)
-        self.arm, self.E_inv, self.start_energy = plan.robot.arm_index, plan.E_inv, self.energy()
+        self.places, self.E_inv, self.start_energy = plan.robot.measured_index, plan.E_inv, self.energy()
         names = ("torque", "nu_ref", "nudot_ref", "psi")
         self.tau, self.nu_ref, self.nudot_ref, self.psi = (self.row[layout.where(name)] for name in names)
 
@@ -101,10 +101,10 @@ class OrdinaryLoop:
         if rest:
             return
         if self.hardware is None:
-            exact(self.row, self.at, self.plant.position, self.plant.nu, self.arm)
+            exact(self.row, self.at, self.plant.position, self.plant.nu, self.places)
         else:
             time = number * self.plan.timing.measurement_period
-            sense(number, time, self.row, self.at, self.plant.position, self.plant.nu, self.arm, self.hardware)
+            sense(number, time, self.row, self.at, self.plant.position, self.plant.nu, self.places, self.hardware)
 
     def observe(self) -> int:
         """Write into the row the signals of a sample that only a simulation knows; -1, or the column that went bad."""
@@ -113,7 +113,7 @@ class OrdinaryLoop:
         dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)
         start = self.start_energy if self.hardware is None else self.start_energy + self.hardware.world.shift[0]
         potential, bounds = dynamics.potential(), self.plan.bounds
-        return after_torque(self.row, self.at, plant.y, self.arm, dynamics.M, self.E_inv, potential, start, bounds)
+        return after_torque(self.row, self.at, plant.y, self.places, dynamics.M, self.E_inv, potential, start, bounds)
 
     def move(self, k: int) -> None:
         """Motors and plant over the control period of sample k; the sensors go on measuring."""
@@ -131,6 +131,7 @@ class OrdinaryLoop:
     def act(self, k: int, time: float, hardware: Hardware) -> None:
         """One step of the plant with imperfect motors, pushes and blocked joints."""
         plant, world = self.plant, hardware.world
+        turn_motors(hardware, plant.dynamics.maps)
         plant.motor_speeds(hardware.motors.wire.joint)
         act(k, time, self.row, self.at, hardware)
         block(time, world.blocked, plant.hold)
@@ -156,7 +157,7 @@ class OrdinaryLoop:
         """Ask the controller at some samples without moving, and without a supervisor: what fails, fails now."""
         self.control.equip(None)
         for k in range(samples):
-            exact(self.row, self.at, self.plant.position, self.plant.nu, self.arm)
+            exact(self.row, self.at, self.plant.position, self.plant.nu, self.places)
             self.control.step(k * self.plan.timing.control_period, self.plan.setpoints[k])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..elementary.matrices import pseudo_inverse
+from ..kinematic import Steering
 from ..model.robot import Robot
 from ..plant.contact.feet import Contact
 from ..settings import Timing
@@ -38,6 +39,7 @@ class Plan:
         servo: What the servos of velocity interfaces amount to, for the same; None without any.
         lead: How Psi_hat looks ahead to where the torque acts; None where it does not.
         age: By how much measurements are brought up to now [s].
+        steering: Of a base that steers; None for others.
     """
 
     robot: Robot
@@ -59,8 +61,9 @@ class Plan:
     servo: LinearServos | None = None
     lead: Lead | None = None
     age: float = 0.0
+    steering: Steering | None = None
 
     @property
     def E_inv(self) -> Array:
-        """(motors, p) motor torques from the torque on nu."""
-        return pseudo_inverse(self.robot.E)
+        """(motors, p) motor torques from the torque on nu; of a base that steers those of the last sample."""
+        return pseudo_inverse(self.robot.E) if self.steering is None else self.steering.E_inv

@@ -19,8 +19,9 @@ from .. import kinematic
 from ..by_address import by_address
 from ..compiled import by_type, compiled, copy_to, entry, internal, linked, plain
 from ..errors import ConfigError, InputError, RobotError
+from ..kinematic import Steering
 from ..model.dynamics import Dynamics
-from ..model.reduction import as_measured
+from ..model.reduction import as_measured, put_shape
 from ..model.robot import Robot
 from ..model.tree.body import evaluate
 from ..model.tree.twin import Terms, psi_of
@@ -37,7 +38,7 @@ from .plan import Plan
 from .servo import Split, answered, ask
 
 TIME, POSITION, NU, POSE_REF, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
-VELOCITY, Q, QDOT, ALPHA, Q_REF = (INDEX[n] for n in ("velocity", "q", "qdot", "alpha", "q_ref"))
+VELOCITY, Q, QDOT, SHAPE, ALPHA, Q_REF = (INDEX[n] for n in ("velocity", "q", "qdot", "shape", "alpha", "q_ref"))
 NU_REF, NUDOT_REF, PSI_HAT = (INDEX[n] for n in ("nu_ref", "nudot_ref", "psi_hat"))
 TORQUE, MOTOR_TORQUE = INDEX["torque"], INDEX["motor_torque"]
 TRUE_POSE_ERROR, TRUE_Z, TRUE_E = (INDEX[n] for n in ("true_pose_error", "true_z", "true_e"))
@@ -87,6 +88,7 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
     ahead: Ahead | None,
     later: Any,
     split: Split | None,
+    steering: Steering | None,
     own: Torque | None,
 ) -> None:
     """Write everything of a control sample up to the torque into the row, which has the measurement.
@@ -104,13 +106,16 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         ahead: Where Psi_hat leads; None where it does not.
         later: The learner with its weights held, which is asked there.
         split: The rows that take a velocity, which are the hardware's; None where all take effort.
+        steering: Of a base that steers; None for others.
         own: A controller in plain Python, which is asked in place of the law; None for one of this package.
     """
     row, at, asked = controls.row, controls.at, True
     if controls.age > 0.0:
         reference_then(controls.setpoints, k, controls.age / controls.h, controls.then)
         catch_up(row, at, setpoint, controls.then, controls.age)
-    before_torque(row, at, time, setpoint, controls.gains, controls.K)
+    if steering is not None:
+        kinematic.steer(row, at, steering)
+    before_torque(row, at, time, setpoint, controls.gains, controls.K, before, steering)
     if hardware is not None:
         asked = not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
     if split is not None and asked:
@@ -131,7 +136,16 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
 
 
 @linked
-def before_torque(row: Array, at: IntArray, time: float, setpoint: Array, gains: Array, K: Array) -> None:
+def before_torque(
+    row: Array,
+    at: IntArray,
+    time: float,
+    setpoint: Array,
+    gains: Array,
+    K: Array,
+    before: Array,
+    steering: Steering | None,
+) -> None:
     """Everything of a sample up to the controller: time, setpoint, velocity command; the measurement is in the row.
 
     Args:
@@ -141,10 +155,12 @@ def before_torque(row: Array, at: IntArray, time: float, setpoint: Array, gains:
         setpoint: The signals `pose_ref` ... `qddot_ref` side by side, as in a trajectory's table.
         gains: (3,) of the kinematic layer.
         K: (n,) gain of the filtered arm error [1/s].
+        before: As of `sample`.
+        steering: As of `sample`; its maps are those of this sample.
     """
     row[at[TIME]] = time
     copy_to(setpoint, vector(row, at[POSE_REF], at[POSE] - at[POSE_REF]))
-    kinematic.command(row, at, gains, K)
+    kinematic.command(row, at, gains, K, before, steering)
 
 
 @linked
@@ -192,6 +208,7 @@ def machine_psi(row: Array, at: IntArray, model: Machine) -> None:
         body.offset, body.columns, view(row, at, POSE), view(row, at, VELOCITY), view(row, at, Q),
         view(row, at, QDOT), model.position, model.nu,
     )  # fmt: skip
+    put_shape(body.shape, view(row, at, SHAPE), model.position)
     evaluate(body, work, model.position, model.nu)
     psi_of(body, work, model.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), psi_hat)
 
@@ -201,7 +218,7 @@ def after_torque(  # noqa: PLR0913 - the arrays of either engine
     row: Array,
     at: IntArray,
     y: Array,
-    arm: IntArray,
+    places: IntArray,
     M: Array,
     E_inv: Array,
     potential: float,
@@ -214,7 +231,7 @@ def after_torque(  # noqa: PLR0913 - the arrays of either engine
         row: (width,) row of signals with the torque.
         at: Offsets of the signals.
         y: (nv + p + 1,) the plant's position, nu, and the work done on it.
-        arm: (n,) places of the arm joints in the position.
+        places: (n + shape,) of the arm joints in the position, then of the pivots.
         M: (p, p) mass matrix.
         E_inv: (motors, p) motor torques from the torque on nu.
         potential: Potential energy [J].
@@ -227,7 +244,7 @@ def after_torque(  # noqa: PLR0913 - the arrays of either engine
     position, nu, work = view(row, at, POSITION), view(row, at, NU), y[y.size - 1]
     copy_to(y[: position.size], position)
     copy_to(y[position.size : y.size - 1], nu)
-    true_errors(row, at, position, nu, arm)
+    true_errors(row, at, position, nu, places)
     torque, motors = view(row, at, TORQUE), view(row, at, MOTOR_TORQUE)
     for i in range(motors.size):
         motors[i] = entry(E_inv, i, torque)
@@ -246,28 +263,29 @@ def after_torque(  # noqa: PLR0913 - the arrays of either engine
 
 
 @compiled
-def true_errors(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -> None:
+def true_errors(row: Array, at: IntArray, position: Array, nu: Array, places: IntArray) -> None:
     """The tracking errors of the true state, which no controller sees: true_pose_error, true_z, true_e."""
     pose_ref, z = view(row, at, POSE_REF), view(row, at, TRUE_Z)
     if pose_ref.size:
         kinematic.body_error(pose_ref, position, view(row, at, TRUE_POSE_ERROR))
     for i in range(z.size):
         z[i] = row[at[ALPHA] + i] - nu[i]
-    for i in range(arm.size):
-        row[at[TRUE_E] + i] = row[at[Q_REF] + i] - position[arm[i]]
+    for i in range(at[TRUE_E + 1] - at[TRUE_E]):
+        row[at[TRUE_E] + i] = row[at[Q_REF] + i] - position[places[i]]
 
 
 class Unflattened:
     """A robot that a controller believes in and that is no arrays: Pinocchio evaluates it."""
 
     def __init__(self, robot: Robot, terms: Terms) -> None:
-        self.terms, self.arm_map = terms, robot.arm_map()
+        self.terms, self.arm_map, self.shape = terms, robot.arm_map(), robot.shape_index.copy()
         self.position, self.nu = robot.neutral_position(), np.zeros(robot.dimensions.dof)
 
     def psi(self, row: Array, at: IntArray) -> None:
         """See `model_psi`."""
         pose, velocity, q, qdot = (view(row, at, signal) for signal in (POSE, VELOCITY, Q, QDOT))
         as_measured(*self.arm_map, pose, velocity, q, qdot, self.position, self.nu)
+        put_shape(self.shape, view(row, at, SHAPE), self.position)
         self.terms.refresh(self.position, self.nu)
         self.terms.refresh_psi(view(row, at, NU_REF), view(row, at, NUDOT_REF), view(row, at, PSI_HAT))
 
@@ -440,6 +458,7 @@ class Control:
             age=plan.age,
             h=plan.timing.control_period,
         )
+        self.steering = plan.steering
         self.sample = sample if torque.compiled else plain(sample)
         self.equip(hardware)
 
@@ -448,7 +467,7 @@ class Control:
         torque, own = self.torque, None if self.torque.compiled else self.torque
         self.hardware, split = hardware, None if hardware is None else hardware.split
         learned = torque.learner, torque.limits, torque.ahead, torque.later
-        self.blocks = (self.controls, torque.model, hardware, *learned, split, own)
+        self.blocks = (self.controls, torque.model, hardware, *learned, split, self.steering, own)
 
     def step(self, time: float, setpoint: Array, k: int = 0, before: Array | None = None) -> None:
         """One `sample`; `before` is None for the setpoint itself."""

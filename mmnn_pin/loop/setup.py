@@ -270,8 +270,9 @@ def plan_outside(setup: StepperSetup) -> Plan:
     gains, K = setup.kinematic.base_gains(layout), setup.kinematic.arm_gains(layout)
     bounds, context = np.full(layout.dof, np.inf), setup.context()
     blocks = setup.timing, setup.controller, context, believed, gains, K, bounds, postures(robot)
+    steering = setup.kinematic.steering_of(robot, setup.timing.control_period)
     plan, servo = Plan(robot, robot, layout, *blocks), linear_servos(robot, setup.interfaces, setup.servo, False)
-    return replace(plan, latency=setup.known.total, lag=setup.lag, servo=servo, lead=new_lead(setup))
+    return replace(plan, latency=setup.known.total, lag=setup.lag, servo=servo, lead=new_lead(setup), steering=steering)
 
 
 # -- what takes the rows of a run --------------------------------------------------------------------------------------

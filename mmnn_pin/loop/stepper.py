@@ -445,7 +445,7 @@ class Stepper:
             require_stable_gains(plan)
         limits = np.concatenate((self.limits.of_base(layout)[:2], self.limits.of_arm(robot)[:2]), axis=1)
         setup = replace(setup, safety=suited_safety(self.safety, plan, limits, self.limits.samples == "limited"))
-        hardware = new_hardware(setup, np.zeros(layout.dof), state, hardware_state)
+        hardware = new_hardware(setup, (robot.rest, np.zeros(layout.dof)), state, hardware_state, plan.steering)
         assert hardware is not None
         if hardware.split is not None:
             limit_commands(hardware.split, limits[0], limits[1], self.latency)

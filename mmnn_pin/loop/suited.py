@@ -11,6 +11,7 @@ not given. Light enough anywhere is too light elsewhere: gains that suit any pos
 effort and speed limits: the rest is for errors. What gravity and dry friction alone ask for no slowness saves; so the
 arm swings about the middle of its range only where its motors hold it there within that share, else about the posture,
 of some, where they are loaded least; and less far where they would not hold the ends of that swing within the share.
+A base that steers first gets a path as large, and as slow, as its steering needs.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from ..kinematic import Kinematic
 from ..model.robot import Robot, speed_limits
 from ..model.tree.twin import terms_of
 from ..reference import Trajectory
+from ..reference.steerable import fitted
 from ..settings import Numbers, Timing
 from ..signals import Array, Dimensions, Setpoint
 from ..torque.controller import Feedback
@@ -140,7 +142,8 @@ def fit(robot: Robot, feedback: Feedback, given: LoopToSuit) -> Fit:
     worst = np.argsort([-np.abs(np.linalg.eigvals(Gamma * full)).max() for Gamma in held])[:JUDGED]
     K, slow = given.kinematic.arm_gains(layout), lags(robot, given.lag)
     velocities = Setpoint.side_by_side(table, layout).velocity
-    laws = {i: given.kinematic.linear_errors(layout, velocities[i]) for i in worst}
+    gains = given.kinematic.base_gains(layout)
+    laws = {i: robot.base.linear_errors(velocities[i], gains) for i in worst}
     loops = [held_loop(masses[i], laws[i], K, h, friction, slow) for i in worst]
     share = 1.0
     while share > LEAST:
@@ -164,7 +167,7 @@ def postures(robot: Robot, count: int = 9, speed: float = 0.5) -> Array:
         speed: Of the base, forwards, but for the first, which stands [m/s].
     """
     d, rng, quarter = robot.dimensions, np.random.default_rng(0), np.pi / 2
-    table = np.zeros((count, d.pose + 2 * d.base + 3 * d.arm))
+    table = np.zeros((count, d.pose + 2 * d.twist + 3 * d.arm))
     setpoints, arm = Setpoint.side_by_side(table, d), robot.arm_index
     lower, upper = np.maximum(robot.lower[arm], -np.pi), np.minimum(robot.upper[arm], np.pi)
     setpoints.q[:] = rng.uniform(lower, upper, (count, d.arm))
@@ -237,7 +240,7 @@ class MotorLoad:
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.terms = robot, terms_of(robot)
-        self.to_motors, self.psi = pseudo_inverse(robot.E), np.zeros(robot.dimensions.dof)
+        self.psi = np.zeros(robot.dimensions.dof)
         self.limits, self.speeds = robot.effort_limits, speed_limits(robot)
 
     def along(self, trajectory: Trajectory, duration: float, enough: float | Array = np.inf) -> Array:
@@ -254,8 +257,10 @@ class MotorLoad:
             setpoint = Setpoint.side_by_side(row, layout)
             position, nu = Start(moving=True).state(robot, row)
             self.terms.refresh(position, nu)
-            self.terms.refresh_psi(nu, np.concatenate((setpoint.acceleration, setpoint.qddot)), self.psi)
-            torque, speed = product(self.to_motors, self.psi), product(robot.E.T, nu)
+            faster = robot.base_velocity(position, setpoint.acceleration)
+            self.terms.refresh_psi(nu, np.concatenate((faster, setpoint.qddot)), self.psi)
+            E = robot.E_at(position)
+            torque, speed = product(pseudo_inverse(E), self.psi), product(E.T, nu)
             found = np.maximum(found, (over(torque, self.limits), over(speed, self.speeds)))
             if (found > enough).any():
                 break
@@ -284,6 +289,12 @@ def followable(robot: Robot, reference: Callable[[JointEnds], Trajectory], durat
     given = reference((lower, upper))
     if not share:
         return given
+    to_steer = fitted(given, robot.base, robot.dimensions, duration)
+
+    def steerable(ends: JointEnds) -> Trajectory:
+        return replace(reference(ends), base=to_steer.base)
+
+    given = replace(given, base=to_steer.base)
     load, rng, half = MotorLoad(robot), np.random.default_rng(0), (upper - lower) / 2
     bounded, off, room = np.isfinite(half), np.zeros(len(half)), np.where(np.isfinite(half), half, np.pi)
     centre = np.where(bounded, lower + np.where(bounded, half, 0.0), np.clip(0.0, lower, upper))
@@ -294,17 +305,17 @@ def followable(robot: Robot, reference: Callable[[JointEnds], Trajectory], durat
     best, static = given, held(given)
     for _ in range(TRIALS if static.max(initial=0.0) > share and bounded.any() else 0):
         other = np.where(bounded, rng.uniform(-0.5, 0.5, len(half)) * room, 0.0)
-        tried = reference((lower + np.maximum(2 * other, 0.0), upper + np.minimum(2 * other, 0.0)))
+        tried = steerable((lower + np.maximum(2 * other, 0.0), upper + np.minimum(2 * other, 0.0)))
         if (load_there := held(tried, static.max(initial=0.0))).max(initial=0.0) < static.max(initial=0.0):
             best, static, off = tried, load_there, other
     for width in NARROWER if static.max(initial=0.0) > share else ():
         reach = width * (room - np.abs(off))
-        tried = reference((centre + off - reach, centre + off + reach))
+        tried = steerable((centre + off - reach, centre + off + reach))
         if (load_there := held(tried)).max(initial=0.0) < static.max(initial=0.0):
             best, static = tried, load_there
         if static.max(initial=0.0) <= share:
             break
-    slowness, enough = 1.0, np.maximum(share, static + LEFT * np.maximum(1.0 - static, 0.1))
+    slowness, enough = to_steer.slowness, np.maximum(share, static + LEFT * np.maximum(1.0 - static, 0.1))
     while slowness < SLOWEST and (load.along(replace(best, slowness=slowness), duration, enough) > enough).any():
         slowness = min(SLOWER * slowness, SLOWEST)
     return replace(best, slowness=slowness)

@@ -71,7 +71,7 @@ def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
         UnknownName: A joint or link that the robot does not have.
         ConfigError: A lock on a drive wheel or outside the limits, or a tip that no joint carries.
     """
-    joints, slaves, wheels = rest.document.joints, slaves_of(rest.document), {wheel.joint for wheel in base.wheels}
+    joints, slaves, wheels = rest.document.joints, slaves_of(rest.document), {*base.joints}
     moving = [joint.name for joint in joints.values() if joint.moves and joint.name not in wheels]
     reasons = dict.fromkeys(base.locked, WHY["base"])
     reasons |= dict.fromkeys(user_locks(rest, overrides, wheels, base.locked), WHY["user"])
@@ -112,7 +112,8 @@ def user_locks(rest: AtRest, overrides: Overrides, wheels: Iterable[str], held: 
             raise UnknownName("joint", name, names, file=rest.document.path, key="lock")
         if name in wheels:
             fix = "use --base fixed to park the base"
-            raise ConfigError(f"'{name}' is a drive wheel and cannot be locked", fix=fix, key="lock")
+            what = f"'{name}' is a wheel of the base, or steers one, and cannot be locked"
+            raise ConfigError(what, fix=fix, key="lock")
         if name in slaves_of(rest.document):
             why, fix = "it stands where the joint that it follows puts it", "lock that one"
             raise ConfigError(f"'{name}' cannot be locked", why=why, fix=fix, key="lock")

@@ -1,7 +1,8 @@
 """Reduced dynamics by Pinocchio: `M nudot + C nu + gravity + friction = tau`, the true Psi, constraint forces.
 
 Full model (2.11) with the Pfaffian constraint `A v = 0` of rolling wheels, planar root in body velocities; reduced by
-the constant null space map T: `M = T' M_full T`, `C = T' C_full T` (2.23)-(2.25).
+the null space map T: `M = T' M_full T`, `C = T' (C_full T + M_full Tdot)` (2.23)-(2.25). Where nothing steers, T is
+constant. `Mdot = C + C'` holds for any T, with the full matrices that it holds for.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import pinocchio as pin
 
 from ..signals import Array
 from . import reduction
+from .base.rolling import new_maps, roll
 from .structure import Structure
 
 
@@ -30,7 +32,9 @@ class Dynamics:
         self.frame = np.array(robot.frame, float) if robot.dimensions.base else np.zeros(0)
         self.q, self.v = pin.neutral(model), np.zeros(model.nv)
         # Writable copies: compiled code exists once for these, not again for read-only arrays.
-        self.T, self.q_index, self.is_continuous = robot.T.copy(), robot.q_index.copy(), robot.is_continuous.copy()
+        self.q_index, self.is_continuous = robot.q_index.copy(), robot.is_continuous.copy()
+        self.maps = new_maps(robot.rolling, robot.template)
+        self.T = self.maps.T
         self.damping, self.dry, self.viscous = robot.damping.copy(), robot.dry, robot.viscous.copy()
         # Views of Pinocchio's own memory; M is symmetric, its transpose is contiguous row by row.
         self.M_full, self.C_full, self.h_full, self.g_full = self.data.M.T, self.data.C, self.data.nle, self.data.g
@@ -43,22 +47,29 @@ class Dynamics:
 
     def mass_matrix(self, position: Array) -> Array:
         """Reduced mass matrix `T' M T`, (p, p) [kg, kg m, kg m^2]."""
-        T = self.robot.T
+        T = self.robot.T_at(position)
         return T.T @ pin.crba(self.model, self.data, self.robot.configuration(position)) @ T
 
     def coriolis_matrix(self, position: Array, nu: Array) -> Array:
-        """Reduced Coriolis matrix `T' C T`, (p, p), of the factorisation with `Mdot = C + C'`."""
-        T, q = self.robot.T, self.robot.configuration(position)
-        return T.T @ pin.computeCoriolisMatrix(self.model, self.data, q, T @ nu) @ T
+        """Reduced Coriolis matrix `T' (C T + M Tdot)`, (p, p), of the factorisation with `Mdot = C + C'`."""
+        robot, q = self.robot, self.robot.configuration(position)
+        T = robot.T_at(position)
+        reduced = T.T @ pin.computeCoriolisMatrix(self.model, self.data, q, T @ nu) @ T
+        if not robot.steers:
+            return reduced
+        return reduced + T.T @ pin.crba(self.model, self.data, q) @ robot.Tdot_at(position, nu)
 
     def gravity(self, position: Array) -> Array:
         """Reduced gravity, (p,) [N, N m]: the torque that holds the robot still."""
         return gravity(self.robot, self.data, position)
 
-    def friction(self, nu: Array) -> Array:
-        """Friction of joints and base, (p,) [N, N m], opposing the motion (see `reduction.friction`)."""
-        robot = self.robot
-        return robot.T.T @ self._joint_friction(robot.T @ nu) + robot.viscous * nu
+    def friction(self, nu: Array, position: Array | None = None) -> Array:
+        """Friction of joints and base, (p,) [N, N m], opposing the motion (see `reduction.friction`).
+
+        Without a position (nv,) a base that steers stands at rest.
+        """
+        T = self.robot.T_at(self.robot.rest if position is None else position)
+        return T.T @ self._joint_friction(T @ nu) + self.robot.viscous * nu
 
     def psi(self, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array) -> Array:
         """True Psi, what the networks must learn: `M nudot_ref + C nu_ref + gravity + friction`, (p,) [N, N m].
@@ -66,11 +77,13 @@ class Dynamics:
         With `nu_ref = [alpha; qdot_rd + K e]` this is (3.20), (3.21) with (3.22).
         """
         C = self.coriolis_matrix(position, nu)
-        return self.mass_matrix(position) @ nudot_ref + C @ nu_ref + self.gravity(position) + self.friction(nu)
+        return (
+            self.mass_matrix(position) @ nudot_ref + C @ nu_ref + self.gravity(position) + self.friction(nu, position)
+        )
 
     def acceleration(self, position: Array, nu: Array, tau: Array) -> Array:
         """Acceleration nudot under the generalized torque tau, (p,)."""
-        rest = tau - self.coriolis_matrix(position, nu) @ nu - self.gravity(position) - self.friction(nu)
+        rest = tau - self.coriolis_matrix(position, nu) @ nu - self.gravity(position) - self.friction(nu, position)
         return np.asarray(np.linalg.solve(self.mass_matrix(position), rest), float)
 
     def energy(self, position: Array, nu: Array) -> float:
@@ -79,22 +92,26 @@ class Dynamics:
         return float(0.5 * nu @ self.mass_matrix(position) @ nu) + self.potential()
 
     def constraint_forces(self, position: Array, nu: Array, motors: Array) -> Array:
-        """Lagrange multipliers of `M_full a + h + A' lambda + F = E_full motors` (2.11), (nc,), rows as in `robot.A`.
+        """Lagrange multipliers of `M_full a + h + A' lambda + F = E_full motors` (2.11), (nc,), rows as of `A_at`.
 
-        The rows of A are written in body velocities and constant, so `A a = 0`; the force of constraint i on the
-        full coordinates is `-A[i] lambda[i]`. The first row is the lateral force that keeps the wheels from slipping.
+        The force of constraint i on the full coordinates is `-A[i] lambda[i]`. Where nothing steers, the first row is
+        the lateral force that keeps the wheels from slipping; of rows that repeat each other the forces are the least.
         """
-        robot, T = self.robot, self.robot.T
+        robot, T, A = self.robot, self.robot.T_at(position), self.robot.A_at(position)
         q, v = robot.configuration(position), T @ nu
-        a = T @ self.acceleration(position, nu, robot.E @ motors)
-        friction = self._joint_friction(v) + self._declared_friction(robot.viscous * nu)
+        a = T @ self.acceleration(position, nu, robot.E_at(position) @ motors) + robot.Tdot_at(position, nu) @ nu
+        friction = self._joint_friction(v) + self._declared_friction(position, robot.viscous * nu)
         rest = robot.E_full @ motors - pin.rnea(self.model, self.data, q, v, a) - friction
-        return np.linalg.solve(robot.A @ robot.A.T, robot.A @ rest)
+        if robot.steers:
+            return np.linalg.lstsq(A.T, rest, rcond=1e-10)[0]
+        return np.linalg.solve(A @ A.T, A @ rest)
 
-    def _declared_friction(self, force: Array) -> Array:
+    def _declared_friction(self, position: Array, force: Array) -> Array:
         """Friction declared on nu as forces of the full model, (nv,): at the control frame and on the joints."""
         robot, out = self.robot, np.zeros(self.model.nv)
         nb = robot.dimensions.base
+        if robot.steers:  # any forces that do on nu what these do
+            return np.linalg.pinv(robot.T_at(position).T) @ force
         if nb:
             wrench = np.zeros(3)
             wrench[robot.base.columns] = force[:nb]
@@ -109,12 +126,18 @@ class Dynamics:
 
     def refresh(self, position: Array, nu: Array) -> None:
         """Mass matrix M, and h = C nu + gravity + friction, in the workspace."""
+        if self.robot.rolling is not None:
+            roll(self.robot.rolling, position, nu, self.maps)
         reduction.configuration(position, nu, self.T, self.frame, self.q_index, self.is_continuous, self.q, self.v)
         pin.crba(self.model, self.data, self.q)
         pin.nonLinearEffects(self.model, self.data, self.q, self.v)
         reduction.reduce(self.T, self.M_full, self.half, self.M)
         reduction.friction(self.T, self.v, nu, self.damping, self.dry, self.viscous, self.F)
-        reduction.project(self.T, self.h_full, self.h)
+        self.f[:] = self.h_full
+        if self.robot.steers:
+            reduction.spread(self.maps.Tdot, nu, self.w)
+            reduction.add_product(self.M_full, self.w, self.f)
+        reduction.project(self.T, self.f, self.h)
         self.h += self.F
 
     def refresh_psi(self, nu_ref: Array, nudot_ref: Array, psi: Array) -> None:
@@ -125,6 +148,9 @@ class Dynamics:
         reduction.spread(self.T, nu_ref, self.w)
         self.f[:] = self.g_full
         reduction.add_product(self.C_full, self.w, self.f)
+        if self.robot.steers:
+            reduction.spread(self.maps.Tdot, nu_ref, self.w)
+            reduction.add_product(self.M_full, self.w, self.f)
         reduction.project(self.T, self.f, psi)
         psi += self.F
         reduction.add_product(self.M, nudot_ref, psi)
@@ -136,7 +162,7 @@ class Dynamics:
 
 def gravity(robot: Structure, data: pin.Data, position: Array) -> Array:
     """Reduced gravity by Pinocchio, (p,) [N, N m]; data of the robot's model are used."""
-    return robot.T.T @ pin.computeGeneralizedGravity(robot.model, data, robot.configuration(position))
+    return robot.T_at(position).T @ pin.computeGeneralizedGravity(robot.model, data, robot.configuration(position))
 
 
 def feels_gravity(robot: Structure, data: pin.Data | None = None) -> bool:

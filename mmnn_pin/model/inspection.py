@@ -277,7 +277,7 @@ def model_at(robot: Robot, position: Array, nu: Array) -> dict[str, Any]:
     dynamics = Dynamics(robot)
     with np.errstate(all="ignore"):
         M, C = dynamics.mass_matrix(position), dynamics.coriolis_matrix(position, nu)
-        g, f = dynamics.gravity(position), dynamics.friction(nu)
+        g, f = dynamics.gravity(position), dynamics.friction(nu, position)
     if not all(np.isfinite(term).all() for term in (M, C, g, f)):
         raise ConfigError("the model is not finite at this state", fix="give positions and velocities that a robot has")
     return {
@@ -288,9 +288,9 @@ def model_at(robot: Robot, position: Array, nu: Array) -> dict[str, Any]:
         "C": C.tolist(),
         "gravity": g.tolist(),
         "friction": f.tolist(),
-        "T": robot.T.tolist(),
+        "T": robot.T_at(position).tolist(),
         "full_velocity_names": list(robot.full_velocity_names),
-        "A": robot.A.tolist(),
-        "E": robot.E.tolist(),
+        "A": robot.A_at(position).tolist(),
+        "E": robot.E_at(position).tolist(),
         "actuator_names": list(robot.actuator_names),
     }

@@ -30,11 +30,13 @@ from .arm import Arm
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
 from .base.report import friction_notes, printed_notes, settle, weak_notes
+from .base.rolling import FREE
+from .base.steered import SteeredBase
 from .base.understanding import understand
 from .dynamics import Dynamics
 from .robot import Robot
 from .robots import find
-from .structure import configuration_indices, constraint_rows, motion_map, motor_map, read_only
+from .structure import configuration_indices, motion_map, motor_map, read_only
 from .urdf.audit import BodyPart
 from .urdf.document import Document, Joint
 from .urdf.finding import Finding, excused
@@ -67,12 +69,16 @@ def load(  # noqa: PLR0913 - options of a file, by name
     strict: bool = False,
     controllers_file: str | Path | None = None,
     mu: float | None = None,
+    steer: Sequence[str] | None = None,
+    hitch: Sequence[str] | None = None,
+    wheelbase: float | None = None,
+    steering_limit: float | None = None,
 ) -> Robot:
     """Load a robot. What is not given comes from `NAME.mmnn.toml` beside it or is found in it (docs/how-to/robots.md).
 
     Args:
         robot: Name of a bundled robot or of one of example-robot-data, or path of a URDF or xacro file.
-        base: `differential_drive`, `skid_steer`, `holonomic` or `fixed`.
+        base: One of `mmnn_pin.model.base.KINDS`, such as `differential_drive`, `car_like` or `fixed`.
         wheels: Joints of the drive wheels; left, right for a differential drive.
         radius: Radius of the drive wheels [m].
         wheel_radii: Radius of single drive wheels, `joint=radius` [m].
@@ -87,6 +93,10 @@ def load(  # noqa: PLR0913 - options of a file, by name
         strict: Whether impossible inertias and implausible sizes are errors.
         controllers_file: YAML file of the robot's controllers, see `Overrides`.
         mu: Friction coefficient between the floor and the wheels of a skid-steer base, 1 by default.
+        steer: Joints that steer, about vertical axes above wheels.
+        hitch: Joints on which trailers follow.
+        wheelbase: Distance from the fixed axle to the wheels that steer [m].
+        steering_limit: Largest angle of what steers, to either side [rad].
 
     Raises:
         UnknownName: Neither a name nor a path; a joint, link or kind of base that does not exist.
@@ -113,6 +123,10 @@ def load(  # noqa: PLR0913 - options of a file, by name
         strict=strict,
         controllers_file=None if controllers_file is None else str(controllers_file),
         mu=mu,
+        steer=None if steer is None else tuple(steer),
+        hitch=None if hitch is None else tuple(hitch),
+        wheelbase=wheelbase,
+        steering_limit=steering_limit,
     )
     return load_with(robot, overrides)
 
@@ -166,7 +180,12 @@ def settled(overrides: Overrides, base: Base) -> Overrides:
     if overrides.controllers_file is None:
         return overrides
     result: dict[str, Any] = {"base": base.kind, "controllers_file": None}
-    if base.wheels:
+    if isinstance(base, SteeredBase):
+        steer = tuple(pivot.joint for pivot in base.pivots if pivot.role != "passive")
+        hitch = tuple(pivot.joint for pivot in base.pivots if pivot.role == "passive" and not pivot.motor)
+        result |= {"wheels": tuple(w.joint for w in base.wheels if w.driven), "steer": steer or None}
+        result["hitch"] = hitch if base.body != FREE and hitch else None
+    elif base.wheels:
         result |= {"wheels": tuple(wheel.joint for wheel in base.wheels), "track": base.track}
         alike = len({wheel.radius for wheel in base.wheels}) == 1 and not overrides.wheel_radii
         result["radius"] = base.wheels[0].radius if alike else overrides.radius
@@ -261,7 +280,7 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
     joints = [document.joints[name] for name in model.names[2 if root else 1 :]]
     names = [joint.name for joint in joints]
     arm = replace(arm, joints=tuple(name for name in names if name in arm.joints))
-    driven = (w.joint for w in base.wheels if document.joints[w.joint].mimics is None)
+    driven = (name for name in base.driven if document.joints[name].mimics is None)
     motors = (*driven, *arm.joints)
     pushes, rows = base.pushes, {name: i for i, name in enumerate(names, root)}
     T, E_full = motion_map(base, rows, arm), motor_map(base, rows, motors)
@@ -282,15 +301,14 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
             motors=E_full.shape[1],
             kind=base.kind,
             sideways=base.sideways,
+            shape=len(base.shape),
         ),
         joint_names=arm.joints,
         velocity_names=base.velocity_names + arm.joints,
         full_velocity_names=ROOT_NAMES[:root] + tuple(names),
         actuator_names=pushes + motors,
-        T=read_only(T),
-        A=read_only(constraint_rows(base, rows, arm)),
+        template=read_only(T),
         E_full=read_only(E_full),
-        E=read_only(product(T.T, E_full)),
         q_index=q_index,
         is_continuous=is_continuous,
         frame=read_only(base.frame.copy()),
@@ -366,7 +384,7 @@ def require_finite(document: Document, robot: Robot) -> None:
     Raises:
         RobotError: One is not finite, or the mass matrix is not positive definite.
     """
-    model, T, p = robot.model, robot.T, robot.dimensions.dof
+    model, T, p = robot.model, robot.T_at(robot.neutral_position()), robot.dimensions.dof
     data, q = model.createData(), robot.configuration(robot.neutral_position())
     with np.errstate(all="ignore"):
         M = np.triu(pin.crba(model, data, q))

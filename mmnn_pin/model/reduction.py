@@ -50,6 +50,13 @@ def as_measured(
 
 
 @compiled
+def put_shape(places: IntArray, shape: Array, position: Array) -> None:
+    """Put the measured angles of a base's pivots into a position (nv,), where they stand."""
+    for i in range(places.size):
+        position[places[i]] = shape[i]
+
+
+@compiled
 def configuration(
     position: Array,
     nu: Array,
@@ -98,7 +105,7 @@ def spread(T: Array, nu: Array, v: Array) -> None:
 
 
 @compiled
-def position_rate(position: Array, nu: Array, v: Array, base: int, sideways: bool, rate: Array) -> None:
+def position_rate(position: Array, nu: Array, v: Array, base: int, sideways: bool, eta: Array, rate: Array) -> None:
     """Time derivative of the position, (nv,): `qdot_v = S(phi) v` (2.18) for the pose, `T nu` for the joints.
 
     Args:
@@ -107,14 +114,17 @@ def position_rate(position: Array, nu: Array, v: Array, base: int, sideways: boo
         v: (nv,) `T nu`.
         base: Number of base velocities.
         sideways: Whether they are `(vx, vy, w)`.
+        eta: (3,) `(vx, vy, w)` of a base that steers; (0,) of others.
         rate: (nv,) written.
     """
     first = 0
     if base:
         first = 3
         c, s = cos_sin(position[2])
-        vx, vy = nu[0], nu[1] if sideways else 0.0
-        rate[0], rate[1], rate[2] = c * vx - s * vy, s * vx + c * vy, nu[base - 1]
+        vx, vy, w = nu[0], nu[1] if sideways else 0.0, nu[base - 1]
+        if eta.size:
+            vx, vy, w = eta[0], eta[1], eta[2]
+        rate[0], rate[1], rate[2] = c * vx - s * vy, s * vx + c * vy, w
     for i in range(first, position.size):
         rate[i] = v[i]
 

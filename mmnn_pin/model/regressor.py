@@ -368,7 +368,7 @@ def measured(known: Massless, pose: Array, velocity: Array, q: Array, qdot: Arra
 @internal
 def body_columns(known: Massless, i: int) -> None:
     """Columns of Y of body i, after a pass over the tree."""
-    links, numbers, scratch, Y = known.tree.links, known.tree.numbers, known.scratch, known.Y
+    links, scratch, Y = known.tree.links, known.scratch, known.Y
     column = BODY * (i - known.first)
     omega, ref = turned(scratch, i, get(scratch, i, AT.omega)), turned(scratch, i, get(scratch, i, AT.omega_ref))
     alpha, a3 = turned(scratch, i, get(scratch, i, AT.alpha)), turned(scratch, i, get(scratch, i, AT.a))
@@ -385,7 +385,7 @@ def body_columns(known: Massless, i: int) -> None:
         v0, v1, v2 = (0.0, w[2], -w[1]), (-w[2], 0.0, w[0]), (w[1], -w[0], 0.0)
         first = links[j, LINK.first]
         for k in range(links[j, LINK.stop] - first):
-            t, y = numbers[j, NUMBER.weight + k], Y[first + k, column : column + BODY]
+            t, y = scratch[j, AT.weight + k], Y[first + k, column : column + BODY]
             y[0] += t * dot(a3, v)
             y[1] += t * (dot(a0, v) + dot(a3, v0))
             y[2] += t * (dot(a1, v) + dot(a3, v1))

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ConfigError, UnknownName
 from ..settings import Numbers, one_or_each
@@ -33,9 +33,10 @@ class Robot(Structure):
         M(q) nudot + C(q, nu) nu + gravity(q) + friction(nu) = E motor_torques
 
     `q` is what places it: `[x, y, phi]` of the base's control frame in the world, phi unwrapped, then the arm's joints
-    in the order of `joint_names` [m, m, rad, rad or m]; for a fixed arm the joints alone. `nu` is the base velocity in
-    the control frame, `(v, w)` or for a holonomic base `(vx, vy, w)`, then the joints' rates, in the order of
-    `velocity_names` [m/s, rad/s, rad/s or m/s]. Its attributes are those of `Structure`.
+    in the order of `joint_names` [m, m, rad, rad or m]; for a fixed arm the joints alone. Of a base that steers the
+    angles of its steering, casters and hitches stand between them. `nu` is the base velocity in the control frame,
+    `(v, w)`, or `(vx, vy, w)` of a holonomic base, or of one that steers `[u; steering rates]`, then the joints' rates,
+    in the order of `velocity_names` [m/s, rad/s, rad/s or m/s]. Its attributes are those of `Structure`.
 
     >>> robot = load("platform_arm")
     >>> robot
@@ -52,7 +53,12 @@ class Robot(Structure):
     @property
     def q_names(self) -> tuple[str, ...]:
         """Names of the numbers of `q`, the pose before the arm's joints."""
-        return ("x", "y", "phi")[: self.dimensions.pose] + self.joint_names
+        return ("x", "y", "phi")[: self.dimensions.pose] + self.base.shape + self.joint_names
+
+    @property
+    def q_places(self) -> NDArray[np.int64]:
+        """Places of the numbers of `q` in a position."""
+        return np.concatenate((np.arange(self.dimensions.pose), self.shape_index, self.arm_index))
 
     def neutral(self) -> Array:
         """The q of a robot at the origin whose joints rest: at 0, or at the limit that is nearest to it."""
@@ -65,11 +71,11 @@ class Robot(Structure):
         Args:
             rng: A generator, or the seed of one; None for another q every time.
         """
-        arm, root = self.arm_index, self.dimensions.pose
-        bounded = np.isfinite(self.upper[arm] - self.lower[arm])
-        lower = np.append([-1.0, -1.0, -np.pi][:root], np.where(bounded, self.lower[arm], -np.pi))
-        upper = np.append([1.0, 1.0, np.pi][:root], np.where(bounded, self.upper[arm], np.pi))
-        return np.random.default_rng(rng).uniform(lower, upper)
+        joints, root = self.q_places[self.dimensions.pose :], self.dimensions.pose
+        bounded = np.isfinite(self.upper[joints] - self.lower[joints])
+        lower = np.append([-1.0, -1.0, -np.pi][:root], np.where(bounded, self.lower[joints], -np.pi))
+        upper = np.append([1.0, 1.0, np.pi][:root], np.where(bounded, self.upper[joints], np.pi))
+        return self._q_of(self.position(np.random.default_rng(rng).uniform(lower, upper)))
 
     def position(self, q: ArrayLike) -> Array:
         """The position of every joint, (nv,), `position_names` its order: q, the other joints where they rest.
@@ -78,8 +84,7 @@ class Robot(Structure):
             ConfigError: q has another length, or is not finite; with the names that it takes.
         """
         given, position = self._checked("q", q, self.q_names), self.neutral_position()
-        root = self.dimensions.pose
-        position[:root], position[self.arm_index] = given[:root], given[root:]
+        position[self.q_places] = given
         return self.follow(position)
 
     def mass_matrix(self, q: ArrayLike) -> Array:
@@ -106,13 +111,17 @@ class Robot(Structure):
         """
         return Dynamics(self).gravity(self.position(q))
 
-    def friction(self, nu: ArrayLike) -> Array:
+    def friction(self, nu: ArrayLike, q: ArrayLike | None = None) -> Array:
         """Torque that overcomes the friction of joints and base, (p,) [N, N m].
 
+        Args:
+            nu: How it moves.
+            q: Where it is; only a base that steers asks for it, which is at rest without.
+
         Raises:
-            ConfigError: nu is of another length or not finite.
+            ConfigError: nu or q is of another length or not finite.
         """
-        return Dynamics(self).friction(self._nu(nu))
+        return Dynamics(self).friction(self._nu(nu), None if q is None else self.position(q))
 
     def psi(self, q: ArrayLike, nu: ArrayLike, nu_ref: ArrayLike, nudot_ref: ArrayLike) -> Array:
         """True Psi, which a learner has to learn: `M nudot_ref + C nu_ref + gravity + friction`, (p,) (3.20), (3.21).
@@ -159,7 +168,7 @@ class Robot(Structure):
         """
         at, place = self.configuration(self.position(q)), self._frame(frame)
         full = pin.computeFrameJacobian(self.model, self.model.createData(), at, place, pin.LOCAL_WORLD_ALIGNED)
-        return np.asarray(full @ self.T if reduced else full)
+        return np.asarray(full @ self.T_at(self.position(q)) if reduced else full)
 
     def __repr__(self) -> str:
         d, kind = self.dimensions, self.base.kind.replace("_", " ")
@@ -189,7 +198,7 @@ class Robot(Structure):
         ]
 
     def _q_of(self, position: Array) -> Array:
-        return np.concatenate((position[: self.dimensions.pose], position[self.arm_index]))
+        return position[self.q_places]
 
     def _nu(self, nu: ArrayLike, name: str = "nu") -> Array:
         return self._checked(name, nu, self.velocity_names)

@@ -4,8 +4,9 @@ All velocities of the full model follow from the independent ones, `nu = [base v
 
     velocity = T nu        A velocity = 0        A T = 0        (2.17), (2.18)
 
-T is constant because the root is Pinocchio's planar joint, whose velocity `(vx, vy, w)` is in the body frame. Motor
-torques u act on the joints as `E_full u` and on nu as `E u`, `E = T' E_full` (2.25).
+The root is Pinocchio's planar joint, whose velocity `(vx, vy, w)` is in the body frame: T is constant, unless wheels
+steer; then it follows from the angles of their pivots (`base.rolling`). Motor torques u act on the joints as `E_full u`
+and on nu as `E u`, `E = T' E_full` (2.25).
 """
 
 from __future__ import annotations
@@ -23,13 +24,15 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..elementary.matrices import product
-from ..errors import ConfigError, UnknownName
+from ..errors import ConfigError, RobotError, UnknownName
 from ..settings import one_or_each
 from ..settings.arguments import require_types
 from ..signals import Array, Dimensions
 from .arm import Arm
 from .base.base import Base
 from .base.overrides import Overrides
+from .base.rolling import Maps, Rolling, closed, new_maps, roll
+from .base.steered import SteeredBase, steered_rows
 from .urdf.finding import Finding
 from .urdf.packages import environment
 
@@ -53,10 +56,8 @@ class Structure:
         velocity_names: Names of nu, p of them.
         full_velocity_names: Names of the model's velocities, nv of them.
         actuator_names: Joints with a motor, n_u of them: drive wheels from left to right, then the arm.
-        T: (nv, p) map from nu to all velocities.
-        A: (nc, nv) constraint rows.
+        template: (nv, p) what is constant of the map T: all of it, or all but the base's columns.
         E_full: (nv, n_u) map from motor torques to joint torques.
-        E: (p, n_u) `T' E_full`.
         q_index: (nv,) first index in Pinocchio's q of each velocity's joint; 0, 1, 2 for the planar root.
         is_continuous: (nv,) 1 where q holds (cos, sin) of an angle, the root's heading included; else 0.
         frame: (3,) control frame `(x, y, heading)` in the root link's frame [m, m, rad].
@@ -87,10 +88,8 @@ class Structure:
     velocity_names: tuple[str, ...]
     full_velocity_names: tuple[str, ...]
     actuator_names: tuple[str, ...]
-    T: Array
-    A: Array
+    template: Array
     E_full: Array
-    E: Array
     q_index: NDArray[np.int64]
     is_continuous: NDArray[np.uint8]
     frame: Array
@@ -110,6 +109,104 @@ class Structure:
     def __post_init__(self) -> None:
         require_types(self)
 
+    # -- its maps -------------------------------------------------------------------------------------------------
+
+    @property
+    def steers(self) -> bool:
+        """Whether its maps depend on where its wheels, casters or hitches stand."""
+        return self.dimensions.shape > 0
+
+    @property
+    def T(self) -> Array:
+        """(nv, p) map from nu to all velocities.
+
+        Raises:
+            RobotError: It steers.
+        """
+        self.require_constant("T")
+        return self.template
+
+    @cached_property
+    def A(self) -> Array:
+        """(nc, nv) constraint rows.
+
+        Raises:
+            RobotError: It steers.
+        """
+        self.require_constant("A")
+        return self.A_at(self.rest)
+
+    @cached_property
+    def E(self) -> Array:
+        """(p, n_u) `T' E_full`.
+
+        Raises:
+            RobotError: It steers.
+        """
+        self.require_constant("E")
+        return read_only(product(self.T.T, self.E_full))
+
+    def require_constant(self, what: str) -> None:
+        """Refuse a robot that steers to what needs constant maps.
+
+        Raises:
+            RobotError: It steers.
+        """
+        if self.steers:
+            why = f"a base of kind '{self.base.kind}' moves as its joints {', '.join(self.base.shape)} stand"
+            fix = f"use {what}_at(position), or a base that does not steer"
+            raise RobotError(f"'{self.name}' has no constant {what}", why=why, fix=fix)
+
+    @cached_property
+    def rows(self) -> dict[str, int]:
+        """Place of every joint in a position, and its row of T."""
+        root = self.dimensions.pose
+        return {name: i for i, name in enumerate(self.full_velocity_names) if i >= root}
+
+    @cached_property
+    def rolling(self) -> Rolling | None:
+        """Its base as arrays for `base.rolling.roll`; None where T is constant."""
+        return self.base.rolling_at(self.rows) if isinstance(self.base, SteeredBase) else None
+
+    def maps_at(self, position: ArrayLike, nu: ArrayLike | None = None) -> Maps:
+        """T, its rate under nu (p,), and the motion of the base at a position (nv,)."""
+        if self.rolling is None:
+            return new_maps(None, self.template)
+        maps = new_maps(self.rolling, self.template)
+        still = np.zeros(self.dimensions.dof) if nu is None else np.array(nu, float)
+        roll(self.rolling, np.array(position, float), still, maps)
+        return maps
+
+    def T_at(self, position: ArrayLike) -> Array:
+        """(nv, p) map from nu to all velocities at a position (nv,)."""
+        return self.template if self.rolling is None else self.maps_at(position).T
+
+    def Tdot_at(self, position: ArrayLike, nu: ArrayLike) -> Array:
+        """(nv, p) rate of T at a position (nv,) under nu (p,)."""
+        return np.zeros_like(self.template) if self.rolling is None else self.maps_at(position, nu).Tdot
+
+    def E_at(self, position: ArrayLike) -> Array:
+        """(p, n_u) `T' E_full` at a position (nv,)."""
+        return self.E if self.rolling is None else product(self.T_at(position).T, self.E_full)
+
+    def A_at(self, position: ArrayLike) -> Array:
+        """(nc, nv) constraint rows at a position (nv,), independent of T; more than nc where wheels repeat one."""
+        if isinstance(self.base, SteeredBase):
+            found = steered_rows(self.base, self.rows, np.asarray(position, float))
+        else:
+            found = rolling_rows(self.base, self.rows)
+        return read_only(np.vstack((found, joint_rows(self.dimensions.full, self.rows, self.arm))))
+
+    def base_velocity(self, position: ArrayLike, twist: Array) -> Array:
+        """Base velocities, (nb,), with which it moves by a twist at a position (nv,), as far as its wheels permit."""
+        return self.base.along(self.maps_at(position), twist) if isinstance(self.base, SteeredBase) else twist
+
+    def steered_along(self, position: Array, twist: Array) -> Array:
+        """The position with its wheels along the path of a twist, where that is not 0; (nv,), changed in place."""
+        if isinstance(self.base, SteeredBase) and self.base.masters and np.any(twist):
+            position[[self.rows[self.base.pivots[k].joint] for k in self.base.masters]] = self.base.angles(twist)
+        return self.follow(position)
+
     @property
     def position_names(self) -> tuple[str, ...]:
         """Names of the columns of a position, nv of them: the pose, then every joint in the model's order."""
@@ -120,6 +217,16 @@ class Structure:
     def arm_index(self) -> NDArray[np.int64]:
         """Places of the arm joints in a position, (n,)."""
         return np.array([self.full_velocity_names.index(name) for name in self.joint_names], dtype=np.int64)
+
+    @cached_property
+    def shape_index(self) -> NDArray[np.int64]:
+        """Places of the pivots of a base that steers in a position, (shape,)."""
+        return np.array([self.rows[name] for name in self.base.shape], dtype=np.int64)
+
+    @cached_property
+    def measured_index(self) -> NDArray[np.int64]:
+        """Places of the joints whose angles are measured in a position: the arm's, then the pivots', (n + shape,)."""
+        return np.concatenate((self.arm_index, self.shape_index))
 
     def configuration(self, position: ArrayLike) -> Array:
         """Pinocchio's configuration q of a position.
@@ -150,11 +257,14 @@ class Structure:
         return self.rest.copy()
 
     def follow(self, position: Array) -> Array:
-        """The position with its slaves (mimic joints) where their masters have them, (nv,), changed in place."""
+        """The position with its slaves (mimic joints) where their masters have them, (nv,), changed in place.
+
+        So are wheels that follow others' steering.
+        """
         names = self.full_velocity_names
         for name, slave in self.arm.slaves.items():
             position[names.index(name)] = slave.at(position[names.index(slave.master)])
-        return position
+        return position if self.rolling is None else closed(self.rolling, position)
 
     def arm_map(self) -> tuple[Array, Array]:
         """Position at rest with the arm's joints at 0, (nv,), and what each arm joint adds per unit, (nv, n).
@@ -220,10 +330,7 @@ class Structure:
             j = model.getJointId(old.joint)
             parent = data.oMi[model.parents[j]].rotation
             model.jointPlacements[j].translation += (new.radius - old.radius) * parent[2]
-        rows = {name: i for i, name in enumerate(self.full_velocity_names) if i >= base.root_size}
-        T = motion_map(base, rows, self.arm)
-        T, A, E = map(read_only, (T, constraint_rows(base, rows, self.arm), product(T.T, self.E_full)))
-        return replace(self, model=model, base=base, T=T, A=A, E=E)
+        return replace(self, model=model, base=base, template=read_only(motion_map(base, self.rows, self.arm)))
 
     def with_armature(self, inertia: ArrayLike) -> Self:
         """A copy with the rotors of its arm's motors, seen through their gears; a URDF does not know them.
@@ -326,6 +433,7 @@ class Structure:
             "velocity_names": self.velocity_names,
             "position_names": self.position_names,
             "actuator_names": self.actuator_names,
+            **({"shape_names": self.base.shape} if self.steers else {}),
             "effort_limits": self.effort_limits.tolist(),
         }
 
@@ -354,6 +462,8 @@ def read_only(array: Array) -> Array:
 def motion_map(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
     """T, (nv, p): the root moves with the base, wheels roll, the arm moves freely, slaves follow, the rest stands.
 
+    The columns of a base that steers are 0.
+
     Args:
         base: The mobile base.
         rows: Velocity index of every joint in the full model.
@@ -361,9 +471,10 @@ def motion_map(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
     """
     nb, root = len(base.velocity_names), base.root_size
     T = np.zeros((root + len(rows), nb + len(arm.joints)))
-    T[:root, :nb] = base.root_map[:root]
-    for wheel, rates in zip(base.wheels, base.wheel_map, strict=True):
-        T[rows[wheel.joint], :nb] = rates
+    if not base.shape:
+        T[:root, :nb] = base.root_map[:root]
+        for wheel, rates in zip(base.wheels, base.wheel_map, strict=True):
+            T[rows[wheel.joint], :nb] = rates
     for i, name in enumerate(arm.joints):
         T[rows[name], nb + i] = 1.0
     for name, slave in arm.slaves.items():
@@ -371,13 +482,12 @@ def motion_map(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
     return T
 
 
-def constraint_rows(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
-    """A, (nc, nv): no lateral slip of the control frame (2.6), no slip under each wheel, slaves follow, locks hold.
+def rolling_rows(base: Base, rows: Mapping[str, int]) -> Array:
+    """Rows on all velocities: no lateral slip of the control frame (2.6), no slip under each wheel.
 
     Args:
-        base: The mobile base.
+        base: A base with a constant T.
         rows: Velocity index of every joint in the full model.
-        arm: The manipulator.
     """
     root = base.root_size
     slip = np.zeros((len(base.slip_rows), root + len(rows)))
@@ -386,14 +496,25 @@ def constraint_rows(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
     for row, wheel, rim in zip(rolling, base.wheels, base.rolling_rows, strict=True):
         row[:root] = rim
         row[rows[wheel.joint]] = -wheel.sign * wheel.radius
-    still = np.zeros((len(arm.locked), root + len(rows)))
+    return np.vstack((slip, rolling))
+
+
+def joint_rows(nv: int, rows: Mapping[str, int], arm: Arm) -> Array:
+    """Rows on all velocities: locks hold, slaves follow.
+
+    Args:
+        nv: Number of velocities.
+        rows: Velocity index of every joint in the full model.
+        arm: The manipulator.
+    """
+    still = np.zeros((len(arm.locked), nv))
     for row, name in zip(still, arm.locked, strict=True):
         row[rows[name]] = 1.0
-    following = np.zeros((len(arm.slaves), root + len(rows)))
+    following = np.zeros((len(arm.slaves), nv))
     for row, (name, slave) in zip(following, arm.slaves.items(), strict=True):
         row[rows[slave.master]] = -slave.multiplier
         row[rows[name]] = 1.0
-    return np.vstack((slip, rolling, still, following))
+    return np.vstack((still, following))
 
 
 def motor_map(base: Base, rows: Mapping[str, int], motors: tuple[str, ...]) -> Array:

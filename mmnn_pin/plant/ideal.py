@@ -35,7 +35,7 @@ class IdealPlant:
         if method not in integrators.METHODS:
             raise UnknownName("integrator", method, integrators.METHODS, key="time.integrator")
         self.robot, self.dt, self.method = robot, dt, integrators.METHODS[method]
-        self.to_motors = np.ascontiguousarray(robot.E.T)
+        self.to_motors = np.ascontiguousarray(robot.E_at(robot.rest).T)
         nv, p = robot.dimensions.full, robot.dimensions.dof
         self.y, self.trial, self.ydot, self.total = (np.zeros(nv + p + 1) for _ in range(4))
         self.position, self.nu = self.y[:nv], self.y[nv : nv + p]
@@ -73,6 +73,8 @@ class IdealPlant:
 
     def motor_speeds(self, speeds: Array) -> None:
         """Speed of every motor's joint, (motors,) [rad/s or m/s]."""
+        if self.robot.steers:
+            np.copyto(self.to_motors, self.robot.E_full.T @ self.dynamics.maps.T)
         spread(self.to_motors, self.nu, speeds)
 
     def observe(self, row: Array, layout: Layout) -> None:
@@ -94,8 +96,7 @@ class IdealPlant:
         """Dynamics of a robot, and its arrays for the integrators."""
         self.robot, self.dynamics = robot, terms_of(robot)
         d, p = self.dynamics, robot.dimensions.dof
-        # writable copies: compiled code exists once for these, not again for read-only arrays
-        arrays = robot.T.copy(), robot.damping.copy(), robot.dry, robot.viscous.copy()
-        self.joints = integrators.PlantJoints(*arrays, robot.dimensions.base, robot.dimensions.sideways)
+        friction = robot.damping, robot.dry, robot.viscous
+        self.joints = integrators.plant_joints(friction, robot.dimensions.base, robot.dimensions.sideways, d.maps)
         scratch = np.zeros((p, p)), np.zeros(p), np.zeros((robot.dimensions.full, p + 2))
         self.terms = integrators.PlantTerms(d.v, d.M, d.h, d.F, self.hold, self.ydot, *scratch)

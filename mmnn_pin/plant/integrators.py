@@ -17,9 +17,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from ..by_address import by_address
 from ..compiled import compiled, internal, linked
 from ..elementary import tanh
+from ..model.base.rolling import Maps
 from ..model.reduction import COULOMB_SPEED, dry_level, position_rate, solve, spread, substitute
 from ..signals import Array
 
@@ -40,6 +43,8 @@ class PlantJoints(NamedTuple):
         viscous: (p,) viscous friction on nu.
         base: Number of base velocities.
         sideways: Whether they are `(vx, vy, w)`.
+        eta: (3,) `(vx, vy, w)` at the state, of a base that steers; (0,) of others.
+        V: (3, nb) its map from the base velocities; (3, 0) of others.
     """
 
     T: Array
@@ -48,6 +53,21 @@ class PlantJoints(NamedTuple):
     viscous: Array
     base: int
     sideways: bool
+    eta: Array
+    V: Array
+
+
+def plant_joints(friction: tuple[Array, Array, Array], base: int, sideways: bool, maps: Maps) -> PlantJoints:
+    """A robot as an integrator sees it.
+
+    Args:
+        friction: `damping`, `dry`, `viscous`.
+        base: Number of base velocities.
+        sideways: Whether a twist is `(vx, vy, w)`.
+        maps: Those that its dynamics write.
+    """
+    damping, dry, viscous = map(np.array, friction)  # writable: compiled code exists once for these
+    return PlantJoints(maps.T, damping, dry, viscous, base, sideways, maps.eta, maps.V[0])
 
 
 @by_address
@@ -82,7 +102,7 @@ def derivative(y: Array, tau: Array, joints: PlantJoints, terms: PlantTerms) -> 
     """Time derivative of y, into `terms.ydot`, under the generalized torque tau (p,)."""
     nv, p, rest, ydot = terms.v.size, tau.size, terms.rest, terms.ydot
     nu = y[nv : nv + p]
-    position_rate(y[:nv], nu, terms.v, joints.base, joints.sideways, ydot[:nv])
+    position_rate(y[:nv], nu, terms.v, joints.base, joints.sideways, joints.eta, ydot[:nv])
     power = 0.0
     for i in range(p):
         rest[i] = tau[i] - terms.h[i]
@@ -262,7 +282,9 @@ def euler(method: int, dt: float, joints: PlantJoints, terms: PlantTerms, tau: A
         y[nv + i] = rest[i]
     new = y[nv : nv + p]
     spread(joints.T, new, v)
-    position_rate(y[:nv], new, v, joints.base, joints.sideways, ydot[:nv])
+    if joints.eta.size:
+        spread(joints.V, new[: joints.base], joints.eta)
+    position_rate(y[:nv], new, v, joints.base, joints.sideways, joints.eta, ydot[:nv])
     for i in range(nv):
         y[i] += dt * ydot[i]
     y[nv + p] += dt * work

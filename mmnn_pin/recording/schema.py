@@ -39,6 +39,7 @@ class RunFacts(msgspec.Struct, frozen=True):
     velocity_names: tuple[str, ...] = ()
     position_names: tuple[str, ...] = ()
     actuator_names: tuple[str, ...] = ()
+    shape_names: tuple[str, ...] = ()
     effort_limits: tuple[float, ...] = ()
     armature: float | tuple[float, ...] = 0.0
     viscous: float | tuple[float, ...] = 0.0
@@ -77,7 +78,7 @@ def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
             msgspec.convert({name: meta[name]}, RunFacts)
         except msgspec.ValidationError as error:
             return (name, *wrong_type(error, meta[name]))
-    for name in ("velocity_names", "position_names", "actuator_names"):
+    for name in ("velocity_names", "position_names", "actuator_names", "shape_names"):
         if long := next((text for text in meta.get(name, ()) if len(text) > MOST_TEXT), None):
             return name, f"{shortly(long)} has {len(long)} letters", f"use at most {MOST_TEXT}"
     names, limits = meta.get("actuator_names", ()), meta.get("effort_limits", ())
@@ -97,6 +98,8 @@ def labels_of(name: str, width: int, meta: Mapping[str, Any]) -> tuple[str, ...]
         "pose": ("x", "y", "phi"),
         "all": velocities,
         "base": velocities[:width],
+        "twist": ("v", "w") if width == 2 else ("vx", "vy", "w"),
+        "shape": tuple(meta.get("shape_names", ())),
         "arm": velocities[-width:],
         "full": tuple(meta.get("position_names", ())),
         "motor": motors,

@@ -6,7 +6,7 @@ derivative, all of them analytic. `Trajectory` puts base and arm together.
 
 from .holonomic import HolonomicPath
 from .joint import Hold, JointProfile, JointSamples, JointTable, MinimumJerk, Points, Sine, Sines
-from .path import BasePath, BaseSamples, Circle, Eight, Line, Waypoints
+from .path import BasePath, BaseSamples, Circle, Eight, Line, Parking, Waypoints
 from .samples import BaseTable, check_followable, warnings
 from .timed import Smoothed, Timed
 from .trajectory import SetpointSource, Trajectory

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ..elementary import nearest_turn
-from ..errors import ConfigError
+from ..errors import ConfigError, TrajectoryError
 from ..model.robot import Robot
 from ..settings.arguments import is_numeric, shortly
 from ..signals import Array, Setpoint
@@ -37,6 +37,7 @@ from .guide import (
 from .hand import FollowHand, HandCourse
 from .limits import Limits
 from .motion import between, require_within
+from .steerable import require_steerable
 from .wishes import BaseVelocity, Course, JointGoal, Motion, Stand, Wish
 
 LARGEST = 1e9  # a number beyond this is none [SI units]
@@ -61,8 +62,9 @@ class Follower:
 
     def __init__(self, robot: Robot, limits: Limits, timeout: float) -> None:
         self.dimensions, self.timeout, self.names = robot.dimensions, timeout, robot.joint_names
+        self.base = robot.base
         self.guide = new_guide(robot, limits)
-        self.now, self.q = self.guide.now, robot.dimensions.pose + 2 * robot.dimensions.base
+        self.now, self.q = self.guide.now, robot.dimensions.pose + 2 * robot.dimensions.twist
         self.sample = np.zeros(self.now.size)
         self.parts_of_sample = tuple(
             getattr(Setpoint.side_by_side(self.sample, robot.dimensions), name) for name in Setpoint.__slots__
@@ -72,7 +74,7 @@ class Follower:
         self.over = [False, False]
         self.begun, self.renewed = [0.0, 0.0], [-math.inf, -math.inf]
         self.stands, self.paused, self.losses = False, math.nan, 0
-        self.measured = np.zeros(robot.dimensions.pose + robot.dimensions.base + 2 * robot.dimensions.arm)
+        self.measured = np.zeros(robot.dimensions.pose + robot.dimensions.twist + 2 * robot.dimensions.arm)
 
     @property
     def is_moving(self) -> bool:
@@ -96,18 +98,13 @@ class Follower:
         elif isinstance(wish, BaseVelocity):
             given = wish.velocity if is_numeric(wish.velocity) else np.zeros(0)
             velocity = np.asarray(given, float)
-            if velocity.shape != (d.base,) or not d.base or not np.isfinite(velocity).all():
-                fix = f"give {d.base} finite numbers" if d.base else "leave it out: this robot has no base"
+            if velocity.shape != (d.twist,) or not d.base or not np.isfinite(velocity).all():
+                fix = f"give {d.twist} finite numbers" if d.base else "leave it out: this robot has no base"
                 raise ConfigError(f"a base velocity {shortly(wish.velocity)}", fix=fix, key="setpoint.velocity")
         elif isinstance(wish, JointGoal):
             return Reach(wish, self.now[self.q :].reshape(3, d.arm), self.guide, self.names)
         elif isinstance(wish, Motion):
-            if wish.dimensions != d:
-                raise ConfigError("a motion of another robot", fix="make it by the stepper's `plan`", key="setpoint")
-            motion = wish.placed(self.now[: d.pose], self.now[d.pose : d.pose + d.base])
-            motion = motion.at_nearest_turn(self.now, self.guide.turn)
-            require_within(motion, self.guide, self.names, self.now[self.q : self.q + d.arm])
-            return motion
+            return self._checked(wish)
         elif isinstance(wish, FollowHand):
             if wish.body.robot.dimensions != d:
                 raise ConfigError("a hand of another robot", fix="make its body of this robot", key="setpoint")
@@ -116,6 +113,24 @@ class Follower:
             fix = "give a Setpoint, a BaseVelocity, a JointGoal, a Motion, a FollowHand or HOLD"
             raise ConfigError(f"a {type(wish).__name__} as a setpoint", fix=fix, key="setpoint")
         return None
+
+    def _checked(self, wish: Motion) -> Motion:
+        """A motion from where the reference is.
+
+        Raises:
+            ConfigError: It is of another robot, or beyond its limits.
+        """
+        d = self.dimensions
+        if wish.dimensions != d:
+            raise ConfigError("a motion of another robot", fix="make it by the stepper's `plan`", key="setpoint")
+        try:
+            motion = wish.placed(self.now[: d.pose], self.now[d.pose : d.pose + d.twist])
+            motion = motion.at_nearest_turn(self.now, self.guide.turn)
+            require_steerable(self.base, motion.times, Setpoint.side_by_side(motion.table, d))
+        except TrajectoryError as error:
+            raise ConfigError(error.what, why=error.why, fix=error.fix, key="setpoint") from error
+        require_within(motion, self.guide, self.names, self.now[self.q : self.q + d.arm])
+        return motion
 
     def stand(self, measured: Array) -> None:
         """Put the reference where the robot is measured (pose, velocity, q, qdot), braking from there."""
@@ -171,13 +186,13 @@ class Follower:
         take_sample(self.now, self.guide)
         advance(measured, 0.0, self.guide)
         if self.dimensions.base:
-            drive(np.zeros(self.dimensions.base), self.guide)
+            drive(np.zeros(self.dimensions.twist), self.guide)
         for part in (BASE, ARM):
             leave_home(part, self.guide)
             is_home(part, self.guide)
             brake(part, measured, self.guide)
         d = self.dimensions
-        between(self.sample, self.sample, 0.0, 1.0, d.base, d.sideways, self.sample)
+        between(self.sample, self.sample, 0.0, 1.0, d.twist, d.sideways, self.sample)
         nearest_turn(0.0, 0.0)
         for array in (self.guide.now, self.guide.wanted, self.guide.pace, self.guide.kind, self.guide.home):
             array[:] = 0
@@ -241,7 +256,7 @@ class Follower:
     def _has_arrived(self, part: int) -> bool:
         """Whether the reference of a part is its target, or stands as near to it as the joints' ends let it."""
         d, arm = self.dimensions, self.q + self.dimensions.arm
-        rates = self.now[d.pose : d.pose + 2 * d.base] if part == BASE else self.now[arm : arm + 2 * d.arm]  # and bends
+        rates = self.now[d.pose : self.q] if part == BASE else self.now[arm : arm + 2 * d.arm]  # and bends
         return is_home(part, self.guide) or not (np.abs(rates) > AT_REST).any()
 
     def _leave(self, part: int) -> None:

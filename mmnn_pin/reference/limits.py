@@ -7,14 +7,19 @@ from typing import Literal
 
 import numpy as np
 
+from ..elementary import cos, cos_sin
 from ..errors import ConfigError
 from ..model.base import kind_of
+from ..model.base.steered import SteeredBase
 from ..model.robot import Robot, speed_limits
 from ..model.robot import limits as limits_of
 from ..settings import Numbers, Settings, one_or_each, require_numbers
 from ..signals import Array, Dimensions
 
 USUAL = (1.0, 2.0, 5.0)  # accelerations where none is stated [m/s^2, rad/s^2, rad/s^2 or m/s^2]
+
+
+OCTAGON = 4  # directions, up to their sense, in which the speed of a wheel that steers is looked at
 
 
 class Limits(Settings, frozen=True):
@@ -63,11 +68,11 @@ class Limits(Settings, frozen=True):
         return USUAL[0] if along is None else along, USUAL[1] if about is None else about
 
     def of_base(self, dimensions: Dimensions) -> Array:
-        """Speeds, accelerations, and accelerations that a motion may bring along of the base's velocities, (3, nb)."""
+        """Speeds, accelerations, and those that a motion may bring along, of a twist's velocities, (3, twist)."""
         per_velocity, none = kind_of(dimensions).per_velocity, math.inf
         brought = (none if a is None else a for a in (self.acceleration, self.yaw_acceleration))
         rows = [(self.speed, self.yaw_rate), self.accelerations, brought]
-        return np.array([per_velocity(*row) for row in rows], float).reshape(3, dimensions.base)
+        return np.array([per_velocity(*row) for row in rows], float).reshape(3, dimensions.twist)
 
     def of_arm(self, robot: Robot) -> Array:
         """Speed, acceleration, jerk, and the acceleration that a motion may bring along of the joints, (4, n).
@@ -81,3 +86,25 @@ class Limits(Settings, frozen=True):
         bend = one_or_each(USUAL[2] if stated is None else stated, n, "joint", "limits.joint_acceleration")
         jerk = one_or_each(self.joint_jerk, n, "joint", "limits.joint_jerk")
         return np.array([speed, bend, jerk, np.full(n, math.inf) if stated is None else bend]).reshape(4, n)
+
+
+def rims(robot: Robot) -> tuple[Array, Array]:
+    """Rows (m, twist) by which drive wheels turn with a twist, and their largest speeds (m,) [rad/s].
+
+    The speed of a wheel that steers is looked at in some directions; its row is as much longer as it may be between
+    them.
+    """
+    d, speeds = robot.dimensions, speed_limits(robot)
+    if not isinstance(robot.base, SteeredBase):
+        wheels = d.motors - d.arm
+        return robot.E.T[:wheels, : d.twist], speeds[:wheels]
+    base, rows, most = robot.base, list[Array](), list[float]()
+    for wheel, fastest in zip((w for w in base.wheels if w.driven), speeds, strict=False):
+        ways, size = [wheel.heading], wheel.radius
+        if wheel.pivot >= 0:
+            ways, size = [math.pi * i / OCTAGON for i in range(OCTAGON)], wheel.radius * cos(math.pi / (2 * OCTAGON))
+        x, y = base.place(wheel)
+        for c, s in map(cos_sin, ways):
+            rows.append(np.array([c, s, s * x - c * y])[base.columns] / size)
+            most.append(float(fastest))
+    return np.array(rows).reshape(-1, d.twist), np.array(most)

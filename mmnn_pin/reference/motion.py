@@ -32,7 +32,7 @@ class Motion:
     """Samples of a motion at a period, made ahead: nothing of it is planned while the robot runs.
 
     Attributes:
-        table: (N, 3 + 2 nb + 3 n) setpoints side by side.
+        table: (N, 3 + 2 twist + 3 n) setpoints side by side.
         period: Between two of them [s].
         parts: Which parts of the robot they are for.
         dimensions: Of the robot.
@@ -51,7 +51,7 @@ class Motion:
 
     @cached_property
     def room(self) -> Array:
-        """(3 + 2 nb + 3 n,) for a sample between two."""
+        """(3 + 2 twist + 3 n,) for a sample between two."""
         return np.zeros(self.table.shape[1])
 
     @classmethod
@@ -70,8 +70,8 @@ class Motion:
         parts = (*((BASE,) if trajectory.base is not None else ()), *((ARM,) if trajectory.arm else ()))
         moved = replace(d, base=d.base if BASE in parts else 0, arm=d.arm if ARM in parts else 0)
         part = trajectory.table(t, moved)
-        table = np.zeros((len(t), d.pose + 2 * d.base + 3 * d.arm))
-        start = 0 if BASE in parts else d.pose + 2 * d.base
+        table = np.zeros((len(t), d.pose + 2 * d.twist + 3 * d.arm))
+        start = 0 if BASE in parts else d.pose + 2 * d.twist
         table[:, start : start + part.shape[1]] = part
         return cls(table, period, parts, dimensions, from_here)
 
@@ -116,7 +116,7 @@ class Motion:
             else BPoly.from_derivatives(at, np.stack(points, axis=1))
         )
         t = instants(float(at[-1]), period)
-        table = np.zeros((len(t), dimensions.pose + 2 * dimensions.base + 3 * n))
+        table = np.zeros((len(t), dimensions.pose + 2 * dimensions.twist + 3 * n))
         setpoints = Setpoint.side_by_side(table, dimensions)
         setpoints.q[:], setpoints.qdot[:], setpoints.qddot[:] = spline(t), spline(t, 1), spline(t, 2)
         return cls(table, period, (ARM,), dimensions)
@@ -124,7 +124,7 @@ class Motion:
     @cached_property
     def columns(self) -> slice:
         """The columns of a flat setpoint that the motion is for."""
-        q = self.dimensions.pose + 2 * self.dimensions.base
+        q = self.dimensions.pose + 2 * self.dimensions.twist
         return slice(0 if BASE in self.parts else q, None if ARM in self.parts else q)
 
     @cached_property
@@ -136,6 +136,11 @@ class Motion:
     def duration(self) -> float:
         """Time from the first sample to the last [s]."""
         return (len(self.table) - 1) * self.period
+
+    @property
+    def times(self) -> Array:
+        """(N,) of its samples [s]."""
+        return np.asarray(np.arange(len(self.table)) * self.period)
 
     @cached_property
     def places(self) -> Array:
@@ -158,12 +163,12 @@ class Motion:
     def write(self, elapsed: float, wanted: Array) -> bool:
         """See `Course`; between two samples as their rates say."""
         d, last, place = self.dimensions, len(self.table) - 1, max(elapsed / self.period, 0.0)
-        q, k = d.pose + 2 * d.base, min(round(place), last)
+        q, k = d.pose + 2 * d.twist, min(round(place), last)
         if abs(place - k) < ON_SAMPLE or place > last:
             row = self.table[k]
         else:
             k, row = int(place), self.room
-            between(self.table[k], self.table[k + 1], place - k, self.period, d.base, d.sideways, row)
+            between(self.table[k], self.table[k + 1], place - k, self.period, d.twist, d.sideways, row)
         wanted[self.columns] = row[self.columns]
         if self.is_moved:
             x, y, turn = self.shift
@@ -180,7 +185,7 @@ class Motion:
 
         Args:
             pose: Of the reference.
-            velocity: (nb,) of the reference, for motions that go on from it.
+            velocity: (twist,) of the reference, for motions that go on from it.
         """
         if not self.from_here or BASE not in self.parts:
             return self
@@ -198,7 +203,7 @@ class Motion:
             is_endless: (n,) whether a whole turn of a joint is none.
         """
         d, first, turns = self.dimensions, self.table[0], np.zeros(1 + self.dimensions.arm)
-        q = d.pose + 2 * d.base
+        q = d.pose + 2 * d.twist
         if BASE in self.parts:
             heading = first[2] + self.shift[2]
             turns[0] = nearest_turn(heading, now[2]) - heading

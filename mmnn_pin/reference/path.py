@@ -11,6 +11,7 @@ so `xdot = v cos phi`, `ydot = v sin phi`, `phidot = w` hold by construction: th
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from functools import cache, cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..elementary.arrays import atan2, cos, cos_sin, hypot, sin
 from ..errors import TrajectoryError
@@ -33,9 +34,9 @@ class BaseSamples:
     Attributes:
         t: (N,) time [s].
         pose: (N, 3) pose of the control frame in the world `(x, y, phi)`, phi unwrapped [m, m, rad].
-        velocity: (N, nb) base velocity in the reference's own frame, `(v, w)`; `(vx, vy, w)` of a holonomic base
+        velocity: (N, twist) base velocity in the reference's own frame, `(v, w)`; `(vx, vy, w)` of a holonomic base
             [m/s, rad/s].
-        acceleration: (N, nb) its time derivative [m/s^2, rad/s^2].
+        acceleration: (N, twist) its time derivative [m/s^2, rad/s^2].
     """
 
     t: Array
@@ -455,3 +456,120 @@ def _chain(start: Array, first: float, legs: Array, turns: Array, reach: Array, 
     x, y, s = start[0] + np.cumsum(dx) - dx, start[1] + np.cumsum(dy) - dy, np.cumsum(length) - length
     keep = length > 1e-9
     return Bends(s[keep], length[keep], x[keep], y[keep], heading[keep], turn[keep])
+
+
+@dataclass(frozen=True)
+class Parking(BasePath):
+    """Parallel parking: to a place beside the start, with the same heading, in strokes backwards and forwards.
+
+    Every stroke is a bend to one side and its mirror image, from rest to rest, and brings the base as far aside as any
+    other. Curvature rises smoothly from 0 and falls back to 0, so that the steering is straight where it stops.
+
+    Args:
+        aside: How far to the left the place is [m]; negative to the right.
+        radius: Smallest radius of curvature [m].
+        speed: Speed of a stroke [m/s]; the first is driven backwards, with a negative speed forwards.
+        strokes: How many; more need less room, and an even number ends beside where it began.
+        start: Pose `(x, y, phi)` at t = 0.
+        ramp: Time of the smooth start and of the smooth stop of a stroke [s].
+
+    Attributes:
+        length: Way of one stroke [m].
+        room: How far it goes along the heading of the start [m].
+        duration: Time until it rests at its place [s].
+
+    Raises:
+        TrajectoryError: Strokes that are none, or too short for their ramps or too long for their bends.
+
+    >>> Parking(aside=-1.0, radius=1.2, speed=0.4, strokes=2).sample([60.0]).pose.round(6).tolist()
+    [[0.0, -1.0, 0.0]]
+    """
+
+    followable: ClassVar[bool] = True
+
+    aside: float
+    radius: float
+    speed: float
+    strokes: int = 1
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ramp: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_start(self)
+        require_positive(radius=self.radius)
+        require_finite(aside=self.aside, speed=self.speed)
+        if self.strokes < 1:
+            raise TrajectoryError(f"strokes = {self.strokes}", why="it parks by driving", fix="give 1 or more")
+        if self.speed == 0:
+            raise TrajectoryError("speed = 0 m/s", why="it never reaches its place", fix="give another speed")
+        far = abs(self.aside) / (self.strokes * self.radius)
+        if not 0 < far < self._aside_of(np.pi / 2):
+            fewest = 1 + int(abs(self.aside) / (self.radius * self._aside_of(np.pi / 2)))
+            fix = f"give strokes >= {fewest}, or another place" if far else "give aside other than 0"
+            raise TrajectoryError(f"aside = {self.aside:g} m in {self.strokes} strokes", why="it turns across", fix=fix)
+        if self.length < abs(self.speed) * self.ramp:
+            longest = self.length / abs(self.speed)
+            raise TrajectoryError(
+                f"strokes of {self.length:.3g} m are too short for ramps of {self.ramp:g} s at {self.speed:g} m/s",
+                why="they would have to stop before they are up to speed",
+                fix=f"give ramp <= {math.floor(100 * longest) / 100:g} s, or a lower speed",
+            )
+
+    @staticmethod
+    def _aside_of(turn: float) -> float:
+        """How far aside a bend by an angle [rad] and its mirror image lead, by the radius."""
+        return 4 * turn * float(bend(1.0, turn)[1])
+
+    @cached_property
+    def turn(self) -> float:
+        """By how much a bend turns [rad], found by halving."""
+        low, high, far = 0.0, np.pi / 2, abs(self.aside) / (self.strokes * self.radius)
+        for _ in range(60):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self._aside_of(middle) < far else (low, middle)
+        return (low + high) / 2
+
+    @property
+    def length(self) -> float:
+        """Way of one stroke [m]."""
+        return 4 * self.turn * self.radius
+
+    @property
+    def room(self) -> float:
+        """How far it goes along the heading of the start [m]."""
+        return self.length * float(bend(1.0, self.turn)[0])
+
+    @property
+    def duration(self) -> float:
+        """Time until it rests at its place [s]."""
+        return self.strokes * self._lasts
+
+    @property
+    def _lasts(self) -> float:
+        """Time of a stroke [s]."""
+        return self.length / abs(self.speed) + self.ramp
+
+    def sample(self, t: ArrayLike) -> BaseSamples:
+        """See `BasePath.sample`."""
+        t = times(t)
+        stroke = np.clip((t / self._lasts).astype(int), 0, self.strokes - 1)
+        progress = there_and_stop(t - stroke * self._lasts, abs(self.speed), self.ramp, self.length)
+        return driven(t, progress, self._curve(progress.s, stroke))
+
+    def _curve(self, s: Array, stroke: NDArray[np.int64]) -> Curve:
+        """The geometry at s (k,) of strokes (k,)."""
+        sense = np.where(stroke % 2 == 0, -1.0, 1.0) * np.copysign(1.0, self.speed)
+        side, half = sense * np.copysign(1.0, self.aside), self.length / 2
+        second = s > half
+        u = np.where(second, self.length - s, s) / half  # the second bend is the first one turned by half a turn
+        (x, y), (c, sine) = bend(u, self.turn), cos_sin(2 * np.pi * u)
+        end = self._aside_of(self.turn) * self.radius
+        x, y = np.where(second, self.room - half * x, half * x), np.where(second, end - half * y, half * y)
+        k, dk = self.turn / half * (1 - c), self.turn / half**2 * 2 * np.pi * sine
+        before = np.where(stroke % 2 == 0, 0.0, -np.copysign(self.room, self.speed))
+        along = before + sense * x
+        across = np.copysign(1.0, self.aside) * (y + stroke * end)
+        x0, y0, phi0 = self.start
+        (c0, s0), heading = cos_sin(phi0), side * self.turn * (u - sine / (2 * np.pi))
+        phi, k = phi0 + heading, side * np.where(second, -k, k)
+        return Curve(x0 + c0 * along - s0 * across, y0 + s0 * along + c0 * across, phi, sense, 0, k, side * dk)

@@ -114,7 +114,7 @@ def has_vy(velocity: Array) -> bool:
 
 
 def in_three(velocity: Array) -> tuple[Array, Array, Array]:
-    """Columns vx, vy, w of base velocities (N, nb); vy = 0 for a differential drive."""
+    """Columns vx, vy, w of base velocities (N, twist); vy = 0 for a differential drive."""
     vx, w = velocity[:, 0], velocity[:, -1]
     return vx, velocity[:, 1] if has_vy(velocity) else np.zeros_like(vx), w
 

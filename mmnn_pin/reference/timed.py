@@ -25,11 +25,14 @@ from numpy.typing import ArrayLike
 from ..compiled import compiled
 from ..elementary.arrays import atan2, cos_sin, hypot
 from ..errors import TrajectoryError
-from ..model.robot import Robot, speed_limits
+from ..model.base.stance import along
+from ..model.base.steered import SteeredBase
+from ..model.robot import Robot
 from ..settings.arguments import is_numeric
 from ..signals import Array
-from .limits import Limits
+from .limits import Limits, rims
 from .path import BasePath, BaseSamples, Curve, Progress, bending, driven, require_finite, require_positive, times
+from .steerable import OF_RATE, OF_STOPS
 
 AGAINST = -0.5  # cosine of a heading to the way below which it looks backwards
 EXACT = 1e-3  # a curve that wanders less goes through its points [m]
@@ -72,6 +75,7 @@ class Smoothed(BasePath):
         looks: Heading with which it begins [rad]; where that is against the way, it is driven tail first.
         wander: How far it may go beside the polygon of the points, on average [m]; less where they are smooth, and
             nowhere further than `FARTHEST` times that. Its ends stay where they are.
+        bends: Largest curvature; where it would bend more it keeps nearer to the points [1/m].
 
     Attributes:
         span: Length of the polygon [m], which is the curve's parameter.
@@ -88,6 +92,7 @@ class Smoothed(BasePath):
     points: Any
     looks: float | None = None
     wander: float = 0.02
+    bends: float = math.inf
 
     def __post_init__(self) -> None:
         require_positive(wander=self.wander)
@@ -120,6 +125,9 @@ class Smoothed(BasePath):
         while wander > EXACT and hypot(*(spline(u).T - polygon)).max() > self.FARTHEST * self.wander:
             wander /= 2
             spline = fitted(points, along, count, wander)
+        while wander > EXACT and sharpest(spline, u) > self.bends:  # fewer pieces may bend more
+            wander /= 2
+            spline = fitted(points, along, count, wander)
         splines = [spline, *(spline.derivative(i) for i in (1, 2, 3))]
         dx, dy = splines[1](u).T
         return splines, u, np.unwrap(atan2(dy, dx))
@@ -136,6 +144,12 @@ class Smoothed(BasePath):
         splines, u, headings = self._spline
         tail_first = self.looks is not None and bool(cos_sin(self.looks - headings[0])[0] < AGAINST)
         return curve_along([one(s) for one in splines], np.interp(s, u, headings), tail_first)
+
+
+def sharpest(spline: Any, u: Array) -> float:
+    """Largest curvature of a spline at its parameters (N,) [1/m]."""
+    (x1, y1), (x2, y2) = spline(u, 1).T, spline(u, 2).T
+    return float(np.max(np.abs(x1 * y2 - y1 * x2) / hypot(x1, y1) ** 3))
 
 
 def thinned(points: Array, near: float) -> Array:
@@ -197,6 +211,7 @@ class Timed(BasePath):
         lateral: Largest lateral acceleration v w [m/s^2].
         wheels: Of every drive wheel the factors a and b of its speed `a v + b w`, and its largest speed.
         pace: Rate of the curve's parameter at the start, 0 for rest; at most `fastest_entry` counts.
+        base: A base that steers, whose pivots turn no faster than they can; None for another.
 
     Attributes:
         duration: Time from start to rest at the end [s].
@@ -216,6 +231,7 @@ class Timed(BasePath):
     lateral: float = 1.0
     wheels: tuple[tuple[float, float, float], ...] = ()
     pace: float = 0.0
+    base: SteeredBase | None = None
 
     def __post_init__(self) -> None:
         names = ("speed", "yaw_rate", "acceleration", "yaw_acceleration", "lateral")
@@ -238,15 +254,13 @@ class Timed(BasePath):
         pace: float = 0.0,
     ) -> Self:
         """A path under the limits of setpoints, and those of a robot's wheels as its URDF states them."""
-        nb, speeds = robot.dimensions.base, speed_limits(robot)
-        rows = robot.E.T[: robot.dimensions.motors - robot.dimensions.arm, :nb]  # a wheel turns by its row times nu
         wheels = tuple(
             (float(row[0]), float(row[-1]), float(fastest))
-            for row, fastest in zip(rows, speeds, strict=False)
+            for row, fastest in zip(*rims(robot), strict=True)
             if np.isfinite(fastest) and fastest > 0
         )
         of = limits.speed, limits.yaw_rate, *limits.accelerations
-        return cls(path, *of, lateral, wheels, pace)
+        return cls(path, *of, lateral, wheels, pace, robot.base if isinstance(robot.base, SteeredBase) else None)
 
     @property
     def duration(self) -> float:
@@ -270,6 +284,7 @@ class Timed(BasePath):
         tiny = 1e-9
         speeds = [(g, self.speed), (k, self.yaw_rate)]
         speeds += [(one * g + other * k, fastest) for one, other, fastest in self.wheels]
+        speeds += [] if self.base is None else turns(self.base, s, Curve(curve.x, curve.y, curve.phi, g, dg, k, dk))
         most = [(limit / np.maximum(abs(rate), tiny)) ** 2 for rate, limit in speeds]
         most.append(self.lateral / np.maximum(abs(g * k), tiny))
         c = np.array([[self.acceleration], [self.yaw_acceleration]])
@@ -305,6 +320,20 @@ class Timed(BasePath):
         forward = np.sign(self.path.span)
         progress = Progress(forward * at, forward * ds, forward * np.where(there, 0.0, u[i]))
         return driven(t, progress, self.path.curve(progress.s))
+
+
+def turns(base: SteeredBase, s: Array, curve: Curve) -> list[tuple[Array, float]]:
+    """Rates (N,) of the pivots of a base by the parameter of a curve, and what of theirs a reference may need [rad/s].
+
+    Args:
+        base: The base.
+        s: (N,) parameters.
+        curve: The curve there.
+    """
+    none = np.zeros_like(s)
+    twist, change = np.stack([curve.g, none, curve.k], 1), np.stack([none + curve.dg, none, none + curve.dk], 1)
+    rates = along(base.pivots, s, twist, change, share=OF_STOPS).rates
+    return [(rate, OF_RATE * p.rate) for rate, p in zip(rates.T, base.pivots, strict=True) if p.rate < math.inf]
 
 
 @compiled

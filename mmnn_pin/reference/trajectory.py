@@ -259,14 +259,14 @@ class Trajectory:
             layout: Sizes of the robot; a row of the table fits into `row[pose_ref.start:qddot_ref.stop]`.
 
         Returns:
-            (N, 3 + 2 nb + 3 n) table, without the base part for a fixed arm.
+            (N, 3 + 2 twist + 3 n) table, without the base part for a fixed arm.
 
         Raises:
             TrajectoryError: The base cannot follow, or it is for another kind of base or another number of joints.
         """
         t = times(t)
         self._require_fit(layout)
-        table = np.zeros((len(t), layout.pose + 2 * layout.base + 3 * layout.arm))
+        table = np.zeros((len(t), layout.pose + 2 * layout.twist + 3 * layout.arm))
         self._fill(t, Setpoint.side_by_side(table, layout))
         return table
 

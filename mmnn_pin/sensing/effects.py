@@ -22,7 +22,7 @@ from ..elementary.matrices import product
 from ..parts import view
 from ..signals import EARLY, INDEX, Array, IntArray
 
-POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
+POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "shape"))
 # State of the line: measurements so far, number of the one received last. State of an encoder: its reading, how far
 # that has moved since the one before, a tracked angle and the rate.
 COUNT, RECEIVED, CLOCK = range(3)
@@ -30,24 +30,27 @@ READING, MOVED, ESTIMATE, RATE, COLUMNS = range(5)
 
 
 @linked
-def exact(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -> None:
-    """Exact measurement of pose, base velocity, arm joints and their rates.
+def exact(row: Array, at: IntArray, position: Array, nu: Array, places: IntArray) -> None:
+    """Exact measurement of pose, base velocity, arm joints and their rates, and of the pivots of a base that steers.
 
     Args:
-        row: (width,) row of signals; pose, velocity, q, qdot are written.
+        row: (width,) row of signals; pose, velocity, q, qdot, shape are written.
         at: Offsets of the signals.
         position: (nv,) true position.
         nu: (p,) true velocity.
-        arm: (n,) places of the arm joints in the position.
+        places: (n + shape,) of the arm joints in the position, then of the pivots.
     """
+    shape = view(row, at, SHAPE)
     pose, velocity, q, qdot = (view(row, at, POSE), view(row, at, VELOCITY), view(row, at, Q), view(row, at, QDOT))
     for i in range(pose.size):
         pose[i] = position[i]
     for i in range(velocity.size):
         velocity[i] = nu[i]
     for i in range(q.size):
-        q[i] = position[arm[i]]
+        q[i] = position[places[i]]
         qdot[i] = nu[velocity.size + i]
+    for i in range(shape.size):
+        shape[i] = position[places[q.size + i]]
 
 
 @by_address

@@ -218,7 +218,7 @@ def standing(robot: Robot, feedback: Feedback, check_gains: bool, seconds: float
 def verdict(loop: Loop, gains: Array) -> SampledLoop:
     robot = loop.robot
     M = Dynamics(robot).mass_matrix(loop.start.state(robot, loop.table()[0])[0])
-    law = loop.kinematic.linear_errors(robot.dimensions, np.array([0.3, 0.0]))
+    law = robot.base.linear_errors(np.array([0.3, 0.0]), loop.kinematic.base_gains(robot.dimensions))
     return sampled_loop(M, gains, law, loop.kinematic.arm_gains(robot.dimensions), H)
 
 

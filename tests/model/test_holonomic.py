@@ -64,7 +64,7 @@ def mecanum(arm: int = 2) -> Robot:
     T[:3, :3] = np.linalg.inv(robot.base.to_control)
     T[robot.arm_index, 3 + np.arange(arm)] = 1.0
     still = [i for i in range(3, nv) if i not in robot.arm_index]
-    A = np.eye(nv)[still]
+    stands = {robot.full_velocity_names[i]: 0.0 for i in still}
     E_full = np.eye(nv)[:, [0, 1, 2, *robot.arm_index]]
     return replace(
         robot,
@@ -72,10 +72,9 @@ def mecanum(arm: int = 2) -> Robot:
         dimensions=Dimensions(base=3, arm=arm, full=nv, motors=p, kind="holonomic", sideways=True),
         velocity_names=("vx", "vy", "w", *robot.joint_names),
         actuator_names=("push", "slide", "turn", *robot.joint_names),
-        T=T,
-        A=A,
+        template=T,
         E_full=E_full,
-        E=T.T @ E_full,
+        arm=replace(robot.arm, locked=stands),
         effort_limits=np.full(p, np.inf),
         viscous=np.zeros(p),
     )
@@ -198,7 +197,9 @@ def test_sampled_loop_agrees_with_the_run(share):
     trajectory = Trajectory(path, (Hold(0.0),) * 2)
     kinematic = Kinematic(holonomic=(2.0, 3.0, 1.0), K=2.0)
     v_ref = path.sample([0.0]).velocity[0]
-    verdict = sampled_loop(mass(robot), gains, kinematic.linear_errors(robot.dimensions, v_ref), np.full(2, 2.0), h)
+    verdict = sampled_loop(
+        mass(robot), gains, robot.base.linear_errors(v_ref, kinematic.base_gains(robot.dimensions)), np.full(2, 2.0), h
+    )
     assert verdict.stable == (share < 1)
     feedback = Feedback(base=tuple(gains[:3].tolist()), arm=tuple(gains[3:].tolist()))
     timing = Timing(0.3 if config.DISABLE_JIT else 3.0, h, h / 2)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...compiled import copy_to
+from ...kinematic import Steering
 from ...loop.hardware import Hardware
 from ...loop.machine import Machine
 from ...loop.sample import Controls, sample
@@ -54,6 +55,7 @@ class Board(NamedTuple):
         motor_torque: (motors,) the same in the row.
         before: (w,) the setpoint of the sample before, from which Psi_hat leads.
         split: The rows that take a velocity; None where all take effort.
+        steering: Of a base that steers; None for others.
         to_motors: (motors, p) velocities of the motors from nu.
         motor_velocity: (motors,) commanded velocities [rad/s or m/s].
     """
@@ -79,6 +81,7 @@ class Board(NamedTuple):
     motor_torque: Array
     before: Array
     split: Split | None
+    steering: Steering | None
     to_motors: Array
     motor_velocity: Array
 
@@ -117,6 +120,7 @@ def board_of(stepper: Stepper) -> Board:
         motor_torque=stepper.motor_torque,
         before=stepper.before,
         split=hardware.split,
+        steering=stepper.control.steering,
         to_motors=stepper.to_motors,
         motor_velocity=np.zeros(len(stepper.to_motors)),
     )
@@ -149,7 +153,7 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
         copy_to(b.guide.now, b.before)
     sample(
         0, time, b.guide.now, b.before, b.control, b.model, b.hardware, b.learner, b.limits, b.ahead, b.later, b.split,
-        None,
+        b.steering, None,
     )  # fmt: skip
     copy_to(b.guide.now, b.before)
     copy_to(b.command, b.motor_torque)

@@ -86,7 +86,7 @@ def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[G
             action = RESET if k in (int(0.93 * steps), int(0.96 * steps)) else STOP if k == int(0.97 * steps) else 0
             read[first : first + 1] += 0.7 * (k >= int(0.95 * steps))
         if 0.6 < k / steps < 0.63:  # a target that jumps: the reference goes after it within its limits
-            asked[d.pose + 2 * d.base :][: d.arm] += 0.2
+            asked[d.pose + 2 * d.twist :][: d.arm] += 0.2
         if k > steps // 2:
             read[angles] %= math.tau
         received: Array | None = read

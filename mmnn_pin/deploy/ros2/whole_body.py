@@ -99,7 +99,7 @@ def whole_motion(
         trajectory: Of the joints.
         points: Of the base.
         now: (3, n) q, qdot, qddot of the arm's reference.
-        base: (3 + nb,) pose and velocity of the base's reference.
+        base: (3 + twist,) pose and velocity of the base's reference.
         place: Where the frame of the points lies in the odometry's.
         since: As in `PlannedArm.motion` [s].
 
@@ -206,13 +206,13 @@ def together(arm: PlannedArm, base: Array, motion: Motion | None, now: Array) ->
 
     Args:
         arm: The robot.
-        base: (N, 3 + 2 nb) pose, velocity and acceleration.
+        base: (N, 3 + 2 twist) pose, velocity and acceleration.
         motion: Of the arm; None where it is to stay.
         now: (3, n) of the arm's reference.
     """
     d = arm.robot.dimensions
     count = max(len(base), 0 if motion is None else len(motion.table))
-    table = np.zeros((count, d.pose + 2 * d.base + 3 * d.arm))
+    table = np.zeros((count, d.pose + 2 * d.twist + 3 * d.arm))
     table[: len(base), : base.shape[1]] = base
     table[len(base) :, :3] = base[-1, :3]
     setpoints = Setpoint.side_by_side(table, d)

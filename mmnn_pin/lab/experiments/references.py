@@ -21,6 +21,7 @@ from ...reference import (
     HolonomicPath,
     Line,
     MinimumJerk,
+    Parking,
     Points,
     Sine,
     Sines,
@@ -50,7 +51,7 @@ from ...settings import Settings, Timing, require_gain
 from ...settings.arguments import wrong_type
 from ...signals import Array, Dimensions
 
-BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
+BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints, "parking": Parking}
 ARM_PROFILES = {"sine": Sine, "sines": Sines, "hold": Hold, "minimum_jerk": MinimumJerk, "points": Points}
 
 

@@ -123,7 +123,7 @@ def judged(
     M = subject.dynamics(float(row[where("time")][0])).mass_matrix(row[where("position")])
     held = held_loop(
         M,
-        subject.kinematic.linear_errors(layout, row[where("velocity_ref")]),
+        subject.robot.base.linear_errors(row[where("velocity_ref")], subject.kinematic.base_gains(layout)),
         subject.kinematic.arm_gains(layout),
         subject.timing.control_period,
         viscous_friction(subject.robot),

@@ -16,7 +16,7 @@ import numpy as np
 from ...actuator.settings import Actuator, limits
 from ...disturbance import BlockedJoint, DeadMotor, Disturbance, FrozenEncoder, Messages, Payload, Push, payload
 from ...errors import RecordingError
-from ...kinematic import Kinematic, command
+from ...kinematic import Kinematic, command, steer
 from ...loop.latency import Latency
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot, carrying
@@ -194,12 +194,20 @@ class Subject:
         """Rows as they were if the sensors gave the true state: measurement, command, errors and Psi of the truth."""
         if self.exact_sensors:
             return rows
-        rows, layout, arm = rows.copy(), self.layout, self.robot.arm_index
+        rows, layout, places = rows.copy(), self.layout, self.robot.measured_index
         gains, K = self.kinematic.base_gains(layout), self.kinematic.arm_gains(layout)
+        steering, setpoint = (
+            self.kinematic.steering_of(self.robot, self.timing.control_period),
+            slice(*layout.offsets[[3, 9]]),
+        )
+        before = rows[0][setpoint].copy()
         for row in rows:
             position, nu = row[layout.where("position")], row[layout.where("nu")]
-            exact(row, layout.offsets, position, nu, arm)
-            command(row, layout.offsets, gains, K)
+            exact(row, layout.offsets, position, nu, places)
+            if steering is not None:
+                steer(row, layout.offsets, steering)
+            command(row, layout.offsets, gains, K, before, steering)
+            before[:] = row[setpoint]
             nu_ref, nudot_ref, psi = (row[layout.where(name)] for name in ("nu_ref", "nudot_ref", "psi"))
             dynamics = self.dynamics(float(row[layout.where("time")][0]))
             dynamics.refresh(position, nu)

@@ -11,12 +11,11 @@ from ...signals import Array, Dimensions
 from .base import Base, Fixed
 from .differential import DifferentialDrive, kanayama
 from .holonomic import HolonomicBase, holonomic_command
-from .skid_steer import SkidSteer
+from .skid_steer import SkidSteer, Tracked
 from .steered import STEERED_KINDS
 
-KINDS: dict[str, type[Base]] = {
-    kind.kind: kind for kind in (DifferentialDrive, SkidSteer, HolonomicBase, *STEERED_KINDS, Fixed)
-}
+ALL: tuple[type[Base], ...] = (DifferentialDrive, SkidSteer, Tracked, HolonomicBase, *STEERED_KINDS, Fixed)
+KINDS: dict[str, type[Base]] = {kind.kind: kind for kind in ALL}
 
 
 def kind_of(dimensions: Dimensions) -> type[Base]:

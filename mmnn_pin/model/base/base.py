@@ -44,6 +44,7 @@ class Wheel:
             above [rad]; None for a plain wheel.
         pivot: Number of the pivot that carries it, in whose frame it is placed; -1 for the base's body.
         driven: Whether a motor drives it.
+        grips: Whether it holds the floor sideways; not one of several axles of a trailer, which must slide.
     """
 
     joint: str
@@ -55,6 +56,7 @@ class Wheel:
     roller: float | None = None
     pivot: int = -1
     driven: bool = True
+    grips: bool = True
 
     @property
     def grip(self) -> Array:
@@ -65,10 +67,10 @@ class Wheel:
 
 
 class LinearErrors(NamedTuple):
-    """The pose error e (3,) for small errors, under a law: `edot = rates e + by_velocity dnu`, `dalpha = command e`.
+    """The pose error e for small errors, under a law: `edot = rates e + by_velocity dnu`, `dalpha = command e`.
 
     Attributes:
-        rates: (3, 3).
+        rates: (3, 3); of a base that steers its angles are further errors.
         by_velocity: (3, nb) effect of the base velocity.
         command: (nb, 3) what the law answers.
     """
@@ -192,6 +194,11 @@ class Base:
     def driven(self) -> tuple[str, ...]:
         """Its joints with motors."""
         return tuple(wheel.joint for wheel in self.wheels)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Its joints that move, none of them the arm's: those of its wheels, and what they steer or swivel on."""
+        return tuple(wheel.joint for wheel in self.wheels) + self.shape
 
     @property
     def shape(self) -> tuple[str, ...]:

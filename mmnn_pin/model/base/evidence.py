@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -275,6 +275,55 @@ def reads_only(element: etree._Element) -> bool:
     """Whether what names a joint in a gazebo tag is a sensor, or a plugin that publishes its state."""
     above = list(element.iterancestors("sensor", "plugin"))
     return any(e.tag == "sensor" or READS.search(f"{e.get('filename')} {e.get('name')}") for e in above)
+
+
+STEERS = re.compile(r"tricycle|ackermann|bicycle|car[_-]?like|four_wheel_steering", re.IGNORECASE)  # of plugins
+ROLLS = re.compile(r"diff[_-]?drive", re.IGNORECASE)
+DRIVEN_KEYS = re.compile(r"(?:wheel|axle|steering|traction|drive|front|rear|left|right)\w*_(?:names?|joints?)$")
+
+
+def controllers_motors(rest: AtRest, file: str | None) -> dict[str, str]:
+    """Joints that a file of controllers drives, each with where it stands.
+
+    Raises:
+        ConfigError: The controllers' file cannot be read.
+    """
+    found = dict[str, str]()
+    for table in tables_of(file):
+        for key, entry in table.items():
+            if DRIVEN_KEYS.search(key) or key == "joints":
+                place = f"{Path(file or '').name} (line {entry.line})"
+                found |= {name: place for name in entry.items if name in rest.document.joints}
+    return found
+
+
+def driving_signs(
+    rest: AtRest, drives: Sequence[Candidate], front: Sequence[Candidate], controllers: str | None
+) -> Iterator[tuple[str, str]]:
+    """Signs of plugins, controllers and motors whether wheels on one line drive or others steer: kind and text.
+
+    Raises:
+        ConfigError: The controllers' file cannot be read.
+    """
+    root = rest.document.root
+    for element in root.iterfind("gazebo//*"):
+        words = f"{element.get('filename', '')} {element.get('name', '')} {element.text or ''}"
+        for kind, pattern in (("car-like", STEERS), ("differential_drive", ROLLS)):
+            if element.tag in ("plugin", "controller") and (hit := pattern.search(words)):
+                yield kind, f"<gazebo> names '{hit[0]}' (line {element.sourceline})"
+    for number, line in lines_of(controllers):
+        for kind, pattern in (("car-like", STEERS), ("differential_drive", ROLLS)):
+            if "type" in line and (hit := pattern.search(line)):
+                yield kind, f"{Path(controllers or '').name} names '{hit[0]}' (line {number})"
+    ahead = {j.name for c in front for j in rest.document.moving_ancestors(c.joint.child)}
+    pair = {c.joint.name for c in drives}
+    moved = [e for e in root.iterfind("ros2_control/joint") if e.find("command_interface") is not None]
+    for what, motors in (("<ros2_control>", moved), ("<transmission>", root.findall("transmission/joint"))):
+        lines = {e.get("name"): e.sourceline for e in motors}
+        for kind, these, others in (("car-like", ahead, pair), ("differential_drive", pair, ahead)):
+            if lines.keys() & these and not lines.keys() & others:
+                name = sorted(lines.keys() & these)[0]
+                yield kind, f"{what} drives '{name}' (line {lines[name]})"
 
 
 # -- lengths that are stated -------------------------------------------------------------------------------------------

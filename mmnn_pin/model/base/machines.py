@@ -18,8 +18,8 @@ from lxml import etree
 from ...elementary import hypot
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .report import BaseReading, blind_fix, readings, undecided, unsupported
-from .wheels import LOW, TRAIL, Candidate, coaxial, height_at, is_low, parallel, wheel_of
+from .report import blind_fix, readings, undecided, unsupported
+from .wheels import LOW, Candidate, height_at, is_low, wheel_of
 
 MESHES = "link/*/geometry/mesh"
 MOST_PER_SIDE = 3  # wheels of a skid-steer base
@@ -32,8 +32,6 @@ TRACK_NAMES = re.compile(r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?|fl
 LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
 SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
 SWERVE = "swerve drive"
-STEERS = re.compile(r"tricycle|ackermann|bicycle|car[_-]?like", re.IGNORECASE)  # as plugins are called
-ROLLS = re.compile(r"diff[_-]?drive", re.IGNORECASE)
 PUSHED = "--base holonomic drives it by forces on its frame, its wheels standing still"
 MODULE_NAMES = re.compile(r"wheel|steer|caster", re.IGNORECASE)
 PROPELLERS, PROPELLER_NAMES = "vehicle with propellers", re.compile(r"thruster|propeller", re.IGNORECASE)
@@ -79,16 +77,13 @@ def steering_named(rest: AtRest) -> str:
     return f"'{hit.string}' among its names" if hit else ""
 
 
-def tracks(rest: AtRest, drives: Sequence[Candidate]) -> str:
-    """The sign that a machine with parallel wheels runs on tracks, empty when there is none."""
+def many_wheels(rest: AtRest, drives: Sequence[Candidate]) -> str:
+    """The sign that a machine with parallel wheels runs on tracks by how many they are, empty when there is none."""
     on_root = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_horizontal(j)]
     alike = sum(abs(rest.axis(on_root[0]) @ rest.axis(j)) > 0.99 for j in on_root) if on_root else 0
     wheels = max(alike, len(drives))
-    if wheels > 2 * MOST_PER_SIDE:
-        return f"{wheels} parallel wheels: more than {MOST_PER_SIDE} per side run in tracks"
-    if hit := track_named(rest):
-        return f"{wheels} parallel wheels, and {hit}"
-    return ""
+    many = wheels > 2 * MOST_PER_SIDE
+    return f"{wheels} parallel wheels: more than {MOST_PER_SIDE} per side run in tracks" if many else ""
 
 
 def track_named(rest: AtRest) -> str:
@@ -180,14 +175,18 @@ def upright_along_y(rest: AtRest) -> list[Joint]:
 
 
 def steering_modules(rest: AtRest) -> list[str]:
-    """Names of three or more low joints about vertical axes on which names say that wheels are, and nothing turns."""
+    """Names of low joints about vertical axes on which names say that wheels are, and nothing turns.
+
+    There are three or more of them, or two that are said to steer.
+    """
     highest, names = height_at(rest, LOW), []
     for joint in trunk_joints(rest):
         words = [joint.name, joint.child, *map(mesh_name, rest.document.links[joint.child].iter("mesh"))]
         ends = rest.is_vertical(joint) and not rest.document.moving_children(joint.child)
         if ends and MODULE_NAMES.search(" ".join(words)) and rest.hub(joint)[2] <= highest:
             names.append(joint.name)
-    return names if len(names) >= ROTORS else []
+    steer = [name for name in names if "steer" in name.lower()]
+    return names if len(names) >= ROTORS or len(steer) >= 2 else []
 
 
 def rotors(rest: AtRest) -> Iterator[str]:
@@ -222,34 +221,18 @@ def plain(wheels: Sequence[Candidate]) -> list[Candidate]:
     return [c for c in wheels if c.mount == ""]
 
 
-def refuse_steered(rest: AtRest, wheels: list[Candidate]) -> None:
-    """Refuse wheels that steer, wheels on casters that have motors, and wheels at the ends of legs.
+def refuse_legs(rest: AtRest, wheels: list[Candidate]) -> None:
+    """Refuse wheels at the ends of legs, and casters beside which low joints cannot be measured.
 
     Raises:
-        Unsupported: By name.
+        Unsupported: Two or more wheels hang on legs.
         Undecided: What drives beside casters cannot be measured.
     """
-    legged, drives = [c for c in wheels if c.mount == "leg"], plain(wheels)
+    legged = [c for c in wheels if c.mount == "leg"]
     if len(legged) >= 2:
         raise unsupported(rest, "legged machine", f"its wheels hang on legs: {in_texts(legged)}", legged)
-    if not drives:
+    if not plain(wheels):
         require_measured(rest, wheels)
-    steered = steered_of(wheels)
-    if steered and drives:
-        raise unsupported(rest, "car-like base", f"wheels are steered: {in_texts(steered)}", steered)
-    if steered:
-        raise unsupported(rest, SWERVE, f"all its wheels are steered: {in_texts(wheels)}", wheels, turned_fix(wheels))
-    if not drives and any(c.mount == "swivel" for c in wheels):
-        why = f"all its wheels hang on swivels: {in_texts(wheels)}"
-        raise unsupported(rest, "base on powered casters", why, wheels, turned_fix(wheels))
-
-
-def steered_of(wheels: list[Candidate]) -> list[Candidate]:
-    """Wheels that steer; where nothing drives beside them, swivels do that do not trail: these are no casters."""
-    steered, swivels = ([c for c in wheels if c.mount == mount] for mount in ("steering", "swivel"))
-    if steered or plain(wheels):
-        return steered
-    return swivels if all(c.trail <= TRAIL for c in swivels) else []
 
 
 def require_measured(rest: AtRest, wheels: list[Candidate]) -> None:
@@ -268,70 +251,3 @@ def require_measured(rest: AtRest, wheels: list[Candidate]) -> None:
 def in_texts(wheels: Sequence[Candidate]) -> str:
     """Wheels in words."""
     return "; ".join(c.text for c in wheels)
-
-
-def turned_fix(wheels: list[Candidate]) -> str:
-    """The way out for a base all of whose wheels can be turned about the vertical."""
-    fix = PUSHED
-    corners = {(c.centre[0] > np.mean([o.centre[0] for o in wheels]), c.centre[1] > 0) for c in wheels}
-    if len(wheels) == 4 and len(corners) == 4 and all(parallel(wheels[0], c) for c in wheels):
-        names = ",".join(c.joint.name for c in wheels)
-        fix += f"; --base holonomic --wheels {names} takes them as mecanum wheels that do not steer"
-    return fix + "; --base fixed takes it as an arm"
-
-
-def refuse_steered_pair(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> None:
-    """Refuse two coaxial wheels that another wheel or plugin steers.
-
-    A free caster follows by its trail. One without may be a tricycle's front wheel: what the file drives decides.
-
-    Raises:
-        Unsupported: The file drives the wheel that steers, and not the two.
-        Undecided: Nothing tells, or pieces contradict each other.
-    """
-    front = [c for c in wheels if c.mount == "swivel" and c.trail <= TRAIL]
-    pieces = list(driven(rest, drives, front))
-    steers, rolls = ([text for kind, text in pieces if kind == wanted] for wanted in ("car-like", "differential_drive"))
-    if rolls and not steers:
-        return
-    names = ",".join(c.joint.name for c in drives)
-    if front and steers and not rolls:
-        why = f"{in_texts(front)} has no trail and steers: {', '.join(steers)}"
-        raise unsupported(rest, "car-like base", why, front)
-    if front_axle(front, drives) and not rolls:
-        fix = f"--wheels {names} if those in front are casters, --base fixed takes it as an arm"
-        why = f"two wheels on one axle are steered, without a trail: {in_texts(front)}"
-        raise unsupported(rest, "car-like base", why, front, fix)
-    if not (steers or front):
-        return
-    why = f"the file also speaks of steering: {', '.join(steers)}"
-    if not steers:
-        why = f"'{front[0].joint.name}' has no trail: a caster could not follow, a tricycle steers with it"
-    two = BaseReading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
-    car = BaseReading("car-like", tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
-    fix = f"--wheels {names} if what else stands on the floor are casters, --base fixed takes it as an arm"
-    raise undecided(rest, wheels, [two, car], why, fix)
-
-
-def front_axle(front: list[Candidate], drives: list[Candidate]) -> bool:
-    """Whether two wheels that could be steered make an axle of their own, parallel to that of two others."""
-    return len(front) == 2 and coaxial(*front) and not coaxial(front[0], drives[0]) and parallel(front[0], drives[0])
-
-
-def driven(rest: AtRest, drives: list[Candidate], front: list[Candidate]) -> Iterator[tuple[str, str]]:
-    """Signs of plugins, controllers and motors whether two coaxial wheels drive or others steer: kind and text."""
-    root = rest.document.root
-    for element in root.iterfind("gazebo//*"):
-        words = f"{element.get('filename', '')} {element.get('name', '')} {element.text or ''}"
-        for kind, pattern in (("car-like", STEERS), ("differential_drive", ROLLS)):
-            if element.tag in ("plugin", "controller") and (hit := pattern.search(words)):
-                yield kind, f"<gazebo> names '{hit[0]}' (line {element.sourceline})"
-    ahead = {j.name for c in front for j in rest.document.moving_ancestors(c.joint.child)}
-    pair = {c.joint.name for c in drives}
-    moved = [e for e in root.iterfind("ros2_control/joint") if e.find("command_interface") is not None]
-    for what, motors in (("<ros2_control>", moved), ("<transmission>", root.findall("transmission/joint"))):
-        lines = {e.get("name"): e.sourceline for e in motors}
-        for kind, these, others in (("car-like", ahead, pair), ("differential_drive", pair, ahead)):
-            if lines.keys() & these and not lines.keys() & others:
-                name = sorted(lines.keys() & these)[0]
-                yield kind, f"{what} drives '{name}' (line {lines[name]})"

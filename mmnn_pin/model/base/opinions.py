@@ -56,7 +56,7 @@ def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overr
     Raises:
         ConfigError: The controllers' file cannot be read.
     """
-    if not base.wheels or any(abs(sin(w.heading)) > HORIZONTAL for w in base.wheels):
+    if not base.wheels or base.shape or any(abs(sin(w.heading)) > HORIZONTAL for w in base.wheels):
         return
     drives = [c for c in wheels if c.joint.name in {w.joint for w in base.wheels}]
     if overrides.track is None:
@@ -155,7 +155,7 @@ def unasked(rest: AtRest, base: Base, overrides: Overrides) -> Iterator[Finding]
 
     They are told, not used: a file may be another robot's.
     """
-    if not base.wheels or base.pushes or overrides.controllers_file is not None:
+    if not base.wheels or base.shape or base.pushes or overrides.controllers_file is not None:
         return
     files = beside(rest)
     for name, used, names in (("track", base.track, TRACKS), ("radius", base.wheels[0].radius, RADII)):
@@ -227,8 +227,8 @@ def stated_track(base: Base, files: Sequence[str], given: bool) -> Stated | None
 
 def own_files(rest: AtRest, base: Base, overrides: Overrides) -> list[str]:
     """The controllers' file that was given, else those beside the robot's that name all its drive wheels."""
-    if not base.wheels or overrides.controllers_file is not None:
-        return [overrides.controllers_file] if base.wheels and overrides.controllers_file else []
+    if base.shape or not base.wheels or overrides.controllers_file is not None:
+        return [overrides.controllers_file] if base.wheels and not base.shape and overrides.controllers_file else []
     joints = {wheel.joint for wheel in base.wheels}
     return [str(file) for file in beside(rest) if joints <= words_of(str(file))]
 

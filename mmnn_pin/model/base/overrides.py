@@ -55,6 +55,10 @@ class Overrides(Settings, frozen=True):
         controllers_file: YAML file of the robot's controllers: evidence of its kind, what corrects radius and track,
             and opinions on them.
         mu: Friction coefficient between the floor and the wheels of a skid-steer base.
+        steer: Joints that steer, about vertical axes above wheels.
+        hitch: Joints on which trailers follow.
+        wheelbase: Distance from the fixed axle to the wheels that steer [m].
+        steering_limit: Largest angle of what steers, to either side [rad].
     """
 
     base: str | None = None
@@ -72,6 +76,10 @@ class Overrides(Settings, frozen=True):
     strict: bool = False
     controllers_file: str | None = None
     mu: float | None = None
+    steer: tuple[str, ...] | None = None
+    hitch: tuple[str, ...] | None = None
+    wheelbase: float | None = None
+    steering_limit: float | None = None
 
     def __post_init__(self) -> None:
         if self.base is not None and self.base not in KINDS:
@@ -79,15 +87,19 @@ class Overrides(Settings, frozen=True):
         for key, value in (
             ("radius", self.radius),
             ("track", self.track),
+            ("wheelbase", self.wheelbase),
             *(("wheel_radii", r) for r in self.radius_of.values()),
         ):
             if value is not None and not SMALLEST <= value <= LARGEST:
                 fix = f"give metres, from {SMALLEST:g} to {LARGEST:g}"
-                raise ConfigError(f"{value} cannot be a {'track' if key == 'track' else 'radius'}", fix=fix, key=key)
+                raise ConfigError(f"{value} cannot be a {key.replace('wheel_radii', 'radius')}", fix=fix, key=key)
         if self.mu is not None and not 0 < self.mu <= LARGEST_MU:
             raise ConfigError(
                 f"{self.mu} cannot be a friction coefficient", fix="give one above 0, such as 0.6", key="mu"
             )
+        if self.steering_limit is not None and not 0 < self.steering_limit <= math.pi:
+            what = f"{self.steering_limit} cannot be the limit of a steering angle"
+            raise ConfigError(what, fix="give radians above 0, such as 0.6", key="steering_limit")
         if self.roller is not None and not abs(self.roller) < 1.4:
             raise ConfigError(f"{self.roller} cannot be a roller angle", fix="give radians within +-1.4", key="roller")
         if self.wheels is not None and len(set(self.wheels)) < max(len(self.wheels), 1):

@@ -22,7 +22,8 @@ from .holonomic import HolonomicBase
 from .machines import MOST_PER_SIDE
 from .overrides import Overrides
 from .report import BaseReading, BaseResult, note, undecided
-from .skid_steer import SkidSteer, loads, rotation_centre, turning_friction, turning_track
+from .skid_steer import SkidSteer, Tracked, loads, rotation_centre, turning_friction, turning_track
+from .steered import SteeredBase
 from .wheels import (
     HUB,
     SLOPPY,
@@ -32,11 +33,13 @@ from .wheels import (
     alike_on_root,
     bare_swivels,
     coaxial,
+    is_endless_end,
     is_low,
     parallel,
     wheel_of,
 )
 
+SKIDDING = (SkidSteer.kind, Tracked.kind)
 ROLLERS = "--roller RADIANS says how they lie, --wheels which of the wheels drive"
 SAME_RATE = 0.05  # rims of wheels that are coupled may differ in speed by this fraction
 OFF_CENTRE = 0.02  # a centre of rotation further off than this fraction of half the wheelbase is told
@@ -49,7 +52,7 @@ def with_wheels(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], 
     Raises:
         ConfigError: Wheels that do not suit the base.
     """
-    if overrides.base == "skid_steer":
+    if overrides.base in SKIDDING:
         return skidding(rest, drives, wheels, overrides)
     if overrides.base == "holonomic" or (overrides.base is None and len(drives) > 2):
         return rolling_sideways(rest, drives, wheels, overrides)
@@ -137,7 +140,7 @@ def wheel_joint(rest: AtRest, name: str, overrides: Overrides) -> Joint:
         why = f"it is {joint.type}" if not joint.turns_freely else "its axis is not horizontal"
         fix = "make it continuous about a horizontal axis" if not joint.turns_freely else "name another joint"
         raise ConfigError(f"joint '{name}' cannot be a wheel", why=why, fix=fix, key="wheels", file=rest.document.path)
-    if joint.mimics is not None and overrides.base != "skid_steer":
+    if joint.mimics is not None and overrides.base not in SKIDDING:
         why, fix = f"it follows '{joint.mimics}' (<mimic>)", "name wheels that turn by themselves, or --base skid_steer"
         raise ConfigError(f"joint '{name}' cannot be a drive wheel", why=why, fix=fix, key="wheels")
     return joint
@@ -179,7 +182,7 @@ def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
     Raises:
         RobotError: It does.
     """
-    motors, names = motors_named(rest), [wheel.joint for wheel in base.wheels]
+    motors, names = motors_named(rest), [wheel.joint for wheel in base.wheels if wheel.driven]
     idle = [name for name in names if name not in motors]
     if base.scrubs or overrides.wheels is not None or not 0 < len(idle) < len(names):
         return
@@ -202,12 +205,16 @@ def require_used(overrides: Overrides, base: Base) -> None:
     for name in overrides.radius_of:
         if name not in names:
             raise UnknownName("drive wheel", name, names, key="wheel_radii")
+    pivots = base.pivots if isinstance(base, SteeredBase) else ()
     unused = {"radius": not base.wheels, "track": len(base.wheels) < 2, "roller": not base.sideways}
     unused["mu"] = not base.scrubs
+    steers = any(p.role != "passive" for p in pivots)
+    unused |= {"steer": not steers, "hitch": not pivots, "wheelbase": not steers, "steering_limit": not steers}
     unused["roller"] |= not base.wheels
     for key, ignored in unused.items():
         if ignored and getattr(overrides, key) is not None:
-            what = f"a {key} for a base '{base.kind}'" + ("" if base.wheels else " without drive wheels")
+            what = f"a {key.replace('_', ' ')} for a base '{base.kind}'"
+            what += "" if base.wheels else " without drive wheels"
             raise ConfigError(what, why="nothing would use it", fix="leave it out, or say what the base is", key=key)
 
 
@@ -295,17 +302,33 @@ def in_order(rest: AtRest, names: Sequence[str] | set[str]) -> tuple[str, ...]:
 # -- skid-steer bases --------------------------------------------------------------------------------------------------
 
 
-def skidding(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
+def skidding(
+    rest: AtRest,
+    drives: list[Candidate],
+    wheels: list[Candidate],
+    overrides: Overrides,
+    kind: type[SkidSteer] | None = None,
+) -> BaseResult:
     """Base on wheels that skid when it turns: a virtual axle in their middle, an effective track, turning friction.
 
+    Args:
+        rest: The robot at rest.
+        drives: The wheels on the floor.
+        wheels: All its wheels.
+        overrides: What the user says.
+        kind: On wheels or on belts, which may run over more of them; None as the user says.
+
     Raises:
-        ConfigError: Not two or three parallel wheels on either side.
+        ConfigError: Not two or three parallel wheels on either side, on belts two or more.
     """
-    base = frame_of(rest, drives, wheels, SkidSteer, overrides)
+    kind = kind or (Tracked if overrides.base == Tracked.kind else SkidSteer)
+    base = frame_of(rest, drives, wheels, kind, overrides)
+    base = replace(base, parked=in_order(rest, [*base.parked, *idlers(rest, base, drives)]))
     left, right = sum(w.y > 0 for w in base.wheels), sum(w.y < 0 for w in base.wheels)
     alike = all(parallel(drives[0], c) for c in drives[1:])
-    if not (alike and left == right == len(drives) / 2 and 2 <= left <= MOST_PER_SIDE):
-        what = f"{len(drives)} wheel(s), {left} of them on the left, for a skid-steer base"
+    few = kind is not SkidSteer or left <= MOST_PER_SIDE
+    if not (alike and left == right == len(drives) / 2 and left >= 2 and few):
+        what = f"{len(drives)} wheel(s), {left} of them on the left, for a base '{kind.kind}'"
         fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
         raise ConfigError(what, fix=fix, key="wheels", file=rest.document.path)
     require_together(rest, drives)
@@ -326,6 +349,19 @@ def skidding(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], ove
         why = f"its weight is there; the middle slides sideways by {abs(ahead):.3g} m times the yaw rate, not in T"
         findings.append(note(rest, "base-skid", first, text, why, "the contact plant shows it: --plant contact"))
     return BaseResult(base, tuple(findings))
+
+
+def idlers(rest: AtRest, base: Base, drives: Sequence[Candidate]) -> list[str]:
+    """Endless joints beside the wheels of a side, about parallel axes: sprockets and idlers of a belt."""
+    known = {c.joint.name for c in drives}
+    ends = [j for j in rest.document.moving_children(rest.document.root_link) if is_endless_end(rest, j)]
+    others = [wheel_of(rest, j) for j in ends if j.name not in known]
+    left = np.array([-math.sin(base.frame[2]), math.cos(base.frame[2])])
+    return [
+        c.joint.name
+        for c in others
+        if parallel(c, drives[0]) and any(abs(product(left, (c.centre - d.centre)[:2])) < d.radius / 2 for d in drives)
+    ]
 
 
 def require_together(rest: AtRest, drives: list[Candidate]) -> None:

@@ -57,6 +57,9 @@ CODES = {
     "base-stray": "warning",
     "base-pair": "warning",
     "base-skid": "note",
+    "base-steered": "note",
+    "base-limit": "warning",
+    "base-scrub": "warning",
     "base-floor": "warning",
     "base-friction": "warning",
     "base-welded": "warning",
@@ -401,7 +404,10 @@ def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[st
         if len(near_misses) > 1:
             larger = "with --radius METRES if they are larger"
             fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
-    return undecided(rest, near_misses, [BaseReading("differential_drive", ("coaxial wheels",), (why,))], why, fix)
+    two = BaseReading("differential_drive", ("coaxial wheels",), (why,))
+    if all(c.mount in ("steering", "swivel") for c in near_misses):
+        two = BaseReading("swerve", ("wheels under joints about vertical axes",), (why,))
+    return undecided(rest, near_misses, [two], why, fix)
 
 
 def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:

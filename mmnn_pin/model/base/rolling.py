@@ -23,7 +23,8 @@ With a fixed axle at the control frame and one master, whose wheel is at p ahead
 
 so that u is the speed of a car's virtual front wheel, bounded at a right angle, where l is its wheelbase. Without an
 axle all steered wheels are masters: n is the direction along which they slide least, exact where their axles meet in
-one place. The sign of n goes on from the one before: a wheel may turn by half a turn, and u keeps its meaning.
+one place. The sign of n goes on from the one before: a wheel may turn by half a turn, and u keeps its meaning. The
+first one rolls most wheels forwards.
 
 Every number has its rate beside it, so that Tdot is exact.
 """
@@ -148,8 +149,8 @@ class Maps(NamedTuple):
         Tdot: (nv, p) its rate.
         V: (K + 1, 3, nb) velocity of the body and of what every pivot carries, in its own axes.
         Vdot: (K + 1, 3, nb) its rate.
-        eta: (3,) velocity of the control frame.
-        n: (3,) direction of u, in the measure of W; the sign of the next one goes on from it.
+        eta: (3,) velocity of the control frame; (0,) where T is constant.
+        n: (3,) direction of u, in the measure of W; the sign of the next one goes on from it, 0 at first.
         gram: (4, 3, 3) scratch.
     """
 
@@ -166,7 +167,8 @@ def new_maps(rolling: Rolling | None, T: Array) -> Maps:
     """Memory for the maps of a base, T (nv, p) of what is constant in it already there; `rolling` None: T is."""
     pivots, nb = (0, 0) if rolling is None else (len(rolling.turns), base_size(rolling))
     drift = np.zeros_like(T) if rolling is not None else np.zeros((0, 0))
-    parts = np.zeros((pivots + 1, 3, nb)), np.zeros((pivots + 1, 3, nb)), np.zeros(3), np.array([1.0, 0.0, 0.0])
+    eta = np.zeros(3 if pivots else 0)
+    parts = np.zeros((pivots + 1, 3, nb)), np.zeros((pivots + 1, 3, nb)), eta, np.zeros(3)
     return Maps(T.copy(), drift, *parts, np.zeros((4, 3, 3)))
 
 
@@ -247,7 +249,7 @@ def body_motion(rolling: Rolling, position: Array, nu: Array, maps: Maps) -> Non
 
 @internal
 def steer_axle(rolling: Rolling, k: int, position: Array, nu: Array, V: Array, Vdot: Array) -> None:
-    """n and X of a fixed axle and one master k, closed; see the heading."""
+    """N and X of a fixed axle and one master k, closed; see the heading."""
     p, column = rolling.pivots[k], rolling.turns[k, TURN.column]
     x, y, sign, L2 = p[PIVOT.x], p[PIVOT.y], p[PIVOT.sign], rolling.length * rolling.length
     (c, s, t), rate = heading_of(rolling, k, position), sign * nu[column]
@@ -264,13 +266,15 @@ def steer_axle(rolling: Rolling, k: int, position: Array, nu: Array, V: Array, V
 
 @internal
 def meet(rolling: Rolling, position: Array, nu: Array, maps: Maps) -> None:
-    """n of a base whose wheels all steer, and its rate: three steps of inverse iteration from the n before.
+    """N of a base whose wheels all steer, and its rate: three steps of inverse iteration from the n before.
 
     Of the rows `r` of the masters on `(vx, vy, l w)`, `G = sum r r'` has n as the eigenvector of its least eigenvalue,
     and its adjugate is `sum of (r_i x r_j)(r_i x r_j)'` over pairs: n n' times a factor where all axles meet.
     """
     adj, adjdot, n, ndot = maps.gram[0], maps.gram[1], maps.gram[2, 0], maps.gram[2, 1]
     adjugate_of_axles(rolling, position, nu, maps)
+    if maps.n[0] == 0.0 and maps.n[1] == 0.0 and maps.n[2] == 0.0:
+        first_direction(rolling, position, adj, maps.n)
     for i in range(3):
         n[i], ndot[i] = maps.n[i], 0.0
     for _ in range(3):
@@ -282,6 +286,24 @@ def meet(rolling: Rolling, position: Array, nu: Array, maps: Maps) -> None:
         scale = 1.0 if i < 2 else 1.0 / rolling.length
         maps.n[i] = n[i]
         maps.V[0, i, 0], maps.Vdot[0, i, 0] = scale * n[i], scale * ndot[i]
+
+
+@internal
+def first_direction(rolling: Rolling, position: Array, adj: Array, n: Array) -> None:
+    """The direction of u as most wheels roll forwards, ahead or to the left where as many roll backwards."""
+    largest, forwards = 0, 0.0
+    for i in range(3):
+        if adj[i, i] > adj[largest, largest]:
+            largest = i
+    size = math.sqrt(adj[0, largest] ** 2 + adj[1, largest] ** 2 + adj[2, largest] ** 2)
+    for i in range(3):
+        n[i] = adj[i, largest] / size
+    for k in range(len(rolling.turns)):
+        p, (c, s, _) = rolling.pivots[k], heading_of(rolling, k, position)
+        forwards += c * n[0] + s * n[1] + (p[PIVOT.x] * s - p[PIVOT.y] * c) / rolling.length * n[2]
+    sign = -1.0 if forwards < -1e-6 or (forwards < 1e-6 and n[largest] < 0.0) else 1.0
+    for i in range(3):
+        n[i] *= sign
 
 
 @internal
@@ -321,9 +343,9 @@ Triple = tuple[float, float, float]
 def axle_row(rolling: Rolling, k: int, position: Array, nu: Array) -> tuple[Triple, Triple]:
     """Row of master k on `(vx, vy, l w)` that vanishes where its wheel does not slide, and its rate."""
     p, (c, s, t) = rolling.pivots[k], heading_of(rolling, k, position)
-    rate, l = p[PIVOT.sign] * nu[rolling.turns[k, TURN.column]], rolling.length
+    rate, per = p[PIVOT.sign] * nu[rolling.turns[k, TURN.column]], 1.0 / rolling.length
     x, y = p[PIVOT.x], p[PIVOT.y]
-    return (-s, c, (x * c + y * s + t) / l), (-c * rate, -s * rate, (y * c - x * s) * rate / l)
+    return (-s, c, (x * c + y * s + t) * per), (-c * rate, -s * rate, (y * c - x * s) * rate * per)
 
 
 @compiled
@@ -412,17 +434,18 @@ def follow(rolling: Rolling, k: int, position: Array, nu: Array, rates: Array, r
 
 
 def closed(rolling: Rolling, position: Array) -> Array:
-    """The position with its followers where their master has them, (nv,), changed in place.
+    """The position with its followers where their master has them, (nv,) or (nv, N), changed in place.
 
     Of the two ways in which a wheel can stand along its path it is the nearer one.
     """
     masters = [k for k, turn in enumerate(rolling.turns) if turn[TURN.role] == MASTER]
     for k, turn in enumerate(rolling.turns):
         if turn[TURN.role] == FOLLOWER:
-            m, p = rolling.pivots[masters[0]], rolling.pivots[k]
-            c, s, t = heading_of(rolling, masters[0], position)
-            a = m[PIVOT.x] * c + m[PIVOT.y] * s + t
-            want = math.atan2(p[PIVOT.x] * s, a - p[PIVOT.y] * s) - math.atan2(p[PIVOT.s], p[PIVOT.c])
-            now = p[PIVOT.sign] * position[turn[TURN.place]]
-            position[turn[TURN.place]] = p[PIVOT.sign] * (now + (want - now + math.pi / 2) % math.pi - math.pi / 2)
+            m, p, at = rolling.pivots[masters[0]], rolling.pivots[k], turn[TURN.place]
+            h = m[PIVOT.sign] * position[rolling.turns[masters[0], TURN.place]] + math.atan2(m[PIVOT.s], m[PIVOT.c])
+            c, s, trail = np.cos(h), np.sin(h), m[PIVOT.wheel_x] * m[PIVOT.c] + m[PIVOT.wheel_y] * m[PIVOT.s]
+            along = m[PIVOT.x] * c + m[PIVOT.y] * s + trail - p[PIVOT.y] * s
+            want = np.arctan2(p[PIVOT.x] * s, along) - math.atan2(p[PIVOT.s], p[PIVOT.c])
+            now = p[PIVOT.sign] * position[at]
+            position[at] = p[PIVOT.sign] * (now + (want - now + math.pi / 2) % math.pi - math.pi / 2)
     return position

@@ -1,4 +1,4 @@
-"""The skid-steer base: two or three wheels per side that turn alike, velocities `(v, w)`, Kanayama's law.
+"""The skid-steer base: wheels of a side that turn alike, or a belt around them, velocities `(v, w)`, Kanayama's law.
 
 No wheel of it rolls exactly when it turns. The model is a differential drive on a virtual axle in the middle of the
 wheels: the middle does not slip sideways, and a side's wheels roll as if they were at half the *effective track* B,
@@ -58,6 +58,13 @@ class SkidSteer(DifferentialDrive):
                 what, why = f"{found}", "the wheels of a side turn alike, and would not roll"
                 raise ConfigError(what, why=why, fix="give all wheels of a side the same factor", key="radii")
         return super().with_radii(factors)
+
+
+class Tracked(SkidSteer):
+    """A machine on belts: its wheels are those on the floor, and as they turn the belt does; the idlers stand still."""
+
+    kind = "tracked"
+    words = "tracked machines"
 
 
 def loads(wheels: Sequence[Wheel], mass: float, centre: Array) -> Array:

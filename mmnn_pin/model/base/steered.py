@@ -6,19 +6,19 @@ pose's law, a velocity of the control frame, goes to the law that steers (`steer
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
-from ...elementary import cos_sin
+from ...elementary import atan2, cos_sin, hypot
 from ...signals import Array
-from .base import Base, PoseEnergy
+from .base import Base, LinearErrors, PoseEnergy, Wheel
 from .differential import DifferentialDrive
 from .holonomic import HolonomicBase
-from .rolling import AXLE, FREE, MASTER, ROLES, STEERED, Pivot, Rolling
+from .rolling import AXLE, FOLLOWER, FREE, MASTER, ROLES, STEERED, Maps, Pivot, Rolling, closed, new_maps, roll
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +58,15 @@ class SteeredBase(Base):
         wheels = tuple(wheel.joint for wheel in self.wheels if wheel.driven)
         return wheels + tuple(pivot.joint for pivot in self.pivots if pivot.motor)
 
+    def place(self, wheel: Wheel) -> tuple[float, float]:
+        """Where a wheel is, its axis where it is on a pivot, all pivots at zero: ahead and to the left [m]."""
+        at, x, y = wheel.pivot, wheel.x, wheel.y
+        if at >= 0:
+            at, x, y = self.pivots[at].parent, self.pivots[at].x, self.pivots[at].y
+        while at >= 0:
+            at, x, y = self.pivots[at].parent, x + self.pivots[at].x, y + self.pivots[at].y
+        return x, y
+
     @cached_property
     def shape(self) -> tuple[str, ...]:
         """See `Base.shape`."""
@@ -72,9 +81,7 @@ class SteeredBase(Base):
         first, masters = len(self.velocity_names) - len(self.masters), self.masters
         column = {k: first + i for i, k in enumerate(masters)}
         turns = [(ROLES.index(p.role), p.parent, places[p.joint], column.get(k, -1)) for k, p in enumerate(self.pivots)]
-        pivots = [
-            (p.x, p.y, p.sign, *p.wheel[:2], *cos_sin(p.wheel[2]), p.lower, p.upper, p.rate) for p in self.pivots
-        ]
+        pivots = [(p.x, p.y, p.sign, *p.wheel[:2], *cos_sin(p.wheel[2]), p.lower, p.upper, p.rate) for p in self.pivots]
         wheels = [(w.x, w.y, *cos_sin(w.heading), 1.0 / (w.sign * w.radius)) for w in self.wheels]
         return Rolling(
             turns=np.array(turns, np.int64).reshape(-1, 4),
@@ -87,6 +94,84 @@ class SteeredBase(Base):
             root=np.ascontiguousarray(np.linalg.inv(self.to_control)),
         )
 
+    def angles(self, twist: Array) -> Array:
+        """Angles of the steering joints whose wheels stand along the path of a twist, (masters,), nearest to 0 [rad].
+
+        Args:
+            twist: (2,) or (3,) of the control frame, not 0.
+        """
+        vx, vy, w = self.eta_of(twist)
+        found = list[float]()
+        for p in (self.pivots[k] for k in self.masters):
+            turned = atan2(vy + p.x * w, vx - p.y * w) - p.wheel[2]
+            trail = p.wheel[0] * np.cos(p.wheel[2]) + p.wheel[1] * np.sin(p.wheel[2])
+            if trail != 0.0:  # the wheel is off its axis and does not move along the axis's path
+                far = hypot(vx - p.y * w, vy + p.x * w)
+                turned += float(np.arcsin(np.clip(trail * w / far, -1.0, 1.0))) if far > 0.0 else 0.0
+            half = np.pi * np.round(turned / np.pi)  # it may roll backwards
+            found.append(p.sign * (turned - half))
+        return np.array(found)
+
+    def eta_of(self, twist: Array) -> Array:
+        """`(vx, vy, w)` of a twist."""
+        eta = np.zeros(3)
+        eta[self.columns] = twist
+        return eta
+
+    def linear_errors(self, v_ref: Array, gains: Array) -> LinearErrors:  # type: ignore[override]
+        """See `Base.linear_errors`: the errors are those of the pose, then of the steering angles, (3 + masters).
+
+        The wheels stand along the path. How the command of a wheel answers to an error of u along a curve is left out.
+
+        Args:
+            v_ref: (2,) or (3,) twist [m/s, rad/s].
+            gains: Those of the pose's law, then of the law that steers.
+        """
+        law, m = self.pose_errors(v_ref, gains[:-1]), len(self.masters)
+        if self.body != STEERED:
+            return law
+        base = {p.joint: 3 + k for k, p in enumerate(self.pivots)}
+        wheels = {w.joint: 3 + len(base) + k for k, w in enumerate(self.wheels)}
+        rolling, eta = self.rolling_at(base | wheels), self.eta_of(v_ref)
+        position = np.zeros(3 + len(base) + len(wheels))
+        if eta.any():
+            position[[base[self.pivots[k].joint] for k in self.masters]] = self.angles(v_ref)
+        closed(rolling, position)
+        maps, one = new_maps(rolling, np.zeros((position.size, 1 + m))), np.eye(1 + m)
+        roll(rolling, position, 0.0 * one[0], maps)
+        n, W = maps.V[0][:, 0].copy(), np.array([1.0, 1.0, self.length**2])
+        u, turned = float(n @ (W * eta)), np.zeros((3, m))
+        for i in range(m):
+            roll(rolling, position, one[1 + i], maps)
+            turned[:, i] = maps.Vdot[0][:, 0]
+        rates, by_velocity, command = np.zeros((3 + m, 3 + m)), np.zeros((3 + m, 1 + m)), np.zeros((1 + m, 3 + m))
+        rates[:3, :3], rates[:3, 3:] = law.rates, u * law.by_velocity @ turned[self.columns]
+        by_velocity[:3, 0], by_velocity[3:, 1:] = law.by_velocity @ n[self.columns], np.eye(m)
+        command[0, :3] = (W * n)[self.columns] @ law.command
+        for i, k in enumerate(self.masters):
+            p, angle = self.pivots[k], position[base[self.pivots[k].joint]]
+            h = p.sign * angle + p.wheel[2]
+            row = np.array([-np.sin(h), np.cos(h), p.x * np.cos(h) + p.y * np.sin(h)])
+            speed = float(np.array([np.cos(h), np.sin(h), p.x * np.sin(h) - p.y * np.cos(h)]) @ eta)
+            if abs(speed) > 0.0:
+                along = p.sign * row[self.columns] / speed
+                command[1 + i, :3] = along @ law.command @ (gains[-1] * np.eye(3) + law.rates)
+                command[1 + i, 3:] = along @ law.command @ rates[:3, 3:]
+                command[1 + i, 3 + i] -= gains[-1]
+        return LinearErrors(rates, by_velocity, command)
+
+    @staticmethod
+    def pose_errors(v_ref: Array, gains: Array) -> LinearErrors:
+        """`linear_errors` of the law of its pose, for a base that moves as asked."""
+        raise NotImplementedError
+
+    def along(self, maps: Maps, twist: Array) -> Array:
+        """See `Structure.base_velocity`: u, the part of a twist that the wheels permit; the steering stands still."""
+        if self.body != STEERED:
+            return twist
+        n, W = maps.V[0][:, 0], np.array([1.0, 1.0, self.length**2])
+        return np.append(n @ (W * self.eta_of(twist)), np.zeros(len(self.masters)))
+
     @staticmethod
     def pose_energy(error: Array, z: Array, v_ref: Array, gains: Array) -> PoseEnergy | None:
         """See `Base.pose_energy`: the steering stands between the pose and nu, so there is none of these alone."""
@@ -98,10 +183,73 @@ class SteeredBase(Base):
         return None
 
     @classmethod
+    def largest_gain(cls, gains: Array, speed: float) -> float:
+        """See `Base.largest_gain`: of the law of its pose, or of the law that steers."""
+        return max(cls.pose_gain(gains[:-1], speed), float(gains[-1]))
+
+    @staticmethod
+    def pose_gain(gains: Array, speed: float) -> float:
+        """`largest_gain` of the law of its pose."""
+        raise NotImplementedError
+
+    @classmethod
     def per_base_velocity(cls, speed: float, yaw_rate: float, count: int) -> list[float]:
         """See `Base.per_base_velocity`: a steering joint turns."""
         own = [speed] if cls.body == STEERED else cls.per_velocity(speed, yaw_rate)
         return own + [yaw_rate] * (count - len(own))
+
+
+def steered_rows(base: SteeredBase, rows: Mapping[str, int], position: Array) -> Array:
+    """Rows on all velocities that vanish: of every wheel those along and across it, of followers that they follow.
+
+    They come from the places of the wheels, not from T.
+
+    Args:
+        base: The base.
+        rows: Place of every joint in the position.
+        position: (nv,).
+    """
+    nv, K = len(rows) + 3, len(base.pivots)
+    yaw = np.array([p.sign * position[rows[p.joint]] for p in base.pivots])
+    carriers = [np.eye(3, 3 + K)]  # velocity of the body and of pivots' frames from (vx, vy, w) and the yaw rates
+    for k, p in enumerate(base.pivots):
+        vx, vy, w = carriers[p.parent + 1]
+        vx, vy = vx - p.y * w, vy + p.x * w
+        c, s = np.cos(yaw[k]), np.sin(yaw[k])
+        carriers.append(np.array([c * vx + s * vy, c * vy - s * vx, w + np.eye(3 + K)[3 + k]]))
+    wheels: list[tuple[int, float, float, float, Wheel | None]] = [
+        (w.pivot, w.x, w.y, w.heading, w) for w in base.wheels
+    ]
+    wheels += [(k, *p.wheel, None) for k, p in enumerate(base.pivots)]
+    found, to_eta = list[Array](), np.zeros((3 + K, nv))
+    to_eta[:3, :3] = base.to_control
+    for k, p in enumerate(base.pivots):
+        to_eta[3 + k, rows[p.joint]] = p.sign
+    for pivot, x, y, heading, wheel in wheels:
+        vx, vy, w = carriers[pivot + 1]
+        vx, vy, c, s = vx - y * w, vy + x * w, np.cos(heading), np.sin(heading)
+        if wheel is None or wheel.grips:
+            found.append((c * vy - s * vx) @ to_eta)
+        if wheel is not None:
+            row = (c * vx + s * vy) @ to_eta
+            row[rows[wheel.joint]] -= wheel.sign * wheel.radius
+            found.append(row)
+    found += [following_row(base, k, yaw) @ to_eta for k, p in enumerate(base.pivots) if p.role == ROLES[FOLLOWER]]
+    return np.array(found).reshape(-1, nv)
+
+
+def following_row(base: SteeredBase, k: int, yaw: Array) -> Array:
+    """Row on `(vx, vy, w)` and the yaw rates, (3 + K,): follower k's axle meets the master's on the fixed axle's line.
+
+    The axle of a wheel at (x, y) under the heading h meets the line x = 0 at `y + x / tan h`, the same for both:
+    `(yk - ym) sin hk sin hm + xk cos hk sin hm - xm cos hm sin hk = 0`, whose derivative the row is.
+    """
+    row, m = np.zeros(3 + len(base.pivots)), base.masters[0]
+    one, other = base.pivots[k], base.pivots[m]
+    h, g, apart = yaw[k] + one.wheel[2], yaw[m] + other.wheel[2], one.y - other.y
+    row[3 + k] = apart * np.cos(h) * np.sin(g) - one.x * np.sin(h) * np.sin(g) - other.x * np.cos(g) * np.cos(h)
+    row[3 + m] = apart * np.sin(h) * np.cos(g) + one.x * np.cos(h) * np.cos(g) + other.x * np.sin(g) * np.sin(h)
+    return row
 
 
 class OnAxle(SteeredBase):
@@ -109,9 +257,9 @@ class OnAxle(SteeredBase):
 
     twist_names = DifferentialDrive.twist_names
     columns = DifferentialDrive.columns
-    gain_names = DifferentialDrive.gain_names
-    linear_errors = staticmethod(DifferentialDrive.linear_errors)
-    largest_gain = staticmethod(DifferentialDrive.largest_gain)
+    gain_names = (*DifferentialDrive.gain_names, "steering")
+    pose_errors = staticmethod(DifferentialDrive.linear_errors)
+    pose_gain = staticmethod(DifferentialDrive.largest_gain)
 
 
 class CarLike(OnAxle):
@@ -157,10 +305,10 @@ class Swerve(SteeredBase):
     words = "swerve drives"
     twist_names = HolonomicBase.twist_names
     columns = HolonomicBase.columns
-    gain_names = HolonomicBase.gain_names
+    gain_names = (*HolonomicBase.gain_names, "steering")
     sideways = True
-    linear_errors = staticmethod(HolonomicBase.linear_errors)
-    largest_gain = staticmethod(HolonomicBase.largest_gain)
+    pose_errors = staticmethod(HolonomicBase.linear_errors)
+    pose_gain = staticmethod(HolonomicBase.largest_gain)
 
 
 class Casters(Swerve):
@@ -169,10 +317,18 @@ class Casters(Swerve):
     kind = "casters"
     words = "powered casters"
     body = FREE
-    pose_energy = staticmethod(HolonomicBase.pose_energy)
-    pose_weights = staticmethod(HolonomicBase.pose_weights)
+
+    @staticmethod
+    def pose_energy(error: Array, z: Array, v_ref: Array, gains: Array) -> PoseEnergy | None:
+        """See `Base.pose_energy`: as of a holonomic base."""
+        return HolonomicBase.pose_energy(error, z, v_ref, gains[:-1])
+
+    @staticmethod
+    def pose_weights(gains: Array) -> Array | None:
+        """See `Base.pose_weights`: as of a holonomic base."""
+        return HolonomicBase.pose_weights(gains[:-1])
 
 
-STEERED_KINDS: Sequence[type[SteeredBase]] = (
+STEERED_KINDS: tuple[type[SteeredBase], ...] = (
     CarLike, Tricycle, Articulated, CarWithTrailer, DriveWithTrailer, Swerve, Casters,
 )  # fmt: skip

@@ -30,18 +30,16 @@ from .evidence import (
     verdict,
 )
 from .machines import (
-    MOST_PER_SIDE,
     PROPELLERS,
     PUSHED,
     SWERVE,
     machine,
+    many_wheels,
     plain,
     propellers,
-    refuse_steered,
-    refuse_steered_pair,
+    refuse_legs,
     steering_named,
     track_named,
-    tracks,
     welded_tracks,
 )
 from .opinions import calibration, second_opinions, unasked
@@ -76,6 +74,8 @@ from .report import (
     weld_notes,
     welded_note,
 )
+from .skid_steer import Tracked
+from .steering import behind_drive, says_steered, steered_base
 from .wheels import (
     COAXIAL,
     LUMPY,
@@ -89,12 +89,14 @@ from .wheels import (
     coaxial,
     is_endless_end,
     is_low,
+    moving_above,
     one_axle,
     parallel,
     welded_cylinders,
     welded_wheels,
     wheel_candidates,
     wheel_of,
+    written_to_turn,
 )
 
 UPRIGHT = "like bodies turn without end about vertical axes: wheels in a file with y up, or casters"
@@ -186,7 +188,7 @@ def chosen(rest: AtRest, candidates: Candidates, named: list[Candidate], overrid
     """The base as the user says, else as geometry and evidence have it."""
     if overrides.base == "fixed":
         return BaseResult(parked([*candidates.wheels, *candidates.near_misses, *candidates.limited]))
-    if overrides.wheels is not None:
+    if overrides.wheels is not None and not says_steered(overrides):
         return declared(rest, named, [*candidates.wheels, *candidates.limited], overrides)
     if overrides.base == "holonomic" and not plain(candidates.wheels):
         return pushed(rest, candidates)
@@ -224,7 +226,7 @@ def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseR
 
 def strays_of(rest: AtRest, base: Base, overrides: Overrides) -> list[Joint]:
     """Joints that turn without end low on the base, and have no part in it."""
-    used = {*base.locked, *(wheel.joint for wheel in base.wheels), *overrides.free}
+    used = {*base.locked, *base.joints, *overrides.free}
     alike = [*alike_on_root(rest), *odd_casters(rest, base)]
     return [j for j in rest.document.joints.values() if (is_low(rest, j) or j in alike) and j.name not in used]
 
@@ -284,11 +286,23 @@ def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:
 def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
     """The base as geometry and evidence have it."""
     require_sound_wheels(rest, candidates, overrides)
-    wheels = candidates.wheels
-    if not wheels:
+    if not candidates.wheels:
         return without_wheels(rest, overrides, candidates.floor)
+    refuse_legs(rest, candidates.wheels)
+    found = steered_base(rest, candidates, overrides)
+    if found is None:
+        return on_plain(rest, candidates, overrides)
+    if overrides.base == "holonomic":
+        return pushed(rest, candidates)
+    if isinstance(found, BaseResult):
+        return found
+    return behind_drive(rest, on_plain(rest, found.without_trailers(candidates), found.said(overrides)), found)
+
+
+def on_plain(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
+    """The base on wheels that do not steer, as geometry and evidence have it."""
+    wheels = candidates.wheels
     drives = without_balls(plain(wheels))
-    refuse_steered(rest, wheels)
     if overrides.base == "holonomic" and (len(drives) < 3 or one_axle(drives) or not in_pairs(drives)):
         return pushed(rest, candidates)
     refuse_mimic_wheels(rest, wheels, drives)
@@ -312,7 +326,6 @@ def on_driven(
     if sure:
         return with_wheels(rest, drives, wheels, overrides)
     if len(drives) == 2 and coaxial(*drives):
-        refuse_steered_pair(rest, drives, wheels)
         return with_wheels(rest, drives, wheels, overrides)
     if len(drives) >= 3 and overrides.base != "differential_drive":
         if not all(parallel(drives[0], c) for c in drives[1:]):
@@ -333,7 +346,7 @@ def require_sound_wheels(rest: AtRest, candidates: Candidates, overrides: Overri
     turning = wheels or near
     if turning and (names := propellers(rest, [c.joint for c in turning])):
         raise unsupported(rest, PROPELLERS, f"{names} by their names", ())
-    if candidates.limited and (wheels or not machine(rest)):
+    if candidates.limited and (wheels or any(moving_above(rest, c) for c in candidates.limited) or not machine(rest)):
         raise undecided_limits(rest, candidates)
     if near and not wheels and not (rest.is_vertical(near[0].joint) and machine(rest)):
         raise not_on_floor(rest, candidates, overrides.package_dirs)
@@ -404,14 +417,15 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
     moving = [joint for joint in rest.document.joints.values() if joint.moves]
     welded = welded_wheels(rest, floor)
     if welded and (why := steering_named(rest)):
-        raise unsupported(rest, "car-like base", f"{why}, and its wheels are welded on")
+        fix = f"{written_to_turn(rest, welded)}; {PUSHED}; --base fixed parks it"
+        raise unsupported(rest, "base that steers", f"{why}, and its wheels are welded on", (), fix)
     if welded:
         names = ", ".join(f"'{joint.name}'" for joint in welded)
         rolls = BaseReading(
             "holonomic", ("wheels under casters on all sides",), (f"{names} are welded on (fixed joints)",)
         )
         still = BaseReading("fixed", ("no wheel can turn in this file",), ("there are wheels under it",))
-        fix = f"{UNDRIVEN}, or make the wheels' joints continuous"
+        fix = f"{UNDRIVEN}, or {written_to_turn(rest, welded)}"
         raise undecided(rest, [], [rolls, still], f"{len(welded)} wheels are welded on", fix, welded[0].line, names)
     if why := track_named(rest) if not moving else welded_tracks(rest):
         more = "; --base fixed takes it as an arm" if moving else ""
@@ -435,11 +449,13 @@ def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]
         found = skidding(rest, drives, wheels, overrides)
         return replace(found, findings=(note(rest, "base-evidence", drives[0].joint.name, text), *found.findings))
     pieces = evidence(rest, drives, overrides.controllers_file)
-    if overrides.wheels is None and (why := tracks(rest, drives)):
-        few = len(drives) <= 2 * MOST_PER_SIDE
-        if overrides.base != "skid_steer" or not few:
-            fix = "--base skid_steer if it runs on these wheels, --base fixed takes it as an arm" if few else ""
-            raise unsupported(rest, "tracked machine", why, drives, fix)
+    if (overrides.wheels is None and overrides.base is None) or overrides.base == Tracked.kind:
+        if (why := many_wheels(rest, drives)) or overrides.base == Tracked.kind:
+            return on_belts(rest, drives, wheels, overrides, why)
+        if why := track_named(rest):
+            why = f"{len(drives)} parallel wheels, and {why}"
+            fix = "--base tracked if belts run over them, --base skid_steer if it runs on these wheels"
+            raise unsupported(rest, "tracked machine", why, drives, f"{fix}, --base fixed takes it as an arm")
     meaning = overrides.base if overrides.base in ("holonomic", "skid_steer") else verdict(pieces)
     if meaning is None and (why := steering_named(rest)):
         raise unsupported(rest, "car-like base", why, drives)
@@ -456,6 +472,17 @@ def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]
         return replace(found, findings=(*findings, *along(rest, drives), *found.findings))
     base, assumed = mecanum(rest, drives, wheels, overrides, stated_rollers(cited))
     return BaseResult(base, (*findings, *assumed))
+
+
+def on_belts(
+    rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides, why: str
+) -> BaseResult:
+    """A tracked machine: a skid-steer base on the wheels under its belts."""
+    found = skidding(rest, drives, wheels, overrides, Tracked)
+    text = f"taken as tracked: {why or 'you said so'}"
+    more = "a belt makes the radius larger by its thickness, which is not in the file"
+    belts = note(rest, "base-evidence", drives[0].joint.name, text, more, "--radius with the belt")
+    return replace(found, findings=(belts, *found.findings))
 
 
 def along(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
@@ -481,7 +508,7 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     still = BaseReading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
     drives = ",".join(c.joint.name for c in plain(candidates.wheels))
     others = f"name the others with --wheels {drives}, " if drives else ""
-    fix = f'write type="continuous" for wheels, {others}or --base fixed to park them'
+    fix = f'write type="continuous" in {names} for wheels, {others}or --base fixed to park them'
     return undecided(rest, [*candidates.wheels, *candidates.limited], [two, still], why, fix)
 
 

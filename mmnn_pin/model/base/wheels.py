@@ -225,6 +225,9 @@ def near_misses(
         return [c for c in some if is_axle(rest, c, some) or is_round_about(rest, c, some)]
 
     known, upright, lumpy = ([c for c in some if c.joint.mimics is None] for some in (known, upright, lumpy))
+    hung = [c for c in known if math.isnan(c.radius) and moving_above(rest, c) and steers_at_most(rest, c)]
+    if len(hung) >= ROUND_ABOUT and all(rest.hub(c.joint)[2] <= height_at(rest, LOW) for c in hung):
+        return hung
     standing = [c for c in tilted if abs(c.bottom - floor) <= TOUCHING * c.radius and not moving_above(rest, c)]
     lying = [c for c in upright if c.shape not in ("unknown", PARTIAL, LUMPY) and is_axle(rest, c, upright)]
     return alike(known) or standing or lying or alike(lumpy)
@@ -259,10 +262,18 @@ def limited_wheels(rest: AtRest, known: list[Candidate], floor: float) -> list[C
     """Round bodies on the floor whose revolute joints have limits and share an axis with each other or a wheel."""
     joints = [j for j in rest.document.joints.values() if j.type == "revolute" and not j.turns_freely]
     joints = [j for j in joints if rest.is_horizontal(j) and not rest.document.moving_children(j.child)]
-    rounds = [c for c in (wheel_of(rest, j) for j in joints) if not math.isnan(c.radius) and not moving_above(rest, c)]
+    rounds = [c for c in (wheel_of(rest, j) for j in joints) if not math.isnan(c.radius) and steers_at_most(rest, c)]
     ground = min([floor, *(c.bottom for c in rounds)])
     low = [c for c in rounds if abs(c.bottom - ground) <= TOUCHING * c.radius]
-    return [c for c in low if any(coaxial(c, o) for o in known + low if o is not c)]
+    steered = [c for c in low if moving_above(rest, c)]
+    pairs = [c for c in low if any(coaxial(c, o) for o in known + low if o is not c)]
+    return low if len(steered) >= ROUND_ABOUT else [c for c in pairs if c not in steered]
+
+
+def steers_at_most(rest: AtRest, candidate: Candidate) -> bool:
+    """Whether a body hangs on the root's, or on one joint about a vertical axis there."""
+    above = moving_above(rest, candidate)
+    return not above or (len(above) == 1 and rest.is_vertical(above[0]))
 
 
 def footing_of(rest: AtRest, known: list[Candidate], shapes: list[Shape]) -> float:
@@ -535,6 +546,21 @@ def welded_wheels(rest: AtRest, floor: float) -> list[Joint]:
     A file made for planning often has its casters and wheels welded so.
     """
     return list(dict.fromkeys([*welded_axles(rest), *welded_cylinders(rest, floor), *welded_by_name(rest)]))
+
+
+def written_to_turn(rest: AtRest, welded: list[Joint]) -> str:
+    """What is to be written in a file for welded wheels to turn, and what steers them: joints with a vertical axis."""
+    names = list[str]()
+    axes = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
+    for wheel in welded:
+        link, above = wheel.parent, list[Joint]()
+        while link in rest.document.carrier:
+            above.append(rest.document.carrier[link])
+            link = above[-1].parent
+        pivots = [j for j in above if not j.moves and j.name in axes and np.any(j.axis) and rest.is_vertical(j)]
+        names += [j.name for j in pivots[:1] if j.child != wheel.parent or len(above) > 1 or j is above[0]]
+    joined = ", ".join(f"'{name}'" for name in dict.fromkeys([*names, *(joint.name for joint in welded)]))
+    return f'write type="continuous" in {joined} if they turn'
 
 
 def welded_by_name(rest: AtRest) -> list[Joint]:

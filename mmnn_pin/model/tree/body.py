@@ -11,32 +11,48 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ...by_address import by_address
-from ...compiled import linked
+from ...compiled import compiled, linked
 from ...signals import Array, IntArray
+from ..base.rolling import Maps, Rolling, new_maps, roll
 from ..dynamics import feels_gravity
 from ..reduction import friction, quadratic, spread
 from ..regressor import inertial_parameters, moving_joints
 from ..robot import Robot
 from .dynamics import potential_energy, terms
-from .motion import BodyTree, new_scratch
+from .motion import BodyTree, new_scratch, steer
 from .tree import flatten
 
 
 @by_address
 class Body(NamedTuple):
-    """A robot as arrays: its tree, T (nv, p), friction of joints (nv,) and nu (p,), its dimensions, `Robot.arm_map`."""
+    """A robot as arrays.
+
+    Attributes:
+        tree: Its bodies.
+        T: (nv, p) what is constant of the map from nu to all velocities.
+        damping, dry, viscous: Friction of joints (nv,), (nv, 3) and nu (p,).
+        places: Of the joints whose angles are measured in a position: the arm's, then the base's pivots.
+        base: Number of base velocities.
+        sideways: Whether a twist is `(vx, vy, w)`.
+        feels_gravity: Whether gravity does work on it.
+        offset, columns: See `Robot.arm_map`.
+        shape: (shape,) places of the base's pivots.
+        rolling: A base that steers, which makes the rest of T; None where T is constant.
+    """
 
     tree: BodyTree
     T: Array
     damping: Array
     dry: Array
     viscous: Array
-    arm: IntArray
+    places: IntArray
     base: int
     sideways: bool
     feels_gravity: bool
     offset: Array
     columns: Array
+    shape: IntArray
+    rolling: Rolling | None
 
 
 @by_address
@@ -55,6 +71,7 @@ class Work(NamedTuple):
     ydot: Array
     total: Array
     trial: Array
+    maps: Maps
 
 
 BODIES: WeakKeyDictionary[Robot, Body] = WeakKeyDictionary()
@@ -78,20 +95,22 @@ def new_body(robot: Robot) -> Body:
         RobotError: It has a joint that cannot be flattened.
     """
     frame = robot.frame if robot.dimensions.base else np.zeros(3)
-    tree = flatten(robot.model, robot.T, robot.neutral_position(), tuple(frame))
+    tree = flatten(robot.model, robot.template, robot.neutral_position(), tuple(frame), rolling=robot.rolling)
     offset, columns = robot.arm_map()
     return Body(
         tree=tree,
-        T=np.array(robot.T),
+        T=np.array(robot.template),
         damping=np.array(robot.damping),
         dry=robot.dry,
         viscous=np.array(robot.viscous),
-        arm=np.array(robot.arm_index),
+        places=np.array(robot.measured_index),
         base=robot.dimensions.base,
         sideways=robot.dimensions.sideways,
         feels_gravity=feels_gravity(robot),
         offset=offset,
         columns=columns,
+        shape=np.array(robot.shape_index),
+        rolling=robot.rolling,
     )
 
 
@@ -100,7 +119,9 @@ def new_work(body: Body) -> Work:
     nv, p = body.T.shape
     size = nv + p + 1
     shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (nv, p + 2), (nv,), (size,), (size,), (size,))
-    return Work(new_scratch(body.tree), *(np.zeros(shape) for shape in shapes))
+    v, M, h, F, L, rest, grip, hold, ydot, total, trial = (np.zeros(shape) for shape in shapes)
+    maps = new_maps(body.rolling, body.T)
+    return Work(new_scratch(body.tree), v, M, h, F, L, rest, grip, hold, ydot, total, trial, maps)
 
 
 def parameters(robot: Robot) -> Array:
@@ -128,12 +149,21 @@ def parameters(robot: Robot) -> Array:
     )
 
 
+@compiled
+def turn_wheels(rolling: Rolling | None, tree: BodyTree, position: Array, nu: Array, work: Work) -> None:
+    """Write the maps of a base that steers at a state where its dynamics read them."""
+    if rolling is not None:
+        roll(rolling, position, nu, work.maps)
+        steer(tree, work.maps.T, work.maps.Tdot, work.scratch)
+
+
 @linked
 def evaluate(body: Body, work: Work, position: Array, nu: Array) -> None:
     """M, `h = C nu + gravity + friction`, friction F and `v = T nu` at a state."""
+    turn_wheels(body.rolling, body.tree, position, nu, work)
     terms(body.tree, position, nu, work.scratch, work.M, work.h)
-    spread(body.T, nu, work.v)
-    friction(body.T, work.v, nu, body.damping, body.dry, body.viscous, work.F)
+    spread(work.maps.T, nu, work.v)
+    friction(work.maps.T, work.v, nu, body.damping, body.dry, body.viscous, work.F)
     for i in range(nu.size):
         work.h[i] += work.F[i]
 

@@ -13,7 +13,7 @@ Echeandia and Wensing 2021, in moments). Symbols as in `mmnn_pin.model.tree.moti
 
 from __future__ import annotations
 
-from mmnn_pin.compiled import inlined, linked
+from mmnn_pin.compiled import inlined, internal, linked
 
 from ...elementary import cos_sin
 from ...signals import Array
@@ -28,9 +28,11 @@ from .motion import (
     Triple,
     add,
     along,
+    base_drift,
     base_rates,
     cross,
     dot,
+    drift,
     first_moment,
     get,
     locate,
@@ -96,7 +98,7 @@ def _couple(
     first_i, first_j = links[i, LINK.first], links[j, LINK.first]
     for a in range(links[i, LINK.stop] - first_i):
         for b in range(links[j, LINK.stop] - first_j):
-            x = numbers[i, NUMBER.weight + a] * numbers[j, NUMBER.weight + b] * value
+            x = scratch[i, AT.weight + a] * scratch[j, AT.weight + b] * value
             M[first_i + a, first_j + b] += x
             if i != j:
                 M[first_j + b, first_i + a] += x
@@ -161,27 +163,25 @@ def _pull(links: Indices, numbers: Array, i: int, force: Triple, torque: Triple,
     tau = dot(get(scratch, i, AT.w), torque) + dot(get(scratch, i, AT.s), force)
     first = links[i, LINK.first]
     for k in range(links[i, LINK.stop] - first):
-        out[first + k] += numbers[i, NUMBER.weight + k] * tau
+        out[first + k] += scratch[i, AT.weight + k] * tau
 
 
 @inlined
 def _inverse(
-    links: Indices,
-    numbers: Array,
-    g: Triple,
-    nu_ref: Array,
-    nudot_ref: Array,
-    share: float,
-    scratch: Array,
-    out: Array,
+    tree: BodyTree, g: Triple, nu_ref: Array, nudot_ref: Array, share: float, scratch: Array, out: Array
 ) -> None:
-    """`T' (share M T nudot_ref + C T nu_ref + g)` without the rotors, after `place`."""
+    """`T' (M (share T nudot_ref + Tdot nu_ref) + C T nu_ref + g)` without the rotors, after `place`."""
+    links, numbers, steers = tree.links, tree.numbers, tree.steers
     out[:] = 0.0
-    velocity = base_rates(links, numbers, nu_ref)
-    acceleration = along(ZERO, base_rates(links, numbers, nudot_ref), share)
+    velocity = base_rates(links, scratch, nu_ref)
+    acceleration = along(ZERO, base_rates(links, scratch, nudot_ref), share)
+    if steers:
+        acceleration = add(acceleration, base_drift(links, scratch, nu_ref))
     _push_base(numbers, scratch[BASE.w, AT.omega + 2], g, velocity, acceleration, scratch)
     for i in range(BASE.w + 1, len(links)):
-        speed, speed_rate = rate(links, numbers, i, nu_ref), share * rate(links, numbers, i, nudot_ref)
+        speed, speed_rate = rate(links, scratch, i, nu_ref), share * rate(links, scratch, i, nudot_ref)
+        if steers:
+            speed_rate += drift(links, scratch, i, nu_ref)
         _push(links[i, LINK.parent], i, speed, speed_rate, scratch)
     for i in range(len(links) - 1, BASE.w, -1):
         j = links[i, LINK.parent]
@@ -192,6 +192,30 @@ def _inverse(
         put(scratch, j, AT.torque, add(get(scratch, j, AT.torque), torque))
     for i in range(BASE.w + 1):
         _pull(links, numbers, i, get(scratch, BASE.w, AT.force), get(scratch, BASE.w, AT.torque), scratch, out)
+
+
+@internal
+def _spin_mass(tree: BodyTree, scratch: Array, M: Array) -> None:
+    """Add the mass of the spinning of lumped wheels, `I t t'` with their rows t of T."""
+    n, stop = len(tree.links), tree.links[BASE.w, LINK.stop]
+    for i in range(len(tree.spins)):
+        t, inertia = scratch[n + i, AT.weight :], tree.spins[i, 1]
+        for a in range(stop):
+            for b in range(stop):
+                M[a, b] += inertia * t[a] * t[b]
+
+
+@internal
+def _spin(tree: BodyTree, nu_ref: Array, nudot_ref: Array, share: float, scratch: Array, out: Array) -> None:
+    """Add what their spinning takes, `I t (share t nudot_ref + tdot nu_ref)`."""
+    n, stop = len(tree.links), tree.links[BASE.w, LINK.stop]
+    k = tree.numbers.shape[1] - NUMBER.weight
+    for i in range(len(tree.spins)):
+        t, rate = scratch[n + i, AT.weight :], 0.0
+        for a in range(stop):
+            rate += share * t[a] * nudot_ref[a] + t[k + a] * nu_ref[a]
+        for a in range(stop):
+            out[a] += tree.spins[i, 1] * t[a] * rate
 
 
 @linked
@@ -210,7 +234,10 @@ def terms(tree: BodyTree, position: Array, nu: Array, scratch: Array, M: Array, 
     place(links, numbers, position, nu, scratch)
     _mass(links, numbers, tree.rotors, scratch, M)
     g = _gravity(tree.gravity, tree.frame, tree.level, position)
-    _inverse(links, numbers, g, nu, nu, 0.0, scratch, h)
+    _inverse(tree, g, nu, nu, 0.0, scratch, h)
+    if tree.steers:
+        _spin_mass(tree, scratch, M)
+        _spin(tree, nu, nu, 0.0, scratch, h)
 
 
 @linked
@@ -236,10 +263,12 @@ def psi(
 def psi_again(tree: BodyTree, position: Array, nu_ref: Array, nudot_ref: Array, scratch: Array, out: Array) -> None:
     """`psi` where `scratch` still holds this state, from `terms` or `psi` just before."""
     g, rotors = _gravity(tree.gravity, tree.frame, tree.level, position), tree.rotors
-    _inverse(tree.links, tree.numbers, g, nu_ref, nudot_ref, 1.0, scratch, out)
+    _inverse(tree, g, nu_ref, nudot_ref, 1.0, scratch, out)
     for a in range(len(out)):
         for b in range(len(out)):
             out[a] += rotors[a, b] * nudot_ref[b]
+    if tree.steers:
+        _spin(tree, nu_ref, nudot_ref, 1.0, scratch, out)
 
 
 @linked

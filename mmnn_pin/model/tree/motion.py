@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmnn_pin.compiled import compiled, inlined
+from mmnn_pin.compiled import compiled, inlined, linked
 
 from ...by_address import by_address
 from ...elementary import cos_sin
@@ -80,7 +80,7 @@ class _Scratch(NamedTuple):
     a: int = 62
     force: int = 65
     torque: int = 68
-    width: int = 71
+    weight: int = 71  # entries of the row of T, then those of its rate
 
 
 # numba compiles a function anew for every integer constant it is called with, but not for entries of tuples.
@@ -92,11 +92,14 @@ class BodyTree(NamedTuple):
     """A robot as plain arrays; joint frames are turned so that every axis is z.
 
     Attributes:
-        links: (3 + n, 5) row of the parent body; `REVOLUTE` or `PRISMATIC`; entry of `position` that moves the joint;
-            first and last + 1 entry of nu in the row of T.
+        links: (3 + n, 5) row of the parent body; `REVOLUTE` or `PRISMATIC`; entry of `position` that moves the joint,
+            which is its row of T; first and last + 1 entry of nu there.
         numbers: (3 + n, 22 + k) rotation (by rows) and origin [m] of the joint frame in its parent, mass [kg], first
-            [kg m] and second moments [kg m^2] of the body in the joint frame, entries of the row of T.
+            [kg m] and second moments [kg m^2] of the body in the joint frame, entries of the row of T, 0 where those
+            change.
         rotors: (p, p) constant mass of armatures and of wheels that are alike all around their axis.
+        spins: (m, 2) of lumped wheels whose rows of T change: row of T, mass of their spinning [kg m^2].
+        steers: Whether rows of T change; then `steer` writes them.
         gravity: (gx, gy, gz) in the frame of the root joint (world for a fixed arm) [m/s^2].
         frame: Control frame in the root link `(x, y, psi)` [m, m, rad].
         level: 1 where gravity does not depend on the heading, else 0.
@@ -110,11 +113,19 @@ class BodyTree(NamedTuple):
     frame: Triple
     level: int
     root_energy: float
+    spins: Array
+    steers: bool
 
 
 def new_scratch(tree: BodyTree) -> Array:
-    """Memory that the compiled functions work in, shape (3 + n, 71); one per thread."""
-    scratch = np.zeros((len(tree.links), AT.width))
+    """Memory that the compiled functions work in, the weights in it; one per thread.
+
+    Shape (3 + n, 71 + k); of a robot that steers (3 + n + m, 71 + 2 k).
+    """
+    weights = tree.numbers[:, NUMBER.weight :]
+    n, k = weights.shape
+    scratch = np.zeros((n + len(tree.spins), AT.weight + (2 * k if tree.steers else k)))
+    scratch[:n, AT.weight : AT.weight + k] = weights
     scratch[BASE.vx, AT.s] = scratch[BASE.vy, AT.s + 1] = scratch[BASE.w, AT.w + 2] = 1.0  # axes of the base
     return scratch
 
@@ -175,19 +186,51 @@ def times(table: Array, i: int, k: int, a: Triple) -> Triple:
     )
 
 
+@linked
+def steer(tree: BodyTree, T: Array, Tdot: Array, scratch: Array) -> None:
+    """Write rows of T (nv, p) that change, and of its rate, where the dynamics read them."""
+    links, n, k = tree.links, len(tree.links), tree.numbers.shape[1] - NUMBER.weight
+    for i in range(n):
+        row, first = links[i, LINK.coordinate] if i > BASE.w else i, links[i, LINK.first]
+        for j in range(links[i, LINK.stop] - first):
+            scratch[i, AT.weight + j] = T[row, first + j]
+            scratch[i, AT.weight + k + j] = Tdot[row, first + j]
+    for i in range(len(tree.spins)):
+        row = int(tree.spins[i, 0])
+        for j in range(links[BASE.w, LINK.stop]):
+            scratch[n + i, AT.weight + j] = T[row, j]
+            scratch[n + i, AT.weight + k + j] = Tdot[row, j]
+
+
 @inlined
-def rate(links: Indices, numbers: Array, i: int, nu: Array) -> float:
+def rate(links: Indices, scratch: Array, i: int, nu: Array) -> float:
     """Row i of T times nu."""
     first, x = links[i, LINK.first], 0.0
     for k in range(links[i, LINK.stop] - first):
-        x += numbers[i, NUMBER.weight + k] * nu[first + k]
+        x += scratch[i, AT.weight + k] * nu[first + k]
     return x
 
 
 @inlined
-def base_rates(links: Indices, numbers: Array, nu: Array) -> Triple:
+def drift(links: Indices, scratch: Array, i: int, nu: Array) -> float:
+    """Row i of the rate of T times nu."""
+    first, x = links[i, LINK.first], 0.0
+    middle = AT.weight + (scratch.shape[1] - AT.weight) // 2
+    for k in range(links[i, LINK.stop] - first):
+        x += scratch[i, middle + k] * nu[first + k]
+    return x
+
+
+@inlined
+def base_rates(links: Indices, scratch: Array, nu: Array) -> Triple:
     """`(vx, vy, w)` of the base."""
-    return rate(links, numbers, BASE.vx, nu), rate(links, numbers, BASE.vy, nu), rate(links, numbers, BASE.w, nu)
+    return rate(links, scratch, BASE.vx, nu), rate(links, scratch, BASE.vy, nu), rate(links, scratch, BASE.w, nu)
+
+
+@inlined
+def base_drift(links: Indices, scratch: Array, nu: Array) -> Triple:
+    """What the rate of T adds to the accelerations of the base."""
+    return drift(links, scratch, BASE.vx, nu), drift(links, scratch, BASE.vy, nu), drift(links, scratch, BASE.w, nu)
 
 
 @inlined
@@ -250,8 +293,8 @@ def _move(links: Indices, i: int, speed: float, scratch: Array) -> None:
 @inlined
 def place(links: Indices, numbers: Array, position: Array, nu: Array, scratch: Array) -> None:
     """Places and motions of all bodies, into `scratch`: the dynamics start from them."""
-    put(scratch, BASE.w, AT.omega, (0.0, 0.0, rate(links, numbers, BASE.w, nu)))
+    put(scratch, BASE.w, AT.omega, (0.0, 0.0, rate(links, scratch, BASE.w, nu)))
     for i in range(BASE.w + 1, len(links)):
         locate(links, numbers, position, i, scratch)
         _weigh(numbers, i, scratch)
-        _move(links, i, rate(links, numbers, i, nu), scratch)
+        _move(links, i, rate(links, scratch, i, nu), scratch)

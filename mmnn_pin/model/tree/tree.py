@@ -19,9 +19,10 @@ from numpy.typing import ArrayLike
 from ...elementary.matrices import length, product
 from ...errors import RobotError
 from ...signals import Array
+from ..base.rolling import TURN, Rolling, base_size, closed, new_maps, roll
 from ..urdf.shapes import rotation
 from .dynamics import psi_again, terms
-from .motion import BASE, NUMBER, PRISMATIC, REVOLUTE, BodyTree, Triple, new_scratch
+from .motion import BASE, NUMBER, PRISMATIC, REVOLUTE, BodyTree, Triple, new_scratch, steer
 
 TOLERANCE = 1e-10
 PLANAR = "JointModelPlanar"
@@ -89,17 +90,19 @@ def flatten(
     samples: int = 5,
     seed: int = 0,
     absorb: bool = True,
+    rolling: Rolling | None = None,
 ) -> BodyTree:
     """Flatten a Pinocchio model and check the result against Pinocchio at random states.
 
     Args:
         model: Full model: a planar root joint or a fixed base, revolute and prismatic joints about any axes.
-        T: (nv, p) constant map from the independent velocities nu to all joint velocities.
+        T: (nv, p) map from the independent velocities nu to all joint velocities, or what is constant of it.
         position_rest: (nv,) where the joints with a zero row in T stand, default 0 [rad or m].
         control_frame: Control frame in the root link, `(x, y, psi)` [m, m, rad].
         samples: Number of random states of the check.
         seed: Their seed.
         absorb: Lump wheels that are alike all around their axis; off keeps a body for every joint that moves.
+        rolling: A base that steers, which makes the rest of T; None where T is constant.
 
     Raises:
         RobotError: A joint of a type that cannot be flattened, values that are not finite, arrays of wrong shape,
@@ -108,14 +111,29 @@ def flatten(
     T = _array("T", T, (model.nv, np.shape(T)[-1] if np.ndim(T) else 0))
     rest = _array("position_rest", np.zeros(model.nv) if position_rest is None else position_rest, (model.nv,))
     frame = _array("control_frame", control_frame, (3,))
-    joints = _joints(model, T, rest)
-    bodies = _lump(model, joints)
-    rotors = product(T.T, model.armature[:, None] * T)
-    if absorb:
+    rotors, spins = product(T.T, model.armature[:, None] * T), np.zeros((0, 2))
+    whole = T if rolling is None else _with_changing(T, rolling, model)
+    bodies = _lump(model, _joints(model, whole, rest))
+    if absorb and rolling is None:
         rotors = rotors + _absorb_wheels(bodies, T, _mobile(model))
-    tree = _tables(model, bodies, T, rotors, frame)
-    verify(tree, model, T, rest, samples, seed)
+    elif absorb:
+        spins = _absorb_turning_wheels(bodies, T)
+    tree = _tables(model, bodies, whole, rotors, frame)._replace(spins=spins, steers=rolling is not None)
+    verify(tree, model, T, rest, samples, seed, rolling)
     return tree
+
+
+def _with_changing(T: Array, rolling: Rolling, model: pin.Model) -> Array:
+    """T with ones where it changes.
+
+    Raises:
+        RobotError: A joint there has a rotor of its own.
+    """
+    rows, whole = [0, 1, 2, *rolling.turns[:, TURN.place], *rolling.carriers[:, 1]], T.copy()
+    whole[rows, : base_size(rolling)] = 1.0
+    if model.armature[rows].any():
+        raise RobotError("rotors on steering or wheels", why="only the arm's are known", fix="leave their armature out")
+    return whole
 
 
 def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -222,6 +240,27 @@ def _absorb_wheels(bodies: list[_Body], T: Array, mobile: bool) -> Array:
     return rotors
 
 
+def _absorb_turning_wheels(bodies: list[_Body], T: Array) -> Array:
+    """Lump level wheels that are alike all around their axis into what carries them, (m, 2) as `BodyTree.spins`.
+
+    What carries them moves in the plane: their axle stays level, and their spinning turns nothing else.
+    """
+    spins = list[tuple[float, float]]()
+    for body in [b for b in bodies[1:] if b.kind == REVOLUTE and all(other.parent is not b for other in bodies)]:
+        P, carrier, at = body.moments, body.parent, body.placement
+        off = np.abs([P[0, 0] - P[1, 1], P[0, 1], P[0, 2], P[1, 2], P[0, 3], P[1, 3]])
+        upright = at[2, 2]
+        above = carrier
+        while above is not None and above.parent is not None:
+            upright, above = max(abs(upright), 1.0 - abs(above.placement[2, 2])), above.parent
+        if T[body.velocity].any() or off.max() > 1e-15 * np.abs(P).max() or abs(upright) > 1e-12 or carrier is None:
+            continue
+        bodies.remove(body)
+        carrier.moments += product(at, P, at.T)
+        spins.append((float(body.velocity), float(P[0, 0] + P[1, 1])))
+    return np.array(spins, float).reshape(-1, 2)
+
+
 def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, frame: Array) -> BodyTree:
     """The arrays of a tree."""
     mobile, weight = _mobile(model), sum(b.moments[3, 3] for b in bodies) * model.gravity.linear
@@ -246,6 +285,8 @@ def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, fram
         frame=(frame[0], frame[1], frame[2]),
         level=int(not (mobile and gravity[:2].any())),
         root_energy=-float(product(weight, root.translation)),
+        spins=np.zeros((0, 2)),
+        steers=False,
     )
 
 
@@ -300,13 +341,21 @@ def moments_of(inertia: pin.Inertia) -> Array:
 # -- the check against Pinocchio ---------------------------------------------------------------------------------------
 
 
-def verify(tree: BodyTree, model: pin.Model, T: Array, position_rest: Array, samples: int = 5, seed: int = 0) -> None:
+def verify(
+    tree: BodyTree,
+    model: pin.Model,
+    T: Array,
+    position_rest: Array,
+    samples: int = 5,
+    seed: int = 0,
+    rolling: Rolling | None = None,
+) -> None:
     """Compare a tree with Pinocchio at random states.
 
     Raises:
         RobotError: M, h or Psi differ by more than 1e-10, relative; it names the joint that differs most.
     """
-    worst = residual(tree, model, T, position_rest, samples, seed)
+    worst = residual(tree, model, T, position_rest, samples, seed, rolling)
     row = int(np.argmax(worst))
     if worst[row] <= TOLERANCE:
         return
@@ -319,7 +368,13 @@ def verify(tree: BodyTree, model: pin.Model, T: Array, position_rest: Array, sam
 
 
 def residual(
-    tree: BodyTree, model: pin.Model, T: Array, position_rest: Array, samples: int = 5, seed: int = 0
+    tree: BodyTree,
+    model: pin.Model,
+    T: Array,
+    position_rest: Array,
+    samples: int = 5,
+    seed: int = 0,
+    rolling: Rolling | None = None,
 ) -> Array:
     """Largest difference of M, h and Psi from Pinocchio's in every row, relative, shape (p,).
 
@@ -329,13 +384,18 @@ def residual(
     rng, p = np.random.default_rng(seed), T.shape[1]
     scratch, data = new_scratch(tree), model.createData()
     worst, M, h, psi = np.zeros(p), np.zeros((p, p)), np.zeros(p), np.zeros(p)
+    whole, maps = (T, None) if rolling is None else (_with_changing(T, rolling, model), new_maps(rolling, T))
     for _ in range(samples):
-        position = _random_position(model, T, position_rest, rng)
+        position = _random_position(model, whole, position_rest, rng)
         nu, nu_ref, nudot_ref = rng.standard_normal((3, p))
+        if rolling is not None and maps is not None:
+            roll(rolling, closed(rolling, position), nu, maps)
+            steer(tree, maps.T, maps.Tdot, scratch)
         terms(tree, position, nu, scratch, M, h)
         psi_again(tree, position, nu_ref, nudot_ref, scratch, psi)
         q = configuration(model, position, tree.frame)
-        M_pin, h_pin, psi_pin = _by_pinocchio(model, data, T, q, nu, nu_ref, nudot_ref)
+        map_and_rate = (T, None) if maps is None else (maps.T, maps.Tdot)
+        M_pin, h_pin, psi_pin = _by_pinocchio(model, data, map_and_rate, q, nu, nu_ref, nudot_ref)
         root = np.sqrt(np.diag(M_pin))
         root = np.maximum(root, 1e-8 * root.max())
         errors = np.abs(M - M_pin) / np.outer(root, root)
@@ -347,14 +407,25 @@ def residual(
 
 
 def _by_pinocchio(
-    model: pin.Model, data: pin.Data, T: Array, q: Array, nu: Array, nu_ref: Array, nudot_ref: Array
+    model: pin.Model,
+    data: pin.Data,
+    map_and_rate: tuple[Array, Array | None],
+    q: Array,
+    nu: Array,
+    nu_ref: Array,
+    nudot_ref: Array,
 ) -> tuple[Array, Array, Array]:
-    """M, h and Psi by the full matrices of Pinocchio."""
-    M = T.T @ pin.crba(model, data, q) @ T
+    """M, h and Psi by the full matrices of Pinocchio, T and its rate (None for 0)."""
+    T, Tdot = map_and_rate
+    full = pin.crba(model, data, q)
+    M = T.T @ full @ T
     h = T.T @ pin.nonLinearEffects(model, data, q, T @ nu)
     g = T.T @ pin.computeGeneralizedGravity(model, data, q)
     C = pin.computeCoriolisMatrix(model, data, q, T @ nu)
-    return M, h, M @ nudot_ref + T.T @ C @ T @ nu_ref + g
+    psi = M @ nudot_ref + T.T @ C @ T @ nu_ref + g
+    if Tdot is None:
+        return M, h, psi
+    return M, h + T.T @ full @ Tdot @ nu, psi + T.T @ full @ Tdot @ nu_ref
 
 
 def configuration(model: pin.Model, position: Array, frame: Triple) -> Array:

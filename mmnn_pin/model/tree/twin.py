@@ -10,6 +10,7 @@ import numpy as np
 from ...compiled import linked
 from ...errors import RobotError
 from ...signals import Array
+from ..base.rolling import Maps
 from ..dynamics import Dynamics
 from ..robot import Robot
 from .body import Body, Work, body_of, evaluate, new_work
@@ -24,12 +25,14 @@ class Terms(Protocol):
         h: (p,) `C nu + gravity + friction`.
         F: (p,) friction.
         v: (nv,) `T nu`.
+        maps: T and the motion of the base.
     """
 
     M: Array
     h: Array
     F: Array
     v: Array
+    maps: Maps
 
     def refresh(self, position: Array, nu: Array) -> None:
         """Evaluate the terms at a position (nv,) and velocity nu (p,)."""
@@ -65,7 +68,7 @@ class Twin:
     def __init__(self, robot: Robot) -> None:
         self.body = body_of(robot)
         self.work, self.position = new_work(self.body), robot.neutral_position()
-        self.M, self.h, self.F, self.v = self.work.M, self.work.h, self.work.F, self.work.v
+        self.M, self.h, self.F, self.v, self.maps = self.work.M, self.work.h, self.work.F, self.work.v, self.work.maps
 
     def mass_matrix(self, position: Array) -> Array:
         """Reduced mass matrix at a position (nv,), (p, p) [kg, kg m, kg m^2]; a copy."""

@@ -1,0 +1,829 @@
+"""Bases that steer, found in a file: the pivots under which its wheels are, what each is, and the kind they make.
+
+A wheel's *pivot* is the nearest joint above it about a vertical axis. Its lever on the floor, from the axis to the
+middle of its wheels, has two parts: along the rolling direction, the *trail*, and across it, which no steering feels.
+Each pivot with its wheels is a *module*, and by its structure one of five:
+
+    steered   no trail, or stops, or a motor turns it
+    powered   the floor turns it, for its wheel trails, and motors are on it (HSR's turret, powered casters)
+    hitch     a body of its own: wheels on both sides, far from the axis, beside wheels that drive
+    waist     likewise, and a motor turns it: a loader
+    caster    it trails, and has no motor: it stands still here, as casters do
+
+Wheels on the body, on one line, are its fixed axle. With it a base is (1,1) and one module is its master; without it
+all that steer are masters (1,2), or all trail and the body is free (3,0). What the user says counts more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from ...elementary import atan2, cos_sin
+from ...elementary.matrices import product
+from ...errors import ConfigError, UnknownName
+from ...signals import Array
+from ..urdf.document import Joint
+from ..urdf.finding import Finding
+from ..urdf.shapes import AtRest
+from .base import Base, Wheel
+from .evidence import RADII, controllers_motors, driving_signs, motors_named, stated
+from .overrides import Overrides
+from .placing import casters_of, forward_of, in_order, rolling
+from .report import BaseReading, BaseResult, in_words, note, undecided, unsupported
+from .rolling import FOLLOWER, MASTER, PASSIVE, ROLES, Pivot, across, closed, new_maps, roll
+from .steered import (
+    STEERED_KINDS,
+    Articulated,
+    CarLike,
+    CarWithTrailer,
+    Casters,
+    DriveWithTrailer,
+    SteeredBase,
+    Swerve,
+    Tricycle,
+)
+from .wheels import STEER_NAMES, TOUCHING, TRAIL, Candidate, Candidates, coaxial, parallel
+
+TURNED = 0.12  # trail by radius from which the floor turns a wheel (Robile's 10 mm of 51)
+ON_LINE = 0.02  # wheels of one axle may be off their line by this fraction of its width
+SIDEWAYS = 5e-4  # speed across a wheel per speed of the base that is told
+OPINION = 0.02  # a wheelbase that differs by more than this fraction is told
+WHEELBASES = {"wheelbase": 1.0, "wheel_base": 1.0, "wheelBase": 1.0}
+MIDDLE = 0.1  # a wheel that steers within this fraction of the wheelbase of the fixed axle steers nothing
+KINDS = [kind.kind for kind in STEERED_KINDS]
+ONE_BODY = "write one vehicle in a file, or --base holonomic drives it by forces on its frame"
+STILL = "--base holonomic drives it by forces on its frame, its wheels standing still; --base fixed parks it"
+AHEAD = "--wheels {} if they are casters, --steer {} if they steer; --base fixed takes it as an arm"
+
+
+@dataclass(frozen=True, eq=False)
+class Module:
+    """A pivot and the wheels on it.
+
+    Attributes:
+        joint: The pivot.
+        wheels: On it, and on no other pivot that it carries; without joints of their own where they cannot spin.
+        carrier: The next pivot above, None for the body.
+        role: One of the five of this module's heading; empty while it is not known.
+        spins: Whether its wheels have joints to spin about.
+    """
+
+    joint: Joint
+    wheels: list[Candidate]
+    carrier: Joint | None = None
+    role: str = ""
+    spins: bool = True
+
+    def lever(self, rest: AtRest) -> Array:
+        """(2,) from the axis to the middle of its wheels: along the rolling direction and across it [m]."""
+        ahead = rolling(self.wheels[0])
+        at = np.mean([c.centre for c in self.wheels], axis=0)[:2] - rest.hub(self.joint)[:2]
+        return np.array([product(ahead, at), product([-ahead[1], ahead[0]], at)])
+
+    def trails(self, rest: AtRest) -> bool:
+        """Whether the floor turns it."""
+        return bool(abs(self.lever(rest)[0]) > TURNED * self.wheels[0].radius)
+
+    def is_body(self, rest: AtRest) -> bool:
+        """Whether it is a body of its own: wheels on both sides of it, more than a radius from its axis."""
+        ahead, radius = rolling(self.wheels[0]), self.wheels[0].radius
+        sides = [product([-ahead[1], ahead[0]], c.centre[:2]) for c in self.wheels]
+        alike = all(parallel(self.wheels[0], c) for c in self.wheels)
+        return bool(alike and np.ptp(sides) > 2 * radius and abs(self.lever(rest)[0]) > radius)
+
+
+class Layout(NamedTuple):
+    """The modules of a base and its fixed wheels.
+
+    Attributes:
+        modules: A carrier before what it carries.
+        fixed: Wheels on the body.
+        motors: Joints that the file drives, with where it says so.
+    """
+
+    modules: list[Module]
+    fixed: list[Candidate]
+    motors: dict[str, str]
+
+    def of(self, *roles: str) -> list[Module]:
+        """The modules of some roles."""
+        return [m for m in self.modules if m.role in roles]
+
+    def without_trailers(self, candidates: Candidates) -> Candidates:
+        """What was found, without the wheels of trailers."""
+        trailing = {c.joint.name for m in self.of("hitch") for c in m.wheels}
+        return replace(candidates, wheels=[c for c in candidates.wheels if c.joint.name not in trailing])
+
+    def said(self, overrides: Overrides) -> Overrides:
+        """What the user says of the vehicle that pulls."""
+        return msgspec.structs.replace(overrides, base=None, hitch=None)
+
+
+def says_steered(overrides: Overrides) -> bool:
+    """Whether the user says that the base steers or pulls."""
+    return bool(overrides.base in KINDS or overrides.steer or overrides.hitch)
+
+
+# -- what there is -----------------------------------------------------------------------------------------------------
+
+
+def layout_of(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Layout:
+    """Pivots with their wheels, wheels without, and the role of each pivot as far as its own structure tells it.
+
+    Raises:
+        UnknownName: A joint that the user names and the robot does not have.
+        ConfigError: It is no pivot with wheels.
+        Unsupported: A joint steers by its name, about a level axis.
+    """
+    wheels = [c for c in candidates.wheels if c.mount != "leg" and not math.isnan(c.radius)]
+    above = {c.joint.name: pivots_above(rest, c.joint, wheels) for c in wheels}
+    fixed = [c for c in wheels if not above[c.joint.name]]
+    groups = dict[str, list[Candidate]]()
+    for c in wheels:
+        if pivots := above[c.joint.name]:
+            groups.setdefault(pivots[0].name, []).append(c)
+    refuse_level(rest, [c for c in fixed if c.mount == "steering"])
+    modules = [Module(rest.document.joints[name], cs, carrier_of(rest, name, wheels)) for name, cs in groups.items()]
+    modules += without_spin(rest, candidates, modules, fixed, overrides) if fixed else []
+    modules.sort(key=lambda m: len(rest.document.moving_ancestors(m.joint.child)))
+    require_pivots(rest, modules, overrides)
+    motors = {**motors_named(rest), **controllers_motors(rest, overrides.controllers_file)}
+    layout = Layout(modules, fixed, motors)
+    return layout._replace(modules=[replace(m, role=role_of(rest, m, layout, overrides)) for m in modules])
+
+
+def pivots_above(rest: AtRest, joint: Joint, wheels: Sequence[Candidate]) -> list[Joint]:
+    """Joints about vertical axes that carry a wheel, from it up; a torso that carries the whole base is none."""
+    turning = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
+    upright = [j for j in turning if rest.is_vertical(j)]
+    return [j for j in upright if not (mostly_torso(rest, j, wheels))]
+
+
+def mostly_torso(rest: AtRest, joint: Joint, wheels: Sequence[Candidate]) -> bool:
+    """Whether a vertical joint carries all wheels, three or more of them by the rule of `wheels.hangs_on`."""
+    under = [c for c in wheels if joint in rest.document.moving_ancestors(c.joint.child)[1:]]
+    return len(under) == len(wheels) and any(c.mount == "" for c in under)
+
+
+def carrier_of(rest: AtRest, name: str, wheels: Sequence[Candidate]) -> Joint | None:
+    """The pivot that carries a pivot."""
+    above = pivots_above(rest, rest.document.joints[name], wheels)
+    return above[0] if above else None
+
+
+def refuse_level(rest: AtRest, steered: Sequence[Candidate]) -> None:
+    """Refuse joints that steer by their names, about level axes: their axes are written wrong.
+
+    Raises:
+        Unsupported: There are some; with the axes that would be right.
+    """
+    joints = dict[str, Joint]()
+    for c in steered:
+        above = rest.document.moving_ancestors(c.joint.child)[1:]
+        joints |= {j.name: j for j in above if STEER_NAMES.search(j.name) and not rest.is_vertical(j)}
+    axes = dict[str, list[str]]()
+    for joint in joints.values():
+        up = in_words(product(rest.placements[joint.child][:3, :3].T, np.array([0.0, 0.0, 1.0])))
+        axes.setdefault(up, []).append(f"'{joint.name}'")
+    if axes:
+        fix = "; ".join(f'write <axis xyz="{up}"/> in {", ".join(names)}' for up, names in axes.items())
+        named = ", ".join(f"'{name}'" for name in joints)
+        why = f"{named} steer by their names, and turn about level axes"
+        raise unsupported(rest, "car-like base", why, steered, fix)
+
+
+def without_spin(
+    rest: AtRest, candidates: Candidates, known: Sequence[Module], fixed: Sequence[Candidate], overrides: Overrides
+) -> list[Module]:
+    """Pivots with wheels that have no joint to spin about: a cylinder lies on the floor; a stop or a motor steers it.
+
+    What such pivots follow (<mimic>) without having a wheel is one itself: the virtual wheel of a bicycle model.
+    """
+    said, motors, found = overrides.steer or (), motors_named(rest), dict[str, Module]()
+    taken = {m.joint.name for m in known}
+    for joint in rest.document.joints.values():
+        steers = joint.name in {*said, *motors} or (joint.type == "revolute" and not joint.turns_freely)
+        alone = rest.is_vertical(joint) and not rest.document.moving_children(joint.child)
+        shapes = [s for link in rest.document.body(joint.child) for s in rest.primitives[link]]
+        on_floor = [s for s in shapes if s.kind == "cylinder" and s.rolls and touches(s.lowest, s.radius, candidates)]
+        if steers and alone and on_floor and joint.name not in taken and joint.type != "prismatic":
+            s = on_floor[0]
+            wheel = Candidate(joint, s.pose[:3, 2], s.pose[:3, 3], s.radius, "cylinder", "steering", 0.0)
+            found[joint.name] = Module(joint, [wheel], spins=False)
+    virtual = {m.joint.mimics: m for m in found.values() if m.joint.mimics in rest.document.joints}
+    for name, m in virtual.items():
+        if name not in found and name not in taken:
+            joint = rest.document.joints[str(name)]
+            at = np.array([*rest.hub(joint)[:2], m.wheels[0].centre[2]])
+            found[str(name)] = Module(joint, [replace(m.wheels[0], joint=joint, centre=at)], spins=False)
+    return [m for m in found.values() if m.joint.mimics not in found]
+
+
+def touches(lowest: float, radius: float, candidates: Candidates) -> bool:
+    """Whether a cylinder stands where the wheels do."""
+    return abs(lowest - min(c.bottom for c in candidates.wheels)) <= TOUCHING * radius
+
+
+def require_pivots(rest: AtRest, modules: Sequence[Module], overrides: Overrides) -> None:
+    """Refuse joints that the user names as steered or as hitches and that are none; errors as of `layout_of`."""
+    known = [m.joint.name for m in modules]
+    for key in ("steer", "hitch"):
+        for name in getattr(overrides, key) or ():
+            if name not in rest.document.joints:
+                raise UnknownName("joint", name, known or rest.document.joints, file=rest.document.path, key=key)
+            if name not in known:
+                why = "no wheel on the floor is under it" if rest.is_vertical(rest.document.joints[name]) else ""
+                fix = f"name one of {', '.join(known)}" if known else "name a joint about a vertical axis under a wheel"
+                what = f"joint '{name}' cannot be a pivot"
+                raise ConfigError(
+                    what, why=why or "its axis is not vertical", fix=fix, key=key, file=rest.document.path
+                )
+
+
+def role_of(rest: AtRest, m: Module, layout: Layout, overrides: Overrides) -> str:
+    """The role of a module by its own structure, as far as it tells."""
+    name, others = m.joint.name, [o for o in layout.modules if o is not m]
+    if name in (overrides.steer or ()):
+        return "waist" if m.is_body(rest) and layout.fixed and not m.carrier else "steered"
+    if name in (overrides.hitch or ()):
+        return "hitch"
+    beside = layout.fixed or any(not o.trails(rest) for o in others)
+    if m.is_body(rest) and beside and m.joint.mimics is None:
+        return body_role(rest, m, layout, overrides)
+    if not m.trails(rest) or not all_round(m.joint) or (layout.fixed and name in layout.motors):
+        return "steered"
+    driven = {name, *(c.joint.name for c in m.wheels)} & layout.motors.keys()
+    said = overrides.base == Casters.kind
+    return "powered" if not layout.fixed and (driven or said or not nothing_else(layout, others)) else "caster"
+
+
+def nothing_else(layout: Layout, others: Sequence[Module]) -> bool:
+    """Whether the file tells motors of other wheels or pivots of the base: then those that it leaves out have none."""
+    joints = {j for o in others for j in (o.joint.name, *(c.joint.name for c in o.wheels))}
+    return bool(joints & layout.motors.keys())
+
+
+def body_role(rest: AtRest, m: Module, layout: Layout, overrides: Overrides) -> str:
+    """Whether a body on a pivot is a loader's other half or a trailer; empty where nothing tells."""
+    axle = layout.fixed and not any(not o.trails(rest) for o in layout.modules if o is not m)
+    if overrides.base == Articulated.kind or (axle and m.joint.name in layout.motors):
+        return "waist"
+    told = not axle or layout.motors or overrides.base in (DriveWithTrailer.kind, CarWithTrailer.kind)
+    return "hitch" if told else ""
+
+
+def all_round(joint: Joint) -> bool:
+    """Whether a joint swivels all the way round."""
+    return joint.turns_freely or joint.upper - joint.lower > math.tau - 0.3
+
+
+# -- what it makes -----------------------------------------------------------------------------------------------------
+
+
+def steered_base(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult | Layout | None:
+    """The base that these wheels make where some steer, trail under motors, or stand on trailers; None where none do.
+
+    Where the wheels on the body drive as of a base that does not steer, and trailers follow, the layout is returned.
+
+    Raises:
+        Unsupported: Machines of several bodies, wheels on several lines, one wheel alone.
+        Undecided: A pivot may be one thing or another.
+        ConfigError: What the user says does not suit it.
+    """
+    layout = layout_of(rest, candidates, overrides)
+    layout = layout._replace(modules=doubts_settled(rest, layout, overrides))
+    if not layout.of("steered", "powered", "hitch", "waist"):
+        return None
+    refuse_linked(rest, layout)
+    layout = layout._replace(modules=require_alike(rest, layout))
+    steered = layout.of("steered", "waist")
+    if layout.fixed and not steered:
+        return layout if layout.of("hitch") else None
+    layout = layout._replace(fixed=axle_of(rest, layout, overrides) if steered and layout.fixed else layout.fixed)
+    if layout.fixed:
+        base = on_axle(rest, layout, overrides)
+    elif steered:
+        base = without_axle(rest, layout, overrides)
+    else:
+        base = on_casters(rest, layout)
+    return finished(rest, candidates, base, layout, overrides)
+
+
+def doubts_settled(rest: AtRest, layout: Layout, overrides: Overrides) -> list[Module]:
+    """The modules, those that trail nowhere and have no stops beside a fixed axle being casters or steered.
+
+    Such a swivel may be a caster, written badly, or a tricycle's wheel: what the file drives decides.
+
+    Raises:
+        Undecided: Nothing tells.
+    """
+    refuse_body(rest, layout)
+    said = {*(overrides.steer or ()), *layout.motors}
+    doubtful = [
+        m
+        for m in layout.of("steered")
+        if layout.fixed and all_round(m.joint) and m.joint.name not in said and m.joint.mimics not in said
+    ]
+    sure = [m for m in layout.of("steered") if m not in doubtful]
+    if not doubtful or overrides.base in (CarLike.kind, Tricycle.kind, CarWithTrailer.kind):
+        return layout.modules
+    front = [c for m in doubtful for c in m.wheels if c.trail <= TRAIL]
+    casters = {m.joint.name for m in doubtful}
+    if not sure and front and on_line(layout.fixed):
+        signs = list(driving_signs(rest, layout.fixed, front, overrides.controllers_file))
+        steers, rolls = ([t for kind, t in signs if kind == want] for want in ("car-like", "differential_drive"))
+        if (steers or front_axle(front, layout.fixed)) and not rolls:
+            casters -= {m.joint.name for m in doubtful if any(c in front for c in m.wheels)}
+        elif steers or not rolls:
+            raise either(rest, layout, front, steers, rolls)
+    return [replace(m, role="caster") if m.joint.name in casters else m for m in layout.modules]
+
+
+def front_axle(front: Sequence[Candidate], fixed: Sequence[Candidate]) -> bool:
+    """Whether two wheels that could be steered make an axle of their own, parallel to that of the others."""
+    return len(front) == 2 and coaxial(*front) and not coaxial(front[0], fixed[0]) and parallel(front[0], fixed[0])
+
+
+def either(rest: AtRest, layout: Layout, front: Sequence[Candidate], steers: list[str], rolls: list[str]) -> Exception:
+    """The question whether wheels without trail are casters or steer."""
+    names = ",".join(c.joint.name for c in layout.fixed)
+    pivots = ",".join(m.joint.name for m in layout.modules if any(c in front for c in m.wheels))
+    why = f"the file also speaks of steering: {', '.join(steers)}"
+    if not steers:
+        why = f"'{front[0].joint.name}' has no trail: a caster could not follow, a tricycle steers with it"
+    two = BaseReading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
+    kind = Tricycle.kind if len(front) == 1 else CarLike.kind
+    car = BaseReading(kind, tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
+    return undecided(rest, [*layout.fixed, *front], [two, car], why, AHEAD.format(names, pivots))
+
+
+def refuse_body(rest: AtRest, layout: Layout) -> None:
+    """Refuse to guess whether a body on a pivot is a loader's other half or a trailer.
+
+    Raises:
+        Undecided: Nothing tells.
+    """
+    for m in layout.modules:
+        if not m.role:
+            why = f"nothing tells whether a motor turns '{m.joint.name}'"
+            loader = BaseReading(Articulated.kind, ("two axles, and a vertical joint between them",))
+            trailer = BaseReading(DriveWithTrailer.kind, ("wheels on both sides behind a vertical joint",))
+            fix = f"--steer {m.joint.name} if a motor turns it, --hitch {m.joint.name} if it follows freely"
+            raise undecided(rest, [*layout.fixed, *m.wheels], [loader, trailer], why, fix, m.joint.line)
+
+
+def refuse_linked(rest: AtRest, layout: Layout) -> None:
+    """Refuse machines of several bodies that steer or drive each by itself.
+
+    Raises:
+        Unsupported: A pivot that steers is on another one.
+    """
+    linked = [m for m in layout.of("steered", "powered", "waist") if m.carrier is not None]
+    if linked:
+        pivots = ", ".join(f"'{m.joint.name}' on '{m.carrier.name}'" for m in linked if m.carrier)
+        why = f"the base is more than one body: {pivots}"
+        raise unsupported(rest, "machine of several vehicles, linked", why, linked[0].wheels, ONE_BODY)
+
+
+def require_alike(rest: AtRest, layout: Layout) -> list[Module]:
+    """The modules, what trails under stops beside others that steer refused: only a single wheel that steers may trail.
+
+    Raises:
+        Unsupported: A slip in the file, or a machine of its own.
+    """
+    steered = layout.of("steered")
+    odd = [m for m in steered if m.trails(rest)]
+    if len(steered) > 1 and odd:
+        names, trail = ", ".join(f"'{m.joint.name}'" for m in odd), abs(odd[0].lever(rest)[0])
+        why = f"the wheel under {names} stands {trail:.3g} m behind its axis, and others steer"
+        fix = f"mend the <origin> of the wheel or of its pivot; {STILL}"
+        raise unsupported(rest, "base that steers with wheels off their pivots", why, odd[0].wheels, fix)
+    powered = layout.of("powered") if steered else []
+    return [replace(m, role="caster") if m in powered else m for m in layout.modules]
+
+
+def on_line(wheels: Sequence[Candidate]) -> bool:
+    """Whether wheels turn about one line."""
+    ahead = rolling(wheels[0])
+    off = [abs(product(ahead, (c.centre - wheels[0].centre)[:2])) for c in wheels]
+    width = max(float(np.linalg.norm((c.centre - wheels[0].centre)[:2])) for c in wheels)
+    return all(parallel(wheels[0], c) for c in wheels) and max(off) <= max(ON_LINE * width, 1e-6)
+
+
+def axle_of(rest: AtRest, layout: Layout, overrides: Overrides) -> list[Candidate]:
+    """The fixed wheels that hold the base: on one line, those that are not balls, or those that the user names.
+
+    Raises:
+        Unsupported: They stand on several lines; with the options that choose one.
+    """
+    fixed, named = layout.fixed, [c for c in layout.fixed if c.joint.name in (overrides.wheels or ())]
+    proper = [c for c in fixed if c.shape != "sphere"]
+    for wheels in (named, fixed, proper):
+        if wheels and on_line(wheels):
+            return wheels
+    why = f"wheels that do not steer stand on several lines: {'; '.join(c.text for c in fixed)}"
+    lines = {tuple(o.joint.name for o in fixed if o is c or coaxial(c, o)) for c in fixed}
+    kind = Tricycle.kind if len(layout.of("steered")) == 1 else CarLike.kind
+    rolling_too = [c.joint.name for m in layout.of("steered") if m.spins for c in m.wheels]
+    ways = [f"--base {kind} --wheels {','.join([*n, *rolling_too])}" for n in sorted(lines) if len(n) > 1]
+    fix = f"{', or '.join(ways)} if the others slide or swivel; {STILL}" if ways else STILL
+    raise unsupported(rest, "base that steers and skids", why, fixed, fix)
+
+
+def on_axle(rest: AtRest, layout: Layout, overrides: Overrides) -> SteeredBase:
+    """A car, a tricycle or a loader, without what it pulls.
+
+    Args:
+        rest: The robot at rest.
+        layout: Its fixed wheels are those of the axle.
+        overrides: What the user says.
+
+    Raises:
+        Unsupported: A wheel that steers stands on the line of those that do not.
+        ConfigError: The user says that it is another kind.
+    """
+    fixed, steered = layout.fixed, layout.of("steered", "waist")
+    frame = frame_at(np.mean([c.centre for c in fixed], axis=0), forward_of(fixed))
+    steered = sorted(steered, key=lambda m: order(frame, rest, m))
+    master = first_master(steered, layout.motors)
+    loader = master.role == "waist"
+    kind = Articulated if loader else Tricycle if len(steered) == 1 and master.spins else CarLike
+    if overrides.base in (CarLike.kind, Tricycle.kind) and not loader:
+        kind = Tricycle if overrides.base == Tricycle.kind else CarLike
+    pivots = [placed_pivot(rest, frame, m, ROLES[MASTER if m is master else FOLLOWER], layout) for m in steered]
+    wheelbase = abs(ahead_of(pivots[steered.index(master)]))
+    near = next((p for p in pivots if abs(ahead_of(p)) < MIDDLE * wheelbase or wheelbase == 0), None)
+    if near is not None:
+        why = f"the wheel under '{near.joint}' stands on the line of those that do not steer"
+        raise unsupported(rest, "base that cannot steer", why, fixed, STILL)
+    if overrides.wheelbase is not None:
+        pivots = [replace(p, x=p.x * overrides.wheelbase / wheelbase) for p in pivots]
+        wheelbase = overrides.wheelbase
+    return kind(pivots=tuple(pivots), frame=frame, length=wheelbase)
+
+
+def ahead_of(pivot: Pivot) -> float:
+    """Place of the wheel on a pivot of the body along the base, the pivot at 0 [m]."""
+    return pivot.x + pivot.wheel[0]
+
+
+def order(frame: Array, rest: AtRest, m: Module) -> tuple[float, float]:
+    """Front before rear, left before right."""
+    x, y = in_frame(frame, rest.hub(m.joint))
+    return -round(x, 3), -y
+
+
+def first_master(steered: Sequence[Module], motors: Iterable[str]) -> Module:
+    """The one that others follow: the master of their <mimic>, the only one with a motor, else the first."""
+    followed = [m for m in steered if m.joint.name in {o.joint.mimics for o in steered}]
+    powered = [m for m in steered if m.joint.name in set(motors)]
+    return next(iter(followed if len(followed) == 1 else powered if len(powered) == 1 else steered))
+
+
+def without_axle(rest: AtRest, layout: Layout, overrides: Overrides) -> SteeredBase:
+    """A swerve drive: all that steer are masters.
+
+    Raises:
+        Unsupported: One steered wheel and nothing that holds the base beside it.
+    """
+    steered = layout.of("steered")
+    if len(steered) < 2:
+        why = f"one wheel steers and nothing else holds it: {steered[0].wheels[0].text}"
+        raise unsupported(rest, "base on one wheel", why, steered[0].wheels, STILL)
+    frame = frame_at(np.mean([rest.hub(m.joint) for m in steered], axis=0), np.array([1.0, 0.0]))
+    pivots = [placed_pivot(rest, frame, m, ROLES[MASTER], layout) for m in steered]
+    size = math.sqrt(float(np.mean([p.x**2 + p.y**2 for p in pivots])))
+    return Swerve(pivots=tuple(pivots), frame=frame, length=size)
+
+
+def on_casters(rest: AtRest, layout: Layout) -> SteeredBase:
+    """A base on powered casters, or on a turret.
+
+    Raises:
+        Unsupported: One caster with one wheel.
+    """
+    powered = layout.of("powered")
+    if len(powered) == 1 and len(powered[0].wheels) < 2:
+        why = f"one caster and nothing else: {powered[0].wheels[0].text}"
+        raise unsupported(rest, "base on one wheel", why, powered[0].wheels, STILL)
+    frame = frame_at(np.mean([rest.hub(m.joint) for m in powered], axis=0), np.array([1.0, 0.0]))
+    pivots = [placed_pivot(rest, frame, m, ROLES[PASSIVE], layout) for m in powered]
+    silent = not any({m.joint.name, *(c.joint.name for c in m.wheels)} & layout.motors.keys() for m in powered)
+    if silent:  # a pair of wheels turns its swivel by itself, unless it is the only one
+        pivots = [
+            replace(p, motor=len(powered) == 1 or len(m.wheels) < 2) for p, m in zip(pivots, powered, strict=True)
+        ]
+    return Casters(pivots=tuple(pivots), frame=frame, length=1.0)
+
+
+# -- places ------------------------------------------------------------------------------------------------------------
+
+
+def frame_at(origin: Array, forward: Array) -> Array:
+    """(3,) control frame at a place, along a direction."""
+    return np.array([origin[0], origin[1], atan2(float(forward[1]), float(forward[0]))])
+
+
+def in_frame(frame: Array, point: Array) -> tuple[float, float]:
+    """A place in a planar frame [m]."""
+    c, s = cos_sin(float(frame[2]))
+    x, y = float(point[0] - frame[0]), float(point[1] - frame[1])
+    return c * x + s * y, c * y - s * x
+
+
+def frame_on(rest: AtRest, joint: Joint, heading: float) -> Array:
+    """(3,) frame of what a pivot carries, at its axis: that of its carrier turned by where the pivot rests."""
+    sign = math.copysign(1.0, rest.axis(joint)[2])
+    return np.array([*rest.hub(joint)[:2], heading + sign * joint.rest])
+
+
+def placed(frame: Array, c: Candidate) -> tuple[float, float, float, float]:
+    """Place of a wheel in a planar frame, its heading within a quarter turn, and the sign of its joint."""
+    direction = rolling(c)
+    heading = math.remainder(atan2(float(direction[1]), float(direction[0])) - float(frame[2]), math.tau)
+    back = abs(heading) > math.pi / 2 + 1e-9
+    heading = math.remainder(heading - math.pi, math.tau) if back else heading
+    return *in_frame(frame, c.centre), heading, -1.0 if back else 1.0
+
+
+def placed_pivot(rest: AtRest, frame: Array, m: Module, role: str, layout: Layout) -> Pivot:
+    """A module's pivot in the frame of its carrier, with the middle of its wheels on it."""
+    joint, own = m.joint, frame_on(rest, m.joint, float(frame[2]))
+    x, y = in_frame(frame, rest.hub(joint))
+    wheels = [placed(own, c) for c in m.wheels]
+    wheel = float(np.mean([w[0] for w in wheels])), float(np.mean([w[1] for w in wheels])), wheels[0][2]
+    steers = role == ROLES[MASTER] or (joint.name in layout.motors and joint.mimics is None and m.role != "hitch")
+    return Pivot(
+        joint=joint.name,
+        role=role,
+        x=x,
+        y=y,
+        sign=math.copysign(1.0, rest.axis(joint)[2]),
+        lower=joint.lower if joint.type == "revolute" else -math.inf,
+        upper=joint.upper if joint.type == "revolute" else math.inf,
+        rate=rate_of(rest, joint),
+        motor=steers,
+        wheel=wheel,
+    )
+
+
+def rate_of(rest: AtRest, joint: Joint) -> float:
+    """Largest rate that a file states of a joint, inf where it states none or 0 [rad/s]."""
+    element = next(e for e in rest.document.root.iterchildren("joint") if e.get("name") == joint.name)
+    stated_rate = float(element.find("limit").get("velocity", "0")) if element.find("limit") is not None else 0.0
+    return stated_rate if stated_rate > 0 else math.inf
+
+
+def placed_wheels(rest: AtRest, frame: Array, wheels: Sequence[Candidate], pivot: int, **more: bool) -> list[Wheel]:
+    """Wheels with joints in the frame of what carries them, left before right."""
+    at = [(placed(frame, c), c) for c in wheels]
+    at.sort(key=lambda pair: (-round(pair[0][0], 6), -pair[0][1]))
+    return [Wheel(c.joint.name, c.radius, sign, y, x, h, pivot=pivot, **more) for (x, y, h, sign), c in at]
+
+
+# -- trailers, motors, limits ------------------------------------------------------------------------------------------
+
+
+def finished(
+    rest: AtRest, candidates: Candidates, base: SteeredBase, layout: Layout, overrides: Overrides
+) -> BaseResult:
+    """The base with its wheels, what it pulls, what stands still, and what there is to say of it."""
+    base, findings = with_limits(rest, base, layout, overrides)
+    modules = {m.joint.name: m for m in layout.modules}
+    own = [modules[p.joint] for p in base.pivots]
+    own_wheels = [c for m in own if m.spins for c in m.wheels]
+    stated_radii = overrides.radius_of
+    rolls = [*layout.fixed, *own_wheels]
+    resized = {c.joint.name: stated_radii.get(c.joint.name, overrides.radius or c.radius) for c in rolls}
+    wheels = placed_wheels(rest, base.frame, layout.fixed, -1)
+    if overrides.track is not None and (width := np.ptp([w.y for w in wheels])) > 0:
+        wheels = [replace(w, y=w.y * overrides.track / float(width)) for w in wheels]
+    for k, m in enumerate(own):
+        wheels += placed_wheels(rest, frame_on(rest, m.joint, float(base.frame[2])), m.wheels, k) if m.spins else []
+    wheels = [replace(w, radius=resized[w.joint]) for w in wheels]
+    wheels, driving = with_motors(rest, wheels, layout, overrides)
+    track = float(np.ptp([w.y for w in wheels if w.pivot < 0])) if len(layout.fixed) > 1 else 0.0
+    bottoms = [c.bottom for c in [*layout.fixed, *(c for m in own for c in m.wheels)]]
+    base = replace(base, wheels=tuple(wheels), track=track, floor=float(np.mean(bottoms)))
+    base, trailing = with_trailers(rest, base, layout)
+    base = standing(rest, base, candidates)
+    kind_as_said(rest, base, overrides)
+    base = replace(base, scrub=scrub_of(base))
+    notes = [steered_note(rest, base), *findings, *driving, *trailing, *spinless_note(rest, own)]
+    return BaseResult(base, (*notes, *scrub_note(rest, base), *stated_notes(rest, base, overrides)))
+
+
+def with_trailers(rest: AtRest, base: Base, layout: Layout) -> tuple[SteeredBase, list[Finding]]:
+    """The base with the trailers behind it; a differential drive's body moves by `(v, w)`.
+
+    Raises:
+        Unsupported: A trailer on something else than the body or a trailer.
+    """
+    hitches, findings = layout.of("hitch"), list[Finding]()
+    pivots = list(base.pivots) if isinstance(base, SteeredBase) else []
+    wheels, frames, numbers = list(base.rolling if not pivots else base.wheels), dict[str, Array](), dict[str, int]()
+    for m in hitches:
+        carrier = m.carrier.name if m.carrier is not None else ""
+        if carrier and carrier not in frames:
+            why = f"trailer '{m.joint.name}' hangs on '{carrier}', which is no trailer"
+            raise unsupported(rest, "machine of several vehicles, linked", why, m.wheels, ONE_BODY)
+        at = frames.get(carrier, base.frame)
+        numbers[m.joint.name] = len(pivots)
+        frames[m.joint.name] = frame_on(rest, m.joint, float(at[2]))
+        pivot = placed_pivot(rest, at, m, ROLES[PASSIVE], layout)
+        pivots.append(replace(pivot, parent=numbers.get(carrier, -1), motor=False))
+        alone = on_line(m.wheels)
+        wheels += placed_wheels(rest, frames[m.joint.name], m.wheels, len(pivots) - 1, driven=False, grips=alone)
+        if not alone:
+            text = f"the trailer on '{m.joint.name}' has several axles, which scrub about their middle"
+            why = f"it is taken as on one, {abs(pivot.wheel[0]):.3g} m from the hitch"
+            findings.append(note(rest, "base-scrub", m.joint.name, text, why))
+    if not hitches:
+        return base, findings  # type: ignore[return-value]
+    more = {key: getattr(base, key) for key in ("track", "frame", "floor", "casters", "suspensions", "parked")}
+    kind = CarWithTrailer if isinstance(base, SteeredBase) else DriveWithTrailer
+    length = base.length if isinstance(base, SteeredBase) else 1.0
+    made = kind(wheels=tuple(wheels), pivots=tuple(pivots), length=length, turning=base.turning, **more)
+    return made, findings
+
+
+def behind_drive(rest: AtRest, result: BaseResult, layout: Layout) -> BaseResult:
+    """A differential or skid-steer drive with the trailers behind it."""
+    base, findings = with_trailers(rest, result.base, layout)
+    base = replace(base, scrub=scrub_of(base))
+    return BaseResult(base, (*result.findings, steered_note(rest, base), *findings, *scrub_note(rest, base)))
+
+
+def with_motors(
+    rest: AtRest, wheels: list[Wheel], layout: Layout, overrides: Overrides
+) -> tuple[list[Wheel], list[Finding]]:
+    """The wheels, those with motors marked: which the file and the user name, the file, the user, else all.
+
+    Raises:
+        UnknownName: The user names another joint.
+    """
+    names = [w.joint for w in wheels]
+    for name in overrides.wheels or ():
+        if name not in names:
+            raise UnknownName("wheel joint", name, names, key="wheels")
+    ours, theirs = [n for n in names if n in (overrides.wheels or ())], [n for n in names if n in layout.motors]
+    told = [name for name in ours if name in theirs] or theirs or ours
+    driven = [replace(w, driven=not told or w.joint in told) for w in wheels]
+    if told or not wheels:
+        return driven, []
+    text, fix = f"nothing says which wheels drive: all are taken as driven ({', '.join(names)})", "--base KIND --wheels"
+    fix = f"name those that drive: --base KIND --wheels {','.join(names[:2])}"
+    return driven, [note(rest, "base-driven", names[0], text, "no motor of them is in the file", fix)]
+
+
+def with_limits(
+    rest: AtRest, base: SteeredBase, layout: Layout, overrides: Overrides
+) -> tuple[SteeredBase, list[Finding]]:
+    """The base with the stops of what steers, and what there is to say where the file states none.
+
+    Raises:
+        Unsupported: Their limits are one value.
+    """
+    limit = overrides.steering_limit
+    steers = [p for p in base.pivots if p.role != ROLES[PASSIVE]]
+    if limit is not None:
+        held = {p.joint: replace(p, lower=-limit, upper=limit) for p in steers}
+        return replace(base, pivots=tuple(held.get(p.joint, p) for p in base.pivots)), []
+    rigid = [p for p in steers if p.lower == p.upper]
+    if rigid:
+        names = ", ".join(f"'{p.joint}'" for p in rigid)
+        wheels = [c for m in layout.modules for c in m.wheels if m.joint.name == rigid[0].joint]
+        why = f"the limits of {names} are one value: nothing turns there"
+        fix = "--steering-limit RAD, or write lower and upper in its <limit>"
+        raise unsupported(rest, "base that steers, and cannot", why, wheels, fix)
+    endless = [p.joint for p in steers if p.lower == -math.inf and isinstance(base, CarLike | Tricycle | Articulated)]
+    if not endless:
+        return base, []
+    text = f"nothing limits how far {', '.join(endless)} steer"
+    return base, [note(rest, "base-limit", endless[0], text, "a robot has stops there", "--steering-limit RAD")]
+
+
+def virtual_joints(rest: AtRest, base: SteeredBase) -> list[str]:
+    """Joints of a bicycle model beside the wheels of a car: they turn in the middle of its axles, and carry nothing.
+
+    One is about the line of an axle, or between two pivots that steer, within a fraction of the wheelbase.
+    """
+    if base.sideways or not base.masters:
+        return []
+    hubs = [in_frame(base.frame, rest.hub(rest.document.joints[p.joint])) for p in base.pivots if p.parent < 0]
+    places = [(0.0, 0.0), *(((x, (y + v) / 2) for x, y in hubs for u, v in hubs if x == u or abs(x - u) < 1e-3))]
+    ends = [j for j in rest.document.moving_children(rest.document.root_link) if j.type != "prismatic"]
+    ends = [j for j in ends if j.name not in base.joints and not rest.document.moving_children(j.child)]
+    highest = max(float(rest.hub(rest.document.joints[w.joint])[2]) + w.radius for w in base.wheels)
+    low = [j for j in ends if rest.hub(j)[2] <= highest and (rest.is_vertical(j) or rest.is_horizontal(j))]
+    return [
+        j.name
+        for j in low
+        if min(math.dist(in_frame(base.frame, rest.hub(j)), at) for at in places) < ON_LINE * base.length
+    ]
+
+
+def standing(rest: AtRest, base: SteeredBase, candidates: Candidates) -> SteeredBase:
+    """The base with what stands still of it: casters, what holds its wheels, rollers."""
+    used = [c for c in candidates.wheels if c.joint.name in {w.joint for w in base.wheels}]
+    moving = {*base.shape, *(w.joint for w in base.wheels)}
+    joints = rest.document.joints
+    above = {j.name for name in moving for j in rest.document.moving_ancestors(joints[name].child)}
+    followers = {j.name for j in joints.values() if j.mimics in moving}
+    others = casters_of(rest, used, candidates.wheels) - moving - above - followers
+    return replace(
+        base,
+        casters=in_order(rest, others),
+        suspensions=in_order(rest, above - moving),
+        parked=in_order(rest, [*virtual_joints(rest, base), *(name for c in candidates.wheels for name in c.rollers)]),
+    )
+
+
+def kind_as_said(rest: AtRest, base: SteeredBase, overrides: Overrides) -> None:
+    """Refuse a kind of base that the user says and the file does not bear out.
+
+    Raises:
+        ConfigError: It is another.
+    """
+    if overrides.base is not None and overrides.base != base.kind:
+        what = f"this is no '{overrides.base}'"
+        why = f"its structure makes it '{base.kind}': {', '.join(f'{p.joint} ({p.role})' for p in base.pivots)}"
+        fix = f"--base {base.kind}, or --steer and --hitch name what steers and what is a hitch"
+        raise ConfigError(what, why=why, fix=fix, key="base", file=rest.document.path)
+
+
+# -- what there is to say ----------------------------------------------------------------------------------------------
+
+
+def steered_note(rest: AtRest, base: SteeredBase) -> Finding:
+    """What steers and what drives."""
+    roles = {role: [p.joint for p in base.pivots if p.role == role] for role in ROLES}
+    parts = [f"{role} {', '.join(names)}" for role, names in roles.items() if names]
+    size = f"wheelbase {base.length:.4g} m" if not base.sideways and base.masters else ""
+    drives = f"driven {', '.join(w.joint for w in base.wheels if w.driven)}"
+    text = f"taken as {base.kind}: {'; '.join(filter(None, (*parts, drives, size)))}"
+    return note(rest, "base-steered", base.pivots[0].joint, text)
+
+
+def spinless_note(rest: AtRest, own: Sequence[Module]) -> list[Finding]:
+    """A note on steered wheels that have no joint to spin about."""
+    names = [m.joint.name for m in own if not m.spins]
+    if not names:
+        return []
+    text = f"the wheels on {', '.join(names)} have no joint to spin about: they slide along, and only steer"
+    fix = "give them continuous joints if they are to be seen turning"
+    return [note(rest, "base-steered", names[0], text, "the file welds them on", fix)]
+
+
+def scrub_of(base: SteeredBase) -> float:
+    """Largest speed across a wheel per speed of the base, over some angles within the stops.
+
+    A follower is steered as if its pivot were beside its wheel, and of several axles the middle one holds.
+    """
+    joints = [*base.shape, *(w.joint for w in base.wheels)]
+    places = {name: 3 + k for k, name in enumerate(joints)}
+    rolls, rng, worst = base.rolling_at(places), np.random.default_rng(0), 0.0
+    nu = np.zeros(len(base.velocity_names))
+    if base.sideways:
+        return 0.0
+    for _ in range(6):
+        position = np.zeros(3 + len(joints))
+        for p in base.pivots:
+            position[places[p.joint]] = rng.uniform(max(p.lower, -0.5), min(p.upper, 0.5))
+        nu[0] = 1.0
+        maps = new_maps(rolls, np.zeros((3 + len(joints), nu.size)))
+        roll(rolls, closed(rolls, position), nu, maps)
+        for w in (w for w in base.wheels if w.grips):
+            c, s = cos_sin(w.heading)
+            worst = max(worst, abs(across(maps.V[w.pivot + 1], w.x, w.y, c, s, 0)))
+    return worst if worst > SIDEWAYS else 0.0
+
+
+def scrub_note(rest: AtRest, base: SteeredBase) -> list[Finding]:
+    """A warning about wheels that slide sideways as they stand in the file."""
+    if not base.scrub:
+        return []
+    text = f"wheels slide sideways by up to {base.scrub:.2g} m per metre driven"
+    why = "their pivots are not beside them, or axles of one body are apart"
+    fix = "mend the <origin> of the wheels if that is a slip"
+    return [note(rest, "base-scrub", base.pivots[0].joint, text, why, fix)]
+
+
+def stated_notes(rest: AtRest, base: SteeredBase, overrides: Overrides) -> list[Finding]:
+    """Warnings where a plugin or a controller states another wheelbase or radius than the geometry."""
+    measured = {"wheelbase": [base.length] if not base.sideways and base.masters else []}
+    measured["radius"] = [w.radius for w in base.wheels]
+    findings = list[Finding]()
+    for name, names in (("wheelbase", WHEELBASES), ("radius", RADII)):
+        for length in stated(rest, overrides.controllers_file, names) if getattr(overrides, name) is None else ():
+            if measured[name] and all(abs(length.value / used - 1) > OPINION for used in measured[name]):
+                text = f"{length.text} states a {name} of {length.value:.4g} m, its geometry {measured[name][0]:.4g} m"
+                fix = f"--{name} {length.value:.6g}"
+                findings.append(note(rest, "base-stated", base.shape[0], text, "taken is the geometry", fix))
+    return findings
