@@ -17,7 +17,7 @@ from .compiled import compiled, copy_to, internal
 from .elementary import cos_sin
 from .model.base import kind_of, velocity_command
 from .model.base.rolling import Maps, Rolling, new_maps, roll
-from .model.base.steered import SteeredBase
+from .model.base.steered import Articulated, SteeredBase
 from .model.base.steering_law import SteeringNumbers, steered_velocity
 from .model.reduction import solve
 from .model.structure import Structure
@@ -231,7 +231,7 @@ class Kinematic(Settings, frozen=True):
         return Steering(
             rolling=rolling,
             maps=new_maps(rolling, T),
-            numbers=SteeringNumbers(self.steering, self.slow, self.align),
+            numbers=SteeringNumbers(self.steering, self.slow, self.align, isinstance(base, Articulated)),
             motors=np.array([places[name] for name in driven], np.int64),
             E_inv=E_inv,
             factor=np.zeros((2, d.base, d.base)),
