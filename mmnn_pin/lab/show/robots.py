@@ -233,7 +233,7 @@ def properties_text(report: CheckReport, columns: int = WIDTH) -> str:
     head = f"robot {report.robot}: {report.samples} random states, seed {report.seed}"
     parts: list[str | TextLine | Table] = [head, table, *report.notes]
     parts += [TextLine(bounds, whole=True), hanging("  sampling: ", SAMPLING, columns), "", f"base: {tested.verdict}"]
-    for where, found in (("pose", tested.pose), ("pose and wheels", tested.with_wheels)):
+    for where, found in ((tested.on, tested.pose), ("pose and wheels", tested.with_wheels)):
         if found is not None:
             ranks = " -> ".join(map(str, found.growth))
             parts.append(f"  {where}: rank {ranks} of {found.coordinates} by Lie brackets")
