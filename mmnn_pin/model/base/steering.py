@@ -36,7 +36,7 @@ from .evidence import RADII, controllers_motors, driving_signs, motors_named, st
 from .overrides import Overrides
 from .placing import casters_of, forward_of, in_order, rolling
 from .report import BaseReading, BaseResult, in_words, note, undecided, unsupported
-from .rolling import FOLLOWER, MASTER, PASSIVE, ROLES, Pivot, across, closed, new_maps, roll
+from .rolling import FOLLOWER, MASTER, PASSIVE, ROLES, Pivot, closed, new_maps, roll
 from .steered import (
     STEERED_KINDS,
     Articulated,
@@ -48,11 +48,12 @@ from .steered import (
     Swerve,
     Tricycle,
 )
-from .wheels import STEER_NAMES, TOUCHING, TRAIL, Candidate, Candidates, coaxial, parallel
+from .wheels import HUB, STEER_NAMES, TOUCHING, TRAIL, Candidate, Candidates, coaxial, parallel
 
 TURNED = 0.12  # trail by radius from which the floor turns a wheel (Robile's 10 mm of 51)
 ON_LINE = 0.02  # wheels of one axle may be off their line by this fraction of its width
 SIDEWAYS = 5e-4  # speed across a wheel per speed of the base that is told
+SAMPLES = 6  # of angles at which it is looked for
 OPINION = 0.02  # a wheelbase that differs by more than this fraction is told
 WHEELBASES = {"wheelbase": 1.0, "wheel_base": 1.0, "wheelBase": 1.0}
 MIDDLE = 0.1  # a wheel that steers within this fraction of the wheelbase of the fixed axle steers nothing
@@ -299,6 +300,7 @@ def steered_base(rest: AtRest, candidates: Candidates, overrides: Overrides) -> 
     layout = layout_of(rest, candidates, overrides)
     layout = layout._replace(modules=doubts_settled(rest, layout, overrides))
     if not layout.of("steered", "powered", "hitch", "waist"):
+        require_steering(rest, layout, overrides)
         return None
     refuse_linked(rest, layout)
     layout = layout._replace(modules=require_alike(rest, layout))
@@ -313,6 +315,19 @@ def steered_base(rest: AtRest, candidates: Candidates, overrides: Overrides) -> 
     else:
         base = on_casters(rest, layout)
     return finished(rest, candidates, base, layout, overrides)
+
+
+def require_steering(rest: AtRest, layout: Layout, overrides: Overrides) -> None:
+    """Refuse a kind of base that steers where nothing does.
+
+    Raises:
+        ConfigError: The user says one.
+    """
+    if overrides.base in KINDS:
+        known = ", ".join(m.joint.name for m in layout.modules)
+        fix = f"--steer names what steers: {known}" if known else "leave it out: no wheel is under a vertical joint"
+        what = f"this is no '{overrides.base}'"
+        raise ConfigError(what, why="no wheel of it steers", fix=fix, key="base", file=rest.document.path)
 
 
 def doubts_settled(rest: AtRest, layout: Layout, overrides: Overrides) -> list[Module]:
@@ -437,7 +452,9 @@ def axle_of(rest: AtRest, layout: Layout, overrides: Overrides) -> list[Candidat
     Raises:
         Unsupported: They stand on several lines; with the options that choose one.
     """
-    fixed, named = layout.fixed, [c for c in layout.fixed if c.joint.name in (overrides.wheels or ())]
+    seen = [c for c in layout.fixed if c.shape != HUB]  # others may be joints of a bicycle model, without a body
+    fixed = seen or layout.fixed
+    named = [c for c in fixed if c.joint.name in (overrides.wheels or ())]
     proper = [c for c in fixed if c.shape != "sphere"]
     for wheels in (named, fixed, proper):
         if wheels and on_line(wheels):
@@ -629,7 +646,7 @@ def finished(
     base, trailing = with_trailers(rest, base, layout)
     base = standing(rest, base, candidates)
     kind_as_said(rest, base, overrides)
-    base = replace(base, scrub=scrub_of(base))
+    base = replace(base, scrub=scrub_of(rest, base, layout))
     notes = [steered_note(rest, base), *findings, *driving, *trailing, *spinless_note(rest, own)]
     return BaseResult(base, (*notes, *scrub_note(rest, base), *stated_notes(rest, base, overrides)))
 
@@ -671,7 +688,7 @@ def with_trailers(rest: AtRest, base: Base, layout: Layout) -> tuple[SteeredBase
 def behind_drive(rest: AtRest, result: BaseResult, layout: Layout) -> BaseResult:
     """A differential or skid-steer drive with the trailers behind it."""
     base, findings = with_trailers(rest, result.base, layout)
-    base = replace(base, scrub=scrub_of(base))
+    base = replace(base, scrub=scrub_of(rest, base, layout))
     return BaseResult(base, (*result.findings, steered_note(rest, base), *findings, *scrub_note(rest, base)))
 
 
@@ -796,28 +813,56 @@ def spinless_note(rest: AtRest, own: Sequence[Module]) -> list[Finding]:
     return [note(rest, "base-steered", names[0], text, "the file welds them on", fix)]
 
 
-def scrub_of(base: SteeredBase) -> float:
-    """Largest speed across a wheel per speed of the base, over some angles within the stops.
+def scrub_of(rest: AtRest, base: SteeredBase, layout: Layout) -> float:
+    """Largest speed across a wheel per speed of the base, over some angles within the stops; 0 where it is no matter.
 
-    A follower is steered as if its pivot were beside its wheel, and of several axles the middle one holds.
+    A follower is steered as if its pivot were upright beside its wheel; here pivots and axles are as the file has them.
     """
-    joints = [*base.shape, *(w.joint for w in base.wheels)]
-    places = {name: 3 + k for k, name in enumerate(joints)}
-    rolls, rng, worst = base.rolling_at(places), np.random.default_rng(0), 0.0
-    nu = np.zeros(len(base.velocity_names))
     if base.sideways:
         return 0.0
-    for _ in range(6):
+    joints = list(base.joints)
+    places = {name: 3 + k for k, name in enumerate(joints)}
+    rolls, rng, worst = base.rolling_at(places), np.random.default_rng(0), 0.0
+    nu = np.array([1.0] + [0.0] * (len(base.velocity_names) - 1))
+    wheels = {c.joint.name: c for c in (*layout.fixed, *(c for m in layout.modules for c in m.wheels))}
+    for _ in range(SAMPLES):
         position = np.zeros(3 + len(joints))
         for p in base.pivots:
             position[places[p.joint]] = rng.uniform(max(p.lower, -0.5), min(p.upper, 0.5))
-        nu[0] = 1.0
         maps = new_maps(rolls, np.zeros((3 + len(joints), nu.size)))
         roll(rolls, closed(rolls, position), nu, maps)
-        for w in (w for w in base.wheels if w.grips):
-            c, s = cos_sin(w.heading)
-            worst = max(worst, abs(across(maps.V[w.pivot + 1], w.x, w.y, c, s, 0)))
+        for w in (w for w in base.wheels if w.grips and w.joint in wheels and on_the_spot(base, w)):
+            pivot = rest.document.joints[base.pivots[w.pivot].joint] if w.pivot >= 0 else None
+            angle = position[places[pivot.name]] if pivot is not None else 0.0
+            worst = max(worst, sliding(rest, base, wheels[w.joint], pivot, angle, maps.V[0, :, 0]))
     return worst if worst > SIDEWAYS else 0.0
+
+
+def on_the_spot(base: SteeredBase, wheel: Wheel) -> bool:
+    """Whether a wheel is on the body or on a pivot of it that stands still while the steering does."""
+    return wheel.pivot < 0 or base.pivots[wheel.pivot].role != ROLES[PASSIVE]
+
+
+def sliding(rest: AtRest, base: Base, c: Candidate, pivot: Joint | None, angle: float, eta: Array) -> float:
+    """Speed of a wheel along its own axle, at an angle of its pivot and a velocity (3,) of the control frame [m/s]."""
+    centre, axle = c.centre, c.axis
+    if pivot is not None:
+        turned = rotation(rest.axis(pivot), angle - pivot.rest)
+        centre = rest.hub(pivot) + product(turned, centre - rest.hub(pivot))
+        axle = product(turned, axle)
+    ahead, left, w = (float(value) for value in eta)
+    x, y = in_frame(base.frame, centre)
+    cosine, sine = cos_sin(float(base.frame[2]))
+    across = cosine * axle[0] + sine * axle[1], cosine * axle[1] - sine * axle[0]
+    size = math.hypot(*across)
+    return abs(across[0] * (ahead - y * w) + across[1] * (left + x * w)) / size
+
+
+def rotation(axis: Array, angle: float) -> Array:
+    """(3, 3) rotation about an axis."""
+    (c, s), (x, y, z) = cos_sin(angle), axis
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + s * skew + (1.0 - c) * product(skew, skew)
 
 
 def scrub_note(rest: AtRest, base: SteeredBase) -> list[Finding]:
@@ -825,7 +870,7 @@ def scrub_note(rest: AtRest, base: SteeredBase) -> list[Finding]:
     if not base.scrub:
         return []
     text = f"wheels slide sideways by up to {base.scrub:.2g} m per metre driven"
-    why = "their pivots are not beside them, or axles of one body are apart"
+    why = "their pivots lean, or are not beside them"
     fix = "mend the <origin> of the wheels if that is a slip"
     return [note(rest, "base-scrub", base.pivots[0].joint, text, why, fix)]
 
