@@ -6,7 +6,8 @@
     moving elsewhere    brake along the present arc, and begin from rest
 
 Legs of a route follow each other from rest to rest, with turns on the spot between them and, where a heading is told,
-at the end. All but the beginning is timed ahead, so that a control loop can take it over within a sample.
+at the end. A base that steers and cannot turn on the spot curves onto every leg within its curvature, or the route is
+refused. All but the beginning is timed ahead, so that a control loop can take it over within a sample.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from numpy.typing import ArrayLike
 
 from ..elementary import angles, atan2, hypot, nearest_turn
 from ..elementary.arrays import cos_sin
+from ..errors import TrajectoryError
+from ..model.base.steered import SteeredBase
 from ..model.robot import Robot
 from ..signals import Array
 from .guide import BASE
@@ -28,6 +31,7 @@ from .limits import Limits
 from .motion import Motion
 from .path import Curve
 from .route import Arc, Leg, Route
+from .steerable import curvatures
 from .timed import Drivable, Timed, curve_along
 
 SHARE = 0.98  # of the limits that are used at the points of a grid; between them it may be a little more
@@ -40,6 +44,8 @@ REACH = 0.3  # way on which the base curves onto a route, at least where there i
 TIGHTEST = 3.0  # curvature of a present motion that is gone on with [1/m]
 SLOWER = 0.9  # share of the present speed from which on a motion is gone on with
 TINY = 1e-6  # [m, rad]
+STEERED = 0.01  # share of the tightest curve by which the steering may be off where a leg begins
+BENDS_APART = 0.02  # of the points at which a path's curvature is looked at [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +81,11 @@ class Joined:
         return length, [bridge, *(bridge.derivative(i) for i in (1, 2, 3))], g, turn
 
     @property
+    def length(self) -> float:
+        """Its parameter where the curve is reached [m]."""
+        return self._bridge[0]
+
+    @property
     def forthcoming(self) -> float:
         """The least of how far the bridge goes in the direction in which it begins, by its parameter."""
         length, parts, _, _ = self._bridge
@@ -103,6 +114,22 @@ class Joined:
         for name, values in both.items():
             values[~on], values[on] = getattr(bridge, name), getattr(rest, name)
         return Curve(**both)
+
+
+def bent_too_far(path: Drivable, base: SteeredBase | None, end: float | None = None) -> float:
+    """Largest curvature of a path, up to a parameter, that a base cannot steer [1/m]; 0 where it can."""
+    least, most = curvatures(base)
+    end = path.span if end is None else end
+    curve = path.curve(np.linspace(0.0, end, max(50, math.ceil(abs(end) / BENDS_APART))))
+    bends = curve.k / curve.g
+    beyond = (bends > SHARE * most) | (bends < SHARE * least)
+    return float(np.abs(bends[beyond]).max(initial=0.0))
+
+
+def end_bend(path: Drivable, at: float | None = None) -> float:
+    """Curvature `w / v` of a path at its end, or at a parameter [1/m]."""
+    curve = path.curve(np.array([path.span if at is None else at]))
+    return float(curve.k[0] / curve.g[0])
 
 
 def faced(pose: Array, there: Array, away: float) -> Array:
@@ -151,16 +178,29 @@ class RouteDrive(Motion):
         least = replace(least, **{name: SHARE * getattr(least, name) for name in names})
         drive = cls(np.zeros((0, 0)), period, (BASE,), robot.dimensions, route=route, limits=least, blocks=[])
         at = start = route.legs[0].pose(0.0) if route.legs else np.array([*route.end, route.heading or 0.0])
-        blocks = list[Array]()
+        blocks, bend = list[Array](), math.nan
         for leg in route.legs:
-            blocks += [*drive.turned(at, leg.pose(0.0)[2]), drive.driven(leg.path)]
+            if drive.steers:
+                blocks.append(drive.driven(drive.led(leg, at, bend)))
+                bend = end_bend(leg.path)
+            else:
+                blocks += [*drive.turned(at, leg.pose(0.0)[2]), drive.driven(leg.path)]
             at = blocks[-1][-1, :3]
         if route.legs and route.heading is not None:
             blocks += drive.turned(at, route.heading)
         return replace(drive, blocks=blocks, table=drive.chained(blocks, start))
 
+    @property
+    def steers(self) -> bool:
+        """Whether it has a tightest curve, and so cannot turn on the spot."""
+        return bool(np.isfinite(curvatures(self.limits.base)).any())
+
     def placed(self, pose: ArrayLike, velocity: ArrayLike | None = None) -> RouteDrive:
-        """The drive from a pose (3,) and a velocity (twist,) of the reference, at rest without one."""
+        """The drive from a pose (3,) and a velocity (twist,) of the reference, at rest without one.
+
+        Raises:
+            TrajectoryError: It cannot be steered onto the route.
+        """
         v = np.zeros(self.dimensions.twist) if velocity is None else np.array(velocity, float)
         at, rests = np.array(pose, float), bool((abs(v) < REST).all())
         if rests and self.begins is not None and (abs(at - self.begins) < REST).all():
@@ -208,6 +248,8 @@ class RouteDrive(Motion):
             at = blocks[-1][-1, :3] if blocks else pose
             return blocks + ([] if self.route.heading is None else self.turned(at, self.route.heading))
         leg = legs[0]
+        if self.steers:
+            return [self.driven(self.led(leg, pose)), *self.blocks[1:]]
         if away > NEAR or self.joined(leg, s, away, faced(pose, leg.pose(s), away), 0.0, 0.0) is None:
             s = leg.path.span if away <= NEAR and leg.path.span - s <= 4 * away else s
             blocks, away = self.driven_to(pose, leg.pose(s)[:2]), 0.0
@@ -222,13 +264,49 @@ class RouteDrive(Motion):
 
     def joined(self, leg: Leg, s: float, away: float, pose: Array, bend: float, speed: float) -> Joined | None:
         """The curve from a pose (3,) onto a leg that passes it at s; None where there is no room."""
-        reach = min(max(REACH, 5 * away, speed), leg.path.span - s)
+        left = leg.path.span - s
+        reach = min(max(REACH, 5 * away, speed), left)
+        if self.steers:
+            for further in (*np.arange(reach, left, 0.25 * REACH), left):
+                curve = Joined(leg.path, s + further, pose, bend, leg.backwards)
+                if curve.forthcoming > ONWARD and not bent_too_far(curve, self.limits.base, curve.length):
+                    return curve
+            return None
         while reach > max(4 * away, 2 * REST):
             curve = Joined(leg.path, s + reach, pose, bend, leg.backwards)
             if curve.forthcoming > ONWARD:
                 return curve
             reach /= 2
         return None
+
+    def led(self, leg: Leg, pose: Array, bend: float = math.nan) -> Drivable:
+        """A leg from rest at a pose (3,), curved onto within what can be steered.
+
+        Args:
+            leg: The leg.
+            pose: Where the base rests.
+            bend: The curvature at which it steers [1/m]; NaN for that of the leg.
+
+        Raises:
+            TrajectoryError: There is no room, or the leg itself bends too far.
+        """
+        base, (s, away) = self.limits.base, leg.nearest(pose)
+        off = nearest_turn(leg.pose(s)[2] - pose[2], 0.0)
+        tightest = min(map(abs, curvatures(base)))
+        can = f"it turns within {1.0 / tightest:.3g} m, not on the spot"
+        if too_far := bent_too_far(leg.path, base):
+            fix = f"raise the planner's smallest turning radius, by {math.ceil(100.0 * (too_far / tightest - 1.0))} %"
+            raise TrajectoryError(f"the route bends by {too_far:.3g} 1/m", why=can, fix=fix)
+        first = end_bend(leg.path, 0.0)
+        bend = first if math.isnan(bend) else bend
+        if s == 0.0 and away < TINY and abs(off) < TINY and abs(bend - first) < STEERED * tightest:
+            return leg.path
+        way = -bend if leg.backwards else bend
+        curve = self.joined(leg, s, away, pose, way, 0.0) if abs(off) <= ALONG else None
+        if curve is None:
+            what = f"a route {away:.3g} m beside the base and turned by {abs(off):.3g} rad"
+            raise TrajectoryError(what, why=can, fix="plan from where it stands, along its heading or against it")
+        return curve
 
     def driven_to(self, pose: Array, point: Array, least: float = TINY) -> list[Array]:
         """A turn on the spot towards a point (2,), and the way to it of at least some length [m], from a pose (3,)."""
@@ -241,8 +319,11 @@ class RouteDrive(Motion):
     def turned(self, pose: Array, heading: float) -> list[Array]:
         """A turn on the spot from a pose (3,) to a heading [rad], the short way; nothing where it looks there."""
         turn = nearest_turn(heading - pose[2], 0.0)
-        if abs(turn) < TINY:
+        if abs(turn) < (ALIGNED if self.steers else TINY):
             return []
+        if self.steers:
+            what, fix = f"a turn by {abs(turn):.3g} rad on the spot", "plan ways that end along their headings"
+            raise TrajectoryError(what, why="its steering has a tightest curve", fix=fix)
         return [self.driven(Arc((pose[0], pose[1], pose[2]), 0.0, math.copysign(1.0, turn), abs(turn)))]
 
     def driven(self, curve: Drivable) -> Array:

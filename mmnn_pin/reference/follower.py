@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ..elementary import nearest_turn
-from ..errors import ConfigError
+from ..errors import ConfigError, TrajectoryError
 from ..model.robot import Robot
 from ..settings.arguments import is_numeric, shortly
 from ..signals import Array, Setpoint
@@ -104,13 +104,7 @@ class Follower:
         elif isinstance(wish, JointGoal):
             return Reach(wish, self.now[self.q :].reshape(3, d.arm), self.guide, self.names)
         elif isinstance(wish, Motion):
-            if wish.dimensions != d:
-                raise ConfigError("a motion of another robot", fix="make it by the stepper's `plan`", key="setpoint")
-            motion = wish.placed(self.now[: d.pose], self.now[d.pose : d.pose + d.twist])
-            motion = motion.at_nearest_turn(self.now, self.guide.turn)
-            require_within(motion, self.guide, self.names, self.now[self.q : self.q + d.arm])
-            require_steerable(self.base, motion.times, Setpoint.side_by_side(motion.table, d))
-            return motion
+            return self._checked(wish)
         elif isinstance(wish, FollowHand):
             if wish.body.robot.dimensions != d:
                 raise ConfigError("a hand of another robot", fix="make its body of this robot", key="setpoint")
@@ -119,6 +113,24 @@ class Follower:
             fix = "give a Setpoint, a BaseVelocity, a JointGoal, a Motion, a FollowHand or HOLD"
             raise ConfigError(f"a {type(wish).__name__} as a setpoint", fix=fix, key="setpoint")
         return None
+
+    def _checked(self, wish: Motion) -> Motion:
+        """A motion from where the reference is.
+
+        Raises:
+            ConfigError: It is of another robot, or beyond its limits.
+        """
+        d = self.dimensions
+        if wish.dimensions != d:
+            raise ConfigError("a motion of another robot", fix="make it by the stepper's `plan`", key="setpoint")
+        try:
+            motion = wish.placed(self.now[: d.pose], self.now[d.pose : d.pose + d.twist])
+            motion = motion.at_nearest_turn(self.now, self.guide.turn)
+            require_steerable(self.base, motion.times, Setpoint.side_by_side(motion.table, d))
+        except TrajectoryError as error:
+            raise ConfigError(error.what, why=error.why, fix=error.fix, key="setpoint") from error
+        require_within(motion, self.guide, self.names, self.now[self.q : self.q + d.arm])
+        return motion
 
     def stand(self, measured: Array) -> None:
         """Put the reference where the robot is measured (pose, velocity, q, qdot), braking from there."""

@@ -7,7 +7,8 @@ Base and arm each follow a wish of a kind:
 
 - `HOLD`: brake within the accelerations, then stand. A joint beyond its end is led back to it.
 - `VELOCITY` (base): a velocity; (v, w) change together, so that a curvature stays one. The reference pose is the
-  measured pose: pose errors are zero.
+  measured pose: pose errors are zero. A base that steers keeps within its curvature, which changes no faster than its
+  pivots turn; asked to turn on the spot it stands.
 - `SAMPLE`: full samples. One that does not come is made from the last by its own velocity.
 - `PLANNED`: samples of a motion known ahead.
 
@@ -35,6 +36,7 @@ from ..model.robot import Robot
 from ..signals import Array, IntArray
 from .braking import brought_home, in_one_step, led
 from .limits import Limits, rims
+from .steerable import bend_rate, curvatures
 
 HOLD, VELOCITY, SAMPLE, PLANNED = range(4)
 BASE, ARM = 0, 1  # parts
@@ -65,6 +67,7 @@ class Guide(NamedTuple):
         home: (1 + n,) 1 where the base, and every joint, is on its target.
         bend: (n,) largest acceleration with which a joint goes after its target.
         span: (2, n) where it stays meanwhile: between its ends, and where the motion that it follows is.
+        curve: (4,) least and largest curvature [1/m], its largest rate [1/(m s)], and the present one.
     """
 
     base: Array
@@ -82,6 +85,7 @@ class Guide(NamedTuple):
     home: IntArray
     bend: Array
     span: Array
+    curve: Array
 
 
 def new_guide(robot: Robot, limits: Limits) -> Guide:
@@ -114,6 +118,7 @@ def new_guide(robot: Robot, limits: Limits) -> Guide:
         home=np.zeros(1 + d.arm, np.int64),
         bend=arm[1].copy(),
         span=ends.copy(),
+        curve=np.array([*curvatures(robot.base), bend_rate(robot.base), 0.0]),
     )
 
 
@@ -170,10 +175,32 @@ def drive(velocity: Array, guide: Guide) -> None:
     """Let the base follow a velocity (twist,), scaled as a whole to what base and wheels can do."""
     wanted = guide.wanted[3 : 3 + velocity.size]
     copy_to(velocity, wanted)
+    if guide.curve[1] < math.inf:
+        last = wanted.size - 1
+        wanted[last] = curvature_of(wanted[0], wanted[last], 0.0, guide) * wanted[0]
     share = within_reach(wanted, guide)
     for i in range(wanted.size):
         wanted[i] *= share
     guide.kind[BASE] = VELOCITY
+
+
+@compiled
+def curvature_of(v: float, w: float, standing: float, guide: Guide) -> float:
+    """Curvature of a velocity within the guide's [1/m]; another one where it stands."""
+    bend = w / v if abs(v) > AT_REST else standing
+    return min(max(bend, guide.curve[0]), guide.curve[1])
+
+
+@compiled
+def steer(is_led: bool, dt: float, guide: Guide) -> float:
+    """The curvature of this sample [1/m]: towards that of the wanted velocity, no faster than the pivots turn."""
+    nb, now, wanted, curve = guide.base.shape[1], guide.now, guide.wanted, guide.curve
+    bend = curvature_of(now[3], now[2 + nb], curve[3], guide)
+    if is_led:
+        ahead = curvature_of(wanted[3], wanted[2 + nb], bend, guide) - bend
+        bend += min(max(ahead, -curve[2] * dt), curve[2] * dt)
+    curve[3] = bend
+    return bend
 
 
 @compiled
@@ -248,14 +275,19 @@ def ramp(measured: Array, dt: float, guide: Guide) -> None:
     """Base velocities change together towards the wanted ones, 0 in `HOLD`, as fast as the accelerations allow."""
     nb, now, share = guide.base.shape[1], guide.now, 1.0
     velocity, is_led = now[3 : 3 + nb], guide.kind[BASE] == VELOCITY
+    steers = guide.curve[1] < math.inf
+    bend = steer(is_led, dt, guide) if steers else 0.0
     for i in range(nb):
-        change = (guide.wanted[3 + i] if is_led else 0.0) - velocity[i]
+        goal = guide.wanted[3 + i] if is_led else 0.0
+        change = (bend * guide.wanted[3] if steers and is_led and i == nb - 1 else goal) - velocity[i]
         if abs(change) > guide.base[1, i] * dt:
             share = min(share, guide.base[1, i] * dt / abs(change))
     middle = now[3 : 3 + 2 * nb]
     for i in range(nb):
         goal, before = guide.wanted[3 + i] if is_led else 0.0, velocity[i]
         velocity[i] = goal if share >= 1.0 else before + share * (goal - before)
+        if steers and i == nb - 1:
+            velocity[i] = bend * velocity[0]
         middle[nb + i] = 0.5 * (before + velocity[i])  # rolled by, then it is the acceleration
     if is_led:
         copy_to(measured[:3], now[:3])

@@ -9,7 +9,7 @@ Points that go back and forth by less than `FOLD`, as those of a noisy planner d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -101,13 +101,14 @@ class Route:
     heading: float | None
 
     @classmethod
-    def of(cls, points: Array, headings: Array, plain: NDArray[np.bool_]) -> Route:
+    def of(cls, points: Array, headings: Array, plain: NDArray[np.bool_], bends: float = np.inf) -> Route:
         """The route through poses.
 
         Args:
             points: (k, 2) [m].
             headings: (k,) [rad], NaN where there is none.
             plain: (k,) which of them are the identity, which may mean that there is none.
+            bends: Largest curvature that the base can have [1/m].
         """
         stays = hypot(*(points - points[-1]).T).max() <= FOLD
         headings = np.where(plain, np.nan, headings) if stays else believed(points, headings, plain)
@@ -118,12 +119,12 @@ class Route:
         asked[-1] = np.nan  # a goal's heading does not say how to go there
         ends = sorted({0, *tips(points), *turned_over(points, asked), len(points) - 1})
         parts = [slice(first, last + 1) for first, last in pairwise(ends)]
-        legs = (leg_of(points[part], asked[part]) for part in parts)
+        legs = (leg_of(points[part], asked[part], bends) for part in parts)
         return cls(tuple(leg for leg in legs if leg.path.span > STRAIGHT), points[-1], heading)
 
 
-def leg_of(points: Array, headings: Array) -> Leg:
-    """The leg through points (k, 2) with headings (k,), NaN where there is none."""
+def leg_of(points: Array, headings: Array, bends: float = np.inf) -> Leg:
+    """The leg through points (k, 2) with headings (k,), NaN where there is none, of a largest curvature [1/m]."""
     backwards = is_reverse(points, headings)
     points = onward(points)
     dx, dy = points[-1] - points[0]
@@ -132,9 +133,9 @@ def leg_of(points: Array, headings: Array) -> Leg:
     if len(corners(points, STRAIGHT)) == 2 or along <= Smoothed.SPACING:
         start = float(points[0, 0]), float(points[0, 1]), way + (np.pi if backwards else 0.0)
         return Leg(Arc(start, -1.0 if backwards else 1.0, 0.0, float(hypot(dx, dy))), backwards)
-    smooth = Smoothed(points)
+    smooth = Smoothed(points, bends=bends)
     if backwards:
-        smooth = Smoothed(points, float(smooth.curve(np.zeros(1)).phi[0] + np.pi))
+        smooth = replace(smooth, looks=float(smooth.curve(np.zeros(1)).phi[0] + np.pi))
     return Leg(smooth, backwards)
 
 

@@ -75,6 +75,7 @@ class Smoothed(BasePath):
         looks: Heading with which it begins [rad]; where that is against the way, it is driven tail first.
         wander: How far it may go beside the polygon of the points, on average [m]; less where they are smooth, and
             nowhere further than `FARTHEST` times that. Its ends stay where they are.
+        bends: Largest curvature; where it would bend more it keeps nearer to the points [1/m].
 
     Attributes:
         span: Length of the polygon [m], which is the curve's parameter.
@@ -91,6 +92,7 @@ class Smoothed(BasePath):
     points: Any
     looks: float | None = None
     wander: float = 0.02
+    bends: float = math.inf
 
     def __post_init__(self) -> None:
         require_positive(wander=self.wander)
@@ -123,6 +125,9 @@ class Smoothed(BasePath):
         while wander > EXACT and hypot(*(spline(u).T - polygon)).max() > self.FARTHEST * self.wander:
             wander /= 2
             spline = fitted(points, along, count, wander)
+        while wander > EXACT and sharpest(spline, u) > self.bends:  # fewer pieces may bend more
+            wander /= 2
+            spline = fitted(points, along, count, wander)
         splines = [spline, *(spline.derivative(i) for i in (1, 2, 3))]
         dx, dy = splines[1](u).T
         return splines, u, np.unwrap(atan2(dy, dx))
@@ -139,6 +144,12 @@ class Smoothed(BasePath):
         splines, u, headings = self._spline
         tail_first = self.looks is not None and bool(cos_sin(self.looks - headings[0])[0] < AGAINST)
         return curve_along([one(s) for one in splines], np.interp(s, u, headings), tail_first)
+
+
+def sharpest(spline: Any, u: Array) -> float:
+    """Largest curvature of a spline at its parameters (N,) [1/m]."""
+    (x1, y1), (x2, y2) = spline(u, 1).T, spline(u, 2).T
+    return float(np.max(np.abs(x1 * y2 - y1 * x2) / hypot(x1, y1) ** 3))
 
 
 def thinned(points: Array, near: float) -> Array:

@@ -41,7 +41,8 @@ class BaseVelocity:
     """A velocity of the base; the robot goes where it leads, pose errors are zero. It has to be renewed.
 
     Args:
-        velocity: (twist,) in the control frame [m/s, rad/s].
+        velocity: (twist,) in the control frame [m/s, rad/s]. A car keeps its v and turns no tighter than its steering
+            reaches: a turn on the spot is none, and it stands.
     """
 
     velocity: ArrayLike

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import steerable as steered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmnn_pin.errors import TrajectoryError
+from mmnn_pin import load
+from mmnn_pin.errors import RobotError, TrajectoryError
 from mmnn_pin.model.base.rolling import MASTER, STEERED, TURN, new_maps, roll
 from mmnn_pin.model.base.stance import along, bends
 from mmnn_pin.model.base.steered import SteeredBase
 from mmnn_pin.reference import Circle, Eight, HolonomicPath, Line, Parking, Sine, Timed, Trajectory, Waypoints
+from mmnn_pin.reference.drive import RouteDrive
+from mmnn_pin.reference.guide import advance, brake, drive, new_guide, stand
+from mmnn_pin.reference.guide import roll as rolled_on
+from mmnn_pin.reference.hand import HandLine, Task, WholeBody, plan
+from mmnn_pin.reference.limits import Limits, rims
+from mmnn_pin.reference.route import Route
 from mmnn_pin.reference.steerable import (
     OF_RATE,
     OF_STOPS,
@@ -31,7 +40,7 @@ from mmnn_pin.signals import Dimensions, Setpoint
 
 
 def dimensions_of(base: SteeredBase) -> Dimensions:
-    return Dimensions(len(base.velocity_names), 0, 20, 0, base.kind, base.sideways, len(base.shape))
+    return Dimensions(len(base.velocity_names), 0, 20, len(base.driven), base.kind, base.sideways, len(base.shape))
 
 
 def sampled(trajectory: Trajectory, base: SteeredBase, duration: float, count: int = 4001):
@@ -350,3 +359,184 @@ def test_a_timed_path_turns_no_pivot_faster_than_it_can(name, rate, speed, sign)
     assert fastest <= OF_RATE * rate * 1.02
     if path.duration > 1.01 * free.duration:  # slower, since it has to be
         assert fastest > 0.9 * OF_RATE * rate
+
+
+# -- routes of a planner -----------------------------------------------------------------------------------------------
+
+
+def robot_on(base: SteeredBase) -> SimpleNamespace:
+    """What references ask of a robot; its wheels have no limits."""
+    names, none = base.driven, SimpleNamespace(velocityLimit=np.zeros(0))
+    return SimpleNamespace(
+        base=base, dimensions=dimensions_of(base), actuator_names=names, full_velocity_names=(), model=none,
+        lower=np.zeros(0), upper=np.zeros(0), arm_index=np.zeros(0, int), is_continuous=np.zeros(0), joint_names=(),
+    )  # fmt: skip
+
+
+def driven_by(base: SteeredBase, points: np.ndarray, headings: np.ndarray) -> RouteDrive:
+    bends = curvatures(base)[1]
+    route = Route.of(points, headings, np.zeros(len(points), bool), bends)
+    return RouteDrive.along(route, robot_on(base), Limits(speed=0.6, acceleration=0.5), 1.0, 0.02)
+
+
+def arcs(*parts: tuple[float, float], step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of a planner: ways [m], negative backwards, along circles of a curvature [1/m], from the origin."""
+    poses = [np.zeros(3)]
+    for way, curvature in parts:
+        for _ in range(round(abs(way) / step)):
+            x, y, phi = poses[-1]
+            forward = math.copysign(step, way)
+            middle = phi + 0.5 * forward * curvature
+            poses.append(
+                np.array([x + forward * math.cos(middle), y + forward * math.sin(middle), phi + forward * curvature])
+            )
+    return np.array(poses)[:, :2], np.array(poses)[:, 2]
+
+
+@given(
+    st.sampled_from(["car", "tricycle", "loader"]), st.floats(0.4, 0.75), st.sampled_from([1.0, -1.0]),
+    st.floats(0.5, 1.5), st.booleans(),
+)  # fmt: skip
+@settings(max_examples=12, deadline=None)
+def test_a_planner_s_way_with_cusps_is_driven_within_the_steering(name, share, side, turn, cusps):
+    """Arcs as a planner of car-like robots makes them, whose curvature jumps; with cusps it backs in between."""
+    base = getattr(steered, name)()
+    k = side * share * curvatures(base)[1]
+    way = turn / abs(k)
+    parts = ((2.0, 0.0), (way, k), (1.5, 0.0))
+    parts = (*parts, (-way, -k), (-1.5, 0.0), (way, k), (1.0, 0.0)) if cusps else parts
+    points, headings = arcs(*parts)
+    drive = driven_by(base, points, headings)
+    assert len(drive.route.legs) == (3 if cusps else 1)
+    motion = drive.placed((0.0, 0.0, 0.0))
+    setpoints = Setpoint.side_by_side(motion.table, motion.dimensions)
+    require_steerable(base, motion.times, setpoints)
+    away = np.hypot(*(points[:, None] - setpoints.pose[None, :, :2]).T).min(axis=0)
+    assert away.max() < 0.08
+    assert setpoints.pose[-1, :2] == pytest.approx(points[-1], abs=0.02)
+    jumps = np.abs(np.diff(setpoints.pose, axis=0)).max(axis=0)
+    assert jumps[:2].max() < 0.7 * 0.02 and jumps[2] < 1.6 * 0.02
+    at_rest = np.abs(setpoints.velocity[:, 0]) < 1e-6
+    assert np.abs(setpoints.velocity[at_rest, 1]).max(initial=0.0) < 1e-6  # no turn on the spot
+
+
+@given(st.floats(-0.15, 0.15), st.floats(-0.2, 0.2))
+@settings(max_examples=15, deadline=None)
+def test_a_car_curves_onto_its_route_from_where_it_stands(aside, off):
+    base = steered.car()
+    points, headings = arcs((6.0, 0.0))
+    motion = driven_by(base, points, headings).placed((0.1, aside, off))
+    require_steerable(base, motion.times, Setpoint.side_by_side(motion.table, motion.dimensions))
+    assert motion.table[0, :3] == pytest.approx((0.1, aside, off)) and motion.table[-1, :2] == pytest.approx((6.0, 0.0))
+
+
+def test_a_route_that_a_car_cannot_join_is_refused_in_one_line():
+    base = steered.car()
+    points, headings = arcs((6.0, 0.0))
+    drive = driven_by(base, points, headings)
+    for pose, match in (((0.0, 0.0, 2.0), r"0 m beside the base and turned by 2 rad: .* not on the spot"),
+                        ((5.9, 1.0, 0.0), r"1 m beside")):  # fmt: skip
+        with pytest.raises(TrajectoryError, match=match):
+            drive.placed(pose)
+    tight, ways = arcs((1.0, 0.0), (3.0, 2.0))
+    with pytest.raises(
+        TrajectoryError,
+        match=r"the route bends by .*it turns within 1.05 m.*raise the planner.s smallest turning radius, by 128 %",
+    ):
+        driven_by(base, tight, ways)
+    ended = headings.copy()
+    ended[-1] = 1.0
+    with pytest.raises(TrajectoryError, match=r"a turn by 1 rad on the spot"):
+        driven_by(base, points, ended)
+
+
+# -- velocities of a joystick ------------------------------------------------------------------------------------------
+
+twists = st.tuples(st.floats(-1.5, 1.5) | st.just(0.0), st.floats(-2.0, 2.0) | st.just(0.0))
+
+
+@given(st.sampled_from(["car", "tricycle", "loader"]), st.lists(twists, min_size=2, max_size=6))
+@settings(max_examples=30, deadline=None)
+def test_whatever_a_joystick_asks_stays_within_the_steering(name, asked):
+    base, dt, bends = getattr(steered, name)(), 0.01, []
+    guide, limits = new_guide(robot_on(base), Limits()), curvatures(base)
+    measured = np.zeros(5)
+    stand(measured, guide)
+    for velocity in (*asked, asked[-1], asked[-1], asked[-1]):
+        drive(np.array(velocity), guide)
+        for _ in range(100):
+            advance(measured, dt, guide)
+            v, w = guide.now[3:5]
+            rolled_on(measured[:3], guide.now[3:5], False, dt)
+            measured[3:] = guide.now[3:5]
+            assert limits[0] * abs(v) - 1e-9 <= w * math.copysign(1.0, v) <= limits[1] * abs(v) + 1e-9
+            bends.append(guide.curve[3])
+            if abs(v) > 1e-5:
+                assert w / v == pytest.approx(bends[-1], abs=1e-6)
+    assert guide.now[3] == pytest.approx(guide.wanted[3]), "it drives as fast as asked"
+    assert np.abs(np.diff(bends)).max() <= guide.curve[2] * dt * (1 + 1e-9)
+    brake(0, measured, guide)
+    for _ in range(400):
+        advance(measured, dt, guide)
+    assert guide.now[3:5] == pytest.approx(0.0) and guide.curve[3] == pytest.approx(bends[-1])
+
+
+def test_a_car_asked_to_turn_on_the_spot_stands_and_a_gentle_curve_is_driven_as_asked():
+    guide = new_guide(robot_on(steered.car()), Limits())
+    stand(np.zeros(5), guide)
+    for asked, found in (((0.0, 1.0), (0.0, 0.0)), ((0.4, 0.2), (0.4, 0.2)), ((-0.4, 0.2), (-0.4, 0.2))):
+        drive(np.array(asked), guide)
+        for _ in range(300):
+            advance(np.zeros(5), 0.01, guide)
+        assert guide.now[3:5] == pytest.approx(found)
+    drive(np.array([0.4, 5.0]), guide)
+    assert guide.wanted[4] / guide.wanted[3] == pytest.approx(curvatures(steered.car())[1])
+
+
+def test_wheels_that_steer_are_no_faster_than_they_can():
+    """Rows of `rims` bound the speed of every wheel, by what it is and not by more than their number of directions."""
+    for base in (steered.swerve(), steered.tricycle(), steered.car()):
+        robot = robot_on(base)
+        rows, _ = rims(robot)
+        rng = np.random.default_rng(0)
+        for _ in range(200):
+            twist = rng.normal(size=3) * np.array([1.0, float(base.sideways), 1.0])
+            fastest = 0.0
+            for wheel in (w for w in base.wheels if w.driven):
+                x, y = base.place(wheel)
+                fastest = max(fastest, math.hypot(twist[0] - y * twist[2], twist[1] + x * twist[2]) / wheel.radius)
+            bound = np.abs(rows @ twist[base.columns]).max()
+            assert fastest <= bound * (1 + 1e-9) and bound <= 1.09 * fastest
+
+
+# -- hands -------------------------------------------------------------------------------------------------------------
+
+
+@given(
+    st.sampled_from(["car_arm", "loader_arm", "casters_arm"]),
+    st.floats(0.3, 1.0) | st.floats(-0.8, -0.3), st.floats(-0.6, 0.6), st.floats(0.15, 0.3),
+)  # fmt: skip
+@settings(max_examples=4, deadline=None)
+def test_a_hand_is_led_through_a_base_that_steers(name, ahead, aside, speed):
+    robot = load(name)
+    body = WholeBody(robot, [Task(orientation=0.0)], period=0.02)
+    motion = plan(body, [HandLine((ahead, aside, 0.0), speed)], 3.0 + 1.5 / speed, tolerance=0.02)
+    assert motion.misses == 0
+    d, t = robot.dimensions, np.arange(len(motion.samples.nu)) * 0.02
+    setpoints = Setpoint.side_by_side(motion.trajectory.table(t, d), d)
+    require_steerable(robot.base, t, setpoints)
+    assert np.abs(setpoints.velocity).max() > 0.01, "the base helps"
+    data, frame = robot.model.createData(), robot.model.getFrameId(motion.frames[0])
+    for k in (0, len(t) // 2, len(t) - 1):  # Pinocchio has the hand where the program has it
+        position = robot.neutral_position()
+        position[:3], position[robot.arm_index] = setpoints.pose[k], setpoints.q[k]
+        pin.framesForwardKinematics(robot.model, data, robot.configuration(robot.follow(position)))
+        np.testing.assert_allclose(data.oMf[frame].translation, motion.reached[k, 0, 9:], atol=1e-9)
+
+
+def test_a_car_is_not_turned_on_the_spot_to_where_a_hand_begins():
+    body = WholeBody(load("car_arm"), [Task(orientation=0.0)], period=0.01)
+    with pytest.raises(TrajectoryError, match="turn on the spot"):
+        plan(body, [HandLine((1.0, 0.0, 0.0), 0.2)], 12.0, at=(1.0, 2.0, 0.8), tolerance=None)
+    with pytest.raises(RobotError, match="'hitch_joint', on which the base stands, carries"):
+        WholeBody(load("truck_trailer_arm"))

@@ -64,7 +64,7 @@ def mecanum(arm: int = 2) -> Robot:
     T[:3, :3] = np.linalg.inv(robot.base.to_control)
     T[robot.arm_index, 3 + np.arange(arm)] = 1.0
     still = [i for i in range(3, nv) if i not in robot.arm_index]
-    A = np.eye(nv)[still]
+    stands = {robot.full_velocity_names[i]: 0.0 for i in still}
     E_full = np.eye(nv)[:, [0, 1, 2, *robot.arm_index]]
     return replace(
         robot,
@@ -72,10 +72,9 @@ def mecanum(arm: int = 2) -> Robot:
         dimensions=Dimensions(base=3, arm=arm, full=nv, motors=p, kind="holonomic", sideways=True),
         velocity_names=("vx", "vy", "w", *robot.joint_names),
         actuator_names=("push", "slide", "turn", *robot.joint_names),
-        T=T,
-        A=A,
+        template=T,
         E_full=E_full,
-        E=T.T @ E_full,
+        arm=replace(robot.arm, locked=stands),
         effort_limits=np.full(p, np.inf),
         viscous=np.zeros(p),
     )
@@ -181,7 +180,7 @@ def test_paths_and_bases_that_do_not_fit_are_refused():
     with pytest.raises(TrajectoryError, match=r"\(v, w\) for a base of \(vx, vy, w\)"):
         Trajectory(PATHS["line"], (Hold(0.0),) * 2).table([0.0, 1.0], robot.dimensions)
     experiment = load_experiment("track", ["reference.heading={type='hold', value=1.0}"])
-    with pytest.raises(ConfigError, match="heading for a differential drive"):
+    with pytest.raises(ConfigError, match="heading for differential bases"):
         experiment.trajectory(mobile_arm(2).dimensions)
     path = experiment.trajectory(robot.dimensions).base
     assert path is not None and path.sideways

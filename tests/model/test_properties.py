@@ -187,12 +187,13 @@ def test_a_wrong_t_is_seen(mobile):
     slipping, doubled = mobile.T.copy(), mobile.T.copy()
     slipping[1, 0] += 1e-6  # drives a little sideways
     doubled[:, 1] = 2 * doubled[:, 0]
-    assert failed(check(replace(mobile, T=slipping), samples=2)) == {"constraint"}
+    assert failed(check(replace(mobile, template=slipping), samples=2)) == {"constraint"}
     terms = FullTerms(mobile)
     terms.T = doubled
     assert "full_rank" in failed(check(mobile, samples=1, terms=terms))
-    fewer = replace(mobile, A=mobile.A[1:])
-    assert failed(check(fewer, samples=2)) == {"constraint_rank"}
+    fewer = FullTerms(mobile)
+    fewer.A = mobile.A[1:]
+    assert failed(check(mobile, samples=2, terms=fewer)) == {"constraint_rank"}
 
 
 def test_nan_never_passes(mobile):
@@ -263,7 +264,7 @@ def test_a_base_on_rails_is_integrable(mobile, columns, verdict):
     """Only driving, or only turning: one direction is always involutive."""
     T = mobile.T.copy()
     T[:, [c for c in (0, 1) if c not in columns]] = 0.0
-    assert nonholonomy(replace(mobile, T=T)).verdict.startswith(verdict)
+    assert nonholonomy(replace(mobile, template=T)).verdict.startswith(verdict)
 
 
 SYSTEMS = {

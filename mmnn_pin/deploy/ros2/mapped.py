@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from ...errors import TrajectoryError
 from ...reference.drive import RouteDrive
 from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array
@@ -28,7 +29,7 @@ class MappedRoute:
         self.followed: tuple[Motion, str, Planar, float] | None = None
 
     def begin(self, made: Motion | Stand, frame: str, base: Array, now: float) -> Wish | str:
-        """The wish that follows a path from now on; a text where its frame is not known.
+        """The wish that follows a path from now on; a text where its frame is not known, or it cannot be steered.
 
         Args:
             made: The path in its frame.
@@ -40,7 +41,10 @@ class MappedRoute:
         if placed is None:
             return f"no way from '{frame}' to the odometry's frame by /tf"
         if isinstance(made, RouteDrive):
-            made = made.placed(*seen_from(placed, base))
+            try:
+                made = made.placed(*seen_from(placed, base))
+            except TrajectoryError as error:
+                return error.what
         self.followed = None if isinstance(made, Stand) else (made, frame, placed, now)
         return made if isinstance(made, Stand) else rest_of(made, 0.0, placed)
 

@@ -25,6 +25,7 @@ from ...reference.guide import ARM, BASE, Guide, new_guide
 from ...reference.limits import Limits
 from ...reference.motion import require_within, slopes
 from ...reference.route import Route
+from ...reference.steerable import curvatures
 from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array, Setpoint
 from .sensing import Planar, quaternion, seconds
@@ -259,8 +260,9 @@ def base_motion(
     told = x * x + y * y + z * z + w * w > 1e-6
     headings = np.where(told, atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.nan)
     try:
-        asked = Route.of(points, headings, told & (abs(headings) < 1e-6))
+        least, most = curvatures(robot.base)
+        asked = Route.of(points, headings, told & (abs(headings) < 1e-6), min(most, -least))
         drive = RouteDrive.along(asked, robot, slower, route.lateral, period)
+        return drive if start is None else drive.placed(*start)
     except TrajectoryError as error:
-        raise Refused(error.what) from error
-    return drive if start is None else drive.placed(*start)
+        raise Refused(": ".join(part for part in (error.what, error.why, error.fix) if part)) from error

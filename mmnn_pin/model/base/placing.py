@@ -357,7 +357,8 @@ def idlers(rest: AtRest, base: Base, drives: Sequence[Candidate]) -> list[str]:
     known = {c.joint.name for c in drives}
     ends = [j for j in rest.document.moving_children(rest.document.root_link) if is_endless_end(rest, j)]
     others = [wheel_of(rest, j) for j in ends if j.name not in known]
-    left = np.array([-math.sin(base.frame[2]), math.cos(base.frame[2])])
+    c, s = cos_sin(base.frame[2])
+    left = np.array([-s, c])
     return [
         c.joint.name
         for c in others
