@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import CYLINDER, LIMIT, joint, link, origin, robot_of
+from drives import CYLINDER, LIMIT, joint, link, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from steered import LAYOUTS, Made, axle, car, contact_rows, state, swerve, urdf_of
+from steered import LAYOUTS, Made, car, contact_rows, state, swerve, urdf_of
 from test_base import LYING, wheel
 from test_strange import chassis, followed, on_swivel, pair, steered, ways_of
 from test_wild import codes
@@ -60,7 +60,10 @@ def test_what_is_found_is_what_the_file_was_made_of(name):
 frames = st.tuples(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(-1.4, 1.4)).map(np.array)
 cars = st.builds(car, st.floats(0.4, 2.0), st.floats(0.15, 0.6), st.floats(-0.05, 0.05))
 corners = st.lists(st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6)), min_size=2, max_size=6).filter(
-    lambda c: min(np.hypot(a - x, b - y) for i, (a, b) in enumerate(c) for x, y in c[:i]) > 0.25
+    lambda c: (
+        min(np.hypot(a - x, b - y) for i, (a, b) in enumerate(c) for x, y in c[:i]) > 0.25
+        and np.ptp([x for x, _ in c]) > 0.1
+    )
 )
 
 
@@ -297,8 +300,16 @@ def test_several_vehicles_are_no_base():
         + wheel(f"t{i}", (0, 0, 0), parent=f"k{i}")
         for i, y in enumerate((0.3, -0.3))
     )  # fmt: skip
-    with pytest.raises(Unsupported, match="several vehicles, linked: .*'s0' on 'link'"):
+    with pytest.raises(Unsupported, match=r"several vehicles, linked: .*'s0' on 'link'"):
         robot_of(CAR.replace("</robot>", front + "</robot>"))
+
+
+def test_two_steered_wheels_on_one_line_are_refused_and_drive_with_their_steering_locked():
+    text = chassis(steered(0, 0.0, 0.2, 1) + steered(1, 0.0, -0.2, 1) + on_swivel("c", (-0.4, 0, 0.1), 0.04))
+    with pytest.raises(Unsupported, match="stand on one line") as error:
+        robot_of(text)
+    robot = followed(text, ways_of(error.value.fix)[0])
+    assert robot.base.kind == "differential_drive" and {"steer0", "steer1"} <= {*robot.base.suspensions}
 
 
 def test_one_steered_wheel_alone_is_no_base():
@@ -374,6 +385,3 @@ def test_controllers_tell_what_drives_and_what_steers(tmp_path):
     assert "--wheelbase 0.6" in told(robot, "base-stated")
     again = robot_of(text, **{k: v for k, v in robot.overrides.stated().items() if k != "controllers_file"})
     assert again.base.kind == "tricycle" and again.actuator_names == robot.actuator_names  # a recording stands alone
-
-
-assert axle and origin

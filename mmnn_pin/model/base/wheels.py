@@ -309,7 +309,7 @@ def round_joint(rest: AtRest, joint: Joint) -> Candidate | None:
 
 
 def on_hitch(rest: AtRest, carried: list[Joint]) -> bool:
-    """Whether joints on one about a vertical axis are wheels that roll one way, of a trailer; rollers point all ways."""
+    """Whether joints on one about a vertical axis are wheels of a trailer: they roll one way, and rollers all ways."""
     axes = [rest.axis(joint) for joint in carried]
     return len(axes) >= 2 and all(abs(axes[0] @ axis) > VERTICAL and abs(axis[2]) <= HORIZONTAL for axis in axes)
 
@@ -557,7 +557,7 @@ def welded_wheels(rest: AtRest, floor: float) -> list[Joint]:
 
 
 def written_to_turn(rest: AtRest, welded: list[Joint]) -> str:
-    """What is to be written in a file for welded wheels to turn, and what steers them: joints with a vertical axis."""
+    """The edit of a file by which welded wheels turn, and what steers them: joints with a vertical axis."""
     names = list[str]()
     axes = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
     for wheel in welded:
