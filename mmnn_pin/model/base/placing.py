@@ -328,7 +328,8 @@ def skidding(
     alike = all(parallel(drives[0], c) for c in drives[1:])
     few = kind is not SkidSteer or left <= MOST_PER_SIDE
     if not (alike and left == right == len(drives) / 2 and left >= 2 and few):
-        what = f"{len(drives)} wheel(s), {left} of them on the left, for a base '{kind.kind}'"
+        name = "tracked machine" if kind is Tracked else "skid-steer base"
+        what = f"{len(drives)} wheel(s), {left} of them on the left, for a {name}"
         fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
         raise ConfigError(what, fix=fix, key="wheels", file=rest.document.path)
     require_together(rest, drives)

@@ -45,6 +45,7 @@ from ...signals import Array, IntArray
 MASTER, FOLLOWER, PASSIVE = 0, 1, 2
 ROLES = ("master", "follower", "passive")
 STEERED, AXLE, FREE = 0, 2, 3  # what the body may do: as its wheels steer; `(v, w)`; `(vx, vy, w)`
+TIE = 0.3  # wheels by which those that roll forwards outnumber the others: below it sensors would decide
 
 
 @dataclass(frozen=True)
@@ -303,7 +304,7 @@ def first_direction(rolling: Rolling, position: Array, adj: Array, n: Array) -> 
     for k in range(len(rolling.turns)):
         p, (c, s, _) = rolling.pivots[k], heading_of(rolling, k, position)
         forwards += c * n[0] + s * n[1] + (p[PIVOT.x] * s - p[PIVOT.y] * c) / rolling.length * n[2]
-    sign = -1.0 if forwards < -1e-6 or (forwards < 1e-6 and n[largest] < 0.0) else 1.0
+    sign = -1.0 if forwards < -TIE or (forwards < TIE and n[largest] < 0.0) else 1.0
     for i in range(3):
         n[i] *= sign
 

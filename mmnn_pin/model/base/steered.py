@@ -6,7 +6,7 @@ pose's law, a velocity of the control frame, goes to the law that steers (`steer
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -78,6 +78,16 @@ class SteeredBase(Base):
         """See `Base.shape`."""
         return tuple(pivot.joint for pivot in self.pivots)
 
+    def carriers(self, pose: Sequence[float], angles: Sequence[float]) -> list[Sequence[float]]:
+        """See `Base.carriers`."""
+        places = [pose]
+        for pivot, angle in zip(self.pivots, angles, strict=True):
+            x, y, heading = places[pivot.parent + 1]
+            c, s = cos_sin(heading)
+            at = x + c * pivot.x - s * pivot.y, y + s * pivot.x + c * pivot.y
+            places.append((*at, heading + pivot.sign * angle))
+        return places
+
     def rolling_at(self, places: Mapping[str, int]) -> Rolling:
         """The base as arrays for `rolling.roll`.
 
@@ -107,6 +117,13 @@ class SteeredBase(Base):
             twist: (2,) or (3,) of the control frame; where that is 0 they stand at 0.
         """
         return along(self.pivots, np.zeros(1), self.eta_of(twist)[None], np.zeros((1, 3))).angles[0]
+
+    def random_angles(self, rng: np.random.Generator) -> Array:
+        """Angles of all pivots within their stops, (K,); those whose wheels must agree stand along one twist [rad]."""
+        found = np.array([rng.uniform(max(p.lower, -np.pi), min(p.upper, np.pi)) for p in self.pivots])
+        if self.sideways and self.body == STEERED:
+            found[self.masters] = self.angles(rng.uniform(-1.0, 1.0, 3))
+        return found
 
     def eta_of(self, twist: Array) -> Array:
         """`(vx, vy, w)` of a twist."""
