@@ -251,6 +251,7 @@ class Loop:
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
             steering=self.kinematic.steering_of(self.robot, self.timing.control_period),
+            hitch=self.kinematic.hitch_of(self.robot, self.robot.rows),
         )
 
     def require_stable_gains(self) -> None:
@@ -339,7 +340,8 @@ class Loop:
         except TypeError:  # a path of arrays has no hash
             rows = sampled_reference.__wrapped__(*arguments)
         times = np.asarray(np.arange(len(rows)) * self.timing.control_period)
-        require_steerable(self.robot.base, times, Setpoint.side_by_side(rows, self.layout))
+        guided = self.kinematic.guide == "trailer"
+        require_steerable(self.robot.base, times, Setpoint.side_by_side(rows, self.layout), guided)
         return rows
 
     def facts(self) -> dict[str, Any]:

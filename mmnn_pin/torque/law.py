@@ -350,6 +350,17 @@ def motor_limits(E: Array, effort: Array) -> MotorLimits | None:
     return MotorLimits(E, E_inv, (1.0 - ROUNDING) * effort, np.zeros(effort.size), np.zeros(len(E)))
 
 
+@compiled
+def turn_limits(limits: MotorLimits, motors: IntArray, T: Array, E_inv: Array) -> None:
+    """Follow a base that steers: E from the rows of T of its motors, and its inverse (motors, p)."""
+    E = limits.E
+    for j in range(motors.size):
+        for i in range(T.shape[1]):
+            E[i, j] = T[motors[j], i]
+    for j in range(E_inv.shape[0]):
+        copy_to(E_inv[j], limits.E_inv[j])
+
+
 @internal
 def soften(gain: Array, k: Array, robust: Array, feedback: Array, limits: MotorLimits) -> None:
     """Lower the robust term (p,) to the share that k s leaves of the motors' limits; gain and feedback are the sums."""

@@ -245,6 +245,26 @@ CASES: dict[str, Callable[[int, int], tuple[SteeredMotion, Constants]]] = {
 }
 
 
+def hitch_on_circle(hitch: Array, curvature: float) -> float:
+    """Angle of a trailer while the truck drives a circle: `sin gamma + curvature (h cos gamma + L) = 0`.
+
+    Forward it settles there. In reverse it leaves it: on the truck's tightest circle its size is the largest angle from
+    which backing still gets straight; beyond, the trailer folds up however the truck steers.
+
+    Args:
+        hitch: (2,) h, L [m].
+        curvature: Of the path of the truck's axle, to the left [1/m].
+
+    Returns:
+        The angle [rad]; nan where the circle is too tight for it: forward the trailer goes on turning, in reverse a
+        truck that can steer so gets it straight from every angle.
+    """
+    h, length = hitch
+    with np.errstate(invalid="ignore"):
+        sine = curvature * length / np.hypot(1.0, curvature * h)
+        return float(-np.arctan(curvature * h) - np.arcsin(sine))
+
+
 def backed(
     hitch: Array, most: float, gamma: Array, curvature: Callable[[float], Array], late: float = 0.0, v: float = -0.5
 ) -> Array:

@@ -42,6 +42,11 @@ class SteeredBase(Base):
     scrub: float = 0.0
 
     @property
+    def axle(self) -> bool:
+        """Whether an axle stands at the control frame that nothing steers."""
+        return not self.sideways
+
+    @property
     def masters(self) -> list[int]:
         """Numbers of the pivots that are steered."""
         return [k for k, pivot in enumerate(self.pivots) if pivot.role == ROLES[MASTER]]
@@ -89,7 +94,7 @@ class SteeredBase(Base):
             carriers=np.array([(w.pivot, places[w.joint]) for w in self.wheels], np.int64).reshape(-1, 2),
             wheels=np.array(wheels, float).reshape(-1, 5),
             body=self.body,
-            axle=any(w.pivot < 0 for w in self.wheels) or not self.sideways,
+            axle=self.axle,
             length=float(self.length),
             root=np.ascontiguousarray(np.linalg.inv(self.to_control)),
         )

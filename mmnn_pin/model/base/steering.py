@@ -413,7 +413,7 @@ def on_line(wheels: Sequence[Candidate]) -> bool:
     ahead = rolling(wheels[0])
     off = [abs(product(ahead, (c.centre - wheels[0].centre)[:2])) for c in wheels]
     width = max(float(np.linalg.norm((c.centre - wheels[0].centre)[:2])) for c in wheels)
-    return all(parallel(wheels[0], c) for c in wheels) and max(off) <= max(ON_LINE * width, 1e-6)
+    return all(parallel(wheels[0], c) for c in wheels) and bool(max(off) <= max(ON_LINE * width, 1e-6))
 
 
 def axle_of(rest: AtRest, layout: Layout, overrides: Overrides) -> list[Candidate]:
