@@ -113,7 +113,7 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
     row, at, asked = controls.row, controls.at, True
     if controls.age > 0.0:
         reference_then(controls.setpoints, k, controls.age / controls.h, controls.then)
-        catch_up(row, at, setpoint, controls.then, controls.age)
+        catch_up(row, at, setpoint, controls.then, controls.age, steering)
     turn(row, at, limits, steering)
     before_torque(row, at, time, setpoint, controls.gains, controls.K, before, steering)
     if hardware is not None:
@@ -122,7 +122,7 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         ask(row, at, split)
     if asked:
         if ahead is not None:
-            look_ahead(row, at, before, ahead)
+            look_ahead(row, at, before, ahead, steering)
         if own is not None:
             own.answer(time)
         else:

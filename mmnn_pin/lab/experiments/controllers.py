@@ -214,6 +214,7 @@ def machine_of(robot: Robot) -> MachineLimits:
         lower=robot.lower[robot.arm_index],
         upper=robot.upper[robot.arm_index],
         effort=joints,
+        stops=np.column_stack((robot.lower, robot.upper))[robot.shape_index],
     )
 
 
