@@ -19,7 +19,7 @@ from .elementary import cos_sin
 from .errors import ConfigError
 from .model.base import kind_of, velocity_command
 from .model.base.rolling import PASSIVE, ROLES, Maps, Rolling, new_maps, roll
-from .model.base.steered import SteeredBase
+from .model.base.steered import Articulated, SteeredBase
 from .model.base.steering_law import SteeringNumbers, steered_velocity
 from .model.base.trailers import towed, towing, trailer_pose
 from .model.reduction import shares
@@ -259,7 +259,7 @@ class Kinematic(Settings, frozen=True):
         return Steering(
             rolling=rolling,
             maps=new_maps(rolling, T),
-            numbers=SteeringNumbers(self.steering, self.slow, self.align),
+            numbers=SteeringNumbers(self.steering, self.slow, self.align, isinstance(base, Articulated)),
             motors=np.array([places[name] for name in driven], np.int64),
             E=np.array(robot.E_at(robot.rest)),
             E_inv=E_inv,
