@@ -34,8 +34,9 @@ from ...elementary import atan2
 from ...signals import Array
 from .rolling import AXLE, MASTER, PIVOT, STEERED, TURN, Maps, Rolling, heading_of
 
+
 class Asked(NamedTuple):
-    """Speeds that a wheel is asked for, across and along it, their rates, and the rates of these [m/s, m/s^2, m/s^3]."""
+    """Speeds asked of a wheel, across and along it, their rates, and the rates of these [m/s, m/s^2, m/s^3]."""
 
     s: float
     f: float
