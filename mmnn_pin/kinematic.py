@@ -8,17 +8,20 @@ command is analytic, taken along the error kinematics with the measured velociti
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from .by_address import by_address
 from .compiled import compiled, copy_to, internal, linked
 from .elementary import cos_sin
+from .errors import ConfigError
 from .model.base import kind_of, velocity_command
-from .model.base.rolling import Maps, Rolling, new_maps, roll
-from .model.base.steered import SteeredBase
+from .model.base.rolling import PASSIVE, ROLES, Maps, Rolling, new_maps, roll
+from .model.base.steered import Articulated, SteeredBase
 from .model.base.steering_law import SteeringNumbers, steered_velocity
+from .model.base.trailers import towed, towing, trailer_pose
 from .model.reduction import shares
 from .model.structure import Structure
 from .parts import view
@@ -57,6 +60,13 @@ def world_error(pose_ref: Array, pose: Array, error: Array) -> None:
     error[2] = wrap(pose_ref[2] - pose[2])
 
 
+@compiled
+def errors_of(pose_ref: Array, pose: Array, error: Array, in_world: Array) -> None:
+    """Pose error in the base frame and in the world frame, (3,) each."""
+    body_error(pose_ref, pose, error)
+    world_error(pose_ref, pose, in_world)
+
+
 @by_address
 class Steering(NamedTuple):
     """The steering of one robot's base, for the velocity command: its maps at the measured angles, and its law.
@@ -71,7 +81,10 @@ class Steering(NamedTuple):
         factor: (2, nb, nb) scratch.
         later: (8, 3) scratch: `eta_c`, its rate and the rate of that; then what the law is asked a moment later.
         position: (3 + shape,) scratch: measured angles behind a pose that nobody reads.
+        eta: (3,) scratch: velocity of what is guided.
         h: Control period [s].
+        hitch: (4,) of the trailer that is guided: place of its pivot in `position`, its sign, and h and L of
+            `base.trailers`; (0,) where the base is.
     """
 
     rolling: Rolling
@@ -83,7 +96,9 @@ class Steering(NamedTuple):
     factor: Array
     later: Array
     position: Array
+    eta: Array
     h: float
+    hitch: Array
 
 
 @internal
@@ -126,14 +141,22 @@ def steered(row: Array, at: IntArray, gains: Array, before: Array, steering: Ste
         before: The setpoint of the sample before, side by side.
         steering: Of the base; its maps are those of this sample.
     """
-    o, eta, sideways = steering.later, steering.maps.eta, at[SIDEWAYS]
+    o, eta, sideways, hitch = steering.later, steering.eta, at[SIDEWAYS], steering.hitch
     v_ref, a_ref, error = view(row, at, VELOCITY_REF), view(row, at, ACCELERATION_REF), view(row, at, POSE_ERROR)
     twist, c, cd = o[3], o[0], o[1]
     o[:] = 0.0
+    copy_to(steering.maps.eta, eta)
     for i in range(v_ref.size):
         twist[i] = eta[i if sideways or i == 0 else 2]
+    gamma, gammadot = 0.0, 0.0
+    if hitch.size:
+        gamma = hitch[1] * steering.position[int(hitch[0])]
+        c[0], c[1] = twist[0], twist[1]
+        towed(hitch[2:], gamma, c, twist)
+        gammadot = twist[1] - c[1]
+        eta[0], eta[2] = twist[0], twist[1]
     velocity_command(sideways, error, v_ref, a_ref, twist, gains, c, cd)
-    moved, v_later, a_later, cd_later = o[4], o[5], o[6], o[2]  # o[7]: the command itself, which nobody needs
+    moved, v_later, a_later, cd_later = o[4], o[5], o[6], o[2]  # o[7]: the command itself
     vx, vy, w = v_ref[0], v_ref[1] if sideways else 0.0, v_ref[v_ref.size - 1]
     (cosine, sine), first = cos_sin(error[2]), at[ACCELERATION_REF] - at[POSE_REF]
     moved[0] = error[0] + MOMENT * (eta[2] * error[1] - eta[0] + cosine * vx - sine * vy)
@@ -144,6 +167,11 @@ def steered(row: Array, at: IntArray, gains: Array, before: Array, steering: Ste
         a_later[i] = a_ref[i] + MOMENT * (a_ref[i] - before[first + i]) / steering.h
         twist[i] += MOMENT * cd[i]
     velocity_command(sideways, moved, v_later, a_later, twist, gains, o[7], cd_later)
+    if hitch.size:
+        towing(hitch[2:], gamma + MOMENT * gammadot, twist, o[7], cd_later)
+        for i in range(2):
+            twist[i] -= MOMENT * cd[i]
+        towing(hitch[2:], gamma, twist, c, cd)
     for i in range(v_ref.size):
         cd_later[i] = (cd_later[i] - cd[i]) / MOMENT
     if not sideways:
@@ -173,9 +201,14 @@ def command(row: Array, at: IntArray, gains: Array, K: Array, before: Array, ste
         error, velocity = view(row, at, POSE_ERROR), view(row, at, VELOCITY)
         alpha, alphadot, z = (view(row, at, ALPHA), view(row, at, ALPHADOT), view(row, at, Z))
         pose_ref, pose = view(row, at, POSE_REF), view(row, at, POSE)
-        body_error(pose_ref, pose, error)
-        world_error(pose_ref, pose, view(row, at, WORLD_ERROR))
+        errors_of(pose_ref, pose, error, view(row, at, WORLD_ERROR))
         if steering is not None:
+            if steering.hitch.size:
+                guided = steering.later[0]
+                trailer_pose(
+                    steering.hitch[2:], steering.hitch[1] * steering.position[int(steering.hitch[0])], pose, guided
+                )
+                errors_of(pose_ref, guided, error, view(row, at, WORLD_ERROR))
             steered(row, at, gains, before, steering)
         else:
             v_ref, a_ref = (view(row, at, VELOCITY_REF), view(row, at, ACCELERATION_REF))
@@ -203,6 +236,7 @@ class Kinematic(Settings, frozen=True):
         steering: Base that steers: how fast a wheel turns to its path, K of `steering_law` [1/s].
         slow: Base that steers: speed of a wheel under which it steers less, so that it coasts at rest [m/s].
         align: Base that steers: whether it waits for wheels that do not stand along their paths.
+        guide: What follows the reference, the "base" or, of a truck that backs, its "trailer".
 
     Raises:
         ConfigError: A gain is negative or not finite.
@@ -216,6 +250,7 @@ class Kinematic(Settings, frozen=True):
     steering: float = 6.0
     slow: float = 0.03
     align: bool = False
+    guide: Literal["base", "trailer"] = "base"
 
     def __post_init__(self) -> None:
         require_gains(self, "kinematic")
@@ -226,7 +261,7 @@ class Kinematic(Settings, frozen=True):
         return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
     def steering_of(self, robot: Structure, period: float) -> Steering | None:
-        """What steers a robot's base, at a control period [s]; None where nothing steers."""
+        """The steering of a robot's base, at a control period [s]; None where nothing steers."""
         base, d = robot.base, robot.dimensions
         if not isinstance(base, SteeredBase):
             return None
@@ -239,15 +274,39 @@ class Kinematic(Settings, frozen=True):
         return Steering(
             rolling=rolling,
             maps=new_maps(rolling, T),
-            numbers=SteeringNumbers(self.steering, self.slow, self.align),
+            numbers=SteeringNumbers(self.steering, self.slow, self.align, isinstance(base, Articulated)),
             motors=np.array([places[name] for name in driven], np.int64),
             E=np.array(robot.E_at(robot.rest)),
             E_inv=E_inv,
             factor=np.zeros((2, d.base, d.base)),
             later=np.zeros((8, 3)),
             position=np.zeros(3 + d.shape),
+            eta=np.zeros(3),
             h=float(period),
+            hitch=self.hitch_of(robot, places),
         )
+
+    def hitch_of(self, robot: Structure, places: Mapping[str, int]) -> Array:
+        """The trailer of a robot that is guided, as of `Steering.hitch`; (0,) where its base is.
+
+        Args:
+            robot: The robot.
+            places: Place of every pivot in a position.
+
+        Raises:
+            ConfigError: It has not one trailer on a hitch that is not on the axle.
+        """
+        if self.guide == "base":
+            return np.zeros(0)
+        base = robot.base
+        passive = [p for p in base.pivots if p.role == ROLES[PASSIVE]] if isinstance(base, SteeredBase) else []
+        hitches = passive if not base.sideways else []
+        if len(hitches) != 1 or hitches[0].x == 0.0:
+            what = f"'{robot.name}' has {len(hitches)} trailers" if len(hitches) != 1 else "its hitch is on the axle"
+            why, fix = "one trailer whose hitch is off the axle can be guided", "guide the base"
+            raise ConfigError(what, why=why, fix=fix, key="kinematic.guide")
+        p = hitches[0]
+        return np.array([places[p.joint], p.sign, -p.x, -p.wheel[0]])
 
     def pose_weights(self, layout: Dimensions) -> Array | None:
         """Weights of the squares of the errors of a base's velocities in its pose error, (base,); None for all alike.

@@ -203,9 +203,10 @@ def heaviest(robot: Robot, rotors: Array) -> tuple[int, float]:
     """
     if not rotors.any():
         return -1, math.inf
-    dynamics, rng, E = Dynamics(robot), np.random.default_rng(0), robot.E * np.sqrt(rotors)
+    dynamics, rng = Dynamics(robot), np.random.default_rng(0)
     for i in range(PLACES):
         position = robot.neutral_position() if i == 0 else random_state(robot, rng)[0]
+        E = robot.E_at(position) * np.sqrt(rotors)
         shares, directions = np.linalg.eigh(E.T @ np.linalg.solve(dynamics.mass_matrix(position), E))
         if shares[-1] > 1.0:
             worst = int(np.argmax(np.abs(directions[:, -1])))

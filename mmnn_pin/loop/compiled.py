@@ -60,6 +60,7 @@ class CompiledRun(NamedTuple):
     controls: Controls
     E_inv: Array
     bounds: Array
+    hitch: Array
     counter: IntArray
     rows: Array
 
@@ -97,6 +98,7 @@ class CompiledLoop:
             controls=control.controls,
             E_inv=plan.E_inv,
             bounds=plan.bounds,
+            hitch=plan.hitch,
             counter=self.counter,
             rows=self.rows,
         )
@@ -223,7 +225,7 @@ def observe(run: CompiledRun, body: Body, true: Machine, energy: float) -> int:
     evaluate(body, work, true.position, true.nu)
     psi_of(body, work, true.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), psi)
     potential = potential_energy(body.tree, true.position, work.scratch) if body.feels_gravity else 0.0
-    return after_torque(row, at, true.y, body.places, work.M, run.E_inv, potential, energy, run.bounds)
+    return after_torque(row, at, true.y, body.places, work.M, run.E_inv, potential, energy, run.bounds, run.hitch)
 
 
 @internal

@@ -101,7 +101,7 @@ def context_of(
     """
     told = isinstance(controller, LearningLaw) and controller.knows_motion
     kept = controller.within_limits if within_limits is None else within_limits
-    limits = motor_limits(robot.E, robot.effort_limits) if kept else None
+    limits = motor_limits(robot.E_at(robot.rest), robot.effort_limits) if kept else None
     return replace(context, regressor=regressor_of(robot) if told else None, limits=limits)
 
 

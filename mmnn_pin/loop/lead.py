@@ -15,6 +15,9 @@ causal: time, measurement, and the setpoints of this sample and the last. What i
 alone. So the errors inside nudot_ref (`K edot`, alphadot) are held, not extrapolated: psi_applied has the noise of
 psi_hat, and the loop linearised about the reference has the same feedback, to first order in delta
 (docs/explanation/theory.md, section 8).
+
+A base that steers has other velocities than the reference: its own (velocity, alpha, nu_ref) move by alphadot, its
+angles as alpha turns them, and alphadot is held. What is added then has the feedback of the pose in it, delta of it.
 """
 
 from __future__ import annotations
@@ -25,9 +28,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..compiled import compiled, copy_to, linked
+from ..compiled import compiled, copy_to, internal, linked
 from ..elementary import cos_sin
 from ..errors import ConfigError
+from ..kinematic import Steering
 from ..model.robot import Robot
 from ..reference.guide import BASE, Guide
 from ..reference.guide import VELOCITY as VELOCITY_LED
@@ -44,6 +48,7 @@ TIME, POSE_REF, POSE = INDEX["time"], INDEX["pose_ref"], INDEX["pose"]
 VELOCITY_REF, ACCELERATION_REF, VELOCITY = INDEX["velocity_ref"], INDEX["acceleration_ref"], INDEX["velocity"]
 Q_REF, QDOT_REF, QDDOT_REF, Q, QDOT = (INDEX[name] for name in ("q_ref", "qdot_ref", "qddot_ref", "q", "qdot"))
 ALPHA, ALPHADOT, NU_REF, NUDOT_REF = (INDEX[name] for name in ("alpha", "alphadot", "nu_ref", "nudot_ref"))
+SHAPE = INDEX["shape"]
 
 
 class Lead(NamedTuple):
@@ -112,27 +117,31 @@ def held(controller: CompiledController) -> CompiledController:
 
 
 @linked
-def catch_up(row: Array, at: IntArray, setpoint: Array, then: Array, age: float) -> None:
+def catch_up(row: Array, at: IntArray, setpoint: Array, then: Array, age: float, steering: Steering | None) -> None:
     """Bring a measurement up to now by what the reference has moved since it was taken, in place.
 
     So every error is that of the measurement against the reference of its own time: the feedback is as late as ever,
     but for no error it asks for nothing, while `q_ref(t) - q(t - age)` drives a robot that follows exactly. The pose
-    goes along the mean of the reference's velocities then and now.
+    goes along the mean of the reference's velocities then and now. Velocities and angles of a base that steers, of
+    which the reference has none, move as the last sample asked.
 
     Args:
-        row: (width,) row of signals with the measurement.
+        row: (width,) row of signals with the measurement, and with alpha and alphadot of the sample before.
         at: Offsets of the signals.
         setpoint: Of this sample, side by side.
         then: The reference when the measurement was taken, likewise.
         age: Of the measurement [s].
+        steering: Of a base that steers, its maps those of the sample before; None for others.
     """
     first, nb = at[POSE_REF], at[ALPHA + 1] - at[ALPHA]
     for measured, reference in ((VELOCITY, VELOCITY_REF), (Q, Q_REF), (QDOT, QDOT_REF)):
-        for i in range(at[measured + 1] - at[measured]):
+        for i in range(at[measured + 1] - at[measured] if steering is None or measured != VELOCITY else 0):
             place = at[reference] - first + i
             row[at[measured] + i] += setpoint[place] - then[place]
+    if steering is not None:
+        turn_wheels(row, at, age, row, steering)
     if nb:
-        v, last, half = at[VELOCITY_REF] - first, at[VELOCITY_REF] - first + nb - 1, 0.5 * age
+        v, last, half = at[VELOCITY_REF] - first, at[ACCELERATION_REF] - first - 1, 0.5 * age
         turn = half * (setpoint[last] + then[last])
         along = half * (setpoint[v] + then[v])
         aside = half * (setpoint[v + 1] + then[v + 1]) if at[SIDEWAYS] else 0.0
@@ -177,7 +186,9 @@ class Past(NamedTuple):
 
 
 @compiled
-def bring_up(row: Array, at: IntArray, time: float, taken: float, guide: Guide, past: Past) -> None:
+def bring_up(
+    row: Array, at: IntArray, time: float, taken: float, guide: Guide, past: Past, steering: Steering | None
+) -> None:
     """Bring a stepper's last good measurement, which is in the row, up to now.
 
     A base that goes where a velocity leads has no pose error: the setpoint's pose goes along.
@@ -189,13 +200,14 @@ def bring_up(row: Array, at: IntArray, time: float, taken: float, guide: Guide, 
         taken: When the measurement was taken [s].
         guide: With the setpoint of the sample.
         past: The references before.
+        steering: As of `catch_up`.
     """
     past.newest[0] = (past.newest[0] + 1) % past.times.size
     past.times[past.newest[0]] = time
     copy_to(guide.now, past.rows[past.newest[0]])
     age = min(max(time - taken, 0.0), past.longest)
     recall(past, time - age)
-    catch_up(row, at, guide.now, past.then, age)
+    catch_up(row, at, guide.now, past.then, age, steering)
     if guide.kind[BASE] == VELOCITY_LED:
         copy_to(row[at[POSE] : at[POSE + 1]], guide.now[: at[POSE + 1] - at[POSE]])
 
@@ -217,7 +229,7 @@ def recall(past: Past, time: float) -> None:
 
 
 @linked
-def look_ahead(row: Array, at: IntArray, before: Array, ahead: Ahead) -> None:
+def look_ahead(row: Array, at: IntArray, before: Array, ahead: Ahead, steering: Steering | None) -> None:
     """The row of a sample as it will be where the torque acts, into `ahead.row`: the reference moves, errors stay.
 
     Args:
@@ -225,15 +237,27 @@ def look_ahead(row: Array, at: IntArray, before: Array, ahead: Ahead) -> None:
         at: Offsets of the signals.
         before: The setpoint of the sample before, side by side.
         ahead: How far.
+        steering: Of a base that steers, its maps those of this sample; None for others.
     """
     to, d, old = ahead.row, ahead.time, ahead.time + ahead.age
-    nb, n = at[ALPHA + 1] - at[ALPHA], at[Q + 1] - at[Q]
+    nb, n, first = at[ALPHA + 1] - at[ALPHA], at[Q + 1] - at[Q], 0
     copy_to(row, to)
     to[at[TIME]] += d
     if nb:
         travel(row, at, d, at[POSE_REF], to)
         travel(row, at, old, at[POSE], to)
-    for i in range(nb + n):
+    if steering is not None:
+        turn_wheels(row, at, old, to, steering)
+        first = nb
+        for i in range(nb):
+            for signal in (ALPHA, NU_REF):
+                to[at[signal] + i] += d * row[at[ALPHADOT] + i]
+        for i in range(at[ACCELERATION_REF + 1] - at[ACCELERATION_REF]):
+            rate = at[ACCELERATION_REF] + i
+            jerk = (row[rate] - before[rate - at[POSE_REF]]) / ahead.h
+            to[rate] += d * jerk
+            to[at[VELOCITY_REF] + i] += d * (row[rate] + 0.5 * d * jerk)
+    for i in range(first, nb + n):
         j = i - nb
         rate = at[ACCELERATION_REF] + i if i < nb else at[QDDOT_REF] + j
         jerk = (row[rate] - before[rate - at[POSE_REF]]) / ahead.h
@@ -252,6 +276,17 @@ def look_ahead(row: Array, at: IntArray, before: Array, ahead: Ahead) -> None:
             to[at[QDOT] + j] += later
             to[at[Q_REF] + j] += d * (speed + 0.5 * d * row[rate])
             to[at[Q] + j] += old * (speed + 0.5 * old * row[rate])
+
+
+@internal
+def turn_wheels(row: Array, at: IntArray, d: float, to: Array, steering: Steering) -> None:
+    """Move the measured velocities and angles of a base that steers in a row as a sample asks it to for d seconds."""
+    nb, T = at[ALPHA + 1] - at[ALPHA], steering.maps.T
+    for k in range(at[SHAPE + 1] - at[SHAPE]):
+        for i in range(nb):
+            to[at[SHAPE] + k] += d * T[3 + k, i] * (row[at[ALPHA] + i] + 0.5 * d * row[at[ALPHADOT] + i])
+    for i in range(nb):
+        to[at[VELOCITY] + i] += d * row[at[ALPHADOT] + i]
 
 
 @compiled

@@ -113,7 +113,8 @@ class OrdinaryLoop:
         dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)
         start = self.start_energy if self.hardware is None else self.start_energy + self.hardware.world.shift[0]
         potential, bounds = dynamics.potential(), self.plan.bounds
-        return after_torque(self.row, self.at, plant.y, self.places, dynamics.M, self.E_inv, potential, start, bounds)
+        numbers = potential, start, bounds, self.plan.hitch
+        return after_torque(self.row, self.at, plant.y, self.places, dynamics.M, self.E_inv, *numbers)
 
     def move(self, k: int) -> None:
         """Motors and plant over the control period of sample k; the sensors go on measuring."""

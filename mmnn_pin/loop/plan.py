@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from ..elementary.matrices import pseudo_inverse
 from ..kinematic import Steering
@@ -40,6 +42,7 @@ class Plan:
         lead: How Psi_hat looks ahead to where the torque acts; None where it does not.
         age: By how much measurements are brought up to now [s].
         steering: Of a base that steers; None for others.
+        hitch: Of the trailer that follows the reference, as of `Kinematic.hitch_of`; (0,) where the base does.
     """
 
     robot: Robot
@@ -62,6 +65,7 @@ class Plan:
     lead: Lead | None = None
     age: float = 0.0
     steering: Steering | None = None
+    hitch: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def E_inv(self) -> Array:

@@ -20,6 +20,7 @@ from ..by_address import by_address
 from ..compiled import by_type, compiled, copy_to, entry, internal, linked, plain
 from ..errors import ConfigError, InputError, RobotError
 from ..kinematic import Steering
+from ..model.base.trailers import trailer_pose
 from ..model.dynamics import Dynamics
 from ..model.reduction import as_measured, put_shape
 from ..model.robot import Robot
@@ -29,7 +30,7 @@ from ..parts import vector, view
 from ..signals import INDEX, Array, IntArray, Measurement, Setpoint, VelocityCommand
 from ..torque import law
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from ..torque.law import Ahead, MotorLimits, Packed, estimate, limit, settle
+from ..torque.law import Ahead, MotorLimits, Packed, estimate, limit, settle, turn_limits
 from ..torque.learning_law import LearningLaw, Sample, blamed, norms
 from .hardware import Hardware, is_stopped, send
 from .lead import Lead, catch_up, look_ahead, reference_then
@@ -112,9 +113,8 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
     row, at, asked = controls.row, controls.at, True
     if controls.age > 0.0:
         reference_then(controls.setpoints, k, controls.age / controls.h, controls.then)
-        catch_up(row, at, setpoint, controls.then, controls.age)
-    if steering is not None:
-        kinematic.steer(row, at, steering)
+        catch_up(row, at, setpoint, controls.then, controls.age, steering)
+    turn(row, at, limits, steering)
     before_torque(row, at, time, setpoint, controls.gains, controls.K, before, steering)
     if hardware is not None:
         asked = not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
@@ -122,7 +122,7 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         ask(row, at, split)
     if asked:
         if ahead is not None:
-            look_ahead(row, at, before, ahead)
+            look_ahead(row, at, before, ahead, steering)
         if own is not None:
             own.answer(time)
         else:
@@ -133,6 +133,15 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         send(k, time, row, at, controls.state, hardware.way)
     if learner is not None and asked:
         settle(row, at, learner, controls.state)
+
+
+@compiled
+def turn(row: Array, at: IntArray, limits: MotorLimits | None, steering: Steering | None) -> None:
+    """The maps of a base that steers, and with them what its motors can do, at the measured angles."""
+    if steering is not None:
+        kinematic.steer(row, at, steering)
+        if limits is not None:
+            turn_limits(limits, steering.motors, steering.maps.T, steering.E_inv)
 
 
 @linked
@@ -224,6 +233,7 @@ def after_torque(  # noqa: PLR0913 - the arrays of either engine
     potential: float,
     start: float,
     bounds: Array,
+    hitch: Array,
 ) -> int:
     """True state and errors, motor torques, energy balance and the guard of a sample.
 
@@ -237,6 +247,7 @@ def after_torque(  # noqa: PLR0913 - the arrays of either engine
         potential: Potential energy [J].
         start: Energy at the start [J].
         bounds: (p,) on |nu|.
+        hitch: As of `kinematic.Steering`, placed in the position.
 
     Returns:
         -1, or the first column that is not finite or a velocity that is out of bounds.
@@ -244,7 +255,7 @@ def after_torque(  # noqa: PLR0913 - the arrays of either engine
     position, nu, work = view(row, at, POSITION), view(row, at, NU), y[y.size - 1]
     copy_to(y[: position.size], position)
     copy_to(y[position.size : y.size - 1], nu)
-    true_errors(row, at, position, nu, places)
+    true_errors(row, at, position, nu, places, hitch)
     torque, motors = view(row, at, TORQUE), view(row, at, MOTOR_TORQUE)
     for i in range(motors.size):
         motors[i] = entry(E_inv, i, torque)
@@ -263,11 +274,16 @@ def after_torque(  # noqa: PLR0913 - the arrays of either engine
 
 
 @compiled
-def true_errors(row: Array, at: IntArray, position: Array, nu: Array, places: IntArray) -> None:
+def true_errors(row: Array, at: IntArray, position: Array, nu: Array, places: IntArray, hitch: Array) -> None:
     """The tracking errors of the true state, which no controller sees: true_pose_error, true_z, true_e."""
     pose_ref, z = view(row, at, POSE_REF), view(row, at, TRUE_Z)
     if pose_ref.size:
-        kinematic.body_error(pose_ref, position, view(row, at, TRUE_POSE_ERROR))
+        error = view(row, at, TRUE_POSE_ERROR)
+        if hitch.size:
+            trailer_pose(hitch[2:], hitch[1] * position[int(hitch[0])], position, error)
+            kinematic.body_error(pose_ref, error, error)
+        else:
+            kinematic.body_error(pose_ref, position, error)
     for i in range(z.size):
         z[i] = row[at[ALPHA] + i] - nu[i]
     for i in range(at[TRUE_E + 1] - at[TRUE_E]):

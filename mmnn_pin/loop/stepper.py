@@ -289,7 +289,8 @@ class Stepper:
             self.follower.stand(self.seen)
         self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.seen, wishes, courses)
         if self.past.longest > 0.0:
-            bring_up(self.row, self.at, time, supervisor.state.heard[0], self.follower.guide, self.past)
+            heard = supervisor.state.heard[0]
+            bring_up(self.row, self.at, time, heard, self.follower.guide, self.past, self.control.steering)
         self.control.step(time, self.follower.now, before=self.before if self.k >= 0 else None)
         self.before[:] = self.follower.now
         self._command()
@@ -518,7 +519,7 @@ class Stepper:
         if isinstance(self.setup.controller, CompiledController | LearningLaw):
             self.control.step(0.0, self.follower.now)
         has_ended(0.0, supervisor.numbers, supervisor.state)
-        bring_up(self.row, self.at, 0.0, 0.0, self.follower.guide, self.past)
+        bring_up(self.row, self.at, 0.0, 0.0, self.follower.guide, self.past, self.control.steering)
         self.past.times[:] = -math.inf
         if self.control.steering is not None:
             self.control.steering.maps.n[:] = 0.0

@@ -18,7 +18,7 @@ a]` (a without gravity). It adds `m xbar' V_j' A xbar` to the torque of joint j,
 which is linear in the ten numbers of the pseudo-inertia P (Wensing, Kim, Slotine 2018, IEEE RA-L 3(1)), and these are
 the ten numbers of a body in a `BodyTree`. The factorisation is that of the tree, `Mdot = C + C'`, as Slotine and
 Li 1987 (Int. J. Robotics Research 6(3)) ask for. Rotors and friction of joints are linear as well; each joint acts on
-nu through its row of T.
+nu through its row of T. Where a base steers, T and its rate are those of the measured angles, and `Y = T' Y_full`.
 """
 
 from __future__ import annotations
@@ -30,12 +30,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..compiled import compiled, internal, linked
+from ..compiled import compiled, copy_to, internal, linked
 from ..elementary import tanh
 from ..elementary.matrices import product
 from ..errors import RobotError
 from ..signals import Array, IntArray
-from .reduction import COULOMB_SPEED, as_measured
+from .base.rolling import TURN, Maps, Rolling, closed, new_maps, roll
+from .base.steered import SteeredBase
+from .reduction import COULOMB_SPEED, as_measured, put_shape
 from .tree.dynamics import psi_again
 from .tree.motion import (
     AT,
@@ -51,6 +53,7 @@ from .tree.motion import (
     get,
     new_scratch,
     place,
+    steer,
 )
 from .tree.tree import TOLERANCE, configuration, flatten
 
@@ -59,6 +62,7 @@ if TYPE_CHECKING:
 
 BODY = 10  # parameters of a body: m, mc (3), second moments xx xy xz yy yz zz [kg, kg m, kg m^2]
 MOMENTS = ("m", "mx", "my", "mz", "xx", "xy", "xz", "yy", "yz", "zz")
+ROWS = 100  # random positions that say how large rows of T are that change
 RANK = 1e-9  # relative size under which a singular value of stacked regressors counts as zero
 
 
@@ -67,7 +71,8 @@ class Massless(NamedTuple):
 
     Attributes:
         tree: The tree; its inertial numbers are zero.
-        joints: (nj, p) rows of T of the joints that move.
+        joints: (nj, p) rows of T of the joints that move; of a base that steers those of the last state, before there
+            is one their root mean squares.
         base: Number of base velocities nb.
         first: Row of the first body that moves: the base, or the first link of a fixed arm.
         offset: (nv,) position of every joint where the arm's joints stand at 0.
@@ -78,6 +83,11 @@ class Massless(NamedTuple):
         nu: (p,) measured velocity.
         out: (p,) unused forces.
         Y: (p, k) the regressor.
+        rows: (nj,) places of these joints in a velocity.
+        drift: (nj, p) rates of their rows; (0, 0) where T is constant.
+        shape: (shape,) places of the pivots of a base that steers.
+        rolling: That base; None where T is constant.
+        maps: T and its rate, and memory to work in.
     """
 
     tree: BodyTree
@@ -92,6 +102,11 @@ class Massless(NamedTuple):
     nu: Array
     out: Array
     Y: Array
+    rows: IntArray
+    drift: Array
+    shape: IntArray
+    rolling: Rolling | None
+    maps: Maps
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,12 +118,14 @@ class Regressor:
         bodies: Joint that carries each moving body, `root` for the base.
         joints: Joints that move.
         labels: Name of every parameter, `body.m` to `body.zz`, `joint.rotor`, `v.viscous`, `joint.coulomb` ...
+        base: The base, where it steers; else None.
     """
 
     massless: Massless
     bodies: tuple[str, ...]
     joints: tuple[str, ...]
     labels: tuple[str, ...]
+    base: SteeredBase | None = None
 
     @classmethod
     def of(cls, robot: Robot, coulomb_speed: float = COULOMB_SPEED) -> Regressor:
@@ -121,14 +138,14 @@ class Regressor:
         Raises:
             RobotError: A joint that cannot be flattened, or a regressor that differs from Pinocchio's dynamics.
         """
-        layout, T = robot.dimensions, np.array(robot.T)
+        layout, T, rolling = robot.dimensions, np.array(robot.template), robot.rolling
         frame = tuple(robot.frame) if layout.base else (0.0, 0.0, 0.0)
         model = with_any_inertias(robot.model)
-        full = flatten(model, T, robot.neutral_position(), frame, absorb=False)
-        theta, moving = inertial_parameters(full, layout.base), moving_joints(T, layout.base)
+        full = flatten(model, T, robot.neutral_position(), frame, absorb=False, rolling=rolling)
+        theta, moving = inertial_parameters(full, layout.base), moving_joints(T, layout.base, rolling)
         offset, arm = robot.arm_map()
         turning = robot.base.scrubs
-        massless = without_masses(full, T, layout.base, offset, arm, coulomb_speed, turning)
+        massless = without_masses(full, T, layout.base, offset, arm, coulomb_speed, turning, rolling)
         names = robot.full_velocity_names
         bodies = ("root",) * bool(layout.base) + tuple(names[i] for i in full.links[BASE.w + 1 :, 2])
         joints = tuple(names[i] for i in moving)
@@ -136,7 +153,12 @@ class Regressor:
         labels += [f"{joint}.rotor" for joint in joints]
         labels += [f"{name}.viscous" for name in (*robot.velocity_names[: layout.base], *joints)]
         labels += [f"{joint}.coulomb" for joint in joints] + ["w.coulomb"] * turning
-        regressor = cls(massless, bodies, joints, tuple(labels))
+        steered = robot.base if isinstance(robot.base, SteeredBase) else None
+        regressor = cls(massless, bodies, joints, tuple(labels), steered)
+        if rolling is not None:
+            rng = np.random.default_rng(0)
+            rows = [robot.T_at(regressor.random_position(rng))[moving] for _ in range(ROWS)]
+            massless.joints[:] = np.sqrt(np.mean(np.square(rows), axis=0))
         regressor.verify(model, T, theta)
         return regressor
 
@@ -162,9 +184,8 @@ class Regressor:
     def workspace(self) -> Massless:
         """The arrays with a memory of their own to work in."""
         m = self.massless
-        return m._replace(
-            scratch=m.scratch.copy(), position=m.position.copy(), nu=m.nu.copy(), out=m.out.copy(), Y=m.Y.copy()
-        )
+        own = {name: getattr(m, name).copy() for name in ("joints", "scratch", "position", "nu", "out", "Y", "drift")}
+        return m._replace(maps=Maps(*(part.copy() for part in m.maps)), **own)
 
     def matrix(self, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array) -> Array:
         """Y, (p, k): `Y theta = M nudot_ref + C(q, nu) nu_ref + gravity + friction`.
@@ -182,18 +203,20 @@ class Regressor:
         regress(work, np.array(nu_ref, float), np.array(nudot_ref, float))
         return work.Y
 
-    def along(self, q: Array, nu: Array, nudot: Array) -> Array:
+    def along(self, q: Array, nu: Array, nudot: Array, shape: Array | None = None) -> Array:
         """Y along a motion, (N, p, k): `Y theta = M nudot + C(q, nu) nu + gravity + friction`, the base at the origin.
 
         Args:
             q: (N, n) the arm's joints [rad or m].
             nu: (N, p) velocities.
             nudot: (N, p) their time derivative.
+            shape: (N, shape) angles of the pivots of a base that steers [rad]; None without any.
         """
         work = self.workspace()
         out = np.zeros((len(q), *work.Y.shape))
-        q, nu, nudot = (np.ascontiguousarray(part, float) for part in (q, nu, nudot))
-        regress_along(work, np.zeros(3 if work.base else 0), q, nu, nudot, out)
+        shape = np.zeros((len(q), 0)) if shape is None else shape
+        q, nu, nudot, shape = (np.ascontiguousarray(part, float) for part in (q, nu, nudot, shape))
+        regress_along(work, np.zeros(3 if work.base else 0), q, shape, nu, nudot, out)
         return out
 
     def gram(self, samples: int = 200, seed: int = 0) -> Array:
@@ -228,11 +251,19 @@ class Regressor:
         return np.asarray(scale[:, None] * vectors[:, kept] / np.sqrt(values[kept]))
 
     def random_position(self, rng: np.random.Generator) -> Array:
-        """A pose and an arm somewhere, slaves with their masters, (nv,)."""
+        """A pose and an arm somewhere, slaves with their masters, wheels along a path, (nv,)."""
         m = self.massless
         position = m.offset + product(m.arm, rng.uniform(-np.pi, np.pi, m.arm.shape[1]))
         if m.base:
             position[:3] = rng.uniform(-np.pi, np.pi, 3)
+        return self.turned(position, rng)
+
+    def turned(self, position: Array, rng: np.random.Generator) -> Array:
+        """A position (nv,) with the pivots of a base that steers at random angles, changed in place."""
+        m, base = self.massless, self.base
+        if base is not None and m.rolling is not None:
+            position[m.shape] = base.random_angles(rng)
+            closed(m.rolling, position)
         return position
 
     def verify(self, model: pin.Model, T: Array, theta: Array, samples: int = 5, seed: int = 0) -> None:
@@ -242,13 +273,18 @@ class Regressor:
             RobotError: They differ by more than 1e-10 of the largest force.
         """
         rng, data, p = np.random.default_rng(seed), model.createData(), T.shape[1]
+        Tdot, rolling = np.zeros_like(T), self.massless.rolling
         worst = 0.0
         for _ in range(samples):
             position = self.random_position(rng)
             nu, nu_ref, nudot_ref = rng.standard_normal((3, p))
             q = configuration(model, position, self.massless.tree.frame)
+            if rolling is not None:
+                maps = new_maps(rolling, T)
+                roll(rolling, position, nu, maps)
+                T, Tdot = maps.T, maps.Tdot
             M, C = pin.crba(model, data, q), pin.computeCoriolisMatrix(model, data, q, T @ nu)
-            full = M @ T @ nudot_ref + C @ T @ nu_ref + pin.computeGeneralizedGravity(model, data, q)
+            full = M @ (T @ nudot_ref + Tdot @ nu_ref) + C @ T @ nu_ref + pin.computeGeneralizedGravity(model, data, q)
             psi = T.T @ full
             ours = self.matrix(position, nu, nu_ref, nudot_ref)[:, : theta.size] @ theta
             worst = max(worst, float(np.nan_to_num(np.abs(ours - psi) / np.abs(psi).max(), nan=np.inf).max()))
@@ -261,8 +297,9 @@ class Regressor:
 
 
 def without_masses(
-    tree: BodyTree, T: Array, base: int, offset: Array, arm: Array, coulomb_speed: float, turning: bool = False
-) -> Massless:
+    tree: BodyTree, T: Array, base: int, offset: Array, arm: Array, coulomb_speed: float, turning: bool = False,
+    rolling: Rolling | None = None,
+) -> Massless:  # fmt: skip
     """The kinematics of a tree, and memory to work in.
 
     Args:
@@ -273,8 +310,10 @@ def without_masses(
         arm: (nv, n) what each arm joint moves.
         coulomb_speed: As in `Regressor.of`.
         turning: Whether dry friction acts against the turning of the base, too.
+        rolling: A base that steers, which makes the rest of T; None where T is constant.
     """
-    numbers, joints = tree.numbers.copy(), T[moving_joints(T, base)]
+    numbers, rows = tree.numbers.copy(), moving_joints(T, base, rolling)
+    joints = T[rows]
     numbers[:, NUMBER.mass : NUMBER.weight] = 0.0
     first, p = first_body(base), T.shape[1]
     scratch = new_scratch(tree)
@@ -292,6 +331,11 @@ def without_masses(
         nu=np.zeros(p),
         out=np.zeros(p),
         Y=np.zeros((p, BODY * (len(tree.links) - first) + 3 * len(joints) + base + turning)),
+        rows=rows,
+        drift=np.zeros((0, 0) if rolling is None else joints.shape),
+        shape=np.zeros(0, np.int64) if rolling is None else rolling.turns[:, TURN.place].copy(),
+        rolling=rolling,
+        maps=new_maps(rolling, T),
     )
 
 
@@ -321,10 +365,12 @@ def first_body(base: int) -> int:
     return BASE.w if base else BASE.w + 1
 
 
-def moving_joints(T: Array, base: int) -> NDArray[np.int64]:
-    """Rows of T of the joints that move, without the root."""
-    root = 3 if base else 0
-    return root + np.flatnonzero(T[root:].any(axis=1))
+def moving_joints(T: Array, base: int, rolling: Rolling | None = None) -> NDArray[np.int64]:
+    """Rows of T of the joints that move, without the root; `rolling` makes those that change."""
+    root, moves = 3 if base else 0, T.any(axis=1)
+    if rolling is not None:
+        moves[rolling.turns[:, TURN.place]] = moves[rolling.carriers[:, 1]] = True
+    return root + np.flatnonzero(moves[root:])
 
 
 # -- compiled: Y at a state --------------------------------------------------------------------------------------------
@@ -340,19 +386,32 @@ def regress(known: Massless, nu_ref: Array, nudot_ref: Array) -> None:
         nudot_ref: (p,) their time derivative.
     """
     tree, Y = known.tree, known.Y
+    if known.rolling is not None:
+        turn_joints(known, known.rolling)
     place(tree.links, tree.numbers, known.position, known.nu, known.scratch)
     psi_again(tree, known.position, nu_ref, nudot_ref, known.scratch, known.out)
     Y[:] = 0.0
     for i in range(known.first, len(tree.links)):
         body_columns(known, i)
-    joint_columns(known, nudot_ref, BODY * (len(tree.links) - known.first))
+    joint_columns(known, nu_ref, nudot_ref, BODY * (len(tree.links) - known.first))
+
+
+@internal
+def turn_joints(known: Massless, rolling: Rolling) -> None:
+    """Rows of T and of its rate at the known position and velocity, of tree and joints."""
+    maps = known.maps
+    roll(rolling, known.position, known.nu, maps)
+    steer(known.tree, maps.T, maps.Tdot, known.scratch)
+    for k in range(known.rows.size):
+        copy_to(maps.T[known.rows[k]], known.joints[k])
+        copy_to(maps.Tdot[known.rows[k]], known.drift[k])
 
 
 @compiled
-def regress_along(known: Massless, pose: Array, q: Array, nu: Array, nudot: Array, out: Array) -> None:
+def regress_along(known: Massless, pose: Array, q: Array, shape: Array, nu: Array, nudot: Array, out: Array) -> None:
     """Y at every row of a motion at one pose, see `Regressor.along`, into out (N, p, k)."""
     for i in range(len(q)):
-        measured(known, pose, nu[i, : known.base], q[i], nu[i, known.base :])
+        measured(known, pose, nu[i, : known.base], q[i], nu[i, known.base :], shape[i])
         regress(known, nu[i], nudot[i])
         for j in range(known.Y.shape[0]):
             for k in range(known.Y.shape[1]):
@@ -360,9 +419,10 @@ def regress_along(known: Massless, pose: Array, q: Array, nu: Array, nudot: Arra
 
 
 @compiled
-def measured(known: Massless, pose: Array, velocity: Array, q: Array, qdot: Array) -> None:
-    """Position (nv,) and nu (p,) of a measurement, see `reduction.as_measured`."""
+def measured(known: Massless, pose: Array, velocity: Array, q: Array, qdot: Array, shape: Array) -> None:
+    """Position (nv,) and nu (p,) of a measurement, see `reduction.as_measured` and `put_shape`."""
     as_measured(known.offset, known.arm, pose, velocity, q, qdot, known.position, known.nu)
+    put_shape(known.shape, shape, known.position)
 
 
 @internal
@@ -400,7 +460,7 @@ def body_columns(known: Massless, i: int) -> None:
 
 
 @internal
-def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
+def joint_columns(known: Massless, nu_ref: Array, nudot_ref: Array, first: int) -> None:
     """Columns of Y of rotors and of viscous and dry friction, from `first` on; a last one is that of turning."""
     joints, nu, Y = known.joints, known.nu, known.Y
     count, p = joints.shape
@@ -411,6 +471,8 @@ def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
         for i in range(p):
             acceleration += joints[k, i] * nudot_ref[i]
             speed += joints[k, i] * nu[i]
+            if known.rolling is not None:
+                acceleration += known.drift[k, i] * nu_ref[i]
         dry = tanh(speed / known.coulomb_speed)
         rough = first + count + known.base + k
         for i in range(p):

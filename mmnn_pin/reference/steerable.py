@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..elementary import arrays, cos_sin
 from ..elementary.arrays import hypot
 from ..errors import TrajectoryError
 from ..model.base.base import Base
@@ -133,30 +134,36 @@ def start_angles(base: Base, setpoints: Setpoint, near: Array | None = None) -> 
     return along(pivots, np.arange(float(len(twist))), twist, change, near, OF_STOPS).angles[0]
 
 
-def require_steerable(base: Base, time: Array, setpoints: Setpoint) -> None:
+def require_steerable(base: Base, time: Array, setpoints: Setpoint, trailer: bool = False) -> None:
     """Refuse a reference along which a base cannot steer.
 
     Args:
         base: The base; one that does not steer follows any.
         time: (N,) [s].
         setpoints: (N, size).
+        trailer: Whether the reference is its trailer's, which backs.
 
     Raises:
         TrajectoryError: With where, what it needs, what can be had, and what would help.
     """
-    refused = needs_of(base, time, setpoints).refused
+    refused = needs_of(base, time, setpoints, trailer).refused
     if refused is not None:
         raise refused
 
 
-def needs_of(base: Base, time: Array, setpoints: Setpoint) -> Needs:
+def needs_of(base: Base, time: Array, setpoints: Setpoint, trailer: bool = False) -> Needs:
     """Size and slowness that a reference needs so that a base steers along it; arguments as of `require_steerable`."""
     if not isinstance(base, SteeredBase) or len(time) < 2:
         return Needs()
     twist, change = in_columns(setpoints.velocity), in_columns(setpoints.acceleration)
-    needs = bend_needed(base, time, twist)
-    if needs.refused is None:
+    if trailer:
+        twist, change, gamma = pushing(hitches(base)[0], time, twist, change)
+        needs = folding_needed(hitches(base)[0], time, in_columns(setpoints.velocity), gamma)
+        base = replace(base, pivots=tuple(p for p in base.pivots if p not in hitches(base)))
+    else:
         needs = backing_needed(base, time, twist)
+    if needs.refused is None:
+        needs = bend_needed(base, time, twist)
     if needs.refused is None:
         stance = along(base.pivots, time, twist, change, share=OF_STOPS)
         needs = room_needed(base, time, twist, change, stance)
@@ -225,7 +232,40 @@ def backing_needed(base: SteeredBase, time: Array, twist: Array) -> Needs:
     if back[-1] <= longest * (1.0 + EXACT):
         return Needs()
     what, why = f"it backs up by {back[-1]:.3g} m with a trailer", "a hitch that is pushed folds away from any error"
-    fix = f"drive it forwards, or back up by {longest:.3g} m at most"
+    fix = f'let the trailer follow the path, kinematic.guide = "trailer", or back up by {longest:.3g} m at most'
+    return Needs(math.inf, math.inf, TrajectoryError(what, why=why, fix=fix))
+
+
+def pushing(hitch: Pivot, time: Array, twist: Array, change: Array) -> tuple[Array, Array, Array]:
+    """Twists of the truck, (N, 3), their rates, and the hitch's angle, (N,), where its trailer moves by these twists.
+
+    The trailer stands straight behind at first. See `base.trailers`, whose gammadot is integrated by the midpoint.
+    """
+    h, L, gamma = -hitch.x, -hitch.wheel[0], np.zeros(len(time))
+
+    def turning(angle: float, i: int) -> float:
+        c, s = cos_sin(angle)
+        return float(twist[i, 2] + (s * twist[i, 0] + L * c * twist[i, 2]) / h)
+
+    for i in range(len(time) - 1):
+        dt = time[i + 1] - time[i]
+        gamma[i + 1] = np.clip(gamma[i] + dt * turning(gamma[i] + 0.5 * dt * turning(gamma[i], i), i), -np.pi, np.pi)
+    (c, s), (v, w) = arrays.cos_sin(gamma), twist[:, [0, 2]].T
+    moved = np.stack((c * v - L * s * w, 0 * v, -(s * v + L * c * w) / h), axis=1)
+    return moved, np.gradient(moved, time, axis=0), gamma
+
+
+def folding_needed(hitch: Pivot, time: Array, twist: Array, gamma: Array) -> Needs:
+    """No size and no slowness helps where a trailer that leads folds away from its truck.
+
+    It does from any error where it drives forwards, its hitch behind the truck's axle (`base.trailers`).
+    """
+    ahead = np.append(0.0, np.cumsum(np.maximum(-hitch.x * twist[:-1, 0] / abs(hitch.x), 0.0) * np.diff(time)))
+    folds = (np.abs(gamma) >= FOLDED) | (ahead > abs(trail_of(hitch)) * (1.0 + EXACT))
+    if not folds.any():
+        return Needs()
+    what, why = f"the truck folds up at t = {time[folds][0]:.4g} s", "its trailer leads"
+    fix = 'let the trailer lead backwards only, along wide curves; else kinematic.guide = "base"'
     return Needs(math.inf, math.inf, TrajectoryError(what, why=why, fix=fix))
 
 

@@ -92,7 +92,8 @@ def require_gains(settings: Settings, section: str, *names: str) -> None:
         ConfigError: With the key path.
     """
     for name in names or settings.__struct_fields__:
-        require_gain(getattr(settings, name), f"{section}.{name}")
+        if not isinstance(value := getattr(settings, name), str):
+            require_gain(value, f"{section}.{name}")
 
 
 def require_gain(value: Any, key: str) -> None:

@@ -68,7 +68,7 @@ from .prior import (
 )
 from .pseudo_inertia import BODY, Bodies, directions, lifted, move, natural, pseudo_inertias, vector_of
 
-POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
+POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "shape"))
 NU_REF, NUDOT_REF, Z, R = (INDEX[name] for name in ("nu_ref", "nudot_ref", "z", "r"))
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 TAKEN = 0.01  # how often a sample is taken for the excitation [s]
@@ -198,7 +198,8 @@ def estimate(row: Array, at: IntArray, a: Adaptation, state: Array) -> None:
 def look(row: Array, at: IntArray, known: Massless) -> None:
     """Y at a sample, into known.Y."""
     velocity, q = row[at[VELOCITY] : at[Q]], row[at[Q] : at[QDOT]]
-    measured(known, row[at[POSE] : at[POSE + 1]], velocity, q, row[at[QDOT] : at[QDOT + 1]])
+    qdot, shape = row[at[QDOT] : at[QDOT + 1]], row[at[SHAPE] : at[SHAPE + 1]]
+    measured(known, row[at[POSE] : at[POSE + 1]], velocity, q, qdot, shape)
     regress(known, row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]])
 
 

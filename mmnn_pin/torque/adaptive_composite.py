@@ -109,7 +109,7 @@ def estimate(row: Array, at: IntArray, p: Prediction, state: Array) -> None:
     f, known, nb = p.filter, a.known, a.known.base
     now = int(o.estimate.samples[0]) % p.every == 0
     if period(row, at, f, o.filtered):
-        measured(known, f.pose, f.nu[:nb], f.q, f.nu[nb:])
+        measured(known, f.pose, f.nu[:nb], f.q, f.nu[nb:], f.shape)
         regress(known, f.nu, f.nudot)
         low_pass(f, known.Y, o.filtered)
         if now:

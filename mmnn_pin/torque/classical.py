@@ -35,7 +35,7 @@ from .controller import CompiledController, Context, ControllerSettings, Control
 from .law import KERNELS, Kernels, MotorLimits, constant_gain, limit, motor_limits, nothing_to_keep
 from .model_based import ConstantGain
 
-POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
+POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "shape"))
 Z, R, PSI_HAT, EFFECTIVE_GAIN = (INDEX[name] for name in ("z", "r", "psi_hat", "effective_gain"))
 WEIGHT_NORM = INDEX["weight_norm"]
 ROUNDING = 1e-9  # part of a torque below which an excess is rounding
@@ -61,7 +61,8 @@ def gravity(row: Array, at: IntArray, a: Gravity, state: Array) -> None:
     """Psi_hat = g(q) of one sample; arguments as of `law.estimate`."""
     known = a.known
     pose, velocity = row[at[POSE] : at[POSE + 1]], row[at[VELOCITY] : at[VELOCITY + 1]]
-    measured(known, pose, velocity, row[at[Q] : at[Q + 1]], row[at[QDOT] : at[QDOT + 1]])
+    shape = row[at[SHAPE] : at[SHAPE + 1]]
+    measured(known, pose, velocity, row[at[Q] : at[Q + 1]], row[at[QDOT] : at[QDOT + 1]], shape)
     copy_to(a.rest, known.nu)
     regress(known, a.rest, a.rest)
     for i in range(a.rest.size):

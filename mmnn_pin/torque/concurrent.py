@@ -43,8 +43,9 @@ from .history import HALF, Scratch, Stack, consider, estimate_of, scratch
 from .history import shapes as stack_shapes
 from .law import KERNELS, Kernels, constant_gain
 from .prior import ParameterLearner, prior_of, require_one_start, scales, sizes_of, within_prior
+from .random_features import Movement
 
-TIME, POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("time", "pose", "velocity", "q", "qdot"))
+TIME, POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[n] for n in ("time", "pose", "velocity", "q", "qdot", "shape"))
 Z, R, NU_REF, NUDOT_REF = INDEX["z"], INDEX["r"], INDEX["nu_ref"], INDEX["nudot_ref"]
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 SHARE = 0.2  # largest answer of a sample to s, as a share of the feedback
@@ -182,9 +183,10 @@ def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
     p, k = a.Phi.shape
     o, f, nb = recalled_of(state, a.layout), a.filter, p - a.filter.q.size
     w, seen = o.w, o.filtered
-    features(a, row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], row[at[VELOCITY] : at[Q]],
-             row[at[QDOT] : at[QDOT + 1]], row[at[NU_REF] : at[NU_REF + 1]],
-             row[at[NUDOT_REF] : at[NUDOT_REF + 1]])  # fmt: skip
+    nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
+    velocity, qdot = row[at[VELOCITY] : at[Q]], row[at[QDOT] : at[QDOT + 1]]
+    pose, q, shape = row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], row[at[SHAPE] : at[SHAPE + 1]]
+    features(a, Movement(pose, q, velocity, qdot, nu_ref, nudot_ref, shape))
     say(row, at, a, w)
     if not a.learning:
         return
@@ -193,7 +195,7 @@ def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
     o.samples[0] += 1.0
     if not period(row, at, f, seen):
         return
-    features(a, f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot)
+    features(a, Movement(f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot, f.shape))
     for i in range(p):
         f.torque[i] -= a.psi0[i]
     low_pass(f, a.Phi, seen)
@@ -211,10 +213,10 @@ def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
 
 
 @internal
-def features(a: History, pose: Array, q: Array, velocity: Array, qdot: Array, nu_ref: Array, nudot_ref: Array) -> None:
-    """Phi and Psi_0 at a state, into a.Phi and a.psi0."""
-    measured(a.known, pose, velocity, q, qdot)
-    regress(a.known, nu_ref, nudot_ref)
+def features(a: History, m: Movement) -> None:
+    """Phi and Psi_0 of a movement, into a.Phi and a.psi0."""
+    measured(a.known, m.pose, m.velocity, m.q, m.qdot, m.shape)
+    regress(a.known, m.nu_ref, m.nudot_ref)
     Y, p, k = a.known.Y, a.Phi.shape[0], a.Phi.shape[1]
     for i in range(p):
         a.psi0[i] = 0.0

@@ -122,12 +122,18 @@ class MachineLimits(NamedTuple):
         velocities: (p,) names of the velocities.
         lower, upper: (n,) limits of the arm's joints [rad or m], infinite for none.
         effort: (n,) largest torques of its motors at the joints [N m or N], inf where one of the robot's has no limit.
+        stops: (shape, 2) lower and upper stops of the pivots of a base that steers [rad], infinite for none.
     """
 
     velocities: tuple[str, ...]
     lower: Array
     upper: Array
     effort: Array
+    stops: Array = np.zeros((0, 2))
+
+    def typical_shape(self, rng: np.random.Generator) -> Array:
+        """Random angles of the pivots within their stops, at most half a turn, (shape,) [rad]."""
+        return rng.uniform(*np.clip(self.stops, -np.pi, np.pi).T)
 
     @property
     def ranges(self) -> tuple[Array, Array]:

@@ -22,6 +22,9 @@ counts, `s - A d (d's) / (d' A d)` for d's > 0. For one motor that is the error 
 end goes with A d. A is K^-1, and for the base's velocities the inverse of their `pose_weights`, of the same size: the
 other wheel then helps the forward speed more than the turning, as the pose error does, where an error of w counts 1/ky
 of one of v.
+
+Of a base that steers F has alpha in place of the reference's velocity, which is none of its own, at the measured
+angles: it then carries some noise, and the map stays passive, which F may be anything for.
 """
 
 from __future__ import annotations
@@ -37,13 +40,13 @@ from ..model.regressor import Massless, measured, regress
 from ..parts import Vector
 from ..signals import INDEX, Array, IntArray
 from .factored import NEGLIGIBLE, dot
+from .friction_features import desired_rates
 
 if TYPE_CHECKING:
     from .controller import Context
 
 TIME, POSE_REF = INDEX["time"], INDEX["pose_ref"]
-VELOCITY_REF, ACCELERATION_REF = INDEX["velocity_ref"], INDEX["acceleration_ref"]
-Q_REF, QDOT_REF, QDDOT_REF = INDEX["q_ref"], INDEX["qdot_ref"], INDEX["qddot_ref"]
+SHAPE, ALPHA, Q_REF = INDEX["shape"], INDEX["alpha"], INDEX["q_ref"]
 Z, R, PSI_HAT = INDEX["z"], INDEX["r"], INDEX["psi_hat"]
 SHARE = 0.2  # largest answer of a sample to s, as a share of the feedback
 SLOWER = 0.25  # part of the leakage at which it is forgotten just after a change of the robot
@@ -151,11 +154,10 @@ def desired(row: Array, at: IntArray, c: Correction, known: Massless, gain: Arra
         gain: (p,) K.
         Phi: (p, k) features of the measured motion, changed.
     """
-    p, nb, k0 = gain.size, at[VELOCITY_REF + 1] - at[VELOCITY_REF], known.Y.shape[1]
+    p, nb, k0, shape = gain.size, at[ALPHA + 1] - at[ALPHA], known.Y.shape[1], row[at[SHAPE] : at[SHAPE + 1]]
     for i in range(p):
-        c.nu[i] = row[at[VELOCITY_REF] + i] if i < nb else row[at[QDOT_REF] + i - nb]
-        c.nudot[i] = row[at[ACCELERATION_REF] + i] if i < nb else row[at[QDDOT_REF] + i - nb]
-    measured(known, row[at[POSE_REF] : at[POSE_REF + 1]], c.nu[:nb], row[at[Q_REF] : at[Q_REF + 1]], c.nu[nb:])
+        c.nu[i], c.nudot[i] = desired_rates(row, at, i)
+    measured(known, row[at[POSE_REF] : at[POSE_REF + 1]], c.nu[:nb], row[at[Q_REF] : at[Q_REF + 1]], c.nu[nb:], shape)
     regress(known, c.nu, c.nudot)
     for i in range(p):
         copy_to(known.Y[i], c.F[i, :k0])

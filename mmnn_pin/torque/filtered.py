@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from .controller import Context
 
 TIME, Q, QDOT, TORQUE = INDEX["time"], INDEX["q"], INDEX["qdot"], INDEX["torque"]
-VELOCITY, POSE = INDEX["velocity"], INDEX["pose"]
+VELOCITY, POSE, SHAPE = INDEX["velocity"], INDEX["pose"], INDEX["shape"]
 LARGEST = 1e9  # a state or torque beyond this is none [SI units]
 SETTLED = 5.0  # time constants of the states' filter after which its start is forgotten
 
@@ -64,6 +64,7 @@ class Filter(NamedTuple):
         nu: (p,) its mean velocities.
         nudot: (p,) its mean accelerations.
         torque: (p,) its mean torque; subtract from it what is known already.
+        shape: (shape,) its mean angles of a base that steers.
     """
 
     h: float
@@ -80,6 +81,7 @@ class Filter(NamedTuple):
     nu: Array
     nudot: Array
     torque: Array
+    shape: Array
 
 
 class Filtered(NamedTuple):
@@ -90,7 +92,7 @@ class Filtered(NamedTuple):
         held: (m, p) torque that is held since then, and those before it that are under way.
         driven: (p,) torque that the motors give.
         filtered_torque: (p,) torque behind the filter ahead of the features.
-        states: (2, n + p) angles and velocities of the last sample, and behind that filter.
+        states: (2, n + p + shape) angles and velocities of the last sample, and behind that filter.
         Phi_f: (rows, k) features behind the low-pass.
         Y_f: (p,) torque behind the low-pass.
     """
@@ -136,6 +138,7 @@ def new_filter(context: Context, pole: float, state_pole: float = 0.0) -> Filter
         nu=np.zeros(layout.dof),
         nudot=np.zeros(layout.dof),
         torque=np.zeros(layout.dof),
+        shape=np.zeros(layout.shape),
     )
 
 
@@ -147,10 +150,11 @@ def parts(context: Context, rows: int, k: int) -> dict[str, tuple[int, ...]]:
         rows: Rows of the features Phi.
         k: Columns of Phi.
     """
-    n, p = context.layout.arm, context.layout.dof
+    p = context.layout.dof
     way = 1 + math.ceil(context.way / context.control_period)
     own: dict[str, tuple[int, ...]] = {"clock": (2,), "held": (way, p), "driven": (p,), "filtered_torque": (p,)}
-    return own | {"states": (2, n + p), "Phi_f": (rows, k), "Y_f": (p,)}
+    states = (2, context.layout.arm + p + context.layout.shape)
+    return own | {"states": states, "Phi_f": (rows, k), "Y_f": (p,)}
 
 
 @compiled
@@ -176,7 +180,7 @@ def is_usable(values: Array) -> bool:
 
 @internal
 def period(row: Array, at: IntArray, f: Filter, seen: Filtered) -> bool:
-    """Take a sample in; the means over the period that ends with it into f.q, f.nu, f.nudot and f.torque.
+    """Take a sample in; the means over the period that ends with it into f.q, f.nu, f.nudot, f.shape and f.torque.
 
     Args:
         row: (width,) row of signals with the measurement of this sample.
@@ -193,13 +197,13 @@ def period(row: Array, at: IntArray, f: Filter, seen: Filtered) -> bool:
     last, smooth = seen.states[0], seen.states[1]
     time = row[at[TIME]]
     follows = clock[1] > 0.0 and abs(time - clock[0] - f.h) < 0.5 * f.h
-    usable = is_usable(row[at[VELOCITY] : at[QDOT + 1]])
+    usable = is_usable(row[at[VELOCITY] : at[SHAPE + 1]])
     follows = follows and usable and is_usable(held) and is_usable(older)
     clock[0] = time
     clock[1] = clock[1] + 1.0 if follows else 1.0 if usable else 0.0
     for i in range(f.pose.size):
         f.pose[i] = row[at[POSE] + i]
-    for i in range(n + p):
+    for i in range(n + p + f.shape.size):
         u = row[at[Q] + i] if i < n else row[at[VELOCITY] + i - n] if i < n + nb else row[at[QDOT] + i - n - nb]
         if follows:
             before = smooth[i]
@@ -207,6 +211,8 @@ def period(row: Array, at: IntArray, f: Filter, seen: Filtered) -> bool:
             mean = 0.5 * (last[i] + u) - f.lag * (smooth[i] - before)
             if i < n:
                 f.q[i] = mean
+            elif i >= n + p:
+                f.shape[i - n - p] = mean
             else:
                 f.nu[i - n], f.nudot[i - n] = mean, (smooth[i] - before) / f.h
         elif usable:

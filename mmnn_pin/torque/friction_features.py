@@ -31,6 +31,7 @@ from .filtered import Filter, Filtered
 
 VELOCITY_REF, ACCELERATION_REF = INDEX["velocity_ref"], INDEX["acceleration_ref"]
 QDOT_REF, QDDOT_REF = INDEX["qdot_ref"], INDEX["qddot_ref"]
+SHAPE, ALPHA, ALPHADOT = INDEX["shape"], INDEX["alpha"], INDEX["alphadot"]
 SPEEDS = np.array([0.01, 0.03, 0.1, 0.4, 1.5])  # [rad/s or m/s]
 ACCELERATIONS = np.array([0.3, 1.5, 8.0])  # [rad/s^2 or m/s^2]
 WAYS = np.array([0.001, 0.01, 0.1])  # since it turned [rad or m]
@@ -99,13 +100,22 @@ def features(f: FrictionFeatures, nu: float, a: float, phi: Array) -> None:
         phi[c] = total
 
 
+@compiled
+def desired_rates(row: Array, at: IntArray, i: int) -> tuple[float, float]:
+    """Desired velocity i of p and its derivative: the reference's, or the commanded one of a base that steers."""
+    nb = at[ALPHA + 1] - at[ALPHA]
+    if i >= nb:
+        return row[at[QDOT_REF] + i - nb], row[at[QDDOT_REF] + i - nb]
+    if at[SHAPE + 1] > at[SHAPE]:
+        return row[at[ALPHA] + i], row[at[ALPHADOT] + i]
+    return row[at[VELOCITY_REF] + i], row[at[ACCELERATION_REF] + i]
+
+
 @internal
 def beside(row: Array, at: IntArray, f: FrictionFeatures, Phi: Array) -> None:
     """Features of the reference's motion, and a constant for each velocity, into the last columns of Phi (p, k)."""
-    p, nb = Phi.shape[0], at[VELOCITY_REF + 1] - at[VELOCITY_REF]
-    for i in range(p):
-        nu = row[at[VELOCITY_REF] + i] if i < nb else row[at[QDOT_REF] + i - nb]
-        a = row[at[ACCELERATION_REF] + i] if i < nb else row[at[QDDOT_REF] + i - nb]
+    for i in range(Phi.shape[0]):
+        nu, a = desired_rates(row, at, i)
         columns(f, i, nu, a, Phi)
 
 

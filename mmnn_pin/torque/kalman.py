@@ -149,7 +149,7 @@ class Kalman(CompiledController):
         generic = isinstance(own, KalmanFeaturesSettings)
         kind = GENERIC if generic else BILINEAR
         pairs = paired(kind, p, own.hidden, own.largest if isinstance(own, KalmanBilinearSettings) else own.hidden)
-        scale = np.ones(n)
+        scale = np.ones(n + 2 * len(self.machine.stops))
         if isinstance(own, KalmanFeaturesSettings):
             scale = np.concatenate((scale, np.full(2 * p, 1 / own.speed), np.full(p, 1 / own.acceleration)))
         return new_random(kind, p, pairs, float(own.eps), np.mean(self.machine.ranges, axis=0), scale)
@@ -257,11 +257,12 @@ class Kalman(CompiledController):
         for one in Phi:
             q, (nu, nu_ref, nudot_ref) = rng.uniform(lower, upper), standard_normal(rng, (3, p))
             if random is not None and state is not None:
-                movement = Movement(np.zeros(0), q, nu[: p - n], nu[p - n :], nu_ref, nudot_ref)
+                shape = self.machine.typical_shape(rng)
+                movement = Movement(np.zeros(0), q, nu[: p - n], nu[p - n :], nu_ref, nudot_ref, shape)
                 fill(random, state["a"], state["b"], movement, one[0])
             elif self.regressor is not None:
                 known = self.regressor.massless
-                position = known.offset + product(known.arm, q)
+                position = self.regressor.turned(known.offset + product(known.arm, q), rng)
                 one[:, : self.regressor.size] = self.regressor.matrix(position, nu, nu_ref, nudot_ref)
                 if self.beside:
                     for i in range(p):

@@ -25,6 +25,7 @@ import numpy as np
 
 from ..by_address import by_address
 from ..compiled import by_type, compiled, copy_to, entry, internal, linked
+from ..elementary import cos_sin
 from ..elementary.matrices import pseudo_inverse
 from ..parts import Matrix, Vector, layout_of, view, views
 from ..signals import INDEX, Array, IntArray
@@ -36,6 +37,7 @@ PSI_APPLIED = INDEX["psi_applied"]
 EFFECTIVE_GAIN, TORQUE, WEIGHT_NORM = INDEX["effective_gain"], INDEX["torque"], INDEX["weight_norm"]
 
 CONSTANT_GAIN, SCHEDULED_GAIN = 0, 1  # kinds of law, beside those of the networks
+COSINE, SINE = 1.0, 2.0
 ROUNDING = 1e-12  # part of a limit that is left for rounding, so that no sum is beyond it
 
 
@@ -50,7 +52,8 @@ class LawNumbers(NamedTuple):
         dt: (1,) what rates are multiplied with: 1 for rates per sample, the control period for rates per second.
         gains: (4, p) or (1, p): K, Kz, and what the networks' s and torque are multiplied with.
         networks: (2, 6) of base and arm: rate of W, rate of V or width, leakage, ZB, bounds on |W| and |V|.
-        inputs: (2, nx) scale and offset of the inputs; (2, 0) for inputs as they are.
+        inputs: (2, nx) scale and offset of the inputs, (2, 0) for inputs as they are; (3, nx) where some are a `COSINE`
+            or a `SINE`, others 0.
     """
 
     kind: Vector
@@ -273,7 +276,7 @@ def networks(row: Array, at: IntArray, law: Packed, state: Array) -> None:
     for i in range(o.x.size):
         o.x[i] = row[rows[i]]
         if n.inputs.shape[1] > 0:
-            o.x[i] = n.inputs[0, i] * o.x[i] + n.inputs[1, i]
+            o.x[i] = input_of(o.x[i], n.inputs, i)
     for which in range(2):
         error = view(row, at, Z) if which == 0 else view(row, at, R)
         if error.size == 0:
@@ -289,6 +292,15 @@ def networks(row: Array, at: IntArray, law: Packed, state: Array) -> None:
             row[at[PSI_HAT] + i] *= n.gains[3, i]
             gain[i] = n.gains[0, i] + n.gains[1, i] * (norm + n.networks[which, 3])
         first += error.size
+
+
+@compiled
+def input_of(value: float, inputs: Array, i: int) -> float:
+    """Input i of networks from a signal; `inputs` as of `LawNumbers`."""
+    if inputs.shape[0] > 2 and inputs[2, i] != 0.0:
+        c, s = cos_sin(value)
+        value = c if inputs[2, i] == COSINE else s
+    return inputs[0, i] * value + inputs[1, i]
 
 
 @internal
@@ -348,6 +360,17 @@ def motor_limits(E: Array, effort: Array) -> MotorLimits | None:
     E = np.ascontiguousarray(E, dtype=float)
     E_inv = pseudo_inverse(E)
     return MotorLimits(E, E_inv, (1.0 - ROUNDING) * effort, np.zeros(effort.size), np.zeros(len(E)))
+
+
+@compiled
+def turn_limits(limits: MotorLimits, motors: IntArray, T: Array, E_inv: Array) -> None:
+    """Follow a base that steers: E from the rows of T of its motors, and its inverse (motors, p)."""
+    E = limits.E
+    for j in range(motors.size):
+        for i in range(T.shape[1]):
+            E[i, j] = T[motors[j], i]
+    for j in range(E_inv.shape[0]):
+        copy_to(E_inv[j], limits.E_inv[j])
 
 
 @internal

@@ -229,15 +229,15 @@ class Sample:
         return self.regressor_at(self.q, self.nu, self.nu_ref, self.nudot_ref)
 
     def regressor_at(self, q: Array, nu: Array, nu_ref: Array, nudot_ref: Array) -> Array:
-        """Y at other angles (n,) and velocities (p,), at the measured pose, (p, k); a view, as `regressor`.
+        """Y at other angles (n,) and velocities (p,), at the measured pose and shape, (p, k); a view, as `regressor`.
 
         Raises:
             ConfigError: The law does not ask for it.
         """
         if self._known is None:
             raise ConfigError("the law is not told how the robot moves", fix="write knows_motion = True in its class")
-        nb, q, nu = self._known.base, np.asarray(q, float), np.asarray(nu, float)
-        measured(self._known, self.measurement.pose.copy(), nu[:nb].copy(), q.copy(), nu[nb:].copy())
+        nb, q, nu, seen = self._known.base, np.asarray(q, float), np.asarray(nu, float), self.measurement
+        measured(self._known, seen.pose.copy(), nu[:nb].copy(), q.copy(), nu[nb:].copy(), seen.shape.copy())
         regress(self._known, np.array(nu_ref, float), np.array(nudot_ref, float))
         return self._known.Y
 

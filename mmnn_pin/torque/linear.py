@@ -40,7 +40,7 @@ from .friction_features import FrictionFeatures, beside, follow
 from .law import KERNELS, Kernels
 from .random_features import Movement, Random, fill
 
-POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
+POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "shape"))
 Z, R = INDEX["z"], INDEX["r"]
 NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
@@ -176,8 +176,8 @@ def respond(
     """
     nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
     velocity, qdot = row[at[VELOCITY] : at[Q]], row[at[QDOT] : at[QDOT + 1]]
-    pose, q = row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]]
-    features(a, known, random, o, Movement(pose, q, velocity, qdot, nu_ref, nudot_ref))
+    pose, q, shape = row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], row[at[SHAPE] : at[SHAPE + 1]]
+    features(a, known, random, o, Movement(pose, q, velocity, qdot, nu_ref, nudot_ref, shape))
     if friction is not None:
         beside(row, at, friction, a.Phi)
     if correction is not None and known is not None:
@@ -207,7 +207,7 @@ def learn(
         follow(f, o.filtered, o.moved, a.Phi)
     if counts:
         nb = f.nu.size - f.q.size
-        features(a, known, random, o, Movement(f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot))
+        features(a, known, random, o, Movement(f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot, f.shape))
         for i in range(f.nu.size):
             f.torque[i] -= a.psi0[i]
         low_pass(f, a.Phi, o.filtered)
@@ -224,7 +224,7 @@ def learn(
 def features(a: Linear, known: Massless | None, random: Random | None, o: Parts, m: Movement) -> None:
     """Phi and Psi_0 of a movement, into a.Phi and a.psi0."""
     if known is not None:
-        measured(known, m.pose, m.velocity, m.q, m.qdot)
+        measured(known, m.pose, m.velocity, m.q, m.qdot, m.shape)
         regress(known, m.nu_ref, m.nudot_ref)
         if random is None:
             for i in range(a.Phi.shape[0]):

@@ -33,6 +33,7 @@ from .controller import (
     read_facts,
     split,
 )
+from .law import COSINE, SINE
 from .one_layer import OneLayer
 from .two_layer import TwoLayer, numerical_rank
 
@@ -46,13 +47,16 @@ THESIS_INPUT = ("pose_ref", "alpha", "alphadot", "pose_error", "z", "e", "r", "q
 # What a network may see: the reference, the measurement and what is computed from them.
 MEASURED = (
     *("pose_ref", "velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref"),
-    *("pose", "velocity", "q", "qdot"),
+    *("pose", "velocity", "q", "qdot", "shape"),
     *("alpha", "alphadot", "pose_error", "z", "e", "edot", "r", "nu_ref", "nudot_ref"),
 )
 
 
 class Inputs(Settings, frozen=True):
     """The inputs of the networks.
+
+    On a base that steers they end with the cosines and sines of its measured angles: T and all of Psi are functions of
+    these, an angle that turns without an end takes no unit out of its range, and a half turn is not lost.
 
     Args:
         signals: Names of signals, each one measured or computed from measured ones; default (3.24).
@@ -87,23 +91,34 @@ class Inputs(Settings, frozen=True):
             raise ConfigError(f"{self.error_scale}", fix="use a number > 0", key="inputs.error_scale")
 
     def rows(self, layout: Layout) -> np.ndarray:
-        """Places of the inputs in a row, (nx,) int64."""
-        frames = {"pose_error": "world_error"} if self.pose_error == "world" else {}
-        where = [layout.where(frames.get(name, name)) for name in self.signals]
+        """Places of the inputs in a row, (nx,) int64; cosine and sine of an angle have the same one."""
+        frames, shape = {"pose_error": "world_error"} if self.pose_error == "world" else {}, layout.where("shape")
+        where = [layout.where(frames.get(name, name)) for name in self.signals if name != "shape"]
         places = [np.arange(part.start, part.stop) for part in where]
         places += [np.zeros(1, np.int64)] if self.bias else []
+        places += [np.repeat(np.arange(shape.start, shape.stop), 2)]
         return np.concatenate(places).astype(np.int64)
 
-    def affine(self, layout: Layout) -> tuple[Array, Array]:
-        """Scale and offset of every input, (nx,) each."""
-        rows = self.rows(layout)
-        scale, offset = np.full(rows.size, self.scale), np.zeros(rows.size)
-        if self.constant_yaw_rate is not None and layout.base and not layout.sideways:
+    def numbers(self, layout: Layout) -> Array:
+        """Scale and offset of every input, (2, nx); of a base that steers also `COSINE` or `SINE`, else 0, (3, nx)."""
+        rows, angles = self.rows(layout), 2 * layout.shape
+        inputs = np.zeros((3 if angles else 2, rows.size))
+        inputs[0], last = self.scale, rows.size - angles - 1
+        if self.constant_yaw_rate is not None and layout.base and not (layout.sideways or angles):
             wd = rows == layout.where("alpha").start + 1
-            scale[wd], offset[wd] = 0.0, self.constant_yaw_rate
+            inputs[0, wd], inputs[1, wd] = 0.0, self.constant_yaw_rate
         if self.bias:
-            scale[-1], offset[-1] = 0.0, self.bias
-        return scale, offset
+            inputs[0, last], inputs[1, last] = 0.0, self.bias
+        if angles:
+            inputs[2, last + 1 :] = np.tile((COSINE, SINE), layout.shape)
+        return inputs
+
+    def seen(self, values: Array, layout: Layout) -> Array:
+        """The inputs that the signals at `rows` are, (..., nx)."""
+        inputs = self.numbers(layout)
+        kind = inputs[2] if len(inputs) > 2 else np.zeros(inputs.shape[1])
+        x = np.where(kind == COSINE, np.cos(values), np.where(kind == SINE, np.sin(values), values))
+        return np.asarray(inputs[0] * x + inputs[1])
 
 
 class Robust(Settings, frozen=True):
@@ -202,8 +217,8 @@ class Neural(CompiledController):
         robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
         bounds, Kz = self.radii(layout), per_velocity(robust.base, robust.arm, layout, "robust")
         networks = [(*self.network.rates(i, self.leakage), robust.ZB[i], *bounds[i + 1]) for i in range(2)]
-        scale, offset = self.inputs.affine(layout)
-        as_they_are = (scale == 1.0).all() and not offset.any()
+        inputs = self.inputs.numbers(layout)
+        as_they_are = (inputs[0] == 1.0).all() and not inputs[1:].any()
         numbers = law.packed(
             kind=self.network.kind,
             gains=np.array((self.feedback.vector(layout), Kz, *self.network_scales(layout))),
@@ -213,7 +228,7 @@ class Neural(CompiledController):
             dt=1.0 if self.rates == "per_sample" else float(context.control_period),
             networks=np.array(networks, float),
             rows=self.inputs.rows(layout),
-            inputs=np.zeros((2, 0)) if as_they_are else np.array((scale, offset)),
+            inputs=np.zeros((2, 0)) if as_they_are else inputs,
             layout=layout_of(law.Networks, self.shapes(context)),
         )
         return Law(numbers)

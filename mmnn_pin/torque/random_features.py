@@ -2,7 +2,8 @@
 
 Bilinear: what every mechanism's equations look like and no more. Psi is linear in nudot_ref, bilinear and symmetric in
 nu and nu_ref (Christoffel's C), and its coefficients are unknown functions of the arm's joints (a free base sees no
-pose); these are `tanh(a' q + b)` with random a and b, their weights are learned, one set per velocity,
+pose) and of the cosines and sines of a steering base's pivots, which turn without an end; these are `tanh(a' q + b)`
+with random a and b, their weights are learned, one set per velocity,
 
     Psi_i ~ sum over units u and terms t of W_iut g_u(q) t(nu, nu_ref, nudot_ref),    t = nudot_ref, sym(nu nu_ref'), 1,
 
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled, inlined
-from ..elementary import tanh
+from ..elementary import cos_sin, tanh
 from ..signals import Array, IntArray
 
 BILINEAR, GENERIC = 0, 1
@@ -37,7 +38,7 @@ class Random(NamedTuple):
         number: Features with a random function.
         units: Random functions.
         pairs: (number, 2) random function and term of every one of them; the term is -1 for none.
-        inputs: What each of them sees: n joints, or n + 3 p numbers.
+        inputs: What each of them sees: n joints and two numbers per pivot, or 3 p more.
         eps: Speed over which dry friction turns [rad/s or m/s].
         centre: (n,) where the joints are counted from [rad or m].
         scale: (inputs,) what inputs are multiplied with.
@@ -122,6 +123,7 @@ class Movement(NamedTuple):
         qdot: (n,) rates of the joints.
         nu_ref: (p,) reference velocities.
         nudot_ref: (p,) their time derivatives.
+        shape: (shape,) angles of the pivots of a base that steers.
     """
 
     pose: Array
@@ -130,6 +132,7 @@ class Movement(NamedTuple):
     qdot: Array
     nu_ref: Array
     nudot_ref: Array
+    shape: Array
 
 
 @compiled
@@ -164,6 +167,9 @@ def fill_functions(r: Random, a: Array, b: Array, m: Movement, nu: Array) -> Non
     n, p, x = m.q.size, nu.size, r.x
     for i in range(n):
         x[i] = r.scale[i] * (m.q[i] - r.centre[i])
+    for i in range(m.shape.size):
+        x[n], x[n + 1] = cos_sin(m.shape[i])
+        n += 2
     if r.kind == GENERIC:
         for i in range(p):
             x[n + i] = r.scale[n + i] * nu[i]

@@ -48,7 +48,7 @@ from .controller import (
     read_facts,
 )
 from .filtered import Filter, Filtered, new_filter, parts, period, remember
-from .law import KERNELS, Kernels, Networks
+from .law import KERNELS, Kernels, Networks, input_of
 from .neural import Inputs, Neural, layout_of_state
 from .two_layer import MOST_HIDDEN, TwoLayer, shrink
 
@@ -112,16 +112,16 @@ class Experience(NamedTuple):
 
     Attributes:
         filter: Of states and torque.
-        source: (nx,) which of q, nu, nudot, pose every input is on a reference that is followed exactly; -1 for 0.
-        scale: (nx,) factor on every input.
-        offset: (nx,) added to it.
+        source: (nx,) which of q, nu, nudot, pose, shape every input is on a reference that is followed exactly; -1
+            for 0.
+        inputs: As of `LawNumbers`.
         scale_out: (p,) what a network's output is multiplied with, see `Neural.network_scales`.
         unit: (p,) output that counts as 1.
         rate: mu.
         replays: Kept samples that every control sample learns from.
         every: Control samples between two that are kept, until there is no more room.
         radius: Bounds on |W| in units and on |V|.
-        seen: (2 n + ..., ) q, nu, nudot, pose of a period.
+        seen: (2 n + ..., ) q, nu, nudot, pose, shape of a period.
         x: (nx,) room to work in.
         net: (hidden,) room to work in.
         sigma: (hidden,) room to work in.
@@ -131,8 +131,7 @@ class Experience(NamedTuple):
 
     filter: Filter
     source: IntArray
-    scale: Array
-    offset: Array
+    inputs: Array
     scale_out: Array
     unit: Array
     rate: float
@@ -201,10 +200,10 @@ def recollect(a: Experience) -> None:
     copy_to(f.q, a.seen[:n])
     copy_to(f.nu, a.seen[n : n + p])
     copy_to(f.nudot, a.seen[n + p : n + 2 * p])
-    copy_to(f.pose, a.seen[n + 2 * p :])
+    copy_to(f.pose, a.seen[n + 2 * p : n + 2 * p + f.pose.size])
+    copy_to(f.shape, a.seen[n + 2 * p + f.pose.size :])
     for i in range(a.x.size):
-        value = a.seen[a.source[i]] if a.source[i] >= 0 else 0.0
-        a.x[i] = a.scale[i] * value + a.offset[i]
+        a.x[i] = input_of(a.seen[a.source[i]] if a.source[i] >= 0 else 0.0, a.inputs, i)
 
 
 @compiled
@@ -373,20 +372,19 @@ class TwoLayerComposite(CompiledController):
         K, h = self.positive_gains(layout), float(context.control_period)
         if not self.learning:
             return found
-        (scale, offset), scale_out = self.inputs.affine(layout), self.networks.network_scales(layout)[1]
+        inputs, scale_out = self.inputs.numbers(layout), self.networks.network_scales(layout)[1]
         experience = Experience(
             filter=new_filter(context, 0.0, own.pole),
             source=self.followed(layout),
-            scale=scale,
-            offset=offset,
+            inputs=inputs,
             scale_out=scale_out,
             unit=own.unit * K / scale_out,
             rate=float(own.rate),
             replays=own.replays,
             every=max(1, round(own.every / h)),
             radius=np.full(2, float(own.bound)),
-            seen=np.zeros(layout.arm + 2 * layout.dof + layout.pose),
-            x=np.zeros(scale.size),
+            seen=np.zeros(layout.arm + 2 * layout.dof + layout.pose + layout.shape),
+            x=np.zeros(inputs.shape[1]),
             net=np.zeros(own.hidden),
             sigma=np.zeros(own.hidden),
             error=np.zeros(layout.dof),
@@ -395,18 +393,22 @@ class TwoLayerComposite(CompiledController):
         return replace(found, learner=experience)
 
     def followed(self, layout: Layout) -> IntArray:
-        """Which of q, nu, nudot, pose every input is where the reference is followed exactly, (nx,); -1 for none."""
-        n, p, nb = layout.arm, layout.dof, layout.base
+        """Which of q, nu, nudot, pose, shape every input is on a reference followed exactly, (nx,); -1 for none."""
+        n, p, nb, shape = layout.arm, layout.dof, layout.base, layout.arm + 2 * layout.dof + layout.pose
+        if layout.shape and (of_twist := {"velocity_ref", "acceleration_ref"} & set(self.inputs.signals)):
+            what, why = f"{min(of_twist)} as an input of {self.name}", "a base that steers has other velocities"
+            raise ConfigError(what, why=why, fix="use alpha, alphadot", key="inputs.signals")
         places = {
             "q": range(n), "base": range(n, n + nb), "arm": range(n + nb, n + p), "nu": range(n, n + p),
             "base'": range(n + p, n + p + nb), "arm'": range(n + p + nb, n + 2 * p), "nu'": range(n + p, n + 2 * p),
             "pose": range(n + 2 * p, n + 2 * p + layout.pose),
         }  # fmt: skip
         found: list[int] = []
-        for name in self.inputs.signals:
+        for name in (name for name in self.inputs.signals if name != "shape"):
             where = layout.where(name)
             found += places[FOLLOWED[name]] if name in FOLLOWED else [-1] * (where.stop - where.start)
-        return np.array(found + [-1] * bool(self.inputs.bias), np.int64)
+        found += [-1] * bool(self.inputs.bias)
+        return np.array(found + np.repeat(np.arange(shape, shape + layout.shape), 2).tolist(), np.int64)
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """The networks' state, what the filter remembers, and the kept samples."""
@@ -437,12 +439,12 @@ class TwoLayerComposite(CompiledController):
         """
         rng, filled, layout = np.random.default_rng(0), int(state["counts"][1]), layout_of_state(state)
         n, p = layout.arm, layout.dof
-        scale, offset = self.inputs.affine(layout)
+        layout = replace(layout, shape=state["states"].shape[1] - n - p)
         seen = np.hstack(
             (rng.uniform(-np.pi, np.pi, (SAMPLES, n)), rng.standard_normal((SAMPLES, 2 * p + layout.pose)))
         )
-        source = self.followed(layout)
-        x = offset + scale * np.where(source >= 0, seen[:, source], 0.0)
+        seen = np.hstack((seen, rng.uniform(-np.pi, np.pi, (SAMPLES, layout.shape))))
+        x = self.inputs.seen(np.where(self.followed(layout) >= 0, seen[:, self.followed(layout)], 0.0), layout)
         found = []
         for i in (name[1:] for name in state.shapes if name[0] == "W"):
             hidden, kept = (expit(points @ state[f"V{i}"]) for points in (x, state["kept"][:filled, : x.shape[1]]))

@@ -155,7 +155,7 @@ class CertifiedLoop:
         row = layout.new_row()
         for name, value in self.signal_bounds(added, pose, arm, s).items():
             row[layout.where(name)] = value
-        scale, offset = inputs.affine(layout)
+        scale, offset = inputs.numbers(layout)
         return float(np.linalg.norm(np.abs(scale) * row[inputs.rows(layout)] + np.abs(offset)))
 
     def signal_bounds(self, added: Drive, pose: float, arm: Array, s: Array) -> dict[str, Array]:

@@ -120,7 +120,7 @@ def test_ahead_the_reference_is_where_it_will_be_and_every_error_is_what_it_was(
     before_torque(row, layout.offsets, time, now, gains, K)
     kept = row.copy()
     ahead = Ahead(d, age, h, np.ones(layout.dof), layout.new_row(), constant_gain(np.ones(layout.dof)))
-    look_ahead(row, layout.offsets, before, ahead)
+    look_ahead(row, layout.offsets, before, ahead, None)
     np.testing.assert_array_equal(row, kept)
     for error in ("z", "e", "edot", "r", "pose_error", "world_error"):
         np.testing.assert_array_equal(ahead.row[layout.where(error)], row[layout.where(error)])
@@ -154,7 +154,7 @@ def test_a_measurement_that_is_brought_up_has_the_errors_of_its_own_time(name, t
     measured = row[layout.where("pose").start : layout.where("qdot").stop]
     off = 0.01 * rng.standard_normal(measured.size)
     measured[:] = parts(then) + off
-    catch_up(row, layout.offsets, now, then, age)
+    catch_up(row, layout.offsets, now, then, age, None)
     np.testing.assert_allclose(measured - parts(now), off, atol=1e-12 + 40 * age**3)
 
 
@@ -223,7 +223,7 @@ def test_to_look_ahead_changes_nothing_that_a_controller_remembers(name):
             row[plan.layout.where(signal)] = np.atleast_1d(run[signal][-1])
     weights = {key: np.array(values) for key, values in loop.controller.weights(state).items()}
     kept = {key: state[key].copy() for key in state.shapes}
-    look_ahead(row, plan.layout.offsets, plan.setpoints[-2], plan.lead.ahead)
+    look_ahead(row, plan.layout.offsets, plan.setpoints[-2], plan.lead.ahead, None)
     estimate_ahead(torque.at, state.values, torque.model, torque.ahead, torque.later)
     step(plan.lead.ahead.row, torque.at, plan.lead.ahead.law, state.values, None, None)
     for key, values in loop.controller.weights(state).items():

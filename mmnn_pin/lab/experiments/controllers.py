@@ -205,7 +205,7 @@ def machine_of(robot: Robot) -> MachineLimits:
     """The facts of a robot that do not tell how it moves: names, and ends and motors of its joints."""
     n, limits = robot.dimensions.arm, robot.effort_limits
     joints = (
-        product(np.abs(robot.E), limits)[robot.dimensions.dof - n :]
+        product(np.abs(robot.E_at(robot.rest)), limits)[robot.dimensions.dof - n :]
         if np.isfinite(limits).all()
         else np.full(n, np.inf)
     )
@@ -214,6 +214,7 @@ def machine_of(robot: Robot) -> MachineLimits:
         lower=robot.lower[robot.arm_index],
         upper=robot.upper[robot.arm_index],
         effort=joints,
+        stops=np.column_stack((robot.lower, robot.upper))[robot.shape_index],
     )
 
 
@@ -235,7 +236,7 @@ def nominal_robot(nominal: Nominal, robot: Robot, said: Overrides) -> Robot:
     except UnknownName as error:
         raise error.but(key="nominal.robot") from None
     alike = (believed.dimensions.dof, believed.dimensions.base) == (robot.dimensions.dof, robot.dimensions.base)
-    if not alike or not np.array_equal(believed.T, robot.T):
+    if not alike or believed.base.shape != robot.base.shape or not np.array_equal(believed.template, robot.template):
         raise ConfigError(
             f"{believed.name} does not move as {robot.name}",
             fix="name one with the same base and the same joints",

@@ -139,8 +139,7 @@ def judged(
 def kernel(learner: NetworkLearner, row: Array, state: ControllerState) -> Array:
     """L (p, p): what one update adds to Psi_hat per s, at a row (width,) and the weights of a state [N s/m, ...]."""
     controller, layout = learner.own, learner.context.layout
-    scale, offset = controller.inputs.affine(layout)
-    x = scale * row[controller.inputs.rows(layout)] + offset
+    x = controller.inputs.seen(row[controller.inputs.rows(layout)], layout)
     into, out = controller.network_scales(layout)
     result = np.zeros((layout.dof, layout.dof))
     if not controller.learning:

@@ -45,6 +45,7 @@ from ...signals import Array, IntArray
 MASTER, FOLLOWER, PASSIVE = 0, 1, 2
 ROLES = ("master", "follower", "passive")
 STEERED, AXLE, FREE = 0, 2, 3  # what the body may do: as its wheels steer; `(v, w)`; `(vx, vy, w)`
+TIE = 0.3  # wheels by which those that roll forwards outnumber the others: below it sensors would decide
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,7 @@ class _Wheel(NamedTuple):
     per: int = 4  # joint velocity per rim speed [1/m]
 
 
+AxleRow = tuple[float, float, float]
 TURN, PIVOT, WHEEL = _Turn(), _Pivot(), _Wheel()
 
 
@@ -295,13 +297,14 @@ def first_direction(rolling: Rolling, position: Array, adj: Array, n: Array) -> 
     for i in range(3):
         if adj[i, i] > adj[largest, largest]:
             largest = i
-    size = math.sqrt(adj[0, largest] ** 2 + adj[1, largest] ** 2 + adj[2, largest] ** 2)
+    x, y, z = adj[0, largest], adj[1, largest], adj[2, largest]
+    size = math.sqrt(x * x + y * y + z * z)
     for i in range(3):
         n[i] = adj[i, largest] / size
     for k in range(len(rolling.turns)):
         p, (c, s, _) = rolling.pivots[k], heading_of(rolling, k, position)
         forwards += c * n[0] + s * n[1] + (p[PIVOT.x] * s - p[PIVOT.y] * c) / rolling.length * n[2]
-    sign = -1.0 if forwards < -1e-6 or (forwards < 1e-6 and n[largest] < 0.0) else 1.0
+    sign = -1.0 if forwards < -TIE or (forwards < TIE and n[largest] < 0.0) else 1.0
     for i in range(3):
         n[i] *= sign
 
@@ -336,11 +339,10 @@ def add_meeting(
             adjdot[a, b] += md[a] * m[b] + m[a] * md[b]
 
 
-Triple = tuple[float, float, float]
-
-
 @compiled
-def axle_row(rolling: Rolling, k: int, position: Array, nu: Array) -> tuple[Triple, Triple]:
+def axle_row(
+    rolling: Rolling, k: int, position: Array, nu: Array
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Row of master k on `(vx, vy, l w)` that vanishes where its wheel does not slide, and its rate."""
     p, (c, s, t) = rolling.pivots[k], heading_of(rolling, k, position)
     rate, per = p[PIVOT.sign] * nu[rolling.turns[k, TURN.column]], 1.0 / rolling.length

@@ -132,10 +132,10 @@ def parameters(robot: Robot) -> Array:
     Raises:
         RobotError: A joint that cannot be flattened.
     """
-    layout, T = robot.dimensions, np.array(robot.T)
+    layout, T, rolling = robot.dimensions, np.array(robot.template), robot.rolling
     frame = tuple(robot.frame) if layout.base else (0.0, 0.0, 0.0)
-    tree = flatten(robot.model, T, robot.neutral_position(), frame, absorb=False)
-    moving, viscous = moving_joints(T, layout.base), robot.damping.copy()
+    tree = flatten(robot.model, T, robot.neutral_position(), frame, absorb=False, rolling=rolling)
+    moving, viscous = moving_joints(T, layout.base, rolling), robot.damping.copy()
     viscous[robot.arm_index] += robot.viscous[layout.base :]
     return np.concatenate(
         (
