@@ -21,6 +21,7 @@ from ..compiled import one_thread
 from ..disturbance import Disturbance, payload
 from ..errors import ConfigError, RobotError, UnknownName, keyed
 from ..kinematic import Kinematic
+from ..model.base.rolling import STEERED, Rolling
 from ..model.robot import Robot, carrying
 from ..plant.contact.feet import Contact
 from ..recording.recorder import Recorder
@@ -203,6 +204,8 @@ class Loop:
         """
         require_first(self.timing, first)
         require_nominal(self.believed, self.robot)
+        if first and self.robot.rolling is not None:
+            require_resumable(self.robot.rolling)
         plan, state = self.plan(), self.state_from(state)
         dims = self.robot.dimensions
         position, nu = self.start.state(self.robot, *moving(plan, first)) if plant_state is None else plant_state
@@ -399,6 +402,17 @@ def moving(plan: Plan, first: int) -> tuple[Array, Array]:
     twists = Setpoint.side_by_side(plan.setpoints[first:], plan.layout).velocity
     moves = np.flatnonzero(np.abs(twists).max(axis=1, initial=0.0) > STILL)
     return plan.setpoints[first], twists[moves[0]] if moves.size else np.zeros(twists.shape[1])
+
+
+def require_resumable(rolling: Rolling) -> None:
+    """Refuse to go on with a run of a swerve drive: position and nu do not tell which way its u counts.
+
+    Raises:
+        ConfigError: It is one.
+    """
+    if rolling.body == STEERED and not rolling.axle:
+        why = "which way u counts has come about on the way, and is not in its state"
+        raise ConfigError("a run of a swerve drive cannot go on", why=why, fix="use first = 0", key="first")
 
 
 def require_compilable(loop: Loop) -> None:
