@@ -19,10 +19,10 @@ from .elementary import cos_sin
 from .errors import ConfigError
 from .model.base import kind_of, velocity_command
 from .model.base.rolling import PASSIVE, ROLES, Maps, Rolling, new_maps, roll
-from .model.base.steered import SteeredBase
+from .model.base.steered import Articulated, SteeredBase
 from .model.base.steering_law import SteeringNumbers, steered_velocity
 from .model.base.trailers import towed, towing, trailer_pose
-from .model.reduction import solve
+from .model.reduction import shares
 from .model.structure import Structure
 from .parts import view
 from .settings import Settings, one_or_each, require_gains
@@ -34,7 +34,6 @@ POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["q
 ALPHA, ALPHADOT, POSE_ERROR, Z = INDEX["alpha"], INDEX["alphadot"], INDEX["pose_error"], INDEX["z"]
 WORLD_ERROR, SHAPE = INDEX["world_error"], INDEX["shape"]
 MOMENT = 1e-4  # over which the second derivative of a command is taken [s]
-SINGULAR = 1e-12  # share of the largest motor's effect: where none drives, none is asked for infinitely much
 E, EDOT, R, NU_REF, NUDOT_REF = INDEX["e"], INDEX["edot"], INDEX["r"], INDEX["nu_ref"], INDEX["nudot_ref"]
 
 
@@ -77,7 +76,8 @@ class Steering(NamedTuple):
         maps: Its maps, T for the twist, the pivots and the wheels alone.
         numbers: Of the law that steers.
         motors: Rows of that T of the base's motors.
-        E_inv: (motors, p) motor torques from the torque on nu, at the measured angles.
+        E: (p, motors) torque on nu from motor torques, at the measured angles.
+        E_inv: (motors, p) motor torques from the torque on nu, likewise.
         factor: (2, nb, nb) scratch.
         later: (8, 3) scratch: `eta_c`, its rate and the rate of that; then what the law is asked a moment later.
         position: (3 + shape,) scratch: measured angles behind a pose that nobody reads.
@@ -91,6 +91,7 @@ class Steering(NamedTuple):
     maps: Maps
     numbers: SteeringNumbers
     motors: IntArray
+    E: Array
     E_inv: Array
     factor: Array
     later: Array
@@ -106,18 +107,10 @@ def steer(row: Array, at: IntArray, steering: Steering) -> None:
     maps, nb = steering.maps, steering.factor.shape[1]
     copy_to(view(row, at, SHAPE), steering.position[3:])
     roll(steering.rolling, steering.position, view(row, at, VELOCITY), maps)
-    EE, L, motors, E_inv = steering.factor[0], steering.factor[1], steering.motors, steering.E_inv
-    largest = 0.0
-    for i in range(nb):
-        for j in range(nb):
-            EE[i, j] = 0.0
-            for m in range(motors.size):
-                EE[i, j] += maps.T[motors[m], i] * maps.T[motors[m], j]
-        largest = max(largest, EE[i, i])
-    for i in range(nb):
-        EE[i, i] += SINGULAR * largest
-    for m in range(motors.size):  # E' (E E')^-1: the least torques
-        solve(EE, maps.T[motors[m], :nb], L, E_inv[m, :nb])
+    shares(maps.T, steering.motors, steering.factor, steering.E_inv)
+    for m in range(steering.motors.size):
+        for i in range(nb):
+            steering.E[i, m] = maps.T[steering.motors[m], i]
 
 
 @internal
@@ -253,7 +246,7 @@ class Kinematic(Settings, frozen=True):
         return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
     def steering_of(self, robot: Structure, period: float) -> Steering | None:
-        """What steers a robot's base, at a control period [s]; None where nothing steers."""
+        """The steering of a robot's base, at a control period [s]; None where nothing steers."""
         base, d = robot.base, robot.dimensions
         if not isinstance(base, SteeredBase):
             return None
@@ -266,8 +259,9 @@ class Kinematic(Settings, frozen=True):
         return Steering(
             rolling=rolling,
             maps=new_maps(rolling, T),
-            numbers=SteeringNumbers(self.steering, self.slow, self.align),
+            numbers=SteeringNumbers(self.steering, self.slow, self.align, isinstance(base, Articulated)),
             motors=np.array([places[name] for name in driven], np.int64),
+            E=np.array(robot.E_at(robot.rest)),
             E_inv=E_inv,
             factor=np.zeros((2, d.base, d.base)),
             later=np.zeros((8, 3)),

@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 from closed_form import inertial, joint
 
+from mmnn_pin.model.arm import Arm
 from mmnn_pin.model.base.base import Wheel
 from mmnn_pin.model.base.rolling import FREE, Maps, Pivot, Rolling, base_size, closed, new_maps, roll
 from mmnn_pin.model.base.steered import (
@@ -26,6 +27,9 @@ from mmnn_pin.model.base.steered import (
     Swerve,
     Tricycle,
 )
+from mmnn_pin.model.loading import assemble, pinocchio_model
+from mmnn_pin.model.robot import Robot
+from mmnn_pin.model.urdf.reading import parse
 
 Array = np.ndarray
 SIXTH = ((-3, -1 / 60), (-2, 3 / 20), (-1, -3 / 4), (1, 3 / 4), (2, -3 / 20), (3, 1 / 60))
@@ -140,7 +144,7 @@ LAYOUTS: dict[str, Callable[[], SteeredBase]] = {
 def urdf_of(base: SteeredBase, seed: int = 0) -> str:
     """A base with an arm, of random inertias, as a URDF; the arm rides on the last hitch where there is one."""
     rng = np.random.default_rng(seed)
-    text = f'<link name="base">{lump(rng, 80.0, 0.3)}</link>'
+    text = f'<link name="base">{lump(rng, 80.0, 0.3, middle(base))}</link>'
     for k, pivot in enumerate(base.pivots):
         carrier = "base" if pivot.parent < 0 else f"{base.pivots[pivot.parent].joint}_link"
         stops = f'lower="{max(pivot.lower, -3)}" upper="{min(pivot.upper, 3)}"'
@@ -165,6 +169,13 @@ def urdf_of(base: SteeredBase, seed: int = 0) -> str:
     return f'<robot name="made">{text}{arm(rng, f"{hitches[-1]}_link" if hitches else "base")}</robot>'
 
 
+def robot_of(base: SteeredBase, seed: int = 0) -> Robot:
+    """The robot of `urdf_of`, its base as given: nothing is understood from the file."""
+    document = parse(urdf_of(base, seed).encode(), "made.urdf")
+    model, _ = pinocchio_model(document, mobile=True)
+    return assemble(document, base, Arm(ARM, {}, {}, {}), model)
+
+
 def heavy(base: SteeredBase, k: int) -> bool:
     """Whether a pivot carries a body: a trailer, a loader's other half, what stands on a turret."""
     return sum(wheel.pivot == k for wheel in base.wheels) > 1
@@ -179,10 +190,24 @@ def placed(base: SteeredBase, carrier: str, x: float, y: float, z: float, headin
     return f'<origin xyz="{float(x)!r} {float(y)!r} {z!r}" rpy="0 0 {float(heading)!r}"/>'
 
 
-def lump(rng: np.random.Generator, mass: float, size: float) -> str:
-    """An inertial of a body somewhere near its frame."""
+def middle(base: SteeredBase) -> tuple[float, float, float]:
+    """A place amid the wheels in the root link, at rest; those of trailers apart."""
+    carriers, places = base.carriers(tuple(base.frame.tolist()), [0.0] * len(base.pivots)), []
+    for wheel in base.wheels:
+        x, y, heading = carriers[wheel.pivot + 1]
+        c, s = np.cos(heading), np.sin(heading)
+        if wheel.pivot >= 0 and base.body != FREE and base.pivots[wheel.pivot].role == "passive":
+            continue
+        places.append((x + c * wheel.x - s * wheel.y, y + s * wheel.x + c * wheel.y))
+    x, y = np.mean(places, axis=0).tolist()
+    return x, y, 0.2
+
+
+def lump(rng: np.random.Generator, mass: float, size: float, about: tuple[float, float, float] = (0, 0, 0)) -> str:
+    """An inertial of a body somewhere near its frame, or near another place."""
     moments = tuple((mass * size**2 * rng.uniform(0.8, 1.2, 3)).tolist())
-    xyz, rpy = (" ".join(map(str, rng.uniform(-size, size, 3))) for _ in range(2))
+    xyz = " ".join(map(str, np.add(about, rng.uniform(-0.1, 0.1, 3))))
+    rpy = " ".join(map(str, rng.uniform(-0.3, 0.3, 3)))
     return inertial(mass, moments, f'<origin xyz="{xyz}" rpy="{rpy}"/>')
 
 

@@ -38,13 +38,13 @@ class Start(Settings, frozen=True):
             if not np.all(np.isfinite(getattr(self, name))):
                 raise ConfigError(f"{getattr(self, name)} is not finite", fix="use finite numbers", key=f"start.{name}")
 
-    def state(self, robot: Robot, first: Array, twist: Array | None = None) -> tuple[Array, Array]:
+    def state(self, robot: Robot, first: Array, angles: Array | None = None) -> tuple[Array, Array]:
         """Position (nv,) and nu (p,) for the first setpoint, its six arrays side by side.
 
         Args:
-            robot: The robot; wheels that steer stand along their path.
+            robot: The robot.
             first: The setpoint.
-            twist: With which it is going to move, where it stands; None for the setpoint's own.
+            angles: (shape,) of the pivots of a base that steers [rad]; None for those along the setpoint's motion.
 
         Raises:
             ConfigError: Neither one joint offset nor as many as arm joints.
@@ -59,7 +59,10 @@ class Start(Settings, frozen=True):
             c, s = cos_sin(phi)
             position[:3] = x + c * dx - s * dy, y + s * dx + c * dy, phi + dphi
         position[robot.arm_index] = setpoint.q + joint_offset
-        robot.steered_along(position, setpoint.velocity if twist is None else twist)
+        if angles is None:
+            robot.steered_along(position, setpoint.velocity)
+        else:
+            position[robot.shape_index] = angles
         if self.moving:
             nu[: layout.base] = robot.base_velocity(position, setpoint.velocity)
             nu[layout.base :] = setpoint.qdot

@@ -326,7 +326,7 @@ def rotate(nu: Array, E: Array, speeds: Array) -> None:
 
 @compiled
 def turn_motors(hardware: Hardware, maps: Maps) -> None:
-    """What the motors of a base that steers do on nu where it stands, from its maps there: E."""
+    """Write E, the effect on nu of the motors of a base that steers, from its maps where it stands."""
     E, rows = hardware.E, hardware.turning
     for j in range(rows.size):
         for i in range(E.shape[0]):

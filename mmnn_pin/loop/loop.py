@@ -27,7 +27,7 @@ from ..plant.contact.feet import Contact
 from ..recording.recorder import Recorder
 from ..recording.recording import Outcome, Recording
 from ..reference import Trajectory
-from ..reference.steerable import require_steerable
+from ..reference.steerable import require_steerable, start_angles
 from ..safety import Safety
 from ..sensing import Sensor
 from ..settings import Timing, given_array, plain
@@ -50,7 +50,6 @@ from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals,
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited, timing_for
 
-STILL = 1e-3  # slower than this a reference does not tell where wheels should stand [m/s, rad/s]
 BLOCK = 250  # most samples that an engine hands over at a time
 PLANTS = ("ideal", "contact")
 
@@ -207,8 +206,11 @@ class Loop:
         if first and self.robot.rolling is not None:
             require_resumable(self.robot.rolling)
         plan, state = self.plan(), self.state_from(state)
-        dims = self.robot.dimensions
-        position, nu = self.start.state(self.robot, *moving(plan, first)) if plant_state is None else plant_state
+        dims, ahead = self.robot.dimensions, Setpoint.side_by_side(plan.setpoints[first:], plan.layout)
+        if plant_state is None:
+            angles = None if plan.hitch.size else start_angles(self.robot.base, ahead)
+            plant_state = self.start.state(self.robot, plan.setpoints[first], angles)
+        position, nu = plant_state
         position, nu = given_array("plant_state", position, (dims.full,)), given_array("plant_state", nu, (dims.dof,))
         arguments = (
             plan,
@@ -395,13 +397,6 @@ class Loop:
             sink = Watching(sink, self.trajectory.watched.writer(self.robot, self.layout))
         outcome = to_the_end(self, self.samples_between_weights, engine, sink, first, progress, cancelled)
         return with_remarks(outcome, engine, self.robot)
-
-
-def moving(plan: Plan, first: int) -> tuple[Array, Array]:
-    """The setpoint of a sample, and the twist with which the reference begins to move from there, 0 where it stands."""
-    twists = Setpoint.side_by_side(plan.setpoints[first:], plan.layout).velocity
-    moves = np.flatnonzero(np.abs(twists).max(axis=1, initial=0.0) > STILL)
-    return plan.setpoints[first], twists[moves[0]] if moves.size else np.zeros(twists.shape[1])
 
 
 def require_resumable(rolling: Rolling) -> None:

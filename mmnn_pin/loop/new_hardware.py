@@ -102,7 +102,7 @@ def new_hardware(
         way=Way(
             line=SentTorque(np.zeros(layout.dof), np.zeros(1)),
             lines=(CommandLine(disturbance.commands(events, timing), sent),),
-            supervisor=supervisor_of(loop, state, guard),
+            supervisor=supervisor_of(loop, state, guard, steering),
             E_inv=pseudo_inverse(robot.E) if steering is None else steering.E_inv,
             totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
             sent=sent,
@@ -111,7 +111,7 @@ def new_hardware(
         ),
         motors=motors,
         world=world_of(loop, gust_rng),
-        E=np.ascontiguousarray(true.E_at(position)),
+        E=np.array(true.E_at(position), order="C"),
         tau=np.zeros(layout.dof),
         state=values,
         split=split,
@@ -169,7 +169,7 @@ def frozen_encoders(loop: Setup) -> Array:
         UnknownName: A joint that does not exist.
     """
     robot = loop.robot
-    wheels = [wheel.joint for wheel in robot.base.wheels] if robot.dimensions.base else []
+    wheels = [*(wheel.joint for wheel in robot.base.wheels), *robot.base.shape] if robot.dimensions.base else []
     names = [*wheels, *robot.joint_names]
     windows = disturbance.windows(disturbance.FrozenEncoder, loop.disturbances, names)
     found = [
@@ -204,8 +204,8 @@ def world_of(loop: Setup, rng: np.random.Generator) -> World:
     return World(len(pushes.table) > 0, forces, (pushes,), blocked, pick, drop, np.zeros(2))
 
 
-def supervisor_of(loop: Setup, state: ControllerState | object, values: Array) -> Supervisor:
-    """The supervisor of a loop with a state (see `safety.new_state`)."""
+def supervisor_of(loop: Setup, state: ControllerState | object, values: Array, steering: Steering | None) -> Supervisor:
+    """The supervisor of a loop with a state (see `safety.new_state`), and the steering of its plan."""
     layout, timing, actuator = loop.robot.dimensions, loop.timing, loop.actuator
     weights = places_of_weights(loop, state)
     if loop.safety is None:
@@ -221,6 +221,7 @@ def supervisor_of(loop: Setup, state: ControllerState | object, values: Array) -
         arrivals=max(timing.control_period, timing.measurement_period),
         weights=weights,
         values=values,
+        steering=steering,
     )
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from time import perf_counter
 from types import TracebackType
@@ -193,7 +193,7 @@ class Stepper:
         self.safety, self.limits, layout = safety, settings.limits, setup.layout
         self.follower, self.at = Follower(robot, self.limits, settings.setpoint_timeout), layout.offsets
         row = self.row = layout.new_row()
-        self.received = row[layout.where("pose").start : layout.where("qdot").stop]  # all of `measured`, in one piece
+        self.received = row[layout.where("pose").start : layout.where("shape").stop]  # all of `measured`, in one piece
         self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
         self.torque, self.motor_torque = row[layout.where("torque")], row[layout.where("motor_torque")]
         self.command = Command._make(np.full(size, np.nan) for size in [layout.dof] * 3 + [layout.motors] * 2)
@@ -471,12 +471,12 @@ class Stepper:
         require_shapes("measurement", measurement, self.measured)
         if supervisor.state.good[0] > 0.0 and measured < supervisor.state.heard[0]:
             return
-        parts = measurement.pose, measurement.velocity, measurement.q, measurement.qdot
+        parts = [getattr(measurement, part.name) for part in fields(Measurement)]
         np.concatenate(parts, out=self.received, casting="unsafe")
         if math.isnan(measured) or not is_below(self.received, LARGEST):
             self.received[0] = np.nan
         elif not self.setup.sensor.exact:
-            observe(self.hardware.sensors, self.measured.velocity, self.measured.q, self.received)
+            observe(self.hardware.sensors, self.measured, self.received)
         when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
         accept(self.row, self.at, when, when, True, supervisor.door)
 

@@ -18,7 +18,7 @@ import numpy as np
 from ..compiled import one_thread
 from ..model.dynamics import Dynamics
 from ..model.robot import revolute, speed_limits
-from ..safety import Safety
+from ..safety import Safety, steering_motors
 from ..signals import Array, Setpoint
 from .before_run import Start, viscous_friction
 from .plan import Plan
@@ -49,7 +49,8 @@ def suited_safety(given: Safety, plan: Plan, references: Array, limited: bool = 
     fastest = np.where(np.isfinite(urdf[wheels:]), urdf[wheels:], np.maximum(np.where(turns, TURN, SLIDE), speed))
     found: dict[str, object] = {
         "joint_speed": tuple((OVER * fastest).tolist()),
-        "wheel_speed": tuple((OVER * urdf[:wheels]).tolist()) if np.isfinite(urdf[:wheels]).all() else None,
+        "wheel_speed": over(urdf[: wheels - steering_motors(robot)]),
+        "steering_rate": over(urdf[wheels - steering_motors(robot) : wheels]),
         "jump": tuple(np.where(turns, JUMP, JUMP_SLIDE).tolist()),
     }
     if robot.dimensions.base and limited:
@@ -61,6 +62,11 @@ def suited_safety(given: Safety, plan: Plan, references: Array, limited: bool = 
     return msgspec.structs.replace(
         given, **{name: value for name, value in found.items() if getattr(given, name) is None}
     )
+
+
+def over(urdf: Array) -> tuple[float, ...] | None:
+    """Speeds beyond the URDF's; None where it does not state all of them."""
+    return tuple((OVER * urdf).tolist()) if urdf.size and np.isfinite(urdf).all() else None
 
 
 def loads_of(plan: Plan, speed: Array, acceleration: Array) -> Array:

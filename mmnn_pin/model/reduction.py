@@ -17,6 +17,7 @@ from ..signals import Array, IntArray
 
 # Dry friction is `level(speed) tanh(speed / COULOMB_SPEED)` where it is a smooth force. [rad/s or m/s]
 COULOMB_SPEED = 0.01
+SINGULAR = 1e-12  # share of the largest joint's effect: where none moves, none is taken for infinitely much
 
 
 @linked
@@ -242,3 +243,29 @@ def quadratic(M: Array, a: Array) -> float:
         for j in range(a.size):
             total += a[i] * M[i, j] * a[j]
     return total
+
+
+@linked
+def shares(T: Array, rows: IntArray, scratch: Array, found: Array) -> None:
+    """Least-squares inverse of some rows R of T, transposed: `R (R' R)^-1`.
+
+    Its transpose makes the base velocity from the rates of these joints, itself the least torques of motors on them
+    from those on the base velocities.
+
+    Args:
+        T: (nv, p) map to all velocities.
+        rows: (m,) which of it.
+        scratch: (2, nb, nb).
+        found: (m, ...) of which the first nb columns are written.
+    """
+    RR, L, nb, largest = scratch[0], scratch[1], scratch.shape[1], 0.0
+    for i in range(nb):
+        for j in range(nb):
+            RR[i, j] = 0.0
+            for m in range(rows.size):
+                RR[i, j] += T[rows[m], i] * T[rows[m], j]
+        largest = max(largest, RR[i, i])
+    for i in range(nb):
+        RR[i, i] += SINGULAR * largest
+    for m in range(rows.size):
+        solve(RR, T[rows[m], :nb], L, found[m, :nb])

@@ -199,12 +199,12 @@ class Structure:
 
     def base_velocity(self, position: ArrayLike, twist: Array) -> Array:
         """Base velocities, (nb,), with which it moves by a twist at a position (nv,), as far as its wheels permit."""
-        return self.base.along(self.maps_at(position), twist) if isinstance(self.base, SteeredBase) else twist
+        return self.base.velocity_along(self.maps_at(position), twist) if isinstance(self.base, SteeredBase) else twist
 
     def steered_along(self, position: Array, twist: Array) -> Array:
-        """The position with its wheels along the path of a twist, where that is not 0; (nv,), changed in place."""
-        if isinstance(self.base, SteeredBase) and self.base.masters and np.any(twist):
-            position[[self.rows[self.base.pivots[k].joint] for k in self.base.masters]] = self.base.angles(twist)
+        """The position with its pivots along the path of a twist, (nv,), changed in place."""
+        if isinstance(self.base, SteeredBase):
+            position[self.shape_index] = self.base.angles(twist)
         return self.follow(position)
 
     @property

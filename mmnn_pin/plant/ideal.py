@@ -68,7 +68,9 @@ class IdealPlant:
 
     def carry(self, robot: Robot) -> None:
         """Go on with a robot that carries more."""
+        n = self.dynamics.maps.n
         self._take(robot)
+        self.dynamics.maps.n[:] = n
         self.refresh()
 
     def motor_speeds(self, speeds: Array) -> None:

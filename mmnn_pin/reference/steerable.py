@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..elementary import arrays, cos_sin
 from ..elementary.arrays import hypot
 from ..errors import TrajectoryError
 from ..model.base.base import Base
@@ -158,6 +159,7 @@ def needs_of(base: Base, time: Array, setpoints: Setpoint, trailer: bool = False
     if trailer:
         twist, change, gamma = pushing(hitches(base)[0], time, twist, change)
         needs = folding_needed(hitches(base)[0], time, in_columns(setpoints.velocity), gamma)
+        base = replace(base, pivots=tuple(p for p in base.pivots if p not in hitches(base)))
     else:
         needs = backing_needed(base, time, twist)
     if needs.refused is None:
@@ -242,12 +244,13 @@ def pushing(hitch: Pivot, time: Array, twist: Array, change: Array) -> tuple[Arr
     h, L, gamma = -hitch.x, -hitch.wheel[0], np.zeros(len(time))
 
     def turning(angle: float, i: int) -> float:
-        return float(twist[i, 2] + (np.sin(angle) * twist[i, 0] + L * np.cos(angle) * twist[i, 2]) / h)
+        c, s = cos_sin(angle)
+        return float(twist[i, 2] + (s * twist[i, 0] + L * c * twist[i, 2]) / h)
 
     for i in range(len(time) - 1):
         dt = time[i + 1] - time[i]
         gamma[i + 1] = np.clip(gamma[i] + dt * turning(gamma[i] + 0.5 * dt * turning(gamma[i], i), i), -np.pi, np.pi)
-    c, s, (v, w) = np.cos(gamma), np.sin(gamma), twist[:, [0, 2]].T
+    (c, s), (v, w) = arrays.cos_sin(gamma), twist[:, [0, 2]].T
     moved = np.stack((c * v - L * s * w, 0 * v, -(s * v + L * c * w) / h), axis=1)
     return moved, np.gradient(moved, time, axis=0), gamma
 

@@ -12,7 +12,7 @@ control sample, and asks `may_learn` whether the controller is still to be asked
 """
 
 from .door import accept, release
-from .settings import Safety, new_state, no_supervisor, remarks, trip_of
+from .settings import Safety, new_state, no_supervisor, remarks, steering_motors, trip_of
 from .supervisor import (
     RAMPING,
     RUNNING,

@@ -3,7 +3,8 @@
 Numbers that are not finite are refused. An angle of an encoder that wraps, whatever its seam, goes on without turning
 over: it is moved by whole turns to where its last velocity leads. A joint with ends is first moved between them where
 whole turns can do that. What of a joint's change no speed explains is a jump: it trips, and is taken out for good, so
-that all that follows, a stop too, sees a position that goes on from the last one that could be true.
+that all that follows, a stop too, sees a position that goes on from the last one that could be true. Angles of a base
+that steers are taken as those of joints; which measurement has no rates of.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from .supervisor import (
     trip,
 )
 
-POSE, QDOT = INDEX["pose"], INDEX["qdot"]
+POSE, SHAPE = INDEX["pose"], INDEX["shape"]
 NEAR = 0.01  # a joint this far beyond an end is there; farther, it is read a turn away if it can be [rad]
 FARTHEST = 8.0 * math.pi  # that a base is taken to turn between two measurements [rad]
 MEMORY = 0.2  # over which positions and velocities are compared [s]
@@ -42,14 +43,14 @@ def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, door
     """Take a measurement that came in; one that is not finite is refused, and the last good one stays.
 
     Args:
-        row: (width,) row of signals with pose, velocity, q, qdot as received; afterwards as they are taken.
+        row: (width,) row of signals with pose, velocity, q, qdot, shape as received; afterwards as they are taken.
         at: Offsets of the signals.
         time: When it was measured [s].
         now: When it came [s].
         is_new: Whether it is another one than last time.
         door: The supervisor's.
     """
-    state, message, measured, fine = door.state, door.message, row[at[POSE] : at[QDOT + 1]], True
+    state, message, measured, fine = door.state, door.message, row[at[POSE] : at[SHAPE + 1]], True
     for i in range(measured.size):
         fine = fine and math.isfinite(measured[i])
     state.held[0] = 0.0 if fine else 1.0
@@ -58,12 +59,12 @@ def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, door
             state.bad[0] += 1.0
         copy_to(message, measured)
         return
-    n = door.joints.shape[1]
     if state.good[0] > 0.0:
         go_on(measured, time, now, door)
     else:
-        for i in range(n):
-            measured[measured.size - 2 * n + i] = between_ends(measured[measured.size - 2 * n + i], i, door)
+        for i in range(door.joints.shape[1]):
+            place = place_of(i, measured, door)
+            measured[place] = between_ends(measured[place], i, door)
     copy_to(measured, message)
     state.heard[0], state.arrived[0], state.good[0] = time, now, state.good[0] + 1.0
 
@@ -73,21 +74,29 @@ def release(time: float, supervisor: Supervisor) -> bool:
 
     Joints are where they are read then, jumps included.
     """
-    state, door, n = supervisor.state, supervisor.door, supervisor.place.size
+    state, door = supervisor.state, supervisor.door
     if state.good[0] == 0.0 or time - state.arrived[0] > supervisor.numbers.fresh:
         return False
     for mark in (state.tripped, state.time, state.code, state.place, state.value, state.limit):
         mark[0] = 0.0
     state.commanded[0], state.acted[0], state.blind[0], state.given_up[0], state.period[0] = time, 0.0, -1.0, 0.0, 0.0
-    for i in range(n):
-        q, j = door.message.size - 2 * n + i, door.rows.shape[1] - n + i
+    for i in range(door.joints.shape[1]):
+        q, j = place_of(i, door.message, door), door.sense.shape[1] - door.joints.shape[1] + i
         if door.sense[OFFSET, j] != 0.0:
             door.message[q] = between_ends(door.message[q] - door.sense[OFFSET, j], i, door)
     for part in (supervisor.above, supervisor.integral, supervisor.stale):
         part[:] = 0.0
-    for i in range(door.rows.shape[1]):
+    for i in range(door.sense.shape[1]):
         door.sense[DRIFT, i], door.sense[WITHOUT, i], door.sense[OFFSET, i] = 0.0, 0.0, 0.0
     return True
+
+
+@compiled
+def place_of(i: int, message: Array, door: Door) -> int:
+    """Place in a message of the position of joint i of the door: of the arm, then of the pivots."""
+    pivots = door.sense.shape[1] - door.rows.shape[1]
+    n = door.joints.shape[1] - pivots
+    return int(message.size - pivots - 2 * n + i + (n if i >= n else 0))
 
 
 @compiled
@@ -105,25 +114,29 @@ def go_on(measured: Array, time: float, now: float, door: Door) -> None:
     """Take whole turns and jumps out of what was measured after another measurement, and compare it with velocities.
 
     Args:
-        measured: (m,) pose, velocity, q, qdot.
+        measured: (m,) pose, velocity, q, qdot, shape.
         time: When [s].
         now: When it came [s].
         door: The supervisor's.
     """
-    message, joints, sense, n = door.message, door.joints, door.sense, door.joints.shape[1]
-    first, nb, dt = measured.size - 2 * n, door.rows.shape[1] - n, max(time - door.state.heard[0], 0.0)
+    message, joints, sense, every = door.message, door.joints, door.sense, door.joints.shape[1]
+    n = every - (sense.shape[1] - door.rows.shape[1])
+    nb, dt = door.rows.shape[1] - n, max(time - door.state.heard[0], 0.0)
     keep = max(0.0, 1.0 - dt / MEMORY)
     if nb > 0:
-        ahead = min(max(dt * message[first - 1], -FARTHEST), FARTHEST)
+        turning = door.eta[2] if door.eta.size else message[2 + nb]
+        ahead = min(max(dt * turning, -FARTHEST), FARTHEST)
         measured[2] = nearest_turn(measured[2], message[2] + ahead)
         if math.isfinite(door.rows[CONTRADICTION, 0]):
             compare_base(measured, dt, keep, nb, door)
-    for i in range(n):
-        q, qdot, j, most = first + i, first + n + i, nb + i, joints[EXPLAINS, i]
+    for i in range(every):
+        q, j, most, before, after = place_of(i, measured, door), nb + i, joints[EXPLAINS, i], 0.0, 0.0
+        if i < n:
+            before, after = message[q + n], measured[q + n]
         if joints[IS_FREE, i] > 0.0:
-            most = max(most, max(abs(measured[qdot]), abs(message[qdot])))
+            most = max(most, max(abs(after), abs(before)))
         most *= PLAUSIBLE
-        before, after = min(max(message[qdot], -most), most), min(max(measured[qdot], -most), most)
+        before, after = min(max(before, -most), most), min(max(after, -most), most)
         if sense[OFFSET, j] != 0.0:
             measured[q] += sense[OFFSET, j]
         if joints[TURN, i] > 0.0:
@@ -141,14 +154,31 @@ def compare_base(measured: Array, dt: float, keep: float, nb: int, door: Door) -
     """By how much the pose of the base has lately changed more than its velocities say."""
     message, sense = door.message, door.sense
     c, s = cos_sin(message[2])
-    x, y = measured[0] - message[0], measured[1] - message[1]
+    x, y, last = (
+        measured[0] - message[0],
+        measured[1] - message[1],
+        measured.size - (sense.shape[1] - door.rows.shape[1]),
+    )
     for i in range(nb):
         step = measured[2] - message[2]
-        if i == 0:
+        if i >= nb - door.masters.size:
+            place = last + door.masters[i - (nb - door.masters.size)]
+            step = measured[place] - message[place]
+        elif door.eta.size:
+            step = share_of(c * x + s * y, c * y - s * x, step, i, door)
+        elif i == 0:
             step = c * x + s * y
         elif i == 1 and door.sideways:
             step = c * y - s * x
         sense[DRIFT, i] = keep * (sense[DRIFT, i] + unexplained(step, dt * message[3 + i], dt * measured[3 + i]))
+
+
+@compiled
+def share_of(ahead: float, aside: float, turned: float, i: int, door: Door) -> float:
+    """Share of base velocity i in a step of the control frame, `n' W step / n' W n`."""
+    n, W = door.along, door.length * door.length
+    size2 = n[0, i] * n[0, i] + n[1, i] * n[1, i] + W * n[2, i] * n[2, i]
+    return (n[0, i] * ahead + n[1, i] * aside + W * n[2, i] * turned) / size2
 
 
 @compiled

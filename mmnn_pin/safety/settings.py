@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from ..elementary.matrices import pseudo_inverse
+from ..errors import ConfigError
+from ..model.base.rolling import Maps
+from ..model.base.steered import SteeredBase
 from ..model.robot import Robot, limits, revolute, speed_limits
 from ..model.tree.twin import Twin
 from ..settings import Numbers, Settings, require_numbers
@@ -23,6 +26,7 @@ from .supervisor import (
     OFF_PATH,
     OVER_SPEED,
     OVER_TORQUE,
+    OVER_TWIST,
     OVER_WHEEL,
     PRESSED,
     TOO_SLOW,
@@ -36,16 +40,33 @@ MAY_BE_ZERO = ("torque_time", "stop_time", "settle", "hold_rate", "ramp")
 FRESH = 5.5  # measurements that fail to come before a stop does without
 FASTEST, FASTEST_SLIDE = 10.0, 2.0  # speed that explains a joint's motion where no limit is known [rad/s, m/s]
 BASE_CONTRADICTION = 0.05  # of pose and velocities of the base in a stop, on a robot [m, rad]
+STEERING_JUMP = 0.1  # of a pivot, where jumps are judged [rad]
 # What passed its limit: the signal, words, and the unit, that of a sliding joint where there are two.
 SIGNAL = {OVER_TORQUE: "motor_torque", OFF_PATH: "pose_error", OFF_HEADING: "pose_error", OFF_JOINT: "e"}
 SIGNAL |= {DEAF: "measurement", LOST: "command", BAD_WEIGHTS: "weights", PRESSED: "stop"}
-SIGNAL |= {OVER_WHEEL: "velocity", JUMPED: "q", TOO_SLOW: "time"}
+SIGNAL |= {OVER_TWIST: "velocity", OVER_WHEEL: "velocity", JUMPED: "q", TOO_SLOW: "time"}
 WHAT = {OVER_TORQUE: "torque", OVER_SPEED: "speed", OFF_PATH: "position error", OFF_HEADING: "heading error"}
-WHAT |= {OVER_WHEEL: "speed", TOO_SLOW: "control period", JUMPED: "jump"}
+WHAT |= {OVER_TWIST: "speed", OVER_WHEEL: "speed", TOO_SLOW: "control period", JUMPED: "jump"}
 WHAT |= {OFF_JOINT: "joint error", DEAF: "age of the measurement", LOST: "age of the command"}
 UNIT = {OVER_TORQUE: " N m", OVER_SPEED: " rad/s", OFF_PATH: " m", OFF_HEADING: " rad", OFF_JOINT: " rad"}
-UNIT |= {DEAF: " s", LOST: " s", OVER_WHEEL: " rad/s", JUMPED: " rad", TOO_SLOW: " s"}
-SLIDING = {OVER_TORQUE: " N", OVER_SPEED: " m/s", OFF_JOINT: " m", OVER_WHEEL: " m/s", JUMPED: " m"}
+UNIT |= {DEAF: " s", LOST: " s", OVER_TWIST: " rad/s", OVER_WHEEL: " rad/s", JUMPED: " rad", TOO_SLOW: " s"}
+SLIDING = {OVER_TWIST: " m/s", OVER_TORQUE: " N", OVER_SPEED: " m/s", OFF_JOINT: " m", OVER_WHEEL: " m/s", JUMPED: " m"}
+
+
+class Standing(Protocol):
+    """How a base that steers stands where it is measured, kept so by `kinematic.steer`: a `Steering` does."""
+
+    @property
+    def maps(self) -> Maps:
+        """Its maps."""
+
+    @property
+    def E(self) -> Array:
+        """(p, motors) torque on nu from motor torques."""
+
+    @property
+    def E_inv(self) -> Array:
+        """(motors, p) and back."""
 
 
 class Safety(Settings, frozen=True):
@@ -62,6 +83,7 @@ class Safety(Settings, frozen=True):
         joint_speed: Largest speed of an arm joint, one number or one per joint [rad/s or m/s], "urdf" for the URDF's.
         wheel_speed: Largest speed of a drive wheel by the measured velocity of the base, one number or one per wheel
             [rad/s], "urdf" for the URDF's.
+        steering_rate: Likewise of a joint by which a motor steers, one number or one per joint [rad/s].
         position_error: Largest distance of the base from its reference [m].
         heading_error: Largest heading error [rad].
         joint_error: Largest error of an arm joint, one number or one per joint [rad or m].
@@ -88,6 +110,7 @@ class Safety(Settings, frozen=True):
     yaw_rate: float | None = None
     joint_speed: Literal["urdf", "none"] | Numbers | None = None
     wheel_speed: Literal["urdf", "none"] | Numbers | None = None
+    steering_rate: Literal["urdf", "none"] | Numbers | None = None
     position_error: Literal["none"] | float | None = None
     heading_error: Literal["none"] | float | None = None
     joint_error: Literal["none"] | Numbers | None = None
@@ -104,7 +127,7 @@ class Safety(Settings, frozen=True):
     def __post_init__(self) -> None:
         require_numbers(self, "safety", set(self.__struct_fields__) - set(MAY_BE_ZERO))
 
-    def supervisor(
+    def supervisor(  # noqa: PLR0913 - options, by keyword alone
         self,
         robot: Robot,
         period: float,
@@ -115,6 +138,7 @@ class Safety(Settings, frozen=True):
         arrivals: float = 0.0,
         weights: IntArray | None = None,
         values: Array | None = None,
+        steering: Standing | None = None,
     ) -> Supervisor:
         """The supervisor of one robot.
 
@@ -127,20 +151,23 @@ class Safety(Settings, frozen=True):
             arrivals: Time between two measurements [s]; 0 for the control period.
             weights: (k, 2) start and stop of every array of weights in the controller's state; None for none.
             values: State, from `new_state`; None for a new one.
+            steering: Of a base that steers, brought up to the measurement before `supervise`; None for others.
 
         Raises:
-            ConfigError: Not one number per motor or per joint.
+            ConfigError: Not one number per motor or per joint, or a base that steers without its `steering`.
         """
         layout, arm = robot.dimensions, robot.arm_index
         position, heading, bound = some(self.position_error), some(self.heading_error), some(self.weights)
         numbers = [self.timeout, self.ramp, self.stop_time, self.torque_time, position, heading, bound]
         numbers += [self._calm_rate(robot, gains), period, math.inf if brakes == "none" else self.settle, self.rest]
         numbers += [float(brakes == "base"), FRESH * (arrivals or period), some(self.slowest)]
-        base = robot.base.per_velocity(some(self.speed), some(self.yaw_rate))
+        numbers += [some(self.speed), some(self.yaw_rate)]
         wheels, turns, none = layout.motors - layout.arm, revolute(robot)[arm], np.full(layout.arm, np.inf)
-        urdf = speed_limits(robot)
+        urdf, steered = speed_limits(robot), steering_motors(robot)
+        turned = limits(self.steering_rate, urdf[wheels - steered : wheels], "steering joint", "safety.steering_rate")
         joint_speed = limits(self.joint_speed, urdf[wheels:], "joint", "safety.joint_speed")
-        wheel_speed = limits(self.wheel_speed, urdf[:wheels], "wheel", "safety.wheel_speed")
+        wheel_speed = limits(self.wheel_speed, urdf[: wheels - steered], "wheel", "safety.wheel_speed")
+        base = self._base_speeds(robot, dict(zip(robot.actuator_names[wheels - steered :], turned, strict=False)))
         torque = limits(self.torque, robot.effort_limits, "motor", "safety.torque")
         error = limits(self.joint_error, none, "joint", "safety.joint_error")
         jump = limits(self.jump, none, "joint", "safety.jump")
@@ -150,21 +177,62 @@ class Safety(Settings, frozen=True):
         contradiction = [*[BASE_CONTRADICTION if judged else math.inf] * layout.base, *jump]
         speed = np.array([*base, *joint_speed], float)
         joints = [math.tau * turns, robot.lower[arm], robot.upper[arm], fastest, jump, np.isinf(joint_speed)]
+        joints = np.hstack((np.array(joints, float).reshape(6, -1), pivots_of(robot, judged)))
         rows = [contradiction, np.where(np.isfinite(contradiction), speed, np.inf)]
-        arrays = [torque, speed, gains, error, K, wheel_speed, robot.E, pseudo_inverse(robot.E)]
+        arrays = [torque, speed, gains, error, K, [*wheel_speed, *turned]]
         fixed = [np.array(array, float, order="C") for array in arrays]
+        standing, maps = standing_of(robot, steering)
         places = np.zeros((0, 2), np.int64) if weights is None else weights
         *state, sense = views(new_state(layout) if values is None else values, layout)
-        door = Door(np.array(joints, float), np.array(rows, float), state[2], state[1], sense, layout.sideways)
+        door = Door(joints, np.array(rows, float), state[2], state[1], sense, layout.sideways, *maps)
         return Supervisor._make(
-            [True, SupervisorNumbers(*map(float, numbers)), *fixed[:6], door, *fixed[6:], places, *state]
+            [True, SupervisorNumbers(*map(float, numbers)), *fixed, door, *standing, places, *state]
         )
+
+    def _base_speeds(self, robot: Robot, turned: dict[str, float]) -> list[float]:
+        """Largest base velocities; of a base that steers its twist's, u = n' W eta, and those of steering joints."""
+        base, speed, yaw_rate = robot.base, some(self.speed), some(self.yaw_rate)
+        if not isinstance(base, SteeredBase):
+            return base.per_velocity(speed, yaw_rate)
+        own = base.per_velocity(speed, yaw_rate) if base.body else [math.hypot(speed, base.length * yaw_rate)]
+        return own + [turned.get(base.pivots[k].joint, math.inf) for k in base.masters]
 
     def _calm_rate(self, robot: Robot, gains: Array) -> float:
         """`M qddot = g (K (e + I) - qdot)`, `Idot = rate e` is stable for `rate < g / M` (Routh); half at most."""
         nb = robot.dimensions.base
         inertias = np.diag(Twin(robot).mass_matrix(robot.neutral_position()))[nb:]
         return min(self.hold_rate, float(np.min(0.5 * gains[nb:] / inertias, initial=math.inf)))
+
+
+def steering_motors(robot: Robot) -> int:
+    """How many motors turn pivots; they stand between drive wheels and arm."""
+    return sum(pivot.motor for pivot in robot.base.pivots) if isinstance(robot.base, SteeredBase) else 0
+
+
+def pivots_of(robot: Robot, judged: bool) -> Array:
+    """(6, pivots) of `Door.joints`; what the floor turns may be as fast as it likes. `judged`: whether a jump trips."""
+    pivots = robot.base.pivots if isinstance(robot.base, SteeredBase) else ()
+    rates = [pivot.rate if math.isfinite(pivot.rate) or pivot.role == "passive" else FASTEST for pivot in pivots]
+    jump = STEERING_JUMP if judged else math.inf
+    rows = [(math.tau, p.lower, p.upper, rate, jump, 0.0) for p, rate in zip(pivots, rates, strict=True)]
+    return np.array(rows, float).reshape(-1, 6).T
+
+
+def standing_of(robot: Robot, steering: Standing | None) -> tuple[tuple[Array, Array], tuple[Any, ...]]:
+    """E and its inverse, and the last fields of `Door`.
+
+    Raises:
+        ConfigError: A base that steers without its `steering`.
+    """
+    base = robot.base
+    if not isinstance(base, SteeredBase):
+        E = np.array(robot.E, float, order="C")
+        return (E, pseudo_inverse(E)), (np.zeros(0), np.zeros((0, 0)), np.zeros(0, np.int64), 0.0)
+    if steering is None:
+        why, fix = "its motors work as its wheels stand", "give steering=Kinematic().steering_of(robot, period)"
+        raise ConfigError(f"a supervisor of '{robot.name}', which steers", why=why, fix=fix, key="steering")
+    maps = steering.maps
+    return (steering.E, steering.E_inv), (maps.eta, maps.V[0], np.array(base.masters, np.int64), float(base.length))
 
 
 def some(value: float | str | None) -> float:
@@ -177,14 +245,15 @@ def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
     nothing, none = np.zeros(0), np.zeros((0, 0))
     *state, sense = views(values, layout)
     zeros = SupervisorNumbers(*[0.0] * len(SupervisorNumbers._fields))
-    numbers: list[Any] = [False, zeros, *[nothing] * 6, Door(none, none, state[2], state[1], sense, False), none, none]
+    door = Door(none, none, state[2], state[1], sense, False, nothing, none, np.zeros(0, np.int64), 0.0)
+    numbers: list[Any] = [False, zeros, *[nothing] * 6, door, none, none]
     return Supervisor._make([*numbers, np.zeros((0, 2), np.int64), *state])
 
 
 def new_state(layout: Dimensions, start: float = 0.0) -> Array:
     """State of a supervisor before its first measurement at a time [s]."""
-    message = layout.pose + layout.base + 2 * layout.arm
-    values = np.zeros(MARKS + message + 6 * layout.dof + layout.motors + 2 * layout.arm)
+    message = layout.pose + layout.base + 2 * layout.arm + layout.shape
+    values = np.zeros(MARKS + message + 6 * layout.dof + layout.motors + 2 * layout.arm + 4 * layout.shape)
     state = marks_of(values)
     state.heard[0] = state.commanded[0] = start
     state.blind[0] = -1.0
@@ -193,9 +262,9 @@ def new_state(layout: Dimensions, start: float = 0.0) -> Array:
 
 def views(values: Array, layout: Dimensions) -> list[Any]:
     """A supervisor's state and views of its parts, in the order of `Supervisor`, and the sense of its door."""
-    message, p, n = layout.pose + layout.base + 2 * layout.arm, layout.dof, layout.arm
+    message, p, n = layout.pose + layout.base + 2 * layout.arm + layout.shape, layout.dof, layout.arm
     _, *parts, sense = np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n, p]))
-    return [values, marks_of(values), *parts, sense.reshape(4, p)]
+    return [values, marks_of(values), *parts, sense.reshape(4, -1)]
 
 
 def marks_of(values: Array) -> SupervisorState:
@@ -216,7 +285,7 @@ def trip_of(state: SupervisorState, robot: Robot) -> tuple[float, str, str]:
     if code == PRESSED:
         return time, SIGNAL[code], f"stopped from outside at t = {time:g} s"
     names = {OVER_TORQUE: robot.actuator_names, OVER_SPEED: robot.velocity_names, OFF_JOINT: robot.joint_names}
-    names |= {OVER_WHEEL: robot.actuator_names, JUMPED: robot.joint_names}
+    names |= {OVER_WHEEL: robot.actuator_names, JUMPED: (*robot.joint_names, *robot.base.shape), OVER_TWIST: ("v", "w")}
     name = names[code][i] if code in names else ""
     unit = SLIDING[code] if name and slides(robot, name) else UNIT[code]
     value, limit, nb = state.value[0], state.limit[0], robot.dimensions.base

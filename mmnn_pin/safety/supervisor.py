@@ -23,7 +23,7 @@ DRIFT, LEAST, WITHOUT, OFFSET = range(4)  # of its sense
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
-OVER_WHEEL, JUMPED, TOO_SLOW = range(10, 13)
+OVER_WHEEL, JUMPED, TOO_SLOW, OVER_TWIST = range(10, 14)
 
 BORNE = 0.3  # of the slowest period: where samples are farther apart the gains of a stop are lowered in proportion
 SAMPLES = 10.0  # over which the control period is averaged, those far back less
@@ -48,6 +48,8 @@ class SupervisorNumbers(NamedTuple):
         short: 1 where shorted windings brake the base, else 0.
         fresh: Age of a measurement beyond which a stop does without [s].
         slowest: Longest control period [s].
+        twist: Largest speed of a base that steers [m/s].
+        yaw_rate: Its largest yaw rate [rad/s].
     """
 
     timeout: float
@@ -64,6 +66,8 @@ class SupervisorNumbers(NamedTuple):
     short: float
     fresh: float
     slowest: float
+    twist: float
+    yaw_rate: float
 
 
 @by_address
@@ -116,15 +120,21 @@ class Door(NamedTuple):
     """The door that measurements pass, as few arrays: a program of your own hands them over at every measurement.
 
     Attributes:
-        joints: (6, n) of every joint: a whole turn, 0 for one that slides; its ends; the speed that explains how its
-            position changes; what of that no speed needs to explain; 1 where it may be as fast as it likes.
+        joints: (6, n + pivots) of every joint of the arm, then of every pivot: a whole turn, 0 for one that slides; its
+            ends; the speed that explains how its position changes; what of that no speed needs to explain; 1 where it
+            may be as fast as it likes.
         rows: (2, p) by how much position and velocity may contradict each other in a stop, and velocities beyond which
             a stop drives on what it should brake.
-        message: The last good measurement: pose, velocity, q, qdot.
+        message: The last good measurement: pose, velocity, q, qdot, shape.
         state: Single numbers, the supervisor's.
-        sense: (4, p) by how much positions have lately changed more than the velocities say; least speeds since a
-            stop began; 1 where a stop does without feedback; jumps that were taken out of the joints' positions.
+        sense: (4, p + pivots) by how much positions have lately changed more than the velocities say; least speeds
+            since a stop began; 1 where a stop does without feedback; jumps that were taken out of the joints'
+            positions.
         sideways: Whether the base velocity is `(vx, vy, w)`.
+        eta: (3,) `(vx, vy, w)` of a base that steers, at the last sample; (0,) of others.
+        along: (3, nb) that per base velocity.
+        masters: Places in `shape` of the pivots whose rates are the last base velocities.
+        length: l of `base.rolling` [m].
     """
 
     joints: Array
@@ -133,6 +143,10 @@ class Door(NamedTuple):
     state: SupervisorState
     sense: Array
     sideways: bool
+    eta: Array
+    along: Array
+    masters: IntArray
+    length: float
 
 
 @by_address
@@ -147,13 +161,13 @@ class Supervisor(NamedTuple):
         gains: (p,) feedback that brakes and holds.
         error: (n,) limits of the joints' errors.
         K: (n,) gain of the filtered arm error.
-        wheel: (wheels,) speed limits of the drive wheels.
+        wheel: (wheels,) speed limits of the drive wheels, then of what motors steer.
         door: What measurements pass.
-        E, E_inv: (p, motors) torque on nu from motor torques, and back.
+        E, E_inv: (p, motors) torque on nu from motor torques, and back; of a base that steers those of the last sample.
         weights: (k, 2) start and stop of every array of weights in the controller's state.
         values: State: all of the following.
         state: Single numbers.
-        message: The last good measurement: pose, velocity, q, qdot.
+        message: The last good measurement: pose, velocity, q, qdot, shape.
         last: (p,) the last torque.
         above: (motors,) how long every motor has asked for more than its limit [s].
         place: (n,) where the joints are held.
@@ -300,9 +314,12 @@ def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) 
     """Trip on measured speeds and tracking errors beyond their limits."""
     nb, n = at[ALPHA + 1] - at[ALPHA], at[JOINT_ERROR + 1] - at[JOINT_ERROR]
     speeds, errors, numbers, state = supervisor.speed, supervisor.error, supervisor.numbers, supervisor.state
+    eta = supervisor.door.eta
+    if eta.size:
+        check_twist(time, hypot(eta[0], eta[1]), abs(eta[2]), numbers, state)
     for i in range(nb + n):
         speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
-        if at[SIDEWAYS] and i < 2:  # the speed of a base that moves sideways, too
+        if at[SIDEWAYS] and i < 2 and eta.size == 0:  # the speed of a base that moves sideways, too
             speed = hypot(row[at[VELOCITY]], row[at[VELOCITY] + 1])
         if speed > speeds[i]:
             trip(time, OVER_SPEED, i, speed, speeds[i], state)
@@ -320,6 +337,15 @@ def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) 
     for i in range(n):
         if abs(row[at[JOINT_ERROR] + i]) > errors[i]:
             trip(time, OFF_JOINT, i, abs(row[at[JOINT_ERROR] + i]), errors[i], state)
+
+
+@internal
+def check_twist(time: float, speed: float, turning: float, numbers: SupervisorNumbers, state: SupervisorState) -> None:
+    """Trip on speeds of a base that steers beyond their limits [m/s, rad/s]."""
+    if speed > numbers.twist:
+        trip(time, OVER_TWIST, 0, speed, numbers.twist, state)
+    if turning > numbers.yaw_rate:
+        trip(time, OVER_TWIST, 1, turning, numbers.yaw_rate, state)
 
 
 @compiled

@@ -6,7 +6,8 @@ It passes through them in this order:
 
 Every encoder reads an angle, `step * round((angle + offset + noise) / step)`. Rates of the joints and of the wheels are
 made of the readings; the base's velocity is the least-squares solution over its wheels, and odometry integrates their
-increments. A message leaves through a line that delays, jitters and loses it; what was received last is held. The loop
+increments. A base that steers has encoders on its pivots, too: its rows are those of T at the angles that they read. A
+message leaves through a line that delays, jitters and loses it; what was received last is held. The loop
 puts before them what motors and faults do to the encoders (`MotorSide` of the loop's hardware, `FrozenEncoders`).
 """
 
@@ -19,8 +20,10 @@ from ..by_address import by_address
 from ..compiled import copy_to, internal, linked
 from ..elementary import cos_sin
 from ..elementary.matrices import product
+from ..model.base.rolling import Maps, Rolling, roll
+from ..model.reduction import shares
 from ..parts import view
-from ..signals import EARLY, INDEX, Array, IntArray
+from ..signals import EARLY, INDEX, Array, IntArray, Measurement
 
 POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "shape"))
 # State of the line: measurements so far, number of the one received last. State of an encoder: its reading, how far
@@ -61,12 +64,13 @@ class Reading(NamedTuple):
         position: (nv,) true position, on which the encoders sit.
         nu: (p,) true velocity.
         clock: (CLOCK,) state: how many measurements there were, and which was received last.
-        joints: (nw + n, COLUMNS) state of the encoders: of the wheels, then of the arm.
-        message: What is sent: pose, base velocity, q, qdot.
+        joints: (nw + n, COLUMNS) state of the encoders: of wheels and pivots, then of the arm.
+        message: What is sent: pose, base velocity, q, qdot, angles of the pivots.
         received: (the same,) what the controller has.
         acceleration: (p,) state: what the loop expects of nu until the next sample [m/s^2, rad/s^2]; (0,) where nothing
             is made of it.
         bias: (nw + n,) state: by how much the encoders accelerate beyond that [rad/s^2]; (0,) likewise.
+        pivots: Number of pivots.
     """
 
     position: Array
@@ -77,6 +81,7 @@ class Reading(NamedTuple):
     received: Array
     acceleration: Array
     bias: Array
+    pivots: int
 
 
 @by_address
@@ -143,6 +148,54 @@ class Encoders(NamedTuple):
 
 
 @by_address
+class SteeredRows(NamedTuple):
+    """What wheels and pivots of a base that steers say of its motion, at the angles that are read.
+
+    Attributes:
+        rolling: The base.
+        maps: Its maps.
+        places: (nw,) of its encoders in the position: of the wheels, then of the pivots.
+        position: (nv,) scratch.
+        still: (p,) zeros.
+        scratch: (2, nb, nb).
+        shares: (nw, nb) scratch.
+        rolls: (nw, nb) written, see `Rates`.
+        W: (nb, nw) written, see `Velocities`.
+        path: (3, nw) written, see `WheelOdometry`: half way between this reading and the one before.
+    """
+
+    rolling: Rolling
+    maps: Maps
+    places: IntArray
+    position: Array
+    still: Array
+    scratch: Array
+    shares: Array
+    rolls: Array
+    W: Array
+    path: Array
+
+    @internal
+    def act(self, wire: Reading, k: int, time: float) -> None:
+        """Write the rows."""
+        nw, nb = self.rolls.shape
+        first = nw - wire.pivots
+        for half in (0.5, 0.0):
+            for i in range(first, nw):
+                self.position[self.places[i]] = wire.joints[i, READING] - half * wire.joints[i, MOVED]
+            roll(self.rolling, self.position, self.still, self.maps)
+            shares(self.maps.T, self.places, self.scratch, self.shares)
+            for i in range(3 if half > 0.0 else 0):
+                for j in range(nw):
+                    self.path[i, j] = 0.0
+                    for a in range(nb):
+                        self.path[i, j] += self.maps.V[0, i, a] * self.shares[j, a]
+        for j in range(nw):
+            for a in range(nb):
+                self.rolls[j, a], self.W[a, j] = self.maps.T[self.places[j], a], self.shares[j, a]
+
+
+@by_address
 class Rates(NamedTuple):
     """Rates from readings: differences and their first-order filter, or an observer that tracks angle and rate.
 
@@ -160,7 +213,7 @@ class Rates(NamedTuple):
         alpha: Share of a new difference, 1 for plain ones; or the observer's correction of the angle.
         beta: The observer's correction of the rate [1/s].
         gamma: Of the acceleration that is missing [1/s^2].
-        rolls: (nw, nb) rates of the wheels from the base's velocity.
+        rolls: (nw, nb) rates of wheels and pivots from the base's velocity.
     """
 
     observer: bool
@@ -202,7 +255,7 @@ class Velocities(NamedTuple):
 
     Attributes:
         exact: Whether velocities are the true ones.
-        W: (nb, nw) base velocity from the rates of the wheels; (nb, 0) if no wheel is measured.
+        W: (nb, nw) base velocity from the rates of wheels and pivots; (nb, 0) if no wheel is measured.
         place: Column of the encoders' state that is sent as q: `READING`, or the observer's `ESTIMATE`.
     """
 
@@ -212,10 +265,10 @@ class Velocities(NamedTuple):
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
-        """Write base velocity, q and qdot."""
+        """Write base velocity, q, qdot and the angles of the pivots."""
         nb, nw = self.W.shape
-        n = wire.joints.shape[0] - nw
-        pose = wire.message.size - nb - 2 * n
+        n, last = wire.joints.shape[0] - nw, wire.message.size - wire.pivots
+        pose = last - nb - 2 * n
         for i in range(nb):
             rate = wire.nu[i]
             if not self.exact:
@@ -226,26 +279,27 @@ class Velocities(NamedTuple):
         for i in range(n):
             wire.message[pose + nb + i] = wire.joints[nw + i, self.place]
             wire.message[pose + nb + n + i] = wire.nu[nb + i] if self.exact else wire.joints[nw + i, RATE]
+        for i in range(wire.pivots):
+            wire.message[last + i] = wire.joints[nw - wire.pivots + i, self.place]
 
 
-def observe(sensors: Sensors, velocity: Array, q: Array, received: Array) -> None:
+def observe(sensors: Sensors, seen: Measurement, received: Array) -> None:
     """Put what an observer says in place of a measurement that no sensor here has made: of a robot, not simulated.
 
     Args:
         sensors: With the observer; wheels turn as the base's velocity says.
-        velocity: (nb,) of the base, as measured.
-        q: (n,) angles, as measured.
-        received: Pose, base velocity, q and qdot, of which all but the pose is overwritten.
+        seen: Base velocity and angles, as measured.
+        received: Pose, base velocity, q, qdot and shape, of which all but the pose is overwritten.
     """
-    wire, nw = sensors.wire, sensors.wire.joints.shape[0] - q.size
+    wire, nw = sensors.wire, sensors.wire.joints.shape[0] - seen.q.size
+    wheels, pose = nw - seen.shape.size, seen.pose.size
+    wire.joints[wheels:nw, READING], wire.joints[nw:, READING] = seen.shape, seen.q
     for effect in sensors.effects:
         if isinstance(effect, Rates):
-            wire.joints[:nw, READING] += sensors.period * product(effect.rolls, velocity)
-            wire.joints[nw:, READING] = q
-        if isinstance(effect, Rates | Velocities):
+            wire.joints[:wheels, READING] += sensors.period * product(effect.rolls[:wheels], seen.velocity)
+        if isinstance(effect, SteeredRows | Rates | Velocities):
             effect.act(wire, 0, 0.0)
     wire.clock[COUNT] += 1.0
-    pose = received.size - velocity.size - 2 * q.size
     received[pose:] = wire.message[pose:]
 
 
@@ -255,14 +309,12 @@ class WheelOdometry(NamedTuple):
 
     Attributes:
         integrated: Whether it is integrated; the first one is true.
-        sideways: Whether the base velocity is `(vx, vy, w)`.
-        W: (nb, nw) base velocity from the rates of the wheels.
+        path: (3, nw) `(vx, vy, w)` of the control frame from the rates of wheels and pivots.
         pose: (3,) state; (0,) for a fixed arm.
     """
 
     integrated: bool
-    sideways: bool
-    W: Array
+    path: Array
     pose: Array
 
     @internal
@@ -271,12 +323,11 @@ class WheelOdometry(NamedTuple):
         if self.pose.size:
             if self.integrated and wire.clock[COUNT] != 0.0:
                 ahead = aside = turn = 0.0
-                for j in range(self.W.shape[1]):
+                for j in range(self.path.shape[1]):
                     moved = wire.joints[j, MOVED]
-                    ahead += self.W[0, j] * moved
-                    turn += self.W[self.W.shape[0] - 1, j] * moved
-                    if self.sideways:
-                        aside += self.W[1, j] * moved
+                    ahead += self.path[0, j] * moved
+                    aside += self.path[1, j] * moved
+                    turn += self.path[2, j] * moved
                 heading = self.pose[2] + 0.5 * turn
                 c, s = cos_sin(heading)
                 self.pose[0] += c * ahead - s * aside
@@ -308,7 +359,7 @@ class Noise(NamedTuple):
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Add it to the message."""
         p, pose = self.velocity.size, self.pose.size
-        n = wire.message.size - pose - p
+        n = wire.message.size - pose - p - wire.pivots
         for i in range(p):
             wire.message[pose + i + (0 if i < p - n else n)] += self.velocity[i] * self.velocity_normals[k, i]
         for i in range(pose):

@@ -12,9 +12,10 @@ from ..elementary import exp
 from ..elementary.matrices import pseudo_inverse
 from ..elementary.normals import standard_normal
 from ..errors import ConfigError
+from ..model.base.rolling import new_maps
 from ..model.robot import Robot
 from ..settings import Settings, one_or_each, require_gain
-from ..signals import Array
+from ..signals import Array, Dimensions, IntArray
 from .effects import (
     CLOCK,
     COLUMNS,
@@ -26,6 +27,7 @@ from .effects import (
     Rates,
     Reading,
     Sensors,
+    SteeredRows,
     Velocities,
     WheelOdometry,
 )
@@ -38,15 +40,18 @@ class Sensor(Settings, frozen=True):
         side: Where the encoders are: on the "joint", or on the "motor", which backlash separates from it.
         resolution: Step of the arm's encoders, one number or one per joint [rad or m].
         wheel_resolution: Step of the wheels' encoders [rad].
+        steering_resolution: Step of the encoders on steering, casters and hitches [rad].
         offset: Zero error of the arm's encoders, one number or one per joint [rad or m].
+        steering_offset: Zero error of the encoders on steering, casters and hitches, one number or one per joint [rad].
         velocity: "true"; "difference" of readings, as in the thesis's experiment; "filtered" derivative
             `s wc / (s + wc)` (backward Euler); a tracking "observer" with both poles at wc; or "model", an observer
             with three poles at wc that expects the acceleration of torque and Psi_hat (`loop.hardware.Expected`) and
-            estimates angles, too. All but "true" take the base's velocity from its wheels.
+            estimates angles, too. All but "true" take the base's velocity from its wheels, and from what they steer by.
         bandwidth: wc of the filter and of the observers [rad/s].
         pose: "true", or "odometry": integrated from the wheels' encoders, so that it drifts when they slip.
         noise: Standard deviation of the arm's encoders [rad or m].
         wheel_noise: Of the wheels' encoders [rad].
+        steering_noise: Of those on steering, casters and hitches [rad].
         velocity_noise: Of the velocities as they are sent, one number or one per velocity [m/s, rad/s].
         pose_noise: Of the pose as it is sent (x, y, phi) [m, m, rad].
         delay: Delay of the line, in measurements.
@@ -60,12 +65,15 @@ class Sensor(Settings, frozen=True):
     side: Literal["joint", "motor"] = "joint"
     resolution: float | tuple[float, ...] = 0.0
     wheel_resolution: float = 0.0
+    steering_resolution: float = 0.0
     offset: float | tuple[float, ...] = 0.0
+    steering_offset: float | tuple[float, ...] = 0.0
     velocity: Literal["true", "difference", "filtered", "observer", "model"] = "true"
     bandwidth: float = 100.0
     pose: Literal["true", "odometry"] = "true"
     noise: float = 0.0
     wheel_noise: float = 0.0
+    steering_noise: float = 0.0
     velocity_noise: float | tuple[float, ...] = 0.0
     pose_noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
     delay: int = 0
@@ -73,10 +81,12 @@ class Sensor(Settings, frozen=True):
     loss: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("resolution", "wheel_resolution", "noise", "wheel_noise", "velocity_noise", "pose_noise"):
-            require_gain(getattr(self, name), f"sensor.{name}")
-        if not np.all(np.isfinite(self.offset)):
-            raise ConfigError(f"{self.offset} is not finite", fix="use finite numbers", key="sensor.offset")
+        for name in self.__struct_fields__:
+            if name.endswith(("resolution", "noise")):
+                require_gain(getattr(self, name), f"sensor.{name}")
+            elif name.endswith("offset") and not np.all(np.isfinite(getattr(self, name))):
+                what = f"{getattr(self, name)} is not finite"
+                raise ConfigError(what, fix="use finite numbers", key=f"sensor.{name}")
         if not (math.isfinite(self.bandwidth) and self.bandwidth > 0):
             raise ConfigError(f"{self.bandwidth} rad/s", fix="use a finite number > 0", key="sensor.bandwidth")
         for name in ("delay", "jitter"):
@@ -129,28 +139,33 @@ class Sensor(Settings, frozen=True):
         layout, period = robot.dimensions, float(period)
         faults = np.zeros((count, 2)) if faults is None else faults
         state = self.init(robot, faults) if state is None else state
-        wheels, nw, n, p = self._wheels(robot), len(self._wheels(robot)), layout.arm, layout.dof
-        W = pseudo_inverse(robot.T[wheels, : layout.base]) if wheels else np.zeros((layout.base, 0))
+        places, n, p, K = self._encoders(robot), layout.arm, layout.dof, layout.shape
+        nw, rows = len(places), np.ascontiguousarray(robot.T_at(robot.rest)[places, : layout.base])
+        W = pseudo_inverse(rows) if nw else np.zeros((layout.base, 0))
         angles, rates, poses, uniforms = drawn(rng, count, (nw + n, p, layout.pose))
-        size = layout.pose + layout.base + 2 * n
+        size = message_size(layout)
         expected, biased = self._modelled(robot)
         ends = np.cumsum([CLOCK, COLUMNS * (nw + n), layout.pose, size, expected, biased])
         clock, joints, pose, received, acceleration, bias, slots = np.split(state, ends)
-        joints = joints.reshape(-1, COLUMNS)
-        wire = Reading(np.zeros(layout.full), np.zeros(p), clock, joints, np.zeros(size), received, acceleration, bias)
+        joints, message = joints.reshape(-1, COLUMNS), np.zeros(size)
+        wire = Reading(np.zeros(layout.full), np.zeros(p), clock, joints, message, received, acceleration, bias, K)
         spread = np.array(one_or_each(self.velocity_noise, p, "velocity", "sensor.velocity_noise"))
-        derivative, turns = self.derivative(period), np.ascontiguousarray(robot.T[wheels, : layout.base])
+        path = np.zeros((3, nw))
+        if nw and not K:
+            path[robot.base.columns] = W
+        steered = steered_rows(robot, np.array(places, np.int64), rows, W, path) if K else ()
         effects = (
             Encoders(
-                np.array([*wheels, *robot.arm_index], np.int64),
-                self._per_encoder(nw, n, "resolution", self.wheel_resolution),
-                self._per_encoder(nw, n, "offset", 0.0),
-                self._per_encoder(nw, n, "noise", self.wheel_noise),
+                np.array([*places, *robot.arm_index], np.int64),
+                self._per_encoder(robot, nw, "resolution"),
+                self._per_encoder(robot, nw, "offset"),
+                self._per_encoder(robot, nw, "noise"),
                 angles,
             ),
-            Rates(self.velocity in ("observer", "model"), period, *derivative, turns),
+            *steered,
+            Rates(self.velocity in ("observer", "model"), period, *self.derivative(period), rows),
             Velocities(self.velocity == "true", W, ESTIMATE if self.velocity == "model" else READING),
-            WheelOdometry(self.pose == "odometry", layout.sideways, W, pose),
+            WheelOdometry(self.pose == "odometry", path, pose),
             Noise(spread, np.array(self.pose_noise[: layout.pose], float), rates, poses),
             MessageLine(self.delay, self.jitter, float(self.loss), uniforms, faults, slots.reshape(-1, size)),
         )
@@ -159,20 +174,20 @@ class Sensor(Settings, frozen=True):
     def init(self, robot: Robot, faults: Array | None = None) -> Array:
         """State before the first measurement: clock, encoders, odometry, what was received, the line."""
         layout = robot.dimensions
-        size = layout.pose + layout.base + 2 * layout.arm
+        size = message_size(layout)
         latest = 0 if faults is None else int(max(faults[:, 0].max(initial=0.0), 0.0))
         depth = self.delay + self.jitter + 1 + latest
-        encoders = COLUMNS * (len(self._wheels(robot)) + layout.arm)
+        encoders = COLUMNS * (len(self._encoders(robot)) + layout.arm)
         return np.zeros(CLOCK + encoders + layout.pose + sum(self._modelled(robot)) + (depth + 1) * size)
 
     def _modelled(self, robot: Robot) -> tuple[int, int]:
         """Sizes of the acceleration that the observer on a model is told, and of what it learns of it."""
         if self.velocity != "model":
             return 0, 0
-        return robot.dimensions.dof, len(self._wheels(robot)) + robot.dimensions.arm
+        return robot.dimensions.dof, len(self._encoders(robot)) + robot.dimensions.arm
 
-    def _wheels(self, robot: Robot) -> list[int]:
-        """Places of the wheels with encoders in the position.
+    def _encoders(self, robot: Robot) -> list[int]:
+        """Places of the base's encoders in the position: on its wheels, then on its pivots.
 
         Raises:
             ConfigError: They are to be read, and there are none.
@@ -184,7 +199,7 @@ class Sensor(Settings, frozen=True):
             key = "sensor.velocity" if self.velocity != "true" else "sensor.pose"
             fix = "use 'true'"
             raise ConfigError(f"'{robot.name}' has no wheels with encoders", why="forces drive it", fix=fix, key=key)
-        return wheels
+        return [*wheels, *map(int, robot.shape_index)]
 
     def derivative(self, period: float) -> tuple[float, float, float]:
         """Coefficients of the rates, see `Rates`: of a filter, or alpha, beta / period, gamma / period^2."""
@@ -199,11 +214,25 @@ class Sensor(Settings, frozen=True):
             return 1.0 - pole * pole * pole, beta, left * left * left / (period * period)
         return 1.0, 0.0, 0.0
 
-    def _per_encoder(self, wheels: int, joints: int, name: str, of_wheels: float) -> Array:
-        """One number per encoder: the wheels', then the arm's."""
-        return np.concatenate(
-            (np.full(wheels, of_wheels), one_or_each(getattr(self, name), joints, "joint", f"sensor.{name}"))
-        )
+    def _per_encoder(self, robot: Robot, count: int, name: str) -> Array:
+        """One number per encoder: of the `count` of the base the wheels' first, then the pivots', then the arm's."""
+        pivots, joints = robot.dimensions.shape, robot.dimensions.arm
+        steering = one_or_each(getattr(self, f"steering_{name}"), pivots, "steering joint", f"sensor.steering_{name}")
+        arm = one_or_each(getattr(self, name), joints, "joint", f"sensor.{name}")
+        return np.concatenate((np.full(count - pivots, getattr(self, f"wheel_{name}", 0.0)), steering, arm))
+
+
+def message_size(layout: Dimensions) -> int:
+    """Numbers in a message: pose, base velocity, q, qdot, angles of the pivots."""
+    return layout.pose + layout.base + 2 * layout.arm + layout.shape
+
+
+def steered_rows(robot: Robot, places: IntArray, rolls: Array, W: Array, path: Array) -> tuple[SteeredRows]:
+    """The effect that keeps the rows (of `Rates`, `Velocities` and `WheelOdometry`) of a base that steers true."""
+    d, rolling = robot.dimensions, robot.rolling
+    assert rolling is not None
+    scratch = robot.rest.copy(), np.zeros(d.dof), np.zeros((2, d.base, d.base)), np.zeros_like(rolls)
+    return (SteeredRows(rolling, new_maps(rolling, robot.template), places, *scratch, rolls, W, path),)
 
 
 def drawn(rng: np.random.Generator, count: int, sizes: tuple[int, ...]) -> tuple[Array, ...]:

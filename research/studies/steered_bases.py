@@ -23,7 +23,7 @@ from research.proof.steering import (
     least_second_eigenvalue,
 )
 
-COUNT, BEGIN, ANGLE, WITHIN = 200, 0.1, 0.5, 0.3  # motions, size, angle to the path at the start, size allowed
+COUNT, BEGIN, ANGLE, WITHIN = 200, 0.1, 1.0, 0.3  # motions, size, angle to the path at the start, size allowed
 TRUCKS = ((0.12, 0.7, 1.05), (0.3, 0.7, 1.05), (0.3, 1.2, 0.6), (1.0, 5.0, 0.2))  # h, L [m], curvature [1/m]
 RESTS = ((2.0, 6.0, 0.03), (2.0, 20.0, 0.03), (2.0, 6.0, 0.005))  # gain, K [1/s], eps [m/s]
 
@@ -130,6 +130,7 @@ def main() -> None:
     columns = (Column(text=True), *map(Column, ("late size\nmm", "late angle\nrad", "fastest wheel\nrad/s")))
     trails = ((0.0, False), (0.02, False), (0.2, False), (0.6, False), (0.6, True))
     outside = (reversed_car(0.03), reversed_car(0.005), *(loader(*t) for t in trails))
+    tables.append(Table("outside of the theorems", columns, outside))
     print(terminal_text(tables, False, 140))
 
 

@@ -73,6 +73,7 @@ def reading(encoders=2, pose=0, size=4, modelled=False):
         np.zeros(size),
         np.zeros(encoders if modelled else 0),
         np.zeros(encoders if modelled else 0),
+        0,
     )
 
 
@@ -302,9 +303,9 @@ def test_velocities_are_true_or_the_rates():
 def test_odometry_follows_the_arc_and_a_true_pose_is_the_robots():
     wire, pose = reading(2, 3, 5), np.array([1.0, 2.0, 0.3])
     wire.position[:3], wire.joints[:, MOVED] = (7.0, 8.0, 9.0), (0.1, 0.3)
-    WheelOdometry(True, False, np.array([[0.5, 0.5], [-1.0, 1.0]]), pose).act(wire, 0, 0.0)
+    WheelOdometry(True, np.array([[0.5, 0.5], [0.0, 0.0], [-1.0, 1.0]]), pose).act(wire, 0, 0.0)
     np.testing.assert_allclose(wire.message[:3], [1.0 + 0.2 * math.cos(0.4), 2.0 + 0.2 * math.sin(0.4), 0.5])
-    WheelOdometry(False, False, np.zeros((2, 2)), pose).act(wire, 0, 0.0)
+    WheelOdometry(False, np.zeros((3, 2)), pose).act(wire, 0, 0.0)
     np.testing.assert_array_equal(wire.message[:3], [7.0, 8.0, 9.0])
 
 

@@ -390,7 +390,9 @@ def test_a_stop_after_a_holonomic_base_was_too_fast_counts_both_directions():
 
     layout = Layout(3, 0, 3, 3, "holonomic", True, hardware=1)
     row, at = layout.new_row(), layout.offsets
-    supervisor = no_supervisor(layout, new_state(layout))._replace(numbers=SupervisorNumbers(*[np.inf] * 14))
+    supervisor = no_supervisor(layout, new_state(layout))._replace(
+        numbers=SupervisorNumbers(*[np.inf] * len(SupervisorNumbers._fields))
+    )
     row[at[INDEX["velocity"]] : at[INDEX["velocity"]] + 3] = 0.3, 0.4, 0.0
     for limit, tripped in ((0.51, 0.0), (0.49, 1.0)):
         check_motion(row, at, 0.0, supervisor._replace(speed=np.array([limit, limit, np.inf])))

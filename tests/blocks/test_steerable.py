@@ -7,12 +7,14 @@ import re
 from types import SimpleNamespace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import steerable as steered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmnn_pin.errors import TrajectoryError
+from mmnn_pin import load
+from mmnn_pin.errors import RobotError, TrajectoryError
 from mmnn_pin.model.base.rolling import MASTER, STEERED, TURN, new_maps, roll
 from mmnn_pin.model.base.stance import along, bends
 from mmnn_pin.model.base.steered import SteeredBase
@@ -20,6 +22,7 @@ from mmnn_pin.reference import Circle, Eight, HolonomicPath, Line, Parking, Sine
 from mmnn_pin.reference.drive import RouteDrive
 from mmnn_pin.reference.guide import advance, brake, drive, new_guide, stand
 from mmnn_pin.reference.guide import roll as rolled_on
+from mmnn_pin.reference.hand import HandLine, Task, WholeBody, plan
 from mmnn_pin.reference.limits import Limits, rims
 from mmnn_pin.reference.route import Route
 from mmnn_pin.reference.steerable import (
@@ -504,3 +507,36 @@ def test_wheels_that_steer_are_no_faster_than_they_can():
                 fastest = max(fastest, math.hypot(twist[0] - y * twist[2], twist[1] + x * twist[2]) / wheel.radius)
             bound = np.abs(rows @ twist[base.columns]).max()
             assert fastest <= bound * (1 + 1e-9) and bound <= 1.09 * fastest
+
+
+# -- hands -------------------------------------------------------------------------------------------------------------
+
+
+@given(
+    st.sampled_from(["car_arm", "loader_arm", "casters_arm"]),
+    st.floats(0.3, 1.0) | st.floats(-0.8, -0.3), st.floats(-0.6, 0.6), st.floats(0.15, 0.3),
+)  # fmt: skip
+@settings(max_examples=4, deadline=None)
+def test_a_hand_is_led_through_a_base_that_steers(name, ahead, aside, speed):
+    robot = load(name)
+    body = WholeBody(robot, [Task(orientation=0.0)], period=0.02)
+    motion = plan(body, [HandLine((ahead, aside, 0.0), speed)], 3.0 + 1.5 / speed, tolerance=0.02)
+    assert motion.misses == 0
+    d, t = robot.dimensions, np.arange(len(motion.samples.nu)) * 0.02
+    setpoints = Setpoint.side_by_side(motion.trajectory.table(t, d), d)
+    require_steerable(robot.base, t, setpoints)
+    assert np.abs(setpoints.velocity).max() > 0.01, "the base helps"
+    data, frame = robot.model.createData(), robot.model.getFrameId(motion.frames[0])
+    for k in (0, len(t) // 2, len(t) - 1):  # Pinocchio has the hand where the program has it
+        position = robot.neutral_position()
+        position[:3], position[robot.arm_index] = setpoints.pose[k], setpoints.q[k]
+        pin.framesForwardKinematics(robot.model, data, robot.configuration(robot.follow(position)))
+        np.testing.assert_allclose(data.oMf[frame].translation, motion.reached[k, 0, 9:], atol=1e-9)
+
+
+def test_a_car_is_not_turned_on_the_spot_to_where_a_hand_begins():
+    body = WholeBody(load("car_arm"), [Task(orientation=0.0)], period=0.01)
+    with pytest.raises(TrajectoryError, match="turn on the spot"):
+        plan(body, [HandLine((1.0, 0.0, 0.0), 0.2)], 12.0, at=(1.0, 2.0, 0.8), tolerance=None)
+    with pytest.raises(RobotError, match="'hitch_joint', on which the base stands, carries"):
+        WholeBody(load("truck_trailer_arm"))

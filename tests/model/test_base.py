@@ -262,8 +262,6 @@ UPPER = ARM + link("hand") + joint("wrist", "continuous", "fore", "hand", p=(0.3
 
 
 @pytest.mark.parametrize(("text", "name"), [
-    (steering(["fl", "fr"]), "car-like base"),
-    (steering(CORNERS), "swerve drive"),
     (legged(FOUR_HIPS), "legged machine"),
     (legged(FOUR_HIPS[:2]), "legged machine"),
     (legged([(0, 0.1), (0, -0.1)], UPPER), "humanoid"),

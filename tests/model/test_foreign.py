@@ -346,8 +346,8 @@ def test_a_wheel_that_nothing_lets_sink_stays_in_the_air():
 
 
 def test_a_rover_that_steers_is_no_legged_machine():
-    with pytest.raises(Unsupported, match="this is a car-like base"):
-        robot_of(rover(0.0, steered=True))
+    base = robot_of(rover(0.0, steered=True)).base
+    assert base.kind == "car_like" and {p.role for p in base.pivots} == {"master", "follower"}
 
 
 # --- Faults that do not matter ----------------------------------------------------------------------------------------

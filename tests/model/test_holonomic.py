@@ -180,7 +180,7 @@ def test_paths_and_bases_that_do_not_fit_are_refused():
     with pytest.raises(TrajectoryError, match=r"\(v, w\) for a base of \(vx, vy, w\)"):
         Trajectory(PATHS["line"], (Hold(0.0),) * 2).table([0.0, 1.0], robot.dimensions)
     experiment = load_experiment("track", ["reference.heading={type='hold', value=1.0}"])
-    with pytest.raises(ConfigError, match="heading for a differential drive"):
+    with pytest.raises(ConfigError, match="heading for differential bases"):
         experiment.trajectory(mobile_arm(2).dimensions)
     path = experiment.trajectory(robot.dimensions).base
     assert path is not None and path.sideways

@@ -195,9 +195,7 @@ def test_a_front_pair_gets_a_warning_and_the_better_command():
 
 
 def test_more_wheels_than_three_per_side_are_tracks():
-    with pytest.raises(Unsupported, match=r"tracked machine: .*8 parallel wheels") as error:
-        robot_of(rover((0.4, 0.2, -0.2, -0.4)))
-    assert error.value.machine == "tracked machine"
+    assert robot_of(rover((0.4, 0.2, -0.2, -0.4))).base.kind == "tracked"
     with pytest.raises(Unsupported, match="tracked machine"):
         robot_of(rover((0.4, 0.2, -0.2, -0.4)), base="holonomic")
     with pytest.raises(Unsupported, match="tracked machine"):

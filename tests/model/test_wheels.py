@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from test_base import CORNERS, MOVE, four, friction
 
 from mmnn_pin.errors import ConfigError, RobotError
-from mmnn_pin.model.base.report import Undecided, Unsupported
+from mmnn_pin.model.base.report import Undecided
 from mmnn_pin.model.dynamics import Dynamics
 
 FOOT = joint("foot", "fixed", "footprint", "base") + '<link name="footprint"/>'
@@ -161,8 +161,8 @@ def test_what_swivels_all_the_way_round_is_a_caster(kind, limits, trail):
 
 @pytest.mark.parametrize(("limits", "trail"), [((-0.6, 0.6), 0.03), ((-math.pi, math.pi), 0.0)])
 def test_what_turns_within_limits_or_without_trail_steers(limits, trail):
-    with pytest.raises(Unsupported, match="car-like"):
-        robot_of(Drive().urdf(ARM + caster("revolute", limits, trail)))
+    base = robot_of(Drive().urdf(ARM + caster("revolute", limits, trail))).base
+    assert base.kind == "tricycle" and base.pivots[0].wheel[0] == pytest.approx(-trail) and base.casters == ()
 
 
 FRONT = '<joint name="swivel">{0}</joint><joint name="roll">{0}</joint>'
@@ -176,10 +176,13 @@ def commands(joints: str) -> str:
     return COMMAND.format(joints.format('<command_interface name="velocity"/>'))
 
 
-@pytest.mark.parametrize("more", [commands(FRONT), MOTORS.format(FRONT.format("")), PLUGIN.format("tricycle_drive")])
+@pytest.mark.parametrize(
+    "more",
+    [commands(FRONT), commands(FRONT + PAIR), MOTORS.format(FRONT.format("")), PLUGIN.format("tricycle_drive")],
+)
 def test_a_wheel_without_trail_that_the_file_drives_is_a_tricycles(more):
-    with pytest.raises(Unsupported, match=r"car-like base: 'roll' .* has no trail and steers: .* \(line \d+\)"):
-        robot_of(Drive().urdf(ARM + caster("continuous", None, 0.0) + more))
+    base = robot_of(Drive().urdf(ARM + caster("continuous", None, 0.0) + more)).base
+    assert base.kind == "tricycle" and [p.joint for p in base.pivots] == ["swivel"]
 
 
 @pytest.mark.parametrize("more", [commands(PAIR), MOTORS.format(PAIR.format("")), PLUGIN.format("diff-drive")])
@@ -188,13 +191,14 @@ def test_a_wheel_without_trail_is_a_caster_where_the_file_drives_the_two_others(
     assert robot.base.casters == ("swivel", "roll") and [w.joint for w in robot.base.wheels] == ["left", "right"]
 
 
-@pytest.mark.parametrize("more", ["", commands(PAIR) + PLUGIN.format("ackermann_drive"), commands(FRONT + PAIR)])
+@pytest.mark.parametrize("more", ["", commands(PAIR) + PLUGIN.format("ackermann_drive")])
 def test_a_wheel_without_trail_is_asked_for_where_nothing_decides(more):
     text = Drive().urdf(ARM + caster("continuous", None, 0.0) + more)
     with pytest.raises(Undecided, match="--wheels") as error:
         robot_of(text)
-    assert [r.kind for r in error.value.readings] == ["differential_drive", "car-like"]
+    assert [r.kind for r in error.value.readings] == ["differential_drive", "tricycle"]
     assert robot_of(text, wheels=("left", "right")).base.kind == "differential_drive"
+    assert "--steer swivel" in error.value.fix and robot_of(text, steer=("swivel",)).base.kind == "tricycle"
 
 
 def test_a_plugin_that_steers_contradicts_two_wheels():
@@ -213,12 +217,12 @@ def swerve(trail: float) -> str:
     return f'<robot name="r">{text}{ARM}</robot>'
 
 
-def test_a_swerve_drive_without_limits_is_refused_by_name():
-    with pytest.raises(Unsupported, match="this is a swerve drive"):
-        robot_of(swerve(0.0))
-    with pytest.raises(Unsupported, match=r"base on powered casters: .*--base holonomic drives it"):
-        robot_of(swerve(0.03))
-    robot = robot_of(swerve(0.0), base="holonomic")  # as both are told
+def test_a_swerve_drive_without_limits_steers_all_its_wheels_and_casters_follow():
+    steers, trails = robot_of(swerve(0.0)), robot_of(swerve(0.03))
+    assert steers.base.kind == "swerve" and {p.role for p in steers.base.pivots} == {"master"}
+    assert trails.base.kind == "casters" and {p.role for p in trails.base.pivots} == {"passive"}
+    assert steers.joint_names == trails.joint_names == ("shoulder", "elbow")
+    robot = robot_of(swerve(0.0), base="holonomic")
     assert robot.base.pushes and robot.base.kind == robot_of(swerve(0.03), base="holonomic").base.kind == "holonomic"
     assert robot.joint_names == ("shoulder", "elbow")
 

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from ...errors import LENGTH, ConfigError, InputError, TrajectoryError, UnknownName
+from ...model.base import kind_of
 from ...model.robot import Robot
 from ...reference import (
     BasePath,
@@ -280,8 +281,8 @@ class ReferenceTables(Settings, frozen=True):
             return HolonomicPath(path, None if heading is None else make(ARM_PROFILES, heading, "reference.heading"))
         if self.heading is not None:
             raise ConfigError(
-                "a heading for a differential drive",
-                why="it looks along its path",
+                f"a heading for {kind_of(layout).words}",
+                why="they look along their path",
                 fix="leave the table out",
                 key="reference.heading",
             )

@@ -17,7 +17,7 @@ mecanum wheel's.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import ClassVar, NamedTuple, Self
@@ -210,6 +210,15 @@ class Base:
         return replace(self, wheels=tuple(replace(w, radius=w.radius * factors[w.joint]) for w in self.wheels))
 
     # -- its maps -----------------------------------------------------------------------------------------------------
+
+    def carriers(self, pose: Sequence[float], angles: Sequence[float]) -> list[Sequence[float]]:
+        """Where its body and then what every pivot carries stand, `(x, y, heading)` each [m, m, rad].
+
+        Args:
+            pose: (3,) of the control frame.
+            angles: Of the joints of `shape` [rad].
+        """
+        return [pose]
 
     @property
     def root_size(self) -> int:

@@ -328,7 +328,8 @@ def skidding(
     alike = all(parallel(drives[0], c) for c in drives[1:])
     few = kind is not SkidSteer or left <= MOST_PER_SIDE
     if not (alike and left == right == len(drives) / 2 and left >= 2 and few):
-        what = f"{len(drives)} wheel(s), {left} of them on the left, for a base '{kind.kind}'"
+        name = "tracked machine" if kind is Tracked else "skid-steer base"
+        what = f"{len(drives)} wheel(s), {left} of them on the left, for a {name}"
         fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
         raise ConfigError(what, fix=fix, key="wheels", file=rest.document.path)
     require_together(rest, drives)
@@ -356,7 +357,8 @@ def idlers(rest: AtRest, base: Base, drives: Sequence[Candidate]) -> list[str]:
     known = {c.joint.name for c in drives}
     ends = [j for j in rest.document.moving_children(rest.document.root_link) if is_endless_end(rest, j)]
     others = [wheel_of(rest, j) for j in ends if j.name not in known]
-    left = np.array([-math.sin(base.frame[2]), math.cos(base.frame[2])])
+    c, s = cos_sin(base.frame[2])
+    left = np.array([-s, c])
     return [
         c.joint.name
         for c in others

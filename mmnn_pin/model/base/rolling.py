@@ -39,7 +39,7 @@ import numpy as np
 
 from ...by_address import by_address
 from ...compiled import compiled, internal, linked
-from ...elementary import cos_sin
+from ...elementary import arrays, atan2, cos_sin
 from ...signals import Array, IntArray
 
 MASTER, FOLLOWER, PASSIVE = 0, 1, 2
@@ -113,6 +113,7 @@ class _Wheel(NamedTuple):
     per: int = 4  # joint velocity per rim speed [1/m]
 
 
+AxleRow = tuple[float, float, float]
 TURN, PIVOT, WHEEL = _Turn(), _Pivot(), _Wheel()
 
 
@@ -296,7 +297,8 @@ def first_direction(rolling: Rolling, position: Array, adj: Array, n: Array) -> 
     for i in range(3):
         if adj[i, i] > adj[largest, largest]:
             largest = i
-    size = math.sqrt(adj[0, largest] ** 2 + adj[1, largest] ** 2 + adj[2, largest] ** 2)
+    x, y, z = adj[0, largest], adj[1, largest], adj[2, largest]
+    size = math.sqrt(x * x + y * y + z * z)
     for i in range(3):
         n[i] = adj[i, largest] / size
     for k in range(len(rolling.turns)):
@@ -337,11 +339,10 @@ def add_meeting(
             adjdot[a, b] += md[a] * m[b] + m[a] * md[b]
 
 
-Triple = tuple[float, float, float]
-
-
 @compiled
-def axle_row(rolling: Rolling, k: int, position: Array, nu: Array) -> tuple[Triple, Triple]:
+def axle_row(
+    rolling: Rolling, k: int, position: Array, nu: Array
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Row of master k on `(vx, vy, l w)` that vanishes where its wheel does not slide, and its rate."""
     p, (c, s, t) = rolling.pivots[k], heading_of(rolling, k, position)
     rate, per = p[PIVOT.sign] * nu[rolling.turns[k, TURN.column]], 1.0 / rolling.length
@@ -443,10 +444,10 @@ def closed(rolling: Rolling, position: Array) -> Array:
     for k, turn in enumerate(rolling.turns):
         if turn[TURN.role] == FOLLOWER:
             m, p, at = rolling.pivots[masters[0]], rolling.pivots[k], turn[TURN.place]
-            h = m[PIVOT.sign] * position[rolling.turns[masters[0], TURN.place]] + math.atan2(m[PIVOT.s], m[PIVOT.c])
-            c, s, trail = np.cos(h), np.sin(h), m[PIVOT.wheel_x] * m[PIVOT.c] + m[PIVOT.wheel_y] * m[PIVOT.s]
-            along = m[PIVOT.x] * c + m[PIVOT.y] * s + trail - p[PIVOT.y] * s
-            want = np.arctan2(p[PIVOT.x] * s, along) - math.atan2(p[PIVOT.s], p[PIVOT.c])
+            h = m[PIVOT.sign] * position[rolling.turns[masters[0], TURN.place]] + atan2(m[PIVOT.s], m[PIVOT.c])
+            (c, s), trail = arrays.cos_sin(h), m[PIVOT.wheel_x] * m[PIVOT.c] + m[PIVOT.wheel_y] * m[PIVOT.s]
+            ahead = m[PIVOT.x] * c + m[PIVOT.y] * s + trail - p[PIVOT.y] * s
+            want = arrays.atan2(p[PIVOT.x] * s, ahead) - atan2(p[PIVOT.s], p[PIVOT.c])
             now = p[PIVOT.sign] * position[at]
             position[at] = p[PIVOT.sign] * (now + (want - now + math.pi / 2) % math.pi - math.pi / 2)
     return position

@@ -6,19 +6,20 @@ pose's law, a velocity of the control frame, goes to the law that steers (`steer
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
-from ...elementary import atan2, cos_sin, hypot
+from ...elementary import cos_sin
 from ...signals import Array
 from .base import Base, LinearErrors, PoseEnergy, Wheel
 from .differential import DifferentialDrive
 from .holonomic import HolonomicBase
-from .rolling import AXLE, FOLLOWER, FREE, MASTER, ROLES, STEERED, Maps, Pivot, Rolling, closed, new_maps, roll
+from .rolling import AXLE, FOLLOWER, FREE, MASTER, ROLES, STEERED, Maps, Pivot, Rolling, new_maps, roll
+from .stance import along
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +78,16 @@ class SteeredBase(Base):
         """See `Base.shape`."""
         return tuple(pivot.joint for pivot in self.pivots)
 
+    def carriers(self, pose: Sequence[float], angles: Sequence[float]) -> list[Sequence[float]]:
+        """See `Base.carriers`."""
+        places = [pose]
+        for pivot, angle in zip(self.pivots, angles, strict=True):
+            x, y, heading = places[pivot.parent + 1]
+            c, s = cos_sin(heading)
+            at = x + c * pivot.x - s * pivot.y, y + s * pivot.x + c * pivot.y
+            places.append((*at, heading + pivot.sign * angle))
+        return places
+
     def rolling_at(self, places: Mapping[str, int]) -> Rolling:
         """The base as arrays for `rolling.roll`.
 
@@ -100,22 +111,12 @@ class SteeredBase(Base):
         )
 
     def angles(self, twist: Array) -> Array:
-        """Angles of the steering joints whose wheels stand along the path of a twist, (masters,), nearest to 0 [rad].
+        """Angles of its pivots, (K,), that stand along the path of a twist, of those nearest to 0 [rad].
 
         Args:
-            twist: (2,) or (3,) of the control frame, not 0.
+            twist: (2,) or (3,) of the control frame; where that is 0 they stand at 0.
         """
-        vx, vy, w = self.eta_of(twist)
-        found = list[float]()
-        for p in (self.pivots[k] for k in self.masters):
-            turned = atan2(vy + p.x * w, vx - p.y * w) - p.wheel[2]
-            trail = p.wheel[0] * np.cos(p.wheel[2]) + p.wheel[1] * np.sin(p.wheel[2])
-            if trail != 0.0:  # the wheel is off its axis and does not move along the axis's path
-                far = hypot(vx - p.y * w, vy + p.x * w)
-                turned += float(np.arcsin(np.clip(trail * w / far, -1.0, 1.0))) if far > 0.0 else 0.0
-            half = np.pi * np.round(turned / np.pi)  # it may roll backwards
-            found.append(p.sign * (turned - half))
-        return np.array(found)
+        return along(self.pivots, np.zeros(1), self.eta_of(twist)[None], np.zeros((1, 3))).angles[0]
 
     def random_angles(self, rng: np.random.Generator) -> Array:
         """Angles of all pivots within their stops, (K,); those whose wheels must agree stand along one twist [rad]."""
@@ -146,9 +147,7 @@ class SteeredBase(Base):
         wheels = {w.joint: 3 + len(base) + k for k, w in enumerate(self.wheels)}
         rolling, eta = self.rolling_at(base | wheels), self.eta_of(v_ref)
         position = np.zeros(3 + len(base) + len(wheels))
-        if eta.any():
-            position[[base[self.pivots[k].joint] for k in self.masters]] = self.angles(v_ref)
-        closed(rolling, position)
+        position[3 : 3 + len(base)] = self.angles(v_ref)
         maps, one = new_maps(rolling, np.zeros((position.size, 1 + m))), np.eye(1 + m)
         roll(rolling, position, 0.0 * one[0], maps)
         n, W = maps.V[0][:, 0].copy(), np.array([1.0, 1.0, self.length**2])
@@ -162,9 +161,9 @@ class SteeredBase(Base):
         command[0, :3] = (W * n)[self.columns] @ law.command
         for i, k in enumerate(self.masters):
             p, angle = self.pivots[k], position[base[self.pivots[k].joint]]
-            h = p.sign * angle + p.wheel[2]
-            row = np.array([-np.sin(h), np.cos(h), p.x * np.cos(h) + p.y * np.sin(h)])
-            speed = float(np.array([np.cos(h), np.sin(h), p.x * np.sin(h) - p.y * np.cos(h)]) @ eta)
+            c, s = cos_sin(p.sign * angle + p.wheel[2])
+            row = np.array([-s, c, p.x * c + p.y * s])
+            speed = float(np.array([c, s, p.x * s - p.y * c]) @ eta)
             if abs(speed) > 0.0:
                 along = p.sign * row[self.columns] / speed
                 command[1 + i, :3] = along @ law.command @ (gains[-1] * np.eye(3) + law.rates)
@@ -177,7 +176,7 @@ class SteeredBase(Base):
         """`linear_errors` of the law of its pose, for a base that moves as asked."""
         raise NotImplementedError
 
-    def along(self, maps: Maps, twist: Array) -> Array:
+    def velocity_along(self, maps: Maps, twist: Array) -> Array:
         """See `Structure.base_velocity`: u, the part of a twist that the wheels permit; the steering stands still."""
         if self.body != STEERED:
             return twist
@@ -227,7 +226,7 @@ def steered_rows(base: SteeredBase, rows: Mapping[str, int], position: Array) ->
     for k, p in enumerate(base.pivots):
         vx, vy, w = carriers[p.parent + 1]
         vx, vy = vx - p.y * w, vy + p.x * w
-        c, s = np.cos(yaw[k]), np.sin(yaw[k])
+        c, s = cos_sin(yaw[k])
         carriers.append(np.array([c * vx + s * vy, c * vy - s * vx, w + np.eye(3 + K)[3 + k]]))
     wheels: list[tuple[int, float, float, float, Wheel | None]] = [
         (w.pivot, w.x, w.y, w.heading, w) for w in base.wheels
@@ -239,7 +238,7 @@ def steered_rows(base: SteeredBase, rows: Mapping[str, int], position: Array) ->
         to_eta[3 + k, rows[p.joint]] = p.sign
     for pivot, x, y, heading, wheel in wheels:
         vx, vy, w = carriers[pivot + 1]
-        vx, vy, c, s = vx - y * w, vy + x * w, np.cos(heading), np.sin(heading)
+        vx, vy, (c, s) = vx - y * w, vy + x * w, cos_sin(heading)
         if wheel is None or wheel.grips:
             found.append((c * vy - s * vx) @ to_eta)
         if wheel is not None:
@@ -258,9 +257,9 @@ def following_row(base: SteeredBase, k: int, yaw: Array) -> Array:
     """
     row, m = np.zeros(3 + len(base.pivots)), base.masters[0]
     one, other = base.pivots[k], base.pivots[m]
-    h, g, apart = yaw[k] + one.wheel[2], yaw[m] + other.wheel[2], one.y - other.y
-    row[3 + k] = apart * np.cos(h) * np.sin(g) - one.x * np.sin(h) * np.sin(g) - other.x * np.cos(g) * np.cos(h)
-    row[3 + m] = apart * np.sin(h) * np.cos(g) + one.x * np.cos(h) * np.cos(g) + other.x * np.sin(g) * np.sin(h)
+    (c, s), (cm, sm), apart = cos_sin(yaw[k] + one.wheel[2]), cos_sin(yaw[m] + other.wheel[2]), one.y - other.y
+    row[3 + k] = apart * c * sm - one.x * s * sm - other.x * cm * c
+    row[3 + m] = apart * s * cm + one.x * c * cm + other.x * sm * s
     return row
 
 

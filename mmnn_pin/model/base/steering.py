@@ -90,6 +90,11 @@ class Module:
         """Whether the floor turns it."""
         return bool(abs(self.lever(rest)[0]) > TURNED * self.wheels[0].radius)
 
+    @property
+    def swivels(self) -> bool:
+        """Whether it turns all the way round, as a caster does."""
+        return all(c.mount == "swivel" for c in self.wheels)
+
     def is_body(self, rest: AtRest) -> bool:
         """Whether it is a body of its own: wheels on both sides of it, more than a radius from its axis."""
         ahead, radius = rolling(self.wheels[0]), self.wheels[0].radius
@@ -256,7 +261,7 @@ def role_of(rest: AtRest, m: Module, layout: Layout, overrides: Overrides) -> st
     beside = layout.fixed or any(not o.trails(rest) for o in others)
     if m.is_body(rest) and beside and m.joint.mimics is None:
         return body_role(rest, m, layout, overrides)
-    if not m.trails(rest) or not all_round(m.joint) or (layout.fixed and name in layout.motors):
+    if not m.trails(rest) or not m.swivels or (layout.fixed and name in layout.motors):
         return "steered"
     driven = {name, *(c.joint.name for c in m.wheels)} & layout.motors.keys()
     said = overrides.base == Casters.kind
@@ -276,11 +281,6 @@ def body_role(rest: AtRest, m: Module, layout: Layout, overrides: Overrides) -> 
         return "waist"
     told = not axle or layout.motors or overrides.base in (DriveWithTrailer.kind, CarWithTrailer.kind)
     return "hitch" if told else ""
-
-
-def all_round(joint: Joint) -> bool:
-    """Whether a joint swivels all the way round."""
-    return joint.turns_freely or joint.upper - joint.lower > math.tau - 0.3
 
 
 # -- what it makes -----------------------------------------------------------------------------------------------------
@@ -328,9 +328,11 @@ def doubts_settled(rest: AtRest, layout: Layout, overrides: Overrides) -> list[M
     doubtful = [
         m
         for m in layout.of("steered")
-        if layout.fixed and all_round(m.joint) and m.joint.name not in said and m.joint.mimics not in said
+        if layout.fixed and m.swivels and m.joint.name not in said and m.joint.mimics not in said
     ]
     sure = [m for m in layout.of("steered") if m not in doubtful]
+    if not doubtful and len(layout.fixed) == 2 and not layout.of("steered", "waist") and overrides.base is None:
+        refuse_plugin(rest, layout, overrides)
     if not doubtful or overrides.base in (CarLike.kind, Tricycle.kind, CarWithTrailer.kind):
         return layout.modules
     front = [c for m in doubtful for c in m.wheels if c.trail <= TRAIL]
@@ -345,22 +347,35 @@ def doubts_settled(rest: AtRest, layout: Layout, overrides: Overrides) -> list[M
     return [replace(m, role="caster") if m.joint.name in casters else m for m in layout.modules]
 
 
+def refuse_plugin(rest: AtRest, layout: Layout, overrides: Overrides) -> None:
+    """Refuse two wheels of which a plugin or a controller says that others steer the base.
+
+    Raises:
+        Undecided: None steers in this file.
+    """
+    signs = list(driving_signs(rest, layout.fixed, [], overrides.controllers_file))
+    steers, rolls = ([t for kind, t in signs if kind == want] for want in ("car-like", "differential_drive"))
+    if steers and coaxial(*layout.fixed):
+        raise either(rest, layout, [], steers, rolls)
+
+
 def front_axle(front: Sequence[Candidate], fixed: Sequence[Candidate]) -> bool:
     """Whether two wheels that could be steered make an axle of their own, parallel to that of the others."""
     return len(front) == 2 and coaxial(*front) and not coaxial(front[0], fixed[0]) and parallel(front[0], fixed[0])
 
 
 def either(rest: AtRest, layout: Layout, front: Sequence[Candidate], steers: list[str], rolls: list[str]) -> Exception:
-    """The question whether wheels without trail are casters or steer."""
+    """The question whether wheels without trail are casters or steer, or none does where a plugin says so."""
     names = ",".join(c.joint.name for c in layout.fixed)
     pivots = ",".join(m.joint.name for m in layout.modules if any(c in front for c in m.wheels))
+    fix = AHEAD.format(names, pivots) if pivots else f"--wheels {names} if nothing steers, --base fixed parks it"
     why = f"the file also speaks of steering: {', '.join(steers)}"
     if not steers:
         why = f"'{front[0].joint.name}' has no trail: a caster could not follow, a tricycle steers with it"
     two = BaseReading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
     kind = Tricycle.kind if len(front) == 1 else CarLike.kind
     car = BaseReading(kind, tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
-    return undecided(rest, [*layout.fixed, *front], [two, car], why, AHEAD.format(names, pivots))
+    return undecided(rest, [*layout.fixed, *front], [two, car], why, fix)
 
 
 def refuse_body(rest: AtRest, layout: Layout) -> None:

@@ -16,6 +16,10 @@ The first part turns the wheel to its path by the shorter way, it may run backwa
 nearest angle along its path that is between them, with that angle in the place of `sin(2 chi) / 2`, and slower towards
 a stop.
 
+A loader's waist moves its body as it turns: the axle off it by t has `s + t zeta = 0`. Where the axle at the control
+frame leads, `zeta_c = -s / t` moves it exactly as asked, and the waist settles. Where it trails the waist would fold,
+and the law above steers.
+
 Everything has its rate beside it; the second derivative of eta_c is given.
 """
 
@@ -30,11 +34,8 @@ from ...elementary import atan2
 from ...signals import Array
 from .rolling import AXLE, MASTER, PIVOT, STEERED, TURN, Maps, Rolling, heading_of
 
-SWING = 0.05  # share of the wheelbase that a waist moves its axle by; what moves less is a wheel beside its axis
-
-
 class Asked(NamedTuple):
-    """What a wheel is asked for: across and along it, their rates, and the rates of these; [m/s], [m/s^2], [m/s^3]."""
+    """Speeds that a wheel is asked for, across and along it, their rates, and the rates of these [m/s, m/s^2, m/s^3]."""
 
     s: float
     f: float
@@ -54,11 +55,13 @@ class SteeringNumbers(NamedTuple):
         rate: K, how fast a wheel turns to its path [1/s].
         slow: eps, the speed under which wheels steer less [m/s].
         align: Whether the base waits for wheels that do not stand along their paths.
+        waist: Whether what steers is a loader's waist.
     """
 
     rate: float
     slow: float
     align: bool
+    waist: bool
 
 
 @internal
@@ -79,8 +82,6 @@ def steered_velocity(
         alphadot: (nb,) written.
     """
     first = 1
-    if rolling.body == STEERED and swings(rolling, maps, asked, alpha, alphadot):
-        return
     if rolling.body == STEERED:
         along_n(rolling, maps, asked, alpha, alphadot)
     elif rolling.body == AXLE:
@@ -107,24 +108,6 @@ def steered_velocity(
 
 
 @compiled
-def swings(rolling: Rolling, maps: Maps, asked: Array, alpha: Array, alphadot: Array) -> bool:
-    """Whether a waist steers, which moves what it steers: then (u, zeta) is what gives (v, w) as asked, and its rate.
-
-    `alpha = N^-1 (v, w)`, N the rows of the map from (u, zeta) to v and w.
-    """
-    V, Vdot = maps.V[0], maps.Vdot[0]
-    det = V[0, 0] * V[2, 1] - V[2, 0] * V[0, 1] if V.shape[1] == 2 and rolling.axle else 0.0
-    if abs(det) * rolling.length < SWING:
-        return False
-    alpha[0] = (V[2, 1] * asked[0, 0] - V[0, 1] * asked[0, 2]) / det
-    alpha[1] = (V[0, 0] * asked[0, 2] - V[2, 0] * asked[0, 0]) / det
-    v = asked[1, 0] - Vdot[0, 0] * alpha[0] - Vdot[0, 1] * alpha[1]
-    w = asked[1, 2] - Vdot[2, 0] * alpha[0] - Vdot[2, 1] * alpha[1]
-    alphadot[0], alphadot[1] = (V[2, 1] * v - V[0, 1] * w) / det, (V[0, 0] * w - V[2, 0] * v) / det
-    return True
-
-
-@compiled
 def along_n(rolling: Rolling, maps: Maps, asked: Array, alpha: Array, alphadot: Array) -> None:
     """`u_c = n' W eta_c` and its derivative."""
     alpha[0], alphadot[0] = 0.0, 0.0
@@ -143,7 +126,7 @@ def part(asked: Array, i: int, x: float, y: float, w: float) -> float:
 
 @compiled
 def asked_of(rolling: Rolling, k: int, angles: Array, rate: float, asked: Array) -> Asked:
-    """What the wheel of master k is asked for; rate is that of its joint [rad/s]."""
+    """The speeds that the wheel of master k is asked for; rate is that of its joint [rad/s]."""
     p, (c, s, t) = rolling.pivots[k], heading_of(rolling, k, angles)
     turning = p[PIVOT.sign] * rate
     across, along = p[PIVOT.x] * c + p[PIVOT.y] * s + t, p[PIVOT.x] * s - p[PIVOT.y] * c
@@ -179,6 +162,9 @@ def turned_wheel(
     zeta, zetadot = 0.0, 0.0
     if below > 0.0:
         zeta, zetadot = top / below, (topdot - top * size2dot / below) / below
+    trail = heading_of(rolling, k, angles)[2]
+    if numbers.waist and a.f * trail < 0.0:
+        zeta, zetadot = -a.s / trail, -a.sdot / trail
     most, least = min(p[PIVOT.rate], 2.0 * K * (high - now)), max(-p[PIVOT.rate], 2.0 * K * (low - now))
     if zeta > most:
         zeta, zetadot = most, 0.0 if most == p[PIVOT.rate] else -2.0 * K * sign * rate

@@ -456,6 +456,8 @@ def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]
             why = f"{len(drives)} parallel wheels, and {why}"
             fix = "--base tracked if belts run over them, --base skid_steer if it runs on these wheels"
             raise unsupported(rest, "tracked machine", why, drives, f"{fix}, --base fixed takes it as an arm")
+    if overrides.base == "holonomic" and overrides.wheels is None and (why := many_wheels(rest, drives)):
+        raise unsupported(rest, "tracked machine", why, drives, "--base tracked drives it, --base fixed parks it")
     meaning = overrides.base if overrides.base in ("holonomic", "skid_steer") else verdict(pieces)
     if meaning is None and (why := steering_named(rest)):
         raise unsupported(rest, "car-like base", why, drives)

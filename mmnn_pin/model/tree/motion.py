@@ -229,7 +229,7 @@ def base_rates(links: Indices, scratch: Array, nu: Array) -> Triple:
 
 @inlined
 def base_drift(links: Indices, scratch: Array, nu: Array) -> Triple:
-    """What the rate of T adds to the accelerations of the base."""
+    """Accelerations of the base by the rate of T."""
     return drift(links, scratch, BASE.vx, nu), drift(links, scratch, BASE.vy, nu), drift(links, scratch, BASE.w, nu)
 
 

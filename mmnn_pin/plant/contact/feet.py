@@ -18,6 +18,7 @@ import pinocchio as pin
 from ...elementary import cos_sin
 from ...errors import ConfigError, RobotError
 from ...model.base.overrides import folders_of
+from ...model.base.steered import SteeredBase
 from ...model.robot import Robot
 from ...model.urdf.reading import parse
 from ...model.urdf.shapes import AtRest, Shape
@@ -127,23 +128,33 @@ def feet_of(robot: Robot) -> Feet:
     """The feet of a mobile robot; none of a fixed arm.
 
     Raises:
-        RobotError: A base whose wheels have rollers, or one that stands on its two wheels alone.
+        RobotError: A base whose wheels have rollers or do not turn, or one that stands on its two wheels alone.
     """
     if not robot.dimensions.base:
         return Feet((), ())
-    if not robot.base.two_sided:
-        raise RobotError(
-            f"the contact plant cannot carry the {robot.base.kind} base of '{robot.name}'",
-            why="it has plain wheels only, neither rollers nor a base that is pushed",
-            fix="use the ideal plant",
-            file=robot.path,
-        )
+    require_wheels(robot)
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, robot.configuration(at_origin(robot)))
     wheels = tuple(wheel_feet(robot, data))
     casters = tuple(caster_feet(robot, data))
     require_standing(robot, data, wheels, casters)
     return Feet(wheels, casters)
+
+
+def require_wheels(robot: Robot) -> None:
+    """Refuse a base that does not stand on plain wheels that turn.
+
+    Raises:
+        RobotError: It does not.
+    """
+    why = "" if robot.base.two_sided else "it has plain wheels only, neither rollers nor a base that is pushed"
+    if isinstance(robot.base, SteeredBase):
+        carrying = {wheel.pivot for wheel in robot.base.wheels}
+        stiff = [pivot.joint for k, pivot in enumerate(robot.base.pivots) if k not in carrying]
+        why = f"what '{stiff[0]}' steers has no joint to roll about" if stiff else ""
+    if why:
+        what = f"the contact plant cannot carry the {robot.base.kind} base of '{robot.name}'"
+        raise RobotError(what, why=why, fix="use the ideal plant", file=robot.path)
 
 
 def at_origin(robot: Robot) -> Array:
@@ -155,9 +166,10 @@ def at_origin(robot: Robot) -> Array:
 
 def wheel_feet(robot: Robot, data: pin.Data) -> Iterator[Foot]:
     """One foot per drive wheel, its centre on the wheel's axis."""
-    x, y, psi = robot.frame
-    c, s = cos_sin(psi)
+    carriers = robot.base.carriers(tuple(robot.frame.tolist()), robot.rest[robot.shape_index].tolist())
     for wheel in robot.base.wheels:
+        x, y, psi = carriers[wheel.pivot + 1]
+        c, s = cos_sin(psi)
         j = robot.model.getJointId(wheel.joint)
         hub, axis = data.oMi[j].translation, data.oMi[j].rotation @ turning_axis(data, j)
         middle = np.array([x + c * wheel.x - s * wheel.y, y + s * wheel.x + c * wheel.y, hub[2]])
@@ -171,7 +183,7 @@ def turning_axis(data: pin.Data, joint: int) -> Array:
 
 
 def caster_feet(robot: Robot, data: pin.Data) -> Iterator[Foot]:
-    """One foot under every link of the base that reaches the floor, drive wheels apart."""
+    """One foot under every link of the base that reaches the floor, wheels apart."""
     model, floor = robot.model, robot.base.floor
     rest = AtRest(parse(robot.urdf.encode(), robot.path), folders_of(robot.path, robot.overrides))
     near = NEAR * min(wheel.radius for wheel in robot.base.wheels)
@@ -179,7 +191,7 @@ def caster_feet(robot: Robot, data: pin.Data) -> Iterator[Foot]:
     casters -= {model.parents[j] for j in casters}  # a fork is no caster, the wheel on it is
     for frame in model.frames:
         j = frame.parentJoint
-        if frame.type != pin.FrameType.BODY or not is_welded(robot, j):
+        if frame.type != pin.FrameType.BODY or not is_level(robot, j):
             continue
         low = lowest_of(rest, frame, data.oMi[j])
         if low is None and j in casters:  # a caster without a shape stands under its hub
@@ -189,10 +201,10 @@ def caster_feet(robot: Robot, data: pin.Data) -> Iterator[Foot]:
             yield Foot(j, data.oMi[j].actInv(centre), CASTER_RADIUS)
 
 
-def is_welded(robot: Robot, joint: int) -> bool:
-    """Whether a body is rigid with the root link: every joint between them is locked."""
+def is_level(robot: Robot, joint: int) -> bool:
+    """Whether a body stays as high as the root link: every joint between them is locked, or a pivot of the base."""
     while joint > 1:
-        if robot.model.names[joint] not in robot.arm.locked:
+        if robot.model.names[joint] not in (*robot.arm.locked, *robot.base.shape):
             return False
         joint = robot.model.parents[joint]
     return joint == 1

@@ -1,7 +1,8 @@
 """The contact plant: a free base on wheels that grip by friction, stepped by MuJoCo; a `Plant`, as the ideal one.
 
 State and torques are those of the ideal plant: `nu` is the forward speed and yaw rate of the control frame and the
-rates of the arm, whatever the wheels do. What only this plant knows goes into the row by `observe`.
+rates of the arm, whatever the wheels do; of a base that steers what the pivots, as they stand, make of the control
+frame's velocity (`pivots`). What only this plant knows goes into the row by `observe`.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from ...model.tree.twin import terms_of
 from ...signals import Array, Layout
 from .. import NO_PUSH
 from .feet import Contact, feet_of
+from .motion import BaseMotion, ContactFriction, FreeBase, tilt
 from .steps import Steps
-from .tree import NO_FRICTION, BaseMotion, ContactFriction, FreeBase, compile_tree, engine, on_base, tilt
+from .tree import NO_FRICTION, compile_tree, engine
 
 FALLEN = 0.5  # inclination at which the base counts as fallen over [rad]
 LOST = 1e5  # speed of anything at which the engine's state counts as lost [rad/s or m/s]
@@ -93,7 +95,7 @@ class ContactPlant:
     """A robot on a floor that it may slip on.
 
     Args:
-        robot: The true robot, a differential drive or a fixed arm.
+        robot: The true robot, on plain wheels or a fixed arm.
         dt: Step of the plant [s]; the engine takes as many equal ones as `contact.step` asks for.
         method: "rk4", or MuJoCo's Euler with implicit friction, of first order, for any other.
         contact: The floor.
@@ -125,14 +127,14 @@ class ContactPlant:
         nv, p, wheels = robot.dimensions.full, robot.dimensions.dof, len(self.feet.wheels)
         self.y = np.zeros(nv + p + 1)
         self.position, self.nu = self.y[:nv], self.y[nv : nv + p]
-        self.velocity, self.to_motors = np.zeros(nv), pseudo_inverse(robot.E)
-        self.base = FreeBase(robot) if robot.dimensions.base else None
+        self.velocity = np.zeros(nv)
         self.motion: BaseMotion | None = None
         self._index()
+        self._take_model()
         self.hold = np.zeros(nv)
-        self.friction = ContactFriction(robot, self.moving, self.at_v, self.model)
         self.residual, self.speed, self.traction = np.zeros(min(1, wheels)), np.zeros(wheels), np.zeros(wheels)
-        self.along, self.across = sliding_rows(robot)
+        if not robot.steers:
+            self.to_motors, (self.along, self.across) = pseudo_inverse(robot.E), sliding_rows(robot)
         self.slip = Slip(tuple(wheel.joint for wheel in robot.base.wheels), dt)
 
     def _index(self) -> None:
@@ -149,15 +151,23 @@ class ContactPlant:
         wheels = range(len(self.feet.wheels))
         self.pairs = [model.pair(f"wheel {i}").id for i in wheels]
         self.wheel_of = {model.geom(f"wheel {i}").id: i for i in wheels}
-        self.engine = Steps(model, frozenset(self.wheel_of), self.method)
         self._wrench = np.zeros(6)
+
+    def _take_model(self) -> None:
+        """What works on MuJoCo's model: the base, friction, steps."""
+        robot, model = self.robot, self.model
+        self.base = FreeBase(robot, model) if robot.dimensions.base else None
+        self.pivots = None if self.base is None else self.base.pivots
+        self.friction = ContactFriction(robot, self.moving, self.at_v, model, self.base)
+        self.engine = Steps(model, frozenset(self.wheel_of), self.method, self.pivots)
 
     def start(self, position: Array, nu: Array) -> None:
         """Put the robot level on the floor at a position (nv,), rolling with nu (p,), no work done.
 
         Locked joints stand where the robot locks them, mimic joints follow.
         """
-        data, v = self.data, self.robot.T @ nu
+        data, v = self.data, self.robot.T_at(position) @ nu
+        self._direct(np.zeros(3))
         self.mj.mj_resetData(self.model, data)
         data.qpos[self.at_q], data.qvel[self.at_v] = position[self.moving], v[self.moving]
         if self.base is not None:
@@ -172,15 +182,20 @@ class ContactPlant:
 
     def carry(self, robot: Robot) -> None:
         """Go on with a robot that carries more."""
-        before, self.robot = self.data, robot
+        before, n, self.robot = self.data, self.dynamics.maps.n.copy(), robot
         self.model = compile_tree(robot, self.feet, self.contact, self.h)
         self.data, self.dynamics = self.mj.MjData(self.model), terms_of(robot)
         for name in ("qpos", "qvel", "qacc_warmstart"):
             getattr(self.data, name)[:] = getattr(before, name)
-        self.friction = ContactFriction(robot, self.moving, self.at_v, self.model)
-        self.engine = Steps(self.model, frozenset(self.wheel_of), self.method)
+        self._take_model()
+        self._direct(n)
         self._read()
         self.refresh()
+
+    def _direct(self, n: Array) -> None:
+        """Give u its direction, (3,), zeros for one that rolls most wheels forwards; none where nothing steers."""
+        for maps in (self.dynamics.maps, *([] if self.pivots is None else [self.pivots.maps])):
+            maps.n[:] = n
 
     def motor_speeds(self, speeds: Array) -> None:
         """Speed of every motor's joint, (motors,) [rad/s or m/s]."""
@@ -190,7 +205,8 @@ class ContactPlant:
         """Advance by dt under a held generalized torque, (p,); `pushed` is the part that motors do not give."""
         data = self.data
         pushes = bool(pushed.any())
-        data.ctrl[:] = self.to_motors @ (tau - pushed if pushes else tau)
+        own = tau - pushed if pushes else tau
+        data.ctrl[:] = self.to_motors @ own if self.pivots is None else self.pivots.drive(own)
         for _ in range(self.steps):
             turned = data.qpos[self.motor_q]
             if self.contact.patches:
@@ -209,13 +225,15 @@ class ContactPlant:
     def _force(self, pushed: Array) -> None:
         """Friction and a push on nu, at the control frame and on the joints of the arm, for MuJoCo's present state."""
         data, nb = self.data, self.robot.dimensions.base
-        motion = None if self.base is None else self.base.motion(data.qpos[:7], data.qvel[:6])
+        motion = None if self.base is None else self.base.motion(data)
+        if self.pivots is not None:
+            self.pivots.couple()
         data.qfrc_applied[:] = 0.0
         self.friction.apply(data, motion, self.hold[self.moving])
         if pushed.size:
             data.qfrc_applied[self.arm_v] += pushed[nb:]
-            if motion is not None:
-                on_base(data, motion, float(pushed[0]), float(pushed[1]))
+            if self.base is not None and motion is not None:
+                self.base.push(data, motion, pushed[:nb])
 
     def observe(self, row: Array, layout: Layout) -> None:
         """Write constraint residual, slip and traction into a row, and start anew with the largest traction."""
@@ -235,10 +253,10 @@ class ContactPlant:
         self.nu[nb:] = self.velocity[robot.arm_index]
         if self.base is None:
             return
-        self.motion = motion = self.base.motion(data.qpos[:7], data.qvel[:6])
+        self.motion = motion = self.base.motion(data)
         self.position[:2] = motion.pose[:2]
         self.position[2] += math.remainder(motion.pose[2] - self.position[2], math.tau)
-        self.nu[:nb] = motion.velocity[robot.base.columns]
+        self.nu[:nb] = motion.nu
         self.velocity[:3] = self.base.from_control @ motion.velocity
 
     def _is_lost(self) -> bool:
@@ -252,7 +270,10 @@ class ContactPlant:
 
     def _take_slip(self) -> None:
         """Constraint residual and the speed of the contact points."""
-        if self.base is not None:
+        if self.pivots is not None and self.motion is not None:
+            along, across = self.pivots.sliding(self.data, self.motion.velocity)
+            self.residual[0], self.speed[:] = np.linalg.norm((along, across)), arrays.hypot(along, across)
+        elif self.base is not None:
             self.residual[0] = np.linalg.norm(self.robot.A @ self.velocity)
             self.speed[:] = arrays.hypot(self.along @ self.velocity, self.across @ self.velocity)
         self.slip.take(self.speed)
@@ -260,9 +281,11 @@ class ContactPlant:
     def _take_floor(self) -> None:
         """Friction under every wheel, where it now is."""
         assert self.motion is not None
-        x, y, heading = self.motion.pose
-        c, s = cos_sin(heading)
-        for pair, wheel in zip(self.pairs, self.robot.base.wheels, strict=True):
+        robot = self.robot
+        carriers = robot.base.carriers(self.motion.pose, self.position[robot.shape_index].tolist())
+        for pair, wheel in zip(self.pairs, robot.base.wheels, strict=True):
+            x, y, heading = carriers[wheel.pivot + 1]
+            c, s = cos_sin(heading)
             place = x + c * wheel.x - s * wheel.y, y + s * wheel.x + c * wheel.y
             self.model.pair_friction[pair, :2] = max(NO_FRICTION, self.contact.at(*place))
 

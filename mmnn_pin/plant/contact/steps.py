@@ -2,7 +2,8 @@
 
 MuJoCo asks of the velocity `J v` of a contact that it decay, `J vdot = -b J v`, and leaves out `Jdot v`: under a base
 that turns at w a wheel at speed u creeps sideways by `u w / b`, and 1/b is about a step. That is an error of first
-order in the pose, whatever the integrator. So `Jdot v` is taken from what contacts of wheels are asked (`efc_aref`).
+order in the pose, whatever the integrator. So `Jdot v` is taken from what contacts of wheels, and a linkage, are asked
+(`efc_aref`).
 
 MuJoCo's RK4 gives no place for that; ours evaluates friction anew in every stage, too.
 """
@@ -14,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from .tree import cross, engine
+from .motion import cross
+from .pivots import Pivots
+from .tree import engine
 
 
 class Steps:
@@ -24,9 +27,11 @@ class Steps:
         model: MuJoCo's model (`mjModel`), with its step.
         wheels: Ids of the wheels' spheres.
         method: "rk4", or MuJoCo's Euler with implicit damping for any other.
+        pivots: What steers, whose linkages turn along curves; None where nothing does.
     """
 
-    def __init__(self, model: Any, wheels: frozenset[int], method: str) -> None:
+    def __init__(self, model: Any, wheels: frozenset[int], method: str, pivots: Pivots | None = None) -> None:
+        self.pivots = pivots
         self.mj, self.model, self.wheels, self.h = engine(), model, wheels, model.opt.timestep
         self.take = self._rk4 if method == "rk4" else self._euler
         self.along, self.about = np.zeros((2, 3, model.nv))
@@ -74,6 +79,8 @@ class Steps:
         The contact's velocity is that of the sphere's centre, and the sphere's turning about it times a lever that
         always points down.
         """
+        if self.pivots is not None:
+            self.pivots.curve(data)
         for i in range(data.ncon):  # to iterate over data.contact itself takes a hundred times as long
             contact = data.contact[i]
             sphere = int(contact.geom2)

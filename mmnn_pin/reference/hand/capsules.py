@@ -89,7 +89,7 @@ class Pairs:
     """
 
     def __init__(self, robot: Robot, capsules: Sequence[Capsule], clearance: float) -> None:
-        self.capsules, self.clearance, p = tuple(capsules), clearance, robot.dimensions.dof
+        self.capsules, self.clearance, p = tuple(capsules), clearance, robot.dimensions.twist + robot.dimensions.arm
         self.chains = [chain_of(robot, capsule.link) for capsule in capsules]
         carried = [tuple(chain.links[:, 1]) for chain in self.chains]
         self.pairs = [

@@ -35,7 +35,7 @@ class Chain(NamedTuple):
             the root's.
         numbers: (m + 1, 15) placement of every joint on the one before (rotation row by row, translation), its axis;
             the last row is the frame on the last joint.
-        T: (nv, p) map from nu to all velocities.
+        T: (nv, p) map from nu to all velocities; of a base that steers `[twist; arm rates]` are its nu.
         frame: (3,) control frame in the root link; (0,) for a fixed arm.
         axes: (m, 6) axis and origin of every joint in the world, written.
         columns: (m, 6) Jacobian of every joint, written.
@@ -60,7 +60,7 @@ def chain_of(robot: Robot, frame: str) -> Chain:
 
     Raises:
         UnknownName: It has no such frame.
-        RobotError: A joint that is neither revolute nor prismatic carries it.
+        RobotError: A joint that is neither revolute nor prismatic carries it, or a steering joint or a hitch.
     """
     model, mobile = robot.model, robot.dimensions.base > 0
     if not model.existFrame(frame):
@@ -78,6 +78,9 @@ def chain_of(robot: Robot, frame: str) -> Chain:
                 links.append((PRISMATIC if k < 2 else REVOLUTE, k))
                 numbers.append(row_of(place if k == 0 else pin.SE3.Identity(), axis))
             continue
+        if model.names[j] in robot.base.shape:
+            what = f"'{model.names[j]}', on which the base stands, carries '{frame}'"
+            raise RobotError(what, why="a hand is led from the base's own body", fix="name another frame")
         if joint.nv != 1:
             what = f"joint '{model.names[j]}' of type {joint.shortname()} carries '{frame}'"
             raise RobotError(what, why="only revolute and prismatic joints can", fix="name another frame")
@@ -90,8 +93,18 @@ def chain_of(robot: Robot, frame: str) -> Chain:
     m, frame_in_root = len(links), np.array(robot.frame, float) if mobile else np.zeros(0)
     table = np.array(links, np.int64).reshape(m, 2)
     return Chain(
-        table, np.array(numbers), robot.T.copy(), frame_in_root, np.zeros((m, 6)), np.zeros((m, 6)), np.zeros(24)
+        table, np.array(numbers), led_map(robot), frame_in_root, np.zeros((m, 6)), np.zeros((m, 6)), np.zeros(24)
     )
+
+
+def led_map(robot: Robot) -> Array:
+    """See `Chain.T`: constant for every base, as what a hand is led by stands on its body."""
+    if not robot.steers:
+        return robot.T.copy()
+    d = robot.dimensions
+    T = np.hstack((np.zeros((d.full, d.twist)), robot.template[:, d.base :]))
+    T[:3, : d.twist] = robot.base.root_map
+    return T
 
 
 def row_of(placement: pin.SE3, axis: Array) -> Array:

@@ -248,6 +248,7 @@ def motion_from(
     first = next(path for path in paths if path is not None)
     begin, turned = (np.array(at, float), None) if at is not None else first.begin
     legs = () if begin is None or not pose.size else drive_there(body, begin, drive)
+    require_drivable(body, legs)
     samples = [driving(leg, body, q) for leg in legs]
     if legs:
         body.put(np.array([profile.goal for profile in legs[-1]]), q)
@@ -305,7 +306,7 @@ def comfortable(body: WholeBody) -> list[Array]:
     free, ends = ~np.isfinite(body.bounds.ends).all(axis=0), np.clip(body.bounds.ends, -FAR, FAR)
     middle = np.where(free, np.clip(0.0, ends[0], ends[1]), (ends[0] + ends[1]) / 2)
     half = np.minimum(np.where(free, HALF_RANGE, (ends[1] - ends[0]) / 2), HALF_RANGE)
-    rows, nb = body.weights[0] > 0, body.robot.dimensions.base
+    rows, nb = body.weights[0] > 0, body.robot.dimensions.twist
     scored: list[tuple[float, int, Array]] = []
     for share in (np.zeros(n), *rng.uniform(-SPREAD, SPREAD, (TRIES, n))):
         q = np.clip(middle + share * half, ends[0], ends[1])
@@ -348,6 +349,18 @@ def drive_there(
     return tuple(legs)  # type: ignore[arg-type]
 
 
+def require_drivable(body: WholeBody, legs: Sequence[tuple[MinimumJerk, ...]]) -> None:
+    """Refuse turns on the spot of a base that has a tightest curve.
+
+    Raises:
+        TrajectoryError: There are some.
+    """
+    if body.steers and any(leg[2].start != leg[2].goal for leg in legs):
+        what, why = "the path begins where the base would have to turn on the spot to be", "its steering cannot"
+        fix = "let the path begin at the hand, or choose reference.hand.start so that its begin is straight ahead"
+        raise TrajectoryError(what, why=why, fix=fix, key="reference.hand.at")
+
+
 def near(angle: float, other: float) -> float:
     """The angle in the turn around another one [rad]."""
     return other + np.pi - (np.pi - (angle - other)) % (2 * np.pi)
@@ -355,7 +368,7 @@ def near(angle: float, other: float) -> float:
 
 def driving(leg: tuple[MinimumJerk, ...], body: WholeBody, q: Array) -> Samples:
     """Samples of a turn on the spot or of a straight drive, the arm at rest."""
-    h, nb = body.period, body.robot.dimensions.base
+    h, nb = body.period, body.robot.dimensions.twist
     t = np.arange(max(1, round(leg[0].duration / h))) * h
     x, y, phi = (profile.sample(t) for profile in leg)
     c, s = cos_sin_of(phi.q)

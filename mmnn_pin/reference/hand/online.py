@@ -55,8 +55,8 @@ class HandCourse:
         self.targets = np.array([body.target_here(i) for i in range(len(body.tasks))])
         self.elapsed, self.place = 0.0, np.zeros(SIZE)
         self.places, self.bends = np.array([[-np.inf], [np.inf]]).repeat(d.arm, axis=1), np.zeros(d.arm)
-        self.position, self.nu = np.zeros(d.full), np.zeros(d.dof)
-        self.two, self.J = np.zeros((2, 6)), np.zeros((6, d.dof))
+        self.position, self.nu = np.zeros(d.full), np.zeros(d.twist + d.arm)
+        self.two, self.J = np.zeros((2, 6)), np.zeros((6, d.twist + d.arm))
         self._solve()
 
     @property
@@ -75,8 +75,8 @@ class HandCourse:
         d = body.robot.dimensions
         setpoint = Setpoint.side_by_side(wanted, d)
         setpoint.pose[:], setpoint.q[:] = body.pose, body.q
-        setpoint.velocity[:], setpoint.qdot[:] = body.nu[: d.base], body.nu[d.base :]
-        setpoint.acceleration[:], setpoint.qddot[:] = body.nudot[: d.base], body.nudot[d.base :]
+        setpoint.velocity[:], setpoint.qdot[:] = body.nu[: d.twist], body.nu[d.twist :]
+        setpoint.acceleration[:], setpoint.qddot[:] = body.nudot[: d.twist], body.nudot[d.twist :]
         return elapsed < self.wish.path.duration
 
     def _solve(self) -> None:
@@ -91,7 +91,7 @@ class HandCourse:
     def _shift(self, target: Array) -> None:
         """Move a target (24,) by what the measured hand is off the reference's: the error left is the measured one."""
         body, d = self.body, self.body.robot.dimensions
-        pose, velocity, q, qdot = np.split(self.measured, np.cumsum([d.pose, d.base, d.arm]))
+        pose, velocity, q, qdot = np.split(self.measured, np.cumsum([d.pose, d.twist, d.arm]))
         as_measured(body.offset, body.arm, pose, velocity, q, qdot, self.position, self.nu)
         twist, bias = self.two
         move(body.chains[0], self.position, self.nu, self.place, twist, bias, self.J)

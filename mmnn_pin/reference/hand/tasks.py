@@ -33,7 +33,7 @@ from ...model.robot import limits as limits_of
 from ...settings import Numbers, Settings, one_or_each
 from ...signals import Array
 from ..guide import new_guide
-from ..limits import Limits
+from ..limits import Limits, rims
 
 # Places in a target: position, velocity, acceleration, rotation row by row, angular velocity, its derivative.
 P, V, A, R, W, WDOT, TARGET = 0, 3, 6, 9, 18, 21, 24
@@ -152,16 +152,25 @@ def bounds_of(robot: Robot, settings: WholeBodySettings, limits: Limits) -> Whol
             raise ConfigError(
                 f"'{name}' cannot move", why=why, fix=f"correct that, or --lock {name}", key="reference.hand"
             )
-    guide, nb, wheels = new_guide(robot, limits), robot.dimensions.base, robot.base.wheels
-    given = limits_of(settings.wheel_speed, speed_limits(robot)[: len(wheels)], "wheel", "reference.hand.wheel_speed")
+    guide, (rows, speeds) = new_guide(robot, limits), wheel_rows(robot)
+    given = limits_of(settings.wheel_speed, speeds, "wheel", "reference.hand.wheel_speed")
     kept = np.isfinite(given)
     return WholeBodyBounds(
         np.hstack((guide.base[0], guide.arm[0])),
         np.hstack((guide.base[1], guide.arm[1])),
         np.ascontiguousarray(guide.ends),
-        np.ascontiguousarray(robot.base.wheel_map[kept]) if nb else np.zeros((0, 0)),
+        np.ascontiguousarray(rows[kept]),
         given[kept],
     )
+
+
+def wheel_rows(robot: Robot) -> tuple[Array, Array]:
+    """Rows (k, twist) of the wheels by the velocity of the base, and their limits (k,) [rad/s]."""
+    if not robot.dimensions.base:
+        return np.zeros((0, 0)), np.zeros(0)
+    if robot.steers:
+        return rims(robot)
+    return robot.base.wheel_map, speed_limits(robot)[: len(robot.base.wheels)]
 
 
 class FrameMotion(NamedTuple):

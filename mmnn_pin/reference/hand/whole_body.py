@@ -22,6 +22,7 @@ from ...model.robot import Robot
 from ...settings import one_or_each
 from ...signals import Array
 from ..limits import Limits
+from ..steerable import bend_rate, curvatures
 from .capsules import Capsule, Pairs
 from .chain import SIZE, chain_of, gradient, hands_of, move
 from .tasks import (
@@ -44,6 +45,7 @@ from .tasks import (
 TOLERANCE = 1e-9  # of limits, in the program's units
 EQUAL, SOFT = 5, 8  # daqp's marks of an equation and of a constraint that may give way
 DEPENDENT = 1e-8  # relative size of a row's new part under which it depends on those before
+STILL, OPEN = 1e-4, 1e30  # speed under which a base stands [m/s]; a bound that is none
 NEAR = 0.2  # a goal that is nearer than this to the axle does not say where to turn [m]
 
 
@@ -112,7 +114,8 @@ class WholeBody:
         self.seen = [self._seen(task) for task in tasks]
         self.numbers = np.array([settings.rate, *settings.approach])
         self.bounds = bounds_of(robot, settings, limits)
-        shares = np.hstack((np.full(d.base, settings.base), robot_arm(settings, d.arm)))
+        self.curve = np.array([*curvatures(robot.base), bend_rate(robot.base), np.nan])
+        shares = np.hstack((np.full(d.twist, settings.base), robot_arm(settings, d.arm)))
         self.cost = settings.slack * shares / shares.max() / self.bounds.speed**2
         self.offset, self.arm = robot.arm_map()
         self.posture, self.given = np.zeros(d.arm), posture is not None
@@ -123,20 +126,23 @@ class WholeBody:
 
     def _allocate(self, count: int) -> None:
         """The workspace."""
-        d, wheels = self.robot.dimensions, len(self.bounds.wheel_speed)
-        p, pairs = d.dof, self.pairs.count if self.pairs else 0
+        d, curve = self.robot.dimensions, self.curve
+        p, pairs = d.twist + d.arm, self.pairs.count if self.pairs else 0
+        wheels, self.steers = len(self.bounds.wheel_speed), bool(curve[1] < np.inf)
+        rows = wheels + 2 * self.steers
         self.pose, self.q, self.nu, self.nudot = np.zeros(d.pose), np.zeros(d.arm), np.zeros(p), np.zeros(p)
         self.position, self.still = np.zeros(d.full), np.zeros(p)
         self.places, self.twists, self.biases = np.zeros((count, SIZE)), np.zeros((count, 6)), np.zeros((count, 6))
         self.J, self.errors, self.target = np.zeros((count, 6, p)), np.zeros((count, 12)), np.zeros(TARGET)
         self.seen_place, self.seen_twist, self.seen_J = np.zeros(SIZE), np.zeros((2, 6)), np.zeros((6, p))
         self.H, self.f, self.wish, self.rows = np.zeros((p, p)), np.zeros(p), np.zeros(p), np.zeros((6, p))
-        self.lower, self.upper = np.zeros(p + wheels + pairs), np.zeros(p + wheels + pairs)
+        self.lower, self.upper = np.zeros(p + rows + pairs), np.zeros(p + rows + pairs)
         self.lows, self.highs = self.lower[: p + wheels], self.upper[: p + wheels]
-        self.G = np.zeros((wheels + pairs, p))
-        self.G[:wheels, : d.base] = self.bounds.wheels
-        self.sense, self.two, self.misses = np.zeros(p + wheels + pairs, np.int32), np.zeros(2), 0
-        self.sense[p + wheels :] = SOFT
+        self.G = np.zeros((rows + pairs, p))
+        self.G[:wheels, : d.twist] = self.bounds.wheels
+        self.turn = slice(wheels, rows)
+        self.sense, self.two, self.misses = np.zeros(p + rows + pairs, np.int32), np.zeros(2), 0
+        self.sense[p + rows :] = SOFT
         self.slope = np.zeros(d.arm)
         self.solver, self.ready = solver(), False
         self.solver.settings = {"primal_tol": TOLERANCE, "iter_limit": 1000}
@@ -156,6 +162,7 @@ class WholeBody:
             nu: (p,) velocities; None for rest.
         """
         self.pose[:], self.q[:], self.nu[:] = pose, q, 0.0 if nu is None else nu
+        self.curve[3] = np.nan
         if not self.given:
             self.posture[:] = q
         self.look_around()
@@ -170,7 +177,7 @@ class WholeBody:
 
     def look_around(self) -> None:
         """Where all frames are and how they move, at the present state."""
-        nb = self.robot.dimensions.base
+        nb = self.robot.dimensions.twist
         as_measured(self.offset, self.arm, self.pose, self.nu[:nb], self.q, self.nu[nb:], self.position, self.still)
         for i, chain in enumerate(self.chains):
             move(chain, self.position, self.nu, self.places[i], self.twists[i], self.biases[i], self.J[i])
@@ -185,13 +192,14 @@ class WholeBody:
         self._wish(targets)
         fill_bounds(self.q, self.nu, self.period, self.bounds, self.lows, self.highs)
         if self.pairs is not None:
-            wheels = len(self.bounds.wheel_speed)
-            at = len(self.nu) + wheels
-            self.pairs.fill(self.position, self.nu, self.period, self.G[wheels:], self.lower[at:], self.upper[at:])
+            rows = self.turn.stop
+            at = len(self.nu) + rows
+            self.pairs.fill(self.position, self.nu, self.period, self.G[rows:], self.lower[at:], self.upper[at:])
         missed, held = self.misses, np.zeros((0, self.nu.size))
         for level in self.levels:
             rows = self._ask(level, targets)
             if level is self.levels[0]:
+                self._steer()
                 self._program()
             elif len(held) < self.nu.size:
                 self._program_below(held)
@@ -211,6 +219,28 @@ class WholeBody:
             asked.append(self.rows[weights > 0.0])
         add_wishes(self.nu, self.wish, self.cost, self.settings.settle, self.H, self.f)
         return np.concatenate(asked)
+
+    def _steer(self) -> None:
+        """Rows that keep `low v <= w <= high v` after the sample, in the sense of v; standing, in that of the tasks."""
+        if not self.steers:
+            return
+        last, h, at = self.robot.dimensions.twist - 1, self.period, self.nu.size + self.turn.start
+        v, w, (least, most, rate, bend) = self.nu[0], self.nu[last], self.curve
+        forwards = v > 0.0
+        if abs(v) > STILL:
+            bend = self.curve[3] = min(max(w / v, least), most)
+            rate *= abs(v) / (abs(v) + self.bounds.acceleration[0] * h)  # it changes most where it is slowest
+        else:
+            self.lower[at : at + 2], self.upper[at : at + 2] = -OPEN, OPEN
+            forwards = bool(self._program()[0] > 0.0)
+        low, high = least, most
+        if not np.isnan(bend):
+            low, high = max(least, bend - rate * h), min(most, bend + rate * h)
+        for i, limit in enumerate((low, high)):
+            self.G[self.turn.start + i, 0], self.G[self.turn.start + i, last] = -limit, 1.0
+            rest = (limit * v - w) / h
+            is_least = forwards == (i == 0)
+            self.lower[at + i], self.upper[at + i] = (rest, OPEN) if is_least else (-OPEN, rest)
 
     def _program_below(self, held: Array) -> None:
         """Solve for tasks of a lower priority: what those before reach, as orthonormal rows (k, p), stays as it is.
@@ -265,7 +295,7 @@ class WholeBody:
 
     def _wish(self, targets: Array) -> None:
         """Velocities wished for where tasks leave them free: posture, manipulability, heading."""
-        s, nb = self.settings, self.robot.dimensions.base
+        s, nb = self.settings, self.robot.dimensions.twist
         self.wish[:nb] = 0.0
         self.wish[nb:] = s.posture * (self.posture - self.q)
         if s.manipulability:
@@ -280,9 +310,9 @@ class WholeBody:
     def climb(self, i: int = 0) -> Array:
         """Gradient of log sqrt det(J J') of an arm's rows that have a weight, by its joints, (n,)."""
         rows = self.weights[i] > 0
-        J, B = self.J[i][rows, self.robot.dimensions.base :], np.zeros((6, self.q.size))
+        J, B = self.J[i][rows, self.robot.dimensions.twist :], np.zeros((6, self.q.size))
         B[rows] = gram_solved(J)
-        gradient(self.chains[i], B, self.robot.dimensions.base, self.slope)
+        gradient(self.chains[i], B, self.robot.dimensions.twist, self.slope)
         return self.slope
 
     def target_here(self, i: int) -> Array:
