@@ -306,8 +306,7 @@ def column_units(recording: Recording, name: str) -> list[str]:
         base, arm = "", base
     count = len(labels) if not arm else len(base_labels({"": recording})) if base else 0
     parts = base.split(", ")
-    along, about = parts[0], parts[-1]
-    units = [along if label in ALONG else about for label in labels[:count]]
+    units = [parts[0] if label in ALONG else parts[-1] for label in labels[:count]]
     turning, _, sliding = arm.partition(" or ")
     return units + [sliding if label in slides else turning for label in labels[count:]]
 
