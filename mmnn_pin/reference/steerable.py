@@ -129,9 +129,10 @@ def start_angles(base: Base, setpoints: Setpoint, near: Array | None = None) -> 
         setpoints: One, or N with arrays (N, size).
         near: (K,) angles from which the nearer way is taken [rad]; None for 0.
     """
+    if not isinstance(base, SteeredBase):
+        return np.zeros(0)
     twist, change = in_columns(setpoints.velocity), in_columns(setpoints.acceleration)
-    pivots = base.pivots if isinstance(base, SteeredBase) else ()
-    return along(pivots, np.arange(float(len(twist))), twist, change, near, OF_STOPS).angles[0]
+    return along(base.pivots, np.arange(float(len(twist))), twist, change, near, OF_STOPS).angles[0]
 
 
 def require_steerable(base: Base, time: Array, setpoints: Setpoint, trailer: bool = False) -> None:
