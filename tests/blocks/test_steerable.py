@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import steerable as steered
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin import load
@@ -276,6 +276,12 @@ def test_a_trailer_that_would_fold_or_be_pushed_is_refused():
     with pytest.raises(TrajectoryError, match=r"backs up by 4 m with a trailer.*at most"):
         require_steerable(base, *sampled(Trajectory(Line(-0.4)), base, 10.0))
     require_steerable(base, *sampled(Trajectory(Line(-0.4)), base, 1.5))
+    waist = steered.loader()
+    with pytest.raises(TrajectoryError, match="backs up by 4 m with an axle pushed"):
+        require_steerable(waist, *sampled(Trajectory(Line(-0.4)), waist, 10.0))
+    require_steerable(waist, *sampled(Trajectory(Circle(6.0, -0.4)), waist, 10.0), trailer=True)
+    with pytest.raises(TrajectoryError, match="the truck folds up"):
+        require_steerable(waist, *sampled(Trajectory(Circle(1.0, -0.4)), waist, 10.0), trailer=True)
     long = steered.truck(length=3.0)
     with pytest.raises(TrajectoryError, match=r"'hitch_0' would stand at .*draw it") as refused:
         require_steerable(long, *sampled(Trajectory(Circle(2.0, 0.5)), long, 60.0))
@@ -347,6 +353,7 @@ def test_a_car_parks_and_a_trailer_does_not():
 @given(st.sampled_from(["car", "tricycle", "loader"]), st.floats(0.2, 3), st.floats(0.3, 2), st.sampled_from([1, -1]))
 @settings(max_examples=15, deadline=None)
 def test_a_timed_path_turns_no_pivot_faster_than_it_can(name, rate, speed, sign):
+    assume(name != "loader" or sign > 0)  # backwards it would push its other axle
     base = getattr(steered, name)(rate=rate)
     radius = 1.2 / curvatures(base)[1]
     way = Waypoints(((0.0, 0.0), (14.0, 0.0), (14.0, 14.0), (28.0, 14.0)), sign * 0.5, radius, ramp=0.0)
@@ -394,12 +401,13 @@ def arcs(*parts: tuple[float, float], step: float = 0.05) -> tuple[np.ndarray, n
 
 
 @given(
-    st.sampled_from(["car", "tricycle", "loader"]), st.floats(0.4, 0.75), st.sampled_from([1.0, -1.0]),
+    st.sampled_from(["car", "tricycle", "loader"]), st.floats(0.3, 0.6), st.sampled_from([1.0, -1.0]),
     st.floats(0.5, 1.5), st.booleans(),
 )  # fmt: skip
 @settings(max_examples=12, deadline=None)
 def test_a_planner_s_way_with_cusps_is_driven_within_the_steering(name, share, side, turn, cusps):
     """Arcs as a planner of car-like robots makes them, whose curvature jumps; with cusps it backs in between."""
+    assume(name != "loader" or not cusps)  # backwards it would push its other axle
     base = getattr(steered, name)()
     k = side * share * curvatures(base)[1]
     way = turn / abs(k)
@@ -441,7 +449,7 @@ def test_a_route_that_a_car_cannot_join_is_refused_in_one_line():
     tight, ways = arcs((1.0, 0.0), (3.0, 2.0))
     with pytest.raises(
         TrajectoryError,
-        match=r"the route bends by .*it turns within 1.05 m.*raise the planner.s smallest turning radius, by 128 %",
+        match=r"the route bends by .*it turns within 1.05 m.*raise the planner.s smallest turning radius, by 13[0-9] %",
     ):
         driven_by(base, tight, ways)
     ended = headings.copy()

@@ -40,7 +40,13 @@ def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
 
 def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
     """Base, wheels, arm and locked joints of a robot."""
-    tables = (wheels(content["base"]), pivots(content["base"]), arm(content["arm"]), interfaces(content), gains(content.get("track")))
+    tables = (
+        wheels(content["base"]),
+        pivots(content["base"]),
+        arm(content["arm"]),
+        interfaces(content),
+        gains(content.get("track")),
+    )
     text = "\n".join([*head(content, width), terminal_text((part for parts in tables for part in parts), width=width)])
     return "\n\n".join([text.rstrip(), *locked(content["locked_at"], width)])
 
