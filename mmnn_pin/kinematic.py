@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from .by_address import by_address
-from .compiled import compiled, copy_to, internal
+from .compiled import compiled, copy_to, internal, linked
 from .elementary import cos_sin
 from .errors import ConfigError
 from .model.base import kind_of, velocity_command
@@ -111,6 +111,21 @@ def steer(row: Array, at: IntArray, steering: Steering) -> None:
     for m in range(steering.motors.size):
         for i in range(nb):
             steering.E[i, m] = maps.T[steering.motors[m], i]
+
+
+@linked
+def see(row: Array, at: IntArray, steering: Steering, seen: Array) -> None:
+    """A measurement as a reference has it, pose, twist, q, qdot, into `seen`; n goes on by `steer` alone."""
+    before = steering.later[7]
+    copy_to(steering.maps.n, before)
+    steer(row, at, steering)
+    copy_to(before, steering.maps.n)
+    pose, twist, n = at[VELOCITY] - at[POSE], at[ACCELERATION_REF] - at[VELOCITY_REF], at[Q + 1] - at[Q]
+    copy_to(view(row, at, POSE), seen[:pose])
+    for i in range(twist):
+        seen[pose + i] = steering.maps.eta[i if at[SIDEWAYS] or i == 0 else 2]
+    copy_to(view(row, at, Q), seen[pose + twist : pose + twist + n])
+    copy_to(view(row, at, QDOT), seen[pose + twist + n :])
 
 
 @internal

@@ -462,7 +462,7 @@ def read_only(array: Array) -> Array:
 def motion_map(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
     """T, (nv, p): the root moves with the base, wheels roll, the arm moves freely, slaves follow, the rest stands.
 
-    The columns of a base that steers are 0.
+    The columns of a base that steers are 0 but for the joints that steer, and what follows these.
 
     Args:
         base: The mobile base.
@@ -475,6 +475,9 @@ def motion_map(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
         T[:root, :nb] = base.root_map[:root]
         for wheel, rates in zip(base.wheels, base.wheel_map, strict=True):
             T[rows[wheel.joint], :nb] = rates
+    for i, name in enumerate(base.velocity_names):
+        if name in base.shape:
+            T[rows[name], i] = 1.0
     for i, name in enumerate(arm.joints):
         T[rows[name], nb + i] = 1.0
     for name, slave in arm.slaves.items():

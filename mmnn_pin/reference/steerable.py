@@ -27,7 +27,7 @@ from .trajectory import Trajectory
 
 OF_STOPS, OF_RATE = 0.95, 0.9  # shares that a reference may need: of the way between stops, of the largest rate
 EXACT = 1e-6  # beyond a limit that is none, by the limit
-SLACK = 1.01  # times a rate: a timed path may need a little more between the points of its grid
+SLACK = 1.05  # times a rate: a timed path may need a little more between the points of its grid
 JUMP = 0.02  # between two samples that is one, beyond what the rates explain [rad]
 FOLDED = math.pi / 2  # angle of a hitch without stops beyond which it is folded [rad]
 SPOT = 1e3  # curvature that is none, by the largest
