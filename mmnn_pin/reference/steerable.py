@@ -132,8 +132,9 @@ def start_angles(base: Base, setpoints: Setpoint, near: Array | None = None) -> 
         setpoints: One, or N with arrays (N, size).
         near: (K,) angles from which the nearer way is taken [rad]; None for 0.
     """
-    twist, change = in_columns(setpoints.velocity), in_columns(setpoints.acceleration)
-    pivots = base.pivots if isinstance(base, SteeredBase) else ()
+    if not isinstance(base, SteeredBase):
+        return np.zeros(0)
+    twist, change, pivots = in_columns(setpoints.velocity), in_columns(setpoints.acceleration), base.pivots
     return along(pivots, np.arange(float(len(twist))), twist, change, near, OF_STOPS).angles[0]
 
 
