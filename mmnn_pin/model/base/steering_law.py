@@ -34,6 +34,7 @@ from ...elementary import atan2
 from ...signals import Array
 from .rolling import AXLE, MASTER, PIVOT, STEERED, TURN, Maps, Rolling, heading_of
 
+
 class Asked(NamedTuple):
     """Speeds that a wheel is asked for, across and along it, their rates, and the rates of these [m/s, m/s^2, m/s^3]."""
 
