@@ -137,8 +137,8 @@ class NoCoriolis(FullTerms):
 
 
 class Antifriction(FullTerms):
-    def friction(self, nu: Array) -> Array:
-        return -super().friction(nu) - 0.01 * nu
+    def friction(self, q: Array, nu: Array) -> Array:
+        return -super().friction(q, nu) - 0.01 * nu
 
 
 class NoGravity(FullTerms):
@@ -189,10 +189,10 @@ def test_a_wrong_t_is_seen(mobile):
     doubled[:, 1] = 2 * doubled[:, 0]
     assert failed(check(replace(mobile, template=slipping), samples=2)) == {"constraint"}
     terms = FullTerms(mobile)
-    terms.T = doubled
+    terms.T = lambda q: doubled
     assert "full_rank" in failed(check(mobile, samples=1, terms=terms))
     fewer = FullTerms(mobile)
-    fewer.A = mobile.A[1:]
+    fewer.A = lambda q: mobile.A[1:]
     assert failed(check(mobile, samples=2, terms=fewer)) == {"constraint_rank"}
 
 
@@ -289,3 +289,61 @@ def test_closure_against_symbolic_brackets(name):
         np.testing.assert_allclose(bracket(fields[0], fields[1])(at), fields[2](at), atol=1e-8)
     expected = max(np.linalg.matrix_rank(np.stack([h(at) for h in fields], axis=1), tol=1e-9) for at in points)
     assert involutive_closure(fields[:2], points).closure == expected
+
+
+# -- bases that steer --------------------------------------------------------------------------------------------------
+
+GROWN = {
+    "car_arm": (2, 3, 4),
+    "tricycle_arm": (2, 3, 4),
+    "loader_arm": (2, 3, 4),
+    "truck_trailer_arm": (2, 3, 4, 5),
+    "swerve_arm": (3, 5),
+    "casters_arm": (3, 6, 7),
+}
+
+
+@pytest.mark.parametrize("name", GROWN)
+def test_all_properties_hold_where_a_base_steers(name):
+    report = check(load(name), samples=4, seed=5)
+    assert not failed(report) and set(report.properties) == set(PROPERTIES) - {"reduced_rate_world"}
+    assert all(p.worst < 1e-8 for p in report.properties.values() if not p.at_least)
+    assert report.nonholonomic.pose.growth == GROWN[name]
+    assert "every pose and every angle can be reached" in report.nonholonomic.verdict
+
+
+class NoRate(FullTerms):
+    """T' C T alone."""
+
+    def Tdot(self, q: Array, nu: Array) -> Array:
+        return 0 * super().Tdot(q, nu)
+
+
+class Slipping(FullTerms):
+    """A base that drives a little sideways."""
+
+    def T(self, q: Array) -> Array:
+        T = super().T(q)
+        T[1, 0] += 1e-6
+        return T
+
+
+class Locked(FullTerms):
+    """Rows that also forbid the first joint to steer."""
+
+    def A(self, q: Array) -> Array:
+        row = np.zeros((1, self.robot.dimensions.full))
+        row[0, self.robot.shape_index[0]] = 1.0
+        return np.vstack((super().A(q), row))
+
+
+@pytest.mark.parametrize("name", ["car_arm", "truck_trailer_arm", "casters_arm"])
+def test_a_broken_t_is_seen_where_a_base_steers(name):
+    robot = load(name)
+
+    def seen(kind: type[FullTerms]) -> set[str]:
+        return failed(check(robot, samples=3, seed=1, terms=kind(robot)))
+
+    assert {"property_5", "reduced_rate", "passive"} <= seen(NoRate)
+    assert seen(Slipping) == {"constraint"}
+    assert {"constraint_rank", "constraint"} <= seen(Locked)

@@ -8,16 +8,21 @@ bracket
 is the direction that manoeuvring to and fro along f and g adds. If all brackets stay within the span of the fields (the
 distribution is involutive), the constraint is holonomic (Frobenius); otherwise brackets are added until the rank no
 longer grows, which gives the involutive closure (2.9), (2.10). Its dimension is that of what the base can reach.
+
+Where a base steers, its fields depend on the angles of its pivots, which are coordinates beside the pose; followers
+stand where their master has them. Of wheels that have to agree two say where the others stand.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...signals import Array
+from ..base.rolling import FOLLOWER, ROLES, base_size, closed, new_maps, roll
+from ..base.steered import SteeredBase
 from ..robot import Robot
 
 VectorField = Callable[[Array], Array]
@@ -54,8 +59,8 @@ class Nonholonomy:
     """The Frobenius test of a base.
 
     Attributes:
-        pose: On the pose (x, y, phi); None for a fixed arm.
-        with_wheels: On the pose and the angles of the drive wheels; None without wheels.
+        pose: On the pose (x, y, phi), and on the angles of pivots where a base steers; None for a fixed arm.
+        with_wheels: On the pose and the angles of the drive wheels; None without wheels, and where a base steers.
         verdict: In words, about the pose.
     """
 
@@ -75,6 +80,9 @@ def nonholonomy(robot: Robot, rng: np.random.Generator | None = None, samples: i
     if not robot.dimensions.base:
         return Nonholonomy(None, None, "fixed: there is no base, and nothing to integrate")
     rng = np.random.default_rng(0) if rng is None else rng
+    if isinstance(robot.base, SteeredBase):
+        posture = involutive_closure(*steered_fields(robot.base, rng, samples))
+        return Nonholonomy(posture, None, verdict(posture, "every pose and every angle"))
     pose = involutive_closure(base_fields(robot, ()), rng.uniform(-2, 2, (samples, 3)))
     wheels = tuple(wheel.joint for wheel in robot.base.wheels)
     size = 3 + len(wheels)
@@ -82,7 +90,7 @@ def nonholonomy(robot: Robot, rng: np.random.Generator | None = None, samples: i
     return Nonholonomy(pose, turned, verdict(pose))
 
 
-def verdict(pose: Closure) -> str:
+def verdict(pose: Closure, all_of_it: str = "every pose") -> str:
     """The meaning of the ranks on the pose, in words."""
     d, c = pose.distribution, pose.closure
     if d == pose.coordinates:
@@ -92,7 +100,7 @@ def verdict(pose: Closure) -> str:
             f"integrable: the {d} directions of motion are involutive, so the constraint is holonomic and the base "
             f"stays on a surface of dimension {d} of {pose.coordinates}"
         )
-    reach = "every pose can be reached" if c == pose.coordinates else f"only {c} of {pose.coordinates} dimensions"
+    reach = f"{all_of_it} can be reached" if c == pose.coordinates else f"only {c} of {pose.coordinates} dimensions"
     return f"nonholonomic: {d} directions of motion, brackets of them add {c - d}; {reach}"
 
 
@@ -114,6 +122,28 @@ def base_fields(robot: Robot, wheels: Sequence[str]) -> list[VectorField]:
         return at
 
     return [field(i) for i in range(nb)]
+
+
+def steered_fields(base: SteeredBase, rng: np.random.Generator, samples: int) -> tuple[list[VectorField], Array]:
+    """Fields of a base that steers on (x, y, phi; angles of pivots but followers), and points (samples, dim)."""
+    pivots = base.pivots[:2] if base.agree else base.pivots
+    base = replace(base, pivots=pivots, wheels=())
+    rolling = base.rolling_at({name: 3 + i for i, name in enumerate(base.shape)})
+    free = np.array([0, 1, 2, *(3 + k for k, p in enumerate(pivots) if p.role != ROLES[FOLLOWER])])
+    maps, still = new_maps(rolling, np.zeros((3 + len(pivots), base_size(rolling)))), np.zeros(base_size(rolling))
+
+    def field(i: int) -> VectorField:
+        def at(x: Array) -> Array:
+            position = np.zeros(3 + len(pivots))
+            position[free] = x
+            roll(rolling, closed(rolling, position), still, maps)
+            (vx, vy, w), c, s = maps.V[0][:, i], np.cos(x[2]), np.sin(x[2])
+            return np.concatenate(([c * vx - s * vy, s * vx + c * vy, w], maps.T[free[3:], i]))
+
+        return at
+
+    points = [np.concatenate((rng.uniform(-2, 2, 3), base.random_angles(rng)))[free] for _ in range(samples)]
+    return [field(i) for i in range(still.size)], np.array(points)
 
 
 def bracket(f: VectorField, g: VectorField) -> VectorField:

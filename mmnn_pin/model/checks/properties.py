@@ -18,6 +18,7 @@ from ...settings.arguments import checked
 from ...shown import AsText, shown
 from ...signals import Array
 from ..base.report import NO_FRICTION
+from ..base.steered import SteeredBase
 from ..robot import Robot, revolute
 from .nonholonomy import Nonholonomy, nonholonomy
 from .residuals import (
@@ -77,7 +78,7 @@ PROPERTIES: dict[str, tuple[float, bool, str]] = {
     "property_3": (TOLERANCE, False, "the same for the blocks M_v of the base and M_r of the arm"),
     "property_4": (TOLERANCE, False, "Mdot_rv = C_rv + C_vr', M_vr = M_rv'"),
     "property_5": (TOLERANCE, False, "Mbardot_v - 2 Cbar_v is skew"),
-    "reduced_rate": (TOLERANCE, False, "Mbardot - 2 Cbar is skew along motions"),
+    "reduced_rate": (TOLERANCE, False, "Mbardot - 2 Cbar is skew along motions, Cbar with S' M Sdot where S changes"),
     "reduced_rate_world": (TOLERANCE, False, "the same in world coordinates, Cbar with S' M Sdot"),
     "constraint": (EXACT, False, "A S = 0: no motion that the wheels forbid"),
     "constraint_rank": (0.0, False, "rank A = nv - p: every motion that the wheels permit"),
@@ -179,14 +180,17 @@ def check(
     except RobotError as error:
         skipped["forward_kinematics"] = ": ".join(filter(None, (error.what, error.why)))
     rng = np.random.default_rng(seed)
-    found = {"constraint": annihilation(terms.A, terms.T), "full_rank": independence(terms.T)}
-    found["constraint_rank"] = missing_constraints(terms.A, terms.T)
+    found: dict[str, float] = {}
     ranges: list[Array] = []
     for k in range(samples):
         position, v, nu = random_state(robot, rng)
-        numbers = residuals_at(terms, position, v, nu)
+        numbers, T = residuals_at(terms, position, v, nu), terms.T(robot.configuration(position))
+        if k == 0 or robot.steers:
+            A = terms.A(robot.configuration(position))
+            numbers |= {"constraint": annihilation(A, T), "constraint_rank": missing_constraints(A, T)}
+            numbers["full_rank"] = independence(T)
         if world is not None:
-            numbers["reduced_rate_world"] = world_rate_residual(world, position, nu, fastest(terms.T @ nu))
+            numbers["reduced_rate_world"] = world_rate_residual(world, position, nu, fastest(T @ nu))
         numbers["passive"] = energy_leak(terms, position, rng)
         if kinematics is not None and k < PLACED:
             numbers["forward_kinematics"] = kinematics.residual(position)
@@ -232,7 +236,10 @@ def random_state(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array, 
     upper = np.where(free, np.minimum(upper, robot.upper), robot.upper)
     still = np.isin(robot.position_names, list(robot.arm.locked))
     lower, upper = np.where(still, rest, lower), np.where(still, rest, upper)  # a locked joint's may be swapped
-    position = robot.follow(rng.uniform(lower, upper))
+    position = rng.uniform(lower, upper)
+    if isinstance(robot.base, SteeredBase):
+        position[robot.shape_index] = robot.base.random_angles(rng)
+    robot.follow(position)
     return position, rng.standard_normal(robot.dimensions.full), rng.standard_normal(robot.dimensions.dof)
 
 
@@ -250,7 +257,7 @@ def residuals_at(terms: FullTerms, position: Array, v: Array, nu: Array) -> dict
     M, C = terms.mass(q), terms.coriolis(q, v)
     Mdot = rate_along(terms.mass, model, q, v, speed)
     arm = robot.arm_index
-    carried = robot.T.any(axis=1) | (np.arange(len(M)) < robot.dimensions.pose)  # what is locked may have no mass
+    carried = terms.T(q).any(axis=1) | (np.arange(len(M)) < robot.dimensions.pose)  # what is locked may have no mass
     base = np.setdiff1d(np.flatnonzero(carried | (np.diag(M) > 0)), arm)
     numbers = {
         "symmetric": asymmetry(M),
@@ -261,7 +268,7 @@ def residuals_at(terms: FullTerms, position: Array, v: Array, nu: Array) -> dict
     }
     if base.size and arm.size:
         numbers["property_4"] = cross_residual(M, Mdot, C, speed, base, arm)
-    moving = terms.T @ nu
+    moving = terms.T(q) @ nu
     speed = fastest(moving)
     Mbar, Cbar = terms.reduced_mass(q), terms.reduced_coriolis(q, nu)
     rate = rate_along(terms.reduced_mass, model, q, moving, speed)

@@ -14,12 +14,16 @@ import numpy as np
 import pinocchio as pin
 
 from ...signals import Array, IntArray
+from ..base.rolling import Maps, new_maps, roll
+from ..base.steered import SteeredBase
 from ..reduction import COULOMB_SPEED
 from ..robot import Robot
 
 EXACT = 1e-9  # of residuals of algebra
 DEFINITE = 1e-12  # least eigenvalue of a mass matrix with ones on its diagonal
 STEP = 1e-3  # of differences along a motion, times its largest rate
+STEPS = 4  # between two times of a motion
+SLOW = 0.2  # a base that steers moves so much slower: its steering has stops, and small casters turn fast
 STENCIL = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))  # fourth-order central difference
 
 
@@ -34,7 +38,33 @@ class FullTerms:
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.model, self.data = robot, robot.model, robot.model.createData()
-        self.T, self.A = robot.T, robot.A
+        self.maps, self.still = new_maps(robot.rolling, robot.template), np.zeros(robot.dimensions.dof)
+
+    def position(self, q: Array) -> Array:
+        """Position (nv,) of Pinocchio's q, its pose at the origin, continuous joints within half a turn."""
+        at, root = self.robot.q_index, self.robot.dimensions.pose
+        turns, position = self.robot.is_continuous.astype(bool), q[at]
+        position[turns] = np.arctan2(q[at[turns] + 1], q[at[turns]])
+        position[:root] = 0.0
+        return np.asarray(position)
+
+    def T(self, q: Array) -> Array:
+        """Map from nu to all velocities, (nv, p)."""
+        return self.rolled(q, self.still).T.copy()
+
+    def Tdot(self, q: Array, nu: Array) -> Array:
+        """Its rate, (nv, p)."""
+        return self.rolled(q, nu).Tdot.copy()
+
+    def A(self, q: Array) -> Array:
+        """Constraint rows, (nc or more, nv)."""
+        return self.robot.A_at(self.position(q))
+
+    def rolled(self, q: Array, nu: Array) -> Maps:
+        """The maps of the base; u of a swerve drive counts as it did where they were asked for before."""
+        if self.robot.rolling is not None:
+            roll(self.robot.rolling, self.position(q), nu, self.maps)
+        return self.maps
 
     def mass(self, q: Array) -> Array:
         """Mass matrix M of the full model at Pinocchio's q, (nv, nv)."""
@@ -52,18 +82,22 @@ class FullTerms:
         """Potential energy [J]."""
         return float(pin.computePotentialEnergy(self.model, self.data, q))
 
-    def friction(self, nu: Array) -> Array:
+    def friction(self, q: Array, nu: Array) -> Array:
         """Friction of joints and base on nu, (p,), opposing the motion."""
-        robot, v = self.robot, self.T @ nu
-        return self.T.T @ (robot.damping * v + robot.dry_friction(v) * np.tanh(v / COULOMB_SPEED)) + robot.viscous * nu
+        robot, T = self.robot, self.T(q)
+        v = T @ nu
+        return T.T @ (robot.damping * v + robot.dry_friction(v) * np.tanh(v / COULOMB_SPEED)) + robot.viscous * nu
 
     def reduced_mass(self, q: Array) -> Array:
         """Mbar = T' M T, (p, p)."""
-        return self.T.T @ self.mass(q) @ self.T
+        T = self.T(q)
+        return np.asarray(T.T @ self.mass(q) @ T)
 
     def reduced_coriolis(self, q: Array, nu: Array) -> Array:
-        """Cbar = T' C T, (p, p); T is constant in body velocities."""
-        return self.T.T @ self.coriolis(q, self.T @ nu) @ self.T
+        """Cbar = T' (C T + M Tdot), (p, p); T is constant in body velocities where nothing steers."""
+        T = self.T(q)
+        reduced = T.T @ self.coriolis(q, T @ nu) @ T
+        return np.asarray(reduced + T.T @ self.mass(q) @ self.Tdot(q, nu) if self.robot.steers else reduced)
 
 
 # -- of matrices -------------------------------------------------------------------------------------------------------
@@ -178,37 +212,62 @@ def energy_leak(terms: FullTerms, position: Array, rng: np.random.Generator, nod
 
     The motion is a sum of sines over half a second, the torque the one that drives it, `tau = Mbar nudot + Cbar nu +
     gravity + friction` (2.23), the work its integral by Gauss-Legendre. Friction that feeds energy counts as a leak.
-    The residual is divided by the sum of the magnitudes of all powers, integrated.
+    The residual is divided by the sum of the magnitudes of all powers, integrated. A base that steers moves slowly, and
+    wheels that have to agree are not steered.
     """
     x, w = np.polynomial.legendre.leggauss(nodes)
     duration = 0.5
     motion = SineMotion.random(terms.robot.dimensions.dof, rng)
+    if isinstance(terms.robot.base, SteeredBase):
+        motion.a[: terms.robot.dimensions.base] *= SLOW
+        if terms.robot.base.agree:
+            motion.a[1 : terms.robot.dimensions.base] = 0.0
     net, total, fed = 0.0, 0.0, 0.0
-    for t, weight in zip((1 + x) * duration / 2, w * duration / 2, strict=True):
+    times = (1 + x) * duration / 2
+    start, *along, end = configurations_along(terms, position, motion, np.array([0.0, *times, duration]))
+    for t, weight, q in zip(times, w * duration / 2, along, strict=True):
         nu, nudot = motion.nu(t), motion.nudot(t)
-        q = configuration_along(terms, position, motion, t)
-        friction = float(nu @ terms.friction(nu))
+        friction = float(nu @ terms.friction(q, nu))
         conservative = (
             float(nu @ terms.reduced_mass(q) @ nudot),
             float(nu @ terms.reduced_coriolis(q, nu) @ nu),
-            float(nu @ (terms.T.T @ terms.gravity(q))),
+            float(nu @ (terms.T(q).T @ terms.gravity(q))),
         )
         net += weight * sum(conservative)
         fed += weight * max(0.0, -friction)
         total += weight * (sum(map(abs, conservative)) + abs(friction))
-    gained = energy_at(terms, position, motion, duration) - energy_at(terms, position, motion, 0.0)
+    gained = energy_of(terms, end, motion.nu(duration)) - energy_of(terms, start, motion.nu(0.0))
     return (abs(gained - net) + fed) / max(total, np.finfo(float).tiny)
 
 
-def configuration_along(terms: FullTerms, position: Array, motion: SineMotion, t: float) -> Array:
-    """Pinocchio's q after a time of a motion; the base stays at its place, on which no energy depends, and turns."""
-    root = terms.robot.dimensions.pose
-    travel = terms.T @ motion.travel(t)
-    travel[: max(0, root - 1)] = 0.0
-    return terms.robot.configuration(position + travel)
+def configurations_along(terms: FullTerms, position: Array, motion: SineMotion, times: Array) -> list[Array]:
+    """Pinocchio's q at times of a motion; the base stays at its place, on which no energy depends, and turns."""
+    robot, found = terms.robot, list[Array]()
+    if not robot.steers:
+        return [robot.configuration(moved_by(robot, position, terms.T(position) @ motion.travel(t))) for t in times]
+
+    def rate(t: float, at: Array) -> Array:
+        return moved_by(robot, np.zeros(at.size), terms.T(robot.configuration(at)) @ motion.nu(t))
+
+    here, now = position.copy(), float(times[0])
+    for t in times:
+        h = (float(t) - now) / STEPS
+        for _ in range(STEPS if h else 0):  # Runge and Kutta
+            k1 = rate(now, here)
+            k2 = rate(now + h / 2, here + h / 2 * k1)
+            k3 = rate(now + h / 2, here + h / 2 * k2)
+            here = here + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(now + h, here + h * k3))
+            now += h
+        found.append(robot.configuration(here))
+    return found
 
 
-def energy_at(terms: FullTerms, position: Array, motion: SineMotion, t: float) -> float:
-    """Kinetic and potential energy after a time of a motion [J]."""
-    q, nu = configuration_along(terms, position, motion, t), motion.nu(t)
+def moved_by(robot: Robot, position: Array, travel: Array) -> Array:
+    """A position (nv,) after a travel of all joints; the base turns and stays at its place."""
+    travel[: max(0, robot.dimensions.pose - 1)] = 0.0
+    return position + travel
+
+
+def energy_of(terms: FullTerms, q: Array, nu: Array) -> float:
+    """Kinetic and potential energy at Pinocchio's q [J]."""
     return float(nu @ terms.reduced_mass(q) @ nu) / 2 + terms.potential(q)
