@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from .by_address import by_address
-from .compiled import compiled, copy_to, internal
+from .compiled import compiled, copy_to, internal, linked
 from .elementary import cos_sin
 from .errors import ConfigError
 from .model.base import kind_of, velocity_command
@@ -111,6 +111,26 @@ def steer(row: Array, at: IntArray, steering: Steering) -> None:
     for m in range(steering.motors.size):
         for i in range(nb):
             steering.E[i, m] = maps.T[steering.motors[m], i]
+
+
+@linked
+def see(row: Array, at: IntArray, steering: Steering, seen: Array) -> None:
+    """A measurement of what is guided as a reference has it, pose, twist, q, qdot; n goes on by `steer` alone."""
+    before, hitch = steering.later[7], steering.hitch
+    copy_to(steering.maps.n, before)
+    steer(row, at, steering)
+    copy_to(before, steering.maps.n)
+    pose, twist, n = at[VELOCITY] - at[POSE], at[ACCELERATION_REF] - at[VELOCITY_REF], at[Q + 1] - at[Q]
+    copy_to(view(row, at, POSE), seen[:pose])
+    for i in range(twist):
+        seen[pose + i] = steering.maps.eta[i if at[SIDEWAYS] or i == 0 else 2]
+    if hitch.size:
+        gamma = hitch[1] * steering.position[int(hitch[0])]
+        before[0], before[1] = seen[pose], seen[pose + 1]
+        towed(hitch[2:], gamma, before, seen[pose : pose + twist])
+        trailer_pose(hitch[2:], gamma, view(row, at, POSE), seen[:pose])
+    copy_to(view(row, at, Q), seen[pose + twist : pose + twist + n])
+    copy_to(view(row, at, QDOT), seen[pose + twist + n :])
 
 
 @internal
@@ -284,8 +304,8 @@ class Kinematic(Settings, frozen=True):
         if self.guide == "base":
             return np.zeros(0)
         base = robot.base
-        passive = [p for p in base.pivots if p.role == ROLES[PASSIVE]] if isinstance(base, SteeredBase) else []
-        hitches = passive if not base.sideways else []
+        pivots = base.pivots if isinstance(base, SteeredBase) and not base.sideways else ()
+        hitches = [p for p in pivots if p.role == ROLES[PASSIVE] or isinstance(base, Articulated)]
         if len(hitches) != 1 or hitches[0].x == 0.0:
             what = f"'{robot.name}' has {len(hitches)} trailers" if len(hitches) != 1 else "its hitch is on the axle"
             why, fix = "one trailer whose hitch is off the axle can be guided", "guide the base"

@@ -24,7 +24,7 @@ from .before_run import Start
 from .hardware import CommandLine, Expected, Hardware, MotorSide, SentTorque, Totals, Way, World
 from .latency import Transport
 from .lead import leads
-from .servo import interfaces_of, require_no_torque_regressor, split_of, state_size
+from .servo import interfaces_of, own_velocities, require_no_torque_regressor, split_of, state_size
 from .servo_model import servo_slots, velocity_servo
 from .setup import Setup, believed_by
 from .suited import effective_inertia, postures
@@ -71,7 +71,8 @@ def new_hardware(
     slots = servo_slots(loop.servo, loop.latency.command, timing.plant_step) if on.any() else 0
     parts: tuple[Array, ...]
     parts = (sensed, at_start, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof), under_way)
-    parts = (*parts, np.zeros(state_size(on, layout.arm)), np.zeros((slots, layout.motors)))
+    places = layout.dof - own_velocities(robot)
+    parts = (*parts, np.zeros(state_size(on, places)), np.zeros((slots, layout.motors)))
     values, (sensed, kept, guard, held, sent, under_way, rows, ring) = flat(parts)
     states = motor.motor_state(kept)
     motors = loop.actuator.motors(true, timing.plant_step, dead, states)
@@ -86,7 +87,7 @@ def new_hardware(
     if len(under_way):
         way = Transport(timing.plant_step, loop.latency.in_force(timing, delay_rng), under_way)
         motors = motors._replace(imperfect=True, effects=(way, *motors.effects))
-    split = split_of(robot, kinds, loop.servo, timing.control_period, rows, loop.known.total)
+    split = split_of(robot, kinds, loop.servo, timing.control_period, rows, loop.known.total, steering)
     if split is not None:
         require_no_torque_regressor(loop.controller, loop.context())
         servos = velocity_servo(robot, loop.servo, split, timing.plant_step, ring)

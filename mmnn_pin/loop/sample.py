@@ -451,6 +451,14 @@ class Torque:
         return values
 
 
+def alike(steering: Steering | None, model: Any) -> Steering | None:
+    """The steering of a base, its u counted in the direction in which a model of the robot counts it."""
+    if steering is None or model is None:
+        return steering
+    maps = model.work.maps if isinstance(model, Machine) else model.terms.maps
+    return steering._replace(maps=steering.maps._replace(n=maps.n))
+
+
 class Control:
     """Kinematic layer, controller and supervisor wired to one row.
 
@@ -474,7 +482,7 @@ class Control:
             age=plan.age,
             h=plan.timing.control_period,
         )
-        self.steering = plan.steering
+        self.steering = alike(plan.steering, torque.model)
         self.sample = sample if torque.compiled else plain(sample)
         self.equip(hardware)
 

@@ -11,6 +11,9 @@ the curvature stays. While u is limited psi does not grow in its direction, and 
 nu_ref and a little. A joint that takes positions is sent u, integrated, between the joint's ends and at most
 `speed (1/b + latency + h)` ahead of where it is measured: there a servo that is as fast as it can be has it.
 
+A base that steers has its own interface for every steering joint, whose rate is a velocity, and one for all motors that
+drive. The rates are within those of the joints; in a stop they are 0, and u brakes along the curve as it is.
+
 **On e** the torque law is what it was, for the robot whose servo rows move by themselves. The signals that it reads say
 on s what the robot does, not what it should do: `nu_ref := nu_s` measured, `nudot_ref := b (u - psi - nu_s)` of the
 servo's model with the rest that psi has found, and `s := 0`. So Psi_e contains `M_es nudot_s + C_es nu_s`, an error
@@ -29,10 +32,15 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..by_address import by_address
 from ..compiled import compiled, linked
+from ..elementary import hypot
 from ..errors import ConfigError, UnknownName
+from ..kinematic import Steering
+from ..model.base.rolling import STEERED
+from ..model.base.steered import SteeredBase
 from ..model.robot import Robot, speed_limits
 from ..settings import Numbers, Settings, one_or_each, require_numbers
 from ..signals import INDEX, Array, IntArray
@@ -45,7 +53,8 @@ TIME, VELOCITY_REF, QDOT_REF = (INDEX[name] for name in ("time", "velocity_ref",
 STATE, LAST, SINCE, STOPS = 0, 1, 2, 2.0  # of a clock
 LONGEST = 0.5  # time between two samples that counts [s]
 MEASURED_BASE, MEASURED_ARM = INDEX["velocity"], INDEX["qdot"]
-PSI_HAT, PSI_APPLIED, TORQUE, Q = (INDEX[name] for name in ("psi_hat", "psi_applied", "torque", "q"))
+PSI_HAT, PSI_APPLIED, TORQUE = (INDEX[name] for name in ("psi_hat", "psi_applied", "torque"))
+Q, SHAPE = INDEX["q"], INDEX["shape"]
 BRAKING = 2.0  # of a stop, where no limit is known [m/s^2, rad/s^2]
 SHARE = 0.3  # of nu_ref that psi may be
 BASE_FLOOR, ARM_FLOOR = 0.02, 0.05  # that psi may be besides [m/s, rad/s], of a joint that share of its speed
@@ -84,6 +93,7 @@ class Command(NamedTuple):
         position: (p,) of joints that take nothing else: their velocity, integrated [rad or m].
         motor_effort: (motors,) the same at the motors, drive wheels from left to right, then the arm [N m or N].
         motor_velocity: (motors,) likewise [rad/s or m/s].
+        motor_position: (motors,) likewise; a wheel that follows another's steering is asked for its angle [rad or m].
     """
 
     effort: Array
@@ -91,6 +101,7 @@ class Command(NamedTuple):
     position: Array
     motor_effort: Array
     motor_velocity: Array
+    motor_position: Array
 
 
 @by_address
@@ -101,17 +112,20 @@ class Split(NamedTuple):
         on: (p,) 1 on s, 0 on e.
         numbers: (3, p) b, k, rate.
         h: Control period [s].
-        E: (p, motors) speeds of the motors are E' nu.
-        wheel: (wheels,) speed limits of the drive wheels.
+        E: (p, motors) speeds of the motors are E' nu; of a base that steers as it is measured.
+        wheel: (wheels,) speed limits of the base's motors, infinite of those that steer.
         speed: (p,) speed limits of the commands.
         braking: (p,) by which commands brake in a stop [m/s^2 or rad/s^2].
         floor: (p,) of psi's bound.
-        ends: (2, n) between which positions are sent, infinite for joints that take none [rad or m].
-        ahead: (n,) how far a position may be ahead of the measured one, likewise.
+        masters: (m,) places in `shape` of the pivots whose rates are the last base velocities.
+        length: l of `base.rolling` where the first velocity is u, else 0 [m].
+        ends: (2, n + m) between which positions are sent, of the arm and of masters, infinite for joints that take none
+            [rad or m].
+        ahead: (n + m,) how far a position may be ahead of the measured one, likewise.
         growth: (p,) of psi in the last sample.
         integral: (p,) psi.
         command: (p,) u of the last sample.
-        place: (n,) positions by integration of u, for joints that take nothing else.
+        place: (n + m,) positions by integration of u, for joints that take nothing else.
         kept: (p,) errors s, put back into the row for those who look at it.
         clock: (3,) 0 before it begins, 1, 2 in a stop; time of the last sample; time since then [s].
     """
@@ -124,6 +138,8 @@ class Split(NamedTuple):
     speed: Array
     braking: Array
     floor: Array
+    masters: IntArray
+    length: float
     ends: Array
     ahead: Array
     growth: Array
@@ -143,7 +159,7 @@ def interfaces_of(robot: Robot, given: Mapping[str, str] | None) -> tuple[tuple[
 
     Raises:
         UnknownName: A joint without a motor, or an interface that does not exist.
-        ConfigError: Wheels of one base with different interfaces.
+        ConfigError: Wheels of one base with different interfaces, or a wheel and what it follows.
     """
     names, given = robot.actuator_names, given or {}
     for joint, kind in given.items():
@@ -151,18 +167,52 @@ def interfaces_of(robot: Robot, given: Mapping[str, str] | None) -> tuple[tuple[
             raise UnknownName("joint", joint, names, key="interfaces")
         if kind not in (EFFORT, VELOCITY, POSITION):
             raise UnknownName("interface", kind, (EFFORT, VELOCITY, POSITION), key=f"interfaces.{joint}")
-    nb, wheels = robot.dimensions.base, names[: len(names) - robot.dimensions.arm]
-    found = {given.get(name, EFFORT) for name in wheels}
-    if len(found) > 1 or POSITION in found:
-        why, fix = "one velocity of the base moves all wheels", "use effort, or velocity, for all of them"
-        raise ConfigError(f"wheels by {' and '.join(sorted(found))}", why=why, fix=fix, key="interfaces")
-    base = found.pop() if found else EFFORT
-    kinds = (base,) * nb + tuple(given.get(name, EFFORT) for name in robot.joint_names)
-    return kinds, np.array([float(kind != EFFORT) for kind in kinds])
+    own, moved = own_velocities(robot), movers(robot)
+    kinds = list[str]()
+    for i, row in enumerate([moved[:own].any(axis=0)] * own + [*moved[own:]]):
+        joints = [name for name, moves in zip(names, row, strict=True) if moves]
+        found = {given.get(name, EFFORT) for name in joints}
+        if len(found) > 1 or (i < own and POSITION in found):
+            steers = own <= i < robot.dimensions.base
+            why = "one of them follows the other" if steers else "one velocity of the base moves all wheels"
+            fix = f"use one for {' and '.join(joints)}" if steers else "use effort, or velocity, for all of them"
+            raise ConfigError(f"wheels by {' and '.join(sorted(found))}", why=why, fix=fix, key="interfaces")
+        kinds.append(found.pop() if found else EFFORT)
+    return tuple(kinds), np.array([float(kind != EFFORT) for kind in kinds])
+
+
+def own_velocities(robot: Robot) -> int:
+    """Number of base velocities but the rates of steering joints."""
+    masters = len(robot.base.masters) if isinstance(robot.base, SteeredBase) else 0
+    return robot.dimensions.base - masters
+
+
+def movers(robot: Robot) -> NDArray[np.bool_]:
+    """Which motors a velocity moves by its interface, (p, motors): a steering joint its own, and what follows it."""
+    d, base = robot.dimensions, robot.base
+    if not isinstance(base, SteeredBase):
+        return np.asarray(robot.E != 0.0)
+    found, own = np.zeros((d.dof, d.motors), bool), own_velocities(robot)
+    pivots = {pivot.joint: k for k, pivot in enumerate(base.pivots)}
+    for j, name in enumerate(robot.actuator_names):
+        role = base.pivots[pivots[name]].role if name in pivots else "passive"
+        if j >= d.motors - d.arm:
+            found[d.base + j - (d.motors - d.arm), j] = True
+        elif role == "passive":
+            found[:own, j] = True
+        else:
+            found[own + (base.masters.index(pivots[name]) if role == "master" else 0), j] = True
+    return found
 
 
 def split_of(
-    robot: Robot, kinds: tuple[str, ...], servo: Servo, period: float, state: Array, latency: float = 0.0
+    robot: Robot,
+    kinds: tuple[str, ...],
+    servo: Servo,
+    period: float,
+    state: Array,
+    latency: float = 0.0,
+    steering: Steering | None = None,
 ) -> Split | None:
     """The servo rows of a robot; None where all rows take effort.
 
@@ -173,6 +223,7 @@ def split_of(
         period: Control period [s].
         state: (size,) what it remembers, see `state_size`.
         latency: From the measurement to the servo [s].
+        steering: Of a base that steers; None for others.
 
     Raises:
         ConfigError: Neither one number nor one per velocity.
@@ -180,25 +231,28 @@ def split_of(
     on = np.array([float(kind != EFFORT) for kind in kinds])
     if not on.any():
         return None
-    p, n, arm, numbers = on.size, robot.dimensions.arm, robot.arm_index, laws(robot, servo)
-    nb, urdf = p - n, speed_limits(robot)
-    wheels = urdf.size - n
-    speed = np.concatenate((np.full(nb, np.inf), urdf[wheels:]))
-    floor = np.array(
-        [BASE_FLOOR] * nb + [ARM_FLOOR * (limit if np.isfinite(limit) else 1.0) for limit in urdf[wheels:]]
-    )
-    placed = np.array([kind == POSITION for kind in kinds[nb:]], bool)
-    ends = np.array([np.where(placed, robot.lower[arm], -np.inf), np.where(placed, robot.upper[arm], np.inf)])
-    integral, command, place, clock = np.split(state, (p, 2 * p, 2 * p + n))
+    p, n, numbers, base, own = on.size, robot.dimensions.arm, laws(robot, servo), robot.base, own_velocities(robot)
+    nb, urdf, masters = p - n, speed_limits(robot), base.masters if isinstance(base, SteeredBase) else []
+    wheels, moved = urdf.size - n, movers(robot)
+    rates = [base.pivots[k].rate for k in masters] if isinstance(base, SteeredBase) else []
+    speed = np.concatenate((np.full(own, np.inf), rates, urdf[wheels:]))
+    floor = [BASE_FLOOR] * own + [ARM_FLOOR * (limit if np.isfinite(limit) else 1.0) for limit in speed[own:]]
+    placed = np.array([kind == POSITION for kind in (*kinds[nb:], *kinds[own:nb])], bool)
+    at = [*robot.arm_index, *(robot.shape_index[k] for k in masters)]
+    ends = np.array([np.where(placed, robot.lower[at], -np.inf), np.where(placed, robot.upper[at], np.inf)])
+    integral, command, place, clock = np.split(state, (p, 2 * p, 2 * p + n + len(masters)))
+    drives = moved[:own, :wheels].any(axis=0) & (on[:own] > 0.0).any() if own else np.zeros(wheels, bool)
     split = Split(
         on=on,
         numbers=numbers,
         h=period,
-        E=np.ascontiguousarray(robot.E),
-        wheel=urdf[:wheels],
+        E=np.array(robot.E, order="C") if steering is None else steering.E,
+        wheel=np.where(drives, urdf[:wheels], np.inf),
         speed=speed,
         braking=np.full(p, BRAKING),
-        floor=floor,
+        floor=np.array(floor),
+        masters=np.array(masters, np.int64),
+        length=float(base.length) if isinstance(base, SteeredBase) and base.body == STEERED else 0.0,
         ends=ends,
         ahead=np.where(placed, 0.0, np.inf),
         growth=np.zeros(p),
@@ -221,9 +275,11 @@ def limit_commands(split: Split, speed: Array, braking: Array, latency: float) -
         braking: (p,) by which they brake in a stop [m/s^2 or rad/s^2].
         latency: From the measurement to the servo [s].
     """
-    nb = split.on.size - split.ahead.size
+    p, m = split.on.size, split.masters.size
+    nb = p - (split.ahead.size - m)
     split.speed[:], split.braking[:] = np.minimum(split.speed, speed), braking
-    reach = split.speed[nb:] * (1.0 / split.numbers[0, nb:] + latency + split.h)
+    rows = [*range(nb, p), *range(nb - m, nb)]
+    reach = split.speed[rows] * (1.0 / split.numbers[0, rows] + latency + split.h)
     split.ahead[:] = np.where(np.isfinite(split.ahead), reach, np.inf)
 
 
@@ -233,9 +289,9 @@ def laws(robot: Robot, servo: Servo) -> Array:
     return np.array([one_or_each(getattr(servo, name), p, "velocity", f"servo.{name}") for name in names])
 
 
-def state_size(on: Array, arm: int) -> int:
-    """How many numbers the servo rows remember."""
-    return 2 * on.size + arm + 3 if on.any() else 0
+def state_size(on: Array, places: int) -> int:
+    """How many numbers the servo rows remember, `places` of joints whose rates are velocities."""
+    return 2 * on.size + places + 3 if on.any() else 0
 
 
 def needs_torques(controller: CompiledController | TorqueController, context: Context) -> bool:
@@ -274,17 +330,16 @@ def ask(row: Array, at: IntArray, split: Split) -> None:
             split.command[i] = wanted + row[at[NUDOT_REF] + i] / b + k * s + split.integral[i]
             split.kept[i], row[error] = row[error], 0.0
             row[at[NU_REF] + i] = nu
+        elif i < nb and split.masters.size:  # what other rows' motors add to it
+            split.command[i] = row[at[MEASURED_BASE] + i]
     share = share_of_base(nb, split)
     for i in range(split.on.size):
         if split.on[i] > 0.0:
-            u, limited = split.command[i], share < 1.0
-            if i < nb:
-                split.command[i] = share * u
-            else:
-                split.command[i] = min(max(u, -split.speed[i]), split.speed[i])
-                j = i - nb
+            u, j = split.command[i], joint_of(i, nb, split)
+            limited = limit_row(i, nb, share, split)
+            if j >= 0:
                 sent = split.place[j] + h * split.command[i]
-                limited = split.command[i] != u or sent != within_reach(sent, row[at[Q] + j], j, split)
+                limited = limited or sent != within_reach(sent, angle_of(row, at, j, split), j, split)
             if limited and split.growth[i] * u > 0.0:
                 split.integral[i] -= split.growth[i]
             nu = row[at[NU_REF] + i]
@@ -292,11 +347,52 @@ def ask(row: Array, at: IntArray, split: Split) -> None:
 
 
 @compiled
+def joint_of(i: int, nb: int, split: Split) -> int:
+    """Which joint's rate velocity i is: of the arm, then of the masters; negative for others."""
+    own = nb - split.masters.size
+    return i - nb if i >= nb else split.on.size - nb + i - own if i >= own else -1
+
+
+@compiled
+def velocity_of(j: int, nb: int, split: Split) -> int:
+    """The velocity that is the rate of joint j of `joint_of`."""
+    n = split.on.size - nb
+    return nb + j if j < n else nb - split.masters.size + j - n
+
+
+@compiled
+def angle_of(row: Array, at: IntArray, j: int, split: Split) -> float:
+    """Measured angle of joint j of `joint_of`."""
+    n = split.place.size - split.masters.size
+    if split.masters.size and j >= n:
+        return row[at[SHAPE] + split.masters[j - n]]
+    return row[at[Q] + j]
+
+
+@compiled
+def limit_row(i: int, nb: int, share: float, split: Split) -> bool:
+    """Keep a command within what its motors reach; whether it was not."""
+    u, most = split.command[i], split.speed[i]
+    if i < nb:
+        split.command[i] = share * u
+        return share < 1.0 or (i >= nb - split.masters.size and abs(u) >= most)
+    split.command[i] = min(max(u, -most), most)
+    return split.command[i] != u
+
+
+@compiled
 def share_of_base(nb: int, split: Split) -> float:
-    """Largest share, up to 1, of the base's commands that the base and all of its wheels reach."""
-    share = 1.0
-    if nb > 0 and split.on[0] > 0.0:
-        for i in range(nb):
+    """Largest share, up to 1, of the base's commands that the base and all of its wheels reach.
+
+    Steering joints turn no faster than they can, in place; the share is of what is left.
+    """
+    share, own, any_on = 1.0, nb - split.masters.size, False
+    for i in range(nb):
+        any_on = any_on or split.on[i] > 0.0
+        if i >= own and split.on[i] > 0.0:
+            split.command[i] = min(max(split.command[i], -split.speed[i]), split.speed[i])
+    if any_on:
+        for i in range(own):
             if abs(split.command[i]) > split.speed[i]:
                 share = min(share, split.speed[i] / abs(split.command[i]))
         for j in range(split.wheel.size):
@@ -323,7 +419,6 @@ def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
     and arm come to rest along the line on which they move.
     """
     nb = at[Z + 1] - at[Z]
-    n = split.on.size - nb
     count_on(row[at[TIME]], split)
     h = split.clock[SINCE]
     for i in range(split.on.size):
@@ -336,21 +431,37 @@ def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
             else:
                 split.integral[i] = 0.0
                 if split.clock[STATE] < STOPS:
-                    asked = row[at[VELOCITY_REF] + i] if i < nb else row[at[QDOT_REF] + i - nb]
-                    split.command[i] = min(max(split.command[i], min(asked, 0.0)), max(asked, 0.0))
+                    low, high = referred(row, at, i, nb, split)
+                    split.command[i] = min(max(split.command[i], low), high)
+        elif stopped:
+            split.command[i] = 0.0
     if stopped:
-        brake(0, nb, split)
+        brake(0, nb - split.masters.size, split)
         brake(nb, split.on.size, split)
-    for j in range(n):
+    for j in range(split.place.size):
+        q, i = angle_of(row, at, j, split), velocity_of(j, nb, split)
         if split.clock[STATE] == 0.0:
-            split.place[j] = row[at[Q] + j]
-        sent, most = split.place[j] + h * split.command[nb + j], h * split.speed[nb + j]
-        if stopped:
-            sent = min(max(sent, split.ends[0, j]), split.ends[1, j])
-        else:
-            sent = within_reach(sent, row[at[Q] + j], j, split)
+            split.place[j] = q
+        sent, most = split.place[j] + h * split.command[i], h * split.speed[i]
+        sent = min(max(sent, split.ends[0, j]), split.ends[1, j]) if stopped else within_reach(sent, q, j, split)
         split.place[j] = min(max(sent, split.place[j] - most), split.place[j] + most)
     split.clock[STATE] = STOPS if stopped else 1.0
+
+
+@compiled
+def referred(row: Array, at: IntArray, i: int, nb: int, split: Split) -> tuple[float, float]:
+    """Between which commands a stop begins by the reference: from 0 to it; u of the size of its twist, none steers."""
+    if i >= nb:
+        asked = row[at[QDOT_REF] + i - nb]
+    elif i >= nb - split.masters.size:
+        asked = 0.0
+    elif split.length > 0.0:
+        twist = row[at[VELOCITY_REF] : at[VELOCITY_REF + 1]]
+        asked = hypot(hypot(twist[0], twist[1] if twist.size == 3 else 0.0), split.length * twist[twist.size - 1])
+        return -asked, asked
+    else:
+        asked = row[at[VELOCITY_REF] + i]
+    return min(asked, 0.0), max(asked, 0.0)
 
 
 @compiled

@@ -18,7 +18,7 @@ from ..model.robot import Robot
 from ..model.tree.twin import Twin
 from ..signals import Array
 from .before_run import viscous_friction
-from .servo import Servo, Split, interfaces_of, laws
+from .servo import Servo, Split, interfaces_of, laws, movers
 
 TUNED = 2.0  # times viscous friction that a servo's gain has beside its bandwidth
 
@@ -79,8 +79,8 @@ def velocity_servo(robot: Robot, servo: Servo, split: Split, dt: float, ring: Ar
         ring: (slots, motors) state, see `servo_slots`.
     """
     on, gain, stiffness = servo_motors(robot, split.on, split.numbers[0])
-    E, limit = np.ascontiguousarray(robot.E), servo.strength * robot.effort_limits
-    return VelocityServo(dt, on, gain, stiffness, limit, E, split.command, ring)
+    limit = servo.strength * robot.effort_limits
+    return VelocityServo(dt, on, gain, stiffness, limit, split.E, split.command, ring)
 
 
 def servo_motors(robot: Robot, on: Array, bandwidth: Array) -> tuple[Array, Array, Array]:
@@ -91,10 +91,10 @@ def servo_motors(robot: Robot, on: Array, bandwidth: Array) -> tuple[Array, Arra
         on: (p,) which rows are servo rows.
         bandwidth: (p,) of them [1/s].
     """
-    E = np.ascontiguousarray(robot.E)
+    E = np.ascontiguousarray(robot.E_at(robot.rest))
     M = Twin(robot).mass_matrix(robot.neutral_position())
     inertia = 1.0 / np.diag(product(E.T, solve(M, E)))  # what a motor alone moves
-    moves = np.abs(E) > 0.0
+    moves = movers(robot)
     b = np.array([bandwidth[rows].min() for rows in moves.T])
     back = pseudo_inverse(E)
     damping = np.diag(product(back, viscous_friction(robot), back.T))
@@ -142,4 +142,4 @@ def servos_on(robot: Robot, on: Array, law: Servo, simulated: bool) -> LinearSer
     numbers = laws(robot, law)
     motors, gain, stiffness = servo_motors(robot, on, numbers[0])
     there = motors > 0.0
-    return LinearServos(law, on, numbers, robot.E[:, there], gain[there], stiffness[there], simulated)
+    return LinearServos(law, on, numbers, robot.E_at(robot.rest)[:, there], gain[there], stiffness[there], simulated)

@@ -23,7 +23,9 @@ from numpy.typing import ArrayLike
 from ..elementary.arrays import is_below
 from ..elementary.matrices import product
 from ..errors import ConfigError, UnknownName, keyed
-from ..kinematic import Kinematic
+from ..kinematic import Kinematic, see
+from ..model.base.rolling import STEERED, followed
+from ..model.base.steered import SteeredBase
 from ..model.robot import Robot
 from ..recording.recorder import Recorder
 from ..recording.recording import Outcome, Recording, Status
@@ -46,7 +48,7 @@ from .loop import Loop
 from .new_hardware import new_hardware
 from .sample import Control
 from .sampled import delay_margin
-from .servo import Command, Servo, interfaces_of, limit_commands
+from .servo import Command, Servo, interfaces_of, limit_commands, movers, own_velocities
 from .setup import KNOWN, StepperSetup, facts_of, plan_outside
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited
@@ -188,7 +190,6 @@ class Stepper:
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
         )  # fmt: skip
-        self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency = period, settings.check_gains, known.total
         self.safety, self.limits, layout = safety, settings.limits, setup.layout
         self.follower, self.at = Follower(robot, self.limits, settings.setpoint_timeout), layout.offsets
@@ -196,10 +197,12 @@ class Stepper:
         self.received = row[layout.where("pose").start : layout.where("shape").stop]  # all of `measured`, in one piece
         self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
         self.torque, self.motor_torque = row[layout.where("torque")], row[layout.where("motor_torque")]
-        self.command = Command._make(np.full(size, np.nan) for size in [layout.dof] * 3 + [layout.motors] * 2)
+        self.command = Command._make(np.full(size, np.nan) for size in [layout.dof] * 3 + [layout.motors] * 3)
+        self.seen = np.zeros(layout.pose + layout.twist + 2 * layout.arm)
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
         # Which velocities, and which motors, take a torque.
-        self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
+        self.by_effort = self.kinds == "effort", ~movers(robot)[self.kinds != "effort"].any(axis=0)
+        self.placed = placed_motors(robot, movers(robot)[self.kinds == "position"].any(axis=0))
         self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()
         self.is_late = False
         self.every, self.weighed = samples_between(settings.weights_interval, period), -1
@@ -280,10 +283,11 @@ class Stepper:
         if measurement is not None:
             self._take(measurement, time, time if measured is None else seconds(measured, "measured"))
         supervisor = self.hardware.way.supervisor
-        if not self.follower.stands and supervisor.state.good[0] > 0.0:
-            self.follower.stand(self.received)
         self.received[:] = supervisor.message  # as it was taken: `bring_up` has moved that of the last sample
-        self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
+        self._see()
+        if not self.follower.stands and supervisor.state.good[0] > 0.0:
+            self.follower.stand(self.seen)
+        self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.seen, wishes, courses)
         if self.past.longest > 0.0:
             heard = supervisor.state.heard[0]
             bring_up(self.row, self.at, time, heard, self.follower.guide, self.past, self.control.steering)
@@ -344,7 +348,8 @@ class Stepper:
             raise ConfigError("a reset that is blind", why=why, fix=fix, key="reset")
         self._tell(text)
         self.received[:] = self.hardware.way.supervisor.message
-        self.follower.stand(self.received)
+        self._see()
+        self.follower.stand(self.seen)
         self.past.times[:] = -math.inf
 
     def change(
@@ -444,13 +449,16 @@ class Stepper:
         robot, layout, plan = setup.robot, setup.layout, plan_outside(setup)
         if self.check_gains:
             require_stable_gains(plan)
-        limits = np.concatenate((self.limits.of_base(layout)[:2], self.limits.of_arm(robot)[:2]), axis=1)
+        of_base = velocity_limits(robot, self.limits.of_base(layout)[:2])
+        limits = np.concatenate((of_base, self.limits.of_arm(robot)[:2]), axis=1)
         setup = replace(setup, safety=suited_safety(self.safety, plan, limits, self.limits.samples == "limited"))
         hardware = new_hardware(setup, (robot.rest, np.zeros(layout.dof)), state, hardware_state, plan.steering)
         assert hardware is not None
         if hardware.split is not None:
             limit_commands(hardware.split, limits[0], limits[1], self.latency)
         control = Control(plan, self.row, state, hardware)
+        if control.steering is not None and hardware_state is not None and self.control.steering is not None:
+            control.steering.maps.n[:] = self.control.steering.maps.n
         self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan
 
     def _command(self) -> None:
@@ -461,9 +469,19 @@ class Stepper:
         np.copyto(command.motor_effort, self.motor_torque, where=motors)
         if split is not None:
             np.copyto(command.velocity, split.command, where=self.kinds == "velocity")
-            np.copyto(command.motor_velocity, product(self.to_motors, split.command), where=~motors)
-            arm = slice(self.robot.dimensions.base, None)
-            np.copyto(command.position[arm], split.place, where=self.kinds[arm] == "position")
+            np.copyto(command.motor_velocity, product(split.E.T, split.command), where=~motors)
+            for i, j, motor, pivot in self.placed:
+                command.position[i] = command.motor_position[motor] = split.place[j]
+                if pivot >= 0:
+                    now = self.measured.shape[pivot]
+                    command.motor_position[motor] = followed(self.robot.rolling, pivot, split.place[j], now)
+
+    def _see(self) -> None:
+        """The last good measurement as the follower reads it."""
+        if self.control.steering is None:
+            self.seen = self.received
+        else:
+            see(self.row, self.at, self.control.steering, self.seen)
 
     def _take(self, measurement: Measurement, time: float, measured: float) -> None:
         """Put a measurement into the row and before the supervisor."""
@@ -496,13 +514,51 @@ class Stepper:
         supervisor = self.hardware.way.supervisor
         is_below(self.received, LARGEST)
         accept(self.row, self.at, 0.0, 0.0, True, supervisor.door)
-        self.follower.rehearse(self.received)
+        self._see()
+        self.follower.rehearse(self.seen)
         if isinstance(self.setup.controller, CompiledController | LearningLaw):
             self.control.step(0.0, self.follower.now)
         has_ended(0.0, supervisor.numbers, supervisor.state)
         bring_up(self.row, self.at, 0.0, 0.0, self.follower.guide, self.past, self.control.steering)
         self.past.times[:] = -math.inf
+        if self.control.steering is not None:
+            self.control.steering.maps.n[:] = 0.0
         self.hardware.state[:], self.control.controls.state[:], self.row[:] = *kept, 0.0
+
+
+def velocity_limits(robot: Robot, limits: Array) -> Array:
+    """Limits (k, twist) of a reference's velocities and their rates as of base velocities, (k, nb).
+
+    Of u, n' W eta, they are those along the path; a steering joint has its own.
+    """
+    base = robot.base
+    if not isinstance(base, SteeredBase):
+        return limits
+    own = limits
+    if base.body == STEERED:
+        own = np.array([[math.hypot(limits[0, 0], base.length * limits[0, -1])], [limits[1, 0]]])
+    return np.hstack((own, np.full((len(limits), len(base.masters)), np.inf)))
+
+
+def placed_motors(robot: Robot, placed: Array) -> list[tuple[int, int, int, int]]:
+    """Of every motor that takes a position its velocity, its place in `Split.place`, and its pivot if it follows.
+
+    Args:
+        robot: The robot.
+        placed: (motors,) which take positions.
+    """
+    d, base, found = robot.dimensions, robot.base, list[tuple[int, int, int, int]]()
+    masters, own = (base.masters if isinstance(base, SteeredBase) else []), own_velocities(robot)
+    for motor in map(int, np.flatnonzero(placed)):
+        arm = motor - (d.motors - d.arm)
+        if arm >= 0:
+            found.append((d.base + arm, arm, motor, -1))
+            continue
+        pivot = base.shape.index(robot.actuator_names[motor])
+        follows = pivot not in masters
+        i = 0 if follows else masters.index(pivot)
+        found.append((own + i, d.arm + i, motor, pivot if follows else -1))
+    return found
 
 
 def seconds(value: Any, key: str) -> float:

@@ -208,6 +208,11 @@ class Structure:
         return self.follow(position)
 
     @property
+    def wheel_names(self) -> tuple[str, ...]:
+        """Joints of the base's wheels."""
+        return tuple(wheel.joint for wheel in self.base.wheels)
+
+    @property
     def position_names(self) -> tuple[str, ...]:
         """Names of the columns of a position, nv of them: the pose, then every joint in the model's order."""
         root = self.dimensions.pose
@@ -433,7 +438,7 @@ class Structure:
             "velocity_names": self.velocity_names,
             "position_names": self.position_names,
             "actuator_names": self.actuator_names,
-            **({"shape_names": self.base.shape} if self.steers else {}),
+            **({"shape_names": self.base.shape, "wheel_names": self.wheel_names} if self.steers else {}),
             "effort_limits": self.effort_limits.tolist(),
         }
 

@@ -70,7 +70,7 @@ def asked(position, nu, time, loop):
     """Torque, command and errors of a loop's control sample at a state of one's own."""
     engine = replace(loop, engine="ordinary").engine_at(plant_state=(position, nu))
     assert isinstance(engine, OrdinaryLoop)
-    exact(engine.row, engine.at, position, nu, engine.arm)
+    exact(engine.row, engine.at, position, nu, engine.places)
     table = np.zeros(loop.table().shape[1])
     measured = Measurement.of(engine.row, loop.layout)
     loop.trajectory.write(time, measured, Setpoint.side_by_side(table, loop.layout))

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...compiled import copy_to
-from ...kinematic import Steering
+from ...kinematic import Steering, see
 from ...loop.hardware import Hardware
 from ...loop.machine import Machine
 from ...loop.sample import Controls, sample
@@ -56,7 +56,7 @@ class Board(NamedTuple):
         before: (w,) the setpoint of the sample before, from which Psi_hat leads.
         split: The rows that take a velocity; None where all take effort.
         steering: Of a base that steers; None for others.
-        to_motors: (motors, p) velocities of the motors from nu.
+        seen: (m,) the measurement as the reference has it: pose, twist, q, qdot; of others than steer `received`.
         motor_velocity: (motors,) commanded velocities [rad/s or m/s].
     """
 
@@ -82,7 +82,7 @@ class Board(NamedTuple):
     before: Array
     split: Split | None
     steering: Steering | None
-    to_motors: Array
+    seen: Array
     motor_velocity: Array
 
 
@@ -121,8 +121,8 @@ def board_of(stepper: Stepper) -> Board:
         before=stepper.before,
         split=hardware.split,
         steering=stepper.control.steering,
-        to_motors=stepper.to_motors,
-        motor_velocity=np.zeros(len(stepper.to_motors)),
+        seen=stepper.received if stepper.control.steering is None else stepper.seen,
+        motor_velocity=np.zeros(stepper.setup.layout.motors),
     )
 
 
@@ -143,12 +143,14 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
         return BAD_SETPOINT
     if is_measured:
         take(b, time, measured)
+    if b.steering is not None:
+        see(b.row, b.at, b.steering, b.seen)
     if clock[STANDS] == 0.0 and b.supervisor.state.good[0] > 0.0:
-        stand(b.received, b.guide)
+        stand(b.seen, b.guide)
         clock[STANDS] = 1.0
     if clock[PAUSED] == 0.0:
         follow(b, time, wish)
-    advance(b.received, time - clock[LAST] if clock[STEPPED] > 0.0 else 0.0, b.guide)
+    advance(b.seen, time - clock[LAST] if clock[STEPPED] > 0.0 else 0.0, b.guide)
     if clock[STEPPED] == 0.0:
         copy_to(b.guide.now, b.before)
     sample(
@@ -161,7 +163,7 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
         for j in range(b.motor_velocity.size):
             speed = 0.0
             for i in range(b.split.command.size):
-                speed += b.to_motors[j, i] * b.split.command[i]
+                speed += b.split.E[i, j] * b.split.command[i]
             b.motor_velocity[j] = speed
     clock[LAST], clock[STEPPED] = time, 1.0
     return DONE
@@ -210,20 +212,20 @@ def follow(b: Board, time: float, wish: int) -> None:
         drive(b.asked[pose : pose + nb], guide)
         clock[RENEWED + BASE] = time
     elif wish == STAND:
-        brake(BASE, b.received, guide)
-        brake(ARM, b.received, guide)
+        brake(BASE, b.seen, guide)
+        brake(ARM, b.seen, guide)
     for part in range(2):
         kind = guide.kind[part]
         if kind in (SAMPLE, VELOCITY) and time - clock[RENEWED + part] > b.timeout:
-            brake(part, b.received, guide)
+            brake(part, b.seen, guide)
             b.losses[0] += 1.0
 
 
 def pause(b: Board) -> None:
     """Brake and hold; setpoints are not followed until `resume`; `Stepper.pause`."""
     if b.clock[PAUSED] == 0.0:
-        brake(BASE, b.received, b.guide)
-        brake(ARM, b.received, b.guide)
+        brake(BASE, b.seen, b.guide)
+        brake(ARM, b.seen, b.guide)
         b.clock[PAUSED] = 1.0
 
 
@@ -243,7 +245,9 @@ def reset(b: Board) -> bool:
     if b.supervisor.state.tripped[0] == 0.0 or not release(b.clock[LAST], b.supervisor):
         return False
     copy_to(b.supervisor.message, b.received)
-    stand(b.received, b.guide)
+    if b.steering is not None:
+        see(b.row, b.at, b.steering, b.seen)
+    stand(b.seen, b.guide)
     return True
 
 

@@ -39,7 +39,7 @@ import numpy as np
 
 from ...by_address import by_address
 from ...compiled import compiled, internal, linked
-from ...elementary import arrays, atan2, cos_sin
+from ...elementary import atan2, cos_sin
 from ...signals import Array, IntArray
 
 MASTER, FOLLOWER, PASSIVE = 0, 1, 2
@@ -436,18 +436,26 @@ def follow(rolling: Rolling, k: int, position: Array, nu: Array, rates: Array, r
 
 
 def closed(rolling: Rolling, position: Array) -> Array:
-    """The position with its followers where their master has them, (nv,) or (nv, N), changed in place.
-
-    Of the two ways in which a wheel can stand along its path it is the nearer one.
-    """
-    masters = [k for k, turn in enumerate(rolling.turns) if turn[TURN.role] == MASTER]
+    """The position with its followers where their master has them, (nv,) or (nv, N), changed in place."""
+    masters = [place for role, _, place, _ in rolling.turns if role == MASTER]
     for k, turn in enumerate(rolling.turns):
         if turn[TURN.role] == FOLLOWER:
-            m, p, at = rolling.pivots[masters[0]], rolling.pivots[k], turn[TURN.place]
-            h = m[PIVOT.sign] * position[rolling.turns[masters[0], TURN.place]] + atan2(m[PIVOT.s], m[PIVOT.c])
-            (c, s), trail = arrays.cos_sin(h), m[PIVOT.wheel_x] * m[PIVOT.c] + m[PIVOT.wheel_y] * m[PIVOT.s]
-            ahead = m[PIVOT.x] * c + m[PIVOT.y] * s + trail - p[PIVOT.y] * s
-            want = arrays.atan2(p[PIVOT.x] * s, ahead) - atan2(p[PIVOT.s], p[PIVOT.c])
-            now = p[PIVOT.sign] * position[at]
-            position[at] = p[PIVOT.sign] * (now + (want - now + math.pi / 2) % math.pi - math.pi / 2)
+            for column in position.reshape(len(position), -1).T:
+                column[turn[TURN.place]] = followed(rolling, k, column[masters[0]], column[turn[TURN.place]])
     return position
+
+
+@compiled
+def followed(rolling: Rolling, k: int, master: float, now: float) -> float:
+    """Angle of follower k where its master stands at an angle: of the two along its path the nearer to `now` [rad]."""
+    p, want = rolling.pivots[k], 0.0
+    for i in range(len(rolling.turns)):
+        if rolling.turns[i, TURN.role] == MASTER:
+            m = rolling.pivots[i]
+            c0, s0 = cos_sin(m[PIVOT.sign] * master)
+            c, s = c0 * m[PIVOT.c] - s0 * m[PIVOT.s], s0 * m[PIVOT.c] + c0 * m[PIVOT.s]
+            trail = m[PIVOT.wheel_x] * m[PIVOT.c] + m[PIVOT.wheel_y] * m[PIVOT.s]
+            along = m[PIVOT.x] * c + m[PIVOT.y] * s + trail - p[PIVOT.y] * s
+            want = atan2(p[PIVOT.x] * s, along) - atan2(p[PIVOT.s], p[PIVOT.c])
+    turned = want - p[PIVOT.sign] * now
+    return p[PIVOT.sign] * (p[PIVOT.sign] * now + turned - math.pi * math.floor(turned / math.pi + 0.5))
