@@ -115,8 +115,8 @@ def steer(row: Array, at: IntArray, steering: Steering) -> None:
 
 @linked
 def see(row: Array, at: IntArray, steering: Steering, seen: Array) -> None:
-    """A measurement as a reference has it, pose, twist, q, qdot, into `seen`; n goes on by `steer` alone."""
-    before = steering.later[7]
+    """A measurement of what is guided as a reference has it, pose, twist, q, qdot; n goes on by `steer` alone."""
+    before, hitch = steering.later[7], steering.hitch
     copy_to(steering.maps.n, before)
     steer(row, at, steering)
     copy_to(before, steering.maps.n)
@@ -124,6 +124,11 @@ def see(row: Array, at: IntArray, steering: Steering, seen: Array) -> None:
     copy_to(view(row, at, POSE), seen[:pose])
     for i in range(twist):
         seen[pose + i] = steering.maps.eta[i if at[SIDEWAYS] or i == 0 else 2]
+    if hitch.size:
+        gamma = hitch[1] * steering.position[int(hitch[0])]
+        before[0], before[1] = seen[pose], seen[pose + 1]
+        towed(hitch[2:], gamma, before, seen[pose : pose + twist])
+        trailer_pose(hitch[2:], gamma, view(row, at, POSE), seen[:pose])
     copy_to(view(row, at, Q), seen[pose + twist : pose + twist + n])
     copy_to(view(row, at, QDOT), seen[pose + twist + n :])
 

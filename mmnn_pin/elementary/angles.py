@@ -30,6 +30,7 @@ ATAN = (3.33333333333329318027e-01, -1.99999999998764832476e-01, 1.4285714272503
         -1.11111104054623557880e-01, 9.09088713343650656196e-02, -7.69187620504482999495e-02,
         6.66107313738753120669e-02, -5.83357013379057348645e-02, 4.97687799461593236017e-02,
         -3.65315727442169155270e-02, 1.62858201153657823623e-02)  # fmt: skip
+TAN_ODD, TAN_EVEN, ATAN_EVEN, ATAN_ODD = TAN[1::2], TAN[2::2], ATAN[::2], ATAN[1::2]
 # Arctangents of 0.5, 1, 1.5 and infinity, in two parts.
 ATAN_HI = (4.63647609000806093515e-01, 7.85398163397448278999e-01, 9.82793723247329054082e-01, 1.57079632679489655800)
 ATAN_LO = (2.26987774529616870924e-17, 3.06161699786838301793e-17, 1.39033110312309984516e-17, PIO2_LO)
@@ -215,7 +216,7 @@ def tan_near(x: float, y: float, inverse: bool) -> float:
         x, y = (7.85398163397448278999e-01 - x) + (3.06161699786838301793e-17 - y), 0.0
     z = x * x
     w = z * z
-    r, v = horner(w, TAN, 1, 11, 2), z * horner(w, TAN, 2, 12, 2)
+    r, v = horner(w, TAN_ODD, 5), z * horner(w, TAN_EVEN, 5)
     s = z * x
     r = y + z * (s * (r + v) + y) + TAN[0] * s
     w = x + r
@@ -252,7 +253,7 @@ def atan(x: float) -> float:
         return x
     z = t * t
     w = z * z
-    s1, s2 = z * horner(w, ATAN, 0, 10, 2), w * horner(w, ATAN, 1, 9, 2)
+    s1, s2 = z * horner(w, ATAN_EVEN, 5), w * horner(w, ATAN_ODD, 4)
     if which < 0:
         return t - t * (s1 + s2)
     y = ATAN_HI[which] - ((t * (s1 + s2) - ATAN_LO[which]) - t)

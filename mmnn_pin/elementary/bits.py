@@ -89,9 +89,9 @@ def scaled(x: float, k: int) -> float:
 
 
 @inlined
-def horner(z: float, c: tuple[float, ...], first: int, last: int, step: int) -> float:
-    """`c[first] + c[first + step] z + ... + c[last] z^n`."""
+def horner(z: float, c: tuple[float, ...], last: int) -> float:
+    """`c[0] + c[1] z + ... + c[last] z^last`."""
     total = c[last]
-    for i in range(last - step, first - 1, -step):
+    for i in range(last - 1, -1, -1):
         total = c[i] + z * total
     return total

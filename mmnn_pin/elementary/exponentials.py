@@ -29,6 +29,7 @@ EXPM1 = (-3.33333333333331316428e-02, 1.58730158725481460165e-03, -7.93650757867
          4.00821782732936239552e-06, -2.01099218183624371326e-07)  # fmt: skip
 LOG = (6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149e-01, 2.222219843214978396e-01,
        1.818357216161805012e-01, 1.531383769920937332e-01, 1.479819860511658591e-01)  # fmt: skip
+LOG_EVEN, LOG_ODD = LOG[::2], LOG[1::2]
 TANH_P = (-1.61468768441708447952e3, -9.92877231001918586564e1, -9.64399179425052238628e-1)
 TANH_Q = (4.84406305325125486048e3, 2.23548839060100448583e3, 1.12811678491632931402e2, 1.0)
 
@@ -48,7 +49,7 @@ def exp_within(x: float, k: float) -> float:
     above, below = x - k * LN2_HI, k * LN2_LO
     r = above - below
     t = r * r
-    c = r - t * horner(t, EXP, 0, 4, 1)
+    c = r - t * horner(t, EXP, 4)
     return 1.0 + (above + ((r * c) / (2.0 - c) - below))
 
 
@@ -91,7 +92,7 @@ def expm1(x: float) -> float:
         c = (above - x) - below
     half = 0.5 * x
     hxs = x * half
-    r1 = 1.0 + hxs * horner(hxs, EXPM1, 0, 4, 1)
+    r1 = 1.0 + hxs * horner(hxs, EXPM1, 4)
     t = 3.0 - r1 * half
     e = hxs * ((r1 - t) / (6.0 - x * t))
     if k == 0.0:
@@ -123,7 +124,7 @@ def log(x: float) -> float:
     s = f / (2.0 + f)
     z = s * s
     w = z * z
-    odd, even = z * horner(w, LOG, 0, 6, 2), w * horner(w, LOG, 1, 5, 2)
+    odd, even = z * horner(w, LOG_EVEN, 3), w * horner(w, LOG_ODD, 2)
     half = 0.5 * f * f
     return k * LN2_HI - ((half - (s * (half + odd + even) + k * LN2_LO)) - f)
 
@@ -134,7 +135,7 @@ def tanh(x: float) -> float:
     a = abs(x)
     if a < 0.625:
         z = x * x
-        return x + x * z * horner(z, TANH_P, 0, 2, 1) / horner(z, TANH_Q, 0, 3, 1) if a > 2.0**-28 else x
+        return x + x * z * horner(z, TANH_P, 2) / horner(z, TANH_Q, 3) if a > 2.0**-28 else x
     if a < 22.0:
         z = 1.0 - 2.0 / (exp(2.0 * a) + 1.0)
     elif a >= 22.0:

@@ -103,13 +103,13 @@ def quantile(p: float) -> float:
     q = p - 0.5
     if abs(q) <= 0.425:
         r = 0.180625 - q * q
-        return float(q * horner(r, MIDDLE[0], 0, 7, 1) / horner(r, MIDDLE[1], 0, 7, 1))
+        return float(q * horner(r, MIDDLE[0], 7) / horner(r, MIDDLE[1], 7))
     tail = min(p, 1.0 - p)
     if not tail > 0.0:
         return math.nan if tail < 0.0 or p != p else math.copysign(math.inf, q)
     r = math.sqrt(-log(tail))
     r, (above, below) = (r - 1.6, FLANKS) if r <= 5.0 else (r - 5.0, TAILS)
-    return math.copysign(horner(r, above, 0, 7, 1) / horner(r, below, 0, 7, 1), q)
+    return math.copysign(horner(r, above, 7) / horner(r, below, 7), q)
 
 
 def probability(x: float) -> float:

@@ -89,7 +89,7 @@ def log_in_two(x: float) -> tuple[float, float]:
     s_rest = (((f - p) - r) - s * g_rest) / g
     q, q_rest = product(s, s)
     q_rest += 2.0 * s * s_rest
-    tail = horner(q, ODD, 0, 9, 1)
+    tail = horner(q, ODD, 9)
     # third = 1/3 + q tail, in two parts; then s (1 + q third)
     t, t_rest = product(q, tail)
     third = 1.0 / 3.0 + t
@@ -125,5 +125,5 @@ def exp_of_two(h: float, h_rest: float) -> float:
     r = above - below
     rest = (above - r) - below
     # e^r - 1 - r by its series, |r| below 0.35; what is left of r is added to first order
-    t = r * r * horner(r, FACTORIALS, 0, 11, 1)
+    t = r * r * horner(r, FACTORIALS, 11)
     return scaled(1.0 + (r + (t + rest * (1.0 + r))), n)

@@ -21,7 +21,7 @@ from ..compiled import one_thread
 from ..disturbance import Disturbance, payload
 from ..errors import ConfigError, RobotError, UnknownName, keyed
 from ..kinematic import Kinematic
-from ..model.base.rolling import STEERED, Rolling
+from ..model.base.steered import SteeredBase
 from ..model.robot import Robot, carrying
 from ..plant.contact.feet import Contact
 from ..recording.recorder import Recorder
@@ -203,8 +203,8 @@ class Loop:
         """
         require_first(self.timing, first)
         require_nominal(self.believed, self.robot)
-        if first and self.robot.rolling is not None:
-            require_resumable(self.robot.rolling)
+        if first:
+            require_resumable(self.robot)
         plan, state = self.plan(), self.state_from(state)
         dims, ahead = self.robot.dimensions, Setpoint.side_by_side(plan.setpoints[first:], plan.layout)
         if plant_state is None:
@@ -399,13 +399,13 @@ class Loop:
         return with_remarks(outcome, engine, self.robot)
 
 
-def require_resumable(rolling: Rolling) -> None:
+def require_resumable(robot: Robot) -> None:
     """Refuse to go on with a run of a swerve drive: position and nu do not tell which way its u counts.
 
     Raises:
         ConfigError: It is one.
     """
-    if rolling.body == STEERED and not rolling.axle:
+    if isinstance(robot.base, SteeredBase) and robot.base.agree:
         why = "which way u counts has come about on the way, and is not in its state"
         raise ConfigError("a run of a swerve drive cannot go on", why=why, fix="use first = 0", key="first")
 

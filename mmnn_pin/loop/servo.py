@@ -364,7 +364,9 @@ def velocity_of(j: int, nb: int, split: Split) -> int:
 def angle_of(row: Array, at: IntArray, j: int, split: Split) -> float:
     """Measured angle of joint j of `joint_of`."""
     n = split.place.size - split.masters.size
-    return row[at[Q] + j] if j < n else row[at[SHAPE] + split.masters[j - n]]
+    if split.masters.size and j >= n:
+        return row[at[SHAPE] + split.masters[j - n]]
+    return row[at[Q] + j]
 
 
 @compiled

@@ -88,7 +88,9 @@ class Enlarged(BasePath):
         return BaseSamples(t, pose, velocity, acceleration)
 
 
-def fitted(trajectory: Trajectory, base: Base, dimensions: Dimensions, duration: float) -> Trajectory:
+def fitted(
+    trajectory: Trajectory, base: Base, dimensions: Dimensions, duration: float, trailer: bool = False
+) -> Trajectory:
     """A trajectory as large and as slow as a base needs to steer along it.
 
     Args:
@@ -96,6 +98,7 @@ def fitted(trajectory: Trajectory, base: Base, dimensions: Dimensions, duration:
         base: The robot's base.
         dimensions: Of the robot.
         duration: Of the run [s].
+        trailer: Whether it is its trailer's.
 
     Raises:
         TrajectoryError: No size or slowness helps.
@@ -105,7 +108,7 @@ def fitted(trajectory: Trajectory, base: Base, dimensions: Dimensions, duration:
     path, tried = trajectory.base, trajectory
     for _ in range(3):
         t = np.linspace(0.0, duration * tried.slowness, FINELY)
-        needs = needs_of(base, t, Setpoint.side_by_side(tried.table(t, dimensions), dimensions))
+        needs = needs_of(base, t, Setpoint.side_by_side(tried.table(t, dimensions), dimensions), trailer)
         if needs.refused is None:
             return tried
         refused = needs.refused
@@ -129,8 +132,9 @@ def start_angles(base: Base, setpoints: Setpoint, near: Array | None = None) -> 
         setpoints: One, or N with arrays (N, size).
         near: (K,) angles from which the nearer way is taken [rad]; None for 0.
     """
-    twist, change = in_columns(setpoints.velocity), in_columns(setpoints.acceleration)
-    pivots = base.pivots if isinstance(base, SteeredBase) else ()
+    if not isinstance(base, SteeredBase):
+        return np.zeros(0)
+    twist, change, pivots = in_columns(setpoints.velocity), in_columns(setpoints.acceleration), base.pivots
     return along(pivots, np.arange(float(len(twist))), twist, change, near, OF_STOPS).angles[0]
 
 

@@ -161,7 +161,7 @@ def compare_base(measured: Array, dt: float, keep: float, nb: int, door: Door) -
     )
     for i in range(nb):
         step = measured[2] - message[2]
-        if i >= nb - door.masters.size:
+        if door.masters.size and i >= nb - door.masters.size:
             place = last + door.masters[i - (nb - door.masters.size)]
             step = measured[place] - message[place]
         elif door.eta.size:

@@ -95,7 +95,7 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     way = stepper.hardware.way
     program.dropped |= {"motor_states", "sent"}  # what only simulated motors and lines read
     program.dropped |= {program.memory(part, "unread").name for part in (way.totals.force, way.shorted)}
-    if b.ahead is None:
+    if b.ahead is None and b.steering is None:
         program.dropped.add(program.memory(b.before, "before").name)
     learned = stepper.state
     if getattr(learned, "values", None) is not None and learned.values.size:
@@ -216,7 +216,7 @@ def files_of(export: Export) -> dict[str, str]:
         "qemu_mps2/startup.c": render("startup.c", export),
         "qemu_mps2/mps2.ld": render("mps2.ld", export),
         "in_the_loop/link.c": link(export),
-        **plugin(export),
+        **({} if export.stepper.robot.steers else plugin(export)),  # its odometry says nothing of u
     }  # fmt: skip
 
 
@@ -281,8 +281,10 @@ def facts(export: Export) -> dict[str, Any]:
     stepper, program = export.stepper, export.program
     layout, unit = stepper.setup.layout, stepper.setup.layout.unit
     here = [(name, layout.where(name)) for name, *_ in SIGNALS]
-    measured, asked = ranges(export, "pose velocity q qdot"), ranges(export, "pose velocity acceleration q qdot qddot")
-    units = {name: unit(name) for name in ("pose", "velocity", "q", "qdot")}
+    d = layout
+    measured = ranges(pose=d.pose, velocity=d.base, q=d.arm, qdot=d.arm, shape=d.shape)
+    asked = ranges(pose=d.pose, velocity=d.twist, acceleration=d.twist, q=d.arm, qdot=d.arm, qddot=d.arm)
+    units = {name: unit(name) for name in ("pose", "velocity", "q", "qdot", "shape")}
     units |= {"acceleration": unit("acceleration_ref"), "qddot": unit("qddot_ref")}
     return {
         "title": export.title,
@@ -306,16 +308,10 @@ def facts(export: Export) -> dict[str, Any]:
     }
 
 
-def ranges(export: Export, names: str) -> list[tuple[str, int, int]]:
+def ranges(**sizes: int) -> list[tuple[str, int, int]]:
     """Name, start and size of the parts of a measurement or a setpoint that the robot has."""
-    d = export.stepper.robot.dimensions
-    sizes = {"pose": d.pose, "velocity": d.base, "acceleration": d.base, "q": d.arm, "qdot": d.arm, "qddot": d.arm}
-    found, start = [], 0
-    for name in names.split():
-        if sizes[name]:
-            found.append((name, start, sizes[name]))
-        start += sizes[name]
-    return found
+    ends = np.cumsum(list(sizes.values())).tolist()
+    return [(name, end - size, size) for (name, size), end in zip(sizes.items(), ends, strict=True) if size]
 
 
 def has_split(export: Export) -> bool:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from ...errors import ConfigError
 from ...loop.loop import Loop
 from ...loop.stepper import Stepper
-from ...model.robot import revolute
+from ...model.robot import Robot, revolute
 from ...reference.wishes import HOLD, BaseVelocity, Wish
-from ...signals import Array, Dimensions, Measurement, Setpoint
+from ...signals import Array, Measurement, Setpoint
 from .board import FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND
 
 STOP, RESET, PAUSE, RESUME = 1, 2, 3, 4
@@ -33,7 +33,7 @@ class GoldenEvent:
 
     Attributes:
         time: [s].
-        received: (m,) pose, velocity, q, qdot; None where no measurement came.
+        received: (m,) pose, velocity, q, qdot, shape; None where no measurement came.
         measured: When it was taken [s].
         wish: Of `board`.
         asked: (w,) the setpoint.
@@ -66,13 +66,15 @@ def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[G
     rng, d = np.random.default_rng(seed), loop.robot.dimensions
     times = np.arange(steps) * period
     table = loop.trajectory.table(times, d)
-    away = np.zeros(d.pose + d.base + 2 * d.arm)
     first = d.pose + d.base
+    last_angle = first + 2 * d.arm + d.shape
+    away = np.zeros(last_angle)
     angles = [*range(2, d.pose), *(first + np.flatnonzero(revolute(loop.robot)[loop.robot.arm_index]))]
+    angles += range(first + 2 * d.arm, last_angle)
     events = []
     for k, asked in enumerate(table):
         away = 0.995 * away + 0.002 * rng.standard_normal(away.size)
-        read = np.asarray(as_measured(asked, d) + away)
+        read = np.asarray(as_measured(asked, loop.robot) + away)
         last = k >= int(0.85 * steps)
         chance, wish, action = rng.random(), FOLLOW_SAMPLE, 0
         if 0.3 < k / steps < 0.35 and d.base:
@@ -99,17 +101,19 @@ def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[G
     return events
 
 
-def as_measured(asked: Array, d: Dimensions) -> Array:
-    """The measurement of a robot that is where a setpoint wants it, (pose, velocity, q, qdot)."""
-    setpoint = Setpoint.side_by_side(asked, d)
-    return np.concatenate((setpoint.pose, setpoint.velocity, setpoint.q, setpoint.qdot))
+def as_measured(asked: Array, robot: Robot) -> Array:
+    """The measurement of a robot that is where a setpoint wants it, (pose, velocity, q, qdot, shape)."""
+    setpoint = Setpoint.side_by_side(asked, robot.dimensions)
+    position = robot.steered_along(robot.neutral_position(), setpoint.velocity)
+    velocity = robot.base_velocity(position, setpoint.velocity)
+    return np.concatenate((setpoint.pose, velocity, setpoint.q, setpoint.qdot, position[robot.shape_index]))
 
 
 def answers(stepper: Stepper, events: list[GoldenEvent], remembered: Iterable[Array]) -> list[Answer]:
     """The answers of a stepper to events; `remembered` is the memory that goes into the checksums."""
     d, arrays, found = stepper.robot.dimensions, list(remembered), []
     powers = powers_of(sum(array.size for array in arrays))
-    ends = np.cumsum((d.pose, d.base, d.arm))
+    ends = np.cumsum((d.pose, d.base, d.arm, d.arm))
     for event in events:
         measurement = None if event.received is None else Measurement(*np.split(event.received, ends))
         setpoint = Setpoint.side_by_side(event.asked, d)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
@@ -93,7 +93,7 @@ class Linked(Fresh):
         kind, asked = self._wish(setpoint)
         received = np.zeros(self.received.size)
         if measurement is not None:
-            parts = [getattr(measurement, name) for name in ("pose", "velocity", "q", "qdot")]
+            parts = [getattr(measurement, part.name) for part in fields(Measurement)]
             received[:] = np.concatenate([np.ravel(part) for part in parts])
         head = (SAMPLE, time, float(measurement is not None), time if measured is None else measured, float(kind))
         result = self._exchange(np.concatenate((head, received, asked)))
@@ -158,7 +158,7 @@ class Linked(Fresh):
             return FOLLOW_SAMPLE, asked
         if isinstance(setpoint, BaseVelocity):
             d = self.robot.dimensions
-            asked[d.pose : d.pose + d.base] = setpoint.velocity
+            asked[d.pose : d.pose + d.twist] = setpoint.velocity
             return FOLLOW_VELOCITY, asked
         if isinstance(setpoint, Stand):
             return STAND, asked
@@ -231,10 +231,11 @@ def closed(loop: Loop, stepper: Stepper, steps: int) -> Recording:
     with stepper:
         for k, asked in enumerate(table):
             position, nu = plant.position, plant.nu
-            measurement = Measurement(position[: d.pose], nu[: d.base], position[robot.arm_index], nu[d.base :])
+            q, shape = position[robot.arm_index], position[robot.shape_index]
+            measurement = Measurement(position[: d.pose], nu[: d.base], q, nu[d.base :], shape)
             command = stepper.step(k * timing.control_period, measurement, Setpoint.side_by_side(asked, d))
             stepper.record()
-            tau = product(robot.E, command.motor_effort)
+            tau = product(robot.E_at(plant.position), command.motor_effort)
             for _ in range(timing.steps_per_control):
                 plant.step(tau)
                 plant.refresh()

@@ -762,7 +762,7 @@ def virtual_joints(rest: AtRest, base: SteeredBase) -> list[str]:
     places = [(0.0, 0.0), *(((x, (y + v) / 2) for x, y in hubs for u, v in hubs if x == u or abs(x - u) < 1e-3))]
     ends = [j for j in rest.document.moving_children(rest.document.root_link) if j.type != "prismatic"]
     ends = [j for j in ends if j.name not in base.joints and not rest.document.moving_children(j.child)]
-    highest = max(float(rest.hub(rest.document.joints[w.joint])[2]) + w.radius for w in base.wheels)
+    highest = max(float(rest.hub(rest.document.joints[w.joint])[2]) + 2 * w.radius for w in base.wheels)
     low = [j for j in ends if rest.hub(j)[2] <= highest and (rest.is_vertical(j) or rest.is_horizontal(j))]
     return [
         j.name

@@ -86,6 +86,7 @@ from .wheels import (
     Candidate,
     Candidates,
     alike_on_root,
+    called_wheels,
     coaxial,
     is_endless_end,
     is_low,
@@ -439,6 +440,10 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         why = "no joint turns without end about a horizontal axis with something round on the floor"
         yours = BaseReading(overrides.base, ("you said so",), (why,))
         raise undecided(rest, [], [yours], why, f"name them with --wheels if they turn in this file, or {UNDRIVEN}")
+    if len(called := called_wheels(rest)) >= ROUND_ABOUT:
+        why = "joints that turn without end are called wheels, and none is found on the floor"
+        still = BaseReading("fixed", ("no wheel is found on the floor",), (why,))
+        raise undecided(rest, called, [still], why, FORCES)
     text = "nothing in this file could be a wheel: taken as an arm on a stand"
     fix = "--base holonomic if it stands on a base whose wheels the file leaves out"
     return BaseResult(Fixed(), (note(rest, "base-none", "", text, fix=fix),))

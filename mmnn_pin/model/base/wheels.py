@@ -571,6 +571,12 @@ def written_to_turn(rest: AtRest, welded: list[Joint]) -> str:
     return f'write type="continuous" in {joined} if they turn'
 
 
+def called_wheels(rest: AtRest) -> list[Candidate]:
+    """Joints that turn without end about level axes, carry nothing and are called wheels: names make the loader ask."""
+    ends = [j for j in rest.document.joints.values() if is_endless_end(rest, j) and rest.is_horizontal(j)]
+    return [wheel_of(rest, j) for j in ends if WHEEL_NAMES.search(f"{j.name} {j.child}")]
+
+
 def welded_by_name(rest: AtRest) -> list[Joint]:
     """Two or more fixed joints at the end of the root's body whose links are called wheels, low on it.
 
