@@ -19,6 +19,7 @@ import numpy as np
 from ..actuator import Actuator
 from ..compiled import one_thread
 from ..disturbance import Disturbance, payload
+from ..elementary import cos_sin
 from ..errors import ConfigError, RobotError, UnknownName, keyed
 from ..kinematic import Kinematic
 from ..model.base.steered import SteeredBase
@@ -209,7 +210,11 @@ class Loop:
         dims, ahead = self.robot.dimensions, Setpoint.side_by_side(plan.setpoints[first:], plan.layout)
         if plant_state is None:
             angles = None if plan.hitch.size else start_angles(self.robot.base, ahead)
-            plant_state = self.start.state(self.robot, plan.setpoints[first], angles)
+            position, nu = self.start.state(self.robot, plan.setpoints[first], angles)
+            if plan.hitch.size:  # it is the trailer that begins on the reference, its truck straight ahead
+                c, s = cos_sin(position[2])
+                position[:2] += (plan.hitch[2] + plan.hitch[3]) * np.array([c, s])
+            plant_state = position, nu
         position, nu = plant_state
         position, nu = given_array("plant_state", position, (dims.full,)), given_array("plant_state", nu, (dims.dof,))
         arguments = (
