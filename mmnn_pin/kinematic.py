@@ -304,8 +304,8 @@ class Kinematic(Settings, frozen=True):
         if self.guide == "base":
             return np.zeros(0)
         base = robot.base
-        passive = [p for p in base.pivots if p.role == ROLES[PASSIVE]] if isinstance(base, SteeredBase) else []
-        hitches = passive if not base.sideways else []
+        pivots = base.pivots if isinstance(base, SteeredBase) and not base.sideways else ()
+        hitches = [p for p in pivots if p.role == ROLES[PASSIVE] or isinstance(base, Articulated)]
         if len(hitches) != 1 or hitches[0].x == 0.0:
             what = f"'{robot.name}' has {len(hitches)} trailers" if len(hitches) != 1 else "its hitch is on the axle"
             why, fix = "one trailer whose hitch is off the axle can be guided", "guide the base"

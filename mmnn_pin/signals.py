@@ -79,6 +79,7 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
 # Compiled code freezes these numbers: this file is part of the key of the compiled code's cache.
 INDEX = {name: i for i, (name, *_) in enumerate(SIGNALS)}
 SIDEWAYS = len(SIGNALS) + 1  # behind the offsets of a layout: `Dimensions.sideways`
+ALONG = ("x", "y", "u", "v", "vx", "vy")  # coordinates and velocities of a base along a line; others turn
 HAND = ("x", "y", "z", "qx", "qy", "qz", "qw")  # columns of a frame, in the world
 EARLY = 5e-10  # half a nanosecond early counts, as times are rounded [s]
 

@@ -31,6 +31,8 @@ def motion(robot: Robot, time: np.ndarray) -> np.ndarray:
         table[:, :3] = np.column_stack((0.6 * time, 0.2 * time**2, np.arctan2(0.4 * time, 0.6)))
         for wheel in robot.base.wheels:
             table[:, robot.position_names.index(wheel.joint)] = 0.6 * time / wheel.radius
+        for i, place in enumerate(robot.shape_index):
+            table[:, place] = 0.5 * np.sin(2.0 * time + i)
     robot.follow(table.T)
     return table
 

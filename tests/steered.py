@@ -232,10 +232,12 @@ class Made:
     Attributes:
         base: Its base.
         model: Pinocchio's, on a planar joint.
+        arm: Joints of its arm.
     """
 
     base: SteeredBase
     model: pin.Model
+    arm: tuple[str, ...] = ARM
 
     @classmethod
     def of(cls, base: SteeredBase, seed: int = 0) -> Made:
@@ -265,11 +267,11 @@ class Made:
 
     @property
     def p(self) -> int:
-        return self.nb + len(ARM)
+        return self.nb + len(self.arm)
 
     def new_maps(self) -> Maps:
         T = np.zeros((self.nv, self.p))
-        for i, name in enumerate(ARM):
+        for i, name in enumerate(self.arm):
             T[self.place[name], self.nb + i] = 1.0
         return new_maps(self.rolling, T)
 
@@ -320,7 +322,7 @@ class Made:
     @property
     def motors(self) -> Array:
         """(nv, motors): the columns of E of the full model."""
-        return np.eye(self.nv)[:, [self.place[name] for name in (*self.base.driven, *ARM)]]
+        return np.eye(self.nv)[:, [self.place[name] for name in (*self.base.driven, *self.arm)]]
 
 
 # -- states ------------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ psi_hat, and the loop linearised about the reference has the same feedback, to f
 (docs/explanation/theory.md, section 8).
 
 A base that steers has other velocities than the reference: its own (velocity, alpha, nu_ref) move by alphadot, its
-angles as alpha turns them, and alphadot is held. What is added then has the feedback of the pose in it, delta of it.
+angles as they turn, and alphadot is held. What is added then has the feedback of the pose in it, delta of it.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def catch_up(row: Array, at: IntArray, setpoint: Array, then: Array, age: float,
             place = at[reference] - first + i
             row[at[measured] + i] += setpoint[place] - then[place]
     if steering is not None:
-        turn_wheels(row, at, age, row, steering)
+        move_wheels(row, at, age, row, steering)
     if nb:
         v, last, half = at[VELOCITY_REF] - first, at[ACCELERATION_REF] - first - 1, 0.5 * age
         turn = half * (setpoint[last] + then[last])
@@ -247,7 +247,7 @@ def look_ahead(row: Array, at: IntArray, before: Array, ahead: Ahead, steering: 
         travel(row, at, d, at[POSE_REF], to)
         travel(row, at, old, at[POSE], to)
     if steering is not None:
-        turn_wheels(row, at, old, to, steering)
+        move_wheels(row, at, old, to, steering)
         first = nb
         for i in range(nb):
             for signal in (ALPHA, NU_REF):
@@ -279,12 +279,12 @@ def look_ahead(row: Array, at: IntArray, before: Array, ahead: Ahead, steering: 
 
 
 @internal
-def turn_wheels(row: Array, at: IntArray, d: float, to: Array, steering: Steering) -> None:
+def move_wheels(row: Array, at: IntArray, d: float, to: Array, steering: Steering) -> None:
     """Move the measured velocities and angles of a base that steers in a row as a sample asks it to for d seconds."""
     nb, T = at[ALPHA + 1] - at[ALPHA], steering.maps.T
     for k in range(at[SHAPE + 1] - at[SHAPE]):
         for i in range(nb):
-            to[at[SHAPE] + k] += d * T[3 + k, i] * (row[at[ALPHA] + i] + 0.5 * d * row[at[ALPHADOT] + i])
+            to[at[SHAPE] + k] += d * T[3 + k, i] * (row[at[VELOCITY] + i] + 0.5 * d * row[at[ALPHADOT] + i])
     for i in range(nb):
         to[at[VELOCITY] + i] += d * row[at[ALPHADOT] + i]
 

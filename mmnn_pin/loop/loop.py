@@ -19,8 +19,10 @@ import numpy as np
 from ..actuator import Actuator
 from ..compiled import one_thread
 from ..disturbance import Disturbance, payload
+from ..elementary import cos_sin
 from ..errors import ConfigError, RobotError, UnknownName, keyed
 from ..kinematic import Kinematic
+from ..model.base.steered import SteeredBase
 from ..model.robot import Robot, carrying
 from ..plant.contact.feet import Contact
 from ..recording.recorder import Recorder
@@ -202,11 +204,17 @@ class Loop:
         """
         require_first(self.timing, first)
         require_nominal(self.believed, self.robot)
+        if first:
+            require_resumable(self.robot)
         plan, state = self.plan(), self.state_from(state)
         dims, ahead = self.robot.dimensions, Setpoint.side_by_side(plan.setpoints[first:], plan.layout)
         if plant_state is None:
             angles = None if plan.hitch.size else start_angles(self.robot.base, ahead)
-            plant_state = self.start.state(self.robot, plan.setpoints[first], angles)
+            position, nu = self.start.state(self.robot, plan.setpoints[first], angles)
+            if plan.hitch.size:  # it is the trailer that begins on the reference, its truck straight ahead
+                c, s = cos_sin(position[2])
+                position[:2] += (plan.hitch[2] + plan.hitch[3]) * np.array([c, s])
+            plant_state = position, nu
         position, nu = plant_state
         position, nu = given_array("plant_state", position, (dims.full,)), given_array("plant_state", nu, (dims.dof,))
         arguments = (
@@ -394,6 +402,17 @@ class Loop:
             sink = Watching(sink, self.trajectory.watched.writer(self.robot, self.layout))
         outcome = to_the_end(self, self.samples_between_weights, engine, sink, first, progress, cancelled)
         return with_remarks(outcome, engine, self.robot)
+
+
+def require_resumable(robot: Robot) -> None:
+    """Refuse to go on with a run of a swerve drive: position and nu do not tell which way its u counts.
+
+    Raises:
+        ConfigError: It is one.
+    """
+    if isinstance(robot.base, SteeredBase) and robot.base.agree:
+        why = "which way u counts has come about on the way, and is not in its state"
+        raise ConfigError("a run of a swerve drive cannot go on", why=why, fix="use first = 0", key="first")
 
 
 def require_compilable(loop: Loop) -> None:

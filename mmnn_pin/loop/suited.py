@@ -276,7 +276,9 @@ JointEnds = tuple[Array, Array]
 
 
 @one_thread
-def followable(robot: Robot, reference: Callable[[JointEnds], Trajectory], duration: float, share: float) -> Trajectory:
+def followable(
+    robot: Robot, reference: Callable[[JointEnds], Trajectory], duration: float, share: float, trailer: bool = False
+) -> Trajectory:
     """A reference within the limits of a robot's joints that its motors can follow with a share of theirs; see the top.
 
     Args:
@@ -284,12 +286,13 @@ def followable(robot: Robot, reference: Callable[[JointEnds], Trajectory], durat
         reference: The reference within lower and upper limits of the arm's joints, (n,) each.
         duration: Of the run [s].
         share: Of every motor's effort and speed limits; 0 for any.
+        trailer: Whether the reference is its trailer's.
     """
     lower, upper = (limit[robot.arm_index] for limit in (robot.lower, robot.upper))
     given = reference((lower, upper))
     if not share:
         return given
-    to_steer = fitted(given, robot.base, robot.dimensions, duration)
+    to_steer = fitted(given, robot.base, robot.dimensions, duration, trailer)
 
     def steerable(ends: JointEnds) -> Trajectory:
         return replace(reference(ends), base=to_steer.base)

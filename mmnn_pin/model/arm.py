@@ -112,7 +112,7 @@ def user_locks(rest: AtRest, overrides: Overrides, wheels: Iterable[str], held: 
             raise UnknownName("joint", name, names, file=rest.document.path, key="lock")
         if name in wheels:
             fix = "use --base fixed to park the base"
-            what = f"'{name}' is a wheel of the base, or steers one, and cannot be locked"
+            what = f"'{name}' is a drive wheel, or steers one, and cannot be locked"
             raise ConfigError(what, fix=fix, key="lock")
         if name in slaves_of(rest.document):
             why, fix = "it stands where the joint that it follows puts it", "lock that one"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,15 @@ import msgspec
 import numpy as np
 from lxml import etree
 
+from ..elementary import cos_sin
 from ..errors import ConfigError, InputError, RobotError, UnknownName
 from ..files import read_bytes, reason
 from ..settings import Settings
 from ..settings.arguments import unknown_key, wrong_type
 from ..signals import Array
-from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
 from .base.report import BaseReading, Undecided, Unsupported
+from .base.steered import SteeredBase
 from .dynamics import Dynamics
 from .robot import Robot, revolute
 from .urdf.expansion import Unexpanded
@@ -34,7 +35,7 @@ def inspection_of(robot: Robot) -> dict[str, Any]:
         "sha256": robot.sha256,
         "ok": True,
         "findings": [as_dict(finding) for finding in robot.findings],
-        "base": base_of(robot.base),
+        "base": base_of(robot),
         "arm": arm_of(robot),
         **interfaces_of(robot),
         "locked": list(robot.arm.locked),
@@ -102,13 +103,17 @@ def reading_of(reading: BaseReading) -> dict[str, Any]:
     return {"kind": reading.kind, "for": list(reading.reasons), "against": list(reading.objections)}
 
 
-def base_of(base: Base) -> dict[str, Any]:
-    """A base by names."""
-    wheels = [
-        {"joint": w.joint, "radius": w.radius, "sign": int(w.sign), "x": w.x, "y": w.y}
-        | {"heading": w.heading, "roller": w.roller}
-        for w in base.wheels
-    ]
+def base_of(robot: Robot) -> dict[str, Any]:
+    """A base by names; where its wheels and pivots stand in the control frame at rest."""
+    base = robot.base
+    carriers, wheels = base.carriers((0.0, 0.0, 0.0), robot.rest[robot.shape_index].tolist()), []
+    for w in base.wheels:
+        x, y, heading = carriers[w.pivot + 1]
+        c, s = cos_sin(heading)
+        place = {"x": x + c * w.x - s * w.y, "y": y + s * w.x + c * w.y, "heading": heading + w.heading}
+        wheels.append({"joint": w.joint, "radius": w.radius, "sign": int(w.sign)} | place | {"roller": w.roller})
+        if robot.steers:
+            wheels[-1] |= {"on": base.shape[w.pivot] if w.pivot >= 0 else None, "driven": w.driven}
     return {
         "kind": base.kind,
         "wheels": wheels,
@@ -118,7 +123,17 @@ def base_of(base: Base) -> dict[str, Any]:
         "floor": base.floor,
         "casters": list(base.casters),
         "suspensions": list(base.suspensions),
-    }
+    } | ({"pivots": pivots_of(base, carriers), "length": base.length} if isinstance(base, SteeredBase) else {})
+
+
+def pivots_of(base: SteeredBase, carriers: Sequence[Sequence[float]]) -> list[dict[str, Any]]:
+    """Pivots of a base by names, with what carries them: another one, or null for its body."""
+    return [
+        {"joint": p.joint, "role": p.role, "x": at[0], "y": at[1], "sign": int(p.sign)}
+        | {"lower": finite_or_none(p.lower), "upper": finite_or_none(p.upper), "rate": finite_or_none(p.rate)}
+        | {"motor": p.motor, "on": base.shape[p.parent] if p.parent >= 0 else None}
+        for p, at in zip(base.pivots, carriers[1:], strict=True)
+    ]
 
 
 def arm_of(robot: Robot) -> dict[str, Any]:

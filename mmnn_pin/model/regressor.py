@@ -386,8 +386,7 @@ def regress(known: Massless, nu_ref: Array, nudot_ref: Array) -> None:
         nudot_ref: (p,) their time derivative.
     """
     tree, Y = known.tree, known.Y
-    if known.rolling is not None:
-        turn_joints(known, known.rolling)
+    turn_joints(known, known.rolling)
     place(tree.links, tree.numbers, known.position, known.nu, known.scratch)
     psi_again(tree, known.position, nu_ref, nudot_ref, known.scratch, known.out)
     Y[:] = 0.0
@@ -396,15 +395,16 @@ def regress(known: Massless, nu_ref: Array, nudot_ref: Array) -> None:
     joint_columns(known, nu_ref, nudot_ref, BODY * (len(tree.links) - known.first))
 
 
-@internal
-def turn_joints(known: Massless, rolling: Rolling) -> None:
+@compiled
+def turn_joints(known: Massless, rolling: Rolling | None) -> None:
     """Rows of T and of its rate at the known position and velocity, of tree and joints."""
-    maps = known.maps
-    roll(rolling, known.position, known.nu, maps)
-    steer(known.tree, maps.T, maps.Tdot, known.scratch)
-    for k in range(known.rows.size):
-        copy_to(maps.T[known.rows[k]], known.joints[k])
-        copy_to(maps.Tdot[known.rows[k]], known.drift[k])
+    if rolling is not None:
+        maps = known.maps
+        roll(rolling, known.position, known.nu, maps)
+        steer(known.tree, maps.T, maps.Tdot, known.scratch)
+        for k in range(known.rows.size):
+            copy_to(maps.T[known.rows[k]], known.joints[k])
+            copy_to(maps.Tdot[known.rows[k]], known.drift[k])
 
 
 @compiled
@@ -471,7 +471,7 @@ def joint_columns(known: Massless, nu_ref: Array, nudot_ref: Array, first: int) 
         for i in range(p):
             acceleration += joints[k, i] * nudot_ref[i]
             speed += joints[k, i] * nu[i]
-            if known.rolling is not None:
+            if known.drift.shape[0] > 0:
                 acceleration += known.drift[k, i] * nu_ref[i]
         dry = tanh(speed / known.coulomb_speed)
         rough = first + count + known.base + k

@@ -208,6 +208,11 @@ class Structure:
         return self.follow(position)
 
     @property
+    def wheel_names(self) -> tuple[str, ...]:
+        """Joints of the base's wheels."""
+        return tuple(wheel.joint for wheel in self.base.wheels)
+
+    @property
     def position_names(self) -> tuple[str, ...]:
         """Names of the columns of a position, nv of them: the pose, then every joint in the model's order."""
         root = self.dimensions.pose
@@ -433,7 +438,7 @@ class Structure:
             "velocity_names": self.velocity_names,
             "position_names": self.position_names,
             "actuator_names": self.actuator_names,
-            **({"shape_names": self.base.shape} if self.steers else {}),
+            **({"shape_names": self.base.shape, "wheel_names": self.wheel_names} if self.steers else {}),
             "effort_limits": self.effort_limits.tolist(),
         }
 
@@ -462,7 +467,7 @@ def read_only(array: Array) -> Array:
 def motion_map(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
     """T, (nv, p): the root moves with the base, wheels roll, the arm moves freely, slaves follow, the rest stands.
 
-    The columns of a base that steers are 0.
+    The columns of a base that steers are 0 but for the joints that steer, and what follows these.
 
     Args:
         base: The mobile base.
@@ -475,6 +480,9 @@ def motion_map(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
         T[:root, :nb] = base.root_map[:root]
         for wheel, rates in zip(base.wheels, base.wheel_map, strict=True):
             T[rows[wheel.joint], :nb] = rates
+    for i, name in enumerate(base.velocity_names):
+        if name in base.shape:
+            T[rows[name], i] = 1.0
     for i, name in enumerate(arm.joints):
         T[rows[name], nb + i] = 1.0
     for name, slave in arm.slaves.items():

@@ -57,7 +57,7 @@ class Reducer:
             **dict.fromkeys(("torque", "psi_hat", "effective_gain"), velocities),
             "energy_residual": ("energy_residual",),
         }
-        wheels = tuple(facts["actuator_names"])[: layout.wheels]
+        wheels = tuple(facts.get("wheel_names", facts["actuator_names"]))[: layout.wheels]
         labels |= {"slip": wheels, "traction": wheels, "constraint_residual": ("constraint_residual",) * bool(wheels)}
         labels = {name: names for name, names in labels.items() if names}
         places = [np.arange(layout.width)[layout.where(TRUE.get(name, name))] for name in labels]

@@ -401,5 +401,7 @@ def recorded_position(recording: Recording, robot: Robot) -> Array:
         table[:, :3] = recording["pose"]
     if "q" in recording:
         table[:, robot.arm_index] = as_columns(recording["q"])
+    if "shape" in recording:
+        table[:, robot.shape_index] = as_columns(recording["shape"])
     robot.follow(table.T)
     return table

@@ -40,6 +40,7 @@ class RunFacts(msgspec.Struct, frozen=True):
     position_names: tuple[str, ...] = ()
     actuator_names: tuple[str, ...] = ()
     shape_names: tuple[str, ...] = ()
+    wheel_names: tuple[str, ...] = ()
     effort_limits: tuple[float, ...] = ()
     armature: float | tuple[float, ...] = 0.0
     viscous: float | tuple[float, ...] = 0.0
@@ -78,7 +79,7 @@ def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
             msgspec.convert({name: meta[name]}, RunFacts)
         except msgspec.ValidationError as error:
             return (name, *wrong_type(error, meta[name]))
-    for name in ("velocity_names", "position_names", "actuator_names", "shape_names"):
+    for name in ("velocity_names", "position_names", "actuator_names", "shape_names", "wheel_names"):
         if long := next((text for text in meta.get(name, ()) if len(text) > MOST_TEXT), None):
             return name, f"{shortly(long)} has {len(long)} letters", f"use at most {MOST_TEXT}"
     names, limits = meta.get("actuator_names", ()), meta.get("effort_limits", ())
@@ -103,7 +104,7 @@ def labels_of(name: str, width: int, meta: Mapping[str, Any]) -> tuple[str, ...]
         "arm": velocities[-width:],
         "full": tuple(meta.get("position_names", ())),
         "motor": motors,
-        "wheel": motors[:width],
+        "wheel": tuple(meta.get("wheel_names", motors))[:width],
         "hand": tuple(f"{frame}.{each}" for frame in meta.get("hands", ()) for each in HAND),
     }.get(KIND[name][0], (name,) if own == 1 else tuple(f"{name}[{i}]" for i in range(own)))
 

@@ -295,7 +295,7 @@ class RouteDrive(Motion):
         tightest = min(map(abs, curvatures(base)))
         can = f"it turns within {1.0 / tightest:.3g} m, not on the spot"
         if too_far := bent_too_far(leg.path, base):
-            fix = f"raise the planner's smallest turning radius, by {math.ceil(100.0 * (too_far / tightest - 1.0))} %"
+            fix = f"raise the planner's smallest turning radius, by {math.ceil(100.0 * (too_far / (SHARE * tightest) - 1.0)) + 1} %"
             raise TrajectoryError(f"the route bends by {too_far:.3g} 1/m", why=can, fix=fix)
         first = end_bend(leg.path, 0.0)
         bend = first if math.isnan(bend) else bend
@@ -305,7 +305,11 @@ class RouteDrive(Motion):
         curve = self.joined(leg, s, away, pose, way, 0.0) if abs(off) <= ALONG else None
         if curve is None:
             what = f"a route {away:.3g} m beside the base and turned by {abs(off):.3g} rad"
-            raise TrajectoryError(what, why=can, fix="plan from where it stands, along its heading or against it")
+            fix = "plan from where it stands, along its heading or against it"
+            if away < REACHED and abs(off) <= ALIGNED:
+                what = f"a route that bends by {first:.3g} 1/m where the base steers {bend:.3g} 1/m"
+                fix = "raise the planner's smallest turning radius"
+            raise TrajectoryError(what, why=can, fix=fix)
         return curve
 
     def driven_to(self, pose: Array, point: Array, least: float = TINY) -> list[Array]:

@@ -465,6 +465,8 @@ def come_nearer(dt: float, guide: Guide) -> bool:
     change = now[3 + nb : 3 + 2 * nb]
     for i in range(nb):
         after = pace[2] if i == nb - 1 else pace[i]
+        if i == nb - 1 and guide.curve[1] < math.inf:  # the pose may be led as it likes, the wheels may not
+            after = curvature_of(now[3], after, guide.curve[3], guide) * now[3]
         change[i], now[3 + i] = after - now[3 + i], after
     share = within_reach(now[3 : 3 + nb], guide)
     if share < 1.0:  # no faster than it can: it stays behind

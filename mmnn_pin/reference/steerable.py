@@ -19,7 +19,7 @@ from ..errors import TrajectoryError
 from ..model.base.base import Base
 from ..model.base.rolling import PASSIVE, ROLES, STEERED, Pivot
 from ..model.base.stance import MOVES, Stance, along, bends, room, trail_of
-from ..model.base.steered import SteeredBase
+from ..model.base.steered import Articulated, SteeredBase
 from ..signals import Array, Dimensions, Setpoint
 from .path import BasePath, BaseSamples, require_positive
 from .samples import in_three
@@ -27,7 +27,7 @@ from .trajectory import Trajectory
 
 OF_STOPS, OF_RATE = 0.95, 0.9  # shares that a reference may need: of the way between stops, of the largest rate
 EXACT = 1e-6  # beyond a limit that is none, by the limit
-SLACK = 1.01  # times a rate: a timed path may need a little more between the points of its grid
+SLACK = 1.05  # times a rate: a timed path may need a little more between the points of its grid
 JUMP = 0.02  # between two samples that is one, beyond what the rates explain [rad]
 FOLDED = math.pi / 2  # angle of a hitch without stops beyond which it is folded [rad]
 SPOT = 1e3  # curvature that is none, by the largest
@@ -88,7 +88,9 @@ class Enlarged(BasePath):
         return BaseSamples(t, pose, velocity, acceleration)
 
 
-def fitted(trajectory: Trajectory, base: Base, dimensions: Dimensions, duration: float) -> Trajectory:
+def fitted(
+    trajectory: Trajectory, base: Base, dimensions: Dimensions, duration: float, trailer: bool = False
+) -> Trajectory:
     """A trajectory as large and as slow as a base needs to steer along it.
 
     Args:
@@ -96,6 +98,7 @@ def fitted(trajectory: Trajectory, base: Base, dimensions: Dimensions, duration:
         base: The robot's base.
         dimensions: Of the robot.
         duration: Of the run [s].
+        trailer: Whether it is its trailer's.
 
     Raises:
         TrajectoryError: No size or slowness helps.
@@ -105,7 +108,7 @@ def fitted(trajectory: Trajectory, base: Base, dimensions: Dimensions, duration:
     path, tried = trajectory.base, trajectory
     for _ in range(3):
         t = np.linspace(0.0, duration * tried.slowness, FINELY)
-        needs = needs_of(base, t, Setpoint.side_by_side(tried.table(t, dimensions), dimensions))
+        needs = needs_of(base, t, Setpoint.side_by_side(tried.table(t, dimensions), dimensions), trailer)
         if needs.refused is None:
             return tried
         refused = needs.refused
@@ -129,8 +132,9 @@ def start_angles(base: Base, setpoints: Setpoint, near: Array | None = None) -> 
         setpoints: One, or N with arrays (N, size).
         near: (K,) angles from which the nearer way is taken [rad]; None for 0.
     """
-    twist, change = in_columns(setpoints.velocity), in_columns(setpoints.acceleration)
-    pivots = base.pivots if isinstance(base, SteeredBase) else ()
+    if not isinstance(base, SteeredBase):
+        return np.zeros(0)
+    twist, change, pivots = in_columns(setpoints.velocity), in_columns(setpoints.acceleration), base.pivots
     return along(pivots, np.arange(float(len(twist))), twist, change, near, OF_STOPS).angles[0]
 
 
@@ -162,6 +166,8 @@ def needs_of(base: Base, time: Array, setpoints: Setpoint, trailer: bool = False
         base = replace(base, pivots=tuple(p for p in base.pivots if p not in hitches(base)))
     else:
         needs = backing_needed(base, time, twist)
+    if not base.pivots:
+        return needs
     if needs.refused is None:
         needs = bend_needed(base, time, twist)
     if needs.refused is None:
@@ -221,18 +227,22 @@ def bend_rate(base: Base) -> float:
 
 
 def hitches(base: SteeredBase) -> list[Pivot]:
-    """Pivots on which trailers hang: nothing turns them."""
-    return [p for p in base.pivots if p.role == ROLES[PASSIVE] and not p.motor]
+    """Pivots that turn as two bodies roll: trailers' hitches, which nothing turns, and a loader's waist."""
+    waist = isinstance(base, Articulated)
+    return [p for p in base.pivots if waist or (p.role == ROLES[PASSIVE] and not p.motor)]
 
 
 def backing_needed(base: SteeredBase, time: Array, twist: Array) -> Needs:
-    """No size and no slowness helps where a trailer is pushed further than it is long."""
-    longest = max((abs(trail_of(p)) for p in hitches(base)), default=math.inf)
-    back = np.append(0.0, np.cumsum(np.maximum(-twist[:-1, 0], 0.0) * np.diff(time)))
+    """No size and no slowness helps where a trailer, or a loader's other axle, is pushed further than it is long."""
+    trails = [trail_of(p) for p in hitches(base)]
+    longest, way = max(map(abs, trails), default=math.inf), 1.0 if max(trails, default=-1.0) > 0.0 else -1.0
+    back = np.append(0.0, np.cumsum(np.maximum(way * twist[:-1, 0], 0.0) * np.diff(time)))
     if back[-1] <= longest * (1.0 + EXACT):
         return Needs()
-    what, why = f"it backs up by {back[-1]:.3g} m with a trailer", "a hitch that is pushed folds away from any error"
-    fix = f'let the trailer follow the path, kinematic.guide = "trailer", or back up by {longest:.3g} m at most'
+    goes = "backs up" if way < 0.0 else "goes ahead"
+    pushed = "an axle" if isinstance(base, Articulated) else "a trailer"
+    what, why = f"it {goes} by {back[-1]:.3g} m with {pushed} pushed", "a hitch that is pushed folds from any error"
+    fix = f'let what is pushed follow the path, kinematic.guide = "trailer", or go {longest:.3g} m at most so'
     return Needs(math.inf, math.inf, TrajectoryError(what, why=why, fix=fix))
 
 
@@ -261,7 +271,9 @@ def folding_needed(hitch: Pivot, time: Array, twist: Array, gamma: Array) -> Nee
     It does from any error where it drives forwards, its hitch behind the truck's axle (`base.trailers`).
     """
     ahead = np.append(0.0, np.cumsum(np.maximum(-hitch.x * twist[:-1, 0] / abs(hitch.x), 0.0) * np.diff(time)))
-    folds = (np.abs(gamma) >= FOLDED) | (ahead > abs(trail_of(hitch)) * (1.0 + EXACT))
+    low, high = room(hitch, OF_STOPS)
+    folds = (np.abs(gamma) >= FOLDED) | (gamma < low) | (gamma > high)
+    folds |= ahead > abs(trail_of(hitch)) * (1.0 + EXACT)
     if not folds.any():
         return Needs()
     what, why = f"the truck folds up at t = {time[folds][0]:.4g} s", "its trailer leads"

@@ -148,6 +148,11 @@ def prove(
     True
     """
     proof = Proof(recording, payload=payload, windows=windows, budget=budget, progress=progress)
+    if proof.subject.robot.rolling is not None:
+        what, why = f"the base of '{proof.subject.robot.name}' steers", "its T(theta) is outside of what is certified"
+        raise InputError(
+            what, why=why, fix="mmnn judge says what it learned, mmnn docs explanation/steered-bases what holds"
+        )
     proof.require_any()
     return Proved(proof, certified_run(proof, region, disturbance, tube))
 

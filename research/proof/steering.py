@@ -27,7 +27,8 @@ def gyration(pivots: tuple[tuple[float, float], ...]) -> float:
 def rows_of(pivots: Array, headings: Array, length: float, trail: float = 0.0) -> Array:
     """(B, N, 3) rows across every wheel on (vx, vy, l w)."""
     c, s = np.cos(headings), np.sin(headings)
-    return np.stack((-s, c, (pivots[:, 0] * c + pivots[:, 1] * s + trail) / length), axis=2)
+    lever = (pivots[:, 0] * c + pivots[:, 1] * s + trail) / length
+    return np.stack((-s, c, lever), axis=2)
 
 
 def spread_of(x: float, y: float, length: float) -> float:
@@ -41,7 +42,7 @@ def least_second_eigenvalue(pivots: Array, length: float, count: int = 20000) ->
 
     def second(headings: Array) -> Array:
         rows = rows_of(pivots, headings, length)
-        return np.linalg.eigvalsh(np.swapaxes(rows, 1, 2) @ rows)[:, 1]
+        return np.asarray(np.linalg.eigvalsh(np.swapaxes(rows, 1, 2) @ rows)[:, 1], np.float64)
 
     headings = rng.uniform(0, np.pi, (count, len(pivots)))
     for width in (0.3, 0.1, 0.03, 0.01, 0.003):
@@ -104,7 +105,7 @@ class SteeredMotion:
         if self.car:
             none = 0 * rows[:, 0, 0]
             n = np.stack((rows[:, 0, 2], none, -rows[:, 0, 0]), axis=1)
-            size = np.linalg.norm(n, axis=1)[:, None]
+            size = np.hypot(n[:, :1], n[:, 2:])
             X = -self.trail * np.stack((rows[:, 0, 0], none, rows[:, 0, 2]), axis=1)
             return n / size, X / size**2
         n = np.linalg.eigh(np.swapaxes(rows, 1, 2) @ rows)[1][:, :, 0]
@@ -156,7 +157,8 @@ class SteeredMotion:
 
     def run(self, e: Array, headings: Array, seconds: float, dt: float = 0.004) -> tuple[Array, Array, Array]:
         """Times (k,), errors (k, B, 3), angles to the path (k, B, N)."""
-        times, errors, chis = np.arange(round(seconds / dt) + 1) * dt, [e], [self.angles(0.0, e, headings)]
+        times: Array = np.linspace(0.0, round(seconds / dt) * dt, round(seconds / dt) + 1)
+        errors, chis = [e], [self.angles(0.0, e, headings)]
         turned = []
         for time in times[:-1]:
             k1, before = self.rates(time, e, headings), headings
@@ -243,6 +245,26 @@ CASES: dict[str, Callable[[int, int], tuple[SteeredMotion, Constants]]] = {
     "left wheel": lambda seed, count: car(seed, count, side=0.22),
     "swerve": swerve,
 }
+
+
+def hitch_on_circle(hitch: Array, curvature: float) -> float:
+    """Angle of a trailer while the truck drives a circle: `sin gamma + curvature (h cos gamma + L) = 0`.
+
+    Forward it settles there. In reverse it leaves it: on the truck's tightest circle its size is the largest angle from
+    which backing still gets straight; beyond, the trailer folds up however the truck steers.
+
+    Args:
+        hitch: (2,) h, L [m].
+        curvature: Of the path of the truck's axle, to the left [1/m].
+
+    Returns:
+        The angle [rad]; nan where the circle is too tight for it: forward the trailer goes on turning, in reverse a
+        truck that can steer so gets it straight from every angle.
+    """
+    h, length = hitch
+    with np.errstate(invalid="ignore"):
+        sine = curvature * length / np.hypot(1.0, curvature * h)
+        return float(-np.arctan(curvature * h) - np.arcsin(sine))
 
 
 def backed(

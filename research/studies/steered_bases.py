@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 
 from mmnn_pin.lab.show.table import Column, Row, Table, row_of, terminal_text
-from mmnn_pin.model.base.trailers import hitch_on_circle
 from mmnn_pin.signals import Array
 from research.proof.steering import (
     CASES,
@@ -20,6 +19,7 @@ from research.proof.steering import (
     backed,
     car,
     gyration,
+    hitch_on_circle,
     least_second_eigenvalue,
 )
 

@@ -17,9 +17,9 @@ from places import ROOT
 from proofs import SLOW, learner, loop_of
 from test_report import Page
 
-from mmnn_pin import PD, Feedback, Recording, TorqueController, load_experiment
+from mmnn_pin import PD, Feedback, Line, Loop, Recording, Timing, TorqueController, Trajectory, load, load_experiment
 from mmnn_pin.cli import main
-from mmnn_pin.errors import RecordingError
+from mmnn_pin.errors import InputError, RecordingError
 from mmnn_pin.lab.experiments.config import recorded_experiment
 from mmnn_pin.lab.psi import judgement as cache
 from mmnn_pin.lab.psi.psi import worst
@@ -28,6 +28,7 @@ from mmnn_pin.lab.show.psi import Judged, judgement
 from mmnn_pin.lab.show.psi_figures import frozen_figure, fvu_figure, ranks_figure, shares_figure
 from mmnn_pin.lab.show.report import report
 from mmnn_pin.safety import Safety
+from research.proof.certified_run import prove
 from research.proof.figures import COLOURS, equality_figure, lyapunov_figure, terms_figure
 from research.proof.linear import LinearFit, least_squares, moving
 from research.proof.lyapunov import TERMS
@@ -385,3 +386,10 @@ def test_runs_with_faults_are_told(tmp_path: Path, capsys: pytest.CaptureFixture
     # the supervisor scales the weights: stepping the learner again does not give them
     assert found["lyapunov"]["parts"]["weights"] == {"start": 0.0, "end": 0.0}
     assert any("under a supervisor" in remark for remark in found["remarks"])
+
+
+def test_a_base_that_steers_is_refused_by_name() -> None:
+    robot = load("loader_arm")
+    run = Loop(robot, Trajectory.of(robot, base=Line(speed=0.3)), PD(), timing=Timing(duration=0.05)).run()
+    with pytest.raises(InputError, match="the base of 'loader_arm' steers"):
+        prove(run)

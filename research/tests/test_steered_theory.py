@@ -16,9 +16,19 @@ from places import ROOT
 
 from mmnn_pin.model.base.rolling import Pivot, Rolling, new_maps, roll
 from mmnn_pin.model.base.steered import Articulated, SteeredBase, Swerve
-from mmnn_pin.model.base.trailers import hitch_on_circle
 from mmnn_pin.signals import Array
-from research.proof.steering import CASES, SQUARE, Constants, SteeredMotion, backed, car, gyration, rows_of, spread_of
+from research.proof.steering import (
+    CASES,
+    SQUARE,
+    Constants,
+    SteeredMotion,
+    backed,
+    car,
+    gyration,
+    hitch_on_circle,
+    rows_of,
+    spread_of,
+)
 
 DOCUMENT = ROOT / "docs" / "explanation" / "steered-bases.md"
 COUNT = 40  # motions at once

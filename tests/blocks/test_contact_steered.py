@@ -10,7 +10,9 @@ from numba import config
 from steered import LAYOUTS, Array, car, robot_of, swings, truck
 
 from mmnn_pin.errors import RobotError
-from mmnn_pin.model import Robot
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.model import Robot, load
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.plant.contact.feet import Contact, Patch, feet_of
 from mmnn_pin.plant.ideal import IdealPlant
@@ -247,3 +249,19 @@ def test_what_does_not_roll_is_refused() -> None:
     still = replace(base, wheels=tuple(wheel for wheel in base.wheels if wheel.joint != "front_left"))
     with pytest.raises(RobotError, match="what 'left_steer' steers has no joint to roll about: use the ideal plant"):
         feet_of(robot_of(still))
+
+
+@pytest.mark.skipif(PLAIN, reason="slow in plain Python")
+@pytest.mark.parametrize("name", ["truck_trailer_arm", "casters_arm"])
+def test_closed_loop_on_bundled_robots(name: str) -> None:
+    """Track on both plants; slip and traction have the wheels' names."""
+    settings = [f"robot='{name}'", "time.duration=1.0", "controllers=['computed_torque']"]
+    runs = [
+        run_experiment(load_experiment("track", [*settings, f"plant='{plant}'"]), "x").recordings["computed_torque"]
+        for plant in ("ideal", "contact")
+    ]
+    apart = runs[1]["position"][:, :2] - runs[0]["position"][:, :2]
+    assert np.linalg.norm(apart, axis=1).max() < 0.2e-3
+    assert runs[1]["traction"].max() < 1 and runs[1]["slip"].max() < 0.01
+    wheels = load(name).wheel_names
+    assert runs[1].labels("slip") == runs[1].labels("traction") == wheels and len(wheels) in (4, 6)

@@ -638,6 +638,24 @@ def test_model_text_names_rows_and_columns(call: Call) -> None:
     assert "constraint" not in call("model", "two_axis_arm")[1].split(" T  ")[1]
 
 
+def test_a_state_names_steering_and_hitch_angles(call: Call) -> None:
+    """The linkage follows, and the maps are those of that place."""
+    state = {"joints": {"front_left_steering_joint": 0.5, "hitch_joint": -0.7}, "base_velocity": [0.4, 0.1]}
+    Path("state.json").write_text(json.dumps(state))
+    turned = json.loads(call("model", "truck_trailer_arm", "--at", "state.json", "--json")[1])
+    straight = json.loads(call("model", "truck_trailer_arm", "--json")[1])
+    names, T = turned["full_velocity_names"], np.array(turned["T"])
+    assert np.abs(np.array(turned["A"]) @ T).max() < 1e-12
+    ratio = T[
+        names.index("front_right_steering_joint"), 1
+    ]  # cot of the right angle is cot of the left one, and 2 k / L
+    cot = 1 / np.tan(0.5) + 2 * 0.17 / 0.6
+    assert ratio == pytest.approx((1 / np.sin(0.5) ** 2) / (1 + cot**2), rel=1e-9)
+    assert not np.allclose(T, straight["T"]) and np.any(turned["C"])
+    Path("state.json").write_text('{"joints": {"front_left_steering_joint": 40}}')
+    assert "beyond its limits" in call("model", "truck_trailer_arm", "--at", "state.json")[2]
+
+
 BAD_STATES = {
     '{"pose": [1, 2]}': ["pose", "this has another length: give 3"],
     '{"pose": [1, 2, NaN]}': ["not valid JSON"],

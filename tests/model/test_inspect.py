@@ -56,6 +56,30 @@ def test_json_of_a_robot_that_was_understood(call):
     assert found["arm"]["limits"]["elbow"] == {"lower": 0.2, "upper": 2.0, "effort": 9.0}
 
 
+def test_wheels_and_pivots_of_a_base_that_steers(call):
+    """Places in the control frame, whatever carries them; roles, stops and motors as the file has them."""
+    code, out, err = call("inspect", "truck_trailer_arm", "--json")
+    base = json.loads(out)["base"]
+    assert (code, err) == (0, "") and base["length"] == pytest.approx(0.6)
+    pivots = {p["joint"]: p for p in base["pivots"]}
+    left, right, hitch = (pivots[f"{n}_joint"] for n in ("front_left_steering", "front_right_steering", "hitch"))
+    assert (left["role"], right["role"], hitch["role"]) == ("master", "follower", "passive")
+    assert (left["motor"], right["motor"], hitch["motor"]) == (True, False, False)
+    assert (left["lower"], left["upper"], left["rate"], hitch["lower"]) == (-0.75, 0.75, 4.0, None)
+    assert hitch["x"] == pytest.approx(-0.14) and hitch["on"] is None
+    wheels = {w["joint"]: w for w in base["wheels"]}
+    assert len(wheels) == 6 and [w for w, one in wheels.items() if one["driven"]] == [
+        "rear_left_wheel_joint",
+        "rear_right_wheel_joint",
+    ]
+    trailing, front = wheels["trailer_left_wheel_joint"], wheels["front_right_wheel_joint"]
+    assert (trailing["x"], trailing["y"]) == pytest.approx((-0.84, 0.22)) and trailing["on"] == "hitch_joint"
+    assert (front["x"], front["y"]) == pytest.approx((0.6, -0.22))
+    text = call("inspect", "truck_trailer_arm")[1]
+    (row,) = [line.split() for line in text.splitlines() if line.startswith(" trailer_left_wheel_joint")]
+    assert row[-2:] == ["-", "hitch_joint"] and "follower" in text
+
+
 def test_prefixes_that_nobody_declared_harm_nothing(call):
     more = '<sensor:camera name="c" a:b="1"/><transmission name="t"><joint name="shoulder"/></transmission>'
     code, out, err = call("inspect", written(Drive().urdf(ARM + more)), "--json")

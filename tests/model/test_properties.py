@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import sympy
 from robots import fixed_arm, mobile_arm
+from steered import LAYOUTS
+from steered import robot_of as steered_robot
 from test_holonomic import mecanum
 
 from mmnn_pin import load
@@ -137,8 +139,8 @@ class NoCoriolis(FullTerms):
 
 
 class Antifriction(FullTerms):
-    def friction(self, nu: Array) -> Array:
-        return -super().friction(nu) - 0.01 * nu
+    def friction(self, q: Array, nu: Array) -> Array:
+        return -super().friction(q, nu) - 0.01 * nu
 
 
 class NoGravity(FullTerms):
@@ -289,3 +291,42 @@ def test_closure_against_symbolic_brackets(name):
         np.testing.assert_allclose(bracket(fields[0], fields[1])(at), fields[2](at), atol=1e-8)
     expected = max(np.linalg.matrix_rank(np.stack([h(at) for h in fields], axis=1), tol=1e-9) for at in points)
     assert involutive_closure(fields[:2], points).closure == expected
+
+
+# -- bases that steer --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_a_base_that_steers_has_them_all(name):
+    report = check(steered_robot(LAYOUTS[name]()), samples=3, seed=1)
+    assert report.passed and report.nonholonomic.on == "posture", str(report)
+
+
+class Frozen(FullTerms):
+    """T as if nothing turned."""
+
+    def motions(self, position: Array, nu: Array) -> tuple[Array, Array]:
+        T, Tdot = super().motions(position, nu)
+        return T, 0 * Tdot
+
+
+class Askew(FullTerms):
+    """T of where the pivots do not stand."""
+
+    def motions(self, position: Array, nu: Array) -> tuple[Array, Array]:
+        return super().motions(position + 1e-3, nu)
+
+
+@pytest.mark.parametrize(
+    ("terms", "found"), [(Frozen, {"reduced_rate", "property_5", "passive"}), (Askew, {"constraint"})]
+)
+def test_a_wrong_map_of_a_base_that_steers_is_seen(terms, found):
+    robot = steered_robot(LAYOUTS["truck"]())
+    assert found <= failed(check(robot, samples=3, terms=terms(robot)))
+
+
+def test_the_posture_of_a_car_is_reached_by_brackets():
+    """Campion's (1, 1): the rate of u and of the steering, then two brackets; a linkage adds no angle."""
+    found = nonholonomy(steered_robot(LAYOUTS["car"]()))
+    assert found.pose is not None and found.pose.growth == (2, 3, 4) and found.pose.coordinates == 4
+    assert found.with_wheels is None and found.verdict.endswith("every posture can be reached")

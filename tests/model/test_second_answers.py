@@ -10,7 +10,7 @@ from drives import Drive, joint, link, robot_of
 from robots import fixed_arm, mobile_arm
 
 from mmnn_pin.errors import RobotError
-from mmnn_pin.model import load
+from mmnn_pin.model import bundled, load
 from mmnn_pin.model.checks.properties import check
 from mmnn_pin.model.checks.second_answers import SecondKinematics
 from mmnn_pin.model.robot import Robot
@@ -30,7 +30,7 @@ def assert_same_placements(robot: Robot, seed: int = 0) -> None:
         assert kinematics.residual(position) < 1e-9
 
 
-@pytest.mark.parametrize("name", ["platform_arm", "two_axis_arm"])
+@pytest.mark.parametrize("name", bundled())
 def test_bundled_robots(name):
     assert_same_placements(load(name))
 

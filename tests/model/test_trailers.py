@@ -13,7 +13,7 @@ from mmnn_pin.kinematic import body_error
 from mmnn_pin.model.base.differential import kanayama
 from mmnn_pin.model.base.rolling import AXLE, Pivot, new_maps, roll
 from mmnn_pin.model.base.steered import DriveWithTrailer
-from mmnn_pin.model.base.trailers import hitch_on_circle, swung, towed, towing, trailer_pose
+from mmnn_pin.model.base.trailers import towed, towing, trailer_pose
 from mmnn_pin.signals import Array
 
 GAINS = np.array([1.0, 1.5, 2.5])
@@ -69,29 +69,3 @@ def test_the_trucks_command_has_its_derivative(
     h = 1e-5
     slope = (commanded(h)[0] - commanded(-h)[0]) / (2 * h)
     assert commanded(0.0)[1] == pytest.approx(slope, rel=1e-5, abs=1e-5)
-
-
-@given(hitches, angles, speeds, speeds, speeds)
-def test_a_waist_turns_as_its_axles_roll(hitch: Array, gamma: float, v: float, w: float, rate: float) -> None:
-    """The rate is that of the trailer's yaw less the truck's; its derivative by differences, the angle moving on."""
-    alpha, alphadot, h = np.array([v, w]), np.array([0.4, -0.3]), 1e-5
-    turning, turningdot = swung(hitch, gamma, rate, alpha, alphadot)
-    assert turning == pytest.approx(rolled(hitch, gamma, alpha)[2] - w, abs=1e-12)
-    later, before = (rolled(hitch, gamma + k * rate, alpha + k * alphadot)[2] - w - k * alphadot[1] for k in (h, -h))
-    assert turningdot == pytest.approx((later - before) / (2 * h), rel=1e-5, abs=1e-5)
-
-
-@given(hitches, st.floats(-0.6, 0.6))
-def test_on_a_circle_the_hitch_keeps_its_angle(hitch: Array, curvature: float) -> None:
-    gamma, trailer, sine = hitch_on_circle(hitch, curvature), np.empty(2), curvature * hitch[1]
-    sine /= math.hypot(1.0, curvature * hitch[0])
-    if math.isnan(gamma):
-        assert abs(sine) >= 1 - 1e-12
-        return
-    towed(hitch, gamma, np.array([0.5, 0.5 * curvature]), trailer)
-    assert trailer[1] == pytest.approx(0.5 * curvature, abs=1e-12)
-    assert gamma == pytest.approx(-math.atan(curvature * hitch[0]) - math.asin(sine), abs=1e-7)
-
-
-def test_too_tight_a_circle_leaves_a_long_trailer_no_angle() -> None:
-    assert math.isnan(hitch_on_circle(np.array([0.1, 1.5]), 1.0))

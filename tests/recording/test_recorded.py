@@ -24,10 +24,12 @@ from mmnn_pin.model.checks.second_answers import WorldFrame
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.loading import load
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.recording.recording import Recording, recorded_robot
+from mmnn_pin.recording.recorder import Recorder
+from mmnn_pin.recording.recording import Outcome, Recording, recorded_position, recorded_robot
 from mmnn_pin.reference import Hold, Line, Trajectory
 from mmnn_pin.safety import Safety
 from mmnn_pin.settings import Timing
+from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
 from mmnn_pin.torque.neural import Neural
@@ -208,3 +210,16 @@ def test_a_recording_of_the_first_version_opens_and_its_states_have_the_present_
     whole = loop.run()
     np.testing.assert_allclose(resumed["torque"], whole["torque"][10:], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(run["torque"], whole["torque"][:10], rtol=1e-9, atol=1e-9)
+
+
+def test_where_a_measured_base_stood_that_steers():
+    """On a robot nobody knows the true position: steering, linkage and hitch are where they were measured."""
+    robot = load("truck_trailer_arm")
+    layout, angles = Layout.of(robot.dimensions), np.array([[0.0, 0.0, 0.0], [0.4, 0.3, -0.5]])
+    table = np.zeros((2, layout.width))
+    table[:, layout.where("time")], table[:, layout.where("shape")] = [[0.0], [0.1]], angles
+    recorder = Recorder(layout, robot.facts(), signals=("pose", "q", "shape"))
+    recorder.append_block(table)
+    found = recorded_position(recorder.finish(Outcome("completed", 0.1)), robot)[:, robot.shape_index]
+    right = np.arctan2(0.6, 0.6 / np.tan(0.4) + 2 * 0.17)  # both front axles meet the rear one in one place
+    np.testing.assert_allclose(found, [[0.0, 0.0, 0.0], [0.4, right, -0.5]], atol=1e-12)

@@ -46,10 +46,10 @@ PLACES = 10  # along the reference at which inertias are looked at that scale ba
 
 
 @lru_cache(16)
-def made_for(robot: Robot, tables: bytes, duration: float, changed: float) -> Trajectory:
-    """The reference of some tables (JSON) for a robot, anew when its file has changed; errors as in `trajectory`."""
+def made_for(robot: Robot, tables: bytes, duration: float, changed: float, trailer: bool) -> Trajectory:
+    """The reference of some tables (JSON) for a robot or its trailer, anew when its file has changed."""
     reference = msgspec.json.decode(tables, type=ReferenceTables)
-    return followable(robot, partial(reference.of, robot), duration, reference.share)
+    return followable(robot, partial(reference.of, robot), duration, reference.share, trailer)
 
 
 class AddedFriction(Settings, frozen=True):
@@ -289,7 +289,8 @@ class Experiment(LearnerTables, frozen=True):
             return hand_motion(self.reference.hand, robot, self.time).trajectory
         file = Path(self.reference.file)
         changed = file.stat().st_mtime if self.reference.file and file.is_file() else 0.0
-        return made_for(robot, msgspec.json.encode(self.reference), self.time.duration, changed)
+        trailer = self.kinematic.guide == "trailer"
+        return made_for(robot, msgspec.json.encode(self.reference), self.time.duration, changed, trailer)
 
     def held_out_of(self, robot: Robot, name: str) -> Trajectory:
         """A held-out trajectory for a robot; errors as in `trajectory`, with the keys of `held_out`."""

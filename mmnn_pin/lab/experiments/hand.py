@@ -129,8 +129,13 @@ def hand_errors(recording: Recording, robot: Robot) -> list[HandErrors]:
 
 
 def peak_speeds(recording: Recording, robot: Robot) -> dict[str, float]:
-    """Largest true speeds of wheels and joints in a run, by name [rad/s or m/s]."""
+    """Largest true speeds of wheels and joints in a run, of a base that steers those with motors [rad/s or m/s]."""
     nu = as_columns(recording["nu" if "nu" in recording else "nu_ref"])
+    if robot.steers:
+        rows = [robot.full_velocity_names.index(name) for name in robot.actuator_names]
+        moved = zip(recorded_position(recording, robot), nu, strict=True)
+        fastest = np.max([np.abs(robot.T_at(position)[rows] @ each) for position, each in moved], axis=0)
+        return dict(zip(robot.actuator_names, fastest.tolist(), strict=True))
     nb, names = robot.dimensions.base, [*(wheel.joint for wheel in robot.base.wheels), *robot.joint_names]
     speeds = np.hstack((nu[:, :nb] @ robot.base.wheel_map.T, nu[:, nb:]))
     return {name: float(np.abs(each).max()) for name, each in zip(names, speeds.T, strict=True)}

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from ...model.base.steered import SteeredBase
 from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...settings import finite
@@ -197,15 +198,35 @@ def random_motion(robot: Robot, layout: Layout, seed: int = 0) -> Array:
     limited = np.isfinite(upper - lower)
     q = rng.uniform(np.where(limited, lower, -np.pi), np.where(limited, upper, np.pi), (SAMPLES, layout.arm))
     pose, nu, nudot = (rng.standard_normal((SAMPLES, size)) for size in (layout.pose, layout.dof, layout.dof))
+    shape, twist, change = steered_motion(robot, nu, nudot, rng)
     signals = {
-        "pose": pose, "pose_ref": pose, "q": q, "q_ref": q,
-        "velocity": nu[:, :nb], "velocity_ref": nu[:, :nb], "alpha": nu[:, :nb], "qdot": nu[:, nb:],
-        "qdot_ref": nu[:, nb:], "nu_ref": nu, "nu": nu, "acceleration_ref": nudot[:, :nb], "alphadot": nudot[:, :nb],
+        "pose": pose, "pose_ref": pose, "q": q, "q_ref": q, "shape": shape,
+        "velocity": nu[:, :nb], "velocity_ref": twist, "alpha": nu[:, :nb], "qdot": nu[:, nb:],
+        "qdot_ref": nu[:, nb:], "nu_ref": nu, "nu": nu, "acceleration_ref": change, "alphadot": nudot[:, :nb],
         "qddot_ref": nudot[:, nb:], "nudot_ref": nudot,
     }  # fmt: skip
     for name, values in signals.items():
         rows[:, layout.where(name)] = values
     return rows
+
+
+def steered_motion(robot: Robot, nu: Array, nudot: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Random angles of a base's pivots (n, shape), its twists and their rates (n, twist) where it moves with nu (n, p).
+
+    The base velocities themselves where nothing steers.
+    """
+    nb, base = robot.dimensions.base, robot.base
+    if not isinstance(base, SteeredBase):
+        return np.zeros((len(nu), 0)), nu[:, :nb], nudot[:, :nb]
+    shape, twist, change = np.zeros((len(nu), robot.dimensions.shape)), *np.zeros((2, len(nu), robot.dimensions.twist))
+    for i in range(len(nu)):
+        position = robot.neutral_position()
+        position[robot.shape_index] = base.random_angles(rng)
+        shape[i] = robot.follow(position)[robot.shape_index]
+        maps = robot.maps_at(position, nu[i])
+        V, Vdot = maps.V[0][base.columns], maps.Vdot[0][base.columns]
+        twist[i], change[i] = V @ nu[i, :nb], V @ nudot[i, :nb] + Vdot @ nu[i, :nb]
+    return shape, twist, change
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,11 +3,13 @@
 The held-out trajectory has another path, speed and arm motion, and is recorded once under computed torque. A config may
 name one in `[held_out]`. Otherwise it follows from the run's reference alone, so that all learners of an experiment get
 the same one: the base drives an eight at 1.3 times the mean speed, turning at most 1.3 times as fast as the run; every
-joint swings 1.3 times as fast, those that stood still, too, each with a phase of its own.
+joint swings 1.3 times as fast, those that stood still, too, each with a phase of its own. It is as large and as slow as
+a base needs to steer along it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import msgspec
@@ -20,6 +22,7 @@ from ...loop.before_run import Start
 from ...loop.loop import Loop
 from ...model.robot import Robot, carrying
 from ...reference import BasePath, Eight, HolonomicPath, Sine, Trajectory
+from ...reference.steerable import Enlarged, fitted
 from ...settings import Timing
 from ...signals import Array, Layout
 from ...torque.controller import Feedback
@@ -119,13 +122,16 @@ def usual(robot: Robot, h: float, rows: Array) -> HeldOut:
     base, lap = base_path(velocity, layout.sideways)
     profiles, period = arm_profiles(robot, q, qdot)
     duration, words = float(np.clip(lap or 3 * period, SHORTEST, LONGEST)), []
+    trajectory = fitted(Trajectory(base, profiles), robot.base, robot.dimensions, duration)
     if base is not None:
         eight = base.path if isinstance(base, HolonomicPath) else base
         assert isinstance(eight, Eight)
-        words.append(f"an eight of {eight.length:.2g} x {eight.width:.2g} m, {lap:.3g} s a lap")
+        larger = trajectory.base.factor if isinstance(trajectory.base, Enlarged) else 1.0
+        length, width, lap = larger * eight.length, larger * eight.width, trajectory.slowness * math.sqrt(larger) * lap
+        words.append(f"an eight of {length:.2g} x {width:.2g} m, {lap:.3g} s a lap")
     if profiles:
         words.append(f"every joint a sine, {FASTER:g} times as fast")
-    return HeldOut(Trajectory(base, profiles), h * round(duration / h), "; ".join(words))
+    return HeldOut(trajectory, h * round(duration / h), "; ".join(words))
 
 
 def base_path(velocity: Array, sideways: bool) -> tuple[BasePath | None, float]:

@@ -17,7 +17,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...kinematic import Kinematic
 from ...loop.controller import context_of
-from ...loop.sample import Torque
+from ...loop.sample import Torque, turn
 from ...model.base.overrides import Overrides
 from ...model.robot import Robot
 from ...model.robots import bundled, extra
@@ -80,7 +80,8 @@ class LearnerStepper:
         layout = learner.context.layout
         controller = learner.controller if learning else learner.frozen()
         self.state, self.row = state, layout.new_row()
-        self._time, self._torque = layout.where("time").start, layout.where("torque")
+        self._time, self._torque, self._at = layout.where("time").start, layout.where("torque"), layout.offsets
+        self._steering = Kinematic().steering_of(learner.robot, learner.context.control_period)
         self.psi_hat, self._sent = self.row[layout.where("psi_hat")], np.zeros(layout.dof)
         self.torque = Torque(controller, learner.context, self.row, learner.robot, state)
 
@@ -89,6 +90,7 @@ class LearnerStepper:
         self.row[:] = row
         self.psi_hat[:] = 0.0  # one that says nothing leaves it as it was
         self.row[self._torque] = self._sent  # a controller finds what was sent last
+        turn(self.row, self._at, self.torque.limits, self._steering)
         self.torque.answer(float(row[self._time]))
         self._sent[:] = self.row[self._torque] = row[self._torque]
         self.torque.keep()

@@ -293,7 +293,7 @@ class HardwareEffects:
         torque, push = recording["torque"].reshape(rows, p), np.zeros((rows, p))
         driven = False
         if imperfect or "radii" in recording.meta:
-            applied = recording["applied"].reshape(rows, -1) @ robot.E.T
+            applied = on_nu(robot, recording["position"].reshape(rows, -1), recording["applied"].reshape(rows, -1))
             other = not np.allclose(applied, torque, rtol=1e-9, atol=1e-9 * np.abs(torque).max(initial=0.0))
             driven, torque = imperfect and other, applied if other else torque
         if "disturbance" in recording:
@@ -311,6 +311,18 @@ class HardwareEffects:
             blocked=has(events, BlockedJoint),
             senses=has(events, FrozenEncoder, Messages),
         )
+
+
+def on_nu(robot: Robot, positions: Array, motors: Array) -> Array:
+    """Generalized torques (N, p) of motor torques (N, motors) at positions (N, nv) of one run, from its start on."""
+    if not robot.steers:
+        return np.asarray(motors @ robot.E.T)
+    dynamics, still = Dynamics(robot), np.zeros(robot.dimensions.dof)
+    found = np.zeros((len(motors), still.size))
+    for position, torque, out in zip(positions, motors, found, strict=True):
+        dynamics.refresh(position, still)
+        out[:] = dynamics.T.T @ (robot.E_full @ torque)
+    return found
 
 
 def has(events: tuple[Disturbance, ...], *kinds: type) -> bool:

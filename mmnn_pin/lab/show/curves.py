@@ -16,7 +16,7 @@ from ...errors import RecordingError
 from ...recording.metrics import TRUE
 from ...recording.recording import Recording, recorded_robot
 from ...recording.tracking import prismatic_joints
-from ...signals import Array
+from ...signals import ALONG, Array
 from ..experiments.controllers import ORACLES
 from ..experiments.hand import HandErrors, hand_errors
 
@@ -305,9 +305,8 @@ def column_units(recording: Recording, name: str) -> list[str]:
     if " or " in base:
         base, arm = "", base
     count = len(labels) if not arm else len(base_labels({"": recording})) if base else 0
-    units = base.split(", ")[:count]
-    if len(units) < count:  # vx and vy share the first unit
-        units = [units[0]] * (count - len(units)) + units
+    parts = base.split(", ")
+    units = [parts[0] if label in ALONG else parts[-1] for label in labels[:count]]
     turning, _, sliding = arm.partition(" or ")
     return units + [sliding if label in slides else turning for label in labels[count:]]
 

@@ -40,7 +40,13 @@ def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
 
 def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
     """Base, wheels, arm and locked joints of a robot."""
-    tables = (wheels(content["base"]), arm(content["arm"]), interfaces(content), gains(content.get("track")))
+    tables = (
+        wheels(content["base"]),
+        pivots(content["base"]),
+        arm(content["arm"]),
+        interfaces(content),
+        gains(content.get("track")),
+    )
     text = "\n".join([*head(content, width), terminal_text((part for parts in tables for part in parts), width=width)])
     return "\n\n".join([text.rstrip(), *locked(content["locked_at"], width)])
 
@@ -63,8 +69,9 @@ def head(content: dict[str, Any], width: int) -> Iterator[str]:
     lines = {"file": content["file"], "sha256": content["sha256"], "mass": f"{content['mass']:.4g} kg"}
     lines["base"] = base["kind"].replace("_", " ")
     if base["kind"] != "fixed":
-        x, y, heading, floor = (round(value, 9) + 0.0 for value in (*base["frame"], base["floor"]))  # no dust, no -0
-        lines["track"] = f"{base['track']:.4g} m"
+        x, y, heading, floor = map(tidy, (*base["frame"], base["floor"]))
+        if base["track"] or "pivots" not in base:
+            lines["track"] = f"{base['track']:.4g} m"
         lines["control frame"] = f"x {x:.4g} m, y {y:.4g} m, heading {math.degrees(heading):.4g} deg in the root link"
         lines["floor"] = f"{floor:.4g} m above the root link's origin"
     for name, value in lines.items():
@@ -75,15 +82,38 @@ def head(content: dict[str, Any], width: int) -> Iterator[str]:
 
 
 def wheels(base: dict[str, Any]) -> Iterator[Table]:
-    """Drive wheels with radius, sign and place."""
-    heads = (Column("radius", "m"), Column("sign"), Column("x", "m"), Column("y", "m"), Column("roller", "deg"))
+    """Drive wheels with radius, sign and place; of a base that steers all wheels, and what carries and drives them."""
+    steers = "pivots" in base
+    heads = (Column("radius", "m"), Column("sign"), Column("x", "m"), Column("y", "m"))
+    last = (Column("motor"), Column("on", text=True)) if steers else (Column("roller", "deg"),)
     rows = []
     for w in base["wheels"]:
         roller = "-" if w["roller"] is None else f"{math.degrees(w['roller']):.4g}"
-        radius, x, y = (f"{w[key]:.4g}" for key in ("radius", "x", "y"))
-        rows.append(row_of(one_line(w["joint"]), radius, f"{w['sign']:+d}", x, y, roller))
+        more = ("yes" if w["driven"] else "-", one_line(w["on"] or "body")) if steers else (roller,)
+        radius, x, y = (f"{tidy(w[key]):.4g}" for key in ("radius", "x", "y"))
+        rows.append(row_of(one_line(w["joint"]), radius, f"{w['sign']:+d}", x, y, *more))
     if rows:
-        yield Table("Drive wheels", (Column("drive wheel", text=True), *heads), tuple(rows))
+        title = "Wheels" if steers else "Drive wheels"
+        yield Table(title, (Column(title[:-1].lower(), text=True), *heads, *last), tuple(rows))
+
+
+def pivots(base: dict[str, Any]) -> Iterator[Table]:
+    """Steering joints, casters and hitches of a base that steers, with places, stops and motors."""
+    heads = (Column("x", "m"), Column("y", "m"), Column("lower"), Column("upper"), Column("rate"), Column("motor"))
+    rows = []
+    for p in base.get("pivots", ()):
+        places = (f"{tidy(p[key]):.4g}" for key in ("x", "y"))
+        limits = ("-" if p[key] is None else f"{p[key]:.4g}" for key in ("lower", "upper", "rate"))
+        last = "yes" if p["motor"] else "-", one_line(p["on"] or "body")
+        rows.append(row_of(one_line(p["joint"]), p["role"], *places, *limits, *last))
+    if rows:
+        named = Column("pivot", text=True), Column("role", text=True)
+        yield Table("Pivots", (*named, *heads, Column("on", text=True)), tuple(rows))
+
+
+def tidy(value: float) -> float:
+    """A length without dust of rounding, and no -0."""
+    return round(value, 9) + 0.0
 
 
 def arm(content: dict[str, Any]) -> Iterator[Table | str]:
@@ -233,7 +263,7 @@ def properties_text(report: CheckReport, columns: int = WIDTH) -> str:
     head = f"robot {report.robot}: {report.samples} random states, seed {report.seed}"
     parts: list[str | TextLine | Table] = [head, table, *report.notes]
     parts += [TextLine(bounds, whole=True), hanging("  sampling: ", SAMPLING, columns), "", f"base: {tested.verdict}"]
-    for where, found in (("pose", tested.pose), ("pose and wheels", tested.with_wheels)):
+    for where, found in ((tested.on, tested.pose), ("pose and wheels", tested.with_wheels)):
         if found is not None:
             ranks = " -> ".join(map(str, found.growth))
             parts.append(f"  {where}: rank {ranks} of {found.coordinates} by Lie brackets")

@@ -22,7 +22,7 @@ from ...errors import InputError, StudyError, UnknownName
 from ...model.robot import Robot
 from ...settings import plain
 from ...settings.arguments import shortly
-from ...signals import Array, IntArray
+from ...signals import ALONG, Array, IntArray
 from .factors import Factor, draws_of, is_number
 from .keys import near
 from .settings import StudySettings
@@ -232,5 +232,5 @@ def unit_of(name: str, slides: set[str]) -> str:
     signal, _, rest = name.partition(".")
     label = rest.rpartition(".")[0]
     units = {"effort": "N²m²s", "slip": "m/s", "constraint_residual": "m/s", "energy_residual": "J"}
-    units |= {"pose_error": "rad" if label == "phi" else "m", "z": "rad/s" if label == "w" else "m/s"}
+    units |= {"pose_error": "rad" if label == "phi" else "m", "z": "m/s" if label in ALONG else "rad/s"}
     return (units | {"e": "m" if label in slides else "rad"}).get(signal, "")

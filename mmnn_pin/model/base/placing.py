@@ -461,5 +461,7 @@ def pushed(rest: AtRest, candidates: Candidates) -> BaseResult:
     names = tuple(j.name for joint in found for j in rest.document.moving_ancestors(joint.child))
     floor = candidates.floor if math.isfinite(candidates.floor) else 0.0
     text = "the base has no drive wheels: forces and a torque on the root link drive it, without limits"
+    if any(c.mount in ("steering", "swivel") for c in candidates.wheels):
+        text += "; its wheels slide over the floor, and what steers them stands still"
     base = HolonomicBase(floor=floor, casters=in_order(rest, names))
     return BaseResult(base, (note(rest, "base-pushed", "", text, "you said --base holonomic"),))

@@ -114,6 +114,7 @@ class _Wheel(NamedTuple):
 
 
 AxleRow = tuple[float, float, float]
+MOST_STEPS, SETTLED = 60, 1e-28  # of the iteration for n: how many, and when n and its rate stand still, squared
 TURN, PIVOT, WHEEL = _Turn(), _Pivot(), _Wheel()
 
 
@@ -268,7 +269,7 @@ def steer_axle(rolling: Rolling, k: int, position: Array, nu: Array, V: Array, V
 
 @internal
 def meet(rolling: Rolling, position: Array, nu: Array, maps: Maps) -> None:
-    """N of a base whose wheels all steer, and its rate: three steps of inverse iteration from the n before.
+    """N of a base whose wheels all steer, and its rate: inverse iteration from the n before.
 
     Of the rows `r` of the masters on `(vx, vy, l w)`, `G = sum r r'` has n as the eigenvector of its least eigenvalue,
     and its adjugate is `sum of (r_i x r_j)(r_i x r_j)'` over pairs: n n' times a factor where all axles meet.
@@ -279,8 +280,9 @@ def meet(rolling: Rolling, position: Array, nu: Array, maps: Maps) -> None:
         first_direction(rolling, position, adj, maps.n)
     for i in range(3):
         n[i], ndot[i] = maps.n[i], 0.0
-    for _ in range(3):
-        turn_towards(adj, adjdot, n, ndot, maps.gram[2, 2])
+    for _ in range(MOST_STEPS):
+        if turn_towards(adj, adjdot, n, ndot) < SETTLED:
+            break
     if n[0] * maps.n[0] + n[1] * maps.n[1] + n[2] * maps.n[2] < 0.0:
         for i in range(3):
             n[i], ndot[i] = -n[i], -ndot[i]
@@ -351,10 +353,11 @@ def axle_row(
 
 
 @compiled
-def turn_towards(adj: Array, adjdot: Array, n: Array, ndot: Array, scratch: Array) -> None:
-    """`n <- adj n / |adj n|` in place, and its rate."""
+def turn_towards(adj: Array, adjdot: Array, n: Array, ndot: Array) -> float:
+    """`n <- adj n / |adj n|` in place, and its rate; returns how far both moved, squared."""
     size2, grow = 0.0, 0.0
-    x, y, z, xd, yd, zd = n[0], n[1], n[2], ndot[0], ndot[1], ndot[2]
+    before, before_dot = (n[0], n[1], n[2]), (ndot[0], ndot[1], ndot[2])
+    (x, y, z), (xd, yd, zd) = before, before_dot
     for a in range(3):
         n[a] = adj[a, 0] * x + adj[a, 1] * y + adj[a, 2] * z
         ndot[a] = adjdot[a, 0] * x + adjdot[a, 1] * y + adjdot[a, 2] * z
@@ -366,6 +369,12 @@ def turn_towards(adj: Array, adjdot: Array, n: Array, ndot: Array, scratch: Arra
     for a in range(3):
         ndot[a] = (ndot[a] - n[a] * grow) / size
         n[a] = n[a] / size
+    way = 1.0 if x * n[0] + y * n[1] + z * n[2] > 0.0 else -1.0
+    moved, turned, fast = 0.0, 0.0, 1.0
+    for a in range(3):
+        off, more = n[a] - way * before[a], ndot[a] - way * before_dot[a]
+        moved, turned, fast = moved + off * off, turned + more * more, fast + ndot[a] * ndot[a]
+    return moved + turned / fast
 
 
 @internal

@@ -118,10 +118,15 @@ class SteeredBase(Base):
         """
         return along(self.pivots, np.zeros(1), self.eta_of(twist)[None], np.zeros((1, 3))).angles[0]
 
+    @property
+    def agree(self) -> bool:
+        """Whether its steered wheels have to agree, as no axle is fixed."""
+        return self.sideways and self.body == STEERED
+
     def random_angles(self, rng: np.random.Generator) -> Array:
         """Angles of all pivots within their stops, (K,); those whose wheels must agree stand along one twist [rad]."""
         found = np.array([rng.uniform(max(p.lower, -np.pi), min(p.upper, np.pi)) for p in self.pivots])
-        if self.sideways and self.body == STEERED:
+        if self.agree:
             found[self.masters] = self.angles(rng.uniform(-1.0, 1.0, 3))
         return found
 

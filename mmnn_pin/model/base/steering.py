@@ -24,7 +24,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ...elementary import atan2, cos_sin
+from ...elementary import atan2, cos_sin, hypot
 from ...elementary.matrices import product
 from ...errors import ConfigError, UnknownName
 from ...signals import Array
@@ -36,7 +36,7 @@ from .evidence import RADII, controllers_motors, driving_signs, motors_named, st
 from .overrides import Overrides
 from .placing import casters_of, forward_of, in_order, rolling
 from .report import BaseReading, BaseResult, in_words, note, undecided, unsupported
-from .rolling import FOLLOWER, MASTER, PASSIVE, ROLES, Pivot, across, closed, new_maps, roll
+from .rolling import FOLLOWER, MASTER, PASSIVE, ROLES, Pivot, closed, new_maps, roll
 from .steered import (
     STEERED_KINDS,
     Articulated,
@@ -48,11 +48,12 @@ from .steered import (
     Swerve,
     Tricycle,
 )
-from .wheels import STEER_NAMES, TOUCHING, TRAIL, Candidate, Candidates, coaxial, parallel
+from .wheels import HUB, STEER_NAMES, TOUCHING, TRAIL, Candidate, Candidates, coaxial, parallel
 
 TURNED = 0.12  # trail by radius from which the floor turns a wheel (Robile's 10 mm of 51)
 ON_LINE = 0.02  # wheels of one axle may be off their line by this fraction of its width
 SIDEWAYS = 5e-4  # speed across a wheel per speed of the base that is told
+SAMPLES = 6  # of angles at which it is looked for
 OPINION = 0.02  # a wheelbase that differs by more than this fraction is told
 WHEELBASES = {"wheelbase": 1.0, "wheel_base": 1.0, "wheelBase": 1.0}
 MIDDLE = 0.1  # a wheel that steers within this fraction of the wheelbase of the fixed axle steers nothing
@@ -103,7 +104,7 @@ class Module:
         return bool(alike and np.ptp(sides) > 2 * radius and abs(self.lever(rest)[0]) > radius)
 
 
-class Layout(NamedTuple):
+class Undercarriage(NamedTuple):
     """The modules of a base and its fixed wheels.
 
     Attributes:
@@ -121,12 +122,12 @@ class Layout(NamedTuple):
         return [m for m in self.modules if m.role in roles]
 
     def without_trailers(self, candidates: Candidates) -> Candidates:
-        """What was found, without the wheels of trailers."""
+        """The wheels that were found, but for those of trailers."""
         trailing = {c.joint.name for m in self.of("hitch") for c in m.wheels}
         return replace(candidates, wheels=[c for c in candidates.wheels if c.joint.name not in trailing])
 
     def said(self, overrides: Overrides) -> Overrides:
-        """What the user says of the vehicle that pulls."""
+        """The user's statements about the vehicle that pulls."""
         return msgspec.structs.replace(overrides, base=None, hitch=None)
 
 
@@ -138,7 +139,7 @@ def says_steered(overrides: Overrides) -> bool:
 # -- what there is -----------------------------------------------------------------------------------------------------
 
 
-def layout_of(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Layout:
+def undercarriage_of(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Undercarriage:
     """Pivots with their wheels, wheels without, and the role of each pivot as far as its own structure tells it.
 
     Raises:
@@ -159,8 +160,8 @@ def layout_of(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Lay
     modules.sort(key=lambda m: len(rest.document.moving_ancestors(m.joint.child)))
     require_pivots(rest, modules, overrides)
     motors = {**motors_named(rest), **controllers_motors(rest, overrides.controllers_file)}
-    layout = Layout(modules, fixed, motors)
-    return layout._replace(modules=[replace(m, role=role_of(rest, m, layout, overrides)) for m in modules])
+    under = Undercarriage(modules, fixed, motors)
+    return under._replace(modules=[replace(m, role=role_of(rest, m, under, overrides)) for m in modules])
 
 
 def pivots_above(rest: AtRest, joint: Joint, wheels: Sequence[Candidate]) -> list[Joint]:
@@ -172,8 +173,8 @@ def pivots_above(rest: AtRest, joint: Joint, wheels: Sequence[Candidate]) -> lis
 
 def mostly_torso(rest: AtRest, joint: Joint, wheels: Sequence[Candidate]) -> bool:
     """Whether a vertical joint carries all wheels, three or more of them by the rule of `wheels.hangs_on`."""
-    under = [c for c in wheels if joint in rest.document.moving_ancestors(c.joint.child)[1:]]
-    return len(under) == len(wheels) and any(c.mount == "" for c in under)
+    carried = [c for c in wheels if joint in rest.document.moving_ancestors(c.joint.child)[1:]]
+    return len(carried) == len(wheels) and any(c.mount == "" for c in carried)
 
 
 def carrier_of(rest: AtRest, name: str, wheels: Sequence[Candidate]) -> Joint | None:
@@ -236,7 +237,7 @@ def touches(lowest: float, radius: float, candidates: Candidates) -> bool:
 
 
 def require_pivots(rest: AtRest, modules: Sequence[Module], overrides: Overrides) -> None:
-    """Refuse joints that the user names as steered or as hitches and that are none; errors as of `layout_of`."""
+    """Refuse joints that the user names as steered or as hitches and that are none; errors as of `undercarriage_of`."""
     known = [m.joint.name for m in modules]
     for key in ("steer", "hitch"):
         for name in getattr(overrides, key) or ():
@@ -251,71 +252,85 @@ def require_pivots(rest: AtRest, modules: Sequence[Module], overrides: Overrides
                 )
 
 
-def role_of(rest: AtRest, m: Module, layout: Layout, overrides: Overrides) -> str:
+def role_of(rest: AtRest, m: Module, under: Undercarriage, overrides: Overrides) -> str:
     """The role of a module by its own structure, as far as it tells."""
-    name, others = m.joint.name, [o for o in layout.modules if o is not m]
+    name, others = m.joint.name, [o for o in under.modules if o is not m]
     if name in (overrides.steer or ()):
-        return "waist" if m.is_body(rest) and layout.fixed and not m.carrier else "steered"
+        return "waist" if m.is_body(rest) and under.fixed and not m.carrier else "steered"
     if name in (overrides.hitch or ()):
         return "hitch"
-    beside = layout.fixed or any(not o.trails(rest) for o in others)
+    beside = under.fixed or any(not o.trails(rest) for o in others)
     if m.is_body(rest) and beside and m.joint.mimics is None:
-        return body_role(rest, m, layout, overrides)
-    if not m.trails(rest) or not m.swivels or (layout.fixed and name in layout.motors):
+        return body_role(rest, m, under, overrides)
+    if not m.trails(rest) or not m.swivels or (under.fixed and name in under.motors):
         return "steered"
-    driven = {name, *(c.joint.name for c in m.wheels)} & layout.motors.keys()
+    driven = {name, *(c.joint.name for c in m.wheels)} & under.motors.keys()
     said = overrides.base == Casters.kind
-    return "powered" if not layout.fixed and (driven or said or not nothing_else(layout, others)) else "caster"
+    return "powered" if not under.fixed and (driven or said or not nothing_else(under, others)) else "caster"
 
 
-def nothing_else(layout: Layout, others: Sequence[Module]) -> bool:
+def nothing_else(under: Undercarriage, others: Sequence[Module]) -> bool:
     """Whether the file tells motors of other wheels or pivots of the base: then those that it leaves out have none."""
     joints = {j for o in others for j in (o.joint.name, *(c.joint.name for c in o.wheels))}
-    return bool(joints & layout.motors.keys())
+    return bool(joints & under.motors.keys())
 
 
-def body_role(rest: AtRest, m: Module, layout: Layout, overrides: Overrides) -> str:
+def body_role(rest: AtRest, m: Module, under: Undercarriage, overrides: Overrides) -> str:
     """Whether a body on a pivot is a loader's other half or a trailer; empty where nothing tells."""
-    axle = layout.fixed and not any(not o.trails(rest) for o in layout.modules if o is not m)
-    if overrides.base == Articulated.kind or (axle and m.joint.name in layout.motors):
+    axle = under.fixed and not any(not o.trails(rest) for o in under.modules if o is not m)
+    if overrides.base == Articulated.kind or (axle and m.joint.name in under.motors):
         return "waist"
-    told = not axle or layout.motors or overrides.base in (DriveWithTrailer.kind, CarWithTrailer.kind)
+    told = not axle or under.motors or overrides.base in (DriveWithTrailer.kind, CarWithTrailer.kind)
     return "hitch" if told else ""
 
 
 # -- what it makes -----------------------------------------------------------------------------------------------------
 
 
-def steered_base(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult | Layout | None:
+def steered_base(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult | Undercarriage | None:
     """The base that these wheels make where some steer, trail under motors, or stand on trailers; None where none do.
 
-    Where the wheels on the body drive as of a base that does not steer, and trailers follow, the layout is returned.
+    Where the wheels on the body drive as of a base that does not steer, and trailers follow, it is the undercarriage.
 
     Raises:
         Unsupported: Machines of several bodies, wheels on several lines, one wheel alone.
         Undecided: A pivot may be one thing or another.
         ConfigError: What the user says does not suit it.
     """
-    layout = layout_of(rest, candidates, overrides)
-    layout = layout._replace(modules=doubts_settled(rest, layout, overrides))
-    if not layout.of("steered", "powered", "hitch", "waist"):
+    under = undercarriage_of(rest, candidates, overrides)
+    under = under._replace(modules=doubts_settled(rest, under, overrides))
+    if not under.of("steered", "powered", "hitch", "waist"):
+        require_steering(rest, under, overrides)
         return None
-    refuse_linked(rest, layout)
-    layout = layout._replace(modules=require_alike(rest, layout))
-    steered = layout.of("steered", "waist")
-    if layout.fixed and not steered:
-        return layout if layout.of("hitch") else None
-    layout = layout._replace(fixed=axle_of(rest, layout, overrides) if steered and layout.fixed else layout.fixed)
-    if layout.fixed:
-        base = on_axle(rest, layout, overrides)
+    refuse_linked(rest, under)
+    under = under._replace(modules=require_alike(rest, under))
+    steered = under.of("steered", "waist")
+    if under.fixed and not steered:
+        return under if under.of("hitch") else None
+    under = under._replace(fixed=axle_of(rest, under, overrides) if steered and under.fixed else under.fixed)
+    if under.fixed:
+        base = on_axle(rest, under, overrides)
     elif steered:
-        base = without_axle(rest, layout, overrides)
+        base = without_axle(rest, under, overrides)
     else:
-        base = on_casters(rest, layout)
-    return finished(rest, candidates, base, layout, overrides)
+        base = on_casters(rest, under)
+    return finished(rest, candidates, base, under, overrides)
 
 
-def doubts_settled(rest: AtRest, layout: Layout, overrides: Overrides) -> list[Module]:
+def require_steering(rest: AtRest, under: Undercarriage, overrides: Overrides) -> None:
+    """Refuse a kind of base that steers where nothing does.
+
+    Raises:
+        ConfigError: The user says one.
+    """
+    if overrides.base in KINDS:
+        known = ", ".join(m.joint.name for m in under.modules)
+        fix = f"--steer names what steers: {known}" if known else "leave it out: no wheel is under a vertical joint"
+        what = f"this is no '{overrides.base}'"
+        raise ConfigError(what, why="no wheel of it steers", fix=fix, key="base", file=rest.document.path)
+
+
+def doubts_settled(rest: AtRest, under: Undercarriage, overrides: Overrides) -> list[Module]:
     """The modules, those that trail nowhere and have no stops beside a fixed axle being casters or steered.
 
     Such a swivel may be a caster, written badly, or a tricycle's wheel: what the file drives decides.
@@ -323,51 +338,55 @@ def doubts_settled(rest: AtRest, layout: Layout, overrides: Overrides) -> list[M
     Raises:
         Undecided: Nothing tells.
     """
-    refuse_body(rest, layout)
-    said = {*(overrides.steer or ()), *layout.motors}
+    refuse_body(rest, under)
+    said = {*(overrides.steer or ()), *under.motors}
     doubtful = [
         m
-        for m in layout.of("steered")
-        if layout.fixed and m.swivels and m.joint.name not in said and m.joint.mimics not in said
+        for m in under.of("steered")
+        if under.fixed and m.swivels and m.joint.name not in said and m.joint.mimics not in said
     ]
-    sure = [m for m in layout.of("steered") if m not in doubtful]
-    if not doubtful and len(layout.fixed) == 2 and not layout.of("steered", "waist") and overrides.base is None:
-        refuse_plugin(rest, layout, overrides)
+    sure = [m for m in under.of("steered") if m not in doubtful]
+    if not doubtful and len(under.fixed) == 2 and not under.of("steered", "waist") and overrides.base is None:
+        refuse_plugin(rest, under, overrides)
     if not doubtful or overrides.base in (CarLike.kind, Tricycle.kind, CarWithTrailer.kind):
-        return layout.modules
+        return under.modules
     front = [c for m in doubtful for c in m.wheels if c.trail <= TRAIL]
     casters = {m.joint.name for m in doubtful}
-    if not sure and front and on_line(layout.fixed):
-        signs = list(driving_signs(rest, layout.fixed, front, overrides.controllers_file))
+    if not sure and front and on_line(under.fixed):
+        signs = list(driving_signs(rest, under.fixed, front, overrides.controllers_file))
         steers, rolls = ([t for kind, t in signs if kind == want] for want in ("car-like", "differential_drive"))
-        if (steers or front_axle(front, layout.fixed)) and not rolls:
+        if (steers or front_axle(front, under.fixed)) and not rolls:
             casters -= {m.joint.name for m in doubtful if any(c in front for c in m.wheels)}
         elif steers or not rolls:
-            raise either(rest, layout, front, steers, rolls)
-    return [replace(m, role="caster") if m.joint.name in casters else m for m in layout.modules]
+            raise either(rest, under, front, steers, rolls)
+    return [replace(m, role="caster") if m.joint.name in casters else m for m in under.modules]
 
 
-def refuse_plugin(rest: AtRest, layout: Layout, overrides: Overrides) -> None:
+def refuse_plugin(rest: AtRest, under: Undercarriage, overrides: Overrides) -> None:
     """Refuse two wheels of which a plugin or a controller says that others steer the base.
 
     Raises:
         Undecided: None steers in this file.
     """
-    signs = list(driving_signs(rest, layout.fixed, [], overrides.controllers_file))
+    signs = list(driving_signs(rest, under.fixed, [], overrides.controllers_file))
     steers, rolls = ([t for kind, t in signs if kind == want] for want in ("car-like", "differential_drive"))
-    if steers and coaxial(*layout.fixed):
-        raise either(rest, layout, [], steers, rolls)
+    if steers and coaxial(*under.fixed):
+        raise either(rest, under, [], steers, rolls)
 
 
 def front_axle(front: Sequence[Candidate], fixed: Sequence[Candidate]) -> bool:
     """Whether two wheels that could be steered make an axle of their own, parallel to that of the others."""
-    return len(front) == 2 and coaxial(*front) and not coaxial(front[0], fixed[0]) and parallel(front[0], fixed[0])
+    if len(front) != 2 or not coaxial(*front):
+        return False
+    return parallel(front[0], fixed[0]) and not coaxial(front[0], fixed[0])
 
 
-def either(rest: AtRest, layout: Layout, front: Sequence[Candidate], steers: list[str], rolls: list[str]) -> Exception:
+def either(
+    rest: AtRest, under: Undercarriage, front: Sequence[Candidate], steers: list[str], rolls: list[str]
+) -> Exception:
     """The question whether wheels without trail are casters or steer, or none does where a plugin says so."""
-    names = ",".join(c.joint.name for c in layout.fixed)
-    pivots = ",".join(m.joint.name for m in layout.modules if any(c in front for c in m.wheels))
+    names = ",".join(c.joint.name for c in under.fixed)
+    pivots = ",".join(m.joint.name for m in under.modules if any(c in front for c in m.wheels))
     fix = AHEAD.format(names, pivots) if pivots else f"--wheels {names} if nothing steers, --base fixed parks it"
     why = f"the file also speaks of steering: {', '.join(steers)}"
     if not steers:
@@ -375,52 +394,52 @@ def either(rest: AtRest, layout: Layout, front: Sequence[Candidate], steers: lis
     two = BaseReading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
     kind = Tricycle.kind if len(front) == 1 else CarLike.kind
     car = BaseReading(kind, tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
-    return undecided(rest, [*layout.fixed, *front], [two, car], why, fix)
+    return undecided(rest, [*under.fixed, *front], [two, car], why, fix)
 
 
-def refuse_body(rest: AtRest, layout: Layout) -> None:
+def refuse_body(rest: AtRest, under: Undercarriage) -> None:
     """Refuse to guess whether a body on a pivot is a loader's other half or a trailer.
 
     Raises:
         Undecided: Nothing tells.
     """
-    for m in layout.modules:
+    for m in under.modules:
         if not m.role:
             why = f"nothing tells whether a motor turns '{m.joint.name}'"
             loader = BaseReading(Articulated.kind, ("two axles, and a vertical joint between them",))
             trailer = BaseReading(DriveWithTrailer.kind, ("wheels on both sides behind a vertical joint",))
             fix = f"--steer {m.joint.name} if a motor turns it, --hitch {m.joint.name} if it follows freely"
-            raise undecided(rest, [*layout.fixed, *m.wheels], [loader, trailer], why, fix, m.joint.line)
+            raise undecided(rest, [*under.fixed, *m.wheels], [loader, trailer], why, fix, m.joint.line)
 
 
-def refuse_linked(rest: AtRest, layout: Layout) -> None:
+def refuse_linked(rest: AtRest, under: Undercarriage) -> None:
     """Refuse machines of several bodies that steer or drive each by itself.
 
     Raises:
         Unsupported: A pivot that steers is on another one.
     """
-    linked = [m for m in layout.of("steered", "powered", "waist") if m.carrier is not None]
+    linked = [m for m in under.of("steered", "powered", "waist") if m.carrier is not None]
     if linked:
         pivots = ", ".join(f"'{m.joint.name}' on '{m.carrier.name}'" for m in linked if m.carrier)
         why = f"the base is more than one body: {pivots}"
         raise unsupported(rest, "machine of several vehicles, linked", why, linked[0].wheels, ONE_BODY)
 
 
-def require_alike(rest: AtRest, layout: Layout) -> list[Module]:
+def require_alike(rest: AtRest, under: Undercarriage) -> list[Module]:
     """The modules, what trails under stops beside others that steer refused: only a single wheel that steers may trail.
 
     Raises:
         Unsupported: A slip in the file, or a machine of its own.
     """
-    steered = layout.of("steered")
+    steered = under.of("steered")
     odd = [m for m in steered if m.trails(rest)]
     if len(steered) > 1 and odd:
         names, trail = ", ".join(f"'{m.joint.name}'" for m in odd), abs(odd[0].lever(rest)[0])
         why = f"the wheel under {names} stands {trail:.3g} m behind its axis, and others steer"
         fix = f"mend the <origin> of the wheel or of its pivot; {STILL}"
         raise unsupported(rest, "base that steers with wheels off their pivots", why, odd[0].wheels, fix)
-    powered = layout.of("powered") if steered else []
-    return [replace(m, role="caster") if m in powered else m for m in layout.modules]
+    powered = under.of("powered") if steered else []
+    return [replace(m, role="caster") if m in powered else m for m in under.modules]
 
 
 def on_line(wheels: Sequence[Candidate]) -> bool:
@@ -431,47 +450,49 @@ def on_line(wheels: Sequence[Candidate]) -> bool:
     return all(parallel(wheels[0], c) for c in wheels) and bool(max(off) <= max(ON_LINE * width, 1e-6))
 
 
-def axle_of(rest: AtRest, layout: Layout, overrides: Overrides) -> list[Candidate]:
+def axle_of(rest: AtRest, under: Undercarriage, overrides: Overrides) -> list[Candidate]:
     """The fixed wheels that hold the base: on one line, those that are not balls, or those that the user names.
 
     Raises:
         Unsupported: They stand on several lines; with the options that choose one.
     """
-    fixed, named = layout.fixed, [c for c in layout.fixed if c.joint.name in (overrides.wheels or ())]
+    seen = [c for c in under.fixed if c.shape != HUB]  # others may be joints of a bicycle model, without a body
+    fixed = seen or under.fixed
+    named = [c for c in fixed if c.joint.name in (overrides.wheels or ())]
     proper = [c for c in fixed if c.shape != "sphere"]
     for wheels in (named, fixed, proper):
         if wheels and on_line(wheels):
             return wheels
     why = f"wheels that do not steer stand on several lines: {'; '.join(c.text for c in fixed)}"
     lines = {tuple(o.joint.name for o in fixed if o is c or coaxial(c, o)) for c in fixed}
-    kind = Tricycle.kind if len(layout.of("steered")) == 1 else CarLike.kind
-    rolling_too = [c.joint.name for m in layout.of("steered") if m.spins for c in m.wheels]
+    kind = Tricycle.kind if len(under.of("steered")) == 1 else CarLike.kind
+    rolling_too = [c.joint.name for m in under.of("steered") if m.spins for c in m.wheels]
     ways = [f"--base {kind} --wheels {','.join([*n, *rolling_too])}" for n in sorted(lines) if len(n) > 1]
     fix = f"{', or '.join(ways)} if the others slide or swivel; {STILL}" if ways else STILL
     raise unsupported(rest, "base that steers and skids", why, fixed, fix)
 
 
-def on_axle(rest: AtRest, layout: Layout, overrides: Overrides) -> SteeredBase:
+def on_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> SteeredBase:
     """A car, a tricycle or a loader, without what it pulls.
 
     Args:
         rest: The robot at rest.
-        layout: Its fixed wheels are those of the axle.
+        under: Its fixed wheels are those of the axle.
         overrides: What the user says.
 
     Raises:
         Unsupported: A wheel that steers stands on the line of those that do not.
         ConfigError: The user says that it is another kind.
     """
-    fixed, steered = layout.fixed, layout.of("steered", "waist")
+    fixed, steered = under.fixed, under.of("steered", "waist")
     frame = frame_at(np.mean([c.centre for c in fixed], axis=0), forward_of(fixed))
     steered = sorted(steered, key=lambda m: order(frame, rest, m))
-    master = first_master(steered, layout.motors)
+    master = first_master(steered, under.motors)
     loader = master.role == "waist"
     kind = Articulated if loader else Tricycle if len(steered) == 1 and master.spins else CarLike
     if overrides.base in (CarLike.kind, Tricycle.kind) and not loader:
         kind = Tricycle if overrides.base == Tricycle.kind else CarLike
-    pivots = [placed_pivot(rest, frame, m, ROLES[MASTER if m is master else FOLLOWER], layout) for m in steered]
+    pivots = [placed_pivot(rest, frame, m, ROLES[MASTER if m is master else FOLLOWER], under) for m in steered]
     wheelbase = abs(ahead_of(pivots[steered.index(master)]))
     near = next((p for p in pivots if abs(ahead_of(p)) < MIDDLE * wheelbase or wheelbase == 0), None)
     if near is not None:
@@ -501,35 +522,41 @@ def first_master(steered: Sequence[Module], motors: Iterable[str]) -> Module:
     return next(iter(followed if len(followed) == 1 else powered if len(powered) == 1 else steered))
 
 
-def without_axle(rest: AtRest, layout: Layout, overrides: Overrides) -> SteeredBase:
+def without_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> SteeredBase:
     """A swerve drive: all that steer are masters.
 
     Raises:
-        Unsupported: One steered wheel and nothing that holds the base beside it.
+        Unsupported: One steered wheel and nothing that holds the base beside it, or all on one line.
     """
-    steered = layout.of("steered")
+    steered = under.of("steered")
     if len(steered) < 2:
         why = f"one wheel steers and nothing else holds it: {steered[0].wheels[0].text}"
         raise unsupported(rest, "base on one wheel", why, steered[0].wheels, STILL)
+    wheels = [c for m in steered for c in m.wheels]
+    if on_line(wheels):
+        what = "swerve drive whose wheels stand on one line, about any point of which it could turn"
+        why = f"there nothing tells how it moves: {'; '.join(c.text for c in wheels)}"
+        fix = f"--wheels {','.join(c.joint.name for c in wheels)} drives it with its steering locked"
+        raise unsupported(rest, what, why, wheels, f"{fix}; {STILL}" if len(wheels) == 2 else STILL)
     frame = frame_at(np.mean([rest.hub(m.joint) for m in steered], axis=0), np.array([1.0, 0.0]))
-    pivots = [placed_pivot(rest, frame, m, ROLES[MASTER], layout) for m in steered]
+    pivots = [placed_pivot(rest, frame, m, ROLES[MASTER], under) for m in steered]
     size = math.sqrt(float(np.mean([p.x**2 + p.y**2 for p in pivots])))
     return Swerve(pivots=tuple(pivots), frame=frame, length=size)
 
 
-def on_casters(rest: AtRest, layout: Layout) -> SteeredBase:
+def on_casters(rest: AtRest, under: Undercarriage) -> SteeredBase:
     """A base on powered casters, or on a turret.
 
     Raises:
         Unsupported: One caster with one wheel.
     """
-    powered = layout.of("powered")
+    powered = under.of("powered")
     if len(powered) == 1 and len(powered[0].wheels) < 2:
         why = f"one caster and nothing else: {powered[0].wheels[0].text}"
         raise unsupported(rest, "base on one wheel", why, powered[0].wheels, STILL)
     frame = frame_at(np.mean([rest.hub(m.joint) for m in powered], axis=0), np.array([1.0, 0.0]))
-    pivots = [placed_pivot(rest, frame, m, ROLES[PASSIVE], layout) for m in powered]
-    silent = not any({m.joint.name, *(c.joint.name for c in m.wheels)} & layout.motors.keys() for m in powered)
+    pivots = [placed_pivot(rest, frame, m, ROLES[PASSIVE], under) for m in powered]
+    silent = not any({m.joint.name, *(c.joint.name for c in m.wheels)} & under.motors.keys() for m in powered)
     if silent:  # a pair of wheels turns its swivel by itself, unless it is the only one
         pivots = [
             replace(p, motor=len(powered) == 1 or len(m.wheels) < 2) for p, m in zip(pivots, powered, strict=True)
@@ -567,13 +594,13 @@ def placed(frame: Array, c: Candidate) -> tuple[float, float, float, float]:
     return *in_frame(frame, c.centre), heading, -1.0 if back else 1.0
 
 
-def placed_pivot(rest: AtRest, frame: Array, m: Module, role: str, layout: Layout) -> Pivot:
+def placed_pivot(rest: AtRest, frame: Array, m: Module, role: str, under: Undercarriage) -> Pivot:
     """A module's pivot in the frame of its carrier, with the middle of its wheels on it."""
     joint, own = m.joint, frame_on(rest, m.joint, float(frame[2]))
     x, y = in_frame(frame, rest.hub(joint))
     wheels = [placed(own, c) for c in m.wheels]
     wheel = float(np.mean([w[0] for w in wheels])), float(np.mean([w[1] for w in wheels])), wheels[0][2]
-    steers = role == ROLES[MASTER] or (joint.name in layout.motors and joint.mimics is None and m.role != "hitch")
+    steers = role == ROLES[MASTER] or (joint.name in under.motors and joint.mimics is None and m.role != "hitch")
     return Pivot(
         joint=joint.name,
         role=role,
@@ -606,41 +633,41 @@ def placed_wheels(rest: AtRest, frame: Array, wheels: Sequence[Candidate], pivot
 
 
 def finished(
-    rest: AtRest, candidates: Candidates, base: SteeredBase, layout: Layout, overrides: Overrides
+    rest: AtRest, candidates: Candidates, base: SteeredBase, under: Undercarriage, overrides: Overrides
 ) -> BaseResult:
     """The base with its wheels, what it pulls, what stands still, and what there is to say of it."""
-    base, findings = with_limits(rest, base, layout, overrides)
-    modules = {m.joint.name: m for m in layout.modules}
+    base, findings = with_limits(rest, base, under, overrides)
+    modules = {m.joint.name: m for m in under.modules}
     own = [modules[p.joint] for p in base.pivots]
     own_wheels = [c for m in own if m.spins for c in m.wheels]
     stated_radii = overrides.radius_of
-    rolls = [*layout.fixed, *own_wheels]
+    rolls = [*under.fixed, *own_wheels]
     resized = {c.joint.name: stated_radii.get(c.joint.name, overrides.radius or c.radius) for c in rolls}
-    wheels = placed_wheels(rest, base.frame, layout.fixed, -1)
+    wheels = placed_wheels(rest, base.frame, under.fixed, -1)
     if overrides.track is not None and (width := np.ptp([w.y for w in wheels])) > 0:
         wheels = [replace(w, y=w.y * overrides.track / float(width)) for w in wheels]
     for k, m in enumerate(own):
         wheels += placed_wheels(rest, frame_on(rest, m.joint, float(base.frame[2])), m.wheels, k) if m.spins else []
     wheels = [replace(w, radius=resized[w.joint]) for w in wheels]
-    wheels, driving = with_motors(rest, wheels, layout, overrides)
-    track = float(np.ptp([w.y for w in wheels if w.pivot < 0])) if len(layout.fixed) > 1 else 0.0
-    bottoms = [c.bottom for c in [*layout.fixed, *(c for m in own for c in m.wheels)]]
+    wheels, driving = with_motors(rest, wheels, under, overrides)
+    track = float(np.ptp([w.y for w in wheels if w.pivot < 0])) if len(under.fixed) > 1 else 0.0
+    bottoms = [c.bottom for c in [*under.fixed, *(c for m in own for c in m.wheels)]]
     base = replace(base, wheels=tuple(wheels), track=track, floor=float(np.mean(bottoms)))
-    base, trailing = with_trailers(rest, base, layout)
+    base, trailing = with_trailers(rest, base, under)
     base = standing(rest, base, candidates)
     kind_as_said(rest, base, overrides)
-    base = replace(base, scrub=scrub_of(base))
+    base = replace(base, scrub=scrub_of(rest, base, under))
     notes = [steered_note(rest, base), *findings, *driving, *trailing, *spinless_note(rest, own)]
     return BaseResult(base, (*notes, *scrub_note(rest, base), *stated_notes(rest, base, overrides)))
 
 
-def with_trailers(rest: AtRest, base: Base, layout: Layout) -> tuple[SteeredBase, list[Finding]]:
+def with_trailers(rest: AtRest, base: Base, under: Undercarriage) -> tuple[SteeredBase, list[Finding]]:
     """The base with the trailers behind it; a differential drive's body moves by `(v, w)`.
 
     Raises:
         Unsupported: A trailer on something else than the body or a trailer.
     """
-    hitches, findings = layout.of("hitch"), list[Finding]()
+    hitches, findings = under.of("hitch"), list[Finding]()
     pivots = list(base.pivots) if isinstance(base, SteeredBase) else []
     wheels, frames, numbers = list(base.rolling if not pivots else base.wheels), dict[str, Array](), dict[str, int]()
     for m in hitches:
@@ -651,7 +678,7 @@ def with_trailers(rest: AtRest, base: Base, layout: Layout) -> tuple[SteeredBase
         at = frames.get(carrier, base.frame)
         numbers[m.joint.name] = len(pivots)
         frames[m.joint.name] = frame_on(rest, m.joint, float(at[2]))
-        pivot = placed_pivot(rest, at, m, ROLES[PASSIVE], layout)
+        pivot = placed_pivot(rest, at, m, ROLES[PASSIVE], under)
         pivots.append(replace(pivot, parent=numbers.get(carrier, -1), motor=False))
         alone = on_line(m.wheels)
         wheels += placed_wheels(rest, frames[m.joint.name], m.wheels, len(pivots) - 1, driven=False, grips=alone)
@@ -668,15 +695,15 @@ def with_trailers(rest: AtRest, base: Base, layout: Layout) -> tuple[SteeredBase
     return made, findings
 
 
-def behind_drive(rest: AtRest, result: BaseResult, layout: Layout) -> BaseResult:
+def behind_drive(rest: AtRest, result: BaseResult, under: Undercarriage) -> BaseResult:
     """A differential or skid-steer drive with the trailers behind it."""
-    base, findings = with_trailers(rest, result.base, layout)
-    base = replace(base, scrub=scrub_of(base))
+    base, findings = with_trailers(rest, result.base, under)
+    base = replace(base, scrub=scrub_of(rest, base, under))
     return BaseResult(base, (*result.findings, steered_note(rest, base), *findings, *scrub_note(rest, base)))
 
 
 def with_motors(
-    rest: AtRest, wheels: list[Wheel], layout: Layout, overrides: Overrides
+    rest: AtRest, wheels: list[Wheel], under: Undercarriage, overrides: Overrides
 ) -> tuple[list[Wheel], list[Finding]]:
     """The wheels, those with motors marked: which the file and the user name, the file, the user, else all.
 
@@ -687,7 +714,7 @@ def with_motors(
     for name in overrides.wheels or ():
         if name not in names:
             raise UnknownName("wheel joint", name, names, key="wheels")
-    ours, theirs = [n for n in names if n in (overrides.wheels or ())], [n for n in names if n in layout.motors]
+    ours, theirs = [n for n in names if n in (overrides.wheels or ())], [n for n in names if n in under.motors]
     told = [name for name in ours if name in theirs] or theirs or ours
     driven = [replace(w, driven=not told or w.joint in told) for w in wheels]
     if told or not wheels:
@@ -698,7 +725,7 @@ def with_motors(
 
 
 def with_limits(
-    rest: AtRest, base: SteeredBase, layout: Layout, overrides: Overrides
+    rest: AtRest, base: SteeredBase, under: Undercarriage, overrides: Overrides
 ) -> tuple[SteeredBase, list[Finding]]:
     """The base with the stops of what steers, and what there is to say where the file states none.
 
@@ -713,7 +740,7 @@ def with_limits(
     rigid = [p for p in steers if p.lower == p.upper]
     if rigid:
         names = ", ".join(f"'{p.joint}'" for p in rigid)
-        wheels = [c for m in layout.modules for c in m.wheels if m.joint.name == rigid[0].joint]
+        wheels = [c for m in under.modules for c in m.wheels if m.joint.name == rigid[0].joint]
         why = f"the limits of {names} are one value: nothing turns there"
         fix = "--steering-limit RAD, or write lower and upper in its <limit>"
         raise unsupported(rest, "base that steers, and cannot", why, wheels, fix)
@@ -735,7 +762,7 @@ def virtual_joints(rest: AtRest, base: SteeredBase) -> list[str]:
     places = [(0.0, 0.0), *(((x, (y + v) / 2) for x, y in hubs for u, v in hubs if x == u or abs(x - u) < 1e-3))]
     ends = [j for j in rest.document.moving_children(rest.document.root_link) if j.type != "prismatic"]
     ends = [j for j in ends if j.name not in base.joints and not rest.document.moving_children(j.child)]
-    highest = max(float(rest.hub(rest.document.joints[w.joint])[2]) + w.radius for w in base.wheels)
+    highest = max(float(rest.hub(rest.document.joints[w.joint])[2]) + 2 * w.radius for w in base.wheels)
     low = [j for j in ends if rest.hub(j)[2] <= highest and (rest.is_vertical(j) or rest.is_horizontal(j))]
     return [
         j.name
@@ -777,7 +804,7 @@ def kind_as_said(rest: AtRest, base: SteeredBase, overrides: Overrides) -> None:
 
 
 def steered_note(rest: AtRest, base: SteeredBase) -> Finding:
-    """What steers and what drives."""
+    """A note on what steers and what drives."""
     roles = {role: [p.joint for p in base.pivots if p.role == role] for role in ROLES}
     parts = [f"{role} {', '.join(names)}" for role, names in roles.items() if names]
     size = f"wheelbase {base.length:.4g} m" if not base.sideways and base.masters else ""
@@ -796,28 +823,56 @@ def spinless_note(rest: AtRest, own: Sequence[Module]) -> list[Finding]:
     return [note(rest, "base-steered", names[0], text, "the file welds them on", fix)]
 
 
-def scrub_of(base: SteeredBase) -> float:
-    """Largest speed across a wheel per speed of the base, over some angles within the stops.
+def scrub_of(rest: AtRest, base: SteeredBase, under: Undercarriage) -> float:
+    """Largest speed across a wheel per speed of the base, over some angles within the stops; 0 where it is no matter.
 
-    A follower is steered as if its pivot were beside its wheel, and of several axles the middle one holds.
+    A follower is steered as if its pivot were upright beside its wheel; here pivots and axles are as the file has them.
     """
-    joints = [*base.shape, *(w.joint for w in base.wheels)]
-    places = {name: 3 + k for k, name in enumerate(joints)}
-    rolls, rng, worst = base.rolling_at(places), np.random.default_rng(0), 0.0
-    nu = np.zeros(len(base.velocity_names))
     if base.sideways:
         return 0.0
-    for _ in range(6):
+    joints = list(base.joints)
+    places = {name: 3 + k for k, name in enumerate(joints)}
+    rolls, rng, worst = base.rolling_at(places), np.random.default_rng(0), 0.0
+    nu = np.array([1.0] + [0.0] * (len(base.velocity_names) - 1))
+    wheels = {c.joint.name: c for c in (*under.fixed, *(c for m in under.modules for c in m.wheels))}
+    for _ in range(SAMPLES):
         position = np.zeros(3 + len(joints))
         for p in base.pivots:
             position[places[p.joint]] = rng.uniform(max(p.lower, -0.5), min(p.upper, 0.5))
-        nu[0] = 1.0
         maps = new_maps(rolls, np.zeros((3 + len(joints), nu.size)))
         roll(rolls, closed(rolls, position), nu, maps)
-        for w in (w for w in base.wheels if w.grips):
-            c, s = cos_sin(w.heading)
-            worst = max(worst, abs(across(maps.V[w.pivot + 1], w.x, w.y, c, s, 0)))
+        for w in (w for w in base.wheels if w.grips and w.joint in wheels and on_the_spot(base, w)):
+            pivot = rest.document.joints[base.pivots[w.pivot].joint] if w.pivot >= 0 else None
+            angle = position[places[pivot.name]] if pivot is not None else 0.0
+            worst = max(worst, sliding(rest, base, wheels[w.joint], pivot, angle, maps.V[0, :, 0]))
     return worst if worst > SIDEWAYS else 0.0
+
+
+def on_the_spot(base: SteeredBase, wheel: Wheel) -> bool:
+    """Whether a wheel is on the body or on a pivot of it that stands still while the steering does."""
+    return wheel.pivot < 0 or base.pivots[wheel.pivot].role != ROLES[PASSIVE]
+
+
+def sliding(rest: AtRest, base: Base, c: Candidate, pivot: Joint | None, angle: float, eta: Array) -> float:
+    """Speed of a wheel along its own axle, at an angle of its pivot and a velocity (3,) of the control frame [m/s]."""
+    centre, axle = c.centre, c.axis
+    if pivot is not None:
+        turned = rotation(rest.axis(pivot), angle - pivot.rest)
+        centre = rest.hub(pivot) + product(turned, centre - rest.hub(pivot))
+        axle = product(turned, axle)
+    ahead, left, w = (float(value) for value in eta)
+    x, y = in_frame(base.frame, centre)
+    cosine, sine = cos_sin(float(base.frame[2]))
+    across = cosine * axle[0] + sine * axle[1], cosine * axle[1] - sine * axle[0]
+    size = hypot(float(across[0]), float(across[1]))
+    return abs(across[0] * (ahead - y * w) + across[1] * (left + x * w)) / size
+
+
+def rotation(axis: Array, angle: float) -> Array:
+    """(3, 3) rotation about an axis."""
+    (c, s), (x, y, z) = cos_sin(angle), axis
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + s * skew + (1.0 - c) * product(skew, skew)
 
 
 def scrub_note(rest: AtRest, base: SteeredBase) -> list[Finding]:
@@ -825,7 +880,7 @@ def scrub_note(rest: AtRest, base: SteeredBase) -> list[Finding]:
     if not base.scrub:
         return []
     text = f"wheels slide sideways by up to {base.scrub:.2g} m per metre driven"
-    why = "their pivots are not beside them, or axles of one body are apart"
+    why = "their pivots lean, or are not beside them"
     fix = "mend the <origin> of the wheels if that is a slip"
     return [note(rest, "base-scrub", base.pivots[0].joint, text, why, fix)]
 

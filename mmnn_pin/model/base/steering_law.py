@@ -16,9 +16,8 @@ The first part turns the wheel to its path by the shorter way, it may run backwa
 nearest angle along its path that is between them, with that angle in the place of `sin(2 chi) / 2`, and slower towards
 a stop.
 
-A loader's waist moves its body as it turns: the axle off it by t has `s + t zeta = 0`. Where the axle at the control
-frame leads, `zeta_c = -s / t` moves it exactly as asked, and the waist settles. Where it trails the waist would fold,
-and the law above steers.
+A loader's waist moves its body as it turns: the axle off it by t has `s + t zeta = 0`, and `zeta_c = -s / t` moves the
+control frame exactly as asked. The waist settles where that axle leads, and folds up where it is pushed, as a hitch.
 
 Everything has its rate beside it; the second derivative of eta_c is given.
 """
@@ -36,7 +35,7 @@ from .rolling import AXLE, MASTER, PIVOT, STEERED, TURN, Maps, Rolling, heading_
 
 
 class Asked(NamedTuple):
-    """Speeds that a wheel is asked for, across and along it, their rates, and the rates of these [m/s, m/s^2, m/s^3]."""
+    """Speeds asked of a wheel, across and along it, their rates, and the rates of these [m/s, m/s^2, m/s^3]."""
 
     s: float
     f: float
@@ -163,8 +162,8 @@ def turned_wheel(
     zeta, zetadot = 0.0, 0.0
     if below > 0.0:
         zeta, zetadot = top / below, (topdot - top * size2dot / below) / below
-    trail = heading_of(rolling, k, angles)[2]
-    if numbers.waist and a.f * trail < 0.0:
+    if numbers.waist:
+        trail = heading_of(rolling, k, angles)[2]
         zeta, zetadot = -a.s / trail, -a.sdot / trail
     most, least = min(p[PIVOT.rate], 2.0 * K * (high - now)), max(-p[PIVOT.rate], 2.0 * K * (low - now))
     if zeta > most:

@@ -11,17 +11,12 @@ call it a cascade). Then `gammadot = (v sin gamma + w (h + L cos gamma)) / h`, (
 in reverse with h > 0 (forward with h < 0) and folds up the other way. A hitch on the axle (h = 0) has no J^-1.
 
 A chain of trailers is `towed` along the chain, the law of the last one, and `towing` back.
-
-A loader is two bodies of this kind, and its waist a hitch that a motor turns: it turns as it would without one
-(`swung`), so that the axle that leads moves exactly as its law asks. An axle ahead of the hitch has L < 0.
 """
 
 from __future__ import annotations
 
-import math
-
 from ...compiled import compiled
-from ...elementary import atan2, cos_sin
+from ...elementary import cos_sin
 from ...signals import Array
 
 
@@ -75,42 +70,3 @@ def towing(hitch: Array, gamma: float, velocity: Array, alpha: Array, alphadot: 
     alpha[0], alpha[1] = c * v - L * s * w, -(s * v + L * c * w) / h
     alphadot[0] = c * vdot - L * s * wdot - turning * (s * v + L * c * w)
     alphadot[1] = -(s * vdot + L * c * wdot + turning * (c * v - L * s * w)) / h
-
-
-@compiled
-def swung(hitch: Array, gamma: float, rate: float, alpha: Array, alphadot: Array) -> tuple[float, float]:
-    """Rate at which a hitch turns while its truck moves as commanded, and its derivative.
-
-    Args:
-        hitch: (2,) h, L [m].
-        gamma: The trailer's heading less the truck's [rad].
-        rate: Its measured rate [rad/s].
-        alpha: (2,) the truck's command [m/s, rad/s].
-        alphadot: (2,) its derivative [m/s^2, rad/s^2].
-
-    Returns:
-        The rate [rad/s] and its derivative [rad/s^2].
-    """
-    (c, s), h, L = cos_sin(gamma), hitch[0], hitch[1]
-    v, w, vdot, wdot = alpha[0], alpha[1], alphadot[0], alphadot[1]
-    turned = s * vdot + (h * c + L) * wdot + rate * (c * v - h * s * w)
-    return -(s * v + (h * c + L) * w) / L, -turned / L
-
-
-def hitch_on_circle(hitch: Array, curvature: float) -> float:
-    """Angle of a trailer while the truck drives a circle: `sin gamma + curvature (h cos gamma + L) = 0`.
-
-    Forward it settles there. In reverse it leaves it: on the truck's tightest circle its size is the largest angle from
-    which backing still gets straight; beyond, the trailer folds up however the truck steers.
-
-    Args:
-        hitch: (2,) h, L [m].
-        curvature: Of the path of the truck's axle, to the left [1/m].
-
-    Returns:
-        The angle [rad]; nan where the circle is too tight for it: forward the trailer goes on turning, in reverse a
-        truck that can steer so gets it straight from every angle.
-    """
-    h, L = hitch[0], hitch[1]
-    rest = 1.0 + curvature * curvature * (h * h - L * L)
-    return math.nan if rest < 0.0 else -atan2(curvature * h, 1.0) - atan2(curvature * L, math.sqrt(rest))

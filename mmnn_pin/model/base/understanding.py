@@ -75,7 +75,7 @@ from .report import (
     welded_note,
 )
 from .skid_steer import Tracked
-from .steering import behind_drive, says_steered, steered_base
+from .steering import behind_drive, pivots_above, says_steered, steered_base
 from .wheels import (
     COAXIAL,
     LUMPY,
@@ -86,6 +86,7 @@ from .wheels import (
     Candidate,
     Candidates,
     alike_on_root,
+    called_wheels,
     coaxial,
     is_endless_end,
     is_low,
@@ -187,7 +188,7 @@ def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
 def chosen(rest: AtRest, candidates: Candidates, named: list[Candidate], overrides: Overrides) -> BaseResult:
     """The base as the user says, else as geometry and evidence have it."""
     if overrides.base == "fixed":
-        return BaseResult(parked([*candidates.wheels, *candidates.near_misses, *candidates.limited]))
+        return BaseResult(parked(rest, [*candidates.wheels, *candidates.near_misses, *candidates.limited]))
     if overrides.wheels is not None and not says_steered(overrides):
         return declared(rest, named, [*candidates.wheels, *candidates.limited], overrides)
     if overrides.base == "holonomic" and not plain(candidates.wheels):
@@ -289,11 +290,12 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseRe
     if not candidates.wheels:
         return without_wheels(rest, overrides, candidates.floor)
     refuse_legs(rest, candidates.wheels)
+    if overrides.base == "holonomic":
+        steers = any(c.mount == "steering" for c in candidates.wheels)
+        return pushed(rest, candidates) if steers else on_plain(rest, candidates, overrides)
     found = steered_base(rest, candidates, overrides)
     if found is None:
         return on_plain(rest, candidates, overrides)
-    if overrides.base == "holonomic":
-        return pushed(rest, candidates)
     if isinstance(found, BaseResult):
         return found
     return behind_drive(rest, on_plain(rest, found.without_trailers(candidates), found.said(overrides)), found)
@@ -402,11 +404,12 @@ def driven_pair(rest: AtRest, drives: list[Candidate]) -> tuple[list[Candidate],
     return powered, [note(rest, "base-driven", powered[0].joint.name, text, why)]
 
 
-def parked(wheels: list[Candidate]) -> Base:
+def parked(rest: AtRest, wheels: list[Candidate]) -> Base:
     """A base that stands still whatever it has."""
     casters = tuple(c.joint.name for c in wheels if c.mount == "swivel")
-    names = (name for c in wheels for name in (c.joint.name, *c.rollers))
-    return Fixed(parked=tuple(name for name in names if name not in casters), casters=casters)
+    pivots = [pivots_above(rest, c.joint, wheels)[:1] for c in wheels]
+    names = [name for c in wheels for name in (c.joint.name, *c.rollers)] + [j.name for up in pivots for j in up]
+    return Fixed(parked=tuple(dict.fromkeys(name for name in names if name not in casters)), casters=casters)
 
 
 def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResult:
@@ -437,6 +440,10 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         why = "no joint turns without end about a horizontal axis with something round on the floor"
         yours = BaseReading(overrides.base, ("you said so",), (why,))
         raise undecided(rest, [], [yours], why, f"name them with --wheels if they turn in this file, or {UNDRIVEN}")
+    if len(called := called_wheels(rest)) >= ROUND_ABOUT:
+        why = "joints that turn without end are called wheels, and none is found on the floor"
+        still = BaseReading("fixed", ("no wheel is found on the floor",), (why,))
+        raise undecided(rest, called, [still], why, FORCES)
     text = "nothing in this file could be a wheel: taken as an arm on a stand"
     fix = "--base holonomic if it stands on a base whose wheels the file leaves out"
     return BaseResult(Fixed(), (note(rest, "base-none", "", text, fix=fix),))

@@ -296,6 +296,8 @@ def round_joint(rest: AtRest, joint: Joint) -> Candidate | None:
     if not joint.turns_freely or TILTED < abs(rest.axis(joint)[2]) < VERTICAL:
         return None
     carried = rest.document.moving_children(joint.child)
+    if rest.is_vertical(joint) and on_hitch(rest, carried):
+        return None
     rollers = tuple(j.name for j in carried if is_roller(rest, j))
     if len(rollers) != len(carried) or (
         0 < len(rollers) < ROLLERS and not all(is_tyre(rest, j, joint) for j in carried)
@@ -304,6 +306,12 @@ def round_joint(rest: AtRest, joint: Joint) -> Candidate | None:
     candidate = wheel_of(rest, joint, rollers)
     mount, trail = hangs_on(rest, joint, candidate)
     return replace(candidate, mount=mount, trail=trail, rollers=rollers)
+
+
+def on_hitch(rest: AtRest, carried: list[Joint]) -> bool:
+    """Whether joints on one about a vertical axis are wheels of a trailer: they roll one way, and rollers all ways."""
+    axes = [rest.axis(joint) for joint in carried]
+    return len(axes) >= 2 and all(abs(axes[0] @ axis) > VERTICAL and abs(axis[2]) <= HORIZONTAL for axis in axes)
 
 
 def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candidate:
@@ -549,7 +557,7 @@ def welded_wheels(rest: AtRest, floor: float) -> list[Joint]:
 
 
 def written_to_turn(rest: AtRest, welded: list[Joint]) -> str:
-    """What is to be written in a file for welded wheels to turn, and what steers them: joints with a vertical axis."""
+    """The edit of a file by which welded wheels turn, and what steers them: joints with a vertical axis."""
     names = list[str]()
     axes = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
     for wheel in welded:
@@ -561,6 +569,12 @@ def written_to_turn(rest: AtRest, welded: list[Joint]) -> str:
         names += [j.name for j in pivots[:1] if j.child != wheel.parent or len(above) > 1 or j is above[0]]
     joined = ", ".join(f"'{name}'" for name in dict.fromkeys([*names, *(joint.name for joint in welded)]))
     return f'write type="continuous" in {joined} if they turn'
+
+
+def called_wheels(rest: AtRest) -> list[Candidate]:
+    """Joints that turn without end about level axes, carry nothing and are called wheels: names make the loader ask."""
+    ends = [j for j in rest.document.joints.values() if is_endless_end(rest, j) and rest.is_horizontal(j)]
+    return [wheel_of(rest, j) for j in ends if WHEEL_NAMES.search(f"{j.name} {j.child}")]
 
 
 def welded_by_name(rest: AtRest) -> list[Joint]:

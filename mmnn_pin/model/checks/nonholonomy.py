@@ -1,7 +1,7 @@
 """Can the wheels' constraint be integrated? The Frobenius test, on the pose and with the wheel angles.
 
-The motions that the wheels permit are `xdot = sum_i f_i(x) u_i` with one vector field per base velocity. The Lie
-bracket
+The motions that the wheels permit are `xdot = sum_i f_i(x) u_i` with one vector field per base velocity. Of a base that
+steers x is its *posture*: the pose and the angles of steering joints, casters and hitches. The Lie bracket
 
     [f, g] = (dg/dx) f - (df/dx) g
 
@@ -18,9 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...signals import Array
+from ..base.rolling import FOLLOWER, ROLES
+from ..base.steered import SteeredBase
 from ..robot import Robot
 
 VectorField = Callable[[Array], Array]
+NEAR = 0.8  # angles at which ranks of a base that steers are taken [rad]
 STEP = 0.01  # of the derivatives, [rad, m]; fourth order, so nested brackets keep more than eight digits
 RANK_TOLERANCE = 1e-6  # singular values below this times the largest count as zero, the given fields having unit length
 WEIGHTS = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))  # fourth-order central difference
@@ -54,14 +57,16 @@ class Nonholonomy:
     """The Frobenius test of a base.
 
     Attributes:
-        pose: On the pose (x, y, phi); None for a fixed arm.
-        with_wheels: On the pose and the angles of the drive wheels; None without wheels.
-        verdict: In words, about the pose.
+        pose: On the pose (x, y, phi), of a base that steers on its posture; None for a fixed arm.
+        with_wheels: On the pose and the angles of the drive wheels; None without wheels, and of a base that steers.
+        verdict: In words, about the pose or the posture.
+        on: Which of the two.
     """
 
     pose: Closure | None
     with_wheels: Closure | None
     verdict: str
+    on: str = "pose"
 
 
 def nonholonomy(robot: Robot, rng: np.random.Generator | None = None, samples: int = 5) -> Nonholonomy:
@@ -75,6 +80,8 @@ def nonholonomy(robot: Robot, rng: np.random.Generator | None = None, samples: i
     if not robot.dimensions.base:
         return Nonholonomy(None, None, "fixed: there is no base, and nothing to integrate")
     rng = np.random.default_rng(0) if rng is None else rng
+    if robot.steers:
+        return steered_nonholonomy(robot, rng, samples)
     pose = involutive_closure(base_fields(robot, ()), rng.uniform(-2, 2, (samples, 3)))
     wheels = tuple(wheel.joint for wheel in robot.base.wheels)
     size = 3 + len(wheels)
@@ -82,17 +89,52 @@ def nonholonomy(robot: Robot, rng: np.random.Generator | None = None, samples: i
     return Nonholonomy(pose, turned, verdict(pose))
 
 
-def verdict(pose: Closure) -> str:
-    """The meaning of the ranks on the pose, in words."""
+def steered_nonholonomy(robot: Robot, rng: np.random.Generator, samples: int) -> Nonholonomy:
+    """Frobenius test of a base that steers, on its posture; arguments as of `nonholonomy`.
+
+    Angles are drawn within their stops, and not far from rest, where u has one direction in all of a neighbourhood.
+    """
+    base = robot.base
+    assert isinstance(base, SteeredBase)
+    places = [0, 1, 2, *(robot.rows[pivot.joint] for pivot in base.pivots if pivot.role != ROLES[FOLLOWER])]
+    low, high = np.maximum(robot.lower[places], -NEAR), np.minimum(robot.upper[places], NEAR)
+    points = np.array([rng.uniform(0.9 * low, 0.9 * high) for _ in range(samples)])
+    posture = involutive_closure(posture_fields(robot, places), points)
+    return Nonholonomy(posture, None, verdict(posture, "posture"), "posture")
+
+
+def posture_fields(robot: Robot, places: Sequence[int]) -> list[VectorField]:
+    """One field per base velocity on the control frame's pose and the angles at other places of a position.
+
+    Followers stand where their masters have them.
+    """
+    rest = robot.neutral_position()
+
+    def field(i: int) -> VectorField:
+        def at(x: Array) -> Array:
+            position = rest.copy()
+            position[places] = x
+            maps = robot.maps_at(robot.follow(position))
+            c, s = np.cos(x[2]), np.sin(x[2])
+            vx, vy, w = maps.V[0, :, i]
+            return np.concatenate(([c * vx - s * vy, s * vx + c * vy, w], maps.T[places[3:], i]))
+
+        return at
+
+    return [field(i) for i in range(robot.dimensions.base)]
+
+
+def verdict(pose: Closure, on: str = "pose") -> str:
+    """The meaning of the ranks on the pose or the posture, in words."""
     d, c = pose.distribution, pose.closure
     if d == pose.coordinates:
-        return f"holonomic: nothing constrains the pose, the base moves in all its {d} directions at once"
+        return f"holonomic: nothing constrains the {on}, the base moves in all its {d} directions at once"
     if c == d:
         return (
             f"integrable: the {d} directions of motion are involutive, so the constraint is holonomic and the base "
             f"stays on a surface of dimension {d} of {pose.coordinates}"
         )
-    reach = "every pose can be reached" if c == pose.coordinates else f"only {c} of {pose.coordinates} dimensions"
+    reach = f"every {on} can be reached" if c == pose.coordinates else f"only {c} of {pose.coordinates} dimensions"
     return f"nonholonomic: {d} directions of motion, brackets of them add {c - d}; {reach}"
 
 

@@ -18,6 +18,7 @@ from ...settings.arguments import checked
 from ...shown import AsText, shown
 from ...signals import Array
 from ..base.report import NO_FRICTION
+from ..base.steered import SteeredBase
 from ..robot import Robot, revolute
 from .nonholonomy import Nonholonomy, nonholonomy
 from .residuals import (
@@ -35,6 +36,7 @@ from .residuals import (
     largest,
     missing_constraints,
     nonlinearity,
+    overdetermined,
     rate_along,
     skewness,
     smallest_eigenvalue,
@@ -179,12 +181,15 @@ def check(
     except RobotError as error:
         skipped["forward_kinematics"] = ": ".join(filter(None, (error.what, error.why)))
     rng = np.random.default_rng(seed)
-    found = {"constraint": annihilation(terms.A, terms.T), "full_rank": independence(terms.T)}
-    found["constraint_rank"] = missing_constraints(terms.A, terms.T)
+    found: dict[str, float] = {}
     ranges: list[Array] = []
     for k in range(samples):
         position, v, nu = random_state(robot, rng)
+        terms.take(position)
         numbers = residuals_at(terms, position, v, nu)
+        if robot.steers or not k:
+            numbers |= {"constraint": annihilation(terms.A, terms.T), "full_rank": independence(terms.T)}
+            numbers["constraint_rank"] = missing_constraints(terms.A, terms.T)
         if world is not None:
             numbers["reduced_rate_world"] = world_rate_residual(world, position, nu, fastest(terms.T @ nu))
         numbers["passive"] = energy_leak(terms, position, rng)
@@ -232,8 +237,18 @@ def random_state(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array, 
     upper = np.where(free, np.minimum(upper, robot.upper), robot.upper)
     still = np.isin(robot.position_names, list(robot.arm.locked))
     lower, upper = np.where(still, rest, lower), np.where(still, rest, upper)  # a locked joint's may be swapped
-    position = robot.follow(rng.uniform(lower, upper))
+    position = agreeing(robot, robot.follow(rng.uniform(lower, upper)), rng)
     return position, rng.standard_normal(robot.dimensions.full), rng.standard_normal(robot.dimensions.dof)
+
+
+def agreeing(robot: Robot, position: Array, rng: np.random.Generator) -> Array:
+    """The position, (nv,), changed in place: where more than two masters steer, their axles meet in one place."""
+    if isinstance(base := robot.base, SteeredBase) and overdetermined(robot).size:
+        vx, vy, w = rng.standard_normal(3)
+        for pivot in (base.pivots[k] for k in base.masters):
+            path = np.arctan2(vy + pivot.x * w, vx - pivot.y * w)
+            position[robot.rows[pivot.joint]] = pivot.sign * (path - pivot.wheel[2])
+    return position
 
 
 def unlimited(robot: Robot) -> Array:
@@ -250,7 +265,7 @@ def residuals_at(terms: FullTerms, position: Array, v: Array, nu: Array) -> dict
     M, C = terms.mass(q), terms.coriolis(q, v)
     Mdot = rate_along(terms.mass, model, q, v, speed)
     arm = robot.arm_index
-    carried = robot.T.any(axis=1) | (np.arange(len(M)) < robot.dimensions.pose)  # what is locked may have no mass
+    carried = terms.T.any(axis=1) | (np.arange(len(M)) < robot.dimensions.pose)  # what is locked may have no mass
     base = np.setdiff1d(np.flatnonzero(carried | (np.diag(M) > 0)), arm)
     numbers = {
         "symmetric": asymmetry(M),

@@ -14,12 +14,16 @@ import numpy as np
 import pinocchio as pin
 
 from ...signals import Array, IntArray
+from ..base.rolling import new_maps, roll
+from ..base.steered import SteeredBase
 from ..reduction import COULOMB_SPEED
 from ..robot import Robot
 
 EXACT = 1e-9  # of residuals of algebra
 DEFINITE = 1e-12  # least eigenvalue of a mass matrix with ones on its diagonal
 STEP = 1e-3  # of differences along a motion, times its largest rate
+TURNING = 4.0  # rate of a caster that 24 nodes over half a second are enough for [rad/s]
+ROLLED = 2e-3  # longest step of an integration [s]
 STENCIL = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))  # fourth-order central difference
 
 
@@ -30,11 +34,37 @@ class FullTerms:
 
     Args:
         robot: The robot.
+
+    Attributes:
+        T: (nv, p) as at the place last taken.
+        A: Constraint rows there.
     """
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.model, self.data = robot, robot.model, robot.model.createData()
-        self.T, self.A = robot.T, robot.A
+        self.maps = new_maps(robot.rolling, robot.template)
+        self.T, self.A = robot.T_at(robot.rest), robot.A_at(robot.rest)
+
+    def take(self, position: Array) -> None:
+        """Take a place, (nv,): T and A of a base that steers are of there, and u keeps its sign from there on."""
+        if self.robot.steers:
+            self.maps.n[:] = 0.0
+            self.T, self.A = self.motions(position, np.zeros(self.robot.dimensions.dof))[0], self.robot.A_at(position)
+
+    def motions(self, position: Array, nu: Array) -> tuple[Array, Array]:
+        """T, (nv, p), and its rate under nu (p,), at a position (nv,) of which only pivots matter."""
+        if self.robot.rolling is None:
+            return self.T, np.zeros_like(self.T)
+        roll(self.robot.rolling, position, nu, self.maps)
+        return self.maps.T.copy(), self.maps.Tdot.copy()
+
+    def motions_at(self, q: Array, nu: Array) -> tuple[Array, Array]:
+        """Likewise at Pinocchio's q."""
+        robot, position = self.robot, self.robot.rest.copy()
+        for place in robot.shape_index:
+            i = robot.q_index[place]
+            position[place] = np.arctan2(q[i + 1], q[i]) if robot.is_continuous[place] else q[i]
+        return self.motions(position, nu)
 
     def mass(self, q: Array) -> Array:
         """Mass matrix M of the full model at Pinocchio's q, (nv, nv)."""
@@ -52,18 +82,26 @@ class FullTerms:
         """Potential energy [J]."""
         return float(pin.computePotentialEnergy(self.model, self.data, q))
 
-    def friction(self, nu: Array) -> Array:
+    def friction(self, q: Array, nu: Array) -> Array:
         """Friction of joints and base on nu, (p,), opposing the motion."""
-        robot, v = self.robot, self.T @ nu
-        return self.T.T @ (robot.damping * v + robot.dry_friction(v) * np.tanh(v / COULOMB_SPEED)) + robot.viscous * nu
+        robot, T = self.robot, self.motions_at(q, nu)[0]
+        v = T @ nu
+        return T.T @ (robot.damping * v + robot.dry_friction(v) * np.tanh(v / COULOMB_SPEED)) + robot.viscous * nu
 
     def reduced_mass(self, q: Array) -> Array:
         """Mbar = T' M T, (p, p)."""
-        return self.T.T @ self.mass(q) @ self.T
+        T, _ = self.motions_at(q, np.zeros(self.robot.dimensions.dof))
+        return T.T @ self.mass(q) @ T
 
     def reduced_coriolis(self, q: Array, nu: Array) -> Array:
-        """Cbar = T' C T, (p, p); T is constant in body velocities."""
-        return self.T.T @ self.coriolis(q, self.T @ nu) @ self.T
+        """Cbar = T' (C T + M Tdot), (p, p); where nothing steers, T is constant in body velocities."""
+        T, Tdot = self.motions_at(q, nu)
+        reduced = T.T @ self.coriolis(q, T @ nu) @ T
+        return reduced + T.T @ self.mass(q) @ Tdot if self.robot.steers else reduced
+
+    def reduced_gravity(self, q: Array) -> Array:
+        """Gravity on nu, (p,)."""
+        return self.motions_at(q, np.zeros(self.robot.dimensions.dof))[0].T @ self.gravity(q)
 
 
 # -- of matrices -------------------------------------------------------------------------------------------------------
@@ -172,43 +210,84 @@ class SineMotion:
         """Integral of the velocities from 0 to t."""
         return self.a / self.b * (np.cos(self.c) - np.cos(self.b * t + self.c))
 
+    def without(self, places: IntArray) -> SineMotion:
+        """The motion with some velocities at 0."""
+        a = self.a.copy()
+        a[places] = 0.0
+        return SineMotion(a, self.b, self.c)
+
 
 def energy_leak(terms: FullTerms, position: Array, rng: np.random.Generator, nodes: int = 24) -> float:
     """Passivity: energy gained along a random motion, minus the work of the torques and the loss by friction.
 
-    The motion is a sum of sines over half a second, the torque the one that drives it, `tau = Mbar nudot + Cbar nu +
-    gravity + friction` (2.23), the work its integral by Gauss-Legendre. Friction that feeds energy counts as a leak.
-    The residual is divided by the sum of the magnitudes of all powers, integrated.
+    The motion is a sum of sines over half a second, shorter where casters whirl, the torque the one that drives it,
+    `tau = Mbar nudot + Cbar nu + gravity + friction` (2.23), the work its integral by Gauss-Legendre. Friction that
+    feeds energy counts as a leak. The residual is divided by the sum of the magnitudes of all powers, integrated.
     """
     x, w = np.polynomial.legendre.leggauss(nodes)
-    duration = 0.5
-    motion = SineMotion.random(terms.robot.dimensions.dof, rng)
+    motion = SineMotion.random(terms.robot.dimensions.dof, rng).without(overdetermined(terms.robot))
+    swing = abs(terms.T[terms.robot.shape_index]) @ abs(motion.a)
+    duration = 0.5 / max(1.0, swing.max(initial=0.0) / TURNING)
     net, total, fed = 0.0, 0.0, 0.0
-    for t, weight in zip((1 + x) * duration / 2, w * duration / 2, strict=True):
+    times = (1 + x) * duration / 2
+    *along, last = configurations_along(terms, position, motion, np.append(times, duration))
+    for q, t, weight in zip(along, times, w * duration / 2, strict=True):
         nu, nudot = motion.nu(t), motion.nudot(t)
-        q = configuration_along(terms, position, motion, t)
-        friction = float(nu @ terms.friction(nu))
+        friction = float(nu @ terms.friction(q, nu))
         conservative = (
             float(nu @ terms.reduced_mass(q) @ nudot),
             float(nu @ terms.reduced_coriolis(q, nu) @ nu),
-            float(nu @ (terms.T.T @ terms.gravity(q))),
+            float(nu @ terms.reduced_gravity(q)),
         )
         net += weight * sum(conservative)
         fed += weight * max(0.0, -friction)
         total += weight * (sum(map(abs, conservative)) + abs(friction))
-    gained = energy_at(terms, position, motion, duration) - energy_at(terms, position, motion, 0.0)
+    first = terms.robot.configuration(position)
+    gained = energy_at(terms, last, motion.nu(duration)) - energy_at(terms, first, motion.nu(0.0))
     return (abs(gained - net) + fed) / max(total, np.finfo(float).tiny)
 
 
-def configuration_along(terms: FullTerms, position: Array, motion: SineMotion, t: float) -> Array:
-    """Pinocchio's q after a time of a motion; the base stays at its place, on which no energy depends, and turns."""
-    root = terms.robot.dimensions.pose
-    travel = terms.T @ motion.travel(t)
-    travel[: max(0, root - 1)] = 0.0
-    return terms.robot.configuration(position + travel)
+def configurations_along(terms: FullTerms, position: Array, motion: SineMotion, times: Array) -> list[Array]:
+    """Pinocchio's q at times of a motion; the base stays at its place, on which no energy depends, and turns.
+
+    Where nothing steers, joints are integrals of sines; else they are integrated by steps of `ROLLED`.
+    """
+    robot, found, now = terms.robot, list[Array](), 0.0
+    still = np.arange(max(0, robot.dimensions.pose - 1))
+    for t in times:
+        if robot.steers:
+            steps = int(np.ceil((t - now) / ROLLED))
+            for k in range(steps):
+                position = rolled(terms, position, motion, now + k * (t - now) / steps, (t - now) / steps)
+            now, there = t, position.copy()
+        else:
+            there = position + terms.T @ motion.travel(t)
+        there[still] = position[still]
+        found.append(robot.configuration(there))
+    return found
 
 
-def energy_at(terms: FullTerms, position: Array, motion: SineMotion, t: float) -> float:
-    """Kinetic and potential energy after a time of a motion [J]."""
-    q, nu = configuration_along(terms, position, motion, t), motion.nu(t)
+def rolled(terms: FullTerms, position: Array, motion: SineMotion, t: float, h: float) -> Array:
+    """The position (nv,) a step of the classical Runge-Kutta method later."""
+
+    def rate(there: Array, then: float) -> Array:
+        nu = motion.nu(then)
+        return terms.motions(there, nu)[0] @ nu
+
+    k1 = rate(position, t)
+    k2 = rate(position + h / 2 * k1, t + h / 2)
+    k3 = rate(position + h / 2 * k2, t + h / 2)
+    return np.asarray(position + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(position + h * k3, t + h)))
+
+
+def overdetermined(robot: Robot) -> IntArray:
+    """Steering rates of which not each may be anything, as all wheels steer and more than two: places in nu."""
+    base, nb = robot.base, robot.dimensions.base
+    if not isinstance(base, SteeredBase) or not base.sideways or len(base.masters) <= 2:
+        return np.zeros(0, np.int64)
+    return np.arange(nb - len(base.masters), nb)
+
+
+def energy_at(terms: FullTerms, q: Array, nu: Array) -> float:
+    """Kinetic and potential energy [J]."""
     return float(nu @ terms.reduced_mass(q) @ nu) / 2 + terms.potential(q)

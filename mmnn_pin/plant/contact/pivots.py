@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...elementary import cos_sin
-from ...model.base.rolling import FOLLOWER, MASTER, TURN, closed, new_maps, roll
+from ...model.base.rolling import FOLLOWER, MASTER, TURN, followed, new_maps, roll
 from ...model.base.steered import SteeredBase
 from ...model.reduction import solve
 from ...model.robot import Robot
@@ -99,10 +99,10 @@ class Pivots:
         if not self.ties:
             return
         places, T, master = self.robot.shape_index, self.maps.T, self.rolling.turns[self.master]
-        there, at = closed(self.rolling, self.position.copy()), self.position[places[self.master]]
+        at = self.position[places[self.master]]
         for k, tie in self.ties:
-            slope = T[places[k], master[TURN.column]]
-            self.model.eq_data[tie, :2] = there[places[k]] - slope * at, slope
+            slope, there = T[places[k], master[TURN.column]], followed(self.rolling, k, at, self.position[places[k]])
+            self.model.eq_data[tie, :2] = there - slope * at, slope
 
     def curve(self, data: Any) -> None:
         """Put `f'' rate^2` of every follower into what its equality is asked (`efc_aref`)."""

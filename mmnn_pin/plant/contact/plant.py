@@ -282,7 +282,7 @@ class ContactPlant:
         """Friction under every wheel, where it now is."""
         assert self.motion is not None
         robot = self.robot
-        carriers = robot.base.carriers(self.motion.pose, self.position[robot.shape_index].tolist())
+        carriers = robot.base.carriers(self.motion.pose.tolist(), self.position[robot.shape_index].tolist())
         for pair, wheel in zip(self.pairs, robot.base.wheels, strict=True):
             x, y, heading = carriers[wheel.pivot + 1]
             c, s = cos_sin(heading)

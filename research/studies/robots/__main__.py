@@ -1,6 +1,6 @@
 """Load every robot of `corpus.toml`, hold it against the truth, follow the commands that refusals print.
 
-    python -m research.studies.robots FOLDER [--only TEXT] [--csv] [--inspect] [--track]
+    python -m research.studies.robots FOLDER [--only TEXT] [--csv] [--corpus FILE] [--inspect] [--track]
 
 FOLDER has the repositories as `owner+name/`, at the commits that `corpus.toml` names, beside them the packages that
 their xacro files ask for, and in `.packages/` as `owner+name@commit/` those that are given by `--package-dir`. Robots
@@ -28,18 +28,25 @@ from typing import Any
 import click
 
 from mmnn_pin.errors import InputError
+from mmnn_pin.model.base.overrides import Overrides, folders_of
+from mmnn_pin.model.base.steered import SteeredBase
 from mmnn_pin.model.loading import load
 from mmnn_pin.model.robot import Robot
+from mmnn_pin.model.robots import find
+from mmnn_pin.model.urdf.reading import read
 from research.studies import track_any
 
 CONTROLLERS = ("pd_gravity", "adaptive", "computed_torque")  # that drive
 TOLERANCE = 0.03  # of the maker's radius and track
 WAY = re.compile(
-    r"--(base|wheels|radius|track|without|lock|xacro) ([A-Za-z0-9_,.:=-]*[A-Za-z0-9_])"
+    r"--(base|wheels|radius|track|without|lock|xacro|steer|hitch|wheelbase|steering-limit)"
+    r" ([A-Za-z0-9_,.:=-]*[A-Za-z0-9_])"
 )  # options in the fix of a refusal
 REPEATED = {"without": "without", "lock": "lock", "xacro": "xacro", "package-dir": "package_dirs"}
-READ: dict[str, Any] = {"wheels": lambda text: text.split(","), "radius": float, "track": float}
-WRITE = re.compile(r"write (<axis [^>]*/>) in ((?:'[^']*'(?:, )?)+)")  # what is to be written in a file
+LISTED = dict.fromkeys(("wheels", "steer", "hitch"), lambda text: text.split(","))
+READ: dict[str, Any] = {**LISTED, **dict.fromkeys(("radius", "track", "wheelbase", "steering-limit"), float)}
+ASKED = {"radius": "METRES", "steering-limit": "RAD"}  # what a refusal asks for: the maker's, as if measured
+WRITE = re.compile(r"write (<axis [^>]*/>|type=\"continuous\") in ((?:'[^']*'(?:, )?)+)")  # in a file
 
 
 @dataclass(frozen=True)
@@ -79,8 +86,9 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
             if entry["kind"].startswith("refused: ") and entry["kind"].removeprefix("refused: ") in told.lower():
                 return Outcome("refused rightly", told, " ".join(followed), took)
             options = packages_of(entry, folder, error.fix, said) or way_out(entry, error.fix, said)
-            if not options and (edit := WRITE.search(error.fix)):
-                path, said["package_dirs"] = written(Path(path), *edit.groups()), (str(Path(path).parent),)
+            if not options and not entry["kind"].startswith("refused: ") and (edit := WRITE.search(error.fix)):
+                path, said["package_dirs"] = written(path, said, *edit.groups()), folders_above(path, said)
+                said |= {"xacro": (), "without": ()}  # it is expanded
                 followed.append(edit[0])
                 continue
         else:
@@ -99,7 +107,8 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
         followed += [f"--{name} {text.removeprefix(f'{folder}/.packages/')}" for name, text in options]
         for name, text in options:
             key = REPEATED.get(name)
-            said[key or name] = (*said.get(key, ()), text) if key else READ.get(name, str)(text)
+            plain = (key or name).replace("-", "_")
+            said[plain] = (*said.get(key, ()), text) if key else READ.get(name, str)(text)
     return Outcome("refused", told, " ".join(followed), took)
 
 
@@ -111,35 +120,45 @@ def packages_of(entry: dict[str, Any], folder: Path, fix: str, said: dict[str, A
     return [("package-dir", str(place)) for place in places if place.exists()]
 
 
-def written(path: Path, text: str, joints: str) -> Path:
-    """A copy of a file with an element written into some joints, as a refusal asks for."""
-    content = path.read_text()
+def folders_above(path: str | Path, said: dict[str, Any]) -> tuple[str, ...]:
+    """Folders in which a copy of a file elsewhere finds the packages that the file finds."""
+    file = find(path).absolute()
+    return (*said.get("package_dirs", ()), *map(str, file.parents[:-2]), *map(str, folders_of(file, Overrides())))
+
+
+def written(path: str | Path, said: dict[str, Any], text: str, joints: str) -> Path:
+    """A copy of a file, expanded, with an element or a type written into some joints, as a refusal asks for."""
+    file, overrides = find(path), Overrides(**{k: v for k, v in said.items() if k in REPEATED.values()})
+    content = read(file, False, folders_of(file, overrides), overrides.xacro, overrides.without).text
     for name in re.findall(r"'([^']*)'", joints):
-        content, count = re.subn(rf'(<joint\b[^>]*name="{re.escape(name)}"[^>]*>)', rf"\1{text}", content)
-        assert count == 1, name
-    copy = Path(tempfile.mkdtemp()) / path.name
+        tag = re.compile(rf'<joint\b[^>]*\bname="{re.escape(name)}"[^>]*>')
+        head = next(hit[0] for hit in tag.finditer(content) if " type=" in hit[0])
+        new = head + text if text.startswith("<") else re.sub(r' type="\w+"', f" {text}", head)
+        content = content.replace(head, new, 1)
+    copy = Path(tempfile.mkdtemp()) / f"{file.name.partition('.')[0]}.urdf"
     copy.write_text(content)
     return copy
 
 
 def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> list[tuple[str, str]]:
-    """The options of a refusal that suit the truth; a radius that it asks for is the maker's, as if measured."""
-    kind, asked = entry["kind"], "--radius" in fix and "radius" in entry and "radius" not in said
-    ways = re.split("; |, | or ", fix.replace("--radius METRES", f"--radius {entry['radius']}") if asked else fix)
-    if asked and not any("--wheels" in way and "--radius" in way for way in ways):
-        return [("radius", str(entry["radius"]))]
-    for way in sorted(ways, key=lambda way: asked and "--radius" not in way):
+    """The options of a refusal that suit the truth; a number that it asks for is the maker's, as if measured."""
+    kind, asked = entry["kind"], ""
+    for name, unit in ASKED.items():
+        key = name.replace("-", "_")
+        if f"--{name}" in fix and key in entry and key not in said:
+            fix, asked = fix.replace(f"--{name} {unit}", f"--{name} {entry[key]}"), asked or name
+    ways = re.split("; |, | or ", fix)
+    if asked and not any("--wheels" in way and f"--{asked}" in way for way in ways):
+        return [(asked, str(entry[asked.replace("-", "_")]))]
+    for way in sorted(ways, key=lambda way: bool(asked) and f"--{asked}" not in way):
         options = WAY.findall(way)
         stated = dict(options)
         fits = kind.startswith("refused: ") or stated.get("base", kind) == kind
-        fits &= {*stated.get("wheels", "").split(",")} == {*entry.get("wheels", stated.get("wheels", "").split(","))}
+        wheels = stated.get("wheels", "").split(",")
+        fits &= {*wheels} == {*entry.get("wheels", wheels)} or stated.keys() == {"without"}
         ends = kind.startswith("refused: ") and {"base", "wheels"} & stated.keys()
-        if (
-            options
-            and fits
-            and not ends
-            and not re.search(r"\b(METRES|FOLDER|VALUE|JOINT)\b", " ".join(stated.values()))
-        ):
+        named = not re.search(r"\b(METRES|FOLDER|VALUE|JOINT|RAD|KIND)\b", " ".join(stated.values()))
+        if options and fits and not ends and named:
             return options
     return []
 
@@ -169,21 +188,31 @@ def faults(entry: dict[str, Any], robot: Robot) -> list[str]:
         for value in values[:1] if name in entry else ():
             if abs(value / entry[name] - 1) > TOLERANCE and f"{entry[name]:.4g}" not in told:
                 found.append(f"{name} {value:.4g} m for {entry[name]:.4g} m")
+    pivots = {pivot.joint for pivot in base.pivots} if isinstance(base, SteeredBase) else set()
+    if pivots and pivots != {*entry.get("steering", pivots)}:
+        found.append(f"steering {', '.join(sorted(pivots))} for {', '.join(entry['steering'])}")
+    if "wheelbase" in entry and isinstance(base, SteeredBase) and abs(base.length / entry["wheelbase"] - 1) > TOLERANCE:
+        found.append(f"wheelbase {base.length:.4g} m for {entry['wheelbase']:.4g} m")
     if robot.dimensions.arm != entry.get("arm", robot.dimensions.arm):
         found.append(f"{robot.dimensions.arm} joints of the arm for {entry['arm']}: {', '.join(robot.joint_names)}")
     return found
 
 
 def words(robot: Robot) -> str:
-    """A robot in a few words: base, radius and track [m], how many joints its arm has."""
+    """A robot in a few words: base, radius and track [m], how many joints its arm has; pivots of a base that steers."""
     base = robot.base
+    if isinstance(base, SteeredBase):
+        size = f", wheelbase {base.length:.4g}" if base.masters and not base.sideways else ""
+        return f"{base.kind}{size}, {len(base.pivots)} pivots, {len(base.wheels)} wheels, {robot.dimensions.arm} joints"
     lengths = f"{base.wheels[0].radius:.4g}, {base.track:.4g}" if base.wheels else "no wheels"
     return f"{base.kind}, {lengths}, {robot.dimensions.arm} joints"
 
 
 def row_of(entry: dict[str, Any], outcome: Outcome) -> list[str]:
     """A row of docs/reference/public-robots.csv: robot, repository, truth, outcome."""
-    truth = ", ".join([entry["kind"], *(f"{entry[name]:g}" for name in ("radius", "track") if name in entry)])
+    truth = ", ".join(
+        [entry["kind"], *(f"{entry[name]:g}" for name in ("radius", "track", "wheelbase") if name in entry)]
+    )
     text = outcome.text.removeprefix(f"{entry['kind']}, ") if outcome.verdict.startswith("right") else ""
     found = ": ".join(filter(None, (outcome.verdict, outcome.command, text)))
     return [entry["name"], entry.get("repository", "example-robot-data"), truth, found]
@@ -244,15 +273,17 @@ def tracked(rows: list[track_any.RobotRow]) -> str:
     is_flag=True,
     help="The rows of docs/reference/public-robots.csv; with --track of public-robots-track.csv.",
 )
+@click.option("--corpus", default="corpus.toml", help="File of truths beside this one: steered.toml has fresh ones.")
 @click.option("--inspect", is_flag=True, help="Time `mmnn inspect` on every robot that is accepted.")
 @click.option("--track", is_flag=True, help="Drive the experiment `track` with every robot that is accepted.")
-def main(folder: Path, only: str, as_csv: bool, inspect: bool, track: bool) -> None:
+def main(folder: Path, only: str, as_csv: bool, corpus: str, inspect: bool, track: bool) -> None:
     """Hold all robots of the corpus against the truth."""
-    entries = tomllib.loads((Path(__file__).parent / "corpus.toml").read_text())["robot"]
+    entries = tomllib.loads((Path(__file__).parent / corpus).read_text())["robot"]
     counts, rows, times = dict[str, int](), list[track_any.RobotRow | None](), dict[str, float]()
     for entry in entries:
         if only.lower() not in entry["name"].lower():
             continue
+        os.environ.update(entry.get("env", {}))
         outcome = judge(entry, folder)
         counts[outcome.verdict] = counts.get(outcome.verdict, 0) + 1
         if inspect and outcome.verdict.startswith("right"):

@@ -82,7 +82,9 @@ def test_the_forearm_is_where_pinocchio_has_it(thesis: Opened) -> None:
     assert np.hypot(*np.subtract(*middles)) > 40  # pixels
 
 
-@pytest.mark.parametrize("robot", [load("platform_arm"), mobile_arm()], ids=["thesis", "any axes"])
+@pytest.mark.parametrize(
+    "robot", [load("platform_arm"), mobile_arm(), load("truck_trailer_arm")], ids=["thesis", "any axes", "steers"]
+)
 def test_bodies_are_where_pinocchio_has_them(chromium: Any, tmp_path: Path, robot: Any) -> None:
     recording = recorded(robot, duration=1.0)
     file = page({"run": recording}).save(tmp_path / "page.html")

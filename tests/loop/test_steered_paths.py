@@ -1,0 +1,54 @@
+"""Bases that steer along their own kinds of paths, in the closed loop: parking, reverse, a heading free of the path."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mmnn_pin import Loop, Timing, load
+from mmnn_pin.errors import TrajectoryError
+from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.recording.recording import Recording
+from mmnn_pin.reference import Eight, HolonomicPath, Parking, Sine, Trajectory
+from mmnn_pin.reference.path import BasePath
+from mmnn_pin.reference.steerable import curvatures
+from mmnn_pin.torque.model_based import ComputedTorque
+
+GAINS = Kinematic(kx=3.0, ky=16.0, kth=8.0, holonomic=(3.0, 3.0, 3.0))
+
+
+def driven(name: str, path: BasePath, duration: float) -> Recording:
+    robot = load(name)
+    timing = Timing(duration=duration, control_period=0.002, plant_step=0.002, integrator="implicit_friction")
+    run = Loop(robot, Trajectory.of(robot, path), ComputedTorque(), kinematic=GAINS, timing=timing).run()
+    assert run.outcome.status == "completed"
+    for pivot in robot.base.pivots:
+        place = robot.full_velocity_names.index(pivot.joint)
+        assert np.all((run["position"][:, place] > pivot.lower) & (run["position"][:, place] < pivot.upper))
+    return run
+
+
+def errors(run: Recording) -> np.ndarray:
+    return np.hypot(*run["true_pose_error"][:, :2].T)
+
+
+def test_a_car_parks_in_three_strokes():
+    path = Parking(-1.2, 1.02 / curvatures(load("car_arm").base)[1], 0.4, strokes=3)
+    run = driven("car_arm", path, round(path.duration + 0.5, 1))
+    assert errors(run).max() < 2e-3
+    assert run["pose"][-1] == pytest.approx((-path.room, -1.2, 0.0), abs=2e-3)
+
+
+def test_a_car_drives_an_eight_in_reverse():
+    assert errors(driven("car_arm", Eight(10.0, 5.0, -30.0, ramp=2.0), 8.0)).max() < 1e-3
+
+
+def test_a_swerve_drive_turns_along_an_eight():
+    path = HolonomicPath(Eight(3.0, 1.5, 20.0, ramp=2.0), Sine(0.8, 16.0))
+    run = driven("swerve_arm", path, 8.0)
+    assert errors(run)[1000:].max() < 2e-3 and np.ptp(run["pose"][:, 2]) > 0.7
+
+
+def test_a_path_that_is_too_tight_moves_nothing():
+    with pytest.raises(TrajectoryError, match=r"the path bends by .* times as large"):
+        driven("car_arm", Eight(3.0, 1.5, 20.0, ramp=2.0), 10.0)
