@@ -94,6 +94,8 @@ class Command(NamedTuple):
         motor_effort: (motors,) the same at the motors, drive wheels from left to right, then the arm [N m or N].
         motor_velocity: (motors,) likewise [rad/s or m/s].
         motor_position: (motors,) likewise; a wheel that follows another's steering is asked for its angle [rad or m].
+        twist: (twist,) the base's velocity, for a controller of the robot's own [m/s, rad/s]: where the base steers,
+            what its wheels are steered for, and as fast as they are driven.
     """
 
     effort: Array
@@ -102,6 +104,7 @@ class Command(NamedTuple):
     motor_effort: Array
     motor_velocity: Array
     motor_position: Array
+    twist: Array
 
 
 @by_address

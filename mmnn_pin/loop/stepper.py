@@ -48,7 +48,7 @@ from .loop import Loop
 from .new_hardware import new_hardware
 from .sample import Control
 from .sampled import delay_margin
-from .servo import Command, Servo, interfaces_of, limit_commands, movers, own_velocities
+from .servo import Command, Servo, Split, interfaces_of, limit_commands, movers, own_velocities
 from .setup import KNOWN, StepperSetup, facts_of, plan_outside
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited
@@ -56,6 +56,7 @@ from .suited_safety import suited_safety
 
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
 SLOW = 1.5  # times its period that a stepper's samples are apart when it is said
+TINY = 1e-9  # a velocity that is none [m/s, rad/s]
 MOST_TOLD = 20  # trips that a recording tells of
 
 
@@ -197,7 +198,8 @@ class Stepper:
         self.received = row[layout.where("pose").start : layout.where("shape").stop]  # all of `measured`, in one piece
         self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
         self.torque, self.motor_torque = row[layout.where("torque")], row[layout.where("motor_torque")]
-        self.command = Command._make(np.full(size, np.nan) for size in [layout.dof] * 3 + [layout.motors] * 3)
+        sizes = [layout.dof] * 3 + [layout.motors] * 3 + [layout.twist]
+        self.command = Command._make(np.full(size, np.nan) for size in sizes)
         self.seen = np.zeros(layout.pose + layout.twist + 2 * layout.arm)
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
         # Which velocities, and which motors, take a torque.
@@ -394,6 +396,12 @@ class Stepper:
         return self.setup.robot
 
     @property
+    def direction(self) -> Array:
+        """(3,) direction in which u of a base that steers is counted, `base.rolling.Maps.n`; zeros for any."""
+        steering = self.control.steering
+        return np.zeros(3) if steering is None else steering.maps.n
+
+    @property
     def tripped(self) -> bool:
         """Whether the supervisor has stopped the robot."""
         return bool(self.hardware.way.supervisor.state.tripped[0])
@@ -449,6 +457,7 @@ class Stepper:
         robot, layout, plan = setup.robot, setup.layout, plan_outside(setup)
         if self.check_gains:
             require_stable_gains(plan)
+        self.fastest = self.limits.of_base(layout)[0]
         of_base = velocity_limits(robot, self.limits.of_base(layout)[:2])
         limits = np.concatenate((of_base, self.limits.of_arm(robot)[:2]), axis=1)
         setup = replace(setup, safety=suited_safety(self.safety, plan, limits, self.limits.samples == "limited"))
@@ -475,6 +484,20 @@ class Stepper:
                 if pivot >= 0:
                     now = self.measured.shape[pivot]
                     command.motor_position[motor] = followed(self.robot.rolling, pivot, split.place[j], now)
+            if command.twist.size and self.kinds[0] == "velocity":
+                command.twist[:] = self._twist(split)
+
+    def _twist(self, split: Split) -> Array:
+        """The base's velocity of a sample, see `Command`; in a stop it brakes along the curve on which it moves."""
+        d, steering = self.robot.dimensions, self.control.steering
+        if steering is None:
+            return split.command[: d.base]
+        columns, u = self.robot.base.columns, split.command[: d.base]
+        asked = steering.later[0] + steering.later[1] / split.numbers[0, 0]
+        if self.tripped:
+            asked = product(steering.maps.V[0], u)
+        found = asked[columns]
+        return found * min(1.0, float(np.min(self.fastest / np.maximum(np.abs(found), TINY))))
 
     def _see(self) -> None:
         """The last good measurement as the follower reads it."""

@@ -70,7 +70,7 @@ class Asking:
         if self.arm.robot.dimensions.base:
             path = Path(poses=[PoseStamped() for _ in range(3)])
             path.poses[1].pose.position.x = path.poses[2].pose.position.x = path.poses[2].pose.position.y = 1.0
-            start = np.array([0.0, 1.0, 0.0]), np.ones(self.arm.robot.dimensions.base)
+            start = np.array([0.0, 1.0, 0.0]), np.ones(self.arm.robot.dimensions.twist)
             s = self.settings
             base_motion(path, s.path, s.limits, self.arm.robot, self.arm.period, start)
 

@@ -158,7 +158,7 @@ class Bridge:
             name = self.node.resolve_service_name(name)
             found.append(GraphRow("serves", name, "std_srvs/srv/Trigger", "reliable", ""))
         for output, one, _, _ in self.commands.outlets:
-            what = "" if output.is_twist else f"{output.interface} of {', '.join(output.joints)}"
+            what = "" if output.is_base else f"{output.interface} of {', '.join(output.joints)}"
             found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), what))
         if (health := self.health) is not None:
             found.append(GraphRow("publishes", health.name, type_of(health.kind), quality_of(health.publisher), ""))
@@ -224,10 +224,10 @@ class Bridge:
         d, follower = self.stepper.robot.dimensions, self.stepper.follower
         reference = follower.now[follower.q :].reshape(3, d.arm)
         arm = np.array([self.sensing.q[: d.arm], self.sensing.qdot[: d.arm]])
-        base = follower.now[: d.pose + d.base]
+        base = follower.now[: d.pose + d.twist]
         now = RobotSituation(reference, arm, base, self.sensing.pose)
         asked = self.asking.poll(self.clock, now, self.stepper.tripped)
-        measurement = self.sensing.measurement()
+        measurement = self.sensing.measurement(self.stepper.direction)
         measured = min(self.sensing.when, time) if measurement is not None else None
         try:
             command = self.stepper.step(time, measurement, asked + more or None, measured=measured)

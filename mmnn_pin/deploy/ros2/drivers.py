@@ -25,6 +25,7 @@ from ...elementary import atan2, cos_sin
 from ...errors import ConfigError
 from ...files import quoted
 from ...model.base.base import Base, Wheel
+from ...model.base.steered import CarLike, SteeredBase, Tricycle
 from ...signals import Array
 
 SAME = 1e-3  # lengths and rates that differ by less than this fraction are one
@@ -56,9 +57,9 @@ class Driver(NamedTuple):
 
 
 def driver_of(base: Base) -> Driver | None:
-    """The controller for a base, None for one that no wheels move."""
-    if not base.wheels:
-        return None
+    """The controller for a base, None for one that no wheels move, or that steers and is no car."""
+    if not base.wheels or isinstance(base, SteeredBase):
+        return {CarLike: ACKERMANN, Tricycle: TRICYCLE}.get(type(base))
     if base.two_sided:
         return DIFF_DRIVE
     return MECANUM if all(wheel.heading == 0.0 for wheel in base.wheels) else OMNI
@@ -144,6 +145,16 @@ def omni_row(t: float, reach: float) -> Array:
     return np.array([s, -c, -reach])
 
 
+def steering(base: Base, wheels: list[Wheel]) -> dict[str, Any]:
+    """Parameters of the steering controllers, whose names are others in every release.
+
+    Raises:
+        ConfigError: Always.
+    """
+    why = "the names of their parameters are others in every release"
+    raise ConfigError("parameters of steering controllers are not written", why=why, fix="write its YAML by hand")
+
+
 def one_radius(wheels: list[Wheel]) -> float:
     """The radius of all wheels [m].
 
@@ -180,3 +191,9 @@ MECANUM = Driver(
     "mecanum_drive_controller/MecanumDriveController", "reference", "odometry", "reference_timeout", mecanum
 )
 OMNI = Driver("omni_wheel_drive_controller/OmniWheelDriveController", "cmd_vel", "odom", "cmd_vel_timeout", omni)
+ACKERMANN = Driver(
+    "ackermann_steering_controller/AckermannSteeringController", "reference", "odometry", "reference_timeout", steering
+)
+TRICYCLE = Driver(
+    "tricycle_steering_controller/TricycleSteeringController", "reference", "odometry", "reference_timeout", steering
+)

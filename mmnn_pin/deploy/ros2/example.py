@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ...errors import ConfigError, printable
 from ...files import whole_folder
+from ...model.base.steered import SteeredBase
 from ...model.inspection import interfaces_of
 from ...model.robot import Robot
 from .drivers import DIFF_DRIVE, driver_of
@@ -114,8 +115,13 @@ FILES = {
 
 def commands_of(robot: Robot) -> dict[str, Output]:
     """Outputs to the joints of a URDF by the names of their controllers: an effort where a joint takes one."""
-    driver, offered = driver_of(robot.base) or DIFF_DRIVE, interfaces_of(robot)["interfaces"]
+    driver, offered, base = driver_of(robot.base) or DIFF_DRIVE, interfaces_of(robot)["interfaces"], robot.base
     found = {driver.name: Output(TWIST_STAMPED)} if robot.dimensions.base else {}
+    if isinstance(base, SteeredBase):
+        turned = tuple(pivot.joint for pivot in base.pivots if pivot.motor and pivot.role != "passive")
+        driven = tuple(joint for joint in base.driven if joint not in turned)
+        found = {"drive_controller": Output(joints=driven, interface="velocity")}
+        found |= {"steering_controller": Output(joints=turned, interface="position")} if turned else {}
     for interface in INTERFACES:
         if joints := tuple(joint for joint in robot.joint_names if offered[joint] == interface):
             found[f"{interface}_controller"] = Output(joints=joints, interface=interface)
@@ -129,14 +135,14 @@ def parameters(robot: Robot, named: str) -> str:
         robot: The robot.
         named: As the user named it.
     """
-    commands, driver = commands_of(robot), driver_of(robot.base) or DIFF_DRIVE
+    commands, driver = commands_of(robot), driver_of(robot.base)
     rows = [
         WHEELS.format(driver=name)
-        if one.is_twist
+        if one.is_base
         else ARM.format(name=name, interface=one.interface, joints=flow(list(one.joints)))
         for name, one in commands.items()
     ]
-    base = BASE.format(driver=driver.name) if robot.dimensions.base else ""
+    base = BASE.format(driver=driver.name if driver else "its controller") if robot.dimensions.base else ""
     told = {"title": printable(robot.name), "robot": flow(named), "controller": CONTROLLER}
     return PARAMETERS.format(base=base, commands="".join(rows), **told)
 

@@ -14,12 +14,15 @@ from rclpy.node import Node as RosNode
 from std_msgs.msg import Float64MultiArray, Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from ...elementary import atan2, hypot
+from ...errors import ConfigError
 from ...loop.servo import Command
 from ...loop.stepper import Stepper
+from ...model.base.steered import SteeredBase
 from ...model.robot import Robot
 from ...signals import Array
 from .inlets import Outlet
-from .settings import TRAJECTORY, TWIST_STAMPED, Node, Output
+from .settings import ACKERMANN, TRAJECTORY, TWIST_STAMPED, Node, Output
 from .wiring import names_of, topic_of
 
 KINDS: dict[str, Any] = {
@@ -27,6 +30,7 @@ KINDS: dict[str, Any] = {
     "Twist": Twist, "TwistStamped": TwistStamped,
 }  # fmt: skip
 OK, WARN, ERROR = 0, 1, 2
+SLOW = 1e-3  # speed of a car's wheels under which they keep their angle [m/s]
 STATES = {
     0: "running",
     1: "running, a torque is clipped or a measurement held",
@@ -45,41 +49,44 @@ class Commands:
     """
 
     def __init__(self, node: RosNode, robot: Robot, settings: Node) -> None:
-        names, d = names_of(robot, settings), robot.dimensions
-        self.base, self.refused = d.base, 0
+        names = names_of(robot, settings)
+        self.refused, self.angle = 0, 0.0
+        self.wheelbase = robot.base.length if isinstance(robot.base, SteeredBase) else 0.0
         self.soon = duration_of(2.0 / settings.rate)
         self.outlets = []
         for name, output in settings.commands.items():
             at = [robot.actuator_names.index(names[joint]) for joint in output.joints]
-            outlet = Outlet(node, topic_of(robot, name, output), KINDS[output.type])
-            self.outlets.append((output, outlet, np.array(at, int), np.array(at, int) - d.motors + d.dof))
+            outlet = Outlet(node, topic_of(robot, name, output), message_type(output.type))
+            self.outlets.append((output, outlet, np.array(at, int)))
 
     def send(self, command: Command, stamp: Time) -> None:
         """Send a command; one that is not finite is not sent, and counted."""
-        for output, outlet, motors, rows in self.outlets:
-            values = self._values(command, output, motors, rows)
+        for output, outlet, motors in self.outlets:
+            values = self._values(command, output, motors)
             if np.isfinite(values).all():
                 outlet.send(message_of(output, values.tolist(), stamp, self.soon))
             else:
                 self.refused += 1
 
     def end(self, command: Command, share: float, stamp: Time) -> None:
-        """Send a share of the efforts of a command, and velocities of zero; positions stay."""
-        for output, outlet, motors, rows in self.outlets:
-            values = self._values(command, output, motors, rows)
+        """Send a share of the efforts of a command, and velocities of zero; positions stay, and a car's steering."""
+        for output, outlet, motors in self.outlets:
+            values = self._values(command, output, motors)
             if np.isfinite(values).all() and output.interface != "position":
-                by_effort = not output.is_twist and output.interface == "effort"
-                factor = share if by_effort else 0.0
-                outlet.send(message_of(output, (factor * values).tolist(), stamp, self.soon))
+                by_effort = not output.is_base and output.interface == "effort"
+                faded = (share if by_effort else 0.0) * values
+                if output.type == ACKERMANN:
+                    faded[1] = values[1]
+                outlet.send(message_of(output, faded.tolist(), stamp, self.soon))
 
     @property
     def unheard(self) -> list[str]:
         """Topics of commands that nobody reads."""
-        return [outlet.name for _, outlet, _, _ in self.outlets if not outlet.readers]
+        return [outlet.name for _, outlet, _ in self.outlets if not outlet.readers]
 
     def crowd(self) -> str:
         """Which other node sends commands, too; empty for none."""
-        for _, outlet, _, _ in self.outlets:
+        for _, outlet, _ in self.outlets:
             if others := outlet.others():
                 return f"{outlet.name}: {', '.join(others)} publishes it, too: one node controls a robot"
         return ""
@@ -87,7 +94,7 @@ class Commands:
     @property
     def trouble(self) -> str:
         """Why nothing may be sent: nobody reads, asks for another quality, or another node sends; empty else."""
-        for _, outlet, _, _ in self.outlets:
+        for _, outlet, _ in self.outlets:
             if outlet.clash:
                 return f"{outlet.name}: its reader asks for another {outlet.clash}: set qos_overrides"
         if crowd := self.crowd():
@@ -95,17 +102,46 @@ class Commands:
         unheard = self.unheard
         return f"nobody reads {', '.join(unheard)}: load the robot's controllers" if unheard else ""
 
-    def _values(self, command: Command, output: Output, motors: Any, rows: Any) -> Array:
-        if output.is_twist:
-            return command.velocity[: self.base]
+    def _values(self, command: Command, output: Output, motors: Any) -> Array:
+        if output.type == ACKERMANN:
+            return self._driven(command.twist)
+        if output.is_base:
+            return command.twist
         if output.interface == "position":
-            return command.position[rows]
+            return command.motor_position[motors]
         return (command.motor_effort if output.interface == "effort" else command.motor_velocity)[motors]
+
+    def _driven(self, twist: Array) -> Array:
+        """Speed of a car's fixed axle and the angle of the wheel in the middle of the other; it keeps that at rest."""
+        v, swing = twist[0], self.wheelbase * twist[1]
+        if hypot(v, swing) > SLOW:
+            self.angle = atan2(-swing if v < 0.0 else swing, abs(v))
+        return np.array([v, self.angle if math.isfinite(v + swing) else math.nan])
+
+
+def message_type(name: str) -> Any:
+    """The class of a message.
+
+    Raises:
+        ConfigError: Its package is not there.
+    """
+    if name != ACKERMANN:
+        return KINDS[name]
+    try:
+        from ackermann_msgs.msg import AckermannDriveStamped
+    except ImportError as error:
+        fix = "apt-get install ros-$ROS_DISTRO-ackermann-msgs, or send it a TwistStamped"
+        raise ConfigError("no ackermann_msgs for this Python", why=str(error), fix=fix, key="commands") from error
+    return AckermannDriveStamped
 
 
 def message_of(output: Output, values: list[float], stamp: Time, soon: Duration) -> Any:
     """A command as its controller takes it."""
-    if output.is_twist:
+    if output.type == ACKERMANN:
+        message = message_type(ACKERMANN)(header=Header(stamp=stamp, frame_id=output.frame))
+        message.drive.speed, message.drive.steering_angle = values
+        return message
+    if output.is_base:
         twist = Twist()
         twist.linear.x, twist.angular.z = values[0], values[-1]
         twist.linear.y = values[1] if len(values) == 3 else 0.0

@@ -15,6 +15,8 @@ import pinocchio as pin
 
 from ...elementary import nearest_turn
 from ...errors import ConfigError
+from ...model.base.rolling import Maps, new_maps, roll
+from ...model.base.steered import SteeredBase
 from ...model.robot import Robot
 from ...safety.door import FARTHEST
 from ...signals import Array, Measurement
@@ -24,6 +26,7 @@ NANO = 1e-9
 LARGEST = 1e9  # a number beyond this is none [SI units]
 Planar = tuple[float, float, float]  # x, y, turn
 STILL: Planar = (0.0, 0.0, 0.0)
+ANY = np.zeros(3)  # direction of u where none is known yet
 
 
 class Clock:
@@ -141,19 +144,22 @@ class Sensing:
         self.robot, self.settings, self.tree, d = robot, settings, tree, robot.dimensions
         names = settings.joint_states.theirs
         for name in names:
-            if name not in robot.actuator_names:
-                fix = f"name joints with a motor: {', '.join(robot.actuator_names)}"
+            known = dict.fromkeys((*robot.actuator_names, *robot.base.shape))
+            if name not in known:
+                fix = f"name joints with a motor: {', '.join(known)}"
                 raise ConfigError(f"no joint '{name}'", fix=fix, key="joint_states.names")
         by_wheels = bool(d.base) and settings.odometry.source == "tf"
-        self.wheels = robot.actuator_names[: d.motors - d.arm] if by_wheels else ()
-        self.names = [names.get(name, name) for name in (*robot.joint_names, *self.wheels)]
-        self.rolled = np.linalg.pinv(robot.E[: d.base, : len(self.wheels)].T) if by_wheels else np.zeros((d.base, 0))
+        driven = tuple(wheel.joint for wheel in robot.base.wheels if wheel.driven)
+        self.wheels = (driven if robot.steers else robot.actuator_names[: d.motors - d.arm]) if by_wheels else ()
+        self.names = [names.get(name, name) for name in (*robot.joint_names, *robot.base.shape, *self.wheels)]
+        by_twist = by_wheels and not robot.steers
+        self.rolled = np.linalg.pinv(robot.E[: d.base, : len(self.wheels)].T) if by_twist else np.zeros((d.base, 0))
         self.known: list[str] = []
         self.places = np.full(len(self.names), -1)
         self.heard = np.full(len(self.names), -math.inf)
         self.q, self.qdot = np.zeros(len(self.names)), np.zeros(len(self.names))
         self.at: Planar | None = settings.odometry.at if d.base else STILL
-        self.pose, self.velocity, self.placed = np.zeros(d.pose), np.zeros(d.base), -math.inf
+        self.pose, self.velocity, self.placed = np.zeros(d.pose), np.zeros(d.twist), -math.inf
         self.is_new = False
 
     @property
@@ -162,12 +168,39 @@ class Sensing:
         base = self.placed if self.robot.dimensions.base else math.inf
         return float(min(base, self.heard.min(initial=math.inf)))
 
-    def measurement(self) -> Measurement | None:
-        """The measurement with all that came since the last call; None where nothing did, or a part has never come."""
+    def measurement(self, direction: Array = ANY) -> Measurement | None:
+        """The measurement with all that came since the last call; None where nothing did, or a part has never come.
+
+        Args:
+            direction: (3,) of u, `Stepper.direction`.
+        """
         if not self.is_new or self.when == -math.inf:
             return None
-        self.is_new, n = False, self.robot.dimensions.arm
-        return Measurement(self.pose, self.velocity, self.q[:n], self.qdot[:n])
+        self.is_new, n, K = False, self.robot.dimensions.arm, self.robot.dimensions.shape
+        velocity, base = self.velocity, self.robot.base
+        if isinstance(base, SteeredBase):
+            velocity, m = base.along(self._maps(direction), self.velocity).copy(), len(base.masters)
+            velocity[velocity.size - m :] = self.qdot[n + np.array(base.masters, int)]
+        return Measurement(self.pose, velocity, self.q[:n], self.qdot[:n], self.q[n : n + K])
+
+    def _maps(self, direction: Array) -> Maps:
+        """The maps of a base that steers at its measured angles."""
+        robot, n, d = self.robot, self.robot.dimensions.arm, self.robot.dimensions
+        assert robot.rolling is not None
+        maps, position = new_maps(robot.rolling, robot.template), robot.rest.copy()
+        maps.n[:], position[robot.shape_index] = direction, self.q[n : n + d.shape]
+        roll(robot.rolling, position, np.zeros(d.dof), maps)
+        return maps
+
+    def _rolled(self) -> Array:
+        """The twist by the rates of the wheels, and of what steers them."""
+        robot, d = self.robot, self.robot.dimensions
+        if not robot.steers:
+            return self.rolled @ self.qdot[d.arm :]
+        maps = self._maps(ANY)
+        rows = [*robot.shape_index, *(robot.rows[name] for name in self.wheels)]
+        velocity = np.linalg.pinv(maps.T[rows, : d.base]) @ self.qdot[d.arm :]
+        return (maps.V[0] @ velocity)[robot.base.columns]
 
     def shift(self, by: float) -> None:
         """Count time from a later moment [s]."""
@@ -236,7 +269,7 @@ class Sensing:
             return ""
         if self.at is None:
             self.at = control_frame(self.robot, self.settings.tf.base)
-        return self._place(composed(found[0], self.at), self.rolled @ self.qdot[self.robot.dimensions.arm :], found[1])
+        return self._place(composed(found[0], self.at), self._rolled(), found[1])
 
     def _place(self, there: Planar, velocity: Array, when: float) -> str:
         """Take a pose unless it jumps; its heading goes on without turning over."""

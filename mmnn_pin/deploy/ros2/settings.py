@@ -20,6 +20,7 @@ from ...settings.arguments import unknown_key, wrong_type
 TRAJECTORY: Final = "JointTrajectory"
 TWIST: Final = "Twist"
 TWIST_STAMPED: Final = "TwistStamped"
+ACKERMANN: Final = "AckermannDriveStamped"
 Interface = Literal["effort", "velocity", "position"]
 FREE = ("set", "commands")  # tables whose keys are the user's
 LIVE = ("limits.", "set.", "learning")  # what may be changed while the node is configured
@@ -174,23 +175,26 @@ class Output(Settings, frozen=True):
 
     Args:
         type: "Float64MultiArray" of group and forward command controllers, "JointTrajectory" (one point) of
-            `joint_trajectory_controller`, "TwistStamped" or "Twist" of a base's (`diff_drive_controller`).
-        joints: In the order in which the controller lists them, as the robot calls them; none for a twist.
+            `joint_trajectory_controller`, "TwistStamped" or "Twist" of a base's (`diff_drive_controller`),
+            "AckermannDriveStamped" of a car's: its speed and steering angle, both as fast as it can.
+        joints: In the order in which the controller lists them, as the robot calls them; none for a base's.
         interface: What it takes: "effort", "velocity" or "position".
-        frame: `frame_id` of a stamped twist.
+        frame: `frame_id` of what has a stamp.
 
     Raises:
-        ConfigError: Joints of a twist, none of anything else, an effort by a trajectory.
+        ConfigError: Joints of a base's, none of anything else, an effort by a trajectory.
     """
 
-    type: Literal["Float64MultiArray", "JointTrajectory", "TwistStamped", "Twist"] = "Float64MultiArray"
+    type: Literal["Float64MultiArray", "JointTrajectory", "TwistStamped", "Twist", "AckermannDriveStamped"] = (
+        "Float64MultiArray"
+    )
     joints: tuple[str, ...] = ()
     interface: Interface = "effort"
     frame: str = "base_link"
 
     def __post_init__(self) -> None:
-        if self.is_twist == bool(self.joints):
-            fix = "leave joints out" if self.is_twist else "list them as the controller's `joints` does"
+        if self.is_base == bool(self.joints):
+            fix = "leave joints out" if self.is_base else "list them as the controller's `joints` does"
             raise ConfigError(f"a {self.type} with {len(self.joints)} joints", fix=fix, key="joints")
         if self.type == TRAJECTORY and self.interface != "position":
             why, fix = "its points are positions", 'say interface = "position"'
@@ -199,9 +203,9 @@ class Output(Settings, frozen=True):
             raise ConfigError("a joint appears twice", fix="list each once", key="joints")
 
     @property
-    def is_twist(self) -> bool:
+    def is_base(self) -> bool:
         """Whether it is the velocity of the base."""
-        return self.type in (TWIST, TWIST_STAMPED)
+        return self.type in (TWIST, TWIST_STAMPED, ACKERMANN)
 
 
 class Clocks(Settings, frozen=True):

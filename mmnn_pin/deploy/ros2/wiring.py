@@ -10,9 +10,10 @@ from pinocchio import BODY
 
 from ...errors import ConfigError, UnknownName
 from ...files import quoted
+from ...model.base.steered import CarLike, Tricycle
 from ...model.robot import Robot
 from .drivers import DIFF_DRIVE, driver_of
-from .settings import TRAJECTORY, TWIST_STAMPED, Node, Output
+from .settings import ACKERMANN, TRAJECTORY, TWIST_STAMPED, Node, Output
 
 PLAIN = re.compile(r"(?!(?:true|false|yes|no|on|off|null|y|n)\Z)[a-zA-Z_/][\w/]*", re.ASCII | re.IGNORECASE)
 GROUP = "forward_command_controller/ForwardCommandController"
@@ -29,15 +30,19 @@ def interfaces(robot: Robot, settings: Node) -> dict[str, str]:
     names, found = names_of(robot, settings), dict[str, str]()
     wheels = robot.actuator_names[: robot.dimensions.motors - robot.dimensions.arm]
     for name, output in settings.commands.items():
-        if output.is_twist and not wheels:
+        if output.is_base and not wheels:
             raise ConfigError("a twist for a robot without a base", fix="leave it out", key=f"commands.{name}.type")
-        for joint in wheels if output.is_twist else output.joints:
-            if not output.is_twist and joint not in names:
+        if output.type == ACKERMANN and not isinstance(robot.base, CarLike | Tricycle):
+            what = f"an {ACKERMANN} for a base of kind '{robot.base.kind}'"
+            why, fix = "it says a speed and one steering angle", "send a TwistStamped, or every joint's own command"
+            raise ConfigError(what, why=why, fix=fix, key=f"commands.{name}.type")
+        for joint in wheels if output.is_base else output.joints:
+            if not output.is_base and joint not in names:
                 raise UnknownName("joint", joint, names, key=f"commands.{name}.joints")
-            own = joint if output.is_twist else names[joint]
+            own = joint if output.is_base else names[joint]
             if own in found:
                 raise ConfigError(f"{own} is commanded twice", fix="name it once", key=f"commands.{name}.joints")
-            found[own] = "velocity" if output.is_twist else output.interface
+            found[own] = "velocity" if output.is_base else output.interface
     if missing := [joint for joint in robot.actuator_names if joint not in found]:
         fix = "add them to one of `commands`; wheels also by a TwistStamped; or --lock joints that have no motor"
         raise ConfigError(f"nothing commands {', '.join(missing)}", fix=fix, key="commands")
@@ -52,7 +57,9 @@ def names_of(robot: Robot, settings: Node) -> dict[str, str]:
 
 def topic_of(robot: Robot, name: str, output: Output) -> str:
     """The topic that the robot's controller of a name takes commands on, as `ros2_controllers` name it."""
-    if not output.is_twist:
+    if output.type == ACKERMANN:
+        return f"{name}/ackermann_cmd"
+    if not output.is_base:
         return f"{name}/{'joint_trajectory' if output.type == TRAJECTORY else 'commands'}"
     driver = driver_of(robot.base)
     return f"{name}/{driver.takes if driver is not None else 'cmd_vel'}"
@@ -61,7 +68,7 @@ def topic_of(robot: Robot, name: str, output: Output) -> str:
 def odometry_topic(robot: Robot, settings: Node) -> str:
     """The topic on which the controller of the base tells of its odometry; `odom` where no controller drives it."""
     driver = driver_of(robot.base)
-    names = [name for name, output in settings.commands.items() if output.is_twist]
+    names = [name for name, output in settings.commands.items() if output.is_base]
     return f"{names[0]}/{driver.tells}" if names and driver is not None else "odom"
 
 
@@ -88,7 +95,7 @@ def controller(robot: Robot, settings: Node, name: str, output: Output) -> tuple
     Raises:
         ConfigError: A base that no controller's formula rolls.
     """
-    if output.is_twist:
+    if output.is_base:
         return drive_controller(robot, settings, name, output)
     joints = {"joints": list(output.joints)}
     if output.type == TRAJECTORY:
