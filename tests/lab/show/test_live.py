@@ -90,7 +90,9 @@ def test_frames_are_decimated_by_the_steppers_time_and_wheels_roll(stepper, robo
 def test_wheels_that_steer_are_seen_steering():
     robot = load("car_arm")
     here = Standing(None, robot)
-    here.measured = Measurement(np.zeros(3), np.array([0.5, 0.0]), np.zeros(4), np.zeros(4), shape=np.array([0.3, 0.25]))
+    here.measured = Measurement(
+        np.zeros(3), np.array([0.5, 0.0]), np.zeros(4), np.zeros(4), shape=np.array([0.3, 0.25])
+    )
     with LiveView(here, port=0) as view:
         view.show()
         [told] = events(view.url, 1)
