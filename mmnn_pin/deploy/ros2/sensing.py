@@ -179,7 +179,7 @@ class Sensing:
         self.is_new, n, K = False, self.robot.dimensions.arm, self.robot.dimensions.shape
         velocity, base = self.velocity, self.robot.base
         if isinstance(base, SteeredBase):
-            velocity, m = base.along(self._maps(direction), self.velocity).copy(), len(base.masters)
+            velocity, m = base.velocity_along(self._maps(direction), self.velocity).copy(), len(base.masters)
             velocity[velocity.size - m :] = self.qdot[n + np.array(base.masters, int)]
         return Measurement(self.pose, velocity, self.q[:n], self.qdot[:n], self.q[n : n + K])
 
