@@ -312,8 +312,8 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
         q_index=q_index,
         is_continuous=is_continuous,
         frame=read_only(base.frame.copy()),
-        lower=of_joints(joints, root, "lower", -np.inf),
-        upper=of_joints(joints, root, "upper", np.inf),
+        lower=with_stops(of_joints(joints, root, "lower", -np.inf), base, rows, "lower"),
+        upper=with_stops(of_joints(joints, root, "upper", np.inf), base, rows, "upper"),
         effort_limits=read_only(np.array([np.inf] * len(pushes) + [document.joints[n].effort for n in motors], float)),
         damping=of_joints(joints, root, "damping", 0.0),
         coulomb=with_turning(of_joints(joints, root, "friction", 0.0), base),
@@ -327,6 +327,16 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
 def of_joints(joints: list[Joint], root: int, attribute: str, of_root: float) -> Array:
     """A number of every joint, read-only, (nv,); the root's velocities have one of their own."""
     return read_only(np.array([of_root] * root + [getattr(joint, attribute) for joint in joints]))
+
+
+def with_stops(limits: Array, base: Base, rows: dict[str, int], end: str) -> Array:
+    """Limits of every joint, (nv,), those of steering as the base has them: the user may have stated them."""
+    if not isinstance(base, SteeredBase):
+        return limits
+    stopped = limits.copy()
+    for pivot in base.pivots:
+        stopped[rows[pivot.joint]] = getattr(pivot, end)
+    return read_only(stopped)
 
 
 def with_turning(coulomb: Array, base: Base) -> Array:

@@ -295,7 +295,8 @@ class RouteDrive(Motion):
         tightest = min(map(abs, curvatures(base)))
         can = f"it turns within {1.0 / tightest:.3g} m, not on the spot"
         if too_far := bent_too_far(leg.path, base):
-            fix = f"raise the planner's smallest turning radius, by {math.ceil(100.0 * (too_far / (SHARE * tightest) - 1.0)) + 1} %"
+            more = math.ceil(100.0 * (too_far / (SHARE * tightest) - 1.0)) + 1
+            fix = f"raise the planner's smallest turning radius, by {more} %"
             raise TrajectoryError(f"the route bends by {too_far:.3g} 1/m", why=can, fix=fix)
         first = end_bend(leg.path, 0.0)
         bend = first if math.isnan(bend) else bend

@@ -165,7 +165,7 @@ class Motion:
         self.view = {name: self.row[layout.where(name)] for name in names}
         nv, p, end = layout.full, layout.dof, layout.full + layout.dof
         self.position, self.nu, self.pose_ref = slice(0, nv), slice(nv, nv + p), slice(end, end + layout.pose)
-        self.no_wheels = np.zeros(layout.full)
+        self.no_wheels, self.none = np.zeros(layout.full), np.zeros(0)
 
     def over(self, k: int) -> tuple[float, ...]:
         """Increment, its like along the motion and the plant's steps, work, scale [J] over period k; see `Balance`."""
@@ -223,11 +223,11 @@ class Motion:
     def _derivative(self, t: float, y: Array) -> Array:
         flow, d, out = self.flow(t, y), self.dynamics, np.empty(y.size)
         base, sideways = self.layout.base, self.layout.sideways
-        position_rate(y[self.position], y[self.nu], d.v, base, sideways, out[self.position])
+        position_rate(y[self.position], y[self.nu], d.v, base, sideways, self.none, out[self.position])
         out[self.nu] = np.linalg.solve(d.M, self.view["torque"] - d.h)
         if base:
             pose_ref, velocity = y[self.pose_ref], self.view["velocity_ref"]
-            position_rate(pose_ref, velocity, self.no_wheels, base, sideways, out[self.pose_ref])
+            position_rate(pose_ref, velocity, self.no_wheels, base, sideways, self.none, out[self.pose_ref])
         out[-2:] = flow, flow * flow  # inf in a trial step that is too long: the solver takes a shorter one
         return out
 
@@ -237,7 +237,7 @@ class Motion:
         self.between.write(self.k, t, self.row)
         self.view["pose_ref"][:] = y[self.pose_ref]
         exact(self.row, self.at, position, nu, self.arm)
-        command(self.row, self.at, self.gains, self.K)
+        command(self.row, self.at, self.gains, self.K, self.none, None)
         self.dynamics.refresh(position, nu)
         return self.view["nu_ref"] - nu
 

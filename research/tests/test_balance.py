@@ -71,8 +71,8 @@ def drop(name: str):
     """A command that forgets a part of itself."""
     command = module.command
 
-    def forgetful(row, at, gains, K) -> None:
-        command(row, at, gains, K)
+    def forgetful(row, at, *others) -> None:
+        command(row, at, *others)
         row[at[INDEX[name]] : at[INDEX[name] + 1]] = 0.0
 
     return forgetful

@@ -239,7 +239,7 @@ def test_the_networks_input_is_not_bounded_by_z() -> None:
         row[layout.where("q_ref")] = size  # the arm is far away
         row[layout.where("pose_ref")] = size, 0.0, 0.0  # and so is the base
         row[layout.where("velocity")] = 10.0 * size, 0.0  # which drives as commanded: alpha = kx ex
-        command(row, at, np.array([10.0, 64.0, 16.0]), np.full(2, 7.0))
+        command(row, at, np.array([10.0, 64.0, 16.0]), np.full(2, 7.0), np.zeros(0), None)
         assert np.abs(row[layout.where("z")]).max() <= 1e-9 * size
         assert np.linalg.norm(row[inputs.rows(layout)]) > 10 * size
         assert row[at[INDEX["alpha"]]] == pytest.approx(10 * size)  # a feedback signal, not a bounded reference

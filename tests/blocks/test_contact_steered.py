@@ -217,7 +217,7 @@ def test_patches_are_under_the_wheels_where_they_stand() -> None:
             x, y, _ = plant.data.geom(f"wheel {i}").xpos
         near = Patch(0.123, (x - 1e-3, x + 1e-3), (y - 1e-3, y + 1e-3))
         plant.contact = Contact(patches=(near,))
-        plant._take_floor()
+        plant._take_floor(plant.motion)
         grips = plant.model.pair_friction[plant.pairs, 0]
         assert [
             name for name, grip in zip([w.joint for w in robot.base.wheels], grips, strict=True) if grip == 0.123

@@ -8,12 +8,21 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from mmnn_pin import load
 from mmnn_pin.model.robots import bundled
 from mmnn_pin.model.urdf.document import Document
 from mmnn_pin.model.urdf.reading import read
 from mmnn_pin.model.urdf.shapes import AtRest, Shape
 
-STEERED = ("car_arm", "casters_arm", "loader_arm", "swerve_arm", "tricycle_arm", "truck_trailer_arm")
+MADE = (  # in one style
+    "car_arm",
+    "casters_arm",
+    "loader_arm",
+    "swerve_arm",
+    "tracked_arm",
+    "tricycle_arm",
+    "truck_trailer_arm",
+)
 BOXED = ("box", "cylinder")  # shapes of all solid parts
 
 
@@ -38,10 +47,10 @@ def document_of(name: str) -> Document:
 
 
 def test_there_is_a_robot_of_every_kind():
-    assert list(bundled()) == sorted([*STEERED, "platform_arm", "two_axis_arm"])
+    assert list(bundled()) == sorted([*MADE, "platform_arm", "two_axis_arm"])
 
 
-@pytest.mark.parametrize("name", STEERED)
+@pytest.mark.parametrize("name", MADE)
 def test_inertias_are_those_of_the_shapes(name):
     """Centre and inertia of every link are those of its collision shapes, all of one density."""
     document = document_of(name)
@@ -79,7 +88,13 @@ def test_the_audit_finds_nothing(name):
     assert {finding.code for finding in document_of(name).findings} <= {"no-inertial"}  # of mere frames
 
 
-@pytest.mark.parametrize("name", STEERED)
+@pytest.mark.parametrize("name", MADE)
+def test_nothing_is_assumed_of_them(name):
+    warned = [finding for finding in load(name).findings if finding.severity == "warning"]
+    assert {finding.code for finding in warned} == {"no-inertial"}
+
+
+@pytest.mark.parametrize("name", MADE)
 def test_every_joint_says_what_limits_it_and_how_it_rubs(name):
     document = document_of(name)
     model = pin.buildModelFromXML(document.text)
@@ -90,7 +105,7 @@ def test_every_joint_says_what_limits_it_and_how_it_rubs(name):
             assert joint.damping > 0 and joint.friction > 0, joint.name
 
 
-@pytest.mark.parametrize("name", STEERED)
+@pytest.mark.parametrize("name", MADE)
 def test_wheels_stand_on_the_floor_and_arms_clear_them(name):
     """The root link is on the floor; no posture within the limits brings the arm down to a wheel, nor to the body."""
     document = document_of(name)
@@ -114,3 +129,11 @@ def test_wheels_stand_on_the_floor_and_arms_clear_them(name):
             for shape, frame in shapes:
                 pose = data.oMf[frame].homogeneous @ np.linalg.inv(rest.placements[link]) @ shape.pose
                 assert replace(shape, pose=pose).lowest > top, (link, q)
+
+
+def test_belts_run_over_the_wheels_on_the_floor():
+    """No other wheel turns: URDF has no belts that would turn them."""
+    base = load("tracked_arm").base
+    sides = [f"{side}_{place}" for side in ("left", "right") for place in ("sprocket", "idler")]
+    assert base.kind == "tracked" and base.parked == tuple(f"{name}_joint" for name in sides)
+    assert len(base.wheels) == 8 and base.track == pytest.approx(0.46)

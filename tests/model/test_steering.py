@@ -385,3 +385,22 @@ def test_controllers_tell_what_drives_and_what_steers(tmp_path):
     assert "--wheelbase 0.6" in told(robot, "base-stated")
     again = robot_of(text, **{k: v for k, v in robot.overrides.stated().items() if k != "controllers_file"})
     assert again.base.kind == "tricycle" and again.actuator_names == robot.actuator_names  # a recording stands alone
+
+
+# --- Where joints do not rest at 0 ------------------------------------------------------------------------------------
+
+
+def test_a_pivot_that_cannot_be_at_zero_is_placed_as_if_it_were_there():
+    stops = LIMIT.format(-1, 1), LIMIT.format(0.2, 1.2)
+    turned = robot_of(CAR.replace(*stops)).base
+    compared_at_zero = [(p.x, p.y, *p.wheel) for p in robot_of(CAR).base.pivots]
+    assert [(p.x, p.y, *p.wheel) for p in turned.pivots] == [pytest.approx(each) for each in compared_at_zero]
+    assert {(p.lower, p.upper) for p in turned.pivots} == {(0.2, 1.2)}
+    assert [w.heading for w in turned.wheels] == pytest.approx([0.0] * 4)
+
+
+def test_wheels_far_above_a_footprint_are_asked_for_and_may_be_named():
+    foot = '<link name="base_footprint"/>' + joint("foot", "fixed", "base_footprint", "base", p=(0, 0, 0.25))
+    with pytest.raises(Undecided, match=r"0\.25 m above the root link 'base_footprint'") as error:
+        robot_of(chassis(pair() + foot))
+    assert followed(chassis(pair() + foot), ways_of(error.value.fix)[0]).base.kind == "differential_drive"

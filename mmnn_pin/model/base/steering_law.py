@@ -3,18 +3,17 @@
 The law of the pose, Kanayama's or the holonomic one, asks for `eta_c = (vx, vy, w)` of the control frame. Of every
 wheel that steers, with its rows a (across) and `-a'` (along) on eta, `a' = da / d heading`,
 
-    s = a eta_c         f = -a' eta_c         chi = atan(s / f)
+    s = a eta_c         f = -a' eta_c         tan chi = s / f
 
 chi is the angle from the wheel to its path as asked. With q = a deta_c, p = -a' deta_c:
 
     u_c    = n' W eta_c                                             as much of the velocity as the wheels permit
-    zeta_c = (K s f + q f - p s) / (s^2 + f^2 + eps^2)
+    zeta_c = (K chi (s^2 + f^2) + q f - p s) / (s^2 + f^2 + eps^2)
 
-The first part turns the wheel to its path by the shorter way, it may run backwards, as
-`s f / (s^2 + f^2) = sin(2 chi) / 2`. The rest is the path's own turning. Where the base moves as asked and eps = 0,
-`dchi/dt = -K sin(2 chi) / 2`. Where nothing is asked, nothing steers: the wheels coast. A wheel with stops turns to the
-nearest angle along its path that is between them, with that angle in the place of `sin(2 chi) / 2`, and slower towards
-a stop.
+The first part turns the wheel to its path by the shortest way, it may run backwards: of the angles half turns apart
+chi is the least that lies between the wheel's stops. The rest is the path's own turning. Where the base moves as asked
+and eps = 0, `dchi/dt = -K chi`. Where nothing is asked, nothing steers: the wheels coast. Towards a stop a wheel turns
+more slowly.
 
 A loader's waist moves its body as it turns: the axle off it by t has `s + t zeta = 0`, and `zeta_c = -s / t` moves the
 control frame exactly as asked. The waist settles where that axle leads, and folds up where it is pushed, as a hitch.
@@ -148,12 +147,12 @@ def turned_wheel(
     size2 = a.s * a.s + a.f * a.f
     size2dot = 2.0 * (a.s * a.sdot + a.f * a.fdot)
     below = size2 + numbers.slow * numbers.slow
-    back, backdot = a.s * a.f, a.sdot * a.f + a.s * a.fdot
+    back, backdot = 0.0, 0.0
     low, high = sign * p[PIVOT.lower], sign * p[PIVOT.upper]
     if sign < 0.0:
         low, high = high, low
     now = sign * angles[rolling.turns[k, TURN.place]]
-    if high - low < math.inf and size2 > 0.0:
+    if size2 > 0.0:
         chi, inside = way_between(atan2(a.s, a.f), now, low, high)
         chidot = (a.sdot * a.f - a.s * a.fdot) / size2 if inside else -sign * rate
         back, backdot = chi * size2, chidot * size2 + chi * size2dot

@@ -172,6 +172,7 @@ def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
         require_possible(overrides, candidates, named)
     result = with_strays(rest, chosen(rest, candidates, named, overrides), overrides)
     require_drive(rest, result.base, overrides)
+    require_floor(rest, result.base, overrides)
     require_motors(rest, result.base, overrides)
     require_used(overrides, result.base)
     drives = named if overrides.wheels is not None and overrides.base != "fixed" else candidates.wheels
@@ -258,6 +259,23 @@ def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
         why = "no joint could be a wheel, and a plugin drives a base"
         rolls = BaseReading("holonomic", driving, ("no wheel can turn in this file",))
         raise undecided(rest, [], [rolls, BaseReading("fixed", ("no wheel is found",), driving)], why, UNDRIVEN)
+
+
+def require_floor(rest: AtRest, base: Base, overrides: Overrides) -> None:
+    """Refuse wheels that end more than their diameter above a footprint frame: sprockets of tracks, say.
+
+    Raises:
+        Undecided: They do, and the user says nothing of them.
+    """
+    size = 2.0 * max((w.radius for w in base.wheels), default=math.inf)
+    if not rest.is_footprint or base.floor <= size or overrides.wheels is not None or overrides.base is not None:
+        return
+    names = [w.joint for w in base.wheels]
+    wheels = [wheel_of(rest, rest.document.joints[name]) for name in names]
+    why = f"they end {base.floor:.3g} m above the root link '{rest.document.root_link}', which stands for the floor"
+    fix = f"--wheels {','.join(names)} if they stand on it; {FORCES}"
+    belts = BaseReading("tracked", ("wheels above the floor may run in belts",), ("no belt is modelled",))
+    raise undecided(rest, wheels, [BaseReading(base.kind, (), (why,)), belts], why, fix)
 
 
 def mirrored(rest: AtRest, joints: list[Joint]) -> bool:

@@ -56,7 +56,8 @@ class Pivots:
         self.weights = np.array([1.0, 1.0, rolling.length**2])
         roles, equality = rolling.turns[:, TURN.role], engine().mjtObj.mjOBJ_EQUALITY
         self.ties = [
-            (k, engine().mj_name2id(model, equality, tie_of(base.shape[k]))) for k in np.flatnonzero(roles == FOLLOWER)
+            (int(k), engine().mj_name2id(model, equality, tie_of(base.shape[k])))
+            for k in np.flatnonzero(roles == FOLLOWER)
         ]
         self.master = int(np.flatnonzero(roles == MASTER)[0]) if self.ties else -1
         p, motors = robot.dimensions.dof, robot.dimensions.motors

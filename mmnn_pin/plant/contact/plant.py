@@ -154,7 +154,7 @@ class ContactPlant:
         self._wrench = np.zeros(6)
 
     def _take_model(self) -> None:
-        """What works on MuJoCo's model: the base, friction, steps."""
+        """Base, friction and steps on MuJoCo's model."""
         robot, model = self.robot, self.model
         self.base = FreeBase(robot, model) if robot.dimensions.base else None
         self.pivots = None if self.base is None else self.base.pivots
@@ -209,8 +209,8 @@ class ContactPlant:
         data.ctrl[:] = self.to_motors @ own if self.pivots is None else self.pivots.drive(own)
         for _ in range(self.steps):
             turned = data.qpos[self.motor_q]
-            if self.contact.patches:
-                self._take_floor()
+            if self.contact.patches and self.motion is not None:
+                self._take_floor(self.motion)
             self.engine.take(data, lambda: self._force(pushed if pushes else NO_PUSH))
             if self._is_lost():
                 return
@@ -278,11 +278,10 @@ class ContactPlant:
             self.speed[:] = arrays.hypot(self.along @ self.velocity, self.across @ self.velocity)
         self.slip.take(self.speed)
 
-    def _take_floor(self) -> None:
+    def _take_floor(self, motion: BaseMotion) -> None:
         """Friction under every wheel, where it now is."""
-        assert self.motion is not None
         robot = self.robot
-        carriers = robot.base.carriers(self.motion.pose.tolist(), self.position[robot.shape_index].tolist())
+        carriers = robot.base.carriers(motion.pose.tolist(), self.position[robot.shape_index].tolist())
         for pair, wheel in zip(self.pairs, robot.base.wheels, strict=True):
             x, y, heading = carriers[wheel.pivot + 1]
             c, s = cos_sin(heading)

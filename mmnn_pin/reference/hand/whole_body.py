@@ -192,9 +192,9 @@ class WholeBody:
         self._wish(targets)
         fill_bounds(self.q, self.nu, self.period, self.bounds, self.lows, self.highs)
         if self.pairs is not None:
-            rows = self.turn.stop
-            at = len(self.nu) + rows
-            self.pairs.fill(self.position, self.nu, self.period, self.G[rows:], self.lower[at:], self.upper[at:])
+            last = self.turn.stop
+            at = len(self.nu) + last
+            self.pairs.fill(self.position, self.nu, self.period, self.G[last:], self.lower[at:], self.upper[at:])
         missed, held = self.misses, np.zeros((0, self.nu.size))
         for level in self.levels:
             rows = self._ask(level, targets)
