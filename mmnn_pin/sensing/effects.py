@@ -149,7 +149,7 @@ class Encoders(NamedTuple):
 
 @by_address
 class SteeredRows(NamedTuple):
-    """What wheels and pivots of a base that steers say of its motion, at the angles that are read.
+    """The rows by which wheels and pivots of a base that steers tell of its motion, at the angles that are read.
 
     Attributes:
         rolling: The base.

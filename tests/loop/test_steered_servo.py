@@ -166,3 +166,17 @@ def test_a_stop_drives_on_along_the_curve_and_steers_no_further() -> None:
     before, after = commands[399], np.array(commands[400:])
     assert before[0] > 0.3 and np.abs(after[:, 1]).max() == 0.0 and after[-1, 0] == 0.0
     assert (np.diff(after[:, 0]) <= 0.0).all() and after[0, 0] <= before[0]
+
+
+def test_other_gains_leave_u_counted_as_it_was() -> None:
+    """Wheels that have turned by half a turn roll backwards at a positive u, and go on so."""
+    robot = ROBOTS["swerve_arm"]
+    stepper = Stepper.of(loop_of("swerve_arm", "effort", "effort", Timing(duration=0.1)), check_gains=False)
+    d, n = robot.dimensions, robot.dimensions.arm
+    for k in range(80):
+        shape = np.full(d.shape, min(0.05 * k, math.pi))
+        stepper.step(0.004 * k, Measurement(np.zeros(3), np.zeros(d.base), np.zeros(n), np.zeros(n), shape))
+    np.testing.assert_allclose(stepper.direction, [-1.0, 0.0, 0.0], atol=1e-6)
+    stepper.change(kinematic=Kinematic(holonomic=(1.0, 1.0, 1.0)))
+    stepper.step(0.4, Measurement(np.zeros(3), np.zeros(d.base), np.zeros(n), np.zeros(n), shape))
+    np.testing.assert_allclose(stepper.direction, [-1.0, 0.0, 0.0], atol=1e-6)
