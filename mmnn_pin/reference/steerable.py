@@ -160,10 +160,10 @@ def needs_of(base: Base, time: Array, setpoints: Setpoint, trailer: bool = False
     if not isinstance(base, SteeredBase) or len(time) < 2:
         return Needs()
     twist, change = in_columns(setpoints.velocity), in_columns(setpoints.acceleration)
-    if trailer:
-        twist, change, gamma = pushing(hitches(base)[0], time, twist, change)
-        needs = folding_needed(hitches(base)[0], time, in_columns(setpoints.velocity), gamma)
-        base = replace(base, pivots=tuple(p for p in base.pivots if p not in hitches(base)))
+    if trailer and (behind := hitches(base)):  # without one `Kinematic` refuses
+        twist, change, gamma = pushing(behind[0], time, twist, change)
+        needs = folding_needed(behind[0], time, in_columns(setpoints.velocity), gamma)
+        base = replace(base, pivots=tuple(p for p in base.pivots if p not in behind))
     else:
         needs = backing_needed(base, time, twist)
     if not base.pivots:

@@ -89,6 +89,12 @@ def test_the_audit_finds_nothing(name):
 
 
 @pytest.mark.parametrize("name", MADE)
+def test_nothing_is_assumed_of_them(name):
+    warned = [finding for finding in load(name).findings if finding.severity == "warning"]
+    assert {finding.code for finding in warned} == {"no-inertial"}
+
+
+@pytest.mark.parametrize("name", MADE)
 def test_every_joint_says_what_limits_it_and_how_it_rubs(name):
     document = document_of(name)
     model = pin.buildModelFromXML(document.text)

@@ -16,6 +16,7 @@ from ...model.robot import Robot
 from ...recording.metrics import metrics
 from ...recording.recording import Recording, as_columns
 from ...reference import warnings
+from ...reference.steerable import Enlarged
 from ...sensing import Sensor
 from ...settings import finite
 from ...settings.arguments import checked
@@ -256,8 +257,11 @@ def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
         return []
     reference, notes = experiment.trajectory_of(robot), []
     path, times = reference.base, np.arange(experiment.time.samples) * experiment.time.control_period
+    if isinstance(path, Enlarged):
+        notes.append(f"the path is drawn {path.factor:.3g} times as large: what steers asks for it")
     if reference.slowness > 1.0:
-        notes.append(f"the reference takes {reference.slowness:.3g} times as long: the motors' limits ask for it")
+        why = "what steers or the motors' limits ask" if robot.steers else "the motors' limits ask"
+        notes.append(f"the reference takes {reference.slowness:.3g} times as long: {why} for it")
     end, now = reference.duration, experiment.time.duration
     if experiment.reference.file and now + experiment.time.control_period < end < np.inf:
         file = Path(experiment.reference.file).name

@@ -89,10 +89,10 @@ class LiveView:
         passed = min(stepper.time - self.due + self.period, 1.0) if self.frames else 0.0
         self.due = stepper.time + self.period
         nu = np.concatenate((measured.velocity, measured.qdot))
-        turned = self.position[self.rolling] + passed * product(robot.T[self.rolling], nu)
+        turned = self.position[self.rolling] + passed * product(robot.T_at(self.position)[self.rolling], nu)
         for table, pose_of, q in ((self.position, measured.pose, measured.q), (self.wanted, asked.pose, asked.q)):
             table[:] = self.still + product(self.arm, q)  # mimic joints follow
-            table[:pose], table[self.rolling] = pose_of, turned
+            table[:pose], table[self.rolling], table[robot.shape_index] = pose_of, turned, measured.shape
         self.frames += 1
         self.numbers[SEQUENCE] = 2 * self.frames - 1  # odd: it is being written
         self.numbers[TIME], self.numbers[TRIPPED] = stepper.time, stepper.tripped

@@ -6,7 +6,7 @@ A refusal lists what the base could be, each with the reasons for and against, o
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,9 +20,10 @@ from ..urdf.document import Joint
 from ..urdf.finding import AuditError, Finding
 from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
 from . import KINDS
-from .base import Base
+from .base import Base, Wheel
 from .evidence import Evidence, evidence
 from .skid_steer import GRAVITY
+from .steered import SteeredBase
 from .wheels import HUB, LUMPY, PARTIAL, TILTED, TOUCHING, Candidate, Candidates, coaxial, height_at
 
 STRAIGHT = 0.7  # cosine of the largest angle between rolling direction and root link that is not told
@@ -157,7 +158,7 @@ def heading_notes(rest: AtRest, base: Base) -> Iterator[Finding]:
 
 def size_notes(rest: AtRest, base: Base, given: bool) -> Iterator[Finding]:
     """Notes on a track or radius that no robot has, and on radii that differ."""
-    first, radii = base.wheels[0].joint, [wheel.radius for wheel in base.wheels]
+    first = base.wheels[0].joint
     large = [w for w in base.wheels if w.radius > LARGE or 0 < WIDE * base.track < w.radius]
     if base.track > HUGE:
         text, why = f"the wheels are {base.track:.4g} m apart", "is the whole file in millimetres or centimetres?"
@@ -166,10 +167,22 @@ def size_notes(rest: AtRest, base: Base, given: bool) -> Iterator[Finding]:
         text = f"wheel '{large[0].joint}' has a radius of {large[0].radius:.4g} m on a track of {base.track:.4g} m"
         why, fix = "is its mesh in millimetres or inches?", "give the mesh its scale, or --radius"
         yield note(rest, "base-size", large[0].joint, text, why, fix)
-    if max(radii) - min(radii) > SAME_RADIUS * max(radii):
-        sizes = ", ".join(f"'{w.joint}' {w.radius:.4g} m" for w in base.wheels)
-        why, fix = "they are used as they are", "--radius if they should be alike"
-        yield note(rest, "base-radius", first, f"the wheels' radii differ: {sizes}", why, fix)
+    for wheels in alike(base):
+        radii = [w.radius for w in wheels]
+        if max(radii) - min(radii) > SAME_RADIUS * max(radii):
+            sizes = ", ".join(f"'{w.joint}' {w.radius:.4g} m" for w in wheels)
+            why, fix = "they are used as they are", "--radius if they should be alike"
+            yield note(rest, "base-radius", wheels[0].joint, f"the wheels' radii differ: {sizes}", why, fix)
+
+
+def alike(base: Base) -> Iterable[list[Wheel]]:
+    """Wheels that should have one size: of a base that steers those that drive, the others, those of trailers."""
+    pivots = base.pivots if isinstance(base, SteeredBase) else ()
+    found: dict[tuple[bool, bool], list[Wheel]] = {}
+    for w in base.wheels:
+        towed = bool(pivots) and w.pivot >= 0 and pivots[w.pivot].role == "passive"
+        found.setdefault((w.driven or not pivots, towed), []).append(w)
+    return found.values()
 
 
 def floor_note(rest: AtRest, base: Base) -> list[Finding]:

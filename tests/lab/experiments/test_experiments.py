@@ -29,7 +29,7 @@ from mmnn_pin.lab.experiments.config import bundled, keys_of, kind_at, override,
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS, DEFAULT, EFFECTIVE
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.result import Result
-from mmnn_pin.lab.experiments.runner import in_order, limit_notes, weak_notes
+from mmnn_pin.lab.experiments.runner import in_order, limit_notes, reference_notes, weak_notes
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recording import as_columns
 from mmnn_pin.signals import Layout
@@ -367,6 +367,19 @@ def test_notes_tell_what_the_plant_does_not(tmp_path: Path) -> None:
     tight = replace(robot, upper=np.where(np.arange(len(robot.upper)) == robot.arm_index[1], 0.3, robot.upper))
     (note,) = limit_notes(tight, {"pd": run})
     assert note.startswith("arm_2_joint goes 0.") and note.endswith("under pd; the plant has no end stops")
+
+
+def test_a_path_too_tight_for_a_car_is_drawn_larger_and_that_is_told() -> None:
+    tight = load_experiment("track", ["robot='car_arm'", "reference.base={type='circle', radius=0.3, speed=0.3}"])
+    (note,) = reference_notes(tight, tight.load_robot())
+    assert note == "the path is drawn 3.19 times as large: what steers asks for it"  # 0.9 m at its stops, 0.95 of these
+
+
+def test_what_has_no_trailer_cannot_have_it_guided() -> None:
+    for robot in ("car_arm", "platform_arm"):
+        guided = load_experiment("track", [f"robot='{robot}'", "kinematic.guide='trailer'", "controllers=['pd']"])
+        with pytest.raises(ConfigError, match=f"'{robot}' has 0 trailers"):
+            run_experiment(guided, "track")
 
 
 def test_every_learner_has_its_table() -> None:

@@ -87,6 +87,18 @@ def test_frames_are_decimated_by_the_steppers_time_and_wheels_roll(stepper, robo
         assert rolled == pytest.approx(signs * 0.5 * told["time"], rel=0.02)
 
 
+def test_wheels_that_steer_are_seen_steering():
+    robot = load("car_arm")
+    here = Standing(None, robot)
+    here.measured = Measurement(
+        np.zeros(3), np.array([0.5, 0.0]), np.zeros(4), np.zeros(4), shape=np.array([0.3, 0.25])
+    )
+    with LiveView(here, port=0) as view:
+        view.show()
+        [told] = events(view.url, 1)
+        assert np.array(told["position"])[robot.shape_index] == pytest.approx([0.3, 0.25])
+
+
 def test_a_stop_is_told(stepper, robot):
     here = Standing(stepper, robot)
     with LiveView(here, port=0) as view:
