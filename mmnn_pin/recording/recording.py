@@ -392,6 +392,18 @@ def friction_of(robot: Robot, recorded: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
+def trailer_guided(recording: Recording) -> bool:
+    """Whether a trailer follows the reference, not the base."""
+    kinematic = recording.meta.get("kinematic")
+    trailer = isinstance(kinematic, Mapping) and kinematic.get("guide") == "trailer"
+    return trailer and "world_error" in recording
+
+
+def guided_pose(recording: Recording) -> Array:
+    """(N, 3) measured pose of what follows the reference, the base or a trailer [m, m, rad]."""
+    return recording["pose_ref"] - recording["world_error"] if trailer_guided(recording) else recording["pose"]
+
+
 def recorded_position(recording: Recording, robot: Robot) -> Array:
     """Where a robot was, (N, nv): the true position, or without one what was measured, the other joints at rest."""
     if "position" in recording:

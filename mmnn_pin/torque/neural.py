@@ -117,7 +117,7 @@ class Inputs(Settings, frozen=True):
         """The inputs that the signals at `rows` are, (..., nx)."""
         inputs, x = self.numbers(layout), np.zeros(values.shape)
         for place in np.ndindex(x.shape):
-            x[place] = input_of(values[place], inputs, place[-1])
+            x[place] = input_of(float(values[place]), inputs, place[-1])
         return x
 
 

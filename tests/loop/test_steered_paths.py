@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from mmnn_pin import Loop, Timing, load
+from mmnn_pin import Loop, Timing, load, load_experiment, run_experiment
 from mmnn_pin.errors import TrajectoryError
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.recording.recording import Recording
+from mmnn_pin.lab.show.curves import path
+from mmnn_pin.lab.show.replay.motion import base_reference
+from mmnn_pin.recording.recording import Recording, guided_pose
 from mmnn_pin.reference import Eight, HolonomicPath, Parking, Sine, Trajectory
 from mmnn_pin.reference.path import BasePath
 from mmnn_pin.reference.steerable import curvatures
 from mmnn_pin.torque.model_based import ComputedTorque
 
+ROOT = Path(__file__).parents[2]
 GAINS = Kinematic(kx=3.0, ky=16.0, kth=8.0, holonomic=(3.0, 3.0, 3.0))
 
 
@@ -47,6 +52,19 @@ def test_a_swerve_drive_turns_along_an_eight():
     path = HolonomicPath(Eight(3.0, 1.5, 20.0, ramp=2.0), Sine(0.8, 16.0))
     run = driven("swerve_arm", path, 8.0)
     assert errors(run)[1000:].max() < 2e-3 and np.ptp(run["pose"][:, 2]) > 0.7
+
+
+def test_a_truck_backs_its_trailer_into_a_gap():
+    """examples/backing.toml; pictures compare the trailer with its path, and show the truck as it stands to it."""
+    changes = ["controllers=['computed_torque']", "time.duration=19.5", "windows=[[2.0, 19.5]]"]
+    (run,) = run_experiment(load_experiment(ROOT / "examples/backing.toml", changes), "backing").recordings.values()
+    assert errors(run).max() < 1e-3
+    assert guided_pose(run)[-1] == pytest.approx([-6.77, -1.5, 0.0], abs=0.03)
+    truck = run["pose"] - guided_pose(run)
+    assert np.hypot(*truck[:, :2].T) == pytest.approx(0.84, abs=0.02)  # 0.14 m to the hitch, 0.7 m from there
+    (_, gaps) = path({"computed_torque": run})
+    assert gaps.curves["computed_torque"][1] == pytest.approx(1e3 * errors(run))
+    assert base_reference(run) == pytest.approx(run["pose"], abs=1e-3)
 
 
 def test_a_path_that_is_too_tight_moves_nothing():

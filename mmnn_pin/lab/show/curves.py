@@ -14,7 +14,7 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...recording.metrics import TRUE
-from ...recording.recording import Recording, recorded_robot
+from ...recording.recording import Recording, guided_pose, recorded_robot
 from ...recording.tracking import prismatic_joints
 from ...signals import ALONG, Array
 from ..experiments.controllers import ORACLES
@@ -124,7 +124,7 @@ def path(recordings: Recordings) -> Iterator[Panel]:
     driven = {name: r for name, r in recordings.items() if "pose" in r and "pose_ref" in r and len(r)}
     if driven:
         wanted = [(None, pose) for pose in distinct([r["pose_ref"] for r in driven.values()])]
-        yield Panel("y over x", "m", tracks=(*wanted, *((name, r["pose"]) for name, r in driven.items())))
+        yield Panel("y over x", "m", tracks=(*wanted, *((name, guided_pose(r)) for name, r in driven.items())))
         gaps = {name: (r.time, distance(r)) for name, r in driven.items()}
         yield Panel("distance to the reference", "mm", gaps)
 
@@ -278,8 +278,8 @@ def learners(recordings: Recordings) -> dict[str, Recording]:
 
 
 def distance(recording: Recording) -> Array:
-    """Distance of the base to its reference [mm], shape (N,)."""
-    return 1e3 * np.hypot(*(recording["pose_ref"] - recording["pose"])[:, :2].T)
+    """Distance of the base, or of a guided trailer, to its reference [mm], shape (N,)."""
+    return 1e3 * np.hypot(*(recording["pose_ref"] - guided_pose(recording))[:, :2].T)
 
 
 def distinct(references: Sequence[Array]) -> list[Array]:

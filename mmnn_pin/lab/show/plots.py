@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import RecordingError
-from ...recording.recording import Recording, as_columns
+from ...recording.recording import Recording, as_columns, guided_pose
 from ...safety import STOPPING
 from ...signals import Array
 from ..experiments.controllers import effective
@@ -181,7 +181,7 @@ def path_figure(recordings: Recordings) -> Figure:
     frame_paths(plane, scale_rows(driven.values()))
     below.set_ylim(0.0, limits(calm_values(gaps, driven))[1])
     for name, recording in driven.items():
-        mark_end(plane, recording, styles[name], *recording["pose"][:, :2].T)
+        mark_end(plane, recording, styles[name], *guided_pose(recording)[:, :2].T)
         mark_end(below, recording, styles[name], *gaps[name])
     add_legend(picture, "Path of the base", [("reference", TRUTH), *style_looks(driven, styles)])
     return picture

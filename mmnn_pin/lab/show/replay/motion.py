@@ -18,7 +18,13 @@ from ....errors import RecordingError
 from ....model.robot import Robot
 from ....model.urdf.document import Document, Joint
 from ....plant.contact.plant import SLIPPING
-from ....recording.recording import Recording, as_columns, recorded_position
+from ....recording.recording import (
+    Recording,
+    as_columns,
+    guided_pose,
+    recorded_position,
+    trailer_guided,
+)
 from ....recording.tracking import prismatic_joints
 from ....safety import RAMPING, STEPPED_IN, STOPPING
 from ....signals import HAND, Array, IntArray
@@ -140,6 +146,17 @@ def frames_of(recording: Recording, fps: float) -> IntArray:
     return good[np.unique(np.searchsorted((times[1:] + times[:-1]) / 2, grid))]
 
 
+def base_reference(recording: Recording) -> Array:
+    """(N, 3) where the base should be: on its reference, or as it stands to a trailer that should be there."""
+    asked = recording["pose_ref"]
+    if not trailer_guided(recording):
+        return asked
+    guided = guided_pose(recording)
+    turn, (x, y, phi) = asked[:, 2] - guided[:, 2], (recording["pose"] - guided).T
+    c, s = np.cos(turn), np.sin(turn)
+    return asked + np.column_stack((c * x - s * y, s * x + c * y, phi))
+
+
 def wanted(recording: Recording, robot: Robot, rows: IntArray) -> Array | None:
     """Positions (k, nv) that the reference asked for; None where the run has none.
 
@@ -149,7 +166,7 @@ def wanted(recording: Recording, robot: Robot, rows: IntArray) -> Array | None:
         return None
     table = recorded_position(recording, robot)[rows]
     if "pose_ref" in recording:
-        table[:, :3] = recording["pose_ref"][rows]
+        table[:, :3] = base_reference(recording)[rows]
     if "q_ref" in recording:
         table[:, robot.arm_index] = as_columns(recording["q_ref"])[rows]
     robot.follow(table.T)
