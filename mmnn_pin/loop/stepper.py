@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..elementary import hypot
 from ..elementary.arrays import is_below
 from ..elementary.matrices import product
 from ..errors import ConfigError, UnknownName, keyed
@@ -371,12 +372,13 @@ class Stepper:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
             made = suited(controller, self.robot, lambda: LoopToSuit(kinematic, self.period, delay, lag))
         setup = replace(self.setup, controller=made, kinematic=kinematic)
-        before, self.limits = self.limits, limits or self.limits
+        before, self.limits, direction = self.limits, limits or self.limits, self.direction.copy()
         try:
             self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
         except ConfigError:
             self.limits = before
             raise
+        self.direction[:] = direction
         if limits is not None:
             self.follower.limit(self.robot, limits)
 
@@ -466,8 +468,6 @@ class Stepper:
         if hardware.split is not None:
             limit_commands(hardware.split, limits[0], limits[1], self.latency)
         control = Control(plan, self.row, state, hardware)
-        if control.steering is not None and hardware_state is not None and self.control.steering is not None:
-            control.steering.maps.n[:] = self.control.steering.maps.n
         self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan
 
     def _command(self) -> None:
@@ -479,11 +479,12 @@ class Stepper:
         if split is not None:
             np.copyto(command.velocity, split.command, where=self.kinds == "velocity")
             np.copyto(command.motor_velocity, product(split.E.T, split.command), where=~motors)
+            rolling = self.robot.rolling
             for i, j, motor, pivot in self.placed:
                 command.position[i] = command.motor_position[motor] = split.place[j]
-                if pivot >= 0:
+                if pivot >= 0 and rolling is not None:
                     now = self.measured.shape[pivot]
-                    command.motor_position[motor] = followed(self.robot.rolling, pivot, split.place[j], now)
+                    command.motor_position[motor] = followed(rolling, pivot, split.place[j], now)
             if command.twist.size and self.kinds[0] == "velocity":
                 command.twist[:] = self._twist(split)
 
@@ -559,7 +560,7 @@ def velocity_limits(robot: Robot, limits: Array) -> Array:
         return limits
     own = limits
     if base.body == STEERED:
-        own = np.array([[math.hypot(limits[0, 0], base.length * limits[0, -1])], [limits[1, 0]]])
+        own = np.array([[hypot(limits[0, 0], base.length * limits[0, -1])], [limits[1, 0]]])
     return np.hstack((own, np.full((len(limits), len(base.masters)), np.inf)))
 
 

@@ -367,7 +367,7 @@ def first_body(base: int) -> int:
 
 def moving_joints(T: Array, base: int, rolling: Rolling | None = None) -> NDArray[np.int64]:
     """Rows of T of the joints that move, without the root; `rolling` makes those that change."""
-    root, moves = 3 if base else 0, T.any(axis=1)
+    root, moves = 3 if base else 0, np.array(T.any(axis=1))
     if rolling is not None:
         moves[rolling.turns[:, TURN.place]] = moves[rolling.carriers[:, 1]] = True
     return root + np.flatnonzero(moves[root:])

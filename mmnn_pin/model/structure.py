@@ -153,8 +153,10 @@ class Structure:
             RobotError: It steers.
         """
         if self.steers:
-            why = f"a base of kind '{self.base.kind}' moves as its joints {', '.join(self.base.shape)} stand"
-            fix = f"use {what}_at(position), or a base that does not steer"
+            why = (
+                f"its base of kind '{self.base.kind}' moves as {', '.join(self.base.shape)} stand, others do not steer"
+            )
+            fix = f"use {what}_at(position) in Python, or its arm alone: --base fixed"
             raise RobotError(f"'{self.name}' has no constant {what}", why=why, fix=fix)
 
     @cached_property

@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from ..elementary import hypot
 from ..elementary.matrices import pseudo_inverse
 from ..errors import ConfigError
 from ..model.base.rolling import Maps
@@ -194,7 +195,7 @@ class Safety(Settings, frozen=True):
         base, speed, yaw_rate = robot.base, some(self.speed), some(self.yaw_rate)
         if not isinstance(base, SteeredBase):
             return base.per_velocity(speed, yaw_rate)
-        own = base.per_velocity(speed, yaw_rate) if base.body else [math.hypot(speed, base.length * yaw_rate)]
+        own = base.per_velocity(speed, yaw_rate) if base.body else [hypot(speed, base.length * yaw_rate)]
         return own + [turned.get(base.pivots[k].joint, math.inf) for k in base.masters]
 
     def _calm_rate(self, robot: Robot, gains: Array) -> float:

@@ -149,7 +149,7 @@ class Encoders(NamedTuple):
 
 @by_address
 class SteeredRows(NamedTuple):
-    """What wheels and pivots of a base that steers say of its motion, at the angles that are read.
+    """The rows by which wheels and pivots of a base that steers tell of its motion, at the angles that are read.
 
     Attributes:
         rolling: The base.
@@ -160,8 +160,8 @@ class SteeredRows(NamedTuple):
         scratch: (2, nb, nb).
         shares: (nw, nb) scratch.
         rolls: (nw, nb) written, see `Rates`.
-        W: (nb, nw) written, see `Velocities`.
-        path: (3, nw) written, see `WheelOdometry`: half way between this reading and the one before.
+        W: (nb, nw) written, see `Velocities`: half way between this reading and the one before, as their difference is.
+        path: (3, nw) written, see `WheelOdometry`: likewise.
     """
 
     rolling: Rolling
@@ -180,19 +180,23 @@ class SteeredRows(NamedTuple):
         """Write the rows."""
         nw, nb = self.rolls.shape
         first = nw - wire.pivots
-        for half in (0.5, 0.0):
-            for i in range(first, nw):
-                self.position[self.places[i]] = wire.joints[i, READING] - half * wire.joints[i, MOVED]
-            roll(self.rolling, self.position, self.still, self.maps)
-            shares(self.maps.T, self.places, self.scratch, self.shares)
-            for i in range(3 if half > 0.0 else 0):
-                for j in range(nw):
-                    self.path[i, j] = 0.0
-                    for a in range(nb):
-                        self.path[i, j] += self.maps.V[0, i, a] * self.shares[j, a]
+        for i in range(first, nw):
+            self.position[self.places[i]] = wire.joints[i, READING] - 0.5 * wire.joints[i, MOVED]
+        roll(self.rolling, self.position, self.still, self.maps)
+        shares(self.maps.T, self.places, self.scratch, self.shares)
         for j in range(nw):
             for a in range(nb):
-                self.rolls[j, a], self.W[a, j] = self.maps.T[self.places[j], a], self.shares[j, a]
+                self.W[a, j] = self.shares[j, a]
+            for i in range(3):
+                self.path[i, j] = 0.0
+                for a in range(nb):
+                    self.path[i, j] += self.maps.V[0, i, a] * self.shares[j, a]
+        for i in range(first, nw):
+            self.position[self.places[i]] = wire.joints[i, READING]
+        roll(self.rolling, self.position, self.still, self.maps)
+        for j in range(nw):
+            for a in range(nb):
+                self.rolls[j, a] = self.maps.T[self.places[j], a]
 
 
 @by_address

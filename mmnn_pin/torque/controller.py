@@ -133,7 +133,8 @@ class MachineLimits(NamedTuple):
 
     def typical_shape(self, rng: np.random.Generator) -> Array:
         """Random angles of the pivots within their stops, at most half a turn, (shape,) [rad]."""
-        return rng.uniform(*np.clip(self.stops, -np.pi, np.pi).T)
+        low, high = np.clip(self.stops, -np.pi, np.pi).T
+        return np.asarray(rng.uniform(low, high), float)
 
     @property
     def ranges(self) -> tuple[Array, Array]:

@@ -33,7 +33,7 @@ from .controller import (
     read_facts,
     split,
 )
-from .law import COSINE, SINE
+from .law import COSINE, SINE, input_of
 from .one_layer import OneLayer
 from .two_layer import TwoLayer, numerical_rank
 
@@ -115,10 +115,10 @@ class Inputs(Settings, frozen=True):
 
     def seen(self, values: Array, layout: Layout) -> Array:
         """The inputs that the signals at `rows` are, (..., nx)."""
-        inputs = self.numbers(layout)
-        kind = inputs[2] if len(inputs) > 2 else np.zeros(inputs.shape[1])
-        x = np.where(kind == COSINE, np.cos(values), np.where(kind == SINE, np.sin(values), values))
-        return np.asarray(inputs[0] * x + inputs[1])
+        inputs, x = self.numbers(layout), np.zeros(values.shape)
+        for place in np.ndindex(x.shape):
+            x[place] = input_of(float(values[place]), inputs, place[-1])
+        return x
 
 
 class Robust(Settings, frozen=True):

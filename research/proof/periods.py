@@ -64,7 +64,7 @@ class Periods:
         """The row of a state as exact sensors and the kinematic law make it; its position and nu."""
         row, (position, nu) = row.copy(), self.placed(row, y)
         exact(row, self.layout.offsets, position, nu, self.robot.arm_index)
-        command(row, self.layout.offsets, *self.gains)
+        command(row, self.layout.offsets, *self.gains, np.zeros(0), None)
         return row, position, nu
 
     def torque(self, row: Array, y: Array) -> Array:

@@ -51,6 +51,11 @@ def least_second_eigenvalue(pivots: Array, length: float, count: int = 20000) ->
     return float(second(headings).min())
 
 
+def way_to(across: Array, ahead: Array) -> Array:
+    """Chi, the angle from a wheel to the velocity asked of it, within a right angle."""
+    return np.asarray(np.arctan2(np.where(ahead < 0, -across, across), np.abs(ahead)), np.float64)
+
+
 def still(time: float) -> tuple[float, float]:
     """No velocity error at any time."""
     return 0.0, 0.0
@@ -120,7 +125,7 @@ class SteeredMotion:
     def angles(self, time: float, e: Array, headings: Array) -> Array:
         """Chi (B, N)."""
         across, ahead = self.places(self.asked(e, self.reference(time)[0]), headings)
-        return np.arctan(across / ahead)
+        return way_to(across, ahead)
 
     def speeds(self, time: float, e: Array) -> Array:
         """|P| (B, N) of every wheel, as asked."""
@@ -140,8 +145,9 @@ class SteeredMotion:
         step = 1e-6
         later, before = (self.asked(e + k * step * ed, v + k * step * acceleration) for k in (1, -1))
         q, p = self.places((later - before) / (2 * step), headings)
-        top = self.rate * across * ahead + q * ahead - p * across
-        turning = np.clip(top / (across**2 + ahead**2 + self.slow**2), -self.limit, self.limit)
+        size2 = across**2 + ahead**2
+        top = self.rate * way_to(across, ahead) * size2 + q * ahead - p * across
+        turning = np.clip(top / (size2 + self.slow**2), -self.limit, self.limit)
         if self.exact:
             turning = -across / self.trail
         eta = (u[:, None] * n + X * turning[:, :1]) / scale
@@ -204,13 +210,13 @@ class Constants(NamedTuple):
 
     def reached(self, a: Array, chi: Array, rate: float) -> Array:
         """Theorem 1: what the size stays below, from sizes and largest angles at the start."""
-        grown = (self.B0 + self.B1 * a) * np.exp(self.m * self.B1 * np.arcsinh(np.tan(np.abs(chi))) / rate)
+        grown = (self.B0 + self.B1 * a) * np.exp(self.m * self.B1 * np.abs(chi) / rate)
         return (grown - self.B0) / self.B1
 
     def rate_for(self, a: float, chi: float, within: float) -> float:
         """The K with which the size stays below `within` [1/s]."""
         gained = np.log((self.B0 + self.B1 * within) / (self.B0 + self.B1 * a))
-        return float(self.m * self.B1 * np.arcsinh(np.tan(chi)) / gained)
+        return float(self.m * self.B1 * chi / gained)
 
 
 def waves(seed: int, count: int, middle: Array, swing: Array) -> Reference:

@@ -304,10 +304,10 @@ class Place:
         values |= {"q_ref": self.q + e, "qdot_ref": self.nu[2:], "qddot_ref": self.nudot[2:], "q": self.q}
         for name, value in values.items():
             row[layout.where(name)] = value
-        command(row, layout.offsets, gains, self.loop.K)
+        command(row, layout.offsets, gains, self.loop.K, np.zeros(0), None)
         nu = row[layout.where("nu_ref")] - s
         row[layout.where("velocity")], row[layout.where("qdot")] = nu[:2], nu[2:]
-        command(row, layout.offsets, gains, self.loop.K)
+        command(row, layout.offsets, gains, self.loop.K, np.zeros(0), None)
         names = ("alpha", "alphadot", "e", "edot", "r", "z", "nu_ref", "nudot_ref", "pose_error")
         return {name: row[layout.where(name)].copy() for name in names}
 

@@ -227,7 +227,7 @@ def filled(layout: Layout, seed: int) -> tuple[Array, dict[str, Array]]:
 
 def sample(row: Array, layout: Layout, K: Array) -> None:
     offsets: Any = layout.offsets
-    command(row, offsets, THESIS, K)
+    command(row, offsets, THESIS, K, np.zeros(0), None)
 
 
 @pytest.mark.parametrize("layout", [Layout(2, 2, 7, 4), Layout(2, 3, 8, 5), Layout(2, 0, 5, 2), Layout(0, 2, 2, 2)])

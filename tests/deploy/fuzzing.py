@@ -30,7 +30,8 @@ def fuzzed(loop, period, steps, seed):
     for asked in table:
         time += period * rng.choice([1.0, 0.0, -1.0, 3.0, 400.0], p=[0.95, 0.02, 0.01, 0.015, 0.005])
         now = float(rng.choice([time, np.nan, np.inf, -np.inf], p=[0.994, 0.002, 0.002, 0.002]))
-        received = as_measured(asked, d) + 0.01 * rng.standard_normal(d.pose + d.base + 2 * d.arm)
+        received = as_measured(asked, loop.robot)
+        received += 0.01 * rng.standard_normal(received.size)
         sent = asked.copy()
         for numbers in (received, sent):
             if rng.random() < 0.03:

@@ -91,6 +91,23 @@ def test_the_self_test_has_the_bits_of_the_stepper(exported, controller):
     assert 0 < told["ram_bytes"] < 120_000
 
 
+@needs_gcc
+@pytest.mark.parametrize("robot", ["car_arm", "swerve_arm"])
+@pytest.mark.parametrize("controller", ["pd", "computed_torque"])
+def test_a_base_that_steers_has_the_bits_of_the_stepper(tmp_path, robot, controller):
+    told = embedded(tmp_path / "c", controller, "--robot", robot, "--steps", str(STEPS))
+    assert told["robot"] == robot and told["selftest_steps"] == STEPS
+    assert "shape[" in (tmp_path / "c/controller.h").read_text()
+
+
+@needs_gcc
+def test_fuzzed_samples_of_a_swerve_drive_have_the_same_bits(tmp_path):
+    found = write_fuzzed(loop_of("swerve_arm", "pd"), tmp_path, 300, 3)
+    assert found.distinct > 100 and found.trips >= 1, found
+    status, said = on_target(tmp_path, "gcc")
+    assert status == 0 and "300 samples, 0 differ" in said, said
+
+
 @pytest.mark.parametrize("target", ["clang", "cortex-m7"])
 def test_another_compiler_and_an_emulated_board_have_the_same_bits(exported, tmp_path, target):
     require(target)
@@ -216,7 +233,7 @@ def test_what_is_asked_in_flight_is_done_as_by_the_stepper(tmp_path):
     actions = {90: "pause", 110: "resume", 300: "stop", 340: "reset", 350: "pause", 380: "resume"}
     for k, asked in enumerate(table):
         wish = wishes[max(first for first in wishes if first <= k)]
-        sample, measured = Setpoint.side_by_side(asked, d), np.ascontiguousarray(as_measured(asked, d) + 0.001)
+        sample, measured = Setpoint.side_by_side(asked, d), np.ascontiguousarray(as_measured(asked, loop.robot) + 0.001)
         if k in actions:
             getattr(stepper, actions[k])()
             getattr(c, f"mmnn_{actions[k]}")(memory)

@@ -117,7 +117,7 @@ def test_ahead_the_reference_is_where_it_will_be_and_every_error_is_what_it_was(
                         (measured.q, setpoint.q), (measured.qdot, setpoint.qdot)):  # fmt: skip
         own[:] = wanted + 0.01 * rng.standard_normal(own.size)
     gains, K = loop.kinematic.base_gains(layout), loop.kinematic.arm_gains(layout)
-    before_torque(row, layout.offsets, time, now, gains, K)
+    before_torque(row, layout.offsets, time, now, gains, K, before, None)
     kept = row.copy()
     ahead = Ahead(d, age, h, np.ones(layout.dof), layout.new_row(), constant_gain(np.ones(layout.dof)))
     look_ahead(row, layout.offsets, before, ahead, None)

@@ -189,7 +189,7 @@ def test_its_low_pass_lasts_longer_than_velocities_repeat_what_it_believes(unsee
 def test_errors_of_velocities_count_as_the_energy_of_the_pose_grows(base: str) -> None:
     """Second differences of that energy along what each velocity drives."""
     gains, kind, tiny = Kinematic(ky=9.0), KINDS[base], 1e-3
-    nb = len(kind.velocity_names)
+    nb = len(kind.twist_names)
     layout, still = Layout(nb, 0, nb + 3, nb, base), np.zeros((nb, nb))
     energy = kind.pose_energy(tiny * np.eye(3)[kind.columns], still, still, gains.base_gains(layout))
     assert energy is not None

@@ -58,6 +58,18 @@ def test_regressor_times_parameters_is_psi(name, seed):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
+def test_rotors_of_wheels_and_steering_take_their_own_acceleration(name):
+    """Column of a rotor: what turning it takes, `t (t nudot_ref + tdot nu_ref)` with its row t of T."""
+    regressor, position, nu, nu_ref, nudot_ref = random_state(name, 1)
+    found = robot(name)
+    T, Tdot, Y = found.T_at(position), found.Tdot_at(position, nu), regressor.matrix(position, nu, nu_ref, nudot_ref)
+    for joint in regressor.joints:
+        row = found.full_velocity_names.index(joint)
+        wanted = T[row] * (T[row] @ nudot_ref + Tdot[row] @ nu_ref)
+        np.testing.assert_allclose(Y[:, regressor.labels.index(f"{joint}.rotor")], wanted, atol=1e-11)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
 def test_regressor_along_a_motion_goes_on_from_sample_to_sample(name):
     """`along` has the angles of every row, and of a swerve drive the way u counted before."""
     regressor, position, nu, nu_ref, _ = random_state(name, 0)

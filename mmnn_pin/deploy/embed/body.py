@@ -365,6 +365,8 @@ class FunctionBody:
             self._to_variable(name, value)
         elif not once and isinstance(value, Tuple) and all(isinstance(x, Number) for x in value.items):
             self._to_variable(name, self.vec(target, value))
+        elif isinstance(value, Tuple) and reads(value):
+            self.names[name] = self.fresh(self.vec(target, value))
         elif not once:
             self.refuse(target, f"'{name}', which is several things,")
         elif isinstance(value, ArrayValue):
@@ -992,6 +994,12 @@ def as_kind(value: Number, kind: str) -> Number:
 def is_name(text: str) -> bool:
     """Whether a text is a name, or a member of something that has one."""
     return text.replace(".", "").isidentifier()
+
+
+def reads(value: Tuple) -> bool:
+    """Whether a tuple is of real numbers that are not known: what they are read from may be written later."""
+    numbers = [item for item in value.items if isinstance(item, Number) and item.kind == "real"]
+    return value.of is None and len(numbers) == len(value.items) and not all(item.is_known for item in numbers)
 
 
 def is_constant(value: Value) -> bool:

@@ -303,7 +303,7 @@ def facts(export: Export) -> dict[str, Any]:
         "asked": asked,
         "signals": [(name.upper(), at.start, f"{at.stop - at.start} {unit(name)}".strip()) for name, at in here],
         "width": layout.width,
-        "members": [(program.c_type(m.kind), m.name, m.data.size) for m in export.members],
+        "members": [(program.c_type(m.kind), m.name, max(m.data.size, 1)) for m in export.members],
         "remembered": [(m.name, m.data.size) for m in export.remembered],
     }
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import signal
 from scipy.interpolate import make_interp_spline
 
-from ...errors import RecordingError
+from ...errors import RecordingError, RobotError
 from ...model.reduction import COULOMB_SPEED
 from ...model.regressor import Regressor
 from ...model.robot import Robot
@@ -176,6 +176,17 @@ class Equations:
             name: np.concatenate([getattr(part, name) for part in parts]) for name in ("time", "Y", "y", "use", "speed")
         }
         return cls(**join, run=np.concatenate(numbered), cutoff=first.cutoff)
+
+
+def require_identifiable(robot: Robot) -> None:
+    """Refuse a robot whose base steers.
+
+    Raises:
+        RobotError: It does.
+    """
+    if robot.steers:
+        why = f"its base of kind '{robot.base.kind}' steers, and the equations here are those of a constant T"
+        raise RobotError(f"'{robot.name}' cannot be identified", why=why, fix="its arm alone can: --base fixed")
 
 
 def measured_rows(robot: Robot, logs: Sequence[Log]) -> tuple[int, ...]:

@@ -29,7 +29,7 @@ from ...model.tree.body import parameters
 from ...signals import Array
 from ...torque.pseudo_inertia import BODY
 from .clearance import clearances
-from .equations import Unknowns
+from .equations import Unknowns, require_identifiable
 from .least_squares import BaseParameters, base_parameters, inverted
 from .programme import mass_matrix
 
@@ -199,8 +199,10 @@ def excite(robot: Robot, limits: ExcitationLimits | None = None) -> ExcitingMoti
         limits: What the motion may do.
 
     Raises:
+        RobotError: Its base steers.
         ConfigError: No motion is within the limits; with what most candidates were refused for.
     """
+    require_identifiable(robot)
     limits = limits or ExcitationLimits()
     search = ExcitationSearch.of(robot, limits)
     rng, end = np.random.default_rng(limits.seed), clock.monotonic() + limits.seconds

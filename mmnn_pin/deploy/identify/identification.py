@@ -25,7 +25,17 @@ from ...settings.arguments import checked
 from ...shown import AsText, shown
 from ...signals import Array
 from .constants import constants_of
-from .equations import Bools, Equations, Unknowns, chosen_cutoff, coordinates, equations, measured_rows, still_speeds
+from .equations import (
+    Bools,
+    Equations,
+    Unknowns,
+    chosen_cutoff,
+    coordinates,
+    equations,
+    measured_rows,
+    require_identifiable,
+    still_speeds,
+)
 from .least_squares import WeightedFit, base_parameters, weighted_fit
 from .log import Log
 from .odometry import Wheels, has_reference, wheels_of
@@ -212,6 +222,7 @@ def identify(
         progress: Called now and then with what is being done and the fraction of it.
 
     Raises:
+        RobotError: Its base steers.
         RecordingError: A log that cannot be used.
         UnknownName: A torque constant of no motor.
         ConfigError: A number that cannot be.
@@ -226,6 +237,7 @@ def identify(
     >>> found.better
     True
     """
+    require_identifiable(robot)
     given, judged = logs_of(logs, robot), logs_of(held_out, robot)
     require_settings(cutoff, stribeck, weight)
     tell, constants, count = progress or (lambda what, fraction: None), torque_constants or {}, len(given)

@@ -26,7 +26,16 @@ from ...model.robot import Robot
 from ...signals import Array
 from ...torque.prior import DOUBT
 from ...torque.pseudo_inertia import BODY
-from .equations import Bools, Equations, Unknowns, chosen_cutoff, equations, measured_rows, still_speeds
+from .equations import (
+    Bools,
+    Equations,
+    Unknowns,
+    chosen_cutoff,
+    equations,
+    measured_rows,
+    require_identifiable,
+    still_speeds,
+)
 from .least_squares import FINEST, BaseParameters, WeightedFit, inverted, meat, weighted_fit
 from .log import Log
 from .programme import BALL, LIGHT, WIDE, Prior
@@ -102,9 +111,11 @@ def payload(
         without: Motions without the load, best the same ones: they separate the load from the robot's own errors.
 
     Raises:
+        RobotError: Its base steers.
         UnknownName: No such joint.
         RecordingError: A log that cannot be used, or a motion in which the load is not seen.
     """
+    require_identifiable(robot)
     loaded, empty = (
         [sound(log, robot) for log in ([some] if isinstance(some, Log) else some)] for some in (logs, without)
     )

@@ -68,9 +68,12 @@ class Asking:
             trajectory = JointTrajectory(joint_names=list(self.arm.names), points=points)
             self.arm.motion(trajectory, np.stack([here, 0.0 * here, 0.0 * here]))
         if self.arm.robot.dimensions.base:
-            path = Path(poses=[PoseStamped() for _ in range(3)])
+            path, steers = Path(poses=[PoseStamped() for _ in range(3)]), self.arm.robot.steers
             path.poses[1].pose.position.x = path.poses[2].pose.position.x = path.poses[2].pose.position.y = 1.0
             start = np.array([0.0, 1.0, 0.0]), np.ones(self.arm.robot.dimensions.twist)
+            if steers:  # straight ahead, as any base can
+                path.poses[2].pose.position.x, path.poses[2].pose.position.y = 2.0, 0.0
+                start[0][1], start[1][-1] = 0.0, 0.0
             s = self.settings
             base_motion(path, s.path, s.limits, self.arm.robot, self.arm.period, start)
 

@@ -157,7 +157,7 @@ class Bridge:
         for name in ("~/stop", "~/reset"):
             name = self.node.resolve_service_name(name)
             found.append(GraphRow("serves", name, "std_srvs/srv/Trigger", "reliable", ""))
-        for output, one, _, _ in self.commands.outlets:
+        for output, one, _ in self.commands.outlets:
             what = "" if output.is_base else f"{output.interface} of {', '.join(output.joints)}"
             found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), what))
         if (health := self.health) is not None:
@@ -406,7 +406,7 @@ class Bridge:
             self.asking.action.server.destroy()
         for inlet in self.inlets:
             self.node.destroy_subscription(inlet.subscription)
-        outlets = [outlet for _, outlet, _, _ in self.commands.outlets]
+        outlets = [outlet for _, outlet, _ in self.commands.outlets]
         for one in [*outlets, *([] if self.health is None else [self.health])]:
             self.node.destroy_publisher(one.publisher)
 

@@ -14,7 +14,6 @@ from rclpy.node import Node as RosNode
 from std_msgs.msg import Float64MultiArray, Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from ...elementary import atan2, hypot
 from ...errors import ConfigError
 from ...loop.servo import Command
 from ...loop.stepper import Stepper
@@ -23,14 +22,13 @@ from ...model.robot import Robot
 from ...signals import Array
 from .inlets import Outlet
 from .settings import ACKERMANN, TRAJECTORY, TWIST_STAMPED, Node, Output
-from .wiring import names_of, topic_of
+from .wiring import ackermann, names_of, topic_of
 
 KINDS: dict[str, Any] = {
     "Float64MultiArray": Float64MultiArray, "JointTrajectory": JointTrajectory,
     "Twist": Twist, "TwistStamped": TwistStamped,
 }  # fmt: skip
 OK, WARN, ERROR = 0, 1, 2
-SLOW = 1e-3  # speed of a car's wheels under which they keep their angle [m/s]
 STATES = {
     0: "running",
     1: "running, a torque is clipped or a measurement held",
@@ -113,10 +111,9 @@ class Commands:
 
     def _driven(self, twist: Array) -> Array:
         """Speed of a car's fixed axle and the angle of the wheel in the middle of the other; it keeps that at rest."""
-        v, swing = twist[0], self.wheelbase * twist[1]
-        if hypot(v, swing) > SLOW:
-            self.angle = atan2(-swing if v < 0.0 else swing, abs(v))
-        return np.array([v, self.angle if math.isfinite(v + swing) else math.nan])
+        v, angle = ackermann(twist, self.wheelbase, self.angle)
+        self.angle = angle if math.isfinite(angle) else self.angle
+        return np.array([v, angle])
 
 
 def message_type(name: str) -> Any:

@@ -8,14 +8,17 @@ from typing import Any
 
 from pinocchio import BODY
 
+from ...elementary import atan2, hypot
 from ...errors import ConfigError, UnknownName
 from ...files import quoted
 from ...model.base.steered import CarLike, Tricycle
 from ...model.robot import Robot
+from ...signals import Array
 from .drivers import DIFF_DRIVE, driver_of
 from .settings import ACKERMANN, TRAJECTORY, TWIST_STAMPED, Node, Output
 
 PLAIN = re.compile(r"(?!(?:true|false|yes|no|on|off|null|y|n)\Z)[a-zA-Z_/][\w/]*", re.ASCII | re.IGNORECASE)
+SLOW = 1e-3  # speed of a car's wheels under which they keep their angle [m/s]
 GROUP = "forward_command_controller/ForwardCommandController"
 TRAJECTORIES = "joint_trajectory_controller/JointTrajectoryController"
 
@@ -63,6 +66,20 @@ def topic_of(robot: Robot, name: str, output: Output) -> str:
         return f"{name}/{'joint_trajectory' if output.type == TRAJECTORY else 'commands'}"
     driver = driver_of(robot.base)
     return f"{name}/{driver.takes if driver is not None else 'cmd_vel'}"
+
+
+def ackermann(twist: Array, wheelbase: float, before: float) -> tuple[float, float]:
+    """A car's speed, and the angle of a wheel in the middle of the axle that steers; at rest it keeps that.
+
+    Args:
+        twist: (2,) of the middle of the axle that does not steer [m/s, rad/s].
+        wheelbase: [m], negative where the axle that steers is behind.
+        before: Angle before [rad].
+    """
+    v, swing = float(twist[0]), wheelbase * float(twist[1])
+    if hypot(v, swing) <= SLOW:
+        return v, before
+    return v, atan2(-swing if v < 0.0 else swing, abs(v))
 
 
 def odometry_topic(robot: Robot, settings: Node) -> str:

@@ -23,11 +23,13 @@ from mmnn_pin.deploy.identify import programme
 from mmnn_pin.deploy.identify.constants import constants_of
 from mmnn_pin.deploy.identify.corrected import new_links, pseudo_inertia_of, said_of, transport, write
 from mmnn_pin.deploy.identify.equations import Equations
+from mmnn_pin.deploy.identify.excitation import excite
 from mmnn_pin.deploy.identify.identification import Identification, misfits
 from mmnn_pin.deploy.identify.least_squares import BaseParameters
 from mmnn_pin.deploy.identify.log import Log
+from mmnn_pin.deploy.identify.payload import payload
 from mmnn_pin.deploy.identify.report import inertia_of, links_of, report_of
-from mmnn_pin.errors import ConfigError, InputError, MmnnError, RecordingError, UnknownName
+from mmnn_pin.errors import ConfigError, InputError, MmnnError, RecordingError, RobotError, UnknownName
 from mmnn_pin.lab.show.identified import headline, percent, text_of
 from mmnn_pin.model.inspection import inspection_of
 from mmnn_pin.model.loading import load_with
@@ -547,3 +549,12 @@ def test_a_fit_that_a_urdf_cannot_hold_is_not_better(found: Identification) -> N
         report_of(other)
     )
     assert "better than the URDF" in headline(report_of(found))
+
+
+def test_a_base_that_steers_is_refused_by_name() -> None:
+    """One line says what can be done, for logs, loads and the search for a motion; its arm alone is taken."""
+    robot = load("car_arm")
+    for ask in (lambda: identify(robot, "no.csv"), lambda: payload(robot, []), lambda: excite(robot)):
+        with pytest.raises(RobotError, match=r"'car_arm' cannot be identified: .*car_like.* steers.*--base fixed"):
+            ask()
+    assert load("car_arm", base="fixed").dimensions.base == 0
