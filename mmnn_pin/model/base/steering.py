@@ -97,11 +97,11 @@ class Module:
         return all(c.mount == "swivel" for c in self.wheels)
 
     def is_body(self, rest: AtRest) -> bool:
-        """Whether it is a body of its own: wheels on both sides of it, more than a radius from its axis."""
+        """Whether it is a body of its own: wheels more than a radius apart, and more than one from its axis."""
         ahead, radius = rolling(self.wheels[0]), self.wheels[0].radius
         sides = [product([-ahead[1], ahead[0]], c.centre[:2]) for c in self.wheels]
         alike = all(parallel(self.wheels[0], c) for c in self.wheels)
-        return bool(alike and np.ptp(sides) > 2 * radius and abs(self.lever(rest)[0]) > radius)
+        return bool(alike and np.ptp(sides) > radius and abs(self.lever(rest)[0]) > radius)
 
 
 class Undercarriage(NamedTuple):
@@ -436,7 +436,9 @@ def require_alike(rest: AtRest, under: Undercarriage) -> list[Module]:
     if len(steered) > 1 and odd:
         names, trail = ", ".join(f"'{m.joint.name}'" for m in odd), abs(odd[0].lever(rest)[0])
         why = f"the wheel under {names} stands {trail:.3g} m behind its axis, and others steer"
-        fix = f"mend the <origin> of the wheel or of its pivot; {STILL}"
+        pair = ",".join(c.joint.name for c in under.fixed) if len(under.fixed) == 2 and coaxial(*under.fixed) else ""
+        casters = f"--wheels {pair} if they are casters; " if pair else ""
+        fix = f"{casters}mend the <origin> of the wheel or of its pivot; {STILL}"
         raise unsupported(rest, "base that steers with wheels off their pivots", why, odd[0].wheels, fix)
     powered = under.of("powered") if steered else []
     return [replace(m, role="caster") if m in powered else m for m in under.modules]
