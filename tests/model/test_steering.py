@@ -250,6 +250,17 @@ def trailer(name: str = "hitch", parent: str = "base", at=(-0.3, 0, 0.1), rows=(
     return text
 
 
+@pytest.mark.parametrize("turn", (1.5708, -1.5708))
+def test_a_car_drawn_along_y_faces_what_steers_and_its_trailer_is_behind(turn):
+    ends = '<parent link="top"/><child link="base"/>'
+    top = f'<link name="top"/><joint name="turn" type="fixed">{ends}<origin rpy="0 0 {turn}"/></joint>'
+    for text in (CAR, CAR.replace("</robot>", trailer() + "</robot>")):
+        base = robot_of(text.replace("</robot>", top + "</robot>")).base
+        assert base.frame[2] == pytest.approx(turn, abs=1e-3) and base.pivots[0].x == pytest.approx(0.5)
+    pulled = [p for p in base.pivots if p.joint == "hitch"]
+    assert [(p.role, p.x) for p in pulled] == [("passive", pytest.approx(-0.3))]
+
+
 def test_two_axles_with_a_vertical_joint_between_are_asked_for_and_the_ways_lead_on():
     with pytest.raises(Undecided, match="whether a motor turns 'hitch'") as error:
         robot_of(chassis(pair() + trailer()))

@@ -57,6 +57,7 @@ SAMPLES = 6  # of angles at which it is looked for
 OPINION = 0.02  # a wheelbase that differs by more than this fraction is told
 WHEELBASES = {"wheelbase": 1.0, "wheel_base": 1.0, "wheelBase": 1.0}
 MIDDLE = 0.1  # a wheel that steers within this fraction of the wheelbase of the fixed axle steers nothing
+ALONG_Y = 0.1  # wheels roll along y where no more than this of their direction is along x
 KINDS = [kind.kind for kind in STEERED_KINDS]
 ONE_BODY = "write one vehicle in a file, or --base holonomic drives it by forces on its frame"
 STILL = "--base holonomic drives it by forces on its frame, its wheels standing still; --base fixed parks it"
@@ -487,7 +488,7 @@ def on_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Steered
         ConfigError: The user says that it is another kind.
     """
     fixed, steered = under.fixed, under.of("steered", "waist")
-    frame = frame_at(np.mean([c.centre for c in fixed], axis=0), forward_of(fixed))
+    frame = frame_at(np.mean([c.centre for c in fixed], axis=0), facing(under))
     steered = sorted(steered, key=lambda m: order(frame, rest, m))
     master = first_master(steered, under.motors)
     loader = master.role == "waist"
@@ -504,6 +505,17 @@ def on_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Steered
         pivots = [replace(p, x=p.x * overrides.wheelbase / wheelbase) for p in pivots]
         wheelbase = overrides.wheelbase
     return kind(pivots=tuple(pivots), frame=frame, length=wheelbase)
+
+
+def facing(under: Undercarriage) -> Array:
+    """(2,) direction nearer the root's x; of a base drawn along y away from its trailers, else to what steers."""
+    forward = forward_of(under.fixed)
+    trailing, steered = under.of("hitch"), under.of("steered")
+    if abs(forward[0]) > ALONG_Y or not (trailing or steered):
+        return forward
+    at = np.mean([c.centre for m in trailing or steered for c in m.wheels], axis=0)
+    ahead = product(forward, (at - np.mean([c.centre for c in under.fixed], axis=0))[:2])
+    return -forward if (ahead > 0) == bool(trailing) else forward
 
 
 def ahead_of(pivot: Pivot) -> float:

@@ -368,7 +368,8 @@ def test_notes_tell_what_the_plant_does_not(tmp_path: Path) -> None:
     (note,) = limit_notes(tight, {"pd": run})
     assert note.startswith("arm_2_joint goes 0.") and note.endswith("under pd; the plant has no end stops")
     bare = load("platform_arm", lock=robot.joint_names)
-    assert limit_notes(bare, {"pd": Loop(bare, Trajectory(Line(0.0), ()), PD(), timing=Timing(duration=0.1)).run()}) == []
+    run = Loop(bare, Trajectory(Line(0.0), ()), PD(), timing=Timing(duration=0.1)).run()
+    assert limit_notes(bare, {"pd": run}) == []
 
 
 def test_a_path_too_tight_for_a_car_is_drawn_larger_and_that_is_told() -> None:
