@@ -270,10 +270,20 @@ class Kinematic(Settings, frozen=True):
         return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
     def steering_of(self, robot: Structure, period: float) -> Steering | None:
-        """The steering of a robot's base, at a control period [s]; None where nothing steers."""
+        """The steering of a robot's base, at a control period [s]; None where nothing steers.
+
+        Raises:
+            ConfigError: Wheels turn to their paths in less than a period.
+        """
         base, d = robot.base, robot.dimensions
         if not isinstance(base, SteeredBase):
             return None
+        if base.masters and not self.steering * period < 1.0:
+            what, why = (
+                f"{self.steering:g} at a control period of {period:g} s",
+                "a wheel passes its path in one sample",
+            )
+            raise ConfigError(what, why=why, fix=f"take at most {0.5 / period:g}", key="kinematic.steering")
         names = [*base.shape, *(wheel.joint for wheel in base.wheels)]
         places = {name: 3 + i for i, name in enumerate(names)}
         rolling = base.rolling_at(places)

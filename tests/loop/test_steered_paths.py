@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mmnn_pin import Loop, Measurement, Stepper, StepperSettings, Timing, load, load_experiment, run_experiment
-from mmnn_pin.errors import TrajectoryError
+from mmnn_pin.errors import ConfigError, TrajectoryError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.show.curves import path
 from mmnn_pin.lab.show.replay.motion import base_reference
@@ -101,3 +101,14 @@ def test_a_car_far_from_its_path_turns_no_wheel_beyond_its_stops(start: tuple[fl
     for pivot, angles in zip(robot.base.pivots, run["shape"].T, strict=True):
         assert pivot.lower - 0.01 < angles.min() and angles.max() < pivot.upper + 0.01
     assert np.abs(run["shape"]).max() > 0.9 * robot.base.pivots[0].upper
+
+
+@pytest.mark.parametrize("name", ["tricycle_arm", "swerve_arm"])
+def test_wheels_that_pass_their_paths_in_one_sample_are_refused_and_advice_works(name: str):
+    robot, eight, timing = load(name), Eight(14.0, 7.0, 50.0, ramp=3.0), Timing(duration=2.0)
+    trajectory = Trajectory.of(robot, HolonomicPath(eight) if robot.dimensions.sideways else eight)
+    with pytest.raises(ConfigError, match="passes its path in one sample") as refused:
+        Loop(robot, trajectory, ComputedTorque(), kinematic=Kinematic(steering=2000.0), timing=timing).run()
+    most = float(str(refused.value.fix).removeprefix("take at most "))
+    gains = Kinematic(3.0, 16.0, 8.0, holonomic=(3.0, 3.0, 3.0), steering=most)
+    assert errors(Loop(robot, trajectory, ComputedTorque(), kinematic=gains, timing=timing).run()).max() < 0.03
