@@ -242,11 +242,23 @@ def test_what_steers_cannot_be_locked_or_freed():
 # --- Trailers and loaders ---------------------------------------------------------------------------------------------
 
 
-def trailer(name: str = "hitch", parent: str = "base", at=(-0.3, 0, 0.1), rows=(-0.8,)) -> str:
+def trailer(name: str = "hitch", parent: str = "base", at=(-0.3, 0, 0.1), rows=(-0.8,), radius: float = 0.1) -> str:
     text = link(f"{name}_body", 8.0, 0.5) + joint(name, "continuous", parent, f"{name}_body", p=at, axis=(0, 0, 1))
     for i, x in enumerate(rows):
-        text += "".join(wheel(f"{name}_{s}{i}", (x, y, 0), parent=f"{name}_body") for s, y in (("l", 0.3), ("r", -0.3)))
+        sides = (("l", 0.3), ("r", -0.3))
+        text += "".join(wheel(f"{name}_{s}{i}", (x, y, 0), parent=f"{name}_body", radius=radius) for s, y in sides)
     return text
+
+
+@pytest.mark.parametrize("turn", (1.5708, -1.5708))
+def test_a_car_drawn_along_y_faces_what_steers_and_its_trailer_is_behind(turn):
+    ends = '<parent link="top"/><child link="base"/>'
+    top = f'<link name="top"/><joint name="turn" type="fixed">{ends}<origin rpy="0 0 {turn}"/></joint>'
+    for text in (CAR, CAR.replace("</robot>", trailer() + "</robot>")):
+        base = robot_of(text.replace("</robot>", top + "</robot>")).base
+        assert base.frame[2] == pytest.approx(turn, abs=1e-3) and base.pivots[0].x == pytest.approx(0.5)
+    pulled = [p for p in base.pivots if p.joint == "hitch"]
+    assert [(p.role, p.x) for p in pulled] == [("passive", pytest.approx(-0.3))]
 
 
 def test_two_axles_with_a_vertical_joint_between_are_asked_for_and_the_ways_lead_on():
@@ -257,6 +269,22 @@ def test_two_axles_with_a_vertical_joint_between_are_asked_for_and_the_ways_lead
     assert robot_of(chassis(pair() + trailer()), base="articulated").base.kind == "articulated"
     behind = robot_of(chassis(pair() + trailer()), hitch=("hitch",))
     assert behind.base.kind == "drive_trailer" and behind.velocity_names[:2] == ("v", "w")
+
+
+def test_a_loader_on_wheels_larger_than_its_tread_is_asked_for_too():
+    text = chassis(pair(0.35) + trailer(at=(-0.8, 0, 0.35), radius=0.35))
+    with pytest.raises(Undecided, match="whether a motor turns 'hitch'"):
+        robot_of(text)
+    assert robot_of(text, steer=("hitch",)).base.kind == "articulated"
+
+
+def test_casters_with_motors_behind_two_wheels_are_refused_with_a_way_that_leads_on():
+    trailing = "".join(on_swivel(n, (-0.5, y, 0.1), trail=0.08) for n, y in (("bl", 0.2), ("br", -0.2)))
+    text = with_motors(chassis(pair() + trailing), "bl_swivel", "br_swivel")
+    with pytest.raises(Unsupported, match="wheels off their pivots") as error:
+        robot_of(text)
+    assert "--wheels left,right if they are casters" in error.value.fix
+    assert robot_of(text, wheels=("left", "right")).base.kind == "differential_drive"
 
 
 def test_motors_tell_a_loader_from_a_drive_with_a_trailer():

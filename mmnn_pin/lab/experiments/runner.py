@@ -160,7 +160,7 @@ def limit_notes(robot: Robot, runs: Mapping[str, Recording]) -> list[str]:
     far = {
         (name, i): float(np.nanmax(beyond[:, i] / max(upper[i] - lower[i], 1e-9)))
         for name, run in runs.items()
-        if len(run)
+        if len(run) and robot.dimensions.arm
         for beyond in [np.maximum(as_columns(run["q"]) - upper, lower - as_columns(run["q"]))]
         for i in range(len(lower))
         if np.isfinite(upper[i] - lower[i]) and upper[i] > lower[i]

@@ -57,6 +57,7 @@ SAMPLES = 6  # of angles at which it is looked for
 OPINION = 0.02  # a wheelbase that differs by more than this fraction is told
 WHEELBASES = {"wheelbase": 1.0, "wheel_base": 1.0, "wheelBase": 1.0}
 MIDDLE = 0.1  # a wheel that steers within this fraction of the wheelbase of the fixed axle steers nothing
+ALONG_Y = 0.1  # wheels roll along y where no more than this of their direction is along x
 KINDS = [kind.kind for kind in STEERED_KINDS]
 ONE_BODY = "write one vehicle in a file, or --base holonomic drives it by forces on its frame"
 STILL = "--base holonomic drives it by forces on its frame, its wheels standing still; --base fixed parks it"
@@ -97,11 +98,11 @@ class Module:
         return all(c.mount == "swivel" for c in self.wheels)
 
     def is_body(self, rest: AtRest) -> bool:
-        """Whether it is a body of its own: wheels on both sides of it, more than a radius from its axis."""
+        """Whether it is a body of its own: wheels more than a radius apart, and more than one from its axis."""
         ahead, radius = rolling(self.wheels[0]), self.wheels[0].radius
         sides = [product([-ahead[1], ahead[0]], c.centre[:2]) for c in self.wheels]
         alike = all(parallel(self.wheels[0], c) for c in self.wheels)
-        return bool(alike and np.ptp(sides) > 2 * radius and abs(self.lever(rest)[0]) > radius)
+        return bool(alike and np.ptp(sides) > radius and abs(self.lever(rest)[0]) > radius)
 
 
 class Undercarriage(NamedTuple):
@@ -436,7 +437,9 @@ def require_alike(rest: AtRest, under: Undercarriage) -> list[Module]:
     if len(steered) > 1 and odd:
         names, trail = ", ".join(f"'{m.joint.name}'" for m in odd), abs(odd[0].lever(rest)[0])
         why = f"the wheel under {names} stands {trail:.3g} m behind its axis, and others steer"
-        fix = f"mend the <origin> of the wheel or of its pivot; {STILL}"
+        pair = ",".join(c.joint.name for c in under.fixed) if len(under.fixed) == 2 and coaxial(*under.fixed) else ""
+        casters = f"--wheels {pair} if they are casters; " if pair else ""
+        fix = f"{casters}mend the <origin> of the wheel or of its pivot; {STILL}"
         raise unsupported(rest, "base that steers with wheels off their pivots", why, odd[0].wheels, fix)
     powered = under.of("powered") if steered else []
     return [replace(m, role="caster") if m in powered else m for m in under.modules]
@@ -485,7 +488,7 @@ def on_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Steered
         ConfigError: The user says that it is another kind.
     """
     fixed, steered = under.fixed, under.of("steered", "waist")
-    frame = frame_at(np.mean([c.centre for c in fixed], axis=0), forward_of(fixed))
+    frame = frame_at(np.mean([c.centre for c in fixed], axis=0), facing(under))
     steered = sorted(steered, key=lambda m: order(frame, rest, m))
     master = first_master(steered, under.motors)
     loader = master.role == "waist"
@@ -502,6 +505,17 @@ def on_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Steered
         pivots = [replace(p, x=p.x * overrides.wheelbase / wheelbase) for p in pivots]
         wheelbase = overrides.wheelbase
     return kind(pivots=tuple(pivots), frame=frame, length=wheelbase)
+
+
+def facing(under: Undercarriage) -> Array:
+    """(2,) direction nearer the root's x; of a base drawn along y away from its trailers, else to what steers."""
+    forward = forward_of(under.fixed)
+    trailing, steered = under.of("hitch"), under.of("steered")
+    if abs(forward[0]) > ALONG_Y or not (trailing or steered):
+        return forward
+    at = np.mean([c.centre for m in trailing or steered for c in m.wheels], axis=0)
+    ahead = product(forward, (at - np.mean([c.centre for c in under.fixed], axis=0))[:2])
+    return -forward if (ahead > 0) == bool(trailing) else forward
 
 
 def ahead_of(pivot: Pivot) -> float:
@@ -747,7 +761,7 @@ def with_limits(
     endless = [p.joint for p in steers if p.lower == -math.inf and isinstance(base, CarLike | Tricycle | Articulated)]
     if not endless:
         return base, []
-    text = f"nothing limits how far {', '.join(endless)} steer"
+    text = f"nothing limits how far {', '.join(endless)} {'steer' if len(endless) > 1 else 'steers'}"
     return base, [note(rest, "base-limit", endless[0], text, "a robot has stops there", "--steering-limit RAD")]
 
 

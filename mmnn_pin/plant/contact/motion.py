@@ -7,6 +7,7 @@ world's axes, its angular velocity in its own: `v_mj = diag(R, I) v_pin`. Fricti
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -119,7 +120,8 @@ def rotation(quaternion: Array) -> Array:
 
 def tilt(quaternion: Array) -> float:
     """Angle of the z axis of a unit quaternion (w, x, y, z) from the vertical [rad]."""
-    return 2.0 * atan2(hypot(quaternion[1], quaternion[2]), hypot(quaternion[0], quaternion[3]))
+    sine = min(1.0, hypot(quaternion[1], quaternion[2]))
+    return 2 * atan2(sine, math.sqrt(1.0 - sine * sine))
 
 
 def cross(a: Array, b: Array) -> Array:

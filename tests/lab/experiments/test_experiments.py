@@ -367,6 +367,9 @@ def test_notes_tell_what_the_plant_does_not(tmp_path: Path) -> None:
     tight = replace(robot, upper=np.where(np.arange(len(robot.upper)) == robot.arm_index[1], 0.3, robot.upper))
     (note,) = limit_notes(tight, {"pd": run})
     assert note.startswith("arm_2_joint goes 0.") and note.endswith("under pd; the plant has no end stops")
+    bare = load("platform_arm", lock=robot.joint_names)
+    run = Loop(bare, Trajectory(Line(0.0), ()), PD(), timing=Timing(duration=0.1)).run()
+    assert limit_notes(bare, {"pd": run}) == []
 
 
 def test_a_path_too_tight_for_a_car_is_drawn_larger_and_that_is_told() -> None:
