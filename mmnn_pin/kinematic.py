@@ -160,9 +160,13 @@ def steered(row: Array, at: IntArray, gains: Array, before: Array, steering: Ste
         towed(hitch[2:], gamma, c, twist)
         gammadot = twist[1] - c[1]
         eta[0], eta[2] = twist[0], twist[1]
+    vx, vy, w = v_ref[0], v_ref[1] if sideways else 0.0, v_ref[v_ref.size - 1]
+    jogs = steering.numbers.waist and error[0] == 0.0 and error[1] == 0.0 and error[2] == 0.0
+    if jogs and not hitch.size:  # its reference goes where the base is: no error comes
+        copy_to(v_ref, twist)
+        eta[0], eta[1], eta[2] = vx, vy, w
     velocity_command(sideways, error, v_ref, a_ref, twist, gains, c, cd)
     moved, v_later, a_later, cd_later = o[4], o[5], o[6], o[2]  # o[7]: the command itself
-    vx, vy, w = v_ref[0], v_ref[1] if sideways else 0.0, v_ref[v_ref.size - 1]
     (cosine, sine), first = cos_sin(error[2]), at[ACCELERATION_REF] - at[POSE_REF]
     moved[0] = error[0] + MOMENT * (eta[2] * error[1] - eta[0] + cosine * vx - sine * vy)
     moved[1] = error[1] + MOMENT * (-eta[2] * error[0] - eta[1] + sine * vx + cosine * vy)
@@ -185,7 +189,7 @@ def steered(row: Array, at: IntArray, gains: Array, before: Array, steering: Ste
             o[i, 1] = 0.0
     alpha, alphadot = view(row, at, ALPHA), view(row, at, ALPHADOT)
     nu = view(row, at, VELOCITY)
-    steered_velocity(steering.rolling, steering.position, nu, steering.maps, steering.numbers, o, alpha, alphadot)
+    steered_velocity(steering.rolling, steering.position, nu, steering.maps, steering.numbers, o, jogs, alpha, alphadot)
 
 
 @internal
@@ -266,10 +270,20 @@ class Kinematic(Settings, frozen=True):
         return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
     def steering_of(self, robot: Structure, period: float) -> Steering | None:
-        """The steering of a robot's base, at a control period [s]; None where nothing steers."""
+        """The steering of a robot's base, at a control period [s]; None where nothing steers.
+
+        Raises:
+            ConfigError: Wheels turn to their paths in less than a period.
+        """
         base, d = robot.base, robot.dimensions
         if not isinstance(base, SteeredBase):
             return None
+        if base.masters and not self.steering * period < 1.0:
+            what, why = (
+                f"{self.steering:g} at a control period of {period:g} s",
+                "a wheel passes its path in one sample",
+            )
+            raise ConfigError(what, why=why, fix=f"take at most {0.5 / period:g}", key="kinematic.steering")
         names = [*base.shape, *(wheel.joint for wheel in base.wheels)]
         places = {name: 3 + i for i, name in enumerate(names)}
         rolling = base.rolling_at(places)

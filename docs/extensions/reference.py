@@ -301,8 +301,9 @@ def signals_page() -> Iterator[str]:
         "A recording has one row per control sample: `Recording.open(path)[name]` is an array (samples, size), and"
         " `Recording.time` the times. nb is the number of base velocities (2 for a differential drive, 3 for a"
         " holonomic base, 0 for a fixed arm, `[u; steering rates]` for a base that steers), n the number of arm joints,"
-        " nv the number of velocities of the full model, K the number of pivots of a base that steers. A twist is `(v, w)`, or `(vx, vy, w)` of a base that moves"
-        " sideways. Where a signal has a base and an arm part, the units are in that order.\n"
+        " nv the number of velocities of the full model, K the number of pivots of a base that steers. A twist is"
+        " `(v, w)`, or `(vx, vy, w)` of a base that moves sideways. Where a signal has a base and an arm part, the"
+        " units are in that order.\n"
     )
     yield table(
         ("signal", "size", "unit", "meaning"),

@@ -177,15 +177,15 @@ class Safety(Settings, frozen=True):
         judged = self.jump not in (None, "none")
         contradiction = [*[BASE_CONTRADICTION if judged else math.inf] * layout.base, *jump]
         speed = np.array([*base, *joint_speed], float)
-        joints = [math.tau * turns, robot.lower[arm], robot.upper[arm], fastest, jump, np.isinf(joint_speed)]
-        joints = np.hstack((np.array(joints, float).reshape(6, -1), pivots_of(robot, judged)))
+        arms = [math.tau * turns, robot.lower[arm], robot.upper[arm], fastest, jump, np.isinf(joint_speed)]
+        measured = np.hstack((np.array(arms, float).reshape(6, -1), pivots_of(robot, judged)))
         rows = [contradiction, np.where(np.isfinite(contradiction), speed, np.inf)]
         arrays = [torque, speed, gains, error, K, [*wheel_speed, *turned]]
         fixed = [np.array(array, float, order="C") for array in arrays]
         standing, maps = standing_of(robot, steering)
         places = np.zeros((0, 2), np.int64) if weights is None else weights
         *state, sense = views(new_state(layout) if values is None else values, layout)
-        door = Door(joints, np.array(rows, float), state[2], state[1], sense, layout.sideways, *maps)
+        door = Door(measured, np.array(rows, float), state[2], state[1], sense, layout.sideways, *maps)
         return Supervisor._make(
             [True, SupervisorNumbers(*map(float, numbers)), *fixed, door, *standing, places, *state]
         )

@@ -745,7 +745,7 @@ def test_list_names_all_there_is(call: Call) -> None:
     got = json.loads(out)
     assert code == 0 and set(got["controllers"]) == set(CONTROLLERS) > {*ALL}
     assert set(got["experiments"]) == set(bundled()) and {"platform_arm", "two_axis_arm"} <= set(got["robots"])
-    assert set(got["references"]["base"]) == {"line", "circle", "eight", "waypoints"}
+    assert set(got["references"]["base"]) == {"line", "circle", "eight", "waypoints", "parking"}
     for names in (*got.values(), *got["references"].values()):
         assert [name for name in names if name not in text and name not in ("base", "arm")] == []
 

@@ -50,7 +50,7 @@ def law(base: SteeredBase, law_of: SteeringNumbers, headings: Array, nu: Array, 
     along_n(rolling, maps, asked, alpha, alphadot)
     for k in range(len(headings)):
         wheel = asked_of(rolling, k, position, nu[1 + k], asked)
-        alpha[1 + k], alphadot[1 + k] = turned_wheel(rolling, k, position, nu[1 + k], law_of, Asked(*wheel))
+        alpha[1 + k], alphadot[1 + k] = turned_wheel(rolling, k, position, nu[1 + k], law_of, Asked(*wheel), False)
     return alpha, alphadot
 
 

@@ -69,7 +69,8 @@ def test_what_goes_in_comes_out(where, tmp_path):
         "rig",
         "lead",
         "hand",
-    )  # of the contact plant, of a rig, of a torque that leads, of paths
+        "shape",
+    )  # of the contact plant, of a rig, of a torque that leads, of paths, of bases that steer
     names = tuple(name for name, kind, *_ in SIGNALS if kind.split()[0] not in others)
     for name in names:
         expected = rows[:, LAYOUT.where(name)]

@@ -11,7 +11,7 @@ import pytest
 from numba import config
 
 from mmnn_pin import load, load_experiment
-from mmnn_pin.errors import ConfigError
+from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop.lead import catch_up, look_ahead
 from mmnn_pin.model.base.rolling import new_maps, roll
@@ -231,3 +231,12 @@ def test_the_row_ahead_is_that_of_later(name):
         then, now = run[signal][k + later], run[signal][k]
         left = then - ahead.row[layout.where(signal)]
         assert np.abs(left).max() < 0.15 * np.abs(then - now).max() + 1e-6, signal
+
+
+@pytest.mark.parametrize("what", ["T", "A", "E"])
+def test_constant_maps_are_refused_in_one_line(what):
+    with pytest.raises(RobotError) as told:
+        getattr(robot("car_arm"), what)
+    text = str(told.value)
+    assert "\n" not in text and f"'car_arm' has no constant {what}" in text
+    assert "front_left_steering_joint" in text and f"{what}_at(position)" in text and "--base fixed" in text

@@ -59,7 +59,7 @@ class Driver(NamedTuple):
 def driver_of(base: Base) -> Driver | None:
     """The controller for a base, None for one that no wheels move, or that steers and is no car."""
     if not base.wheels or isinstance(base, SteeredBase):
-        return {CarLike: ACKERMANN, Tricycle: TRICYCLE}.get(type(base))
+        return ACKERMANN if isinstance(base, CarLike) else TRICYCLE if isinstance(base, Tricycle) else None
     if base.two_sided:
         return DIFF_DRIVE
     return MECANUM if all(wheel.heading == 0.0 for wheel in base.wheels) else OMNI

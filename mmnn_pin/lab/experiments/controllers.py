@@ -218,6 +218,15 @@ def machine_of(robot: Robot) -> MachineLimits:
     )
 
 
+def moves_alike(one: Robot, other: Robot) -> bool:
+    """Whether two robots have the same joints and the same T; of bases that steer at some angles."""
+    if (one.dimensions.dof, one.base.shape) != (other.dimensions.dof, other.base.shape):
+        return False
+    turned = other.rest.copy()
+    turned[other.shape_index] += 0.3
+    return all(np.array_equal(one.T_at(at), other.T_at(at)) for at in (other.rest, turned))
+
+
 def nominal_robot(nominal: Nominal, robot: Robot, said: Overrides) -> Robot:
     """The robot that is believed in.
 
@@ -235,8 +244,7 @@ def nominal_robot(nominal: Nominal, robot: Robot, said: Overrides) -> Robot:
         believed = load_with(nominal.robot, said) if nominal.robot else robot
     except UnknownName as error:
         raise error.but(key="nominal.robot") from None
-    alike = (believed.dimensions.dof, believed.dimensions.base) == (robot.dimensions.dof, robot.dimensions.base)
-    if not alike or believed.base.shape != robot.base.shape or not np.array_equal(believed.template, robot.template):
+    if not moves_alike(believed, robot):
         raise ConfigError(
             f"{believed.name} does not move as {robot.name}",
             fix="name one with the same base and the same joints",

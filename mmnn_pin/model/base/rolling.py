@@ -286,9 +286,10 @@ def meet(rolling: Rolling, position: Array, nu: Array, maps: Maps) -> None:
     if n[0] * maps.n[0] + n[1] * maps.n[1] + n[2] * maps.n[2] < 0.0:
         for i in range(3):
             n[i], ndot[i] = -n[i], -ndot[i]
+    known = n[0] + n[1] + n[2] == n[0] + n[1] + n[2]  # angles that are no numbers are forgotten
     for i in range(3):
         scale = 1.0 if i < 2 else 1.0 / rolling.length
-        maps.n[i] = n[i]
+        maps.n[i] = n[i] if known else maps.n[i]
         maps.V[0, i, 0], maps.Vdot[0, i, 0] = scale * n[i], scale * ndot[i]
 
 

@@ -6,6 +6,7 @@ pose's law, a velocity of the control frame, goes to the law that steers (`steer
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +20,7 @@ from .base import Base, LinearErrors, PoseEnergy, Wheel
 from .differential import DifferentialDrive
 from .holonomic import HolonomicBase
 from .rolling import AXLE, FOLLOWER, FREE, MASTER, ROLES, STEERED, Maps, Pivot, Rolling, new_maps, roll
-from .stance import along
+from .stance import along, bends
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +98,10 @@ class SteeredBase(Base):
         first, masters = len(self.velocity_names) - len(self.masters), self.masters
         column = {k: first + i for i, k in enumerate(masters)}
         turns = [(ROLES.index(p.role), p.parent, places[p.joint], column.get(k, -1)) for k, p in enumerate(self.pivots)]
-        pivots = [(p.x, p.y, p.sign, *p.wheel[:2], *cos_sin(p.wheel[2]), p.lower, p.upper, p.rate) for p in self.pivots]
+        pivots = [
+            (p.x, p.y, p.sign, *p.wheel[:2], *cos_sin(p.wheel[2]), *ends, p.rate)
+            for p, ends in zip(self.pivots, self.stops(), strict=True)
+        ]
         wheels = [(w.x, w.y, *cos_sin(w.heading), 1.0 / (w.sign * w.radius)) for w in self.wheels]
         return Rolling(
             turns=np.array(turns, np.int64).reshape(-1, 4),
@@ -109,6 +113,19 @@ class SteeredBase(Base):
             length=float(self.length),
             root=np.ascontiguousarray(np.linalg.inv(self.to_control)),
         )
+
+    def stops(self) -> list[tuple[float, float]]:
+        """Ends of its pivots; a master's are where its followers reach theirs, if they do first [rad]."""
+        found = [(p.lower, p.upper) for p in self.pivots]
+        if self.axle and any(p.role == ROLES[FOLLOWER] for p in self.pivots):
+            curves = [0.0, *(bend for bend in bends(self.pivots) if math.isfinite(bend))]
+            straight, *turned = (self.angles(np.array([1.0, bend])) for bend in curves)
+            for k in self.masters:
+                low, high = found[k]
+                for angle in (float(angles[k]) for angles in turned):
+                    low, high = (max(low, angle), high) if angle < straight[k] else (low, min(high, angle))
+                found[k] = low, high
+        return found
 
     def angles(self, twist: Array) -> Array:
         """Angles of its pivots, (K,), that stand along the path of a twist, of those nearest to 0 [rad].

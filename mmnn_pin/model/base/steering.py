@@ -768,7 +768,7 @@ def with_limits(
     endless = [p.joint for p in steers if p.lower == -math.inf and isinstance(base, CarLike | Tricycle | Articulated)]
     if not endless:
         return base, []
-    text = f"nothing limits how far {', '.join(endless)} steer"
+    text = f"nothing limits how far {', '.join(endless)} {'steer' if len(endless) > 1 else 'steers'}"
     return base, [note(rest, "base-limit", endless[0], text, "a robot has stops there", "--steering-limit RAD")]
 
 

@@ -17,6 +17,7 @@ more slowly.
 
 A loader's waist moves its body as it turns: the axle off it by t has `s + t zeta = 0`, and `zeta_c = -s / t` moves the
 control frame exactly as asked. The waist settles where that axle leads, and folds up where it is pushed, as a hitch.
+A waist that is pushed at a velocity, with no pose to come back to, turns as any wheel.
 
 Everything has its rate beside it; the second derivative of eta_c is given.
 """
@@ -64,9 +65,9 @@ class SteeringNumbers(NamedTuple):
 
 
 @internal
-def steered_velocity(
-    rolling: Rolling, angles: Array, nu: Array, maps: Maps, numbers: SteeringNumbers, asked: Array, alpha: Array,
-    alphadot: Array,
+def steered_velocity(  # noqa: PLR0913 - what is read, then what is written
+    rolling: Rolling, angles: Array, nu: Array, maps: Maps, numbers: SteeringNumbers, asked: Array, jogs: bool,
+    alpha: Array, alphadot: Array,
 ) -> None:  # fmt: skip
     """Velocities of a base that steers, and their derivative, from what the law of its pose asks for.
 
@@ -77,6 +78,7 @@ def steered_velocity(
         maps: Its maps there.
         numbers: Of the law.
         asked: (3, 3) `eta_c`, its derivative, and the derivative of that.
+        jogs: Whether a loader is asked for a velocity, and for no pose.
         alpha: (nb,) written.
         alphadot: (nb,) written.
     """
@@ -95,7 +97,7 @@ def steered_velocity(
         if rolling.turns[k, TURN.role] == MASTER:
             j = rolling.turns[k, TURN.column]
             a = asked_of(rolling, k, angles, nu[j], asked)
-            alpha[j], alphadot[j] = turned_wheel(rolling, k, angles, nu[j], numbers, a)
+            alpha[j], alphadot[j] = turned_wheel(rolling, k, angles, nu[j], numbers, a, jogs)
             size2 = a.s * a.s + a.f * a.f + numbers.slow * numbers.slow
             aligned = 1.0 - a.s * a.s / size2
             aligning = -2.0 * (a.s * a.sdot * size2 - a.s * a.s * (a.s * a.sdot + a.f * a.fdot)) / (size2 * size2)
@@ -140,7 +142,7 @@ def asked_of(rolling: Rolling, k: int, angles: Array, rate: float, asked: Array)
 
 @compiled
 def turned_wheel(
-    rolling: Rolling, k: int, angles: Array, rate: float, numbers: SteeringNumbers, a: Asked
+    rolling: Rolling, k: int, angles: Array, rate: float, numbers: SteeringNumbers, a: Asked, jogs: bool
 ) -> tuple[float, float]:
     """Rate of the joint of master k, and its derivative; within its limits."""
     p, K, sign = rolling.pivots[k], numbers.rate, rolling.pivots[k, PIVOT.sign]
@@ -161,8 +163,8 @@ def turned_wheel(
     zeta, zetadot = 0.0, 0.0
     if below > 0.0:
         zeta, zetadot = top / below, (topdot - top * size2dot / below) / below
-    if numbers.waist:
-        trail = heading_of(rolling, k, angles)[2]
+    trail = heading_of(rolling, k, angles)[2]
+    if numbers.waist and not (jogs and trail * a.f > 0.0):
         zeta, zetadot = -a.s / trail, -a.sdot / trail
     most, least = min(p[PIVOT.rate], 2.0 * K * (high - now)), max(-p[PIVOT.rate], 2.0 * K * (low - now))
     if zeta > most:

@@ -120,7 +120,8 @@ def rotation(quaternion: Array) -> Array:
 
 def tilt(quaternion: Array) -> float:
     """Angle of the z axis of a unit quaternion (w, x, y, z) from the vertical [rad]."""
-    return 2 * math.asin(min(1.0, hypot(quaternion[1], quaternion[2])))
+    sine = min(1.0, hypot(quaternion[1], quaternion[2]))
+    return 2 * atan2(sine, math.sqrt(1.0 - sine * sine))
 
 
 def cross(a: Array, b: Array) -> Array:
