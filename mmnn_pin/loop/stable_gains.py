@@ -44,7 +44,7 @@ def require_stable_gains(plan: Plan) -> None:
     h, found = slowest(plan), list(verdicts(plan))
     for verdict in found:
         if not verdict.stable:
-            what = f"the sampled loop is unstable: spectral radius {verdict.radius:.4g} > 1, commands held for {h:g} s"
+            what = f"the sampled loop is unstable: spectral radius {verdict.radius:.7g} > 1, commands held for {h:g} s"
             require_servo_rows(plan, what)
             cure = cured(plan, np.min([each.gain_limits for each in found], axis=0))
             require_stable(verdict, gains_of(plan), plan.robot.velocity_names, h, cure)
@@ -69,7 +69,7 @@ def require_stable(
     ]
     low = "they are too low for " if cure and cure.word == CHANGE else ""
     raise ConfigError(
-        f"the sampled PD loop is unstable: spectral radius {verdict.radius:.4g} > 1, the torque held for {h:g} s",
+        f"the sampled PD loop is unstable: spectral radius {verdict.radius:.7g} > 1, the torque held for {h:g} s",
         why="gains near or above their limit, 2 / (h (M^-1)_ii) without friction: "
         + ("; ".join(over) or f"none, {low}the kinematic gains"),
         fix=(f"{cure.word} them, {cure.values}, or " if cure else "lower the gains, or ")

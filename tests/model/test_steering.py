@@ -199,6 +199,17 @@ def test_steering_without_limits_is_told_with_the_option_that_sets_them():
     assert {(p.lower, p.upper) for p in limited.base.pivots} == {(-0.5, 0.5)} and "base-limit" not in codes(limited)
 
 
+def test_a_linkage_that_stands_in_simulator_elements_is_told():
+    corners = [(x, y) for x in (0.5, -0.5) for y in (0.2, -0.2)]
+    text = chassis("".join(steered(i, x, y, 0.6) for i, (x, y) in enumerate(corners)))
+    rod = (
+        '<gazebo><joint name="rod" type="revolute"><parent>fork0</parent><child>fork{}</child></joint></gazebo></robot>'
+    )
+    robot = robot_of(text.replace("</robot>", rod.format(1)))
+    assert robot.base.kind == "swerve" and "hold steer0, steer1: here each" in told(robot, "base-linkage")
+    assert "base-linkage" not in codes(robot_of(text)) | codes(robot_of(text.replace("</robot>", rod.format("x"))))
+
+
 def test_equal_limits_are_refused_with_a_fix_that_works():
     text = chassis(pair() + steered(0, 0.5, 0.2, 0.0) + steered(1, 0.5, -0.2, 0.0))
     with pytest.raises(Unsupported, match="'steer0', 'steer1' are one value") as error:

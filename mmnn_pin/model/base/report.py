@@ -60,6 +60,7 @@ CODES = {
     "base-skid": "note",
     "base-steered": "note",
     "base-limit": "warning",
+    "base-linkage": "warning",
     "base-scrub": "warning",
     "base-floor": "warning",
     "base-friction": "warning",

@@ -671,7 +671,14 @@ def finished(
     base = standing(rest, base, candidates)
     kind_as_said(rest, base, overrides)
     base = replace(base, scrub=scrub_of(rest, base, under))
-    notes = [steered_note(rest, base), *findings, *driving, *trailing, *spinless_note(rest, own)]
+    notes = [
+        steered_note(rest, base),
+        *findings,
+        *driving,
+        *trailing,
+        *spinless_note(rest, own),
+        *linkage_note(rest, base, own),
+    ]
     return BaseResult(base, (*notes, *scrub_note(rest, base), *stated_notes(rest, base, overrides)))
 
 
@@ -835,6 +842,17 @@ def spinless_note(rest: AtRest, own: Sequence[Module]) -> list[Finding]:
     text = f"the wheels on {', '.join(names)} have no joint to spin about: they slide along, and only steer"
     fix = "give them continuous joints if they are to be seen turning"
     return [note(rest, "base-steered", names[0], text, "the file welds them on", fix)]
+
+
+def linkage_note(rest: AtRest, base: SteeredBase, own: Sequence[Module]) -> list[Finding]:
+    """A warning of rods between what steers by itself: joints of a simulator's own, which close loops."""
+    by_link = {link: m.joint.name for m in own for link in rest.document.body(m.joint.child)}
+    held = {end.text.strip() for end in rest.document.root.iterfind("gazebo/joint/*") if end.text}
+    linked = sorted({by_link[link] for link in held & by_link.keys()} & {base.pivots[k].joint for k in base.masters})
+    if len(linked) < 2:
+        return []
+    text = f"joints in <gazebo> hold {', '.join(linked)}: here each steers by itself"
+    return [note(rest, "base-linkage", linked[0], text, "a linkage closes loops, which URDF does not have")]
 
 
 def scrub_of(rest: AtRest, base: SteeredBase, under: Undercarriage) -> float:
