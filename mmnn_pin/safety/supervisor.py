@@ -397,22 +397,28 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
 
 @internal
 def lose(row: Array, at: IntArray, supervisor: Supervisor) -> None:
-    """Do without feedback where it drives the robot on, or where position and velocity contradict each other."""
+    """Do without feedback where it drives the robot on, or where position and velocity contradict each other.
+
+    What steers may be turned by the brakes of what drives; its angle tells whether its rate is true.
+    """
     rows, sense, n = supervisor.door.rows, supervisor.door.sense, supervisor.place.size
     nb = rows.shape[1] - n
     for i in range(nb + n):
         speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
         sense[LEAST, i] = min(sense[LEAST, i], speed)
         driven = speed > max(HALF * rows[MOST, i], FASTER * sense[LEAST, i])
-        if driven or abs(sense[DRIFT, i]) > rows[CONTRADICTION, i]:
+        if (driven and not nb - supervisor.door.masters.size <= i < nb) or abs(sense[DRIFT, i]) > rows[
+            CONTRADICTION, i
+        ]:
             sense[WITHOUT, i] = 1.0
     for j in range(supervisor.wheel.size):
-        turned = 0.0
+        turned, drives = 0.0, 0.0
         for i in range(nb):
             turned += abs(supervisor.E[i, j]) * sense[LEAST, i]
+            drives += abs(supervisor.E[i, j]) if i < nb - supervisor.door.masters.size else 0.0
         turning = abs(wheel_speed(row, at[VELOCITY], nb, j, supervisor.E))
         driven = turning > max(HALF * supervisor.wheel[j], FASTER * turned)
-        if driven and math.isfinite(rows[CONTRADICTION, 0]):
+        if driven and drives > 0.0 and math.isfinite(rows[CONTRADICTION, 0]):  # what only steers has its own row
             for i in range(nb):
                 sense[WITHOUT, i] = 1.0
 
@@ -453,8 +459,25 @@ def clip(time: float, tau: Array, supervisor: Supervisor) -> bool:
         if above[j] > numbers.torque_time + EARLY:
             trip(time, OVER_TORQUE, j, abs(u), limit, supervisor.state)
     if clipped:
+        if supervisor.door.eta.size:
+            nb = supervisor.door.rows.shape[1] - supervisor.place.size
+            yield_drive(tau, nb - supervisor.door.masters.size, supervisor.E_inv, supervisor.torque)
         within(tau, supervisor.E, supervisor.E_inv, supervisor.torque)
     return clipped
+
+
+@internal
+def yield_drive(tau: Array, drive: int, E_inv: Array, limits: Array) -> None:
+    """Lower what drives, the first of tau (p,), as far as the limits ask: what steers and the arm keep theirs."""
+    share = 1.0
+    for j in range(limits.size):
+        u, mine = entry(E_inv, j, tau), 0.0
+        for i in range(drive):
+            mine += E_inv[j, i] * tau[i]
+        if abs(u) > limits[j] and u * mine > 0.0:
+            share = min(share, max(0.0, 1.0 - (abs(u) - limits[j]) / abs(mine)))
+    for i in range(drive):
+        tau[i] *= share
 
 
 @internal

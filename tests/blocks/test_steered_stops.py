@@ -17,6 +17,7 @@ from mmnn_pin.safety import Safety
 from mmnn_pin.signals import Array
 
 ROBOTS = {name: load(name) for name in ("car_arm", "swerve_arm")}
+LOADER = load("loader_arm")
 NAMES = st.sampled_from(sorted(ROBOTS))
 H = 0.002
 MADE: dict[tuple[str, str], Stepper] = {}
@@ -159,3 +160,22 @@ def test_a_reset_takes_angles_as_they_are_read() -> None:
     run.step(4 * H, told)
     assert not run.tripped
     np.testing.assert_allclose(run.measured.shape, told.shape)
+
+
+@pytest.mark.parametrize("rate", [0.8, -0.8])
+def test_a_loader_brakes_while_its_waist_turns(rate: float) -> None:
+    """Its wheels brake as much as they can; the waist has its own torque, or the brakes would fold it."""
+    run = Stepper(LOADER, PD(), StepperSettings(safety=Safety(torque="urdf"), period=H, check_gains=False))
+    plant, nu = IdealPlant(LOADER, H, "rk4"), np.zeros(LOADER.dimensions.dof)
+    position = LOADER.neutral_position()
+    position[LOADER.shape_index] = 0.4 * np.sign(rate)
+    nu[:2] = 1.4, rate
+    plant.start(position, nu)
+    for k in range(600):
+        if k == 1:
+            run.stop()
+        command = run.step(k * H, measured(LOADER, plant.position, plant.nu))
+        plant.step(LOADER.E_at(plant.position) @ command.motor_effort)
+        plant.refresh()
+        assert np.all(np.abs(command.motor_effort) <= LOADER.effort_limits * (1 + 1e-9))
+    assert np.abs(plant.nu[:2]).max() < 0.05
