@@ -252,6 +252,8 @@ def main() -> int:
     kept.mkdir(parents=True, exist_ok=True)
     failed = total = 0
     with tempfile.TemporaryDirectory() as scratch:
+        if options.checkout and not (options.checkout / "mmnn_pin").is_dir():
+            parser.error(f"{options.checkout} is no checkout: there is no mmnn_pin in it")
         python, checkout = (
             (sys.executable, options.checkout.resolve()) if options.checkout else environment_of(options.before, kept)
         )

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from types import TracebackType
@@ -513,7 +513,7 @@ class Stepper:
         require_shapes("measurement", measurement, self.measured)
         if supervisor.state.good[0] > 0.0 and measured < supervisor.state.heard[0]:
             return
-        parts = [getattr(measurement, part.name) for part in fields(Measurement)]
+        parts = measurement.pose, measurement.velocity, measurement.q, measurement.qdot, measurement.shape
         np.concatenate(parts, out=self.received, casting="unsafe")
         if math.isnan(measured) or not is_below(self.received, LARGEST):
             self.received[0] = np.nan
