@@ -37,7 +37,7 @@ from .guide import (
 from .hand import FollowHand, HandCourse
 from .limits import Limits
 from .motion import between, require_within
-from .steerable import require_steerable
+from .steerable import pushes_trailer, require_steerable
 from .wishes import BaseVelocity, Course, JointGoal, Motion, Stand, Wish
 
 LARGEST = 1e9  # a number beyond this is none [SI units]
@@ -101,6 +101,9 @@ class Follower:
             if velocity.shape != (d.twist,) or not d.base or not np.isfinite(velocity).all():
                 fix = f"give {d.twist} finite numbers" if d.base else "leave it out: this robot has no base"
                 raise ConfigError(f"a base velocity {shortly(wish.velocity)}", fix=fix, key="setpoint.velocity")
+            if velocity[0] < 0.0 and pushes_trailer(self.base):
+                why, fix = "a trailer that is pushed folds up", 'back along a path, with kinematic.guide = "trailer"'
+                raise ConfigError("a velocity backwards with a trailer", why=why, fix=fix, key="setpoint.velocity")
         elif isinstance(wish, JointGoal):
             return Reach(wish, self.now[self.q :].reshape(3, d.arm), self.guide, self.names)
         elif isinstance(wish, Motion):

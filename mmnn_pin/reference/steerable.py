@@ -232,6 +232,11 @@ def hitches(base: SteeredBase) -> list[Pivot]:
     return [p for p in base.pivots if waist or (p.role == ROLES[PASSIVE] and not p.motor)]
 
 
+def pushes_trailer(base: Base) -> bool:
+    """Whether a base that backs pushes a trailer on a hitch that no motor turns."""
+    return isinstance(base, SteeredBase) and base.axle and bool(hitches(base))
+
+
 def backing_needed(base: SteeredBase, time: Array, twist: Array) -> Needs:
     """No size and no slowness helps where a trailer, or a loader's other axle, is pushed further than it is long."""
     trails = [trail_of(p) for p in hitches(base)]

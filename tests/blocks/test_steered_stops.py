@@ -13,6 +13,9 @@ from mmnn_pin import PD, Measurement, Stepper, StepperSettings, load
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.plant.ideal import IdealPlant
+from mmnn_pin.reference.follower import Follower
+from mmnn_pin.reference.limits import Limits
+from mmnn_pin.reference.wishes import BaseVelocity
 from mmnn_pin.safety import Safety
 from mmnn_pin.signals import Array
 
@@ -179,3 +182,12 @@ def test_a_loader_brakes_while_its_waist_turns(rate: float) -> None:
         plant.refresh()
         assert np.all(np.abs(command.motor_effort) <= LOADER.effort_limits * (1 + 1e-9))
     assert np.abs(plant.nu[:2]).max() < 0.05
+
+
+def test_a_trailer_is_not_pushed_by_a_jog():
+    robot = load("truck_trailer_arm")
+    follower = Follower(robot, Limits(), 0.5)
+    follower.check(BaseVelocity((0.3, 0.1)))
+    with pytest.raises(ConfigError, match=r"backwards with a trailer.*folds up.*kinematic.guide"):
+        follower.check(BaseVelocity((-0.1, 0.0)))
+    Follower(load("loader_arm"), Limits(), 0.5).check(BaseVelocity((-0.1, 0.0)))
