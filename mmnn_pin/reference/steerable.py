@@ -234,7 +234,10 @@ def hitches(base: SteeredBase) -> list[Pivot]:
 
 def pushes_trailer(base: Base) -> bool:
     """Whether a base that backs pushes a trailer on a hitch that no motor turns."""
-    return isinstance(base, SteeredBase) and base.axle and bool(hitches(base))
+    loose = (
+        [p for p in base.pivots if p.role == ROLES[PASSIVE] and not p.motor] if isinstance(base, SteeredBase) else []
+    )
+    return bool(loose) and not base.sideways
 
 
 def backing_needed(base: SteeredBase, time: Array, twist: Array) -> Needs:
