@@ -407,9 +407,8 @@ def lose(row: Array, at: IntArray, supervisor: Supervisor) -> None:
         speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
         sense[LEAST, i] = min(sense[LEAST, i], speed)
         driven = speed > max(HALF * rows[MOST, i], FASTER * sense[LEAST, i])
-        if (driven and not nb - supervisor.door.masters.size <= i < nb) or abs(sense[DRIFT, i]) > rows[
-            CONTRADICTION, i
-        ]:
+        steers = min(i - (nb - supervisor.door.masters.size), nb - 1 - i) >= 0  # C compilers see no empty range so
+        if (driven and not steers) or abs(sense[DRIFT, i]) > rows[CONTRADICTION, i]:
             sense[WITHOUT, i] = 1.0
     for j in range(supervisor.wheel.size):
         turned, drives = 0.0, 0.0
