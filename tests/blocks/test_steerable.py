@@ -566,6 +566,7 @@ def test_wheels_that_steer_are_no_faster_than_they_can():
 )  # fmt: skip
 @settings(max_examples=4, deadline=None)
 def test_a_hand_is_led_through_a_base_that_steers(name, ahead, aside, speed):
+    assume(name != "loader_arm" or ahead > 0)  # backwards it would push its other axle, which a run refuses
     robot = load(name)
     body = WholeBody(robot, [Task(orientation=0.0)], period=0.02)
     motion = plan(body, [HandLine((ahead, aside, 0.0), speed)], 3.0 + 1.5 / speed, tolerance=0.02)
