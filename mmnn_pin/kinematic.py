@@ -245,7 +245,7 @@ class Kinematic(Settings, frozen=True):
         steering: Base that steers: how fast a wheel turns to its path, K of `steering_law` [1/s].
         slow: Base that steers: speed of a wheel under which it steers less, so that it coasts at rest [m/s].
         align: Base that steers: whether it waits for wheels that do not stand along their paths.
-        guide: What follows the reference, the "base" or, of a truck that backs, its "trailer".
+        guide: What follows the reference, the "base" or, where it backs, its "trailer"; of a loader the other axle.
 
     Raises:
         ConfigError: A gain is negative or not finite.

@@ -137,6 +137,20 @@ def require_finite(**values: ArrayLike) -> None:
             raise TrajectoryError(f"{name} = {shortly(value)} is not finite", fix="give finite numbers")
 
 
+def require_ramps(what: str, length: float, speed: float, ramp: float) -> None:
+    """Refuse a path or a stroke in which there is no room to come up to speed and to stop.
+
+    Raises:
+        TrajectoryError: It is too short, with a ramp that is not.
+    """
+    if length < abs(speed) * ramp:
+        raise TrajectoryError(
+            f"{what} of {length:.3g} m is too short for ramps of {ramp:g} s at {speed:g} m/s",
+            why="it would have to stop before it is up to speed",
+            fix=f"give ramp <= {math.floor(100 * length / abs(speed)) / 100:g} s, or a lower speed",
+        )
+
+
 def require_positive(**values: float) -> None:
     """Refuse a parameter that is not a finite number above 0."""
     require_finite(**values)
@@ -369,13 +383,7 @@ class Waypoints(BasePath):
         require_finite(points=self.points, speed=self.speed)
         if self.speed == 0:
             raise TrajectoryError("speed = 0 m/s", why="it never reaches the next point", fix="give another speed")
-        if self.length < abs(self.speed) * self.ramp:
-            longest = self.length / abs(self.speed)
-            raise TrajectoryError(
-                f"path of {self.length:.3g} m is too short for ramps of {self.ramp:g} s at {self.speed:g} m/s",
-                why="it would have to stop before it is up to speed",
-                fix=f"give ramp <= {longest:.3g} s, or a lower speed",
-            )
+        require_ramps("path", self.length, self.speed, self.ramp)
 
     @cached_property
     def _pieces(self) -> Bends:
@@ -507,13 +515,7 @@ class Parking(BasePath):
             fewest = 1 + int(abs(self.aside) / (self.radius * self._aside_of(np.pi / 2)))
             fix = f"give strokes >= {fewest}, or another place" if far else "give aside other than 0"
             raise TrajectoryError(f"aside = {self.aside:g} m in {self.strokes} strokes", why="it turns across", fix=fix)
-        if self.length < abs(self.speed) * self.ramp:
-            longest = self.length / abs(self.speed)
-            raise TrajectoryError(
-                f"strokes of {self.length:.3g} m are too short for ramps of {self.ramp:g} s at {self.speed:g} m/s",
-                why="they would have to stop before they are up to speed",
-                fix=f"give ramp <= {math.floor(100 * longest) / 100:g} s, or a lower speed",
-            )
+        require_ramps("stroke", self.length, self.speed, self.ramp)
 
     @staticmethod
     def _aside_of(turn: float) -> float:
