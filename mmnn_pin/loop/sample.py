@@ -141,7 +141,7 @@ def turn(row: Array, at: IntArray, limits: MotorLimits | None, steering: Steerin
     if steering is not None:
         kinematic.steer(row, at, steering)
         if limits is not None:
-            turn_limits(limits, steering.motors, steering.maps.T, steering.E_inv)
+            turn_limits(limits, steering.E, steering.E_inv)
 
 
 @linked

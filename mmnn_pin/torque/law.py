@@ -363,12 +363,10 @@ def motor_limits(E: Array, effort: Array) -> MotorLimits | None:
 
 
 @compiled
-def turn_limits(limits: MotorLimits, motors: IntArray, T: Array, E_inv: Array) -> None:
-    """Follow a base that steers: E from the rows of T of its motors, and its inverse (motors, p)."""
-    E = limits.E
-    for j in range(motors.size):
-        for i in range(T.shape[1]):
-            E[i, j] = T[motors[j], i]
+def turn_limits(limits: MotorLimits, E: Array, E_inv: Array) -> None:
+    """Follow a base that steers, in place, as an integrator has the same arrays: E (p, motors) and its inverse."""
+    for i in range(E.shape[0]):
+        copy_to(E[i], limits.E[i])
     for j in range(E_inv.shape[0]):
         copy_to(E_inv[j], limits.E_inv[j])
 
