@@ -167,12 +167,13 @@ def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> list[tuple
     ways = re.split("; |, | or ", fix)
     if asked and not any("--wheels" in way and f"--{asked}" in way for way in ways):
         return [(asked, str(entry[asked.replace("-", "_")]))]
-    for way in sorted(ways, key=lambda way: bool(asked) and f"--{asked}" not in way):
+    wanted = [f"--{asked}"] * bool(asked) + ["--wheels"] * ("wheels" in entry)
+    for way in sorted(ways, key=lambda way: [option not in way for option in wanted]):
         options = WAY.findall(way)
         stated = dict(options)
         fits = kind.startswith("refused: ") or stated.get("base", kind) in kinds_of(entry)
-        wheels = stated.get("wheels", "").split(",")
-        fits &= {*wheels} == {*entry.get("wheels", wheels)} or stated.keys() == {"without"}
+        wheels = stated["wheels"].split(",") if "wheels" in stated else entry.get("wheels", ())
+        fits &= {*wheels} == {*entry.get("wheels", wheels)}
         ends = kind.startswith("refused: ") and {"base", "wheels"} & stated.keys()
         named = not re.search(r"\b(METRES|FOLDER|VALUE|JOINT|RAD|KIND)\b", " ".join(stated.values()))
         if options and fits and not ends and named:
@@ -199,7 +200,8 @@ def faults(entry: dict[str, Any], robot: Robot) -> list[str]:
     base = robot.base
     if base.kind not in kinds_of(entry):
         return [f"{base.kind} for {entry['kind']}: {words(robot)}"]
-    found = [*wrong_lengths(entry, robot), *wrong_wheels(entry, base)]
+    own = base.kind == entry["kind"]  # not another one that is right, too
+    found = [*wrong_lengths(entry, robot), *wrong_wheels(entry, base)] if own else []
     turn = FORWARD[entry.get("forward", "+x")] - base.frame[2]
     if "forward" in entry and base.kind != "fixed" and math.cos(turn) < math.cos(OBLIQUE):
         found.append(f"forward {math.degrees(base.frame[2]):+.0f} deg from x for {entry['forward']}")
@@ -217,6 +219,7 @@ def wrong_lengths(entry: dict[str, Any], robot: Robot) -> list[str]:
     lengths = {"radius": [w.radius for w in base.wheels[:1]], "track": [base.track, max(at) - min(at)] if at else []}
     if isinstance(base, SteeredBase):
         lengths["wheelbase"] = [base.length]
+        lengths["track"] = [] if base.axle and not base.track else lengths["track"]  # an axle's wheels may be one body
     for name, values in lengths.items():
         if name not in entry or not values or f"{entry[name]:.4g}" in told:
             continue
