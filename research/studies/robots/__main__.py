@@ -229,10 +229,14 @@ def wrong_lengths(entry: dict[str, Any], robot: Robot) -> list[str]:
 
 
 def wrong_wheels(entry: dict[str, Any], base: Base) -> list[str]:
-    """Drive wheels, or all that roll, and steering pivots that are others than the truth's; left before right."""
-    drives, found = [wheel.joint for wheel in base.wheels if wheel.driven], list[str]()
-    wheels = entry.get("wheels", drives)
-    if {*wheels} not in ({*drives}, {wheel.joint for wheel in base.wheels}):
+    """Drive wheels, or all that roll, and steering pivots that are others than the truth's; left before right.
+
+    Of a base that steers all drive where nothing tells which do: the truth's are among them.
+    """
+    drives, every = [wheel.joint for wheel in base.wheels if wheel.driven], {wheel.joint for wheel in base.wheels}
+    wheels, found = entry.get("wheels", drives), list[str]()
+    untold = isinstance(base, SteeredBase) and {*drives} == every
+    if {*wheels} not in ({*drives}, every) and not (untold and {*wheels} <= every):
         found.append(f"wheels {', '.join(drives) or 'none'} for {', '.join(wheels)}")
     elif len(drives) == 2 and wheels == drives[::-1] and "forward" in entry:
         found.append(f"left and right swapped: {', '.join(drives)}")
@@ -318,7 +322,11 @@ def tracked(rows: list[track_any.RobotRow]) -> str:
     is_flag=True,
     help="The rows of docs/reference/public-robots.csv; with --track of public-robots-track.csv.",
 )
-@click.option("--corpus", default="corpus.toml", help="File of truths beside this one: steered.toml has fresh ones.")
+@click.option(
+    "--corpus",
+    default="corpus.toml",
+    help="File of truths beside this one: steered.toml, fresh.toml and wild.toml have others.",
+)
 @click.option("--inspect", is_flag=True, help="Time `mmnn inspect` on every robot that is accepted.")
 @click.option("--track", is_flag=True, help="Drive the experiment `track` with every robot that is accepted.")
 def main(folder: Path, only: str, as_csv: bool, corpus: str, inspect: bool, track: bool) -> None:
