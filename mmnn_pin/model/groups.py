@@ -73,15 +73,15 @@ def of_srdf(rest: AtRest, file: Path) -> Iterator[Group]:
     root, document = parse_xml(bytes_of(file))[0], rest.document
     if root is None:
         return
-    groups = {group.get("name", ""): frozenset(members(rest, group)) for group in root.iterchildren("group")}
     ends = {end.get("group", ""): end.get("parent_link", "") for end in root.iterchildren("end_effector")}
-    for name, joints in groups.items():
-        parent = ends.get(name, "") if ends.get(name) in document.links else ""
-        yield Group(name, joints, f"{file.name}", parent)
+    for group in root.iterchildren("group"):
+        name, parent = group.get("name", ""), ends.get(group.get("name", ""), "")
+        parent = parent if parent in document.links else ""
+        yield Group(name, frozenset(members(rest, group, parent)), f"{file.name}, line {group.sourceline}", parent)
 
 
-def members(rest: AtRest, group: etree._Element) -> Iterator[str]:
-    """Moving joints of a group of an SRDF; those that the robot does not have, too."""
+def members(rest: AtRest, group: etree._Element, parent: str) -> Iterator[str]:
+    """Moving joints of a group of an SRDF but that of the link which carries it; those that the robot lacks, too."""
     document = rest.document
     for part in group.iterchildren("joint", "passive_joint", "link", "chain"):
         name, joint = part.get("name", ""), document.joints.get(part.get("name", ""))
@@ -90,7 +90,8 @@ def members(rest: AtRest, group: etree._Element) -> Iterator[str]:
             yield from (j.name for j in document.moving_ancestors(part.get("tip_link", "")) if j.name not in above)
         elif part.tag == "link":
             carrier = document.carrier.get(name)
-            yield from [carrier.name] if carrier is not None and carrier.moves else []
+            mounted = carrier is not None and carrier.moves and name != parent
+            yield from [carrier.name] if mounted else []
         elif joint is None or joint.moves:
             yield name
 

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from ..elementary.matrices import product
+from ..elementary.matrices import length, product
 from .groups import Group
 from .signs import MARGIN, Sign, score, told_apart
 from .urdf.document import Joint
@@ -28,10 +28,11 @@ WEIGHTS: dict[str, tuple[float, float, float, float]] = {  # of a sign for each 
     "it reaches more than half as far as the longest chain": (-2.5, -3.0, -2.5, 0.0),
     "it has four joints or more in a row": (-3.0, -1.0, -4.0, -6.0),
     "it has three joints or fewer in a row": (0.5, 0.5, 0.0, 0.0),
-    "three joints or more lead to it": (0.0, 1.5, 0.0, -6.0),
+    "three joints or more lead to it": (-1.0, 1.5, 0.0, -6.0),
     "one joint at most leads to it": (0.0, -2.0, 0.0, 0.0),
     "it stands beside a longer branch": (2.0, 1.0, 1.0, 1.0),
-    "nothing stands beside it on an arm": (-3.0, -4.0, -1.0, 0.0),
+    "nothing stands beside it on an arm": (-2.0, -4.0, -1.0, 0.0),
+    "nothing stands beside it on an arm, and it carries a joint": (0.0, -2.0, 0.0, 0.0),
     "others stand beside it at the end of an arm": (0.0, 1.5, 0.0, 0.0),
     "its like faces it": (-1.0, 2.5, -2.0, 0.0),
     "another joint follows it": (-0.5, 1.5, -1.0, -2.0),
@@ -39,15 +40,15 @@ WEIGHTS: dict[str, tuple[float, float, float, float]] = {  # of a sign for each 
     "it slides by two centimetres at most on the base and carries no joint": (0.0, -1.0, 0.0, 8.0),
     "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0),
     "it pans, and what it carries tilts": (1.0, -0.5, 0.0, 0.0),
-    "it turns without end about an upright axis and carries no joint": (-1.0, -2.0, 2.0, 0.0),
+    "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 2.0, 0.0),
     "it carries a camera": (1.5, -0.5, 1.0, 0.0),
     "it carries a lidar": (0.5, -0.5, 2.5, 0.0),
     "it carries the frame of a tool": (-4.0, -2.0, -4.0, -4.0),
-    "names of an arm": (-5.0, -5.0, -5.0, -2.0),
-    "names of a head": (5.0, -1.0, 2.0, 0.0),
-    "names of a jaw": (-1.0, 5.0, -1.0, 0.0),
-    "names of a sensor": (3.0, -1.0, 5.0, 0.0),
-    "names of a button": (0.0, 0.0, 0.0, 6.0),
+    "names of arms": (-5.0, -5.0, -5.0, -2.0),
+    "names of heads": (6.0, -1.0, 2.0, 0.0),
+    "names of jaws": (-1.0, 5.0, -1.0, 0.0),
+    "names of sensors": (3.0, -1.0, 5.0, 0.0),
+    "names of buttons": (0.0, 0.0, 0.0, 6.0),
 }
 SHORT, LONG = 1 / 3, 1 / 2  # fractions of the longest chain's reach
 ROW, WRIST = 4, 3  # joints in a row that are more than a head's; joints that lead to a jaw
@@ -66,7 +67,7 @@ WORDS = {  # English, German, French, Spanish, Italian, Portuguese, and Chinese 
     "button": "button bumper knopf taste bouton boton bottone botao",
 }
 ROLE_OF = {word: role for role, words in WORDS.items() for word in words.split()}
-WEAK = dict.fromkeys(("pan", "tilt"), "head")  # said of shoulders, too
+WEAK = dict.fromkeys(("pan", "tilt", "mast"), "head")  # said of shoulders, too
 CAMERA = re.compile(r"camera|kinect|realsense|zed|xtion|d4[0-9]5|kamera", re.IGNORECASE)
 LIDAR = re.compile(r"lidar|laser|hokuyo|velodyne|rplidar|\bray\b", re.IGNORECASE)
 TOOL = re.compile(
@@ -75,12 +76,18 @@ TOOL = re.compile(
 LETTERS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 
-def role_named(name: str, common: Iterable[str] = ()) -> tuple[str, str]:
-    """The role that a name states and its word for it, the last of several: nouns stand last; empty without one."""
-    words = [w for text in LETTERS.findall(name) if (w := text.lower()) not in common]
-    for table in (ROLE_OF, WEAK):
+def role_named(name: str, told: Iterable[str] = (), turns: bool = True) -> tuple[str, str]:
+    """The role that a name states and its word for it, the last of several: nouns stand last; empty without one.
+
+    Args:
+        name: Of a joint, a link or a group.
+        told: Words that tell nothing.
+        turns: Whether it is of a joint that turns: what slides neither pans nor is a mast for a camera.
+    """
+    words = [word for text in LETTERS.findall(name) if (word := text.lower()) not in told]
+    for table in (ROLE_OF, WEAK if turns else {}):
         for word in reversed(words):
-            found = next((w for w in (word, word.rstrip("s")) if w in table), "")
+            found = next((w for w in (word, word.rstrip("s"), word[1:] * (word[0] in "lr")) if w in table), "")
             if found:
                 return table[found], found
     return "", ""
@@ -125,7 +132,7 @@ class Limb:
 
     @property
     def told(self) -> list[str]:
-        """What tells its role from the other, the strongest first."""
+        """Signs that tell its role from the other, the strongest first."""
         return told_apart((), self.signs) if self.role == "arm" else told_apart(self.signs, ())
 
 
@@ -153,12 +160,14 @@ class Limbs:
         candidates: Joints that may move by themselves.
         followers: Joints that follow others, with those.
         groups: Joints that files of its controllers and of MoveIt name together.
+        weights: Of every sign, as `WEIGHTS` has them.
     """
 
     rest: AtRest
     candidates: frozenset[str]
     followers: Mapping[str, str]
-    groups: tuple[Group, ...] = field(default=())
+    groups: tuple[Group, ...] = ()
+    weights: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: WEIGHTS)
 
     @cached_property
     def tree(self) -> dict[str, Branch]:
@@ -188,11 +197,12 @@ class Limbs:
         """Reach of the longest chain [m]."""
         return max((self.tree[name].reach for name in self.candidates), default=0.0)
 
-    @cached_property
-    def common(self) -> frozenset[str]:
-        """Words in the names of all joints: they tell nothing."""
-        names = [{word.lower() for word in LETTERS.findall(name)} for name in self.candidates]
-        return frozenset(set.intersection(*names)) if len(names) > 1 else frozenset()
+    def common(self, name: str) -> set[str]:
+        """Words that tell nothing: in all names, or of a jaw in all names that hang on one joint of the base."""
+        whole = self.candidates.intersection(self.tree[[name, *self.tree[name].above][-1]].carried)
+        ours, every = (set.intersection(*map(words_of, names)) for names in (whole, self.candidates))
+        same = {word for word in ours if ROLE_OF.get(word) == "jaw"} if len(whole) > 2 else set()
+        return same | {word for word in every if ROLE_OF.get(word) != "arm"} if len(self.candidates) > 1 else set()
 
     @cached_property
     def limbs(self) -> dict[str, Limb]:
@@ -245,23 +255,18 @@ class Limbs:
         return tuple(found)
 
     def signs(self, name: str, role: str) -> list[Sign]:
-        """Signs for a role of a branch that stands still, over one that moves."""
-        place = STILL.index(role)
-        return [Sign(text, WEIGHTS[key][place], joint=name) for key, text in self.seen[name].items()]
-
-    @cached_property
-    def seen(self) -> dict[str, dict[str, str]]:
-        """What is seen of every branch: keys of `WEIGHTS`, with what is told of them."""
-        return {name: dict(self.looks(name)) for name in self.tree if name in self.candidates}
-
-    def looks(self, name: str) -> Iterable[tuple[str, str]]:
-        """What is seen of a branch."""
-        keys = ["most joints are an arm's", *self.of_place(name), *self.of_motion(name), *self.of_load(name)]
-        yield from ((key, key) for key in keys)
-        yield from self.of_names(name)
+        """Signs for a role of a branch that stands still, over one that moves: of its shape, and every joint's name."""
+        place, keys = STILL.index(role), ["most joints are an arm's"]
+        keys += [*self.of_place(name), *self.of_motion(name), *self.of_load(name)]
+        signs = [Sign(key, self.weights[key][place], joint=name) for key in keys]
+        for joint in self.tree[name].carried:
+            signs += [
+                Sign(text, self.weights[key][place], joint=joint) for key, text in self.named.get(joint, {}).items()
+            ]
+        return signs
 
     def of_place(self, name: str) -> Iterable[str]:
-        """What its size and its place in the tree say."""
+        """Signs of its size and its place in the tree."""
         branch = self.tree[name]
         led = {follower for follower, master in self.followers.items() if master in branch.carried}
         share = branch.reach / self.longest if self.longest else 1.0
@@ -282,6 +287,8 @@ class Limbs:
             yield "it stands beside a longer branch"
         if not beside and branch.above and branch.above[0] in self.candidates:
             yield "nothing stands beside it on an arm"
+            if branch.row > 1:
+                yield "nothing stands beside it on an arm, and it carries a joint"
         if beside and len(above) >= WRIST:
             yield "others stand beside it at the end of an arm"
         if any(self.faces(name, other) for other in beside):
@@ -296,7 +303,7 @@ class Limbs:
         return alike and parallel and len(slides) == 1 and one.reach < SHORT * self.longest and bool(one.above)
 
     def of_motion(self, name: str) -> Iterable[str]:
-        """What its joint's type, axis and travel say."""
+        """Signs of its joint: type, axis and travel."""
         joint, branch, rest = self.rest.document.joints[name], self.tree[name], self.rest
         if any(self.followers.get(led) == name for led in self.followers if led in (*branch.beside, *branch.carried)):
             yield "another joint follows it"
@@ -307,9 +314,9 @@ class Limbs:
                 yield "it slides by two centimetres at most on the base and carries no joint"
         if joint.type == "prismatic":
             return
-        before = rest.document.joints[branch.above[0]] if branch.above else joint
-        along = rest.hub(joint) - rest.hub(before)
-        rolls = abs(float(product(rest.axis(before), along))) > ALONG * math.hypot(*along) > 0
+        before, first = (rest.document.joints[name] for name in (*branch.above, name, name)[:2])
+        along = rest.hub(before) - rest.hub(first)
+        rolls = abs(float(product(rest.axis(before), along))) > ALONG * length(along) > 0
         if alone and rolls and abs(float(product(rest.axis(joint), rest.axis(before)))) < 1 - ALONG:
             yield "it turns across the joint before it, which rolls"
         if rest.is_vertical(joint):
@@ -319,7 +326,7 @@ class Limbs:
                 yield "it turns without end about an upright axis and carries no joint"
 
     def of_load(self, name: str) -> Iterable[str]:
-        """What the links and sensors that it carries say."""
+        """Signs of the links and sensors that it carries."""
         document = self.rest.document
         links = [link for joint in self.tree[name].carried for link in document.body(document.joints[joint].child)]
         kinds = [sensor.get("type", "") for link in links for sensor in self.sensors.get(link, ())]
@@ -333,22 +340,27 @@ class Limbs:
         blocks = self.rest.document.root.iterchildren("gazebo")
         return {block.get("reference", ""): list(block.iter("sensor")) for block in blocks}
 
-    def of_names(self, name: str) -> Iterable[tuple[str, str]]:
-        """What names say: its own, its link's, that of the smallest group with it, and of an arm that it carries."""
-        document, found = self.rest.document, dict[str, str]()
-        for text in (name, document.joints[name].child):
-            role, word = role_named(text, self.common)
-            if role and not found:
-                found[role] = f"'{word}' in its name"
-        for group in sorted((g for g in self.groups if name in g.joints), key=lambda g: len(g.joints)):
-            role, word = role_named(group.name)
-            if role and (not found or role in found):
-                found[role] = f"'{group.name}' groups it ({group.where})"
-                break
-        arm = next((n for n in self.tree[name].carried[1:] if role_named(n, self.common)[0] == "arm"), "")
-        if arm and not found.keys() & {"arm"}:
-            found["arm"] = f"it carries '{arm}'"
-        yield from ((f"names of a{'n' if role == 'arm' else ''} {role}", text) for role, text in found.items())
+    @cached_property
+    def named(self) -> dict[str, dict[str, str]]:
+        """Names of every joint, as keys of `WEIGHTS`: its own, else its link's, and the smallest group's."""
+        found: dict[str, dict[str, str]] = {name: {} for name in self.candidates}
+        for name, names in found.items():
+            joint = self.rest.document.joints[name]
+            for text in (joint.child,) if "_to_" in name else (name, joint.child):
+                role, word = role_named(text, self.common(name), joint.type != "prismatic")
+                if role and not names:
+                    names[f"names of {role}s"] = f"'{word}' in the name of '{text}'"
+            for group in sorted((g for g in self.groups if name in g.joints), key=lambda g: len(g.joints)):
+                role, _ = role_named(group.name)
+                if role:
+                    names[f"names of {role}s"] = f"'{group.name}' has '{name}' ({group.where})"
+                    break
+        return found
+
+
+def words_of(name: str) -> set[str]:
+    """The words of a name."""
+    return {text.lower() for text in LETTERS.findall(name)}
 
 
 def own_reach(rest: AtRest, joint: Joint) -> float:
