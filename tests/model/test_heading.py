@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from drives import ARM, CYLINDER, SPHERE, Drive, joint, link, robot_of
+from drives import ARM, CYLINDER, SPHERE, Drive, joint, link, origin, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_base import four
@@ -182,6 +182,17 @@ def test_what_steers_is_ahead_unless_the_user_says_otherwise():
     for y, forward in ((0.3, 90), (-0.3, -90)):
         robot = robot_of(ACROSS.urdf(PLAIN + fork.format(f"0 {y} 0.1")))
         assert heading(robot) == forward and robot.base.kind == "tricycle"
+
+
+@pytest.mark.parametrize(("y", "forward"), [(0.5, -90), (-0.5, 90)])
+def test_a_trailer_is_behind(y, forward):
+    text = link("cart", 5.0) + joint("hitch", "continuous", "base", "cart", p=(0, y / 2, 0.1), axis=(0, 0, 1))
+    standing = origin(np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]))  # a cylinder's z along x
+    for name, x in (("near", 0.2), ("far", -0.2)):
+        text += link(name, 1.0, 0.01, CYLINDER.format(r=0.1), standing)
+        text += joint(f"{name}_j", "continuous", "cart", name, p=(x, y / 2, 0), axis=(1, 0, 0))
+    robot = robot_of(ACROSS.urdf(PLAIN + text), hitch=("hitch",))
+    assert robot.base.kind == "drive_trailer" and heading(robot) == forward and robot.base.pivots[0].x < 0
 
 
 @pytest.mark.parametrize("trail", [0.0, 0.03])
