@@ -155,7 +155,7 @@ def said_way(rest: AtRest, drives: Sequence[Candidate], overrides: Overrides, wa
         why, fix = f"its wheels roll along {other}", f"--forward {other} or -{other}"
         raise ConfigError(f"{overrides.forward} cannot be forward", why=why, fix=fix, key="forward")
     names = [c.joint.name for c in drives]
-    if len(drives) == 2 and {*names} == {*(overrides.wheels or ())} and not np.allclose(*(c.centre for c in drives)):
+    if len(drives) == 2 and {*names} == {*(overrides.wheels or ())}:
         left, right = (drives[names.index(name)] for name in overrides.wheels or ())
         to_left = (left.centre - right.centre)[:2]
         return int(np.argmax([float(product([-way[1], way[0]], to_left)) for way in ways]))

@@ -156,7 +156,7 @@ def heading_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrid
     }
     found = heading(rest, drives, overrides, at[False], at[True], any_way)
     way, other = map(axis_name, found.ways[:2])
-    pro, contra = (told_apart(*pair) for pair in (found.signs[:2], found.signs[1::-1]))
+    pro, contra = told_apart(found.signs[0], found.signs[1]), told_apart(found.signs[1], found.signs[0])
     why = f"for {way}: {', '.join(pro) or 'nothing'}; for {other}: {', '.join(contra) or 'nothing'}"
     fix, root = f"--forward {other} if it drives that way", f"of the root link '{rest.document.root_link}'"
     if found.said and found.margin < -MARGIN:
