@@ -218,6 +218,7 @@ OVERRIDES = (
     "hitch",
     "wheelbase",
     "steering_limit",
+    "forward",
     "strict",
 )
 LISTED = ("wheels", "steer", "hitch")  # joints, separated by commas  # fmt: skip
@@ -257,6 +258,7 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option("--steer", metavar="JOINT,...", help="Joints that steer, separated by commas."),
     click.option("--hitch", metavar="JOINT,...", help="Joints on which trailers follow, separated by commas."),
     click.option("--wheelbase", type=float, metavar="M", help="Distance of the wheels that steer from the fixed axle."),
+    click.option("--forward", metavar="AXIS", help="Where it drives forward, by the root link: x, -x, y or -y."),
     click.option("--steering-limit", type=float, metavar="RAD", help="Largest angle of what steers, to either side."),
     click.option("--strict", is_flag=True, help="Refuse impossible inertias and implausible sizes."),
 )

@@ -65,7 +65,7 @@ def inspect(robot: str, gains: bool, overrides: dict[str, Any], as_json: bool) -
     stand in NAME.mmnn.toml beside NAME.urdf. Exit code 2 when the robot cannot be used or its base is undecided.
     """
     from ..lab.experiments.track_gains import track_gains
-    from ..lab.show.robots import inspection_text, refusal_text
+    from ..lab.show.robots import inspection_text, refusal_text, summary
     from ..model.base.overrides import Overrides
     from ..model.inspection import inspection_of, refusal_of
     from ..model.loading import load
@@ -74,6 +74,7 @@ def inspect(robot: str, gains: bool, overrides: dict[str, Any], as_json: bool) -
     try:
         loaded = load(robot, **overrides)
         content, code = inspection_of(loaded) | ({"track": track_gains(loaded)} if gains else {}), DONE
+        content["understood"] = summary(content)
     except RobotError as error:
         content, code = refusal_of(error, find(robot), Overrides(**overrides)), BAD_INPUT
     for finding in content["findings"]:

@@ -32,6 +32,7 @@ from .output import (
 
 if TYPE_CHECKING:
     from ..lab.experiments.experiment import Experiment
+    from ..model.robot import Robot
 
 ROBOT = click.option(
     "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
@@ -184,6 +185,15 @@ def announced(text: str) -> Iterator[Callable[[str, float], None]]:
     tell()
 
 
+def tell_robot(robot: Robot) -> None:
+    """Say on standard error what was understood of a robot."""
+    from ..lab.show.robots import summary
+    from ..model.inspection import inspection_of
+
+    for line in summary(inspection_of(robot)):
+        note(line)
+
+
 def files_of(asked: Experiment) -> list[str]:
     """Files that a run writes into its folder: recordings by case, and plots."""
     folders = [f"{case}/" for case in asked.cases] or [""]
@@ -212,7 +222,9 @@ def run_one(
     from ..lab.show.table import hanging
 
     with announced(elsewhere) as progress:
-        result = run_experiment(asked, name, out=folder, force=force, progress=progress, leave_out=not by_name)
+        result = run_experiment(
+            asked, name, out=folder, force=force, progress=progress, leave_out=not by_name, understood=tell_robot
+        )
     pictures = write_pictures(result.recordings, asked.plots, folder, force)
 
     def text() -> str:
@@ -233,7 +245,7 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
     from ..lab.show.comparison import render_cases
 
     with announced(elsewhere) as progress:
-        matrix = run_all(asked, name, out=folder, force=force, progress=progress)
+        matrix = run_all(asked, name, out=folder, force=force, progress=progress, understood=tell_robot)
     command = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
     files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {command}"
     answer(as_json, matrix.to_dict, lambda: f"{styled(render_cases(matrix, **look()))}\n\n{files}")

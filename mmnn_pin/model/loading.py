@@ -75,13 +75,14 @@ def load(  # noqa: PLR0913 - options of a file, by name
     hitch: Sequence[str] | None = None,
     wheelbase: float | None = None,
     steering_limit: float | None = None,
+    forward: str | None = None,
 ) -> Robot:
     """Load a robot. What is not given comes from `NAME.mmnn.toml` beside it or is found in it (docs/how-to/robots.md).
 
     Args:
         robot: Name of a bundled robot or of one of example-robot-data, or path of a URDF or xacro file.
         base: One of `mmnn_pin.model.base.KINDS`, such as `differential_drive`, `car_like` or `fixed`.
-        wheels: Joints of the drive wheels; left, right for a differential drive.
+        wheels: Joints of the drive wheels; of two on one axle the left one first.
         radius: Radius of the drive wheels [m].
         wheel_radii: Radius of single drive wheels, `joint=radius` [m].
         track: Lateral distance of the drive wheels [m]; of a skid-steer base the effective one.
@@ -100,6 +101,7 @@ def load(  # noqa: PLR0913 - options of a file, by name
         hitch: Joints on which trailers follow.
         wheelbase: Distance from the fixed axle to the wheels that steer [m].
         steering_limit: Largest angle of what steers, to either side [rad].
+        forward: The axis of the root link along which the base drives forward: `x`, `-x`, `y` or `-y`.
 
     Raises:
         UnknownName: Neither a name nor a path; a joint, link or kind of base that does not exist.
@@ -131,6 +133,7 @@ def load(  # noqa: PLR0913 - options of a file, by name
         hitch=None if hitch is None else tuple(hitch),
         wheelbase=wheelbase,
         steering_limit=steering_limit,
+        forward=forward,
     )
     return load_with(robot, overrides)
 

@@ -18,7 +18,7 @@ from mmnn_pin.model.base.report import CODES as UNDERSTOOD
 from mmnn_pin.model.loading import require_sane
 from mmnn_pin.model.urdf.audit import lumped, parts_of
 from mmnn_pin.model.urdf.finding import CODES, Finding
-from mmnn_pin.model.urdf.meshes import damage_of
+from mmnn_pin.model.urdf.meshes import damage_of, vertices_of
 from mmnn_pin.model.urdf.packages import locate
 from mmnn_pin.model.urdf.reading import audit_file, parse
 
@@ -53,7 +53,10 @@ SUSPECT = {
     "zero scale": (SHAPE, '<mesh filename="package://p/a.stl" scale="1 0 1"/>', "warning", 10, "zero-size", "scale"),
     "no shape": (SHAPE, "<plane/>", "warning", 10, "no-shape", "it is left out"),
     "mass in a link": ("<inertial>", '<mass value="7"/><inertial>', "warning", 5, "misplaced-tag",
-                       "<mass> in <link> is ignored.*move it into <inertial>"),
+                       "<mass> in <link> is ignored.*move it into an <inertial> with <mass> and <inertia>"),
+    "inertia in a frame": (*end('<link name="tip"><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></link>'
+                                + joint("w", "rod", "tip", "fixed")), "warning", 19, "misplaced-tag",
+                           "<inertia> in <link> is ignored.*delete it"),
     "link in a link": (SHAPE + "</geometry></visual>", SHAPE + "</geometry></visual><link name='l'/>", "warning", 10,
                        "misplaced-tag", "<link> in <link> is ignored.*move it into <robot>"),
     "joint in a joint": ('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><joint/>', "warning", 15, "misplaced-tag",
@@ -283,6 +286,15 @@ def test_corrupt_meshes_are_told(tmp_path, name, data, words):
     found = mesh_findings(tmp_path, name)
     assert [(f.code, f.line, f.severity) for f in found] == [("mesh-corrupt", 10, "warning")]
     assert words in found[0].message
+
+
+@pytest.mark.parametrize("name", ["a.stl", "a.dae", "a.obj", "a.fbx"])
+def test_a_pointer_of_git_lfs_is_told_as_such(tmp_path, name):
+    put(tmp_path / name, b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n")
+    (found,) = mesh_findings(tmp_path, name)
+    assert (found.code, found.fix) == ("mesh-missing", "git lfs pull")
+    assert found.message == f"mesh '{name}' is a git-LFS pointer, its content was not downloaded"
+    assert not len(vertices_of(tmp_path / name, 0))
 
 
 @pytest.mark.parametrize(("name", "data"), [

@@ -306,12 +306,6 @@ def test_radius_and_track_are_taken_as_said():
     np.testing.assert_allclose(robot.T[rows, :2] * 0.11, [[1, -0.25], [1, 0.25]])
 
 
-def test_wheels_named_the_wrong_way_round_are_put_right_with_a_warning():
-    robot = robot_of(four(), wheels=("fr", "fl"))
-    assert [w.joint for w in robot.base.wheels] == ["fl", "fr"]
-    assert "base-sides" in [f.code for f in robot.findings]
-
-
 def test_a_base_that_is_taken_as_fixed_is_parked():
     robot = robot_of(four(), base="fixed")
     assert robot.base.kind == "fixed" and robot.joint_names == ("shoulder", "elbow")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shlex
 from pathlib import Path
@@ -10,12 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drives import ARM, Drive
+from hypothesis import given
+from hypothesis import strategies as st
 from test_base import MOVE, drone, four, welded
 
 from mmnn_pin import Feedback, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RobotError
 from mmnn_pin.lab.experiments.runner import interface_notes
+from mmnn_pin.lab.show.robots import names_in
 from mmnn_pin.model import Undecided, load
 from mmnn_pin.model.base.report import Unsupported
 from mmnn_pin.model.robots import FILES, extra, robot_data
@@ -108,6 +112,47 @@ def test_it_tells_how_a_run_drives_motors_and_how_to_drive_them_as_the_urdf_offe
     unoffered = "driven by effort, which the URDF does not offer: left, right (see mmnn inspect)"
     assert interface_notes(track, track.load_robot()) == [unoffered]
     assert interface_notes(load_experiment("track"), load("platform_arm")) == []  # its URDF offers nothing
+
+
+def test_the_first_lines_say_what_was_understood_and_a_run_says_them_too(call):
+    file = written(Drive(track=0.5).urdf())
+    said = ["base: differential drive, left left, right right, radius 0.1 m, track 0.5 m, forward x"]
+    said.append("arm: 2 joints: shoulder, elbow")
+    assert call("inspect", file)[1].splitlines()[:3] == [*said, ""]
+    assert json.loads(call("inspect", file, "--json")[1])["understood"] == said
+    options = ("--robot", file, "--controller", "pd", "--set", "time.duration=0.02", "--set", "plots=[]")
+    code, _, err = call("run", "track", *options)
+    assert code == 0 and err.splitlines()[:2] == said
+    turned = call("inspect", file, "--forward", "-x", "--lock", "elbow")[1].splitlines()
+    assert turned[0].endswith("left right, right left, radius 0.1 m, track 0.5 m, forward -x")
+    assert turned[1] == "arm: 1 joint: shoulder; locked: elbow"
+    assert call("inspect", file, "--base", "fixed")[1].splitlines()[0] == "base: fixed"
+
+
+def test_a_reading_in_doubt_is_marked_with_how_to_say_it_otherwise(call):
+    across = Drive(frame=(0.0, 0.0, math.pi / 2), names=("a", "b"), flips=(1, -1))
+    file = written(across.urdf(ARM.replace('xyz="0.1 0.0 1.0"', 'xyz="0.0 0.0 1.0"')))
+    lines = call("inspect", file)[1].splitlines()
+    assert lines[0].endswith("forward y") and lines[2:4] == ["in doubt: forward (--forward -y)", ""]
+    options = ("--robot", file, "--controller", "pd", "--set", "time.duration=0.02", "--set", "plots=[]")
+    assert call("run", "track", *options)[2].splitlines()[:3] == lines[:3]
+    assert call("inspect", file, "--forward", "-y")[1].splitlines()[2] == ""
+
+
+def test_a_base_that_steers_is_said_by_what_steers_and_what_drives(call):
+    said, arm = call("inspect", "car_arm")[1].splitlines()[:2]
+    found = json.loads(call("inspect", "car_arm", "--json")[1])["base"]
+    assert said.startswith("base: car like, steered front_left_steering_joint and 1 more, driven rear_left_wheel_joint")
+    assert f"wheelbase {found['length']:.4g} m, forward x" in said and arm.startswith("arm: 4 joints: ")
+
+
+@given(st.lists(st.text("abc_", min_size=1, max_size=12), min_size=1, max_size=30), st.integers(5, 90))
+def test_names_in_a_line_keep_to_their_room_and_are_counted(names, room):
+    text = names_in(names, room)
+    shown, _, more = text.partition(" and ")
+    kept = shown.split(", ")
+    assert kept == names[: len(kept)] and (len(kept) == 1 or len(shown) <= room)
+    assert (f"{len(names) - len(kept)} more" == more) if len(kept) < len(names) else not more
 
 
 def test_gains_are_those_of_a_run_and_can_be_copied(call):
@@ -330,8 +375,8 @@ def test_names_steer_no_terminal(call):
     odd = "e&#155;2J&#10;l&#8238;bow"
     code, out, err = call("inspect", written(Drive().urdf().replace('"elbow"', f'"{odd}"')))
     assert code == 0 and not [c for c in out if not c.isprintable() and c != "\n"]
-    row = next(line for line in out.splitlines() if "bow" in line)
-    assert "0.2" in row
+    short, row = (line for line in out.splitlines() if "bow" in line)
+    assert short.startswith("arm: 2 joints: shoulder, ") and "0.2" in row
     assert call("model", "r.urdf")[0] == 0
     code, _, err = call("inspect", "r.urdf", "--wheels", "left,\x9b31mright")
     assert code == 2 and all(c.isprintable() for c in err.rstrip("\n"))

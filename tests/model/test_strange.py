@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, Drive, joint, link, origin, robot_of
+from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, joint, link, origin, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_base import MOVE, four, wheel
@@ -140,12 +140,6 @@ def test_the_track_of_wheels_that_cannot_be_seen_is_said_to_be_that_of_the_joint
     robot = robot_of(text, radius=0.05)
     assert "track of 0.4 m is that of the joints" in codes(robot)["base-joints"]
     assert "base-joints" not in codes(robot_of(text, radius=0.05, track=0.42))
-
-
-@pytest.mark.parametrize(("turn", "told"), [(0.0, False), (0.5, False), (math.pi / 2, True)])
-def test_wheels_that_roll_across_the_root_are_told(turn, told):
-    robot = robot_of(Drive(frame=(0.1, 0.05, turn)).urdf())
-    assert ("base-heading" in codes(robot)) == told
 
 
 # --- What is no wheel, and what is ------------------------------------------------------------------------------------

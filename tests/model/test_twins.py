@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -16,7 +18,10 @@ from test_wild import codes
 
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.base.report import Undecided, Unsupported
+from mmnn_pin.model.base.wheels import Candidate, radius_by_inertia
 from mmnn_pin.model.loading import load
+from mmnn_pin.model.urdf.reading import parse
+from mmnn_pin.model.urdf.shapes import AtRest
 
 BALL = link("ball", 0.1, 1e-4, SPHERE.format(r=0.05)) + joint("ball_j", "fixed", "base", "ball", p=(-0.2, 0, 0.05))
 GONE = '<visual><geometry><mesh filename="package://gone/tyre.stl"/></geometry></visual>'
@@ -45,6 +50,56 @@ def test_a_collision_shape_whose_visual_mesh_is_missing_may_be_a_hub():
     assert "'left' 0.1 m" in codes(robot_of(chassis(hubs(0.03) + BALL)))["base-hub-height"]
     robot = robot_of(chassis(hubs(0.03) + BALL), radius=0.1)
     assert [w.radius for w in robot.base.wheels] == [0.1, 0.1] and robot.base.floor == pytest.approx(0)
+
+
+@given(st.floats(0.04, 0.19), st.sampled_from([0.0, 0.02]))
+@settings(max_examples=10, deadline=None)
+def test_a_collision_cylinder_is_the_wheel_whose_mesh_is_missing(radius, above):
+    robot = robot_of(chassis(hubs(radius, radius + above)))
+    assert [w.radius for w in robot.base.wheels] == [radius] * 2 and robot.base.floor == pytest.approx(above)
+    assert "a mesh of them is missing" in codes(robot)["base-shapes"]
+
+
+def weighing(moment: float, others: float, radius: float = 0.05) -> str:
+    """Two collision cylinders whose meshes are missing, of 1 kg, with moments of inertia about the axle and across."""
+    tensor = 'ixx="0.02" iyy="0.02" izz="0.02"'
+    return chassis(hubs(radius).replace(tensor, f'ixx="{others}" iyy="{moment}" izz="{others}"'))
+
+
+def test_a_cylinder_that_has_no_room_for_its_inertia_is_a_hub():
+    disc = 0.5 * 0.1**2  # of the wheel that it would be the hub of
+    with pytest.raises(Undecided, match=r"radius unknown, 0.05 m without it"):
+        robot_of(weighing(disc, 0.6 * disc))
+    assert robot_of(weighing(0.24 * disc, 0.14 * disc)).base.wheels[0].radius == 0.05
+    ring = robot_of(weighing(0.99 * 0.05**2, 0.5 * 0.05**2))  # all its mass on the rim: it has just room
+    assert "its inertia, a disc's of 0.0704 m" in next(f.why for f in ring.findings if f.code == "base-shapes")
+    assert robot_of(weighing(disc, disc)).base.wheels[0].radius == 0.05  # a number that nobody measured tells nothing
+
+
+def test_another_radius_that_is_stated_counts_more_than_a_cylinder():
+    plugin = "<gazebo><plugin name='d' filename='x'><wheel_radius>{}</wheel_radius></plugin></gazebo>"
+    for stated, radius in ((0.1, 0.1), (0.051, 0.05)):
+        assert robot_of(chassis(hubs(0.05) + plugin.format(stated))).base.wheels[0].radius == radius
+
+
+@given(st.floats(0.03, 0.3), st.floats(0.1, 20), st.floats(0.01, 0.9), st.floats(-3, 3), st.floats(0.0, 0.05))
+@settings(max_examples=25, deadline=None)
+def test_the_radius_by_inertia_is_that_of_a_disc_however_it_is_written(radius, mass, share, turn, apart):
+    """A disc in two parts along the axle, the inertia of one in axes of its own."""
+    axle, across = 0.5 * radius**2, 0.25 * radius**2
+    text = ""
+    for part, at, angle in ((share, apart, turn), (1 - share, -apart, 0.0)):
+        m = mass * part
+        moments = f'ixx="{m * across!r}" iyy="{m * axle!r}" izz="{m * across!r}" ixy="0" ixz="0" iyz="0"'
+        body = f'<inertial>{origin(pin.rpy.rpyToMatrix(0, angle, 0), (0, at, 0))}<mass value="{m!r}"/>'
+        text += f'<link name="w{len(text)}">{body}<inertia {moments}/></inertial></link>'
+    names = re.findall(r'link name="(\w+)"', text)
+    text += joint("tyre", "fixed", *names) + joint("axle", "continuous", "base", names[0])
+    rest = AtRest(parse(f'<robot name="r">{link("base")}{text}</robot>'.encode(), "r.urdf"))
+    wheel = Candidate(rest.document.joints["axle"], np.array([0.0, 1.0, 0.0]), np.zeros(3), math.nan, "unknown")
+    assert radius_by_inertia(rest, wheel) == pytest.approx(radius, rel=1e-9)
+    aside = replace(wheel, centre=np.array([0.0, 0.0, 0.1]))  # Steiner: the mass 0.1 m beside the axle
+    assert radius_by_inertia(rest, aside) == pytest.approx(math.sqrt(radius**2 + 2 * 0.1**2), rel=1e-9)
 
 
 # --- Calls of macros that xacro leaves out ----------------------------------------------------------------------------

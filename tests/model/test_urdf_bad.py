@@ -118,8 +118,8 @@ BAD = {
     "misspelt inertial": ("inertial>", "inertal>", 5, "misspelt-tag", "<inertal>, one edit away from <inertial>"),
     "capital letter": ("<axis", "<Axis", 15, "misspelt-tag", "<Axis>.*<axis>"),
     "plural": ("<limit", "<limits", 16, "misspelt-tag", "write <limit>"),
-    "inertia of a link": (*end('<link name="l"><inertia/></link>' + joint("j", "rod", "l", "fixed")), 19,
-                          "misspelt-tag", "<inertia>.*<inertial>"),
+    "inertia of a link": (*end('<link name="l"><inertia><mass value="1"/></inertia></link>'
+                               + joint("j", "rod", "l", "fixed")), 19, "misspelt-tag", "<inertia>.*<inertial>"),
     "misspelt attribute": ('"0 0 -0.5"', '"0 0 -0.5" rpi="0 0 1"', 6, "misspelt-attribute", "'rpi'.*'rpy'"),
     "material twice": (*end('<material name="m"/><material name="m"/>'), 19, "duplicate-material", "defined twice"),
     # names and tree

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from ...errors import ConfigError, InputError, UnknownName, keyed
+from ...model.robot import Robot
 from ...recording.metrics import ERRORS
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
@@ -138,6 +139,7 @@ def run_cases(
     out: Path | None = None,
     force: bool = False,
     progress: Callable[[str, float], None] | None = None,
+    understood: Callable[[Robot], None] | None = None,
 ) -> CaseMatrix:
     """Run all controllers in every case of an experiment; arguments and errors as in `run_experiment`.
 
@@ -158,7 +160,10 @@ def run_cases(
                 progress(name, (done + fraction / len(experiment.controllers)) / len(cases))
 
         folder = out / case if out else None
-        results[case] = run_experiment(changed, f"{name}/{case}", out=folder, force=force, progress=show)
+        told = understood if i == 0 else None
+        results[case] = run_experiment(
+            changed, f"{name}/{case}", out=folder, force=force, progress=show, understood=told
+        )
         verdicts[case] = {
             controller: judge(recording, changed.tolerance)
             for controller, recording in results[case].recordings.items()

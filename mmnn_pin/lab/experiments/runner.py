@@ -38,6 +38,7 @@ def run_experiment(
     force: bool = False,
     progress: Callable[[str, float], None] | None = None,
     leave_out: bool = False,
+    understood: Callable[[Robot], None] | None = None,
 ) -> Result:
     """Run every controller of an experiment; a diverged run is part of the result.
 
@@ -48,6 +49,7 @@ def run_experiment(
         force: Replace existing recordings.
         progress: Called now and then with the controller and the fraction done, first when one runs.
         leave_out: Leave out, with a note, controllers that cannot run on velocity interfaces; else they are refused.
+        understood: Called with the robot before the first run.
 
     Raises:
         InputError: Bad robot, reference or gains, or recordings that exist; nothing has been written then.
@@ -63,6 +65,8 @@ def run_experiment(
     config = msgspec.structs.replace(experiment, overrides=robot.overrides).to_json()
     require_runnable(experiment, robot)
     require_free([file for file in files.values() if file], force)
+    if understood is not None:
+        understood(robot)
     runs: dict[str, Recording] = {}
     notes = [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
     notes += [*interface_notes(experiment, robot), *sensor_notes(experiment.sensor, robot), *weak_notes(robot)]

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ...model.arm import WHY
 from ...model.checks.nonholonomy import RANK_TOLERANCE
 from ...model.checks.properties import CheckReport, check
 from ...model.inspection import inspection_of
@@ -25,6 +26,25 @@ from .table import WIDTH, Cell, Column, Table, TextLine, hanging, row_of, termin
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
 CHECK_SAMPLES = 20  # random states of the property checks
 CHECK_SEED = 0
+LONGEST = 120  # letters of a line of what was understood
+STRAIGHT = 0.02  # of a quarter turn: what forward may be off an axis by and is said to be along it
+OPTION = re.compile(r"--[a-z-]+(?: [^\s,;]+)?")  # in a fix
+DOUBTS = {  # what a finding leaves in doubt, by its code
+    "base-doubt": "what the base is",
+    "base-none": "whether it has a base",
+    "base-shapes": "the radius",
+    "base-hub-height": "the radius",
+    "base-radius": "the radii",
+    "base-stated": "what the file states",
+    "base-roller": "the rollers' angle",
+    "base-heading": "forward",
+    "base-sides": "left and right",
+    "base-pair": "the wheels",
+    "base-stray": "joints that stand still",
+    "base-floor": "the floor",
+    "arm-doubt": "the arm",
+    "arm-passive": "the arm",
+}
 BARE = re.compile(r"[A-Za-z0-9_-]+")  # keys that TOML takes without quotes
 
 
@@ -38,8 +58,58 @@ def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
     return f"{understood_text(content, width)}\n\n{last}"
 
 
+def summary(content: dict[str, Any]) -> list[str]:
+    """What was understood of a robot, a line of its base and one of its arm, and one of what is in doubt of them."""
+    base, arm, doubts = content["base"], content["arm"]["joints"], dict[str, list[str]]()
+    for finding in content["findings"]:
+        if about := DOUBTS.get(finding["code"]):
+            doubts.setdefault(about, []).extend(OPTION.findall(finding["fix"]))
+    held = [name for name, entry in content["locked_at"].items() if entry["why"] != WHY["base"]]
+    locked = f"; locked: {names_in(held, LONGEST // 3)}" if held else ""
+    has = f"{len(arm)} joint{'s' * (len(arm) != 1)}: {names_in(arm, LONGEST - 20 - len(locked))}" if arm else "no arm"
+    said = (f"{about} ({', '.join(dict.fromkeys(options))})" if options else about for about, options in doubts.items())
+    lines = [f"base: {base_summary(base)}", f"arm: {has}{locked}"]
+    return [*lines, f"in doubt: {'; '.join(said)}"] if doubts else lines
+
+
+def base_summary(base: dict[str, Any]) -> str:
+    """Kind, wheels, radius, track or wheelbase, and forward of a base in one line."""
+    wheels, parts = base["wheels"], [base["kind"].replace("_", " ")]
+    steers = [p["joint"] for p in base.get("pivots", ()) if p["role"] != "passive"]
+    driven = [w for w in wheels if w.get("driven", True)]
+    if base["track"] and not steers and all(abs(math.sin(w["heading"])) < 0.1 for w in wheels):
+        sides = [[w["joint"] for w in driven if w["y"] * side > 0] for side in (1, -1)]
+        parts += [f"{side} {names_in(names, 30)}" for side, names in zip(("left", "right"), sides, strict=True)]
+    elif wheels:
+        parts += [f"steered {names_in(steers, 30)}"] * bool(steers)
+        parts.append(f"driven {names_in([w['joint'] for w in driven], 40)}")
+    radii = sorted({f"{w['radius']:.4g}" for w in wheels}, key=float)
+    parts += [f"radius {' to '.join(radii[:: max(len(radii) - 1, 1)])} m"] * bool(radii)
+    parts += [f"track {base['track']:.4g} m"] * bool(base["track"])
+    if steers and "length" in base:
+        parts.append(f"wheelbase {base['length']:.4g} m")
+    if base["kind"] != "fixed":
+        parts.append(f"forward {forward_name(base['frame'][2])}")
+    return ", ".join(parts)
+
+
+def forward_name(heading: float) -> str:
+    """A direction by the axis of the root link that it is along, else its angle from x [rad]."""
+    quarters = heading / (math.pi / 2)
+    if abs(quarters - round(quarters)) < STRAIGHT:
+        return ("x", "y", "-x", "-y")[round(quarters) % 4]
+    return f"{math.degrees(heading):.3g} deg from x"
+
+
+def names_in(names: Sequence[str], room: int) -> str:
+    """Names, one after the other, as many as there is room for, and how many more there are."""
+    shown = [one_line(name) for name in names]
+    kept = next((k for k in range(len(shown), 1, -1) if len(", ".join(shown[:k])) <= room), 1)
+    return ", ".join(shown[:kept]) + (f" and {len(shown) - kept} more" if kept < len(shown) else "")
+
+
 def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
-    """Base, wheels, arm and locked joints of a robot."""
+    """What was understood in short; base, wheels, arm and locked joints of a robot."""
     tables = (
         wheels(content["base"]),
         pivots(content["base"]),
@@ -47,7 +117,14 @@ def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
         interfaces(content),
         gains(content.get("track")),
     )
-    text = "\n".join([*head(content, width), terminal_text((part for parts in tables for part in parts), width=width)])
+    text = "\n".join(
+        [
+            *summary(content),
+            "",
+            *head(content, width),
+            terminal_text((part for parts in tables for part in parts), width=width),
+        ]
+    )
     return "\n\n".join([text.rstrip(), *locked(content["locked_at"], width)])
 
 

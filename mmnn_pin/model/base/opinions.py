@@ -18,6 +18,7 @@ import numpy as np
 
 from ...elementary import cos, sin
 from ...elementary.arrays import hypot
+from ..signs import told_apart
 from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base, Wheel
@@ -121,7 +122,8 @@ def shape_opinions(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Findin
             f"the radius {hubs[0].radius:.4g} m is that of the collision shapes of {names}: a mesh of them is missing"
         )
         fix = "--package-dir FOLDER with the package of their meshes, or --radius METRES"
-        yield note(rest, "base-shapes", hubs[0].joint.name, text, "the floor or the file bears it out", fix)
+        why = f"borne out by {' and '.join(told_apart(hubs[0].signs, ())) or 'its collision shape'}"
+        yield note(rest, "base-shapes", hubs[0].joint.name, text, why, fix)
     others = [c for c in wheels if not math.isnan(c.other) and apart(c.other, c.radius)]
     for c in others[:1]:
         text = f"'{c.joint.name}' has a radius of {c.radius:.4g} m by its collision shapes, {c.other:.4g} m by sight"

@@ -33,6 +33,7 @@ from . import KINDS
 
 LARGEST_MU = 10.0
 ARMS = ("left", "right", "both")
+FORWARD = {"x": (1.0, 0.0), "-x": (-1.0, 0.0), "y": (0.0, 1.0), "-y": (0.0, -1.0)}  # of the root link
 SMALLEST, LARGEST = 1e-4, 1e3  # [m] what a radius and a track can be
 
 
@@ -41,7 +42,7 @@ class Overrides(Settings, frozen=True):
 
     Args:
         base: Kind of the base, one of `KINDS`.
-        wheels: Joints of the drive wheels; left, right for a differential drive.
+        wheels: Joints of the drive wheels; of two on one axle the left one first, which says where forward is.
         radius: Radius of the drive wheels [m].
         wheel_radii: Radius of single drive wheels, `joint=radius` [m]; they count more than `radius`.
         track: Lateral distance of the drive wheels [m]; of a skid-steer base the effective one.
@@ -62,6 +63,7 @@ class Overrides(Settings, frozen=True):
         hitch: Joints on which trailers follow.
         wheelbase: Distance from the fixed axle to the wheels that steer [m].
         steering_limit: Largest angle of what steers, to either side [rad].
+        forward: The axis of the root link along which the base drives forward: `x`, `-x`, `y` or `-y`.
     """
 
     base: str | None = None
@@ -84,12 +86,15 @@ class Overrides(Settings, frozen=True):
     hitch: tuple[str, ...] | None = None
     wheelbase: float | None = None
     steering_limit: float | None = None
+    forward: str | None = None
 
     def __post_init__(self) -> None:
         if self.base is not None and self.base not in KINDS:
             raise UnknownName("base", self.base, KINDS, key="base")
         if self.arm is not None and self.arm not in ARMS:
             raise UnknownName("arm", self.arm, ARMS, key="arm")
+        if self.forward is not None and self.forward not in FORWARD:
+            raise UnknownName("direction", self.forward, FORWARD, key="forward")
         for key, value in (
             ("radius", self.radius),
             ("track", self.track),

@@ -18,6 +18,7 @@ from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .differential import DifferentialDrive
 from .evidence import evidence, motors_named, plugins, stated_rollers
+from .heading import heading
 from .holonomic import HolonomicBase
 from .overrides import Overrides
 from .report import BaseReading, BaseResult, note, undecided
@@ -239,7 +240,7 @@ def require_used(overrides: Overrides, base: Base) -> None:
     unused["mu"] = not base.scrubs
     steers = any(p.role != "passive" for p in pivots)
     unused |= {"steer": not steers, "hitch": not pivots, "wheelbase": not steers, "steering_limit": not steers}
-    unused["roller"] |= not base.wheels
+    unused |= {"roller": unused["roller"] or not base.wheels, "forward": not base.joints}
     for key, ignored in unused.items():
         if ignored and getattr(overrides, key) is not None:
             what = f"a {key.replace('_', ' ')} for a base '{base.kind}'"
@@ -253,10 +254,10 @@ def require_used(overrides: Overrides, base: Base) -> None:
 def frame_of(
     rest: AtRest, drives: list[Candidate], wheels: list[Candidate], kind: type[Base], overrides: Overrides
 ) -> Base:
-    """Control frame, wheels, casters and suspensions; forward is the rolling direction nearer the root's x."""
+    """Control frame, wheels, casters and suspensions; errors as of `heading`."""
     stated = overrides.radius_of
     drives = [replace(c, radius=stated.get(c.joint.name, overrides.radius or c.radius)) for c in drives]
-    forward, middle = forward_of(drives), np.mean([c.centre[:2] for c in drives], axis=0)
+    forward, middle = heading(rest, drives, overrides).forward, np.mean([c.centre[:2] for c in drives], axis=0)
     placed, track = placed_wheels(drives, middle, forward, kind, overrides.track)
     suspensions = [j.name for c in drives for j in rest.document.moving_ancestors(c.joint.child)[1:]]
     return kind(
@@ -268,14 +269,6 @@ def frame_of(
         suspensions=in_order(rest, suspensions),
         parked=in_order(rest, [name for c in wheels for name in c.rollers]),
     )
-
-
-def forward_of(drives: list[Candidate]) -> Array:
-    """(2,) direction nearer the root's x in which parallel wheels roll; x where they are not parallel."""
-    alike = all(parallel(drives[0], c) for c in drives[1:])
-    forward = rolling(drives[0]) if alike else np.array([1.0, 0.0])
-    backward = forward[0] < -1e-6 or (abs(forward[0]) <= 1e-6 and forward[1] < 0)  # axle along x: y is as near
-    return (-forward if backward else forward) + 0.0  # no -0
 
 
 def placed_wheels(
@@ -292,12 +285,24 @@ def placed_wheels(
     """
     left, alike = np.array([-forward[1], forward[0]]), all(parallel(drives[0], c) for c in drives[1:])
     placed = [placed_wheel(c, c.centre[:2] - middle, forward, left, alike) for c in drives]
-    in_rows = kind is not DifferentialDrive
-    placed.sort(key=lambda w: (-round(w.x, 6) * in_rows, -w.y))
+    if kind is not DifferentialDrive:
+        placed = in_rows(placed)
+    else:
+        placed.sort(key=lambda w: -w.y)
     track = max(w.y for w in placed) - min(w.y for w in placed)
     if stated is None or not track > 0 or kind.scrubs:
         return tuple(placed), track
     return tuple(replace(w, y=w.y * (stated / track)) for w in placed), stated
+
+
+def in_rows(wheels: list[Wheel]) -> list[Wheel]:
+    """Wheels front to rear and left before right; a row reaches half the least radius back from its first wheel."""
+    deep, rows = min(w.radius for w in wheels) / 2, list[list[Wheel]]()
+    for w in sorted(wheels, key=lambda w: -w.x):
+        if not rows or rows[-1][0].x - w.x > deep:
+            rows.append([])
+        rows[-1].append(w)
+    return [w for row in rows for w in sorted(row, key=lambda w: -w.y)]
 
 
 def casters_of(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> set[str]:

@@ -12,22 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from ...elementary import cos
 from ...errors import RobotError, printable
 from ...signals import Array
 from ..arm import WHY, Arm
-from ..signs import Sign
+from ..signs import MARGIN, Sign, told_apart
 from ..urdf.document import Joint
 from ..urdf.finding import AuditError, Finding
 from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
 from . import KINDS
 from .base import Base, Wheel
 from .evidence import Evidence, evidence
+from .heading import axis_name, heading
+from .overrides import Overrides
 from .skid_steer import GRAVITY
 from .steered import SteeredBase
 from .wheels import HUB, LUMPY, PARTIAL, TILTED, TOUCHING, Candidate, Candidates, coaxial, height_at
 
-STRAIGHT = 0.7  # cosine of the largest angle between rolling direction and root link that is not told
 LARGE, WIDE = 2.0, 3.0  # [m], fraction of the track; no wheel of a robot has a larger radius
 NO_FRICTION = "no joint has damping or friction"
 HUGE = 20.0  # [m], no robot has a larger track
@@ -127,7 +127,6 @@ def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: boo
         return []
     return [
         *hidden_radii_note(rest, base, wheels),
-        *heading_notes(rest, base),
         *size_notes(rest, base, given),
         *floor_note(rest, base),
         *friction_note(rest, base),
@@ -145,19 +144,32 @@ def hidden_radii_note(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> 
     return [note(rest, "base-hub-height", blind[0].joint.name, text, why, fix)]
 
 
-def heading_notes(rest: AtRest, base: Base) -> Iterator[Finding]:
-    """Warnings where names or the root link have forward elsewhere than the wheels roll."""
-    first = base.wheels[0].joint
-    sides = [side if side in w.joint.lower() else "" for w, side in zip(base.wheels, ("right", "left"), strict=False)]
-    if base.two_sided and all(sides):
-        text = f"'{first}' is on the left: does the robot drive along -x?"
-        why = "names decide nothing: forward is the rolling direction nearer the root link's x"
-        yield note(rest, "base-sides", first, text, why, "check it")
-    if len(base.wheels) != 3 and abs(cos(base.frame[2])) < STRAIGHT:
-        turned = np.degrees(base.frame[2])
-        text = f"the wheels roll at {turned:.3g} degrees from the x of the root link '{rest.document.root_link}'"
-        why, fix = "forward is where they roll", "turn the axes of their joints if they roll along x"
-        yield note(rest, "base-heading", first, text, why, fix)
+def heading_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrides: Overrides) -> Iterator[Finding]:
+    """Warnings where forward is in doubt, or names and controllers have left and right the other way round."""
+    pivots = base.pivots if isinstance(base, SteeredBase) else ()
+    any_way = bool(pivots) and base.sideways
+    names = [w.joint for w in base.wheels if w.pivot < 0 or any_way]
+    drives = [c for c in wheels if c.joint.name in names]
+    if not drives or overrides.forward is not None:
+        return
+    at = {
+        role: [rest.hub(rest.document.joints[p.joint])[:2] for p in pivots if (p.role == "passive") == role]
+        for role in (True, False)
+    }
+    found = heading(rest, drives, overrides, at[False], at[True], any_way)
+    way, other = map(axis_name, found.ways[:2])
+    pro, contra = told_apart(found.signs[0], found.signs[1]), told_apart(found.signs[1], found.signs[0])
+    why = f"for {way}: {', '.join(pro) or 'nothing'}; for {other}: {', '.join(contra) or 'nothing'}"
+    fix, root = f"--forward {other} if it drives that way", f"of the root link '{rest.document.root_link}'"
+    if found.said and found.margin < -MARGIN:
+        text = f"'{names[0]}' is the left wheel as you said, so forward is {way} {root}"
+        yield note(rest, "base-sides", names[0], text, why, fix)
+    elif not found.said and any("left and right" in text for text in contra):
+        text = f"'{names[0]}' is on the left: does the robot drive along {other} {root}?"
+        yield note(rest, "base-sides", names[0], text, why, fix)
+    elif not found.said and found.margin < MARGIN:
+        text = f"forward is taken as {way} {root}, and {other} is nearly as good"
+        yield note(rest, "base-heading", names[0], text, why, fix)
 
 
 def size_notes(rest: AtRest, base: Base, given: bool) -> Iterator[Finding]:

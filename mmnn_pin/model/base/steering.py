@@ -21,9 +21,10 @@ from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .evidence import RADII, stated
+from .heading import heading
 from .modules import ON_LINE, Module, Undercarriage, on_line
 from .overrides import Overrides
-from .placing import casters_of, forward_of, in_order
+from .placing import casters_of, in_order
 from .report import BaseResult, note, unsupported
 from .rolling import FOLLOWER, MASTER, PASSIVE, ROLES, Pivot, closed, new_maps, roll
 from .steered import (
@@ -43,7 +44,6 @@ SAMPLES = 6  # of angles at which it is looked for
 OPINION = 0.02  # a wheelbase that differs by more than this fraction is told
 WHEELBASES = {"wheelbase": 1.0, "wheel_base": 1.0, "wheelBase": 1.0}
 MIDDLE = 0.1  # a wheel that steers within this fraction of the wheelbase of the fixed axle steers nothing
-ALONG_Y = 0.1  # wheels roll along y where no more than this of their direction is along x
 ONE_BODY = "write one vehicle in a file, or --base holonomic drives it by forces on its frame"
 STILL = "--base holonomic drives it by forces on its frame, its wheels standing still; --base fixed parks it"
 
@@ -78,7 +78,7 @@ def steered_base(rest: AtRest, candidates: Candidates, overrides: Overrides, und
     elif under.of("steered"):
         base = without_axle(rest, under, overrides)
     else:
-        base = on_casters(rest, under)
+        base = on_casters(rest, under, overrides)
     return finished(rest, candidates, base, under, overrides)
 
 
@@ -147,7 +147,7 @@ def on_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Steered
         ConfigError: The user says that it is another kind.
     """
     fixed, steered = under.fixed, under.of("steered", "waist")
-    frame = frame_at(np.mean([c.centre for c in fixed], axis=0), facing(under))
+    frame = frame_at(np.mean([c.centre for c in fixed], axis=0), facing(rest, under, overrides))
     steered = sorted(steered, key=lambda m: order(frame, rest, m))
     master = first_master(steered, under.motors)
     loader = master.role == "waist"
@@ -166,15 +166,10 @@ def on_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Steered
     return kind(pivots=tuple(pivots), frame=frame, length=wheelbase)
 
 
-def facing(under: Undercarriage) -> Array:
-    """(2,) direction nearer the root's x; of a base drawn along y away from its trailers, else to what steers."""
-    forward = forward_of(under.fixed)
-    trailing, steered = under.of("hitch"), under.of("steered")
-    if abs(forward[0]) > ALONG_Y or not (trailing or steered):
-        return forward
-    at = np.mean([c.centre for m in trailing or steered for c in m.wheels], axis=0)
-    ahead = product(forward, (at - np.mean([c.centre for c in under.fixed], axis=0))[:2])
-    return -forward if (ahead > 0) == bool(trailing) else forward
+def facing(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Array:
+    """(2,) forward of a base on a fixed axle; errors as of `heading`."""
+    steered, towed = ([rest.hub(m.joint)[:2] for m in under.of(role)] for role in ("steered", "hitch"))
+    return heading(rest, under.fixed, overrides, steered, towed).forward
 
 
 def ahead_of(pivot: Pivot) -> float:
@@ -211,13 +206,14 @@ def without_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> St
         why = f"there nothing tells how it moves: {'; '.join(c.text for c in wheels)}"
         fix = f"--wheels {','.join(c.joint.name for c in wheels)} drives it with its steering locked"
         raise unsupported(rest, what, why, wheels, f"{fix}; {STILL}" if len(wheels) == 2 else STILL)
-    frame = frame_at(np.mean([rest.hub(m.joint) for m in steered], axis=0), np.array([1.0, 0.0]))
+    forward = heading(rest, wheels, overrides, any_way=True).forward
+    frame = frame_at(np.mean([rest.hub(m.joint) for m in steered], axis=0), forward)
     pivots = [placed_pivot(rest, frame, m, ROLES[MASTER], under) for m in steered]
     size = math.sqrt(float(np.mean([p.x**2 + p.y**2 for p in pivots])))
     return Swerve(pivots=tuple(pivots), frame=frame, length=size)
 
 
-def on_casters(rest: AtRest, under: Undercarriage) -> SteeredBase:
+def on_casters(rest: AtRest, under: Undercarriage, overrides: Overrides) -> SteeredBase:
     """A base on powered casters, or on a turret.
 
     Raises:
@@ -227,7 +223,8 @@ def on_casters(rest: AtRest, under: Undercarriage) -> SteeredBase:
     if len(powered) == 1 and len(powered[0].wheels) < 2:
         why = f"one caster and nothing else: {powered[0].wheels[0].text}"
         raise unsupported(rest, "base on one wheel", why, powered[0].wheels, STILL)
-    frame = frame_at(np.mean([rest.hub(m.joint) for m in powered], axis=0), np.array([1.0, 0.0]))
+    forward = heading(rest, [c for m in powered for c in m.wheels], overrides, any_way=True).forward
+    frame = frame_at(np.mean([rest.hub(m.joint) for m in powered], axis=0), forward)
     pivots = [placed_pivot(rest, frame, m, ROLES[PASSIVE], under) for m in powered]
     silent = not any({m.joint.name, *(c.joint.name for c in m.wheels)} & under.motors.keys() for m in powered)
     if silent:  # a pair of wheels turns its swivel by itself, unless it is the only one

@@ -50,6 +50,7 @@ from .report import (
     base_notes,
     blind_fix,
     buried_note,
+    heading_notes,
     lumpy,
     not_on_floor,
     note,
@@ -157,8 +158,10 @@ def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
     require_motors(rest, result.base, overrides)
     require_used(overrides, result.base)
     drives = named if overrides.wheels is not None and overrides.base != "fixed" else candidates.wheels
+    seen = {c.joint.name: c for c in (*candidates.wheels, *candidates.limited, *named)}
     notes = [
         *base_notes(rest, result.base, drives, overrides.radius is not None),
+        *heading_notes(rest, result.base, list(seen.values()), overrides),
         *buried_note(rest, result.base, candidates.floor),
         *second_opinions(rest, result.base, drives, overrides),
         *unasked(rest, result.base, overrides),

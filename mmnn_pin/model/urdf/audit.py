@@ -21,7 +21,7 @@ from ...elementary.matrices import product
 from ...signals import Array
 from .document import Joint, LinkTree, largest, number, number_problem, numbers, placement, read_numbers
 from .finding import Finding, finding
-from .meshes import NO_SHAPE, damage_of
+from .meshes import NO_SHAPE, POINTER, damage_of
 from .packages import FIND, MeshFile, locate
 
 # What URDF knows inside each element: children, then attributes. Unknown names are extensions unless nearly known ones.
@@ -220,7 +220,8 @@ def misspelt(elements: Elements) -> Iterator[Finding]:
     """Unknown tags and attributes one edit away from known ones, which a loader would ignore in silence."""
     for element, tag, parent in elements.unknown:
         children = KNOWN[parent][0]
-        if tag not in children and (meant := nearest(tag, children)):
+        elsewhere = tag in KNOWN and not len(element)  # <inertia> with <mass> in it is meant as <inertial>
+        if tag not in children and not elsewhere and (meant := nearest(tag, children)):
             code, why = ("misspelt-tag", "it would be ignored")
             if meant in LOOKS:
                 code, why = ("misspelt-shape", "it is ignored")
@@ -240,7 +241,8 @@ def misplaced(elements: Elements) -> Iterator[Finding]:
         if tag in KNOWN and parent != "robot":
             places = [f"<{other}>" for other, (children, _) in KNOWN.items() if tag in children]
             what, why = f"<{tag}> in <{parent}> is ignored", "URDF does not have it there"
-            yield finding("misplaced-tag", element, what, why, f"move it into {' or '.join(places)}")
+            where = "an <inertial> with <mass> and <inertia>" if places == ["<inertial>"] else " or ".join(places)
+            yield finding("misplaced-tag", element, what, why, f"delete it, or move it into {where}")
 
 
 def uncalled(elements: Elements) -> Iterator[Finding]:
@@ -386,7 +388,7 @@ def bad_sizes(body: etree._Element) -> Iterator[Finding]:
 
 
 def bad_meshes(root: etree._Element, urdf: Path, package_dirs: Sequence[str | Path]) -> Iterator[Finding]:
-    """Meshes that cannot be used: each file once, a package that is not there once for all its files."""
+    """Meshes that cannot be used: each once, or once for all of a package that is not there, or of git-LFS."""
     named: dict[str, etree._Element] = {}
     for element in root.iterfind("link/*/geometry/mesh"):
         name = element.get("filename")
@@ -395,13 +397,12 @@ def bad_meshes(root: etree._Element, urdf: Path, package_dirs: Sequence[str | Pa
         elif name and ("$" not in name or FIND.match(name)):
             named.setdefault(name, element)
     found = {name: locate(name, urdf, package_dirs) for name in named}
-    absent: dict[str, list[str]] = {}
+    together: dict[str, list[str]] = {}
     for name, mesh in found.items():
-        absent.setdefault(mesh.package, []).append(name)
-    for name, mesh in found.items():
-        if not mesh.package or absent[mesh.package][0] == name:
-            names = absent[mesh.package] if mesh.package else [name]
-            yield from mesh_finding(named[name], names, mesh, package_dirs)
+        pointer = mesh.file is not None and damage_of(mesh.file) == POINTER
+        together.setdefault(mesh.package or POINTER * pointer or name, []).append(name)
+    for names in together.values():
+        yield from mesh_finding(named[names[0]], names, found[names[0]], package_dirs)
 
 
 def mesh_finding(
@@ -425,7 +426,10 @@ def mesh_finding(
     elif mesh.problem == "outside":
         why = f"never opened; {NO_SHAPE}"
         yield finding("mesh-outside", element, f"{what} is outside the package", why, "move it into the package")
-    elif mesh.file is not None and (damage := damage_of(mesh.file)):
+    elif mesh.file is not None and (damage := damage_of(mesh.file)) == POINTER:
+        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        yield finding("mesh-missing", element, f"{what}{more} is {damage}", NO_SHAPE, "git lfs pull")
+    elif mesh.file is not None and damage:
         yield finding("mesh-corrupt", element, f"{what} is corrupt: {damage}", NO_SHAPE, "export it again")
 
 

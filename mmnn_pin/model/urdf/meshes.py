@@ -35,6 +35,7 @@ MOST_CORNERS = 6_000_000  # of the triangles of a mesh file with all its copies
 MOST_PARTS = 10_000  # of such a file: each takes a millisecond
 MOST_UNFOLDED = 120_000_000  # letters of the geometries of a Collada file with all its copies
 MOST_STATED = 64_000_000  # bytes of the numbers that a glTF file states
+POINTER = "a git-LFS pointer, its content was not downloaded"
 NO_SHAPE = "assumed: no shape; only the radius of a wheel needs it"
 PLAIN_XML = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True)
 MOST_BESIDE = 8_000_000  # bytes of a file that a mesh file names
@@ -207,6 +208,8 @@ def damage_of(file: Path) -> str:
         return f"cannot be read ({error.strerror})"
     if not size:
         return "it is empty"
+    if head.startswith(b"version https://git-lfs"):
+        return POINTER
     most = (MOST_BYTES | OTHER_FORMATS).get(file.suffix.lower())
     if most is None:
         return "it is in a format that is not read: use STL, COLLADA or OBJ"
