@@ -351,8 +351,8 @@ def skidding(
     base = replace(base, parked=in_order(rest, [*base.parked, *idlers(rest, base, drives)]))
     left, right = sum(w.y > 0 for w in base.wheels), sum(w.y < 0 for w in base.wheels)
     alike = all(parallel(drives[0], c) for c in drives[1:])
-    few = kind is not SkidSteer or left <= MOST_PER_SIDE
-    if not (alike and left == right == len(drives) / 2 and left >= 2 and few):
+    least, most = (2, MOST_PER_SIDE) if kind is SkidSteer else (1, len(drives))
+    if not (alike and left == right == len(drives) / 2 and least <= left <= most):
         name = "tracked machine" if kind is Tracked else "skid-steer base"
         what = f"{len(drives)} wheel(s), {left} of them on the left, for a {name}"
         fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
