@@ -255,15 +255,15 @@ class Limbs:
         return tuple(found)
 
     def signs(self, name: str, role: str) -> list[Sign]:
-        """Signs for a role of a branch that stands still, over one that moves: of its shape, and every joint's name."""
-        place, keys = STILL.index(role), ["most joints are an arm's"]
-        keys += [*self.of_place(name), *self.of_motion(name), *self.of_load(name)]
-        signs = [Sign(key, self.weights[key][place], joint=name) for key in keys]
-        for joint in self.tree[name].carried:
-            signs += [
-                Sign(text, self.weights[key][place], joint=joint) for key, text in self.named.get(joint, {}).items()
-            ]
-        return signs
+        """Signs for a role of a branch that stands still, over one that moves."""
+        place = STILL.index(role)
+        return [Sign(text, self.weights[key][place], joint=joint) for key, text, joint in self.seen(name)]
+
+    def seen(self, name: str) -> list[tuple[str, str, str]]:
+        """Signs of a branch: of its shape, and every joint's name; keys of `WEIGHTS`, what is told, and the joint."""
+        keys = ("most joints are an arm's", *self.of_place(name), *self.of_motion(name), *self.of_load(name))
+        names = [(*item, joint) for joint in self.tree[name].carried for item in self.named.get(joint, {}).items()]
+        return [*((key, key, name) for key in keys), *names]
 
     def of_place(self, name: str) -> Iterable[str]:
         """Signs of its size and its place in the tree."""
