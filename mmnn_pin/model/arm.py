@@ -22,7 +22,7 @@ from .base.overrides import Overrides
 from .base.wheels import alike_on_root, is_low
 from .groups import groups_of
 from .hands import Hand, hands_of, of_other_arm
-from .limbs import STILL, WRIST, Doubt, Limbs
+from .limbs import STILL, WRIST, Limb, Limbs
 from .urdf.document import Document, Joint, number
 from .urdf.shapes import AtRest
 
@@ -58,7 +58,7 @@ class Arm:
     reasons: dict[str, str]
     slaves: dict[str, Slave]
     hands: tuple[Hand, ...] = ()
-    doubts: tuple[Doubt, ...] = ()
+    doubts: tuple[Limb, ...] = ()
 
 
 def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:

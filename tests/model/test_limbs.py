@@ -54,6 +54,14 @@ class Built:
 
     def jaws(self, parent: str, kind: str) -> None:
         """A gripper of two jaws at the end of an arm."""
+        if kind == "linkage":  # a knuckle with a tip, and the other one; all but the first follow
+            sizes = {"moves": False, "limits": (-0.8, 0.8), "mass": 0.05, "axis": X}
+            first = self.add(parent, p=(0, 0.03, 0.06), **sizes)
+            follow = '<mimic joint="{}j" multiplier="{}"/>'.format
+            self.add(first, p=(0, 0.01, 0.04), more=follow(first, -1), **sizes)
+            other = self.add(parent, p=(0, -0.03, 0.06), more=follow(first, -1), **sizes)
+            self.add(other, p=(0, -0.01, 0.04), more=follow(first, 1), **sizes)
+            return
         turns = kind == "turn"
         sizes = {"kind": "revolute" if turns else "prismatic", "limits": (0, 0.8) if turns else (0, 0.04), "mass": 0.05}
         master = self.add(parent, p=(0, 0.02, 0.08), axis=X if turns else Y, moves=False, **sizes)
@@ -74,7 +82,10 @@ class Built:
 
 @st.composite
 def robots(draw) -> Built:
-    built, grippers = Built(seed=draw(st.integers(0, 99))), st.sampled_from(["slide", "turn", "mimic", "none"])
+    built, grippers = (
+        Built(seed=draw(st.integers(0, 99))),
+        st.sampled_from(["slide", "turn", "mimic", "linkage", "none"]),
+    )
     on = "base"
     if draw(st.booleans()):
         on = built.add("base", "prismatic", axis=Z, limits=(0, 0.3))
@@ -105,8 +116,8 @@ def test_the_order_of_the_file_does_not_matter(built: Built, seed: int):
     built.seed = seed
     again = robot_of(built.urdf())
     assert set(first.joint_names) == set(again.joint_names) and set(first.hands) == set(again.hands)
-    assert {d.joint: d.limb.margin for d in first.arm.doubts} == pytest.approx(
-        {d.joint: d.limb.margin for d in again.arm.doubts}
+    assert {d.joints[0]: d.margin for d in first.arm.doubts} == pytest.approx(
+        {d.joints[0]: d.margin for d in again.arm.doubts}
     )
 
 
@@ -148,7 +159,7 @@ def test_a_branch_that_stands_still_in_doubt_is_freed_by_its_option():
         bar.add(end, p=(0, side, 0.05), axis=Z, moves=False)
     robot = robot_of(bar.urdf())
     for doubt in robot.arm.doubts:
-        assert doubt.limb.margin < MARGIN and doubt.limb.role == "jaw" and doubt.limb.told
+        assert doubt.margin < MARGIN and doubt.role == "jaw" and doubt.told
         names = tuple(re.findall(r"--free (\S+)", doubt.option))
         assert names and set(names) <= set(robot_of(bar.urdf(), free=names).joint_names)
 

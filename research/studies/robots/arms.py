@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -53,7 +53,7 @@ class Known:
     counts: tuple[int, ...]
     limbs: Limbs
 
-    def right(self, weights: dict[str, tuple[float, ...]] = WEIGHTS) -> bool:
+    def right(self, weights: Mapping[str, tuple[float, ...]] = WEIGHTS) -> bool:
         """Whether its arms have as many joints as they should, by some weights."""
         return len(replace(self.limbs, weights=weights).arm) in self.counts
 
