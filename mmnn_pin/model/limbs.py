@@ -40,7 +40,7 @@ WEIGHTS: dict[str, tuple[float, float, float, float]] = {  # of a sign for each 
     "it slides by two centimetres at most on the base and carries no joint": (0.0, -1.0, 0.0, 8.0),
     "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0),
     "it pans, and what it carries tilts": (1.0, -0.5, 0.0, 0.0),
-    "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 2.0, 0.0),
+    "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.5, 0.0),
     "it carries a camera": (1.5, -0.5, 1.0, 0.0),
     "it carries a lidar": (0.5, -0.5, 2.5, 0.0),
     "it carries the frame of a tool": (-4.0, -2.0, -4.0, -4.0),
