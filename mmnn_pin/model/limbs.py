@@ -38,9 +38,10 @@ WEIGHTS: dict[str, tuple[float, float, float, float]] = {  # of a sign for each 
     "another joint follows it": (-0.5, 1.5, -1.0, -2.0),
     "it slides by a few centimetres and carries no joint": (-1.0, 1.0, -1.0, 0.0),
     "it slides by two centimetres at most on the base and carries no joint": (0.0, -1.0, 0.0, 8.0),
+    "it slides": (0.0, 0.0, -3.0, 0.0),
     "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0),
     "it pans, and what it carries tilts": (1.0, -0.5, 0.0, 0.0),
-    "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.5, 0.0),
+    "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.0, 0.0),
     "it carries a camera": (1.5, -0.5, 1.0, 0.0),
     "it carries a lidar": (0.5, -0.5, 2.5, 0.0),
     "it carries the frame of a tool": (-4.0, -2.0, -4.0, -4.0),
@@ -231,7 +232,7 @@ class Limbs:
         """Branches whose roles beat others by little, one of every chain; none of those that the user speaks of."""
         found, known = list[Limb](), {*said}
         for name, limb in sorted(self.limbs.items(), key=lambda item: item[1].margin):
-            alone = {*self.arm} <= {*limb.joints}
+            alone = {*self.arm} <= {*limb.joints} and limb.other in ("head", "jaw")  # it would be the arm all the same
             if limb.margin < MARGIN and limb.other != limb.role and not alone and not known & {"all", *limb.joints}:
                 found.append(limb)
                 known |= {*limb.joints, *self.tree[name].above}
@@ -254,10 +255,9 @@ class Limbs:
         """Signs of its size and its place in the tree."""
         branch = self.tree[name]
         led = {follower for follower, master in self.followers.items() if master in branch.carried}
-        share = branch.reach / self.longest if self.longest else 1.0
-        if share < SHORT:
+        if branch.reach < SHORT * self.longest:
             yield "it reaches less than a third as far as the longest chain"
-        elif share > LONG:
+        elif branch.reach >= LONG * self.longest and not self.candidates <= {*branch.carried}:
             yield "it reaches more than half as far as the longest chain"
         yield f"it has {'four joints or more' if branch.row >= ROW else 'three joints or fewer'} in a row"
         above, beside = (
@@ -298,6 +298,7 @@ class Limbs:
             if travel <= BUTTON and not branch.above:
                 yield "it slides by two centimetres at most on the base and carries no joint"
         if joint.type == "prismatic":
+            yield "it slides"
             return
         before, first = (rest.document.joints[name] for name in (*branch.above, name, name)[:2])
         along = rest.hub(before) - rest.hub(first)

@@ -189,6 +189,15 @@ def test_what_only_pans_and_tilts_is_the_arm_where_nothing_else_moves():
         assert robot.dimensions.arm == 2 and not robot.arm.doubts
 
 
+def test_what_turns_alone_is_asked_about_unless_it_is_named():
+    built = Built()
+    built.add("base", "continuous", p=(0.1, 0, 0.4), axis=Z, mass=0.1)
+    robot = robot_of(built.urdf())
+    assert robot.joint_names == ("n0j",) and [limb.option for limb in robot.arm.doubts] == ["--lock n0j"]
+    assert not robot_of(built.urdf(), lock=("n0j",)).arm.doubts
+    assert "sensor" in robot_of(built.urdf().replace("n0j", "lidar_joint")).arm.reasons["lidar_joint"]
+
+
 # --- What files say ---------------------------------------------------------------------------------------------------
 
 GROUPS = {
