@@ -1,8 +1,8 @@
 """Evidence of a base beside its geometry: rollers, contact friction, plugins, controllers, names; and stated lengths.
 
 Geometry cannot tell mecanum wheels from plain ones: both are four parallel cylinders. Each piece of evidence speaks
-for one of `holonomic` and `skid_steer`, and says where it stands. Names and transmissions only confirm what another
-piece says. Plugins and YAML files of the robot's controllers also state a radius and a track.
+for one of `holonomic` and `skid_steer`, and says where it stands. Names and transmissions weigh too little to
+decide alone. Plugins and YAML files of the robot's controllers also state a radius and a track.
 
 A length that a controller works with is the stated one times its multipliers, as `diff_drive_controller` of
 ros-controls/ros2_controllers (6.9.0) has them: `wheel_separation_multiplier`, `left_wheel_radius_multiplier` and
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -38,6 +38,17 @@ WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
 )
 MOVED = re.compile(r"joint|wheel", re.IGNORECASE)  # tags of plugins that name what they drive
 READS = re.compile(r"state[_-]?publisher|force[_-]?torque|ft[_-]?sensor", re.IGNORECASE)  # plugins that drive nothing
+WEIGHTS = {  # of evidence by its source, as of `model.signs`: the last two only confirm
+    "rollers": 8.0,
+    "oblique friction": 5.0,
+    "plugin": 3.5,
+    "controllers": 3.5,
+    "commands": 3.5,
+    "no friction": 3.0,
+    "friction": 2.5,
+    "names": 1.5,
+    "transmissions": 1.0,
+}
 NO_FRICTION, GRIP = 1e-3, 0.2  # friction coefficients below the first slide, above the second hold
 LONGEST, YAMLS = 1_000_000, 40  # bytes of a controllers' file, files looked at beside a robot's
 # Names of plugins and controllers for a length, and the factor to it.
@@ -61,7 +72,7 @@ class Evidence:
         meaning: What it speaks for.
         text: What it is, with its line in the file.
         line: That line.
-        decides: Whether it can decide; names and transmissions only confirm.
+        source: Where it is from, a key of `WEIGHTS`; what one source says of several wheels counts once.
         wheel: Joint of the wheel that it is about, empty for all.
         roller: Roller angle that it states of that wheel [rad], see `Wheel`; nan when it states none.
     """
@@ -69,9 +80,14 @@ class Evidence:
     meaning: Meaning
     text: str
     line: int
-    decides: bool = True
+    source: str
     wheel: str = ""
     roller: float = math.nan
+
+    @property
+    def weight(self) -> float:
+        """The weight of its source [nats]."""
+        return WEIGHTS[self.source]
 
 
 def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = None) -> list[Evidence]:
@@ -90,17 +106,10 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
         *plugins(rest),
         *controllers_in(controllers),
         *commands(rest, wheels),
-        *followers(wheels),
         *contact(rest, wheels),
         *transmissions(rest, wheels),
         *names(rest, wheels),
     ]
-
-
-def verdict(pieces: list[Evidence]) -> Meaning | None:
-    """The kind of base that the deciding pieces agree on, None when there are none or they disagree."""
-    meanings = {piece.meaning for piece in pieces if piece.decides}
-    return meanings.pop() if len(meanings) == 1 else None
 
 
 def stated_rollers(pieces: list[Evidence]) -> dict[str, float]:
@@ -114,7 +123,7 @@ def rollers(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
         if wheel.rollers:
             name, line, angle = wheel.joint.name, wheel.joint.line, roller_angle(rest, wheel)
             text = f"'{name}' carries {len(wheel.rollers)} rollers at {math.degrees(abs(angle)):.0f} degrees"
-            yield Evidence("holonomic", f"{text} (line {line})", line, wheel=name, roller=angle)
+            yield Evidence("holonomic", f"{text} (line {line})", line, "rollers", name, angle)
 
 
 def roller_angle(rest: AtRest, wheel: Candidate) -> float:
@@ -139,7 +148,7 @@ def plugins(rest: AtRest) -> Iterator[Evidence]:
                 for meaning, pattern in WORDS:
                     if hit := pattern.search(words):
                         text = f"<{tag}> names '{hit[0]}' in <{element.tag}> (line {element.sourceline})"
-                        yield Evidence(meaning, text, element.sourceline)
+                        yield Evidence(meaning, text, element.sourceline, "plugin")
 
 
 def controllers_in(file: str | None) -> Iterator[Evidence]:
@@ -147,7 +156,8 @@ def controllers_in(file: str | None) -> Iterator[Evidence]:
     for number, line in lines_of(file):
         for meaning, pattern in WORDS:
             if "type" in line and (hit := pattern.search(line)):
-                yield Evidence(meaning, f"{Path(file or '').name} names '{hit[0]}' (line {number})", 1)
+                text = f"{Path(file or '').name} names '{hit[0]}' (line {number})"
+                yield Evidence(meaning, text, 1, "controllers")
 
 
 def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -161,24 +171,7 @@ def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     driven = [name for name, commanded in commanded_by_name.items() if commanded]
     if 0 < len(driven) < len(wheels):
         text = f"<ros2_control> commands only {', '.join(driven)} (line {lines[driven[0]]})"
-        yield Evidence("skid_steer", text, lines[driven[0]])
-
-
-def followers(wheels: list[Candidate]) -> Iterator[Evidence]:
-    """Wheels that follow the one in front of them or behind it: side chains, whose wheels must skid."""
-    for wheel in wheels:
-        if wheel.joint.mimics is not None and follows_on_its_side(wheel, wheels):
-            text = f"wheel '{wheel.joint.name}' follows '{wheel.joint.mimics}' (<mimic>, line {wheel.joint.line})"
-            yield Evidence("skid_steer", text, wheel.joint.line, wheel=wheel.joint.name)
-
-
-def follows_on_its_side(slave: Candidate, drives: list[Candidate]) -> bool:
-    """Whether a wheel follows one in front of or behind it, on the same side."""
-    master = next((c for c in drives if c.joint.name == slave.joint.mimics), None)
-    if master is None:
-        return False
-    between = slave.centre - master.centre
-    return bool(abs(between @ master.axis) < master.radius < float((between @ between) ** 0.5))
+        yield Evidence("skid_steer", text, lines[driven[0]], "commands")
 
 
 def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -194,12 +187,12 @@ def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
             text = f"contact friction holds only along an oblique direction {where}"
             level = abs(along[2]) <= HORIZONTAL * np.linalg.norm(along)
             roller = from_rolling(wheel, along) if level else math.nan
-            yield Evidence("holonomic", text, block.sourceline, wheel=wheel.joint.name, roller=roller)
+            yield Evidence("holonomic", text, block.sourceline, "oblique friction", wheel.joint.name, roller)
         elif mu1 < NO_FRICTION and mu2 < NO_FRICTION:
-            yield Evidence("holonomic", f"contact friction is 0 {where}", block.sourceline)
+            yield Evidence("holonomic", f"contact friction is 0 {where}", block.sourceline, "no friction")
         elif mu1 > GRIP and mu2 > GRIP:
             text = f"contact friction {mu1:g}, {mu2:g} holds in all directions {where}"
-            yield Evidence("skid_steer", text, block.sourceline)
+            yield Evidence("skid_steer", text, block.sourceline, "friction")
 
 
 def coefficient(block: etree._Element, tag: str) -> float:
@@ -235,7 +228,8 @@ def transmissions(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     driven = [wheel.joint.name for wheel in wheels if wheel.joint.name in named]
     if 0 < len(driven) < len(wheels):
         line = named[driven[0]]
-        yield Evidence("skid_steer", f"transmissions only of {', '.join(driven)} (line {line})", line, decides=False)
+        text = f"transmissions only of {', '.join(driven)} (line {line})"
+        yield Evidence("skid_steer", text, line, "transmissions")
 
 
 def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -247,7 +241,7 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
             for word in words:
                 if hit := pattern.search(word):
                     text = f"'{hit[0]}' in the names of wheel '{wheel.joint.name}' (line {wheel.joint.line})"
-                    yield Evidence(meaning, text, wheel.joint.line, decides=False)
+                    yield Evidence(meaning, text, wheel.joint.line, "names")
                     break
 
 
@@ -297,33 +291,22 @@ def controllers_motors(rest: AtRest, file: str | None) -> dict[str, str]:
     return found
 
 
-def driving_signs(
-    rest: AtRest, drives: Sequence[Candidate], front: Sequence[Candidate], controllers: str | None
-) -> Iterator[tuple[str, str]]:
-    """Signs of plugins, controllers and motors whether wheels on one line drive or others steer: kind and text.
+def driving_words(rest: AtRest, controllers: str | None) -> Iterator[tuple[str, str]]:
+    """Words of plugins and controllers that tell whether wheels on one line drive or others steer: kind and text.
 
     Raises:
         ConfigError: The controllers' file cannot be read.
     """
-    root = rest.document.root
-    for element in root.iterfind("gazebo//*"):
+    patterns = (("car-like", STEERS), ("differential_drive", ROLLS))
+    for element in rest.document.root.iterfind("gazebo//*"):
         words = f"{element.get('filename', '')} {element.get('name', '')} {element.text or ''}"
-        for kind, pattern in (("car-like", STEERS), ("differential_drive", ROLLS)):
+        for kind, pattern in patterns:
             if element.tag in ("plugin", "controller") and (hit := pattern.search(words)):
                 yield kind, f"<gazebo> names '{hit[0]}' (line {element.sourceline})"
     for number, line in lines_of(controllers):
-        for kind, pattern in (("car-like", STEERS), ("differential_drive", ROLLS)):
+        for kind, pattern in patterns:
             if "type" in line and (hit := pattern.search(line)):
                 yield kind, f"{Path(controllers or '').name} names '{hit[0]}' (line {number})"
-    ahead = {j.name for c in front for j in rest.document.moving_ancestors(c.joint.child)}
-    pair = {c.joint.name for c in drives}
-    moved = [e for e in root.iterfind("ros2_control/joint") if e.find("command_interface") is not None]
-    for what, motors in (("<ros2_control>", moved), ("<transmission>", root.findall("transmission/joint"))):
-        lines = {e.get("name"): e.sourceline for e in motors}
-        for kind, these, others in (("car-like", ahead, pair), ("differential_drive", pair, ahead)):
-            if lines.keys() & these and not lines.keys() & others:
-                name = sorted(lines.keys() & these)[0]
-                yield kind, f"{what} drives '{name}' (line {lines[name]})"
 
 
 # -- lengths that are stated -------------------------------------------------------------------------------------------

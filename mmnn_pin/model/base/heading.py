@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...elementary import hypot
 from ...elementary.matrices import product
 from ...errors import ConfigError
 from ...signals import Array
@@ -24,7 +23,7 @@ from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
 from .evidence import tables_of
 from .overrides import FORWARD, Overrides
-from .wheels import TOUCHING, Candidate, parallel
+from .wheels import TOUCHING, Candidate, parallel, rolling
 
 CONVENTION, SAID_SIDES, SIDES, ENDS, RATES, VIEW, PLACE, ARM, CASTERS = 4.5, 4.0, 3.0, 4.0, 1.5, 2.0, 0.7, 0.7, 0.7
 TOWED, STEERED = 4.0, 2.0  # weights of trailers, which are behind, and of wheels that steer, which are mostly ahead
@@ -63,11 +62,6 @@ class Arrow(NamedTuple):
     text: str
     towards: Array
     weight: float
-
-
-def rolling(candidate: Candidate) -> Array:
-    """(2,) direction that positive joint velocity rolls a wheel in."""
-    return np.array([candidate.axis[1], -candidate.axis[0]]) / hypot(candidate.axis[0], candidate.axis[1])
 
 
 def axis_name(direction: Array) -> str:

@@ -16,13 +16,13 @@ import numpy as np
 from lxml import etree
 
 from ...elementary import hypot
+from ..signs import Sign
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
 from .report import blind_fix, readings, undecided, unsupported
-from .wheels import LOW, Candidate, height_at, is_low, wheel_of
+from .wheels import LOW, MOST_PER_SIDE, Candidate, height_at, is_low, wheel_of
 
 MESHES = "link/*/geometry/mesh"
-MOST_PER_SIDE = 3  # wheels of a skid-steer base
 
 STEERED_NAMES = re.compile(
     r"(?<!skid_)(?<!skid)(?<!skid-)steer|ackermann|racecar|tricycle|bicycle|car[_-]?like", re.IGNORECASE
@@ -77,13 +77,15 @@ def steering_named(rest: AtRest) -> str:
     return f"'{hit.string}' among its names" if hit else ""
 
 
-def many_wheels(rest: AtRest, drives: Sequence[Candidate]) -> str:
-    """The sign that a machine with parallel wheels runs on tracks by how many they are, empty when there is none."""
+def belt_signs(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Sign]:
+    """Signs that parallel wheels run in belts: how many they are, and names."""
     on_root = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_horizontal(j)]
     alike = sum(abs(rest.axis(on_root[0]) @ rest.axis(j)) > 0.99 for j in on_root) if on_root else 0
-    wheels = max(alike, len(drives))
-    many = wheels > 2 * MOST_PER_SIDE
-    return f"{wheels} parallel wheels: more than {MOST_PER_SIDE} per side run in tracks" if many else ""
+    count = max(alike, len(wheels))
+    if count > 2 * MOST_PER_SIDE:
+        yield Sign(f"{count} parallel wheels: more than {MOST_PER_SIDE} per side run in tracks", 4.0)
+    if named := track_named(rest):
+        yield Sign(named, 0.5)
 
 
 def track_named(rest: AtRest) -> str:

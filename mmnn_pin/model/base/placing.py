@@ -18,15 +18,15 @@ from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .differential import DifferentialDrive
 from .evidence import evidence, motors_named, plugins, stated_rollers
-from .heading import heading, rolling
+from .heading import heading
 from .holonomic import HolonomicBase
-from .machines import MOST_PER_SIDE
 from .overrides import Overrides
 from .report import BaseReading, BaseResult, note, undecided
 from .skid_steer import SkidSteer, Tracked, loads, rotation_centre, turning_friction, turning_track
 from .steered import SteeredBase
 from .wheels import (
     HUB,
+    MOST_PER_SIDE,
     SLOPPY,
     SURE,
     Candidate,
@@ -36,7 +36,9 @@ from .wheels import (
     coaxial,
     is_endless_end,
     is_low,
+    on_either_side,
     parallel,
+    rolling,
     wheel_of,
 )
 
@@ -47,15 +49,25 @@ OFF_CENTRE = 0.02  # a centre of rotation further off than this fraction of half
 MECANUM = math.pi / 4  # roller angle that is assumed where nothing states one
 
 
-def with_wheels(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
-    """The base on chosen wheels.
+def on_wheels(
+    rest: AtRest, kind: str, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides
+) -> BaseResult:
+    """The base of a kind on some wheels that drive.
+
+    Args:
+        rest: The robot at rest.
+        kind: A differential drive, a base that skids, or a holonomic one.
+        drives: The wheels that drive.
+        wheels: All its wheels.
+        overrides: What the user says.
 
     Raises:
         ConfigError: Wheels that do not suit the base.
+        Undecided: Wheels that follow each other, or rollers that leave a direction undriven.
     """
-    if overrides.base in SKIDDING:
-        return skidding(rest, drives, wheels, overrides)
-    if overrides.base == "holonomic" or (overrides.base is None and len(drives) > 2):
+    if kind in SKIDDING:
+        return skidding(rest, drives, wheels, overrides, Tracked if kind == Tracked.kind else SkidSteer)
+    if kind == HolonomicBase.kind:
         return rolling_sideways(rest, drives, wheels, overrides)
     if len(drives) != 2 or not coaxial(*drives, within=SLOPPY):
         what = "not two wheels on one axle" if len(drives) == 2 else f"{len(drives)} wheel(s) for a differential drive"
@@ -71,7 +83,7 @@ def with_wheels(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], 
     if overrides.wheels and left != overrides.wheels[0]:
         text = f"'{left}' is the left wheel, not '{overrides.wheels[0]}'"
         notes.append(note(rest, "base-sides", first, text, "seen along the rolling direction"))
-    return BaseResult(base, (*notes, *sliding_note(rest, base, drives, wheels)))
+    return BaseResult(base, (*notes, *free_note(rest, drives, wheels), *sliding_note(rest, base, drives, wheels)))
 
 
 def rolling_sideways(
@@ -86,9 +98,32 @@ def rolling_sideways(
         raise ConfigError(f"{len(drives)} wheel(s) for a holonomic base", fix="name at least three", key="wheels")
     if not all(parallel(drives[0], c) for c in drives[1:]):
         return crossed(rest, drives, wheels, overrides)
-    angles = stated_rollers(evidence(rest, drives, overrides.controllers_file))
+    pieces = evidence(rest, drives, overrides.controllers_file)
+    angles = stated_rollers([piece for piece in pieces if piece.meaning == HolonomicBase.kind])
     base, findings = mecanum(rest, drives, wheels, overrides, angles)
     return BaseResult(base, tuple(findings))
+
+
+def free_note(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> list[Finding]:
+    """A note where two wheels drive since they alone have motors."""
+    motors = motors_named(rest)
+    others = [c.joint.name for c in wheels if c.mount == "" and c not in drives]
+    if not others or not {c.joint.name for c in drives} <= motors.keys() or motors.keys() & {*others}:
+        return []
+    text = f"drive wheels by their motors: {', '.join(f'{c.joint.name} {motors[c.joint.name]}' for c in drives)}"
+    return [note(rest, "base-driven", drives[0].joint.name, text, f"taken as free casters: {', '.join(others)}")]
+
+
+def along_note(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
+    """A note where only some wheels of a skid-steer base have motors: the others are taken as turned by these."""
+    motors = motors_named(rest)
+    powered = [c.joint.name for c in drives if c.joint.name in motors]
+    if not 0 < len(powered) < len(drives):
+        return []
+    text = f"of the wheels only {', '.join(powered)} have motors: {motors[powered[0]]}"
+    why = "the others are taken as turned along with those of their side, by a belt or chain"
+    fix = f"--wheels {','.join(powered)} where they roll freely" if len(powered) == 2 else ""
+    return [note(rest, "base-driven", powered[0], text, why, fix)]
 
 
 def sliding_note(rest: AtRest, base: Base, drives: list[Candidate], wheels: list[Candidate]) -> list[Finding]:
@@ -100,16 +135,10 @@ def sliding_note(rest: AtRest, base: Base, drives: list[Candidate], wheels: list
     text = f"wheels off the axle cannot swivel and would have to slide: {', '.join(c.joint.name for c in behind)}"
     why = "they are taken as free, and the axle as where the base turns"
     fix = "--base skid_steer without --wheels"
-    if not evenly([*drives, *behind], base):
+    left, right = on_either_side([*drives, *behind])
+    if not 2 <= left == right <= MOST_PER_SIDE:
         why, fix = f"{why}; what they rub is left out, no base here has them", "put casters there if that is meant"
     return [note(rest, "base-pair", behind[0].joint.name, text, why, fix)]
-
-
-def evenly(wheels: list[Candidate], base: Base) -> bool:
-    """Whether parallel wheels could be a skid-steer's: two or three on either side."""
-    across = [float(product(c.centre[:2] - base.frame[:2], cos_sin(base.frame[2] + math.pi / 2))) for c in wheels]
-    left, right = sum(y > 0 for y in across), sum(y < 0 for y in across)
-    return left + right == len(wheels) and left == right and 2 <= left <= MOST_PER_SIDE
 
 
 def declared_wheel(rest: AtRest, name: str, candidates: Candidates, overrides: Overrides) -> Candidate:
@@ -303,11 +332,7 @@ def in_order(rest: AtRest, names: Sequence[str] | set[str]) -> tuple[str, ...]:
 
 
 def skidding(
-    rest: AtRest,
-    drives: list[Candidate],
-    wheels: list[Candidate],
-    overrides: Overrides,
-    kind: type[SkidSteer] | None = None,
+    rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides, kind: type[SkidSteer]
 ) -> BaseResult:
     """Base on wheels that skid when it turns: a virtual axle in their middle, an effective track, turning friction.
 
@@ -316,12 +341,12 @@ def skidding(
         drives: The wheels on the floor.
         wheels: All its wheels.
         overrides: What the user says.
-        kind: On wheels or on belts, which may run over more of them; None as the user says.
+        kind: On wheels, or on belts, which may run over more of them.
 
     Raises:
         ConfigError: Not two or three parallel wheels on either side, on belts two or more.
+        Undecided: Wheels of one side that do not roll alike.
     """
-    kind = kind or (Tracked if overrides.base == Tracked.kind else SkidSteer)
     base = frame_of(rest, drives, wheels, kind, overrides)
     base = replace(base, parked=in_order(rest, [*base.parked, *idlers(rest, base, drives)]))
     left, right = sum(w.y > 0 for w in base.wheels), sum(w.y < 0 for w in base.wheels)
@@ -343,7 +368,11 @@ def skidding(
     why = f"of wheels that skid the turn on the spot on a hard floor has about {rolls:.3g} m"
     if overrides.track is None:
         text = f"the effective track is taken as the geometric one: {text}"
-    findings = [note(rest, "base-skid", first, text, why, f"--track {rolls:.3g}, or as you measured it; --mu")]
+    findings = along_note(rest, drives)
+    findings += [note(rest, "base-skid", first, text, why, f"--track {rolls:.3g}, or as you measured it; --mu")]
+    if kind is Tracked:
+        text = "a belt makes the radius larger by its thickness, which is not in the file"
+        findings.append(note(rest, "base-skid", first, text, "", "--radius with the belt"))
     ahead = rotation_centre(base.wheels, load)
     if abs(ahead) > OFF_CENTRE * max(abs(w.x) for w in base.wheels):
         text = f"the base turns about a place {abs(ahead):.3g} m {'ahead of' if ahead > 0 else 'behind'} its middle"

@@ -15,7 +15,7 @@ import numpy as np
 from ...errors import RobotError, printable
 from ...signals import Array
 from ..arm import WHY, Arm
-from ..signs import MARGIN, told_apart
+from ..signs import MARGIN, Sign, told_apart
 from ..urdf.document import Joint
 from ..urdf.finding import AuditError, Finding
 from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
@@ -43,6 +43,7 @@ CODES = {
     "robot": "error",
     # the base
     "base-evidence": "note",
+    "base-doubt": "warning",
     "base-roller": "warning",
     "base-omni": "note",
     "base-none": "note",
@@ -327,6 +328,13 @@ class BaseReading:
     kind: str
     reasons: tuple[str, ...] = ()
     objections: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, kind: str, signs: Iterable[Sign]) -> BaseReading:
+        """A reading with its signs."""
+        ordered = sorted(signs, key=lambda sign: -abs(sign.weight))
+        reasons, objections = (tuple(s.text for s in ordered if s.weight * side > 0) for side in (1, -1))
+        return cls(kind, reasons, objections)
 
     def __str__(self) -> str:
         parts = [f"for: {', '.join(self.reasons)}"] if self.reasons else []

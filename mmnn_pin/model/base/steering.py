@@ -1,45 +1,33 @@
-"""Bases that steer, found in a file: the pivots under which its wheels are, what each is, and the kind they make.
-
-A wheel's *pivot* is the nearest joint above it about a vertical axis. Its lever on the floor, from the axis to the
-middle of its wheels, has two parts: along the rolling direction, the *trail*, and across it, which no steering feels.
-Each pivot with its wheels is a *module*, and by its structure one of five:
-
-    steered   no trail, or stops, or a motor turns it
-    powered   the floor turns it, for its wheel trails, and motors are on it (HSR's turret, powered casters)
-    hitch     a body of its own: wheels on both sides, far from the axis, beside wheels that drive
-    waist     likewise, and a motor turns it: a loader
-    caster    it trails, and has no motor: it stands still here, as casters do
+"""Bases that steer, built from modules in their roles: pivots and wheels in the control frame, trailers, limits.
 
 Wheels on the body, on one line, are its fixed axle. With it a base is (1,1) and one module is its master; without it
-all that steer are masters (1,2), or all trail and the body is free (3,0). What the user says counts more.
+all that steer are masters (1,2), or all trail and the body is free (3,0).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
-import msgspec
 import numpy as np
 
 from ...elementary import atan2, cos_sin, hypot
 from ...elementary.matrices import product
-from ...errors import ConfigError, UnknownName
+from ...errors import UnknownName
 from ...signals import Array
 from ..urdf.document import Joint
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Wheel
-from .evidence import RADII, controllers_motors, driving_signs, motors_named, stated
-from .heading import heading, rolling
+from .evidence import RADII, stated
+from .heading import heading
+from .modules import ON_LINE, Module, Undercarriage, on_line
 from .overrides import Overrides
 from .placing import casters_of, in_order
-from .report import BaseReading, BaseResult, in_words, note, undecided, unsupported
+from .report import BaseResult, note, unsupported
 from .rolling import FOLLOWER, MASTER, PASSIVE, ROLES, Pivot, closed, new_maps, roll
 from .steered import (
-    STEERED_KINDS,
     Articulated,
     CarLike,
     CarWithTrailer,
@@ -49,368 +37,49 @@ from .steered import (
     Swerve,
     Tricycle,
 )
-from .wheels import HUB, STEER_NAMES, TOUCHING, TRAIL, Candidate, Candidates, coaxial, parallel
+from .wheels import HUB, Candidate, Candidates, coaxial, rolling
 
-TURNED = 0.12  # trail by radius from which the floor turns a wheel (Robile's 10 mm of 51)
-ON_LINE = 0.02  # wheels of one axle may be off their line by this fraction of its width
 SIDEWAYS = 5e-4  # speed across a wheel per speed of the base that is told
 SAMPLES = 6  # of angles at which it is looked for
 OPINION = 0.02  # a wheelbase that differs by more than this fraction is told
 WHEELBASES = {"wheelbase": 1.0, "wheel_base": 1.0, "wheelBase": 1.0}
 MIDDLE = 0.1  # a wheel that steers within this fraction of the wheelbase of the fixed axle steers nothing
-KINDS = [kind.kind for kind in STEERED_KINDS]
 ONE_BODY = "write one vehicle in a file, or --base holonomic drives it by forces on its frame"
 STILL = "--base holonomic drives it by forces on its frame, its wheels standing still; --base fixed parks it"
-AHEAD = "--wheels {} if they are casters, --steer {} if they steer; --base fixed takes it as an arm"
-
-
-@dataclass(frozen=True, eq=False)
-class Module:
-    """A pivot and the wheels on it.
-
-    Attributes:
-        joint: The pivot.
-        wheels: On it, and on no other pivot that it carries; without joints of their own where they cannot spin.
-        carrier: The next pivot above, None for the body.
-        role: One of the five of this module's heading; empty while it is not known.
-        spins: Whether its wheels have joints to spin about.
-    """
-
-    joint: Joint
-    wheels: list[Candidate]
-    carrier: Joint | None = None
-    role: str = ""
-    spins: bool = True
-
-    def lever(self, rest: AtRest) -> Array:
-        """(2,) from the axis to the middle of its wheels: along the rolling direction and across it [m]."""
-        ahead = rolling(self.wheels[0])
-        at = np.mean([c.centre for c in self.wheels], axis=0)[:2] - rest.hub(self.joint)[:2]
-        return np.array([product(ahead, at), product([-ahead[1], ahead[0]], at)])
-
-    def trails(self, rest: AtRest) -> bool:
-        """Whether the floor turns it."""
-        return bool(abs(self.lever(rest)[0]) > TURNED * self.wheels[0].radius)
-
-    @property
-    def swivels(self) -> bool:
-        """Whether it turns all the way round, as a caster does."""
-        return all(c.mount == "swivel" for c in self.wheels)
-
-    def is_body(self, rest: AtRest) -> bool:
-        """Whether it is a body of its own: wheels more than a radius apart, and more than one from its axis."""
-        ahead, radius = rolling(self.wheels[0]), self.wheels[0].radius
-        sides = [product([-ahead[1], ahead[0]], c.centre[:2]) for c in self.wheels]
-        alike = all(parallel(self.wheels[0], c) for c in self.wheels)
-        return bool(alike and np.ptp(sides) > radius and abs(self.lever(rest)[0]) > radius)
-
-
-class Undercarriage(NamedTuple):
-    """The modules of a base and its fixed wheels.
-
-    Attributes:
-        modules: A carrier before what it carries.
-        fixed: Wheels on the body.
-        motors: Joints that the file drives, with where it says so.
-    """
-
-    modules: list[Module]
-    fixed: list[Candidate]
-    motors: dict[str, str]
-
-    def of(self, *roles: str) -> list[Module]:
-        """The modules of some roles."""
-        return [m for m in self.modules if m.role in roles]
-
-    def without_trailers(self, candidates: Candidates) -> Candidates:
-        """The wheels that were found, but for those of trailers."""
-        trailing = {c.joint.name for m in self.of("hitch") for c in m.wheels}
-        return replace(candidates, wheels=[c for c in candidates.wheels if c.joint.name not in trailing])
-
-    def said(self, overrides: Overrides) -> Overrides:
-        """The user's statements about the vehicle that pulls."""
-        return msgspec.structs.replace(overrides, base=None, hitch=None)
-
-
-def says_steered(overrides: Overrides) -> bool:
-    """Whether the user says that the base steers or pulls."""
-    return bool(overrides.base in KINDS or overrides.steer or overrides.hitch)
-
-
-# -- what there is -----------------------------------------------------------------------------------------------------
-
-
-def undercarriage_of(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Undercarriage:
-    """Pivots with their wheels, wheels without, and the role of each pivot as far as its own structure tells it.
-
-    Raises:
-        UnknownName: A joint that the user names and the robot does not have.
-        ConfigError: It is no pivot with wheels.
-        Unsupported: A joint steers by its name, about a level axis.
-    """
-    wheels = [c for c in candidates.wheels if c.mount != "leg" and not math.isnan(c.radius)]
-    above = {c.joint.name: pivots_above(rest, c.joint, wheels) for c in wheels}
-    fixed = [c for c in wheels if not above[c.joint.name]]
-    groups = dict[str, list[Candidate]]()
-    for c in wheels:
-        if pivots := above[c.joint.name]:
-            groups.setdefault(pivots[0].name, []).append(c)
-    refuse_level(rest, [c for c in fixed if c.mount == "steering"])
-    modules = [Module(rest.document.joints[name], cs, carrier_of(rest, name, wheels)) for name, cs in groups.items()]
-    modules += without_spin(rest, candidates, modules, fixed, overrides) if fixed else []
-    modules.sort(key=lambda m: len(rest.document.moving_ancestors(m.joint.child)))
-    require_pivots(rest, modules, overrides)
-    motors = {**motors_named(rest), **controllers_motors(rest, overrides.controllers_file)}
-    under = Undercarriage(modules, fixed, motors)
-    return under._replace(modules=[replace(m, role=role_of(rest, m, under, overrides)) for m in modules])
-
-
-def pivots_above(rest: AtRest, joint: Joint, wheels: Sequence[Candidate]) -> list[Joint]:
-    """Joints about vertical axes that carry a wheel, from it up; a torso that carries the whole base is none."""
-    turning = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
-    upright = [j for j in turning if rest.is_vertical(j)]
-    return [j for j in upright if not (mostly_torso(rest, j, wheels))]
-
-
-def mostly_torso(rest: AtRest, joint: Joint, wheels: Sequence[Candidate]) -> bool:
-    """Whether a vertical joint carries all wheels, three or more of them by the rule of `wheels.hangs_on`."""
-    carried = [c for c in wheels if joint in rest.document.moving_ancestors(c.joint.child)[1:]]
-    return len(carried) == len(wheels) and any(c.mount == "" for c in carried)
-
-
-def carrier_of(rest: AtRest, name: str, wheels: Sequence[Candidate]) -> Joint | None:
-    """The pivot that carries a pivot."""
-    above = pivots_above(rest, rest.document.joints[name], wheels)
-    return above[0] if above else None
-
-
-def refuse_level(rest: AtRest, steered: Sequence[Candidate]) -> None:
-    """Refuse joints that steer by their names, about level axes: their axes are written wrong.
-
-    Raises:
-        Unsupported: There are some; with the axes that would be right.
-    """
-    joints = dict[str, Joint]()
-    for c in steered:
-        above = rest.document.moving_ancestors(c.joint.child)[1:]
-        joints |= {j.name: j for j in above if STEER_NAMES.search(j.name) and not rest.is_vertical(j)}
-    axes = dict[str, list[str]]()
-    for joint in joints.values():
-        up = in_words(product(rest.placements[joint.child][:3, :3].T, np.array([0.0, 0.0, 1.0])))
-        axes.setdefault(up, []).append(f"'{joint.name}'")
-    if axes:
-        fix = "; ".join(f'write <axis xyz="{up}"/> in {", ".join(names)}' for up, names in axes.items())
-        named = ", ".join(f"'{name}'" for name in joints)
-        why = f"{named} steer by their names, and turn about level axes"
-        raise unsupported(rest, "car-like base", why, steered, fix)
-
-
-def without_spin(
-    rest: AtRest, candidates: Candidates, known: Sequence[Module], fixed: Sequence[Candidate], overrides: Overrides
-) -> list[Module]:
-    """Pivots with wheels that have no joint to spin about: a cylinder lies on the floor; a stop or a motor steers it.
-
-    What such pivots follow (<mimic>) without having a wheel is one itself: the virtual wheel of a bicycle model.
-    """
-    said, motors, found = overrides.steer or (), motors_named(rest), dict[str, Module]()
-    taken = {m.joint.name for m in known}
-    for joint in rest.document.joints.values():
-        steers = joint.name in {*said, *motors} or (joint.type == "revolute" and not joint.turns_freely)
-        alone = rest.is_vertical(joint) and not rest.document.moving_children(joint.child)
-        shapes = [s for link in rest.document.body(joint.child) for s in rest.primitives[link]]
-        on_floor = [s for s in shapes if s.kind == "cylinder" and s.rolls and touches(s.lowest, s.radius, candidates)]
-        if steers and alone and on_floor and joint.name not in taken and joint.type != "prismatic":
-            s = on_floor[0]
-            wheel = Candidate(joint, s.pose[:3, 2], s.pose[:3, 3], s.radius, "cylinder", "steering", 0.0)
-            found[joint.name] = Module(joint, [wheel], spins=False)
-    virtual = {m.joint.mimics: m for m in found.values() if m.joint.mimics in rest.document.joints}
-    for name, m in virtual.items():
-        if name not in found and name not in taken:
-            joint = rest.document.joints[str(name)]
-            at = np.array([*rest.hub(joint)[:2], m.wheels[0].centre[2]])
-            found[str(name)] = Module(joint, [replace(m.wheels[0], joint=joint, centre=at)], spins=False)
-    return [m for m in found.values() if m.joint.mimics not in found]
-
-
-def touches(lowest: float, radius: float, candidates: Candidates) -> bool:
-    """Whether a cylinder stands where the wheels do."""
-    return abs(lowest - min(c.bottom for c in candidates.wheels)) <= TOUCHING * radius
-
-
-def require_pivots(rest: AtRest, modules: Sequence[Module], overrides: Overrides) -> None:
-    """Refuse joints that the user names as steered or as hitches and that are none; errors as of `undercarriage_of`."""
-    known = [m.joint.name for m in modules]
-    for key in ("steer", "hitch"):
-        for name in getattr(overrides, key) or ():
-            if name not in rest.document.joints:
-                raise UnknownName("joint", name, known or rest.document.joints, file=rest.document.path, key=key)
-            if name not in known:
-                why = "no wheel on the floor is under it" if rest.is_vertical(rest.document.joints[name]) else ""
-                fix = f"name one of {', '.join(known)}" if known else "name a joint about a vertical axis under a wheel"
-                what = f"joint '{name}' cannot be a pivot"
-                raise ConfigError(
-                    what, why=why or "its axis is not vertical", fix=fix, key=key, file=rest.document.path
-                )
-
-
-def role_of(rest: AtRest, m: Module, under: Undercarriage, overrides: Overrides) -> str:
-    """The role of a module by its own structure, as far as it tells."""
-    name, others = m.joint.name, [o for o in under.modules if o is not m]
-    if name in (overrides.steer or ()):
-        return "waist" if m.is_body(rest) and under.fixed and not m.carrier else "steered"
-    if name in (overrides.hitch or ()):
-        return "hitch"
-    beside = under.fixed or any(not o.trails(rest) for o in others)
-    if m.is_body(rest) and beside and m.joint.mimics is None:
-        return body_role(rest, m, under, overrides)
-    if not m.trails(rest) or not m.swivels or (under.fixed and name in under.motors):
-        return "steered"
-    driven = {name, *(c.joint.name for c in m.wheels)} & under.motors.keys()
-    said = overrides.base == Casters.kind
-    return "powered" if not under.fixed and (driven or said or not nothing_else(under, others)) else "caster"
-
-
-def nothing_else(under: Undercarriage, others: Sequence[Module]) -> bool:
-    """Whether the file tells motors of other wheels or pivots of the base: then those that it leaves out have none."""
-    joints = {j for o in others for j in (o.joint.name, *(c.joint.name for c in o.wheels))}
-    return bool(joints & under.motors.keys())
-
-
-def body_role(rest: AtRest, m: Module, under: Undercarriage, overrides: Overrides) -> str:
-    """Whether a body on a pivot is a loader's other half or a trailer; empty where nothing tells."""
-    axle = under.fixed and not any(not o.trails(rest) for o in under.modules if o is not m)
-    if overrides.base == Articulated.kind or (axle and m.joint.name in under.motors):
-        return "waist"
-    told = not axle or under.motors or overrides.base in (DriveWithTrailer.kind, CarWithTrailer.kind)
-    return "hitch" if told else ""
 
 
 # -- what it makes -----------------------------------------------------------------------------------------------------
 
 
-def steered_base(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult | Undercarriage | None:
-    """The base that these wheels make where some steer, trail under motors, or stand on trailers; None where none do.
+def steered_kind(under: Undercarriage) -> str:
+    """The kind of base that modules in their roles make, with what it pulls."""
+    steered, pulls = under.of("steered"), under.of("hitch")
+    if under.of("waist"):
+        kind: type[SteeredBase] = Articulated
+    elif under.fixed and steered:
+        kind = Tricycle if len(steered) == 1 and steered[0].spins else CarLike
+    else:
+        kind = Swerve if steered else Casters if under.of("powered") else DriveWithTrailer
+    return kind.kind if not pulls or kind is DriveWithTrailer else CarWithTrailer.kind
 
-    Where the wheels on the body drive as of a base that does not steer, and trailers follow, it is the undercarriage.
+
+def steered_base(rest: AtRest, candidates: Candidates, overrides: Overrides, under: Undercarriage) -> BaseResult:
+    """The base that modules in their roles make where some steer, or trail under motors.
 
     Raises:
         Unsupported: Machines of several bodies, wheels on several lines, one wheel alone.
-        Undecided: A pivot may be one thing or another.
         ConfigError: What the user says does not suit it.
     """
-    under = undercarriage_of(rest, candidates, overrides)
-    under = under._replace(modules=doubts_settled(rest, under, overrides))
-    if not under.of("steered", "powered", "hitch", "waist"):
-        require_steering(rest, under, overrides)
-        return None
     refuse_linked(rest, under)
-    under = under._replace(modules=require_alike(rest, under))
-    steered = under.of("steered", "waist")
-    if under.fixed and not steered:
-        return under if under.of("hitch") else None
-    under = under._replace(fixed=axle_of(rest, under, overrides) if steered and under.fixed else under.fixed)
+    require_alike(rest, under)
     if under.fixed:
+        under = under._replace(fixed=axle_of(rest, under, overrides))
         base = on_axle(rest, under, overrides)
-    elif steered:
+    elif under.of("steered"):
         base = without_axle(rest, under, overrides)
     else:
         base = on_casters(rest, under, overrides)
     return finished(rest, candidates, base, under, overrides)
-
-
-def require_steering(rest: AtRest, under: Undercarriage, overrides: Overrides) -> None:
-    """Refuse a kind of base that steers where nothing does.
-
-    Raises:
-        ConfigError: The user says one.
-    """
-    if overrides.base in KINDS:
-        known = ", ".join(m.joint.name for m in under.modules)
-        fix = f"--steer names what steers: {known}" if known else "leave it out: no wheel is under a vertical joint"
-        what = f"this is no '{overrides.base}'"
-        raise ConfigError(what, why="no wheel of it steers", fix=fix, key="base", file=rest.document.path)
-
-
-def doubts_settled(rest: AtRest, under: Undercarriage, overrides: Overrides) -> list[Module]:
-    """The modules, those that trail nowhere and have no stops beside a fixed axle being casters or steered.
-
-    Such a swivel may be a caster, written badly, or a tricycle's wheel: what the file drives decides.
-
-    Raises:
-        Undecided: Nothing tells.
-    """
-    refuse_body(rest, under)
-    said = {*(overrides.steer or ()), *under.motors}
-    doubtful = [
-        m
-        for m in under.of("steered")
-        if under.fixed and m.swivels and m.joint.name not in said and m.joint.mimics not in said
-    ]
-    sure = [m for m in under.of("steered") if m not in doubtful]
-    if not doubtful and len(under.fixed) == 2 and not under.of("steered", "waist") and overrides.base is None:
-        refuse_plugin(rest, under, overrides)
-    if not doubtful or overrides.base in (CarLike.kind, Tricycle.kind, CarWithTrailer.kind):
-        return under.modules
-    front = [c for m in doubtful for c in m.wheels if c.trail <= TRAIL]
-    casters = {m.joint.name for m in doubtful}
-    if not sure and front and on_line(under.fixed):
-        signs = list(driving_signs(rest, under.fixed, front, overrides.controllers_file))
-        steers, rolls = ([t for kind, t in signs if kind == want] for want in ("car-like", "differential_drive"))
-        if (steers or front_axle(front, under.fixed)) and not rolls:
-            casters -= {m.joint.name for m in doubtful if any(c in front for c in m.wheels)}
-        elif steers or not rolls:
-            raise either(rest, under, front, steers, rolls)
-    return [replace(m, role="caster") if m.joint.name in casters else m for m in under.modules]
-
-
-def refuse_plugin(rest: AtRest, under: Undercarriage, overrides: Overrides) -> None:
-    """Refuse two wheels of which a plugin or a controller says that others steer the base.
-
-    Raises:
-        Undecided: None steers in this file.
-    """
-    signs = list(driving_signs(rest, under.fixed, [], overrides.controllers_file))
-    steers, rolls = ([t for kind, t in signs if kind == want] for want in ("car-like", "differential_drive"))
-    if steers and coaxial(*under.fixed):
-        raise either(rest, under, [], steers, rolls)
-
-
-def front_axle(front: Sequence[Candidate], fixed: Sequence[Candidate]) -> bool:
-    """Whether two wheels that could be steered make an axle of their own, parallel to that of the others."""
-    if len(front) != 2 or not coaxial(*front):
-        return False
-    return parallel(front[0], fixed[0]) and not coaxial(front[0], fixed[0])
-
-
-def either(
-    rest: AtRest, under: Undercarriage, front: Sequence[Candidate], steers: list[str], rolls: list[str]
-) -> Exception:
-    """The question whether wheels without trail are casters or steer, or none does where a plugin says so."""
-    names = ",".join(c.joint.name for c in under.fixed)
-    pivots = ",".join(m.joint.name for m in under.modules if any(c in front for c in m.wheels))
-    fix = AHEAD.format(names, pivots) if pivots else f"--wheels {names} if nothing steers, --base fixed parks it"
-    why = f"the file also speaks of steering: {', '.join(steers)}"
-    if not steers:
-        why = f"'{front[0].joint.name}' has no trail: a caster could not follow, a tricycle steers with it"
-    two = BaseReading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
-    kind = Tricycle.kind if len(front) == 1 else CarLike.kind
-    car = BaseReading(kind, tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
-    return undecided(rest, [*under.fixed, *front], [two, car], why, fix)
-
-
-def refuse_body(rest: AtRest, under: Undercarriage) -> None:
-    """Refuse to guess whether a body on a pivot is a loader's other half or a trailer.
-
-    Raises:
-        Undecided: Nothing tells.
-    """
-    for m in under.modules:
-        if not m.role:
-            why = f"nothing tells whether a motor turns '{m.joint.name}'"
-            loader = BaseReading(Articulated.kind, ("two axles, and a vertical joint between them",))
-            trailer = BaseReading(DriveWithTrailer.kind, ("wheels on both sides behind a vertical joint",))
-            fix = f"--steer {m.joint.name} if a motor turns it, --hitch {m.joint.name} if it follows freely"
-            raise undecided(rest, [*under.fixed, *m.wheels], [loader, trailer], why, fix, m.joint.line)
 
 
 def refuse_linked(rest: AtRest, under: Undercarriage) -> None:
@@ -426,8 +95,8 @@ def refuse_linked(rest: AtRest, under: Undercarriage) -> None:
         raise unsupported(rest, "machine of several vehicles, linked", why, linked[0].wheels, ONE_BODY)
 
 
-def require_alike(rest: AtRest, under: Undercarriage) -> list[Module]:
-    """The modules, what trails under stops beside others that steer refused: only a single wheel that steers may trail.
+def require_alike(rest: AtRest, under: Undercarriage) -> None:
+    """Refuse what trails under stops beside others that steer: only a single wheel that steers may trail.
 
     Raises:
         Unsupported: A slip in the file, or a machine of its own.
@@ -441,16 +110,6 @@ def require_alike(rest: AtRest, under: Undercarriage) -> list[Module]:
         casters = f"--wheels {pair} if they are casters; " if pair else ""
         fix = f"{casters}mend the <origin> of the wheel or of its pivot; {STILL}"
         raise unsupported(rest, "base that steers with wheels off their pivots", why, odd[0].wheels, fix)
-    powered = under.of("powered") if steered else []
-    return [replace(m, role="caster") if m in powered else m for m in under.modules]
-
-
-def on_line(wheels: Sequence[Candidate]) -> bool:
-    """Whether wheels turn about one line."""
-    ahead = rolling(wheels[0])
-    off = [abs(product(ahead, (c.centre - wheels[0].centre)[:2])) for c in wheels]
-    width = max(float(np.linalg.norm((c.centre - wheels[0].centre)[:2])) for c in wheels)
-    return all(parallel(wheels[0], c) for c in wheels) and bool(max(off) <= max(ON_LINE * width, 1e-6))
 
 
 def axle_of(rest: AtRest, under: Undercarriage, overrides: Overrides) -> list[Candidate]:
@@ -666,7 +325,6 @@ def finished(
     base = replace(base, wheels=tuple(wheels), track=track, floor=float(np.mean(bottoms)))
     base, trailing = with_trailers(rest, base, under)
     base = standing(rest, base, candidates)
-    kind_as_said(rest, base, overrides)
     base = replace(base, scrub=scrub_of(rest, base, under))
     notes = [
         steered_note(rest, base),
@@ -803,19 +461,6 @@ def standing(rest: AtRest, base: SteeredBase, candidates: Candidates) -> Steered
         suspensions=in_order(rest, above - moving),
         parked=in_order(rest, [*virtual_joints(rest, base), *(name for c in candidates.wheels for name in c.rollers)]),
     )
-
-
-def kind_as_said(rest: AtRest, base: SteeredBase, overrides: Overrides) -> None:
-    """Refuse a kind of base that the user says and the file does not bear out.
-
-    Raises:
-        ConfigError: It is another.
-    """
-    if overrides.base is not None and overrides.base != base.kind:
-        what = f"this is no '{overrides.base}'"
-        why = f"its structure makes it '{base.kind}': {', '.join(f'{p.joint} ({p.role})' for p in base.pivots)}"
-        fix = f"--base {base.kind}, or --steer and --hitch name what steers and what is a hitch"
-        raise ConfigError(what, why=why, fix=fix, key="base", file=rest.document.path)
 
 
 # -- what there is to say ----------------------------------------------------------------------------------------------

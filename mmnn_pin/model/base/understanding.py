@@ -8,33 +8,27 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from ...errors import ConfigError
 from ..arm import Arm, choose_arm
 from ..urdf.document import Document, Joint, text_of
 from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base, Fixed
-from .evidence import (
-    RADII,
-    evidence,
-    follows_on_its_side,
-    motors_named,
-    plugins,
-    stated,
-    stated_rollers,
-    verdict,
-)
+from .evidence import RADII, evidence, motors_named, plugins, stated
 from .machines import (
     PROPELLERS,
     PUSHED,
     SWERVE,
+    belt_signs,
     machine,
-    many_wheels,
     plain,
     propellers,
     refuse_legs,
@@ -42,20 +36,11 @@ from .machines import (
     track_named,
     welded_tracks,
 )
+from .modules import STEERED, Undercarriage, pivots_above, says_steered, undercarriages
 from .opinions import calibration, second_opinions, unasked
 from .overrides import Overrides, folders_of
-from .placing import (
-    crossed,
-    declared_wheel,
-    in_order,
-    mecanum,
-    pushed,
-    require_motors,
-    require_possible,
-    require_used,
-    skidding,
-    with_wheels,
-)
+from .placing import declared_wheel, in_order, on_wheels, pushed, require_motors, require_possible, require_used
+from .readings import FORCES, Attempt, Drives, Reading, best_of
 from .report import (
     BaseReading,
     BaseResult,
@@ -64,7 +49,6 @@ from .report import (
     base_notes,
     blind_fix,
     buried_note,
-    evidence_note,
     heading_notes,
     lumpy,
     not_on_floor,
@@ -75,8 +59,8 @@ from .report import (
     weld_notes,
     welded_note,
 )
-from .skid_steer import Tracked
-from .steering import behind_drive, pivots_above, says_steered, steered_base
+from .steered import CarLike, DriveWithTrailer, Tricycle
+from .steering import behind_drive, steered_base, steered_kind
 from .wheels import (
     COAXIAL,
     LUMPY,
@@ -92,8 +76,6 @@ from .wheels import (
     is_endless_end,
     is_low,
     moving_above,
-    one_axle,
-    parallel,
     welded_cylinders,
     welded_wheels,
     wheel_candidates,
@@ -101,12 +83,11 @@ from .wheels import (
     written_to_turn,
 )
 
+CARS = (CarLike.kind, Tricycle.kind)
 UPRIGHT = "like bodies turn without end about vertical axes: wheels in a file with y up, or casters"
 Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
-FORCES = "--base holonomic to drive it by forces on its frame, or --base fixed to park it"
 UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
 NOTHING = 0.05  # of the mass of a robot: what simulators ask for of an empty link
-SAME_SIZE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,22 +171,19 @@ def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
 
 
 def chosen(rest: AtRest, candidates: Candidates, named: list[Candidate], overrides: Overrides) -> BaseResult:
-    """The base as the user says, else as geometry and evidence have it."""
+    """The base as the user says, else as the best reading has it."""
     if overrides.base == "fixed":
         return BaseResult(parked(rest, [*candidates.wheels, *candidates.near_misses, *candidates.limited]))
     if overrides.wheels is not None and not says_steered(overrides):
-        return declared(rest, named, [*candidates.wheels, *candidates.limited], overrides)
+        wheels = [*candidates.wheels, *candidates.limited]
+        found = drive_readings(rest, named, wheels, overrides)
+        if not found:  # with the error that says why
+            kind = overrides.base or ("holonomic" if len(named) > 2 else "differential_drive")
+            return on_wheels(rest, kind, named, wheels, overrides)
+        return best_of(rest, found, wheels, attempt(rest, overrides), True)
     if overrides.base == "holonomic" and not plain(candidates.wheels):
         return pushed(rest, candidates)
     return decide(rest, candidates, overrides)
-
-
-def declared(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
-    """The base on wheels that the user names; four or more of no stated kind are weighed as if they were found."""
-    alike = all(parallel(drives[0], c) for c in drives[1:])
-    if overrides.base is None and overrides.roller is None and len(drives) >= 4 and alike:
-        return many_parallel(rest, drives, wheels, overrides)
-    return with_wheels(rest, drives, wheels, overrides)
 
 
 def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseResult:
@@ -306,56 +284,91 @@ def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:
 
 
 def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
-    """The base as geometry and evidence have it."""
+    """The base as the best reading has it."""
     require_sound_wheels(rest, candidates, overrides)
     if not candidates.wheels:
         return without_wheels(rest, overrides, candidates.floor)
     refuse_legs(rest, candidates.wheels)
-    if overrides.base == "holonomic":
-        steers = any(c.mount == "steering" for c in candidates.wheels)
-        return pushed(rest, candidates) if steers else on_plain(rest, candidates, overrides)
-    found = steered_base(rest, candidates, overrides)
-    if found is None:
-        return on_plain(rest, candidates, overrides)
-    if isinstance(found, BaseResult):
-        return found
-    return behind_drive(rest, on_plain(rest, found.without_trailers(candidates), found.said(overrides)), found)
-
-
-def on_plain(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
-    """The base on wheels that do not steer, as geometry and evidence have it."""
-    wheels = candidates.wheels
-    drives = without_balls(plain(wheels))
-    if overrides.base == "holonomic" and (len(drives) < 3 or one_axle(drives) or not in_pairs(drives)):
+    if overrides.base == "holonomic" and any(c.mount == "steering" for c in candidates.wheels):
         return pushed(rest, candidates)
-    refuse_mimic_wheels(rest, wheels, drives)
-    drives, notes = driven_pair(rest, drives) if overrides.base in (None, "differential_drive") else (drives, [])
-    found = on_driven(rest, drives, wheels, overrides, sure=bool(notes))
-    return replace(found, findings=(*notes, *found.findings))
+    found = list(base_readings(rest, candidates, overrides))
+    if overrides.base == "holonomic" and not found:
+        return pushed(rest, candidates)
+    if not found:
+        raise no_base(rest, candidates.wheels, plain(candidates.wheels))
+    return best_of(rest, found, candidates.wheels, attempt(rest, overrides), overrides.base is not None)
 
 
-def on_driven(
-    rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides, sure: bool
-) -> BaseResult:
-    """The base on wheels that drive: two coaxial ones, crossed ones, or four and more in parallel.
+def attempt(rest: AtRest, overrides: Overrides) -> Attempt:
+    """What becomes of the robot if the user says something more."""
+    return lambda said: understood(rest, msgspec.structs.replace(overrides, **said))
 
-    Args:
-        rest: The robot at rest.
-        drives: The wheels that drive.
-        wheels: All its wheels.
-        overrides: What the user says.
-        sure: Whether their motors tell that they are the two of a differential drive.
-    """
-    if sure:
-        return with_wheels(rest, drives, wheels, overrides)
-    if len(drives) == 2 and coaxial(*drives):
-        return with_wheels(rest, drives, wheels, overrides)
-    if len(drives) >= 3 and overrides.base != "differential_drive":
-        if not all(parallel(drives[0], c) for c in drives[1:]):
-            return crossed(rest, drives, wheels, overrides)
-        if len(drives) >= 4:
-            return many_parallel(rest, drives, wheels, overrides)
-    raise no_base(rest, wheels, drives)
+
+def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Iterator[Reading]:
+    """All that these wheels could make, of the kind that the user says."""
+    found = list[Reading]()
+    for under in undercarriages(rest, candidates, overrides):
+        if under.steers:
+            found.append(steered_reading(rest, candidates, under, overrides))
+            continue
+        own = under.without_trailers(candidates)
+        said = under.said(overrides) if under.of("hitch") else overrides
+        for reading in drive_readings(rest, under.fixed, own.wheels, said):
+            found.append(with_modules(rest, reading, under))
+    kinds = [reading.kind for reading in found]
+    for reading in found:
+        alone = overrides.base in CARS and reading.kind in CARS  # one steered wheel, or a bicycle model of two
+        if overrides.base in (None, reading.kind) or alone:
+            yield reading
+    if (
+        overrides.base in STEERED
+        and overrides.base not in kinds
+        and not (overrides.base in CARS and {*kinds} & {*CARS})
+    ):
+        raise not_that_kind(rest, kinds, overrides)
+
+
+def steered_reading(rest: AtRest, candidates: Candidates, under: Undercarriage, overrides: Overrides) -> Reading:
+    """The reading of modules in their roles."""
+    names = [m.joint.name for m in under.of("steered", "waist")]
+    said: dict[str, Any] = {"steer": names} if names else {"base": "casters"}
+    build = partial(steered_base, rest, candidates, overrides, under)
+    return Reading(steered_kind(under), under.signs, said, build)
+
+
+def with_modules(rest: AtRest, reading: Reading, under: Undercarriage) -> Reading:
+    """A reading of wheels that drive, with the modules beside them: casters, trailers."""
+    signs, hitches = (*under.signs, *reading.signs), [m.joint.name for m in under.of("hitch")]
+    if not hitches:
+        return replace(reading, signs=signs)
+    build = reading.build
+    return Reading(DriveWithTrailer.kind, signs, {"hitch": hitches}, lambda: behind_drive(rest, build(), under))
+
+
+def drive_readings(
+    rest: AtRest, fixed: list[Candidate], wheels: list[Candidate], overrides: Overrides
+) -> list[Reading]:
+    """What wheels make that do not steer, of the kind that the user says."""
+    drives = Drives(fixed, motors_named(rest), overrides.wheels is not None, tuple(belt_signs(rest, fixed)))
+    found = list[Reading]()
+    for some in drives.sets():
+        kinds = [kind for kind in drives.kinds(some) if overrides.base in (None, kind)]
+        pieces = evidence(rest, some, overrides.controllers_file) if len(some) > 2 else []
+        whole = len(some) == len(fixed)
+        for kind in kinds:
+            names = [c.joint.name for c in some]
+            said: dict[str, Any] = {"wheels": names} if kind == "differential_drive" else {"base": kind}
+            said |= {} if whole else {"wheels": names}
+            build = partial(on_wheels, rest, kind, some, wheels, overrides)
+            found.append(Reading(kind, tuple(drives.signs(kind, some, pieces)), said, build))
+    return found
+
+
+def not_that_kind(rest: AtRest, kinds: list[str], overrides: Overrides) -> ConfigError:
+    """The error for a kind of base that the user says and no reading of the file is."""
+    why = f"its wheels make {' or '.join(dict.fromkeys(kinds))}" if kinds else "no wheel of it steers"
+    fix = "leave it out, or --steer and --hitch name what steers and what is a hitch"
+    return ConfigError(f"this is no '{overrides.base}'", why=why, fix=fix, key="base", file=rest.document.path)
 
 
 def require_sound_wheels(rest: AtRest, candidates: Candidates, overrides: Overrides) -> None:
@@ -373,12 +386,6 @@ def require_sound_wheels(rest: AtRest, candidates: Candidates, overrides: Overri
         raise undecided_limits(rest, candidates)
     if near and not wheels and not (rest.is_vertical(near[0].joint) and machine(rest)):
         raise not_on_floor(rest, candidates, overrides.package_dirs)
-
-
-def without_balls(drives: list[Candidate]) -> list[Candidate]:
-    """The two proper wheels where all others are balls: casters that are written as continuous joints."""
-    proper = [c for c in drives if c.shape != "sphere"]
-    return proper if len(proper) == 2 else drives
 
 
 def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> Undecided:
@@ -399,30 +406,6 @@ def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> U
     elif len(drives) == 1:
         why = "a base on one wheel is not covered"
     return undecided(rest, wheels, readings(rest, drives), why, ", or ".join([*ways, FORCES]))
-
-
-def in_pairs(drives: list[Candidate]) -> bool:
-    """Whether wheels could be mecanum wheels or omni wheels: two and two on one line, or not all parallel."""
-    alike = all(parallel(drives[0], c) for c in drives[1:])
-    return not alike or all(any(coaxial(c, o) for o in drives if o is not c) for c in drives)
-
-
-def driven_pair(rest: AtRest, drives: list[Candidate]) -> tuple[list[Candidate], list[Finding]]:
-    """The two coaxial wheels that alone have motors, and a note; all of them where the file names none or others.
-
-    Wheels of the same size beside them may be those of a skid-steer base that turn with them.
-    """
-    motors = motors_named(rest)
-    powered = [c for c in drives if c.joint.name in motors]
-    others = [c for c in drives if c not in powered]
-    if len(drives) < 3 or len(powered) != 2 or not coaxial(*powered):
-        return drives, []
-    same = [c for c in others if abs(c.radius - powered[0].radius) <= SAME_SIZE * powered[0].radius]
-    if len(others) > 1 and same and not one_axle(drives):
-        return drives, []
-    text = f"drive wheels by their motors: {', '.join(f'{c.joint.name} {motors[c.joint.name]}' for c in powered)}"
-    why = f"taken as free casters: {', '.join(c.joint.name for c in others)}"
-    return powered, [note(rest, "base-driven", powered[0].joint.name, text, why)]
 
 
 def parked(rest: AtRest, wheels: list[Candidate]) -> Base:
@@ -470,63 +453,6 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
     return BaseResult(Fixed(), (note(rest, "base-none", "", text, fix=fix),))
 
 
-def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
-    """Four or more wheels that roll in one direction: mecanum wheels or a skid-steer, as the evidence has it."""
-    if one_axle(drives) and overrides.base in (None, "skid_steer"):
-        text = f"taken as skid_steer: {len(drives)} wheels on one axle, twin tyres whose sides turn alike and scrub"
-        found = skidding(rest, drives, wheels, overrides)
-        return replace(found, findings=(note(rest, "base-evidence", drives[0].joint.name, text), *found.findings))
-    pieces = evidence(rest, drives, overrides.controllers_file)
-    if (overrides.wheels is None and overrides.base is None) or overrides.base == Tracked.kind:
-        if (why := many_wheels(rest, drives)) or overrides.base == Tracked.kind:
-            return on_belts(rest, drives, wheels, overrides, why)
-        if why := track_named(rest):
-            why = f"{len(drives)} parallel wheels, and {why}"
-            fix = "--base tracked if belts run over them, --base skid_steer if it runs on these wheels"
-            raise unsupported(rest, "tracked machine", why, drives, f"{fix}, --base fixed takes it as an arm")
-    if overrides.base == "holonomic" and overrides.wheels is None and (why := many_wheels(rest, drives)):
-        raise unsupported(rest, "tracked machine", why, drives, "--base tracked drives it, --base fixed parks it")
-    meaning = overrides.base if overrides.base in ("holonomic", "skid_steer") else verdict(pieces)
-    if meaning is None and (why := steering_named(rest)):
-        raise unsupported(rest, "car-like base", why, drives)
-    if meaning is None:
-        why = "four parallel wheels roll the same whether they have rollers (mecanum) or skid"
-        if pieces:
-            why += ", and the evidence does not decide"
-        fix = "--base skid_steer for plain wheels, --base holonomic for mecanum wheels"
-        raise undecided(rest, wheels, readings(rest, drives), why, fix)
-    cited = [piece for piece in pieces if piece.meaning == meaning]
-    findings = [evidence_note(rest, meaning, cited)] if cited else []
-    if meaning == "skid_steer":
-        found = skidding(rest, drives, wheels, overrides)
-        return replace(found, findings=(*findings, *along(rest, drives), *found.findings))
-    base, assumed = mecanum(rest, drives, wheels, overrides, stated_rollers(cited))
-    return BaseResult(base, (*findings, *assumed))
-
-
-def on_belts(
-    rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides, why: str
-) -> BaseResult:
-    """A tracked machine: a skid-steer base on the wheels under its belts."""
-    found = skidding(rest, drives, wheels, overrides, Tracked)
-    text = f"taken as tracked: {why or 'you said so'}"
-    more = "a belt makes the radius larger by its thickness, which is not in the file"
-    belts = note(rest, "base-evidence", drives[0].joint.name, text, more, "--radius with the belt")
-    return replace(found, findings=(belts, *found.findings))
-
-
-def along(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
-    """A note where only some wheels of a skid-steer base have motors: the others are taken as turned by these."""
-    motors = motors_named(rest)
-    powered = [c.joint.name for c in drives if c.joint.name in motors]
-    if not 0 < len(powered) < len(drives):
-        return []
-    text = f"of the wheels only {', '.join(powered)} have motors: {motors[powered[0]]}"
-    why = "the others are taken as turned along with those of their side, by a belt or chain"
-    fix = f"--wheels {','.join(powered)} where they roll freely" if len(powered) == 2 else ""
-    return [note(rest, "base-driven", powered[0], text, why, fix)]
-
-
 # -- wheels that leave a doubt -----------------------------------------------------------------------------------------
 
 
@@ -540,26 +466,6 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     others = f"name the others with --wheels {drives}, " if drives else ""
     fix = f'write type="continuous" in {names} for wheels, {others}or --base fixed to park them'
     return undecided(rest, [*candidates.wheels, *candidates.limited], [two, still], why, fix)
-
-
-def refuse_mimic_wheels(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> None:
-    """Refuse drive wheels that follow others (<mimic>), but for those of a skid-steer: its sides turn alike.
-
-    Raises:
-        Undecided: Slaves on another side.
-    """
-    slaves = [c for c in drives if c.joint.mimics is not None]
-    if not slaves:
-        return
-    if steers := steering_named(rest):
-        raise unsupported(rest, "car-like base", steers, drives)
-    why = "; ".join(f"wheel '{c.joint.name}' follows '{c.joint.mimics}' (<mimic>)" for c in slaves)
-    aligned = all(parallel(drives[0], c) for c in drives[1:])
-    turning_alike = aligned and all(follows_on_its_side(c, drives) for c in slaves)
-    if turning_alike and verdict(evidence(rest, drives)) == "skid_steer":
-        return
-    two = BaseReading("differential_drive", (), ("a drive wheel turns by itself",))
-    raise undecided(rest, wheels, [two], why, f"take out their <mimic> if they turn by themselves, or {FORCES}")
 
 
 # -- joints that stand a robot in the world ----------------------------------------------------------------------------

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ...elementary import hypot
 from ...elementary.matrices import product
 from ...signals import Array
 from ..signs import MARGIN, Sign, score
@@ -43,6 +44,7 @@ STEER_NAMES = re.compile(r"steer", re.IGNORECASE)
 WHEEL_NAMES = re.compile(r"wheel|whl", re.IGNORECASE)
 LOW = 0.4  # joints in the lower part of a robot, by this fraction of its height, may be wheels
 ALL_ROUND, TRAIL = 6.0, 1e-3  # [rad] travel of a joint that swivels, [m] least trail of a caster
+MOST_PER_SIDE = 3  # wheels of a skid-steer base on either side
 ROUND_ABOUT, ROLLERS = 3, 4  # low joints that are wheels though no axis is shared; bodies on a wheel, its rollers
 Mount = Literal["", "swivel", "steering", "leg"]
 
@@ -540,6 +542,19 @@ def alike_on_root(rest: AtRest) -> list[Joint]:
 def parallel(a: Candidate, b: Candidate) -> bool:
     """Whether two wheels roll in the same direction."""
     return bool(abs(a.axis @ b.axis) > 1 - HORIZONTAL**2)
+
+
+def rolling(candidate: Candidate) -> Array:
+    """(2,) direction that positive joint velocity rolls a wheel in."""
+    return np.array([candidate.axis[1], -candidate.axis[0]]) / hypot(candidate.axis[0], candidate.axis[1])
+
+
+def on_either_side(wheels: Sequence[Candidate]) -> tuple[int, int]:
+    """How many of some parallel wheels are left and right of their middle."""
+    left = np.array([-1.0, 1.0]) * rolling(wheels[0])[::-1]
+    across = np.array([float(left @ c.centre[:2]) for c in wheels])
+    middle = (across.max() + across.min()) / 2
+    return int((across > middle).sum()), int((across < middle).sum())
 
 
 def coaxial(a: Candidate, b: Candidate, *, within: float = COAXIAL) -> bool:

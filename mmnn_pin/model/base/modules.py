@@ -1,0 +1,373 @@
+"""What wheels hang on, found in a file: pivots, and what each may be, with the signs for it and against.
+
+A wheel's *pivot* is the nearest joint above it about a vertical axis. Its lever on the floor, from the axis to the
+middle of its wheels, has two parts: along the rolling direction, the *trail*, and across it, which no steering feels.
+Each pivot with its wheels is a *module*, and has one of five roles:
+
+    steered   a motor turns it, mostly within stops, mostly above its wheels
+    powered   the floor turns it, for its wheel trails, and motors are on it (HSR's turret, powered casters)
+    hitch     a body of its own: wheels on both sides, far from the axis, beside wheels that drive
+    waist     likewise, and a motor turns it: a loader
+    caster    it trails, and has no motor: it stands still here, as casters do
+
+Modules that look alike have one role. What the user says counts more.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product as combined
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from ...elementary.matrices import product
+from ...errors import ConfigError, UnknownName
+from ...signals import Array
+from ..signs import Sign
+from ..urdf.document import Joint
+from ..urdf.shapes import AtRest
+from .evidence import controllers_motors, driving_words, motors_named
+from .overrides import Overrides
+from .report import in_words, unsupported
+from .steered import STEERED_KINDS
+from .wheels import STEER_NAMES, TOUCHING, TRAIL, Candidate, Candidates, coaxial, parallel, rolling
+
+TURNED = 0.12  # trail by radius from which the floor turns a wheel (Robile's 10 mm of 51)
+ON_LINE = 0.02  # wheels of one axle may be off their line by this fraction of its width
+STEERED = tuple(kind.kind for kind in STEERED_KINDS)
+ROLES = ("steered", "caster", "powered", "waist", "hitch")
+WEIGHTS = {  # of what is seen of a module, for each role, as of `model.signs`; names alone do not decide
+    "turns all round": (-1.0, 1.0, -1.0, 0.0, 0.0),
+    "has stops": (4.0, -4.0, -4.0, 0.0, 0.0),
+    "trails as a caster": (-3.0, 3.0, 3.0, 0.0, 0.0),
+    "trails a little": (0.0, 1.5, -4.0, 0.0, 0.0),
+    "has no trail: a caster could not follow": (1.0, -1.0, -5.0, 0.0, 0.0),
+    "makes an axle of its own": (3.0, 0.0, 0.0, 0.0, 0.0),
+    "has a motor": (4.0, -4.0, 3.0, 4.0, -4.0),
+    "has no motor, as others have": (-3.0, 1.0, 0.0, -3.0, 3.0),
+    "has no motor beside what steers": (0.0, 0.0, 0.0, 0.0, 3.0),
+    "drives by its wheel": (0.0, -3.0, 3.0, 0.0, 0.0),
+    "has no motor on its wheel": (0.0, 0.0, -3.0, 0.0, 0.0),
+    "may have motors: the file names none": (0.0, 0.0, 2.0, 0.0, 0.0),
+    "is called steering": (1.5, 0.0, 0.0, 1.5, 0.0),
+    "is called a caster": (0.0, 1.5, 0.0, 0.0, 0.0),
+    "is called a hitch": (0.0, 0.0, 0.0, 0.0, 1.5),
+    "is called a waist": (0.0, 0.0, 0.0, 1.5, 0.0),
+}
+NAMES = {
+    "is called steering": re.compile(r"steer|ackermann|knuckle|lenk|direction|volante", re.IGNORECASE),
+    "is called a caster": re.compile(r"caster|castor|roulette|lenkrolle|rueda_?loca", re.IGNORECASE),
+    "is called a hitch": re.compile(r"hitch|trailer|tow|king_?pin|anhaenger|remorque|remolque", re.IGNORECASE),
+    "is called a waist": re.compile(r"waist|articulat", re.IGNORECASE),
+}
+MOST = 200  # combinations of roles that are looked at
+
+
+@dataclass(frozen=True, eq=False)
+class Module:
+    """A pivot and the wheels on it.
+
+    Attributes:
+        joint: The pivot.
+        wheels: On it, and on no other pivot that it carries; without joints of their own where they cannot spin.
+        carrier: The next pivot above, None for the body.
+        role: One of the five of this module's heading; empty while it is not known.
+        spins: Whether its wheels have joints to spin about.
+    """
+
+    joint: Joint
+    wheels: list[Candidate]
+    carrier: Joint | None = None
+    role: str = ""
+    spins: bool = True
+
+    def lever(self, rest: AtRest) -> Array:
+        """(2,) from the axis to the middle of its wheels: along the rolling direction and across it [m]."""
+        ahead = rolling(self.wheels[0])
+        at = np.mean([c.centre for c in self.wheels], axis=0)[:2] - rest.hub(self.joint)[:2]
+        return np.array([product(ahead, at), product([-ahead[1], ahead[0]], at)])
+
+    def trails(self, rest: AtRest) -> bool:
+        """Whether the floor turns it."""
+        return bool(abs(self.lever(rest)[0]) > TURNED * self.wheels[0].radius)
+
+    @property
+    def swivels(self) -> bool:
+        """Whether it turns all the way round, as a caster does."""
+        return all(c.mount == "swivel" for c in self.wheels)
+
+    def is_body(self, rest: AtRest) -> bool:
+        """Whether it is a body of its own: wheels more than a radius apart, and more than one from its axis."""
+        ahead, radius = rolling(self.wheels[0]), self.wheels[0].radius
+        sides = [product([-ahead[1], ahead[0]], c.centre[:2]) for c in self.wheels]
+        alike = all(parallel(self.wheels[0], c) for c in self.wheels)
+        return bool(alike and np.ptp(sides) > radius and abs(self.lever(rest)[0]) > radius)
+
+
+class Undercarriage(NamedTuple):
+    """The modules of a base and its fixed wheels.
+
+    Attributes:
+        modules: A carrier before what it carries.
+        fixed: Wheels on the body.
+        motors: Joints that the file drives, with where it says so.
+        signs: What speaks for these roles of the modules, and against them.
+    """
+
+    modules: list[Module]
+    fixed: list[Candidate]
+    motors: dict[str, str]
+    signs: tuple[Sign, ...] = ()
+
+    def of(self, *roles: str) -> list[Module]:
+        """The modules of some roles."""
+        return [m for m in self.modules if m.role in roles]
+
+    @property
+    def steers(self) -> bool:
+        """Whether something of it steers, or trails under motors."""
+        return bool(self.of("steered", "powered", "waist"))
+
+    @property
+    def stands(self) -> bool:
+        """Whether these roles suit each other."""
+        steered, waists, powered = self.of("steered"), self.of("waist"), self.of("powered")
+        if waists and (len(waists) > 1 or steered or not self.fixed):
+            return False
+        return not (powered and (self.fixed or steered)) and bool(self.fixed or steered or powered)
+
+    def without_trailers(self, candidates: Candidates) -> Candidates:
+        """The wheels that were found, but for those of trailers."""
+        trailing = {c.joint.name for m in self.of("hitch") for c in m.wheels}
+        return replace(candidates, wheels=[c for c in candidates.wheels if c.joint.name not in trailing])
+
+    def said(self, overrides: Overrides) -> Overrides:
+        """The user's statements about the vehicle that pulls."""
+        return msgspec.structs.replace(overrides, base=None, hitch=None)
+
+
+def says_steered(overrides: Overrides) -> bool:
+    """Whether the user says that the base steers or pulls."""
+    return bool(overrides.base in STEERED or overrides.steer or overrides.hitch)
+
+
+def undercarriages(rest: AtRest, candidates: Candidates, overrides: Overrides) -> list[Undercarriage]:
+    """All ways to give the pivots roles, each with its signs.
+
+    Raises:
+        UnknownName: A joint that the user names and the robot does not have.
+        ConfigError: It is no pivot with wheels.
+        Unsupported: A joint steers by its name, about a level axis.
+    """
+    wheels = [c for c in candidates.wheels if c.mount != "leg" and not math.isnan(c.radius)]
+    above = {c.joint.name: pivots_above(rest, c.joint, wheels) for c in wheels}
+    fixed = [c for c in wheels if not above[c.joint.name]]
+    groups = dict[str, list[Candidate]]()
+    for c in wheels:
+        if pivots := above[c.joint.name]:
+            groups.setdefault(pivots[0].name, []).append(c)
+    refuse_level(rest, [c for c in fixed if c.mount == "steering"])
+    modules = [Module(rest.document.joints[name], cs, carrier_of(rest, name, wheels)) for name, cs in groups.items()]
+    modules += without_spin(rest, candidates, modules, fixed, overrides) if fixed else []
+    modules.sort(key=lambda m: len(rest.document.moving_ancestors(m.joint.child)))
+    require_pivots(rest, modules, overrides)
+    motors = {**motors_named(rest), **controllers_motors(rest, overrides.controllers_file)}
+    return list(with_roles(rest, Undercarriage(modules, fixed, motors), overrides))
+
+
+def with_roles(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Iterator[Undercarriage]:
+    """Ways to give the modules of an undercarriage roles that suit each other, each with its signs."""
+    alike = dict[tuple[object, ...], list[Module]]()
+    for m in under.modules:
+        alike.setdefault(likeness(rest, m, under, overrides), []).append(m)
+    chances = [roles_for(rest, some[0], under, overrides) for some in alike.values()]
+    for k, roles in enumerate(combined(*chances)):
+        role_of = {m.joint.name: role for some, role in zip(alike.values(), roles, strict=True) for m in some}
+        found = under._replace(modules=[replace(m, role=role_of[m.joint.name]) for m in under.modules])
+        if found.stands and k < MOST:
+            signs = [
+                s for some, role in zip(alike.values(), roles, strict=True) for s in signs_of(rest, some, role, found)
+            ]
+            yield found._replace(signs=(*signs, *signs_of_words(rest, found, overrides)))
+
+
+def likeness(rest: AtRest, m: Module, under: Undercarriage, overrides: Overrides) -> tuple[object, ...]:
+    """What modules share that have one role."""
+    name, said = m.joint.name, (*(overrides.steer or ()), *(overrides.hitch or ()))
+    driven = name in under.motors, any(c.joint.name in under.motors for c in m.wheels)
+    carrier = m.carrier.name if m.carrier is not None else ""
+    return m.is_body(rest), m.swivels, m.trails(rest), m.spins, *driven, carrier, name if name in said else ""
+
+
+def roles_for(rest: AtRest, m: Module, under: Undercarriage, overrides: Overrides) -> list[str]:
+    """The roles that a module may have: what the user says, else what its structure lets it be."""
+    name, others = m.joint.name, [o for o in under.modules if o is not m]
+    body = m.is_body(rest) and (under.fixed or any(not o.trails(rest) for o in others)) and m.joint.mimics is None
+    if name in (overrides.steer or ()):
+        return ["waist" if m.is_body(rest) and under.fixed and not m.carrier else "steered"]
+    if name in (overrides.hitch or ()):
+        return ["hitch"]
+    if body:
+        return ["waist", "hitch"] if not m.carrier else ["hitch"]
+    return ["caster", "steered", "powered"]
+
+
+# -- signs -------------------------------------------------------------------------------------------------------------
+
+
+def signs_of(rest: AtRest, some: Sequence[Module], role: str, under: Undercarriage) -> Iterator[Sign]:
+    """Signs that some modules that look alike have a role, and against it."""
+    names, place = ", ".join(f"'{m.joint.name}'" for m in some), ROLES.index(role)
+    for what, detail in dict.fromkeys(seen_of(rest, some, under)):
+        if weight := WEIGHTS[what][place]:
+            yield Sign(f"{names} {what}{detail}", weight, some[0].joint.line, some[0].joint.name)
+
+
+def seen_of(rest: AtRest, some: Sequence[Module], under: Undercarriage) -> Iterator[tuple[str, str]]:
+    """What is seen of some modules that look alike: keys of `WEIGHTS`, and what more there is to say."""
+    first, wheels = some[0], [c for m in some for c in m.wheels]
+    trails = first.trails(rest)
+    yield "turns all round" if first.swivels else "has stops", ""
+    little = abs(first.lever(rest)[0]) > TRAIL
+    none = "trails a little" if little else "has no trail: a caster could not follow"
+    yield "trails as a caster" if trails else none, ""
+    if not trails and under.fixed and front_axle(wheels, under.fixed):
+        yield "makes an axle of its own", ""
+    powered = [m.joint.name for m in some if m.joint.name in under.motors]
+    rolls = [c.joint.name for c in wheels if c.joint.name in under.motors]
+    if powered:
+        yield "has a motor", f": {under.motors[powered[0]]}"
+    elif under.motors and not any(m.joint.mimics for m in some):
+        yield "has no motor, as others have", ""
+    elif under.of("steered") and not under.motors:
+        yield "has no motor beside what steers", ""
+    if rolls:
+        yield "drives by its wheel", f": {under.motors[rolls[0]]}"
+    elif under.motors:
+        yield "has no motor on its wheel", ""
+    else:
+        yield "may have motors: the file names none", ""
+    for named, pattern in NAMES.items():
+        if any(pattern.search(f"{m.joint.name} {m.joint.child}") for m in some):
+            yield named, ""
+
+
+def signs_of_words(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Iterator[Sign]:
+    """Signs of plugins and controllers that say whether the base steers, or two wheels drive it."""
+    for kind, text in driving_words(rest, overrides.controllers_file):
+        steers = bool(under.of("steered") and under.fixed)
+        if kind == "car-like" and (steers or not under.modules):
+            yield Sign(f"the file speaks of steering: {text}", 3.5 if steers else -3.5)
+        if kind == "differential_drive" and not steers and under.fixed and under.modules:
+            yield Sign(text, 3.5)
+
+
+def front_axle(front: Sequence[Candidate], fixed: Sequence[Candidate]) -> bool:
+    """Whether two wheels that could be steered make an axle of their own, parallel to that of the others."""
+    if len(front) != 2 or not coaxial(*front):
+        return False
+    return parallel(front[0], fixed[0]) and not coaxial(front[0], fixed[0])
+
+
+# -- pivots ------------------------------------------------------------------------------------------------------------
+
+
+def pivots_above(rest: AtRest, joint: Joint, wheels: Sequence[Candidate]) -> list[Joint]:
+    """Joints about vertical axes that carry a wheel, from it up; a torso that carries the whole base is none."""
+    turning = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
+    upright = [j for j in turning if rest.is_vertical(j)]
+    return [j for j in upright if not (mostly_torso(rest, j, wheels))]
+
+
+def mostly_torso(rest: AtRest, joint: Joint, wheels: Sequence[Candidate]) -> bool:
+    """Whether a vertical joint carries all wheels, three or more of them by the rule of `wheels.hangs_on`."""
+    carried = [c for c in wheels if joint in rest.document.moving_ancestors(c.joint.child)[1:]]
+    return len(carried) == len(wheels) and any(c.mount == "" for c in carried)
+
+
+def carrier_of(rest: AtRest, name: str, wheels: Sequence[Candidate]) -> Joint | None:
+    """The pivot that carries a pivot."""
+    above = pivots_above(rest, rest.document.joints[name], wheels)
+    return above[0] if above else None
+
+
+def refuse_level(rest: AtRest, steered: Sequence[Candidate]) -> None:
+    """Refuse joints that steer by their names, about level axes: their axes are written wrong.
+
+    Raises:
+        Unsupported: There are some; with the axes that would be right.
+    """
+    joints = dict[str, Joint]()
+    for c in steered:
+        above = rest.document.moving_ancestors(c.joint.child)[1:]
+        joints |= {j.name: j for j in above if STEER_NAMES.search(j.name) and not rest.is_vertical(j)}
+    axes = dict[str, list[str]]()
+    for joint in joints.values():
+        up = in_words(product(rest.placements[joint.child][:3, :3].T, np.array([0.0, 0.0, 1.0])))
+        axes.setdefault(up, []).append(f"'{joint.name}'")
+    if axes:
+        fix = "; ".join(f'write <axis xyz="{up}"/> in {", ".join(names)}' for up, names in axes.items())
+        named = ", ".join(f"'{name}'" for name in joints)
+        why = f"{named} steer by their names, and turn about level axes"
+        raise unsupported(rest, "car-like base", why, steered, fix)
+
+
+def without_spin(
+    rest: AtRest, candidates: Candidates, known: Sequence[Module], fixed: Sequence[Candidate], overrides: Overrides
+) -> list[Module]:
+    """Pivots with wheels that have no joint to spin about: a cylinder lies on the floor; a stop or a motor steers it.
+
+    What such pivots follow (<mimic>) without having a wheel is one itself: the virtual wheel of a bicycle model.
+    """
+    said, motors, found = overrides.steer or (), motors_named(rest), dict[str, Module]()
+    taken = {m.joint.name for m in known}
+    for joint in rest.document.joints.values():
+        steers = joint.name in {*said, *motors} or (joint.type == "revolute" and not joint.turns_freely)
+        alone = rest.is_vertical(joint) and not rest.document.moving_children(joint.child)
+        shapes = [s for link in rest.document.body(joint.child) for s in rest.primitives[link]]
+        on_floor = [s for s in shapes if s.kind == "cylinder" and s.rolls and touches(s.lowest, s.radius, candidates)]
+        if steers and alone and on_floor and joint.name not in taken and joint.type != "prismatic":
+            s = on_floor[0]
+            wheel = Candidate(joint, s.pose[:3, 2], s.pose[:3, 3], s.radius, "cylinder", "steering", 0.0)
+            found[joint.name] = Module(joint, [wheel], spins=False)
+    virtual = {m.joint.mimics: m for m in found.values() if m.joint.mimics in rest.document.joints}
+    for name, m in virtual.items():
+        if name not in found and name not in taken:
+            joint = rest.document.joints[str(name)]
+            at = np.array([*rest.hub(joint)[:2], m.wheels[0].centre[2]])
+            found[str(name)] = Module(joint, [replace(m.wheels[0], joint=joint, centre=at)], spins=False)
+    return [m for m in found.values() if m.joint.mimics not in found]
+
+
+def touches(lowest: float, radius: float, candidates: Candidates) -> bool:
+    """Whether a cylinder stands where the wheels do."""
+    return abs(lowest - min(c.bottom for c in candidates.wheels)) <= TOUCHING * radius
+
+
+def require_pivots(rest: AtRest, modules: Sequence[Module], overrides: Overrides) -> None:
+    """Refuse joints that the user names as steered or as hitches and that are none; errors as of `undercarriage_of`."""
+    known = [m.joint.name for m in modules]
+    for key in ("steer", "hitch"):
+        for name in getattr(overrides, key) or ():
+            if name not in rest.document.joints:
+                raise UnknownName("joint", name, known or rest.document.joints, file=rest.document.path, key=key)
+            if name not in known:
+                why = "no wheel on the floor is under it" if rest.is_vertical(rest.document.joints[name]) else ""
+                fix = f"name one of {', '.join(known)}" if known else "name a joint about a vertical axis under a wheel"
+                what = f"joint '{name}' cannot be a pivot"
+                raise ConfigError(
+                    what, why=why or "its axis is not vertical", fix=fix, key=key, file=rest.document.path
+                )
+
+
+def on_line(wheels: Sequence[Candidate]) -> bool:
+    """Whether wheels turn about one line."""
+    ahead = rolling(wheels[0])
+    off = [abs(product(ahead, (c.centre - wheels[0].centre)[:2])) for c in wheels]
+    width = max(float(np.linalg.norm((c.centre - wheels[0].centre)[:2])) for c in wheels)
+    return all(parallel(wheels[0], c) for c in wheels) and bool(max(off) <= max(ON_LINE * width, 1e-6))

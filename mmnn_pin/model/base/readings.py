@@ -1,0 +1,283 @@
+"""Readings of a base: what its wheels and pivots may be, the signs for each and against, and the one that is borne out.
+
+A reading gives every wheel and every pivot a role, all together; its score is the sum of its signs (`model.signs`).
+The best is taken where it beats the next by `MARGIN`. Else the loader asks, and prints the options that lead to the
+readings in question, each built before it is printed. That these wheels make no base is a reading, too: `NOTHING`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Any
+
+from ...errors import InputError
+from ..signs import MARGIN, Sign, score, told_apart
+from ..urdf.finding import Finding
+from ..urdf.shapes import AtRest
+from .evidence import Evidence
+from .report import BaseReading, BaseResult, note, undecided
+from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, coaxial, on_either_side, one_axle, parallel
+
+NOTHING = -4.0  # score of the reading that these wheels make no base
+CLEAR, DOUBT = 9.0, 3.0  # a runner-up further behind is not told; a nearer one is told as a doubt
+ALIKE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
+CASTER, ROLLING = ("caster", "castor", "roulette", "lenkrolle", "rueda_loca"), ("skid_steer", "tracked")
+TOLD_BY = {"skid_steer": "skid_steer", "tracked": "skid_steer", "holonomic": "holonomic"}  # meaning of evidence
+PARKED = "--base fixed parks it"
+FORCES = "--base holonomic to drive it by forces on its frame, or --base fixed to park it"
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """One way to understand a base.
+
+    Attributes:
+        kind: What it would be, a key of `KINDS`.
+        signs: What speaks for it and against it.
+        said: What a user says for it, keys of `Overrides`.
+        build: Makes it; raises what `understanding` raises where it cannot be.
+    """
+
+    kind: str
+    signs: tuple[Sign, ...]
+    said: Mapping[str, Any]
+    build: Callable[[], BaseResult] = field(repr=False)
+
+    @property
+    def score(self) -> float:
+        """The sum of its signs."""
+        return score(self.signs)
+
+    @property
+    def told(self) -> BaseReading:
+        """It with its reasons in words."""
+        return BaseReading.of(self.kind, self.signs)
+
+    @property
+    def options(self) -> str:
+        """What is said for it on the command line."""
+        texts = {key: value if isinstance(value, str) else ",".join(value) for key, value in self.said.items()}
+        return " ".join(f"--{key.replace('_', '-')} {text}" for key, text in texts.items())
+
+
+Attempt = Callable[[Mapping[str, Any]], BaseResult]  # what the loader makes of the robot if a user says so
+
+
+def best_of(
+    rest: AtRest, readings: Sequence[Reading], wheels: Sequence[Candidate], attempt: Attempt, sure: bool = False
+) -> BaseResult:
+    """The base of the reading that is borne out.
+
+    Args:
+        rest: The robot at rest.
+        readings: At least one.
+        wheels: What was found, for the question.
+        attempt: Tries what is to be printed.
+        sure: Whether the user says that it is one of these.
+
+    Raises:
+        Undecided: Another one is borne out as well.
+        RobotError, ConfigError: It cannot be built.
+    """
+    ordered = sorted(readings, key=lambda reading: -reading.score)
+    best, others = ordered[0], ordered[1:]
+    rivals = [r for r in others if best.score - r.score < MARGIN and leads_on(r, attempt)]
+    if rivals or (best.score - NOTHING < MARGIN and not sure):
+        raise asked(rest, [best, *rivals], [r for r in others if r not in rivals], wheels, attempt)
+    found = best.build()
+    return replace(found, findings=(*reading_note(rest, best, others), *found.findings))
+
+
+def leads_on(reading: Reading, attempt: Attempt) -> bool:
+    """Whether its options lead to a reading: only then they are printed."""
+    try:
+        return attempt(reading.said).base.kind == reading.kind
+    except InputError:
+        return False
+
+
+def asked(
+    rest: AtRest, rivals: Sequence[Reading], others: Sequence[Reading], wheels: Sequence[Candidate], attempt: Attempt
+) -> Exception:
+    """The question which of some readings is meant; of one alone, whether it is meant though much speaks against it."""
+    told = [tuple(told_apart(one.signs, other.signs)) for one in rivals for other in rivals if one is not other]
+    texts = list(dict.fromkeys(text for texts in told for text in texts))
+    against = [sign.text for sign in rivals[0].signs if sign.weight < 0]
+    if len(rivals) == 1:
+        why = "; ".join(against)
+    elif texts:
+        why = f"the signs do not tell which: {'; '.join(texts)}"
+    else:
+        why = f"nothing in the file tells {' from '.join(dict.fromkeys(r.kind.replace('_', ' ') for r in rivals))}"
+    ways = [f"{r.options} {when(r, rivals)}".strip() for r in rivals if leads_on(r, attempt)]
+    if any("<mimic>" in text for text in against):
+        ways.append("take out their <mimic> if they turn by themselves")
+    listed = [reading.told for reading in [*rivals, *others][:4]]
+    last = PARKED if any(r.kind == "holonomic" for r in rivals) else FORCES
+    return undecided(rest, list(wheels), listed, why, "; ".join([*ways, last]))
+
+
+def when(reading: Reading, rivals: Sequence[Reading]) -> str:
+    """In which case a reading is the right one, in words."""
+    mixed = {"skid_steer", "holonomic"} <= {r.kind for r in rivals}
+    words = {
+        "differential_drive": "if these two drive",
+        "skid_steer": "for plain wheels" if mixed else "if it runs on these wheels",
+        "holonomic": "for mecanum wheels",
+        "tracked": "if belts run over them",
+        "drive_trailer": "if it follows freely",
+        "articulated": "if a motor turns it",
+    }
+    return words.get(reading.kind, "if they steer" if "steer" in reading.said else "")
+
+
+def reading_note(rest: AtRest, best: Reading, others: Sequence[Reading]) -> list[Finding]:
+    """The reading that was taken, its runner-up and what told them apart; a warning where that is little."""
+    other = next((r for r in others if best.score - r.score < CLEAR and r.kind != best.kind), None)
+    ordered = sorted((sign for sign in best.signs if sign.weight > 0), key=lambda sign: -sign.weight)
+    apart = told_apart(best.signs, other.signs) if other else [sign.text for sign in ordered[:3]]
+    if not apart:
+        return []
+    doubt = other is not None and best.score - other.score < DOUBT
+    text = f"taken as {best.kind}{f', not {other.kind}' if other else ''}: {'; '.join(apart)}"
+    fix = f"{other.options} for the other" if other and doubt else ""
+    said = note(rest, "base-doubt" if doubt else "base-evidence", "", text, "", fix)
+    lines = [sign.line for sign in best.signs if sign.text == apart[0] and sign.line]
+    return [replace(said, line=lines[0]) if lines else said]
+
+
+# -- wheels that do not steer ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Drives:
+    """What may drive a base that does not steer.
+
+    Attributes:
+        fixed: Wheels that hang on nothing that turns; or those that the user names.
+        motors: Joints that the file drives, with where it says so.
+        named: Whether the user names them.
+        belts: Signs that it runs on tracks.
+    """
+
+    fixed: Sequence[Candidate]
+    motors: Mapping[str, str]
+    named: bool
+    belts: Sequence[Sign]
+
+    def sets(self) -> list[list[Candidate]]:
+        """Sets of wheels of which one drives: all, those that are no balls, those with motors, pairs on one axle."""
+        if self.named:
+            return [list(self.fixed)]
+        sets = [list(self.fixed), [c for c in self.fixed if c.shape != "sphere"]]
+        sets.append([c for c in self.fixed if c.joint.name in self.motors])
+        sets += [list(pair) for pair in combinations(self.fixed, 2)]
+        known = {frozenset(c.joint.name for c in some): some for some in reversed(sets) if len(some) > 1}
+        return list(known.values())[::-1]
+
+    def kinds(self, drives: Sequence[Candidate]) -> list[str]:
+        """Kinds of base that some wheels can make by their places."""
+        if len(drives) == 2:
+            near = SLOPPY if self.named else COAXIAL
+            return ["differential_drive"] if coaxial(*drives, within=near) else []
+        if not all(parallel(drives[0], c) for c in drives[1:]):
+            return ["holonomic"] if len(drives) >= 3 else []
+        left, right = on_either_side(drives)
+        even = left == right >= 2
+        rollers = len(drives) >= 4 and in_pairs(drives) and not one_axle(drives)
+        kinds = ["holonomic"] if rollers or (self.named and len(drives) > 2) else []
+        kinds += ["skid_steer"] if even and left <= MOST_PER_SIDE else []
+        return kinds + (["tracked"] if even and not one_axle(drives) else [])
+
+    def signs(self, kind: str, drives: Sequence[Candidate], pieces: Sequence[Evidence]) -> Iterator[Sign]:
+        """Signs for wheels that drive, the others being free, and against that."""
+        others = [c for c in self.fixed if c not in drives]
+        yield from self.of_others(drives, others)
+        yield from self.of_motors(kind, drives, others)
+        yield from self.of_slaves(kind, drives)
+        balls = [c for c in drives if c.shape == "sphere"]
+        if 0 < len(balls) < sum(c in balls or c.shape != "sphere" for c in self.fixed):
+            yield about(balls, "is a ball, as casters are", -4.0 * len(balls))
+        if called := [c for c in drives if is_called_caster(c)]:
+            yield about(called, "is called a caster", -1.5 * len(called))
+        if not all(alike(drives[0], c) for c in drives[1:]):
+            yield Sign("the wheels that drive differ in size", -2.0 if kind == "differential_drive" else -4.0)
+        meaning = TOLD_BY.get(kind)
+        for weight in dict.fromkeys(piece.source for piece in pieces):
+            cited = [p for p in pieces if p.source == weight and p.meaning == meaning]
+            if cited:
+                more = f" and {len(cited) - 1} more" if len(cited) > 1 else ""
+                yield Sign(f"{cited[0].text}{more}", cited[0].weight, cited[0].line, cited[0].wheel)
+        belts = sum(sign.weight for sign in self.belts)
+        if kind == "skid_steer" and one_axle(drives):
+            yield Sign(f"{len(drives)} wheels on one axle: twin tyres whose sides turn alike", 1.0)
+        if kind == "tracked":
+            yield from self.belts or [Sign("no belt is in the file", -5.0)]
+        elif kind == "holonomic" and belts > 0:
+            yield Sign("belts have no rollers", -3.0)
+
+    def of_others(self, drives: Sequence[Candidate], others: Sequence[Candidate]) -> Iterator[Sign]:
+        """Signs of wheels that are left out: they cannot swivel, and have to slide where the base turns."""
+        groups: dict[tuple[str, float], list[Candidate]] = {}
+        for c in (c for c in others if c.shape != "sphere"):
+            on_axle = any(coaxial(c, d) for d in drives)
+            why, weight = ("is on the axle, too", -2.0) if on_axle else ("cannot swivel, and would have to slide", -2.5)
+            if not on_axle and alike(c, drives[0]):
+                why, weight = "is as large as those that drive, and would have to slide", -3.0
+            groups.setdefault((why, weight), []).append(c)
+            if is_called_caster(c):
+                groups.setdefault(("is called a caster", 1.5), []).append(c)
+        for (why, weight), some in groups.items():
+            yield about(some, why, weight * len(some))
+
+    def of_motors(self, kind: str, drives: Sequence[Candidate], others: Sequence[Candidate]) -> Iterator[Sign]:
+        """Signs of motors: what has one drives; of a base whose wheels skid, others may turn along."""
+        powered = [c for c in others if c.joint.name in self.motors]
+        idle = [c for c in drives if c.joint.name not in self.motors]
+        if powered:
+            yield about(powered, "has a motor, and would not drive", -4.0 * len(powered))
+        if idle and len(powered) + len(drives) > len(idle) and not self.named:
+            yield about(idle, "has no motor in the file", (-0.3 if kind in ROLLING else -2.5) * len(idle))
+        if others and not idle and not powered:
+            yield about(drives, f"alone has a motor: {self.motors[drives[0].joint.name]}", 4.0)
+
+    def of_slaves(self, kind: str, drives: Sequence[Candidate]) -> Iterator[Sign]:
+        """Signs of wheels that follow others: the sides of a base that skids turn alike, other wheels by themselves."""
+        for c in (c for c in drives if c.joint.mimics is not None):
+            text = f"wheel '{c.joint.name}' follows '{c.joint.mimics}' (<mimic>, line {c.joint.line})"
+            right = kind in ROLLING and follows_on_its_side(c, drives)
+            yield Sign(text, 2.0 if right else -8.0, c.joint.line, c.joint.name)
+
+
+def follows_on_its_side(slave: Candidate, drives: Sequence[Candidate]) -> bool:
+    """Whether a wheel follows one in front of or behind it, on the same side."""
+    master = next((c for c in drives if c.joint.name == slave.joint.mimics), None)
+    if master is None:
+        return False
+    between = slave.centre - master.centre
+    return bool(abs(between @ master.axis) < master.radius < float((between @ between) ** 0.5))
+
+
+def about(wheels: Sequence[Candidate], what: str, weight: float) -> Sign:
+    """A sign of some wheels."""
+    names = ", ".join(f"'{c.joint.name}'" for c in wheels)
+    each = "" if len(wheels) == 1 else " each"
+    return Sign(f"{names}{each} {what}", weight, wheels[0].joint.line, wheels[0].joint.name)
+
+
+def alike(a: Candidate, b: Candidate) -> bool:
+    """Whether two wheels are of one size, as far as that is known."""
+    return not abs(a.radius - b.radius) > ALIKE * b.radius
+
+
+def is_called_caster(c: Candidate) -> bool:
+    """Whether names call a wheel a caster."""
+    return any(word in f"{c.joint.name} {c.joint.child}".lower() for word in CASTER)
+
+
+def in_pairs(drives: Sequence[Candidate]) -> bool:
+    """Whether wheels could be mecanum wheels or omni wheels: two and two on one line, or not all parallel."""
+    level = all(parallel(drives[0], c) for c in drives[1:])
+    return not level or all(any(coaxial(c, o) for o in drives if o is not c) for c in drives)
