@@ -72,6 +72,12 @@ def summary(content: dict[str, Any]) -> list[str]:
     return [*lines, f"in doubt: {'; '.join(said)}"] if doubts else lines
 
 
+def summary_text(content: dict[str, Any], width: int = WIDTH) -> str:
+    """What was understood of a robot in short, folded where a terminal is narrow."""
+    heads = (line.partition(": ") for line in summary(content))
+    return "\n".join(hanging(f"{head}: ", text, width if width < WIDTH else 9 * WIDTH) for head, _, text in heads)
+
+
 def base_summary(base: dict[str, Any]) -> str:
     """Kind, wheels, radius, track or wheelbase, and forward of a base in one line."""
     wheels, parts = base["wheels"], [base["kind"].replace("_", " ")]
@@ -119,7 +125,7 @@ def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
     )
     text = "\n".join(
         [
-            *summary(content),
+            summary_text(content, width),
             "",
             *head(content, width),
             terminal_text((part for parts in tables for part in parts), width=width),

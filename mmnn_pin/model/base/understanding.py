@@ -23,6 +23,7 @@ from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base, Fixed
 from .evidence import RADII, evidence, motors_named, plugins, stated
+from .heading import left_first
 from .machines import (
     PROPELLERS,
     PUSHED,
@@ -226,7 +227,7 @@ def unclear_strays(rest: AtRest, strays: list[Joint]) -> Undecided:
         why, fix = f"{len(strays)} like bodies turn without end about tilted axes: does it roll on a ball?", FORCES
     elif all(c.shape == LUMPY for c in wheels):
         why, fix = lumpy(rest, wheels)
-    return undecided(rest, wheels, readings(rest, wheels), why, fix or blind_fix(wheels))
+    return undecided(rest, wheels, readings(rest, wheels), why, fix or blind_fix(rest, wheels))
 
 
 def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
@@ -356,7 +357,7 @@ def drive_readings(
         pieces = evidence(rest, some, overrides.controllers_file) if len(some) > 2 else []
         whole = len(some) == len(fixed)
         for kind in kinds:
-            names = [c.joint.name for c in some]
+            names = [c.joint.name for c in left_first(rest, some)]
             said: dict[str, Any] = {"wheels": names} if kind == "differential_drive" else {"base": kind}
             said |= {} if whole else {"wheels": names}
             build = partial(on_wheels, rest, kind, some, wheels, overrides)
@@ -395,12 +396,12 @@ def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> U
     if any(j.name not in known for j in low):
         everything = [*wheels, *(wheel_of(rest, j) for j in low if j.name not in known)]
         why = "what turns on some of them cannot be measured, or does not reach the floor"
-        return undecided(rest, everything, readings(rest, drives), why, blind_fix(everything))
+        return undecided(rest, everything, readings(rest, drives), why, blind_fix(rest, everything))
     why = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls"
     near = SLOPPY if len(drives) == 2 else COAXIAL
     pairs = [(a, b) for i, a in enumerate(drives) for b in drives[i + 1 :] if coaxial(a, b, within=near)]
     pairs.sort(key=lambda pair: -pair[0].radius)  # those that drive are hardly the smaller ones
-    ways = [f"--wheels {a.joint.name},{b.joint.name}" for a, b in pairs]
+    ways = [f"--wheels {','.join(c.joint.name for c in left_first(rest, pair))}" for pair in pairs]
     if len(drives) == 2:
         why = "the two wheels are not on one axle" + (", though nearly" if pairs else ", and no other base has two")
     elif len(drives) == 1:
@@ -462,7 +463,7 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     why = f"{names}: revolute with limits, and a wheel turns without end"
     two = BaseReading("differential_drive", ("coaxial round bodies on the floor",), (why,))
     still = BaseReading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
-    drives = ",".join(c.joint.name for c in plain(candidates.wheels))
+    drives = ",".join(c.joint.name for c in left_first(rest, plain(candidates.wheels)))
     others = f"name the others with --wheels {drives}, " if drives else ""
     fix = f'write type="continuous" in {names} for wheels, {others}or --base fixed to park them'
     return undecided(rest, [*candidates.wheels, *candidates.limited], [two, still], why, fix)
