@@ -150,7 +150,8 @@ def arm_of(robot: Robot) -> dict[str, Any]:
         name: {"master": slave.master, "multiplier": slave.multiplier, "offset": slave.offset}
         for name, slave in robot.arm.slaves.items()
     }
-    return {"joints": list(robot.joint_names), "limits": limits, "slaves": slaves}
+    hands = [{"frame": hand.frame, "joints": list(hand.joints), "why": hand.why} for hand in robot.arm.hands]
+    return {"joints": list(robot.joint_names), "limits": limits, "slaves": slaves, "hands": hands}
 
 
 INTERFACES = ("effort", "velocity", "position")  # the first that a joint offers is used

@@ -34,6 +34,7 @@ from .base.rolling import FREE
 from .base.steered import SteeredBase
 from .base.understanding import understand
 from .dynamics import Dynamics
+from .hands import placed
 from .robot import Robot
 from .robots import find
 from .structure import configuration_indices, motion_map, motor_map, read_only
@@ -62,6 +63,7 @@ def load(  # noqa: PLR0913 - options of a file, by name
     roller: float | None = None,
     lock: Sequence[str] = (),
     free: Sequence[str] = (),
+    arm: str | None = None,
     arm_tip: str | None = None,
     package_dirs: Sequence[str | Path] = (),
     xacro: Sequence[str] = (),
@@ -86,7 +88,8 @@ def load(  # noqa: PLR0913 - options of a file, by name
         track: Lateral distance of the drive wheels [m]; of a skid-steer base the effective one.
         roller: Angle of the rollers of a holonomic base [rad], see `Overrides`.
         lock: Joints that stand still: `joint` where it rests, or `joint=position` [rad or m].
-        free: Joints of heads and fingers to free, which are locked by default; `all` for all.
+        free: Joints of heads, jaws and sensors to free, which are locked by default; `all` for all.
+        arm: `left` or `right` to lock the joints of the other of two arms, `both` for none.
         arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
         package_dirs: Folders that hold the packages of `package://` meshes and of xacro files.
         xacro: Arguments of a xacro file, `NAME:=VALUE`.
@@ -118,6 +121,7 @@ def load(  # noqa: PLR0913 - options of a file, by name
         roller=roller,
         lock=tuple(lock),
         free=tuple(free),
+        arm=arm,
         arm_tip=arm_tip,
         package_dirs=tuple(map(str, package_dirs)),
         xacro=tuple(xacro),
@@ -158,7 +162,7 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
     """
     overrides = overrides or Overrides()
     roles = understand(document, overrides)
-    document, base, arm = roles.document, roles.base, roles.arm
+    document, base, arm = placed(roles.document, roles.arm.hands), roles.base, roles.arm
     model, printed = pinocchio_model(document, mobile=base.root_size > 0)
     audited = excused(document.findings, arm.locked, arm.joints, alone=not base.columns)
     require_sane(document, model, set(arm.locked))

@@ -112,6 +112,11 @@ class Structure:
     # -- its maps -------------------------------------------------------------------------------------------------
 
     @property
+    def hands(self) -> tuple[str, ...]:
+        """The frame at the end of every arm, that of the arm with the most joints first."""
+        return tuple(hand.frame for hand in self.arm.hands)
+
+    @property
     def steers(self) -> bool:
         """Whether its maps depend on where its wheels, casters or hitches stand."""
         return self.dimensions.shape > 0

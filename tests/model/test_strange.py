@@ -226,10 +226,10 @@ def test_many_wheels_on_rockers_run_in_tracks(rows):
 
 def test_a_name_of_tracks_can_be_overruled():
     text = four().replace('name="base"', 'name="base"', 1).replace("fl_link", "flipper_fl")
-    with pytest.raises(Unsupported, match="'flipper_fl' among its names") as error:
+    with pytest.raises(Undecided, match="'flipper_fl' among its names") as error:
         robot_of(text)
     kinds = [followed(text, way).base.kind for way in ways_of(error.value.fix)]
-    assert kinds == ["tracked", "skid_steer", "fixed"]
+    assert kinds == ["tracked", "skid_steer", "holonomic", "fixed"]
 
 
 # --- Bases without wheels ---------------------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from ...errors import RecordingError
 from ...files import quoted, read_bytes, whole_folder
 from ...model.arm import WHY
 from ...model.base.overrides import Overrides
+from ...model.limbs import STILL
 from ...model.loading import load_with
 from ...model.robot import Robot
 from ...model.tree.body import parameters
@@ -216,7 +217,7 @@ def said_of(of: Identification) -> Overrides:
     known: dict[str, Any] = {"base": robot.base.kind, "controllers_file": None, "xacro": ()}
     known["package_dirs"] = tuple(str(Path(folder).resolve()) for folder in robot.overrides.package_dirs)
     reasons, locks = robot.arm.reasons, robot.overrides.lock
-    chosen = (WHY["tip"], WHY["short"], WHY["button"], WHY["rigid"])  # by bodies that are other ones there
+    chosen = [WHY[name] for name in ("tip", *STILL, "rigid")]  # by bodies that are other ones there
     known["lock"] = (*locks, *(name for name, why in reasons.items() if why in chosen))
     if robot.base.wheels:
         known |= {"wheels": tuple(wheel.joint for wheel in robot.base.wheels), "track": robot.base.track}

@@ -211,6 +211,8 @@ def arm(content: dict[str, Any]) -> Iterator[Table | str]:
     heads = (Column("arm joint", text=True), Column("lower"), Column("upper"), Column("effort"))
     yield Table("Arm", heads, tuple(rows))
     yield "angles in rad, travels in m, efforts in N m or N; - for no limit"
+    for hand in content["hands"]:
+        yield f"hand {one_line(hand['frame'])}, {len(hand['joints'])} joints: {hand['why']}"
     for name, slave in content["slaves"].items():
         yield f"{name} follows: {slave['multiplier']:.4g} {slave['master']} {slave['offset']:+.4g}"
 

@@ -405,7 +405,12 @@ def lines_of(file: str | None) -> list[tuple[int, str]]:
 
 
 def tables_of(file: str | None) -> list[YamlTable]:
-    """The mappings of a controllers' file, each by its keys, the last part of those with dots.
+    """The mappings of a controllers' file; errors as of `mappings_of`."""
+    return list(mappings_of(file).values())
+
+
+def mappings_of(file: str | None) -> dict[tuple[str, ...], YamlTable]:
+    """The mappings of a controllers' file by the keys above them, each by its own, the last part of those with dots.
 
     Raises:
         ConfigError: It cannot be read.
@@ -428,7 +433,7 @@ def tables_of(file: str | None) -> list[YamlTable]:
             inner |= {
                 one[1].rpartition(".")[2]: YamlEntry(one[2].strip(" '\""), number) for one in FLOW.finditer(hit[2])
             }
-    return list(tables.values())
+    return tables
 
 
 def number_of(table: YamlTable, key: str, default: float) -> float:

@@ -7,6 +7,7 @@ Beside `NAME.urdf` the file is `NAME.mmnn.toml`:
     radius = 0.1                         # m
     track = 0.4                          # m
     lock = ["head_1_joint", "gripper_joint=0.02"]
+    arm = "left"                         # of two; or "right", "both"
     arm_tip = "tool0"
     package_dirs = ["../meshes"]         # from the file's own folder
 
@@ -31,6 +32,7 @@ from ..urdf.finding import Finding
 from . import KINDS
 
 LARGEST_MU = 10.0
+ARMS = ("left", "right", "both")
 FORWARD = {"x": (1.0, 0.0), "-x": (-1.0, 0.0), "y": (0.0, 1.0), "-y": (0.0, -1.0)}  # of the root link
 SMALLEST, LARGEST = 1e-4, 1e3  # [m] what a radius and a track can be
 
@@ -48,6 +50,7 @@ class Overrides(Settings, frozen=True):
             the front right one on the floor, pi/4 by default, negative for wheels mounted the other way round.
         lock: Joints that stand still, `joint` where it rests or `joint=position` [rad or m].
         free: Joints to free that are locked by default; `all` for all.
+        arm: One of `ARMS`: whose joints move where there are two arms; what both share moves with either.
         arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
         package_dirs: Folders that hold the packages of `package://` meshes and of xacro files.
         xacro: Arguments of a xacro file, `NAME:=VALUE`.
@@ -71,6 +74,7 @@ class Overrides(Settings, frozen=True):
     roller: float | None = None
     lock: tuple[str, ...] = ()
     free: tuple[str, ...] = ()
+    arm: str | None = None
     arm_tip: str | None = None
     package_dirs: tuple[str, ...] = ()
     xacro: tuple[str, ...] = ()
@@ -87,6 +91,8 @@ class Overrides(Settings, frozen=True):
     def __post_init__(self) -> None:
         if self.base is not None and self.base not in KINDS:
             raise UnknownName("base", self.base, KINDS, key="base")
+        if self.arm is not None and self.arm not in ARMS:
+            raise UnknownName("arm", self.arm, ARMS, key="arm")
         if self.forward is not None and self.forward not in FORWARD:
             raise UnknownName("direction", self.forward, FORWARD, key="forward")
         for key, value in (

@@ -26,6 +26,7 @@ from .skid_steer import SkidSteer, Tracked, loads, rotation_centre, turning_fric
 from .steered import SteeredBase
 from .wheels import (
     HUB,
+    MIDDLE,
     MOST_PER_SIDE,
     SLOPPY,
     SURE,
@@ -45,7 +46,6 @@ from .wheels import (
 SKIDDING = (SkidSteer.kind, Tracked.kind)
 ROLLERS = "--roller RADIANS says how they lie, --wheels which of the wheels drive"
 SAME_RATE = 0.05  # rims of wheels that are coupled may differ in speed by this fraction
-MIDDLE = 0.05  # of the track: wheels nearer to the middle are on no side
 OFF_CENTRE = 0.02  # a centre of rotation further off than this fraction of half the wheelbase is told
 MECANUM = math.pi / 4  # roller angle that is assumed where nothing states one
 

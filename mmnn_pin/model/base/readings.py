@@ -17,7 +17,7 @@ from ..signs import MARGIN, Sign, score, told_apart
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .evidence import Evidence
-from .report import BaseReading, BaseResult, note, undecided
+from .report import BaseReading, BaseResult, blind_fix, note, undecided
 from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, coaxial, on_either_side, one_axle, parallel
 
 NOTHING = -4.0  # score of the reading that these wheels make no base
@@ -66,7 +66,12 @@ Attempt = Callable[[Mapping[str, Any]], BaseResult]  # what the loader makes of 
 
 
 def best_of(
-    rest: AtRest, readings: Sequence[Reading], wheels: Sequence[Candidate], attempt: Attempt, sure: bool = False
+    rest: AtRest,
+    readings: Sequence[Reading],
+    wheels: Sequence[Candidate],
+    attempt: Attempt,
+    blind: Sequence[Candidate] = (),
+    sure: bool = False,
 ) -> BaseResult:
     """The base of the reading that is borne out.
 
@@ -75,6 +80,7 @@ def best_of(
         readings: At least one.
         wheels: What was found, for the question.
         attempt: Tries what is to be printed.
+        blind: What may be wheels, too, and cannot be measured.
         sure: Whether the user says that it is one of these.
 
     Raises:
@@ -84,7 +90,9 @@ def best_of(
     ordered = sorted(readings, key=lambda reading: -reading.score)
     best, others = ordered[0], ordered[1:]
     rivals = [r for r in others if best.score - r.score < MARGIN and leads_on(r, attempt)]
-    if rivals or (best.score - NOTHING < MARGIN and not sure):
+    if not rivals and best.score - NOTHING < MARGIN and not sure:
+        raise unlikely(rest, best, others, [*wheels, *blind] if blind else wheels, attempt, bool(blind))
+    if rivals:
         raise asked(rest, [best, *rivals], [r for r in others if r not in rivals], wheels, attempt)
     found = best.build()
     return replace(found, findings=(*reading_note(rest, best, others), *found.findings))
@@ -101,21 +109,37 @@ def leads_on(reading: Reading, attempt: Attempt) -> bool:
 def asked(
     rest: AtRest, rivals: Sequence[Reading], others: Sequence[Reading], wheels: Sequence[Candidate], attempt: Attempt
 ) -> Exception:
-    """The question which of some readings is meant; of one alone, whether it is meant though much speaks against it."""
-    told = [tuple(told_apart(one.signs, other.signs)) for one in rivals for other in rivals if one is not other]
+    """The question which of some readings is meant."""
+    told = [told_apart(one.signs, other.signs) for one in rivals for other in rivals if one is not other]
     texts = list(dict.fromkeys(text for texts in told for text in texts))
-    against = [sign.text for sign in rivals[0].signs if sign.weight < 0]
-    if len(rivals) == 1:
-        why = "; ".join(against)
-    elif texts:
+    kinds = dict.fromkeys(r.kind.replace("_", " ") for r in rivals)
+    why = f"nothing in the file tells {' from '.join(kinds)}"
+    if texts:
         why = f"the signs do not tell which: {'; '.join(texts)}"
-    else:
-        why = f"nothing in the file tells {' from '.join(dict.fromkeys(r.kind.replace('_', ' ') for r in rivals))}"
     ways = [f"{r.options} {when(r, rivals)}".strip() for r in rivals if leads_on(r, attempt)]
+    last = PARKED if "holonomic" in kinds else FORCES
+    listed = [reading.told for reading in [*rivals, *others][:4]]
+    return undecided(rest, list(wheels), listed, why, "; ".join([*ways, last]))
+
+
+def unlikely(
+    rest: AtRest,
+    best: Reading,
+    others: Sequence[Reading],
+    wheels: Sequence[Candidate],
+    attempt: Attempt,
+    blind: bool,
+) -> Exception:
+    """The question whether a reading is meant though much speaks against it."""
+    against = [sign.text for sign in best.signs if sign.weight < 0]
+    ways = [f"{best.options} {when(best, [best])}"] if leads_on(best, attempt) else []
+    why, last = "; ".join(against), FORCES
     if any("<mimic>" in text for text in against):
         ways.append("take out their <mimic> if they turn by themselves")
-    listed = [reading.told for reading in [*rivals, *others][:4]]
-    last = PARKED if any(r.kind == "holonomic" for r in rivals) else FORCES
+    if blind:
+        why = "what turns on some of them cannot be measured, or does not reach the floor"
+        ways, last = [], blind_fix(rest, wheels)
+    listed = [reading.told for reading in [best, *others][:4]]
     return undecided(rest, list(wheels), listed, why, "; ".join([*ways, last]))
 
 
@@ -137,7 +161,8 @@ def reading_note(rest: AtRest, best: Reading, others: Sequence[Reading]) -> list
     """The reading that was taken, its runner-up and what told them apart; a warning where that is little."""
     other = next((r for r in others if best.score - r.score < CLEAR and r.kind != best.kind), None)
     ordered = sorted((sign for sign in best.signs if sign.weight > 0), key=lambda sign: -sign.weight)
-    apart = told_apart(best.signs, other.signs) if other else [sign.text for sign in ordered[:3]]
+    apart = [*(sign.text for sign in ordered), *(told_apart(best.signs, other.signs) if other else [])]
+    apart = list(dict.fromkeys(apart))[:3]
     if not apart:
         return []
     doubt = other is not None and best.score - other.score < DOUBT
@@ -160,12 +185,14 @@ class Drives:
         motors: Joints that the file drives, with where it says so.
         named: Whether the user names them.
         belts: Signs that it runs on tracks.
+        words: Signs against all that does not steer.
     """
 
     fixed: Sequence[Candidate]
     motors: Mapping[str, str]
     named: bool
     belts: Sequence[Sign]
+    words: Sequence[Sign]
 
     def sets(self) -> list[list[Candidate]]:
         """Sets of wheels of which one drives: all, those that are no balls, those with motors, pairs on one axle."""
@@ -186,7 +213,7 @@ class Drives:
             return ["holonomic"] if len(drives) >= 3 else []
         left, right = on_either_side(drives)
         even = left == right >= 2
-        rollers = len(drives) >= 4 and in_pairs(drives) and not one_axle(drives)
+        rollers = len(drives) == 4 and in_pairs(drives) and not one_axle(drives)
         kinds = ["holonomic"] if rollers or (self.named and len(drives) > 2) else []
         kinds += ["skid_steer"] if even and left <= MOST_PER_SIDE else []
         return kinds + (["tracked"] if even and not one_axle(drives) else [])
@@ -194,6 +221,7 @@ class Drives:
     def signs(self, kind: str, drives: Sequence[Candidate], pieces: Sequence[Evidence]) -> Iterator[Sign]:
         """Signs for wheels that drive, the others being free, and against that."""
         others = [c for c in self.fixed if c not in drives]
+        yield from self.words
         yield from self.of_others(drives, others)
         yield from self.of_motors(kind, drives, others)
         yield from self.of_slaves(kind, drives)

@@ -69,6 +69,7 @@ CODES = {
     "base-welded": "warning",
     # the arm and the rest
     "arm-locked": "note",
+    "arm-doubt": "warning",
     "arm-passive": "warning",
     "arm-weak": "warning",
     "no-friction": "note",
@@ -262,6 +263,11 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
             text = f"locked, since they have no motor: {', '.join(names)}"
             fix = f"--free {names[0]} if it has one, or state it: a <command_interface> or a <transmission>"
             notes.append(note(rest, "arm-passive", names[0], text, reason, fix, "arm"))
+    for doubt in arm.doubts:
+        taken, other = ("part of the arm" if r == "arm" else f"a {r}" for r in (doubt.limb.role, doubt.limb.other))
+        text = f"'{doubt.joint}' is taken as {taken}, and may be {other}"
+        why = "; ".join(doubt.limb.told)
+        notes.append(note(rest, "arm-doubt", doubt.joint, text, why, f"{doubt.option} if it is", "arm"))
     return notes
 
 

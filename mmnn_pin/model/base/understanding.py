@@ -18,6 +18,7 @@ import numpy as np
 
 from ...errors import ConfigError
 from ..arm import Arm, choose_arm
+from ..signs import Sign
 from ..urdf.document import Document, Joint, text_of
 from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
@@ -63,7 +64,6 @@ from .report import (
 from .steered import CarLike, DriveWithTrailer, Tricycle
 from .steering import behind_drive, steered_base, steered_kind
 from .wheels import (
-    COAXIAL,
     LUMPY,
     ROUND_ABOUT,
     SLOPPY,
@@ -181,7 +181,7 @@ def chosen(rest: AtRest, candidates: Candidates, named: list[Candidate], overrid
         if not found:  # with the error that says why
             kind = overrides.base or ("holonomic" if len(named) > 2 else "differential_drive")
             return on_wheels(rest, kind, named, wheels, overrides)
-        return best_of(rest, found, wheels, attempt(rest, overrides), True)
+        return best_of(rest, found, wheels, attempt(rest, overrides), sure=True)
     if overrides.base == "holonomic" and not plain(candidates.wheels):
         return pushed(rest, candidates)
     return decide(rest, candidates, overrides)
@@ -297,7 +297,8 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseRe
         return pushed(rest, candidates)
     if not found:
         raise no_base(rest, candidates.wheels, plain(candidates.wheels))
-    return best_of(rest, found, candidates.wheels, attempt(rest, overrides), overrides.base is not None)
+    blind = blind_beside(rest, candidates.wheels)
+    return best_of(rest, found, candidates.wheels, attempt(rest, overrides), blind, overrides.base is not None)
 
 
 def attempt(rest: AtRest, overrides: Overrides) -> Attempt:
@@ -350,7 +351,8 @@ def drive_readings(
     rest: AtRest, fixed: list[Candidate], wheels: list[Candidate], overrides: Overrides
 ) -> list[Reading]:
     """What wheels make that do not steer, of the kind that the user says."""
-    drives = Drives(fixed, motors_named(rest), overrides.wheels is not None, tuple(belt_signs(rest, fixed)))
+    words = [Sign(f"{why}: does it steer?", -2.5) for why in (steering_named(rest),) if why and len(fixed) > 2]
+    drives = Drives(fixed, motors_named(rest), overrides.wheels is not None, tuple(belt_signs(rest, fixed)), words)
     found = list[Reading]()
     for some in drives.sets():
         kinds = [kind for kind in drives.kinds(some) if overrides.base in (None, kind)]
@@ -389,21 +391,22 @@ def require_sound_wheels(rest: AtRest, candidates: Candidates, overrides: Overri
         raise not_on_floor(rest, candidates, overrides.package_dirs)
 
 
+def blind_beside(rest: AtRest, wheels: list[Candidate]) -> list[Candidate]:
+    """Joints low on the base that turn without end beside wheels, and cannot be measured as such."""
+    known = {c.joint.name for c in wheels}
+    return [wheel_of(rest, j) for j in rest.document.joints.values() if is_low(rest, j) and j.name not in known]
+
+
 def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> Undecided:
     """The error for wheels that make no base by themselves, with the options that would."""
-    known = {c.joint.name for c in wheels}
-    low = [j for j in rest.document.joints.values() if is_low(rest, j)]
-    if any(j.name not in known for j in low):
-        everything = [*wheels, *(wheel_of(rest, j) for j in low if j.name not in known)]
+    if blind := blind_beside(rest, wheels):
         why = "what turns on some of them cannot be measured, or does not reach the floor"
-        return undecided(rest, everything, readings(rest, drives), why, blind_fix(rest, everything))
-    why = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls"
-    near = SLOPPY if len(drives) == 2 else COAXIAL
-    pairs = [(a, b) for i, a in enumerate(drives) for b in drives[i + 1 :] if coaxial(a, b, within=near)]
-    pairs.sort(key=lambda pair: -pair[0].radius)  # those that drive are hardly the smaller ones
-    ways = [f"--wheels {','.join(c.joint.name for c in left_first(rest, pair))}" for pair in pairs]
+        return undecided(rest, [*wheels, *blind], readings(rest, drives), why, blind_fix(rest, [*wheels, *blind]))
+    why, ways = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls", []
     if len(drives) == 2:
-        why = "the two wheels are not on one axle" + (", though nearly" if pairs else ", and no other base has two")
+        near = coaxial(*drives, within=SLOPPY)
+        why = "the two wheels are not on one axle" + (", though nearly" if near else ", and no other base has two")
+        ways = [f"--wheels {','.join(c.joint.name for c in left_first(rest, drives))}"] if near else []
     elif len(drives) == 1:
         why = "a base on one wheel is not covered"
     return undecided(rest, wheels, readings(rest, drives), why, ", or ".join([*ways, FORCES]))

@@ -121,7 +121,7 @@ def frames_of(robot: Robot) -> list[str]:
 
 
 def hands_of(robot: Robot) -> list[str]:
-    """The tip of every arm, that with the most joints first: the link farthest out on its last joint.
+    """The frames of its hands, that of the arm with the most joints first.
 
     Raises:
         ConfigError: The robot has no arm.
@@ -129,19 +129,7 @@ def hands_of(robot: Robot) -> list[str]:
     if not robot.joint_names:
         fix = "choose a robot with an arm, or free its joints with --free"
         raise ConfigError(f"'{robot.name}' has no arm", why="there is no hand to move", fix=fix, key="reference.hand")
-    if robot.overrides.arm_tip:
-        return [robot.overrides.arm_tip]
-    model = robot.model
-    joints = {name: model.getJointId(name) for name in robot.joint_names}
-    above = {name: {*list(model.supports[j])[:-1]} for name, j in joints.items()}
-    last = [name for name, j in joints.items() if not any(j in others for others in above.values())]
-    last.sort(key=lambda name: -len(above[name] & {*joints.values()}))
-    found = []
-    for name in last:
-        links = [f for f in model.frames if f.parentJoint == joints[name] and f.type == pin.FrameType.BODY]
-        if links:
-            found.append(max(links, key=lambda f: float(f.placement.translation @ f.placement.translation)).name)
-    return found
+    return list(robot.hands)
 
 
 @inlined

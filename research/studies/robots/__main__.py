@@ -7,13 +7,15 @@ their xacro files ask for, and in `.packages/` as `owner+name@commit/` those tha
 of example-robot-data load by name. The table is docs/reference/public-robots.csv. With `--inspect` the whole command
 `mmnn inspect` is timed on every robot that was accepted, with what it had to be told: processor time, compiled cache
 warm, the shortest of three; the slowest ten are told.
-With `--track` every robot that was accepted drives the experiment `track`, as in `studies.track_any`.
+With `--track` every robot that was accepted drives the experiment `track`, as in `studies.track_any`. An entry with an
+`erratum`, an error of its truth that was found later, is judged by the truth as it stands, told, and not counted.
 """
 
 from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 import re
 import subprocess
@@ -28,6 +30,7 @@ from typing import Any
 import click
 
 from mmnn_pin.errors import InputError
+from mmnn_pin.model.base.base import Base
 from mmnn_pin.model.base.overrides import Overrides, folders_of
 from mmnn_pin.model.base.steered import SteeredBase
 from mmnn_pin.model.loading import load
@@ -38,6 +41,8 @@ from research.studies import track_any
 
 CONTROLLERS = ("pd_gravity", "adaptive", "computed_torque")  # that drive
 TOLERANCE = 0.03  # of the maker's radius and track
+FORWARD = {"+x": 0.0, "+y": math.pi / 2, "-x": math.pi, "-y": -math.pi / 2}  # of the root link's frame [rad]
+OBLIQUE = math.radians(10.0)  # by which forward may be off
 WAY = re.compile(
     r"--(base|wheels|radius|track|without|lock|xacro|steer|hitch|wheelbase|steering-limit)"
     r" ([A-Za-z0-9_,.:=-]*[A-Za-z0-9_])"
@@ -75,7 +80,7 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
     path = place(entry, folder)
     if path is None:
         return Outcome("not there", "", "", 0.0)
-    said: dict[str, Any] = {"xacro": tuple(entry.get("xacro", ()))}
+    said: dict[str, Any] = {"xacro": tuple(text.replace("FOLDER", str(folder)) for text in entry.get("xacro", ()))}
     followed, start, took = list[str](), time.perf_counter(), 0.0
     for _ in range(8):
         try:
@@ -83,7 +88,7 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
         except InputError as error:
             took = took or time.perf_counter() - start
             told = " ".join(f"{error.what}: {error.why}: {error.fix}".split())
-            if entry["kind"].startswith("refused: ") and entry["kind"].removeprefix("refused: ") in told.lower():
+            if entry["kind"].startswith("refused: ") and well_refused(entry, told):
                 return Outcome("refused rightly", told, " ".join(followed), took)
             options = packages_of(entry, folder, error.fix, said) or way_out(entry, error.fix, said)
             if not options and not entry["kind"].startswith("refused: ") and (edit := WRITE.search(error.fix)):
@@ -103,6 +108,7 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
                 return Outcome("ACCEPTED WRONG" if wrong else right, told, " ".join(followed), took, said, str(path))
         if not options:
             verdict = "refused, misleading" if entry["kind"].startswith("refused: ") else "refused"
+            verdict = "refused rightly" if well_refused(entry, told) else verdict
             return Outcome(verdict, told, " ".join(followed), took)
         followed += [f"--{name} {text.removeprefix(f'{folder}/.packages/')}" for name, text in options]
         for name, text in options:
@@ -110,6 +116,17 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
             plain = (key or name).replace("-", "_")
             said[plain] = (*said.get(key, ()), text) if key else READ.get(name, str)(text)
     return Outcome("refused", told, " ".join(followed), took)
+
+
+def kinds_of(entry: dict[str, Any]) -> list[str]:
+    """What its truth allows: kinds of a base, and refusals as `refused: WORDS`."""
+    return [entry["kind"], *entry.get("also", ())]
+
+
+def well_refused(entry: dict[str, Any], told: str) -> bool:
+    """Whether a refusal has the words of one that its truth allows."""
+    words = [kind.removeprefix("refused: ") for kind in kinds_of(entry) if kind.startswith("refused: ")]
+    return any(word in told.lower() for word in words)
 
 
 def packages_of(entry: dict[str, Any], folder: Path, fix: str, said: dict[str, Any]) -> list[tuple[str, str]]:
@@ -150,12 +167,13 @@ def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> list[tuple
     ways = re.split("; |, | or ", fix)
     if asked and not any("--wheels" in way and f"--{asked}" in way for way in ways):
         return [(asked, str(entry[asked.replace("-", "_")]))]
-    for way in sorted(ways, key=lambda way: bool(asked) and f"--{asked}" not in way):
+    wanted = [f"--{asked}"] * bool(asked) + ["--wheels"] * ("wheels" in entry)
+    for way in sorted(ways, key=lambda way: [option not in way for option in wanted]):
         options = WAY.findall(way)
         stated = dict(options)
-        fits = kind.startswith("refused: ") or stated.get("base", kind) == kind
-        wheels = stated.get("wheels", "").split(",")
-        fits &= {*wheels} == {*entry.get("wheels", wheels)} or stated.keys() == {"without"}
+        fits = kind.startswith("refused: ") or stated.get("base", kind) in kinds_of(entry)
+        wheels = stated["wheels"].split(",") if "wheels" in stated else entry.get("wheels", ())
+        fits &= {*wheels} == {*entry.get("wheels", wheels)}
         ends = kind.startswith("refused: ") and {"base", "wheels"} & stated.keys()
         named = not re.search(r"\b(METRES|FOLDER|VALUE|JOINT|RAD|KIND)\b", " ".join(stated.values()))
         if options and fits and not ends and named:
@@ -179,22 +197,52 @@ def place(entry: dict[str, Any], folder: Path) -> str | Path | None:
 
 def faults(entry: dict[str, Any], robot: Robot) -> list[str]:
     """What is wrong about a robot that was accepted; a length that a finding questions is told, and not wrong."""
-    base, found = robot.base, []
-    if base.kind != entry["kind"]:
+    base = robot.base
+    if base.kind not in kinds_of(entry):
         return [f"{base.kind} for {entry['kind']}: {words(robot)}"]
+    own = base.kind == entry["kind"]  # not another one that is right, too
+    found = [*wrong_lengths(entry, robot), *wrong_wheels(entry, base)] if own else []
+    turn = FORWARD[entry.get("forward", "+x")] - base.frame[2]
+    if "forward" in entry and base.kind != "fixed" and math.cos(turn) < math.cos(OBLIQUE):
+        found.append(f"forward {math.degrees(base.frame[2]):+.0f} deg from x for {entry['forward']}")
+    arms = entry.get("arm", robot.dimensions.arm)
+    if robot.dimensions.arm not in (arms if isinstance(arms, list) else [arms]):
+        found.append(f"{robot.dimensions.arm} joints of the arm for {arms}: {', '.join(robot.joint_names)}")
+    return found
+
+
+def wrong_lengths(entry: dict[str, Any], robot: Robot) -> list[str]:
+    """Radius, track and wheelbase that are not the maker's [m]; the track is what the contacts are apart, too."""
+    base, found = robot.base, list[str]()
     told = " ".join(f.message for f in robot.findings if f.code.startswith("base-"))
-    lengths = {"radius": [w.radius for w in base.wheels], "track": [base.track]}
+    at = [base.place(w)[1] if isinstance(base, SteeredBase) else w.y for w in base.wheels]
+    lengths = {"radius": [w.radius for w in base.wheels[:1]], "track": [base.track, max(at) - min(at)] if at else []}
+    if isinstance(base, SteeredBase):
+        lengths["wheelbase"] = [base.length]
+        lengths["track"] = [] if base.axle and not base.track else lengths["track"]  # an axle's wheels may be one body
     for name, values in lengths.items():
-        for value in values[:1] if name in entry else ():
-            if abs(value / entry[name] - 1) > TOLERANCE and f"{entry[name]:.4g}" not in told:
-                found.append(f"{name} {value:.4g} m for {entry[name]:.4g} m")
+        if name not in entry or not values or f"{entry[name]:.4g}" in told:
+            continue
+        if all(abs(value / entry[name] - 1) > TOLERANCE for value in values):
+            found.append(f"{name} {values[0]:.4g} m for {entry[name]:.4g} m")
+    return found
+
+
+def wrong_wheels(entry: dict[str, Any], base: Base) -> list[str]:
+    """Drive wheels, or all that roll, and steering pivots that are others than the truth's; left before right.
+
+    Of a base that steers all drive where nothing tells which do: the truth's are among them.
+    """
+    drives, every = [wheel.joint for wheel in base.wheels if wheel.driven], {wheel.joint for wheel in base.wheels}
+    wheels, found = entry.get("wheels", drives), list[str]()
+    untold = isinstance(base, SteeredBase) and {*drives} == every
+    if {*wheels} not in ({*drives}, every) and not (untold and {*wheels} <= every):
+        found.append(f"wheels {', '.join(drives) or 'none'} for {', '.join(wheels)}")
+    elif len(drives) == 2 and wheels == drives[::-1] and "forward" in entry:
+        found.append(f"left and right swapped: {', '.join(drives)}")
     pivots = {pivot.joint for pivot in base.pivots} if isinstance(base, SteeredBase) else set()
-    if pivots and pivots != {*entry.get("steering", pivots)}:
+    if pivots and not {*entry.get("steering", pivots)} <= pivots:
         found.append(f"steering {', '.join(sorted(pivots))} for {', '.join(entry['steering'])}")
-    if "wheelbase" in entry and isinstance(base, SteeredBase) and abs(base.length / entry["wheelbase"] - 1) > TOLERANCE:
-        found.append(f"wheelbase {base.length:.4g} m for {entry['wheelbase']:.4g} m")
-    if robot.dimensions.arm != entry.get("arm", robot.dimensions.arm):
-        found.append(f"{robot.dimensions.arm} joints of the arm for {entry['arm']}: {', '.join(robot.joint_names)}")
     return found
 
 
@@ -208,14 +256,15 @@ def words(robot: Robot) -> str:
     return f"{base.kind}, {lengths}, {robot.dimensions.arm} joints"
 
 
-def row_of(entry: dict[str, Any], outcome: Outcome) -> list[str]:
-    """A row of docs/reference/public-robots.csv: robot, repository, truth, outcome."""
+def row_of(entry: dict[str, Any], outcome: Outcome, errata: bool) -> list[str]:
+    """A row of docs/reference/public-robots.csv: robot, repository, truth, outcome; with errata the truth's erratum."""
     truth = ", ".join(
         [entry["kind"], *(f"{entry[name]:g}" for name in ("radius", "track", "wheelbase") if name in entry)]
     )
     text = outcome.text.removeprefix(f"{entry['kind']}, ") if outcome.verdict.startswith("right") else ""
     found = ": ".join(filter(None, (outcome.verdict, outcome.command, text)))
-    return [entry["name"], entry.get("repository", "example-robot-data"), truth, found]
+    row = [entry["name"], entry.get("repository", "example-robot-data"), truth, found]
+    return [*row, entry.get("erratum", "")] if errata else row
 
 
 def inspected(outcome: Outcome) -> float:
@@ -273,30 +322,35 @@ def tracked(rows: list[track_any.RobotRow]) -> str:
     is_flag=True,
     help="The rows of docs/reference/public-robots.csv; with --track of public-robots-track.csv.",
 )
-@click.option("--corpus", default="corpus.toml", help="File of truths beside this one: steered.toml has fresh ones.")
+@click.option(
+    "--corpus",
+    default="corpus.toml",
+    help="File of truths beside this one: steered.toml, fresh.toml and wild.toml have others.",
+)
 @click.option("--inspect", is_flag=True, help="Time `mmnn inspect` on every robot that is accepted.")
 @click.option("--track", is_flag=True, help="Drive the experiment `track` with every robot that is accepted.")
 def main(folder: Path, only: str, as_csv: bool, corpus: str, inspect: bool, track: bool) -> None:
     """Hold all robots of the corpus against the truth."""
     entries = tomllib.loads((Path(__file__).parent / corpus).read_text())["robot"]
     counts, rows, times = dict[str, int](), list[track_any.RobotRow | None](), dict[str, float]()
+    errata = any("erratum" in entry for entry in entries)
     for entry in entries:
         if only.lower() not in entry["name"].lower():
             continue
         os.environ.update(entry.get("env", {}))
         outcome = judge(entry, folder)
-        counts[outcome.verdict] = counts.get(outcome.verdict, 0) + 1
+        counted = "erratum in the truth" if "erratum" in entry else outcome.verdict
+        counts[counted] = counts.get(counted, 0) + 1
         if inspect and outcome.verdict.startswith("right"):
             times[entry["name"]] = inspected(outcome)
             click.echo(f"{times[entry['name']]:6.2f} s  {entry['name']}")
         elif track:
             rows += [driven(entry, folder, outcome)] if outcome.verdict.startswith("right") else []
         elif as_csv:
-            csv.writer(sys.stdout, lineterminator="\n").writerow(row_of(entry, outcome))
+            csv.writer(sys.stdout, lineterminator="\n").writerow(row_of(entry, outcome, errata))
         else:
-            click.echo(
-                f"{outcome.verdict:24}{entry['name']:26}{outcome.seconds:6.2f} s  {outcome.command}  {outcome.text}"
-            )
+            text = f"{outcome.command}  {outcome.text}" + f"  erratum: {entry.get('erratum')}" * ("erratum" in entry)
+            click.echo(f"{outcome.verdict:24}{entry['name']:26}{outcome.seconds:6.2f} s  {text}")
     if times:
         slowest = sorted(times.items(), key=lambda item: -item[1])[:10]
         click.echo(f"slowest of {len(times)}: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in slowest))

@@ -6,7 +6,6 @@ the scrub bar; another kind of event is another function in `SOURCES`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -97,17 +96,8 @@ class ReplayTree:
 
     def tips(self, robot: Robot) -> list[dict[str, Any]]:
         """The tips of a robot's arms, as the page reads them: a body and a point on it [m]."""
-        last = (self.document.body(self.document.joints[joint].child) for joint in self.last_joints(robot))
-        ends = [max(links, key=lambda link: math.hypot(*self.places[link][1][:3, 3])) for links in last]
-        links = [robot.overrides.arm_tip] if robot.overrides.arm_tip else ends
+        links = robot.hands if len(robot.hands) <= MOST_TIPS else robot.hands[:1]
         return [{"body": self.places[link][0], "point": self.places[link][1][:3, 3].tolist()} for link in links]
-
-    def last_joints(self, robot: Robot) -> list[str]:
-        """The last joint of every arm."""
-        arm, joints = set(robot.joint_names), self.document.joints
-        before = {name: arm & {j.name for j in self.document.moving_ancestors(joints[name].parent)} for name in arm}
-        ends = [name for name in robot.joint_names if not any(name in others for others in before.values())]
-        return ends if len(ends) <= MOST_TIPS else [max(ends, key=lambda name: len(before[name]))]
 
 
 def columns(transform: Array) -> list[float]:

@@ -1,0 +1,113 @@
+"""Joints that files name together: `ros2_control` systems, YAML files of controllers, and groups of an SRDF (MoveIt).
+
+An SRDF is looked for beside the robot's file, in `srdf` and `config` of its package, and in the packages beside that
+whose names speak of MoveIt. One that is of another robot, or broken, says nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from lxml import etree
+
+from ..files import read_bytes
+from .base.evidence import LONGEST, beside, mappings_of, siblings
+from .urdf.packages import package_of
+from .urdf.reading import parse_xml
+from .urdf.shapes import AtRest
+
+MOST = 40  # files that are looked at
+
+
+@dataclass(frozen=True)
+class Group:
+    """Joints that a file names together.
+
+    Attributes:
+        name: What it calls them.
+        joints: The joints.
+        where: Where it stands.
+        parent: Link to which they are mounted, where they are an end effector's; empty for others.
+    """
+
+    name: str
+    joints: frozenset[str]
+    where: str
+    parent: str = ""
+
+
+def groups_of(rest: AtRest, controllers: str | None = None) -> tuple[Group, ...]:
+    """All groups of a robot's joints.
+
+    Args:
+        rest: The robot at rest.
+        controllers: File of its controllers, None to look beside its own.
+
+    Raises:
+        ConfigError: The controllers' file cannot be read.
+    """
+    files = [controllers] if controllers else [str(file) for file in beside(rest) if b"joints" in bytes_of(file)]
+    found = [*of_systems(rest), *(group for file in files for group in of_controllers(file))]
+    found += [group for file in srdf_files(rest) for group in of_srdf(rest, file)]
+    return tuple(group for group in found if group.joints and group.joints <= rest.document.joints.keys())
+
+
+def of_systems(rest: AtRest) -> Iterator[Group]:
+    """Joints of `ros2_control` systems."""
+    for system in rest.document.root.iterchildren("ros2_control"):
+        joints = frozenset(joint.get("name", "") for joint in system.iterchildren("joint"))
+        yield Group(system.get("name", ""), joints, f"<ros2_control>, line {system.sourceline}")
+
+
+def of_controllers(file: str) -> Iterator[Group]:
+    """Joints of controllers in a YAML file."""
+    for path, table in mappings_of(file).items():
+        if path and (entry := table.get("joints")):
+            yield Group(" ".join(path), frozenset(entry.items), f"{Path(file).name}, line {entry.line}")
+
+
+def of_srdf(rest: AtRest, file: Path) -> Iterator[Group]:
+    """Groups and end effectors of an SRDF."""
+    root, document = parse_xml(bytes_of(file))[0], rest.document
+    if root is None:
+        return
+    ends = {end.get("group", ""): end.get("parent_link", "") for end in root.iterchildren("end_effector")}
+    for group in root.iterchildren("group"):
+        name, parent = group.get("name", ""), ends.get(group.get("name", ""), "")
+        parent = parent if parent in document.links else ""
+        yield Group(name, frozenset(members(rest, group, parent)), f"{file.name}, line {group.sourceline}", parent)
+
+
+def members(rest: AtRest, group: etree._Element, parent: str) -> Iterator[str]:
+    """Moving joints of a group of an SRDF but that of the link which carries it; those that the robot lacks, too."""
+    document = rest.document
+    for part in group.iterchildren("joint", "passive_joint", "link", "chain"):
+        name, joint = part.get("name", ""), document.joints.get(part.get("name", ""))
+        if part.tag == "chain":
+            above = {j.name for j in document.moving_ancestors(part.get("base_link", ""))}
+            yield from (j.name for j in document.moving_ancestors(part.get("tip_link", "")) if j.name not in above)
+        elif part.tag == "link":
+            carrier = document.carrier.get(name)
+            mounted = carrier is not None and carrier.moves and name != parent
+            yield from [carrier.name] if mounted else []
+        elif joint is None or joint.moves:
+            yield name
+
+
+def srdf_files(rest: AtRest) -> list[Path]:
+    """SRDF files that may be the robot's."""
+    folder = rest.document.path.parent.absolute()
+    package = Path(package_of(str(folder)))
+    near = [folder, folder / "srdf", *(package / name for name in ("srdf", "config"))]
+    near += [other / "config" for other in siblings(package) if "moveit" in other.name]
+    return [file for place in dict.fromkeys(near) for file in sorted(place.glob("*.srdf"))][:MOST]
+
+
+def bytes_of(file: Path) -> bytes:
+    """Content of a file, none where it cannot be read."""
+    try:
+        return read_bytes(file, LONGEST)
+    except (OSError, ValueError):
+        return b""

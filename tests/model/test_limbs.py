@@ -1,0 +1,280 @@
+"""Roles of joints by signs: random robots of arms, jaws, heads and torsos whose names tell nothing, and what files say.
+
+The second answer is how the test built each robot: it knows what is a jaw.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from drives import LIMIT, Drive, joint, link, robot_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_arm import chain, finger, two_armed
+
+from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.model import Robot
+from mmnn_pin.model.limbs import WEIGHTS, role_named
+from mmnn_pin.model.loading import load
+from mmnn_pin.model.robots import extra
+from mmnn_pin.model.signs import MARGIN
+
+X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+
+
+@dataclass
+class Built:
+    """A robot that is put together of pieces, and what each joint is."""
+
+    pieces: list[str] = field(default_factory=list)
+    moves: set[str] = field(default_factory=set)
+    still: set[str] = field(default_factory=set)
+    seed: int = 0
+
+    def add(self, parent: str, kind="revolute", p=(0, 0, 0.3), axis=Y, moves=True, limits=(-2, 2), more="", mass=1.0):
+        """A joint with its link, by neutral names; the link."""
+        name = f"n{len(self.pieces)}"
+        (self.moves if moves else self.still).add(f"{name}j")
+        limit = LIMIT.format(*limits) if kind != "continuous" else ""
+        text = joint(f"{name}j", kind, parent, name, p=p, axis=axis, more=limit + more)
+        self.pieces.append(link(name, mass, mass * 1e-3) + text)
+        return name
+
+    def arm(self, parent: str, y: float, count: int, z=0.3) -> str:
+        """An arm of joints that turn about all axes in turn, 0.25 m each."""
+        for i in range(count):
+            p = (0, y, z) if i == 0 else (0, 0, 0.25)
+            parent = self.add(parent, p=p, axis=(Z, Y, Y, X)[i % 4])
+        return parent
+
+    def jaws(self, parent: str, kind: str) -> None:
+        """A gripper of two jaws at the end of an arm."""
+        turns = kind == "turn"
+        sizes = {"kind": "revolute" if turns else "prismatic", "limits": (0, 0.8) if turns else (0, 0.04), "mass": 0.05}
+        master = self.add(parent, p=(0, 0.02, 0.08), axis=X if turns else Y, moves=False, **sizes)
+        mimic = f'<mimic joint="{master}j"/>' if kind == "mimic" else ""
+        self.add(parent, p=(0, -0.02, 0.08), axis=(-1, 0, 0) if turns else (0, -1, 0), moves=False, more=mimic, **sizes)
+
+    def head(self, parent: str) -> None:
+        """A pan and a tilt."""
+        pan = self.add(parent, p=(0.05, 0, 0.4), axis=Z, moves=False, mass=0.3)
+        self.add(pan, p=(0, 0, 0.08), moves=False, mass=0.3)
+
+    def urdf(self) -> str:
+        """It on a differential drive, its pieces shuffled."""
+        pieces = list(self.pieces)
+        random.Random(self.seed).shuffle(pieces)
+        return Drive(names=("wl", "wr")).urdf("".join(pieces))
+
+
+@st.composite
+def robots(draw) -> Built:
+    built, grippers = Built(seed=draw(st.integers(0, 99))), st.sampled_from(["slide", "turn", "mimic", "none"])
+    on = "base"
+    if draw(st.booleans()):
+        on = built.add("base", "prismatic", axis=Z, limits=(0, 0.3))
+    for side in draw(st.sampled_from([(0.0,), (0.25, -0.25)])):
+        end = built.arm(on, side, draw(st.integers(4, 7)))
+        if (gripper := draw(grippers)) != "none":
+            built.jaws(end, gripper)
+    if draw(st.booleans()):
+        built.head(on)
+    if draw(st.booleans()):
+        built.add("base", "continuous", p=(0.1, 0.1, 0.4), axis=Z, moves=False, mass=0.1)  # a lidar
+    return built
+
+
+@settings(max_examples=40, deadline=None)
+@given(robots())
+def test_structure_alone_tells_arms_from_jaws_heads_and_lidars(built: Built):
+    robot = robot_of(built.urdf())
+    assert set(robot.joint_names) == built.moves
+    assert set(robot.arm.locked) == built.still
+    assert len(robot.hands) == len(set(robot.hands)) == sum("arm" not in h for h in robot.hands)
+
+
+@settings(max_examples=15, deadline=None)
+@given(robots(), st.integers(0, 99))
+def test_the_order_of_the_file_does_not_matter(built: Built, seed: int):
+    first = robot_of(built.urdf())
+    built.seed = seed
+    again = robot_of(built.urdf())
+    assert set(first.joint_names) == set(again.joint_names) and set(first.hands) == set(again.hands)
+    assert {d.joint: d.limb.margin for d in first.arm.doubts} == pytest.approx(
+        {d.joint: d.limb.margin for d in again.arm.doubts}
+    )
+
+
+def one_jaw(name: str, count: int = 5) -> str:
+    """An arm whose last joint is a jaw in line: across the wrist, which rolls."""
+    built = Built()
+    end = built.arm("base", 0.0, count - 1)
+    wrist = built.add(end, p=(0, 0, 0.06), axis=Z, mass=0.2)
+    built.pieces.append(
+        link(f"{name}_link", 0.05, 1e-5)
+        + joint(name, "revolute", wrist, f"{name}_link", p=(0.02, 0, 0.03), axis=Y, more=LIMIT.format(0, 1.5))
+    )
+    return built.urdf()
+
+
+JAWS = ("gripper", "jaw", "left_claw_joint", "finger_joint1", "griffe", "pinza_izquierda", "backe", "garra", "zhua_1")
+
+
+@pytest.mark.parametrize("name", JAWS)
+def test_a_jaw_in_line_stands_still_where_it_is_named_so(name: str):
+    robot = robot_of(one_jaw(name))
+    assert name in robot.arm.locked and "jaw" in robot.arm.reasons[name] and not robot.arm.doubts
+
+
+@pytest.mark.parametrize("name", ["joint6", "m_6", "Revolute-57"])
+def test_a_jaw_in_line_without_a_name_is_asked_about_and_the_option_is_one(name: str):
+    robot = robot_of(one_jaw(name))
+    doubt = next(f for f in robot.findings if f.code == "arm-doubt")
+    assert name in robot.joint_names and doubt.severity == "warning"
+    assert "part of the arm, and may be a jaw" in doubt.message and doubt.fix == f"--lock {name} if it is"
+    again = robot_of(one_jaw(name), lock=(name,))
+    assert name in again.arm.locked and not again.arm.doubts
+
+
+def test_a_branch_that_stands_still_in_doubt_is_freed_by_its_option():
+    bar = Built()
+    end = bar.arm("base", 0.0, 5)
+    for side in (0.1, -0.1):  # two short sticks that are alike, but as apart as no jaws are
+        bar.add(end, p=(0, side, 0.05), axis=Z, moves=False)
+    robot = robot_of(bar.urdf())
+    for doubt in robot.arm.doubts:
+        assert doubt.limb.margin < MARGIN and doubt.limb.role == "jaw" and doubt.limb.told
+        names = tuple(re.findall(r"--free (\S+)", doubt.option))
+        assert names and set(names) <= set(robot_of(bar.urdf(), free=names).joint_names)
+
+
+def test_names_say_roles_in_their_last_word():
+    said = {
+        "left_arm_gripper": "jaw", "head_pan_joint": "head", "shoulder_pan": "arm", "gripper_wrist_roll": "arm",
+        "LHand": "jaw", "lidar_mast": "sensor", "torso_lift": "arm", "jointGripper": "jaw", "joint_3": "",
+        "HeadYaw": "head", "kopf_dreh": "head", "tete": "head", "cabeza": "head", "l_zhua": "jaw",
+    }  # fmt: skip
+    assert {name: role_named(name)[0] for name in said} == said
+
+
+def test_words_that_all_names_share_tell_nothing():
+    text = chain("head_arm", 6, "base").replace("head_arm", "head_x")
+    robot = robot_of(Drive().urdf(text))
+    assert robot.dimensions.arm == 6
+
+
+def test_what_only_pans_and_tilts_is_the_arm_where_nothing_else_moves():
+    built = Built()
+    built.head("base")
+    robot = robot_of(built.urdf())
+    assert set(robot.joint_names) == built.still and not robot.arm.doubts
+
+
+# --- What files say ---------------------------------------------------------------------------------------------------
+
+GROUPS = {
+    "srdf": '<robot name="r"><group name="arm"><chain base_link="base" tip_link="{wrist}"/></group>'
+    '<group name="gripper"><joint name="{jaw}"/></group>'
+    '<end_effector name="e" parent_link="{wrist}" group="gripper"/></robot>',
+    "yaml": "gripper_controller:\n  ros__parameters:\n    joints:\n      - {jaw}\n",
+    "ros2_control": '<ros2_control name="GripperSystem" type="system"><joint name="{jaw}"/></ros2_control>',
+}
+
+
+@pytest.mark.parametrize("kind", GROUPS)
+def test_groups_of_files_tell_a_jaw(tmp_path, kind):
+    text, file = one_jaw("joint6"), tmp_path / "robot.urdf"
+    wrist = re.search(r'<parent link="(n\d+)"/><child link="joint6_link"/>', text)[1]
+    said = GROUPS[kind].format(jaw="joint6", wrist=wrist)
+    if kind == "ros2_control":
+        text = text.replace("</robot>", f"{said}</robot>")
+    else:
+        (tmp_path / f"robot.{kind}").write_text(said)
+    file.write_text(text)
+    robot = load(file)
+    assert "joint6" in robot.arm.locked and not robot.arm.doubts
+    if kind == "srdf":
+        assert robot.hands == (wrist,) and "'gripper' is mounted on it" in robot.arm.hands[0].why
+
+
+OTHER = '<robot name="r"><group name="gripper"><joint name="x"/></group></robot>'
+
+
+@pytest.mark.parametrize("broken", ["<robot", "", OTHER])
+def test_an_srdf_that_is_broken_or_of_another_robot_says_nothing(tmp_path, broken):
+    (tmp_path / "robot.urdf").write_text(one_jaw("joint6"))
+    (tmp_path / "robot.srdf").write_text(broken)
+    assert "joint6" in load(tmp_path / "robot.urdf").joint_names
+
+
+# --- Hands and arms of two --------------------------------------------------------------------------------------------
+
+
+def test_a_hand_is_the_frame_of_a_tool_else_the_middle_of_the_jaws_else_the_last_link():
+    fingers, text = finger("a", 1.0) + finger("b", -1.0), chain("arm", 6, "base")
+    tool = link("tcp", 0.0) + joint("t", "fixed", "arm_5", "tcp", p=(0, 0, 0.07))
+    assert robot_of(Drive().urdf(text + fingers + tool)).hands == ("tcp",)
+    assert robot_of(Drive().urdf(text)).hands == ("arm_5",)
+    robot = robot_of(Drive().urdf(text + fingers))
+    assert robot.hands == ("arm_5_hand",)
+    q = robot.configuration(robot.neutral_position())
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    at = {f.name: data.oMf[i].translation for i, f in enumerate(robot.model.frames)}
+    np.testing.assert_allclose(at["arm_5_hand"], (at["a"] + at["b"]) / 2, atol=1e-12)
+    assert robot_of(Drive().urdf(text + fingers), arm_tip="arm_3").hands == ("arm_3",)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.6, 1.2])
+@pytest.mark.parametrize(("arm", "names"), [("left", "abc"), ("right", "xyz"), ("both", "abcxyz")])
+def test_one_arm_of_two_moves_with_what_both_share(heading, arm, names):
+    side = np.array([-np.sin(heading), np.cos(heading)]) * 0.3
+    torso = link("torso") + joint("lift", "prismatic", "base", "torso", axis=Z, more=LIMIT.format(0, 0.3))
+    arms = chain("abc", 5, "torso", (*side, 0.2)) + chain("xyz", 5, "torso", (*-side, 0.2))
+    text = Drive(frame=(0.0, 0.0, heading)).urdf(torso + arms)
+    robot = robot_of(text, arm=arm)
+    assert {n.partition("_")[0] for n in robot.joint_names} == {"lift", *re.findall("abc|xyz", names)}
+    assert {h.partition("_")[0] for h in robot.hands} == {*re.findall("abc|xyz", names)}
+    if arm != "both":
+        assert "the other arm" in next(why for n, why in robot.arm.reasons.items() if n.endswith("joint_0"))
+
+
+def test_names_of_sides_count_more_than_places():
+    swapped = two_armed().replace('"arm_', '"right_')  # 'right' is on the left
+    assert robot_of(swapped, arm="left").joint_names[1:] == tuple(f"left_joint_{i}" for i in range(6))
+
+
+def test_an_arm_of_two_is_refused_where_there_are_not_two():
+    for text, count in ((Drive().urdf(chain("arm", 4, "base")), 1), (Drive().urdf(""), 0)):
+        with pytest.raises(ConfigError, match=rf"no left arm: 'robot' has {count} arm.*--arm-tip LINK"):
+            robot_of(text, arm="left")
+    with pytest.raises(UnknownName, match="did you mean 'left'"):
+        robot_of(two_armed(), arm="lefft")
+
+
+# --- Robots of makers -------------------------------------------------------------------------------------------------
+
+# How many joints the arms have by what their makers say, torsos included.
+MAKERS = {
+    "tiago": 8, "tiago_no_hand": 8, "tiago_dual": 15, "tiago_pro": 15, "panda": 7, "ur3": 6, "ur5": 6, "ur10": 6,
+    "ur3_gripper": 6, "ur5_gripper": 6, "kinova": 6, "xarm7": 7, "z1": 6, "so100": 5, "so101": 5, "baxter": 14,
+    "talos_left_arm": 6, "two_dofs": 2, "double_pendulum": 2, "finger_edu": 3,
+    "allegro_left_hand": 16, "allegro_right_hand": 16,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_arms_are_those_of_their_makers_and_nothing_is_asked(name):
+    if name not in extra():
+        pytest.skip("example-robot-data is not installed")
+    robot: Robot = load(name)
+    assert robot.dimensions.arm == MAKERS[name] and not robot.arm.doubts and robot.hands
+
+
+def test_every_sign_has_a_weight_for_every_role():
+    assert all(len(weights) == 4 and any(weights) for weights in WEIGHTS.values())
