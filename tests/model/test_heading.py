@@ -15,8 +15,12 @@ from test_wheels import caster, swerve
 from test_wild import codes, star
 
 from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.model.base.heading import left_first
 from mmnn_pin.model.base.overrides import FORWARD
 from mmnn_pin.model.base.report import Undecided
+from mmnn_pin.model.base.wheels import wheel_of
+from mmnn_pin.model.urdf.reading import parse
+from mmnn_pin.model.urdf.shapes import AtRest
 
 ACROSS = Drive(frame=(0.0, 0.0, math.pi / 2), names=("a", "b"), flips=(1, -1))  # nothing tells +y from -y
 PLAIN = ARM.replace('xyz="0.1 0.0 1.0"', 'xyz="0.0 0.0 1.0"')  # an arm in the middle of the axle
@@ -171,6 +175,12 @@ def test_a_printed_way_names_the_left_wheel_first_whatever_the_order_in_the_file
     with pytest.raises(Undecided) as error:
         robot_of(chassis(ends + wheel("back", (-0.25, 0, 0.1)).replace(CYLINDER.format(r=0.1), shape)))
     assert "--wheels left,right" in error.value.fix and "right,left" not in error.value.fix
+
+
+def test_wheels_without_a_partner_stay_in_their_order():
+    rest = AtRest(parse(chassis(wheel("a", (0, 0.2, 0.1)) + wheel("b", (0.3, -0.2, 0.1))).encode(), "r.urdf"))
+    wheels = [wheel_of(rest, rest.document.joints[name]) for name in ("b", "a")]
+    assert [left_first(rest, some) for some in ([], wheels[:1], wheels)] == [[], wheels[:1], wheels]
 
 
 def test_a_base_that_is_turned_rolls_as_before():

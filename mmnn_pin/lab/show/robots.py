@@ -59,7 +59,7 @@ def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
 
 
 def summary(content: dict[str, Any]) -> list[str]:
-    """What was understood of a robot, a line of its base and one of its arm, and one of what is in doubt of them."""
+    """A line of a robot's base as it was understood, one of its arm, and one of what is in doubt of them."""
     base, arm, doubts = content["base"], content["arm"]["joints"], dict[str, list[str]]()
     for finding in content["findings"]:
         if about := DOUBTS.get(finding["code"]):
@@ -73,7 +73,7 @@ def summary(content: dict[str, Any]) -> list[str]:
 
 
 def summary_text(content: dict[str, Any], width: int = WIDTH) -> str:
-    """What was understood of a robot in short, folded where a terminal is narrow."""
+    """The lines of `summary`, folded where a terminal is narrow."""
     heads = (line.partition(": ") for line in summary(content))
     return "\n".join(hanging(f"{head}: ", text, width if width < WIDTH else 9 * WIDTH) for head, _, text in heads)
 
@@ -115,7 +115,7 @@ def names_in(names: Sequence[str], room: int) -> str:
 
 
 def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
-    """What was understood in short; base, wheels, arm and locked joints of a robot."""
+    """A robot in short; its base, wheels, arm and locked joints."""
     tables = (
         wheels(content["base"]),
         pivots(content["base"]),

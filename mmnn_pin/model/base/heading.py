@@ -163,6 +163,8 @@ def left_first(rest: AtRest, wheels: Sequence[Candidate]) -> list[Candidate]:
     for c in wheels:
         row = next((row for row in rows if coaxial(row[0], c, within=SLOPPY)), None)
         rows.append([c]) if row is None else row.append(c)
+    if all(len(row) < 2 for row in rows) or not all(rest.is_horizontal(c.joint) for c in wheels):
+        return list(wheels)
     x, y = heading(rest, wheels, Overrides()).forward
     return [c for row in rows for c in sorted(row, key=lambda c: float(y * c.centre[0] - x * c.centre[1]))]
 

@@ -117,5 +117,5 @@ def turning_track(wheels: Sequence[Wheel]) -> float:
 
 
 def spread(wheel: Wheel) -> float:
-    """What a wheel at (x, y) adds to half the effective track, `x^2 / |y|` [m]; inf in the middle, where none turns."""
+    """Share of a wheel at (x, y) in half the effective track, `x^2 / |y|` [m]; inf in the middle, where none turns."""
     return wheel.x**2 / abs(wheel.y) if wheel.y else math.inf
