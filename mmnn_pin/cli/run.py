@@ -26,6 +26,7 @@ from .output import (
     named,
     note,
     progress_bar,
+    say,
     styled,
     wrote,
 )
@@ -186,12 +187,11 @@ def announced(text: str) -> Iterator[Callable[[str, float], None]]:
 
 
 def tell_robot(robot: Robot) -> None:
-    """Say on standard error what was understood of a robot."""
-    from ..lab.show.robots import summary
+    """Print in short what was understood of a robot."""
+    from ..lab.show.robots import summary_text
     from ..model.inspection import inspection_of
 
-    for line in summary(inspection_of(robot)):
-        note(line)
+    say(f"{summary_text(inspection_of(robot), columns())}\n")
 
 
 def files_of(asked: Experiment) -> list[str]:
@@ -221,9 +221,10 @@ def run_one(
     from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
     from ..lab.show.table import hanging
 
+    told = None if as_json else tell_robot
     with announced(elsewhere) as progress:
         result = run_experiment(
-            asked, name, out=folder, force=force, progress=progress, leave_out=not by_name, understood=tell_robot
+            asked, name, out=folder, force=force, progress=progress, leave_out=not by_name, understood=told
         )
     pictures = write_pictures(result.recordings, asked.plots, folder, force)
 
@@ -244,8 +245,9 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
     from ..lab.experiments.cases import run_cases as run_all
     from ..lab.show.comparison import render_cases
 
+    told = None if as_json else tell_robot
     with announced(elsewhere) as progress:
-        matrix = run_all(asked, name, out=folder, force=force, progress=progress, understood=tell_robot)
+        matrix = run_all(asked, name, out=folder, force=force, progress=progress, understood=told)
     command = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
     files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {command}"
     answer(as_json, matrix.to_dict, lambda: f"{styled(render_cases(matrix, **look()))}\n\n{files}")

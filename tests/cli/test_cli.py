@@ -136,7 +136,9 @@ def test_run_writes_recordings_and_plot_and_prints_a_table(call: Call) -> None:
         recording = Recording.open(folder / f"{controller}.h5")
         assert recording.complete and len(recording) == 10 and recording.meta["experiment"] == "chapter4"
     head, _, rest = out.partition("wrote")
-    assert max(map(len, head.splitlines())) <= 100
+    said, table = head.splitlines()[:3], head.splitlines()[3:]
+    assert [line.partition(":")[0] for line in said] == ["base", "arm", ""] and max(map(len, said)) <= 120
+    assert max(map(len, table)) <= 100
     for words in (
         "pose x [mm]",
         "pose phi [mrad]",

@@ -9,12 +9,18 @@ import pytest
 from drives import ARM, CYLINDER, SPHERE, Drive, joint, link, origin, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_base import four
+from test_base import four, wheel
+from test_strange import chassis
 from test_wheels import caster, swerve
 from test_wild import codes, star
 
 from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.model.base.heading import left_first
 from mmnn_pin.model.base.overrides import FORWARD
+from mmnn_pin.model.base.report import Undecided
+from mmnn_pin.model.base.wheels import wheel_of
+from mmnn_pin.model.urdf.reading import parse
+from mmnn_pin.model.urdf.shapes import AtRest
 
 ACROSS = Drive(frame=(0.0, 0.0, math.pi / 2), names=("a", "b"), flips=(1, -1))  # nothing tells +y from -y
 PLAIN = ARM.replace('xyz="0.1 0.0 1.0"', 'xyz="0.0 0.0 1.0"')  # an arm in the middle of the axle
@@ -159,6 +165,22 @@ def test_the_wheel_that_is_named_first_is_the_left_one(turn, swapped, flips):
     robot = robot_of(text, wheels=names)
     assert [w.joint for w in robot.base.wheels] == [*names] and robot.base.wheels[0].y > 0
     assert np.cos(robot.base.frame[2] - turn) == pytest.approx(-1 if swapped else 1)
+
+
+@pytest.mark.parametrize("names", [("left", "right"), ("right", "left")])
+@pytest.mark.parametrize("shape", [CYLINDER.format(r=0.1), '<box size="0.2 0.1 0.03"/>'])
+def test_a_printed_way_names_the_left_wheel_first_whatever_the_order_in_the_file(names, shape):
+    at = {"left": 0.2, "right": -0.2}
+    ends = "".join(wheel(n, (0.0, at[n], 0.1)).replace(CYLINDER.format(r=0.1), shape) for n in names)
+    with pytest.raises(Undecided) as error:
+        robot_of(chassis(ends + wheel("back", (-0.25, 0, 0.1)).replace(CYLINDER.format(r=0.1), shape)))
+    assert "--wheels left,right" in error.value.fix and "right,left" not in error.value.fix
+
+
+def test_wheels_without_a_partner_stay_in_their_order():
+    rest = AtRest(parse(chassis(wheel("a", (0, 0.2, 0.1)) + wheel("b", (0.3, -0.2, 0.1))).encode(), "r.urdf"))
+    wheels = [wheel_of(rest, rest.document.joints[name]) for name in ("b", "a")]
+    assert [left_first(rest, some) for some in ([], wheels[:1], wheels)] == [[], wheels[:1], wheels]
 
 
 def test_a_base_that_is_turned_rolls_as_before():

@@ -121,8 +121,9 @@ def test_the_first_lines_say_what_was_understood_and_a_run_says_them_too(call):
     assert call("inspect", file)[1].splitlines()[:3] == [*said, ""]
     assert json.loads(call("inspect", file, "--json")[1])["understood"] == said
     options = ("--robot", file, "--controller", "pd", "--set", "time.duration=0.02", "--set", "plots=[]")
-    code, _, err = call("run", "track", *options)
-    assert code == 0 and err.splitlines()[:2] == said
+    code, out, err = call("run", "track", *options)
+    assert code == 0 and not err and out.splitlines()[:3] == [*said, ""]
+    assert json.loads(call("run", "track", *options, "--force", "--json")[1])["experiment"]
     turned = call("inspect", file, "--forward", "-x", "--lock", "elbow")[1].splitlines()
     assert turned[0].endswith("left right, right left, radius 0.1 m, track 0.5 m, forward -x")
     assert turned[1] == "arm: 1 joint: shoulder; locked: elbow"
@@ -135,7 +136,7 @@ def test_a_reading_in_doubt_is_marked_with_how_to_say_it_otherwise(call):
     lines = call("inspect", file)[1].splitlines()
     assert lines[0].endswith("forward y") and lines[2:4] == ["in doubt: forward (--forward -y)", ""]
     options = ("--robot", file, "--controller", "pd", "--set", "time.duration=0.02", "--set", "plots=[]")
-    assert call("run", "track", *options)[2].splitlines()[:3] == lines[:3]
+    assert call("run", "track", *options)[1].splitlines()[:4] == lines[:4]
     assert call("inspect", file, "--forward", "-y")[1].splitlines()[2] == ""
 
 

@@ -232,5 +232,13 @@ def test_its_turning_friction_is_a_linear_parameter():
 
 def test_a_wheel_in_the_middle_is_on_no_side():
     drums = "".join(wheel_at(name, (x, 0.0, 0.1)) for name, x in (("front", 0.5), ("rear", -0.5)))
-    with pytest.raises(ConfigError, match=r"6 wheel.*, 2 of them on the left, for a skid-steer base: name two or 3"):
+    with pytest.raises(
+        ConfigError, match=r"on the left fl, rl; on the right fr, rr; in the middle front, rear"
+    ) as error:
         robot_of(four(more=drums), base="skid_steer")
+    (names,) = re.findall(r"--wheels (\S+) where these drive", error.value.fix)
+    assert robot_of(four(more=drums), base="skid_steer", wheels=tuple(names.split(","))).base.kind == "skid_steer"
+    assert turning_track((Wheel("front", 0.1, 1.0, y=0.0, x=0.5),)) == math.inf
+    away = four(more=drums).replace('"0.5 0.0 0.1"', '"0.5 1e-17 0.1"').replace('"-0.5 0.0 0.1"', '"-0.5 -1e-17 0.1"')
+    with pytest.raises(ConfigError, match="in the middle front, rear"):  # by rounding alone they are on either side
+        robot_of(away, base="skid_steer")

@@ -59,7 +59,7 @@ def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
 
 
 def summary(content: dict[str, Any]) -> list[str]:
-    """What was understood of a robot, a line of its base and one of its arm, and one of what is in doubt of them."""
+    """A line of a robot's base as it was understood, one of its arm, and one of what is in doubt of them."""
     base, arm, doubts = content["base"], content["arm"]["joints"], dict[str, list[str]]()
     for finding in content["findings"]:
         if about := DOUBTS.get(finding["code"]):
@@ -70,6 +70,12 @@ def summary(content: dict[str, Any]) -> list[str]:
     said = (f"{about} ({', '.join(dict.fromkeys(options))})" if options else about for about, options in doubts.items())
     lines = [f"base: {base_summary(base)}", f"arm: {has}{locked}"]
     return [*lines, f"in doubt: {'; '.join(said)}"] if doubts else lines
+
+
+def summary_text(content: dict[str, Any], width: int = WIDTH) -> str:
+    """The lines of `summary`, folded where a terminal is narrow."""
+    heads = (line.partition(": ") for line in summary(content))
+    return "\n".join(hanging(f"{head}: ", text, width if width < WIDTH else 9 * WIDTH) for head, _, text in heads)
 
 
 def base_summary(base: dict[str, Any]) -> str:
@@ -109,7 +115,7 @@ def names_in(names: Sequence[str], room: int) -> str:
 
 
 def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
-    """What was understood in short; base, wheels, arm and locked joints of a robot."""
+    """A robot in short; its base, wheels, arm and locked joints."""
     tables = (
         wheels(content["base"]),
         pivots(content["base"]),
@@ -119,7 +125,7 @@ def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
     )
     text = "\n".join(
         [
-            *summary(content),
+            summary_text(content, width),
             "",
             *head(content, width),
             terminal_text((part for parts in tables for part in parts), width=width),

@@ -9,6 +9,7 @@ their place 67 to 16, the arm's 30 to 5, casters behind 5 to 1. What hangs toget
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -23,7 +24,7 @@ from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
 from .evidence import tables_of
 from .overrides import FORWARD, Overrides
-from .wheels import TOUCHING, Candidate, parallel, rolling
+from .wheels import SLOPPY, TOUCHING, Candidate, coaxial, parallel, rolling
 
 CONVENTION, SAID_SIDES, SIDES, ENDS, RATES, VIEW, PLACE, ARM, CASTERS = 4.5, 4.0, 3.0, 4.0, 1.5, 2.0, 0.7, 0.7, 0.7
 TOWED, STEERED = 4.0, 2.0  # weights of trailers, which are behind, and of wheels that steer, which are mostly ahead
@@ -156,12 +157,16 @@ def said_way(rest: AtRest, drives: Sequence[Candidate], overrides: Overrides, wa
     return None
 
 
-def left_first(rest: AtRest, pair: Sequence[Candidate]) -> list[Candidate]:
-    """Two wheels on one axle, the left one first, as `--wheels LEFT,RIGHT` has them; others as they are."""
-    if len(pair) != 2 or not parallel(*pair):
-        return list(pair)
-    x, y = heading(rest, pair, Overrides()).forward
-    return sorted(pair, key=lambda c: float(y * c.centre[0] - x * c.centre[1]))
+def left_first(rest: AtRest, wheels: Sequence[Candidate]) -> list[Candidate]:
+    """Wheels as they are, but those on one axle together and the left one first, as `--wheels LEFT,RIGHT` has them."""
+    rows = list[list[Candidate]]()
+    for c in wheels:
+        row = next((row for row in rows if coaxial(row[0], c, within=SLOPPY)), None)
+        rows.append([c]) if row is None else row.append(c)
+    if all(len(row) < 2 for row in rows) or not all(rest.is_horizontal(c.joint) for c in wheels):
+        return list(wheels)
+    x, y = heading(rest, wheels, Overrides()).forward
+    return [c for row in rows for c in sorted(row, key=lambda c: float(y * c.centre[0] - x * c.centre[1]))]
 
 
 # -- signs -------------------------------------------------------------------------------------------------------------
@@ -185,7 +190,7 @@ def arrow(text: str, vectors: Sequence[Array], weight: float, least: float = 1e-
 def arrows(rest: AtRest, drives: Sequence[Candidate], controllers: str | None, any_way: bool) -> Iterator[Arrow]:
     """All signs of a robot where forward is; errors as of `heading`."""
     middle = np.mean([c.centre[:2] for c in drives], axis=0)
-    least = float(np.nanmean([c.radius for c in drives])) / 2
+    least = min((c.radius for c in drives if not math.isnan(c.radius)), default=0.0) / 2
     near = [name for name in rest.document.links if len(rest.document.moving_ancestors(name)) <= 1]
     at = {name: rest.placements[name][:2, 3] - middle for name in near}
     yield Arrow("x of the root link", np.array([1.0, 0.0]), CONVENTION)

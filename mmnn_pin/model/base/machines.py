@@ -253,7 +253,7 @@ def require_measured(rest: AtRest, wheels: list[Candidate]) -> None:
     blind = [wheel_of(rest, j) for j in rest.document.joints.values() if is_low(rest, j) and j.name not in known]
     if len(blind) >= 2:
         why = "what would drive them cannot be measured"
-        raise undecided(rest, [*wheels, *blind], readings(rest, blind), why, blind_fix(blind))
+        raise undecided(rest, [*wheels, *blind], readings(rest, blind), why, blind_fix(rest, blind))
 
 
 def in_texts(wheels: Sequence[Candidate]) -> str:

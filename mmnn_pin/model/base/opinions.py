@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...elementary import cos, sin
+from ...elementary import cos, cos_sin, sin
 from ...elementary.arrays import hypot
 from ..signs import told_apart
 from ..urdf.finding import Finding
@@ -38,6 +38,7 @@ from .evidence import (
     tables_of,
     words_of,
 )
+from .heading import axis_name
 from .overrides import LARGEST, SMALLEST, Overrides
 from .report import note
 from .wheels import STATED, UNSEEN, Candidate
@@ -148,8 +149,8 @@ def named_sides(rest: AtRest, base: Base) -> Iterator[Finding]:
             yield note(rest, "base-stated", first, text, "a simulator would not drive it", "name its joint")
             known.add(name)
         elif sides.get(name, hit[1].lower()) != hit[1].lower():
-            text = f"{where} names '{name}', which is on the {sides[name]} seen along x of the root link"
-            yield note(rest, "base-sides", name, text, "does the robot drive along -x?", "check it")
+            text = f"{where} names '{name}', which is on the {sides[name]}"
+            yield note(rest, "base-sides", name, text, *backward(base))
             known |= {"left", "right"}
 
 
@@ -169,6 +170,12 @@ def unasked(rest: AtRest, base: Base, overrides: Overrides) -> Iterator[Finding]
             text = f"{file} states a {name} of {one.value:.4g} m, the geometry has {used:.4g} m"
             fix = f"--controllers {file} where it is this robot's, --{name} {one.value:.6g} to use it"
             yield note(rest, "base-stated", base.wheels[0].joint, text, "taken is the geometry", fix)
+
+
+def backward(base: Base) -> tuple[str, str]:
+    """The question whether a base drives the other way, and the option that says so."""
+    ahead = np.array(cos_sin(base.frame[2]))
+    return f"forward is taken as {axis_name(ahead)}", f"--forward {axis_name(-ahead)} if it drives that way"
 
 
 def apart(one: float, other: float) -> bool:
@@ -288,8 +295,8 @@ def turned(rest: AtRest, base: Base, table: YamlTable, file: str) -> Iterator[Fi
         for wheel in (w for w in base.wheels if w.joint in names):
             where = f"{key} ({file}, line {table[key].line})"
             if not on_side(wheel, side):
-                text = f"{where} names '{wheel.joint}', which is on the other side seen along the rolling direction"
-                yield note(rest, "base-sides", wheel.joint, text, "does the robot drive along -x?", "check it")
+                text = f"{where} names '{wheel.joint}', which is on the other side"
+                yield note(rest, "base-sides", wheel.joint, text, *backward(base))
             elif sign != wheel.sign:
                 text = f"{where} rolls '{wheel.joint}' backward: its axis is that of a wheel that rolls at -rate"
                 own = f"{side}_wheel_radius_multiplier: {wheel.sign:.1f}"

@@ -26,6 +26,7 @@ from .skid_steer import SkidSteer, Tracked, loads, rotation_centre, turning_fric
 from .steered import SteeredBase
 from .wheels import (
     HUB,
+    MIDDLE,
     MOST_PER_SIDE,
     SLOPPY,
     SURE,
@@ -344,19 +345,13 @@ def skidding(
         kind: On wheels, or on belts, which may run over more of them.
 
     Raises:
-        ConfigError: Not two or three parallel wheels on either side, on belts two or more.
+        ConfigError: Not two or three parallel wheels on either side, on belts two or more; with their names.
         Undecided: Wheels of one side that do not roll alike.
     """
     base = frame_of(rest, drives, wheels, kind, overrides)
     base = replace(base, parked=in_order(rest, [*base.parked, *idlers(rest, base, drives)]))
-    left, right = sum(w.y > 0 for w in base.wheels), sum(w.y < 0 for w in base.wheels)
-    alike = all(parallel(drives[0], c) for c in drives[1:])
-    least, most = (2, MOST_PER_SIDE) if kind is SkidSteer else (1, len(drives))
-    if not (alike and left == right == len(drives) / 2 and least <= left <= most):
-        name = "tracked machine" if kind is Tracked else "skid-steer base"
-        what = f"{len(drives)} wheel(s), {left} of them on the left, for a {name}"
-        fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
-        raise ConfigError(what, fix=fix, key="wheels", file=rest.document.path)
+    sides = [[w.joint for w in base.wheels if side * w.y > MIDDLE * base.track] for side in (1, -1)]
+    require_sides(rest, sides, drives, kind)
     require_together(rest, drives)
     mass, centre = weight_in(rest, base)
     load, mu = loads(base.wheels, mass, centre), overrides.mu or 1.0
@@ -379,6 +374,32 @@ def skidding(
         why = f"its weight is there; the middle slides sideways by {abs(ahead):.3g} m times the yaw rate, not in T"
         findings.append(note(rest, "base-skid", first, text, why, "the contact plant shows it: --plant contact"))
     return BaseResult(base, tuple(findings))
+
+
+def require_sides(
+    rest: AtRest, sides: Sequence[Sequence[str]], drives: Sequence[Candidate], kind: type[SkidSteer]
+) -> None:
+    """Refuse wheels that are not as many on either side, or too few, or too many; errors as of `skidding`.
+
+    Args:
+        rest: The robot at rest.
+        sides: Names of those on the left and on the right.
+        drives: All that are to drive.
+        kind: On wheels or on belts.
+    """
+    left, right = sides
+    least, most = (2, MOST_PER_SIDE) if kind is SkidSteer else (1, len(drives))
+    even = all(parallel(drives[0], c) for c in drives[1:]) and least <= len(left) == len(right) <= most
+    if even and len(left) + len(right) == len(drives):
+        return
+    name = "tracked machine" if kind is Tracked else "skid-steer base"
+    middle = [c.joint.name for c in drives if c.joint.name not in (*left, *right)]
+    places = {"on the left": left, "on the right": right, "in the middle": middle}
+    told = "; ".join(f"{place} {', '.join(names)}" for place, names in places.items() if names)
+    what = f"{len(drives)} wheel(s) for a {name}: {told}"
+    fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
+    fix = f"--wheels {','.join([*left, *right])} where these drive" if even else fix
+    raise ConfigError(what, fix=fix, key="wheels", file=rest.document.path)
 
 
 def idlers(rest: AtRest, base: Base, drives: Sequence[Candidate]) -> list[str]:

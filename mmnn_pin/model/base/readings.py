@@ -125,7 +125,7 @@ class Question:
         if self.blind:
             why = "what turns on some of them cannot be measured, or does not reach the floor"
             everything = [*self.wheels, *self.blind]
-            return undecided(self.rest, everything, listed, why, blind_fix(everything))
+            return undecided(self.rest, everything, listed, why, blind_fix(self.rest, everything))
         against = [sign.text for sign in best.signs if sign.weight < 0]
         ways = [f"{best.options} {when(best, [best])}"] if self.leads_on(best) else []
         if any("<mimic>" in text for text in against):

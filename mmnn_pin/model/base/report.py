@@ -22,7 +22,7 @@ from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
 from . import KINDS
 from .base import Base, Wheel
 from .evidence import Evidence, evidence
-from .heading import axis_name, heading
+from .heading import axis_name, heading, left_first
 from .overrides import Overrides
 from .skid_steer import GRAVITY
 from .steered import SteeredBase
@@ -164,7 +164,7 @@ def heading_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrid
     if found.said and found.margin < -MARGIN:
         text = f"'{names[0]}' is the left wheel as you said, so forward is {way} {root}"
         yield note(rest, "base-sides", names[0], text, why, fix)
-    elif not found.said and any("left and right" in text for text in contra):
+    elif not found.said and any("names of left and right" in text for text in contra):
         text = f"'{names[0]}' is on the left: does the robot drive along {other} {root}?"
         yield note(rest, "base-sides", names[0], text, why, fix)
     elif not found.said and found.margin < MARGIN:
@@ -441,7 +441,7 @@ def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[st
     elif min(c.centre[2] for c in near_misses) > height_at(rest, 0.5) and gap > min(c.radius for c in near_misses):
         why, fix = f"they {ends}, in its upper half", "turn it over if it stands on its head; --base fixed parks them"
     else:
-        why, names = f"they {ends}", ",".join(c.joint.name for c in near_misses)
+        why, names = f"they {ends}", ",".join(c.joint.name for c in left_first(rest, near_misses))
         if len(near_misses) > 1:
             larger = "with --radius METRES if they are larger"
             fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
@@ -456,7 +456,7 @@ def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:
     paired = any(coaxial(a, b) for i, a in enumerate(wheels) for b in wheels[:i])
     across = {c.joint.name: axis for c in wheels if (axis := lying_across(rest, c.joint))}
     if not across:
-        return "what turns on them is not round about the axle", blind_fix(wheels)
+        return "what turns on them is not round about the axle", blind_fix(rest, wheels)
     c = next(c for c in wheels if c.joint.name in across)
     axis, joint_axis = across[c.joint.name], in_words(c.joint.axis)
     why = f"the cylinder on '{c.joint.name}' lies along {axis} in its link, and its joint turns about {joint_axis}"
@@ -464,7 +464,7 @@ def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:
     stated = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
     if bare := [f"'{name}'" for name, other in across.items() if other == axis and name not in stated]:
         fix = f'an <axis> that is left out is x: write <axis xyz="{axis}"/> in {", ".join(bare)}, or turn the cylinders'
-    return why, f"{fix}; {blind_fix(wheels) if paired else '--base fixed parks them'}"
+    return why, f"{fix}; {blind_fix(rest, wheels) if paired else '--base fixed parks them'}"
 
 
 def lying_across(rest: AtRest, joint: Joint) -> str:
@@ -480,12 +480,13 @@ def in_words(axis: Array) -> str:
     return " ".join(f"{round(float(v), 3) + 0.0:g}" for v in positive)
 
 
-def blind_fix(wheels: Sequence[Candidate]) -> str:
+def blind_fix(rest: AtRest, wheels: Sequence[Candidate]) -> str:
     """The way out for wheels that cannot be measured."""
-    names = ",".join(c.joint.name for c in wheels)
+    names = ",".join(c.joint.name for c in left_first(rest, wheels))
     missing = any(c.shape == PARTIAL for c in wheels)
     first = "--package-dir FOLDER with the package of their meshes, or " if missing else ""
-    pairs = [f"{a.joint.name},{b.joint.name}" for i, a in enumerate(wheels) for b in wheels[:i] if coaxial(a, b)]
+    found = [left_first(rest, (a, b)) for i, a in enumerate(wheels) for b in wheels[:i] if coaxial(a, b)]
+    pairs = [",".join(c.joint.name for c in pair) for pair in found]
     drive = "".join(f", or --wheels {pair} --radius METRES where these drive" for pair in pairs if len(pairs) > 1)
     which = "" if drive else ", of these those that drive"
     return f"{first}--wheels {names} --radius METRES{which}{drive}; --base fixed parks them"

@@ -102,7 +102,7 @@ def rotation_centre(wheels: Sequence[Wheel], load: Array) -> float:
     """
     from scipy.optimize import brentq  # slow to import
 
-    along = np.array([w.x**2 / abs(w.y) for w in wheels])
+    along = np.array([spread(w) for w in wheels])
     x = np.array([w.x for w in wheels])
 
     def sideways(at: float) -> float:
@@ -113,4 +113,9 @@ def rotation_centre(wheels: Sequence[Wheel], load: Array) -> float:
 
 def turning_track(wheels: Sequence[Wheel]) -> float:
     """Effective track of a steady turn on the spot on a hard floor, the mean of `2 (|y| + x^2 / |y|)` [m]."""
-    return float(np.mean([2 * (abs(w.y) + w.x**2 / abs(w.y)) for w in wheels]))
+    return float(np.mean([2 * (abs(w.y) + spread(w)) for w in wheels]))
+
+
+def spread(wheel: Wheel) -> float:
+    """Share of a wheel at (x, y) in half the effective track, `x^2 / |y|` [m]; inf in the middle, where none turns."""
+    return wheel.x**2 / abs(wheel.y) if wheel.y else math.inf

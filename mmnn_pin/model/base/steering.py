@@ -21,7 +21,7 @@ from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .evidence import RADII, stated
-from .heading import heading
+from .heading import heading, left_first
 from .modules import ON_LINE, Module, Undercarriage, on_line
 from .overrides import Overrides
 from .placing import casters_of, in_order
@@ -106,7 +106,8 @@ def require_alike(rest: AtRest, under: Undercarriage) -> None:
     if len(steered) > 1 and odd:
         names, trail = ", ".join(f"'{m.joint.name}'" for m in odd), abs(odd[0].lever(rest)[0])
         why = f"the wheel under {names} stands {trail:.3g} m behind its axis, and others steer"
-        pair = ",".join(c.joint.name for c in under.fixed) if len(under.fixed) == 2 and coaxial(*under.fixed) else ""
+        two = left_first(rest, under.fixed) if len(under.fixed) == 2 and coaxial(*under.fixed) else []
+        pair = ",".join(c.joint.name for c in two)
         casters = f"--wheels {pair} if they are casters; " if pair else ""
         fix = f"{casters}mend the <origin> of the wheel or of its pivot; {STILL}"
         raise unsupported(rest, "base that steers with wheels off their pivots", why, odd[0].wheels, fix)
@@ -204,7 +205,7 @@ def without_axle(rest: AtRest, under: Undercarriage, overrides: Overrides) -> St
     if on_line(wheels):
         what = "swerve drive whose wheels stand on one line, about any point of which it could turn"
         why = f"there nothing tells how it moves: {'; '.join(c.text for c in wheels)}"
-        fix = f"--wheels {','.join(c.joint.name for c in wheels)} drives it with its steering locked"
+        fix = f"--wheels {','.join(c.joint.name for c in left_first(rest, wheels))} drives it with its steering locked"
         raise unsupported(rest, what, why, wheels, f"{fix}; {STILL}" if len(wheels) == 2 else STILL)
     forward = heading(rest, wheels, overrides, any_way=True).forward
     frame = frame_at(np.mean([rest.hub(m.joint) for m in steered], axis=0), forward)

@@ -24,6 +24,7 @@ from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base, Fixed
 from .evidence import RADII, evidence, motors_named, plugins, stated
+from .heading import left_first
 from .machines import (
     PROPELLERS,
     PUSHED,
@@ -233,7 +234,7 @@ def unclear_strays(rest: AtRest, strays: list[Joint]) -> Undecided:
         why, fix = f"{len(strays)} like bodies turn without end about tilted axes: does it roll on a ball?", FORCES
     elif all(c.shape == LUMPY for c in wheels):
         why, fix = lumpy(rest, wheels)
-    return undecided(rest, wheels, readings(rest, wheels), why, fix or blind_fix(wheels))
+    return undecided(rest, wheels, readings(rest, wheels), why, fix or blind_fix(rest, wheels))
 
 
 def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
@@ -353,7 +354,7 @@ def drive_readings(
         pieces = evidence(rest, some, overrides.controllers_file) if len(some) > 2 else []
         whole = len(some) == len(fixed)
         for kind in kinds:
-            names = [c.joint.name for c in some]
+            names = [c.joint.name for c in left_first(rest, some)]
             said: dict[str, Any] = {"wheels": names} if kind == "differential_drive" else {"base": kind}
             said |= {} if whole else {"wheels": names}
             build = partial(on_wheels, rest, kind, some, wheels, overrides)
@@ -395,12 +396,12 @@ def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> U
     """The error for wheels that make no base by themselves, with the options that would."""
     if blind := blind_beside(rest, wheels):
         why = "what turns on some of them cannot be measured, or does not reach the floor"
-        return undecided(rest, [*wheels, *blind], readings(rest, drives), why, blind_fix([*wheels, *blind]))
+        return undecided(rest, [*wheels, *blind], readings(rest, drives), why, blind_fix(rest, [*wheels, *blind]))
     why, ways = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls", []
     if len(drives) == 2:
         near = coaxial(*drives, within=SLOPPY)
         why = "the two wheels are not on one axle" + (", though nearly" if near else ", and no other base has two")
-        ways = [f"--wheels {','.join(c.joint.name for c in drives)}"] if near else []
+        ways = [f"--wheels {','.join(c.joint.name for c in left_first(rest, drives))}"] if near else []
     elif len(drives) == 1:
         why = "a base on one wheel is not covered"
     return undecided(rest, wheels, readings(rest, drives), why, ", or ".join([*ways, FORCES]))
@@ -460,7 +461,7 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     why = f"{names}: revolute with limits, and a wheel turns without end"
     two = BaseReading("differential_drive", ("coaxial round bodies on the floor",), (why,))
     still = BaseReading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
-    drives = ",".join(c.joint.name for c in plain(candidates.wheels))
+    drives = ",".join(c.joint.name for c in left_first(rest, plain(candidates.wheels)))
     others = f"name the others with --wheels {drives}, " if drives else ""
     fix = f'write type="continuous" in {names} for wheels, {others}or --base fixed to park them'
     return undecided(rest, [*candidates.wheels, *candidates.limited], [two, still], why, fix)

@@ -35,6 +35,7 @@ ROUND, RIGHT, WRONG, SLIM, ROOM, CROWDED = 2.9, 3.0, -4.0, -3.0, 1.0, -2.5
 SLIMMEST = 0.09  # of 114 public robots two have wheels of a smaller radius by the distance of two on one axle
 LOOSE = 1.5  # a wheel of this many times the radius of a disc of its inertia is odd
 ALIKE = 0.02  # moments of inertia that differ by less than this fraction about all axes are nobody's measure
+MIDDLE = 0.05  # of the track: wheels nearer to the middle are on no side
 TILTED = 0.3  # vertical part of a unit axis beyond which nobody means a wheel
 LUMPY, PARTIAL = "not round", "mesh missing"  # shapes that are not measured, one since a mesh of it cannot be read
 HUB, STATED = "hub height", "radius as stated"  # shapes of wheels whose body cannot be read
@@ -553,11 +554,11 @@ def rolling(candidate: Candidate) -> Array:
 
 
 def on_either_side(wheels: Sequence[Candidate]) -> tuple[int, int]:
-    """How many of some parallel wheels are left and right of their middle."""
+    """How many of some parallel wheels are left and right; those near the middle are on no side."""
     left = np.array([-1.0, 1.0]) * rolling(wheels[0])[::-1]
     across = np.array([float(left @ c.centre[:2]) for c in wheels])
-    middle = (across.max() + across.min()) / 2
-    return int((across > middle).sum()), int((across < middle).sum())
+    middle, near = (across.max() + across.min()) / 2, MIDDLE * (across.max() - across.min())
+    return int((across > middle + near).sum()), int((across < middle - near).sum())
 
 
 def coaxial(a: Candidate, b: Candidate, *, within: float = COAXIAL) -> bool:
