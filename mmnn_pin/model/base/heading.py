@@ -27,6 +27,9 @@ from .overrides import FORWARD, Overrides
 from .wheels import SLOPPY, TOUCHING, Candidate, coaxial, parallel, rolling
 
 CONVENTION, SAID_SIDES, SIDES, ENDS, RATES, VIEW, PLACE, ARM, CASTERS = 4.5, 4.0, 3.0, 4.0, 1.5, 2.0, 0.7, 0.7, 0.7
+DRAWN = 2.5  # weight of x in the place of CONVENTION where a drawing program wrote the file: its axes are the drawing's
+DRAWERS = re.compile(rb"solidworks|sw_urdf_exporter|fusion2urdf|onshape", re.IGNORECASE)  # at the head of their files
+HEAD = 2000  # bytes of that
 TOWED, STEERED = 4.0, 2.0  # weights of trailers, which are behind, and of wheels that steer, which are mostly ahead
 ALONG = 0.1  # least cosine of a direction to the axis that the user names
 TOGETHER = 0.3  # what arrows must sum up to, by the sum of their lengths
@@ -193,7 +196,7 @@ def arrows(rest: AtRest, drives: Sequence[Candidate], controllers: str | None, a
     least = min((c.radius for c in drives if not math.isnan(c.radius)), default=0.0) / 2
     near = [name for name in rest.document.links if len(rest.document.moving_ancestors(name)) <= 1]
     at = {name: rest.placements[name][:2, 3] - middle for name in near}
-    yield Arrow("x of the root link", np.array([1.0, 0.0]), CONVENTION)
+    yield Arrow("x of the root link", np.array([1.0, 0.0]), DRAWN if is_drawn(rest) else CONVENTION)
     yield from sides(rest, drives, middle, controllers, at)
     ends = [(FRONT.search(name), REAR.search(name), place) for name, place in at.items()]
     ends += [(FRONT.search(c.joint.name), REAR.search(c.joint.name), c.centre[:2] - middle) for c in drives]
@@ -204,6 +207,15 @@ def arrows(rest: AtRest, drives: Sequence[Candidate], controllers: str | None, a
     if len(drives) == 2:
         yield from arrow("casters behind", [-(p - middle) for p in props(rest, drives)], CASTERS, least)
     yield from arrow("the arm's place", [p - middle for p in shoulders(rest, drives)], ARM, least)
+
+
+def is_drawn(rest: AtRest) -> bool:
+    """Whether a drawing program wrote the file, as it says at its head."""
+    try:
+        with open(rest.document.path, "rb") as file:
+            return bool(DRAWERS.search(file.read(HEAD)))
+    except OSError:  # a robot of a recording, whose file is elsewhere
+        return False
 
 
 def sides(

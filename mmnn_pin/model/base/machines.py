@@ -96,7 +96,9 @@ def belt_signs(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Sign]:
 
 def track_named(rest: AtRest) -> str:
     """A name that tells that a machine runs on tracks, empty where there is none."""
-    names = [*rest.document.links, *rest.document.joints, *map(mesh_name, rest.document.root.iterfind(MESHES))]
+    meshes = (mesh.get("filename", "") for mesh in rest.document.root.iterfind(MESHES))
+    called = rest.document.root.get("name", ""), rest.document.path.stem
+    names = [*called, *rest.document.links, *rest.document.joints, *("/".join(m.split("/")[-2:]) for m in meshes)]
     hit = next(filter(None, map(TRACK_NAMES.search, names)), None)
     return f"'{hit.string}' among its names" if hit else ""
 
@@ -125,6 +127,11 @@ def chain(rest: AtRest, joint: Joint) -> list[Joint]:
     return [joint, *max(below, key=len, default=[])]
 
 
+def rolls(rest: AtRest, joint: Joint) -> bool:
+    """Whether a joint turns without end about a level axis."""
+    return joint.turns_freely and rest.is_horizontal(joint)
+
+
 def height(rest: AtRest, joint: Joint) -> float:
     """Height of the lowest frame or primitive that a joint carries [m]."""
     links = rest.document.body(joint.child)
@@ -138,8 +145,8 @@ def lowest(rest: AtRest, link: str) -> float:
 
 
 def legs(rest: AtRest, joints: Sequence[Joint]) -> list[Joint]:
-    """Those of these joints that are the first of a leg, empty when there are fewer than two."""
-    limbs = [j for j in joints if len(chain(rest, j)) >= LEG_JOINTS]
+    """Those of these joints that are the first of a leg; empty when there are fewer than two. No wheel is a foot."""
+    limbs = [j for j in joints if len(chain(rest, j)) >= LEG_JOINTS and not rolls(rest, chain(rest, j)[-1])]
     feet = {j.name: height(rest, j) for j in limbs}
     ground = min(feet.values(), default=math.inf)
     hips = {j.name: float(rest.hub(j)[2]) for j in limbs}

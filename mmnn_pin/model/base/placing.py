@@ -306,11 +306,19 @@ def in_rows(wheels: list[Wheel]) -> list[Wheel]:
     return [w for row in rows for w in sorted(row, key=lambda w: -w.y)]
 
 
+def on_an_arm(rest: AtRest, c: Candidate, drives: list[Candidate]) -> bool:
+    """Whether something round hangs on more joints than what drives, which have motors: a drum of an arm."""
+    motors = motors_named(rest)
+    carried = [j for j in rest.document.moving_ancestors(c.joint.child)[1:] if not rest.is_vertical(j)]
+    return c.carried > drives[0].carried and any(j.name in motors for j in carried)
+
+
 def casters_of(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> set[str]:
     """Joints that carry wheels that do not drive, and swivels whose wheel is welded on."""
     floor, radius = max(c.bottom for c in drives), max(c.radius for c in drives)
     driving = [d.joint for d in drives]
-    others = [j for c in wheels if c.joint not in driving for j in rest.document.moving_ancestors(c.joint.child)]
+    free = [c for c in wheels if c.joint not in driving and not on_an_arm(rest, c, drives)]
+    others = [j for c in free for j in rest.document.moving_ancestors(c.joint.child)]
     return {joint.name for joint in (*others, *bare_swivels(rest, floor, radius))}
 
 

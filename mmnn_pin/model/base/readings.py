@@ -22,6 +22,7 @@ from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, coaxial, on_eithe
 
 NOTHING = -4.0  # score of the reading that these wheels make no base
 CLEAR, DOUBT = 9.0, 3.0  # a runner-up further behind is not told; a nearer one is told as a doubt
+LARGE = 0.13  # [m] radius beyond which few wheels have rollers: 1 of 14 on public robots, of plain ones 9 of 22
 ALIKE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
 CASTER, ROLLING = ("caster", "castor", "roulette", "lenkrolle", "rueda_loca"), ("skid_steer", "tracked")
 TOLD_BY = {"skid_steer": "skid_steer", "tracked": "skid_steer", "holonomic": "holonomic"}  # meaning of evidence
@@ -237,6 +238,8 @@ class Drives:
         level = all(parallel(drives[0], c) for c in drives[1:])
         if kind == "holonomic" and level and not any(p.meaning == "holonomic" for p in pieces):
             yield Sign("nothing in the file speaks of rollers", -1.3)  # of such robots most have none
+        if kind == "holonomic" and level and drives[0].radius > LARGE:
+            yield Sign(f"wheels of {drives[0].radius:.3g} m: those with rollers are mostly smaller", -1.0)
         if kind == "skid_steer" and one_axle(drives):
             yield Sign(f"{len(drives)} wheels on one axle: twin tyres whose sides turn alike", 1.0)
         if kind == "tracked":

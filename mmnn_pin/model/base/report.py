@@ -493,11 +493,11 @@ def blind_fix(rest: AtRest, wheels: Sequence[Candidate]) -> str:
 
 
 def unsupported(rest: AtRest, name: str, why: str, wheels: Sequence[Candidate] = (), fix: str = "") -> Unsupported:
-    """The refusal of a machine by its name."""
+    """The refusal of a machine by what is seen of it, and what that may be."""
     drives = ", ".join(kind.words for kind in KINDS.values())
     line: int | None = wheels[0].joint.line if wheels else rest.document.root.sourceline
     error = Unsupported(
-        f"this is a {name}",
+        f"this cannot be driven here, a {name} perhaps",
         why=why,
         fix=fix or f"this package drives {drives}; --base fixed takes it as an arm",
         file=rest.document.path,

@@ -85,7 +85,9 @@ from .wheels import (
 )
 
 CARS = (CarLike.kind, Tricycle.kind)
-UPRIGHT = "like bodies turn without end about vertical axes: wheels in a file with y up, or casters"
+UPRIGHT = (
+    "like bodies turn without end about vertical axes: do they steer, or swivel, is their <axis> wrong, or is y up"
+)
 Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
 UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
 NOTHING = 0.05  # of the mass of a robot: what simulators ask for of an empty link
@@ -344,7 +346,7 @@ def drive_readings(
     rest: AtRest, fixed: list[Candidate], wheels: list[Candidate], overrides: Overrides
 ) -> list[Reading]:
     """What wheels make that do not steer, of the kind that the user says."""
-    words = [Sign(f"{why}: does it steer?", -2.5) for why in (steering_named(rest),) if why and len(fixed) > 2]
+    words = [Sign(f"{why}: does it steer?", -6.0) for why in (steering_named(rest),) if why and len(fixed) > 2]
     drives = Drives(
         fixed, motors_named(rest), overrides.wheels is not None, overrides.base, tuple(belt_signs(rest, fixed)), words
     )
