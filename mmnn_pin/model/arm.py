@@ -22,7 +22,7 @@ from .base.overrides import Overrides
 from .base.wheels import alike_on_root, is_low
 from .groups import groups_of
 from .hands import Hand, hands_of, of_other_arm
-from .limbs import STILL, WRIST, Doubt, Limbs
+from .limbs import STILL, WRIST, Limb, Limbs
 from .urdf.document import Document, Joint, number
 from .urdf.shapes import AtRest
 
@@ -58,7 +58,7 @@ class Arm:
     reasons: dict[str, str]
     slaves: dict[str, Slave]
     hands: tuple[Hand, ...] = ()
-    doubts: tuple[Doubt, ...] = ()
+    doubts: tuple[Limb, ...] = ()
 
 
 def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
@@ -79,14 +79,15 @@ def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
     reasons = dict.fromkeys(base.locked, WHY["base"])
     reasons |= dict.fromkeys(user_locks(rest, overrides, wheels, base.locked), WHY["user"])
     free = [name for name in moving if name not in reasons and name not in slaves]
-    held = [name for name in overrides.locks if name not in slaves]  # they have their role among the others, too
-    limbs, still = limbs_of(rest, base, [*free, *held], slaves, overrides)
+    known = {*overrides.locks}.difference(slaves, base.locked)  # they have roles among the others, too
+    ours = [name for name in moving if name in free or name in known]
+    limbs, still = limbs_of(rest, base, ours, slaves, overrides)
     if overrides.arm_tip is not None:
-        ours = [name for name in free if name not in still or freed(name, overrides)]
-        leading = leading_to(rest, overrides.arm_tip, ours, slaves)
-        still |= {name: WHY["tip"] for name in ours if name not in leading}
+        left = [name for name in free if name not in still or freed(name, overrides)]
+        leading = leading_to(rest, overrides.arm_tip, left, slaves)
+        still |= {name: WHY["tip"] for name in left if name not in leading}
     else:
-        still |= {name: WHY[limbs.roles.get(name, "arm")] for name in free if limbs.roles.get(name, "arm") in STILL}
+        still |= {name: WHY[role] for name, role in limbs.roles.items() if name in free and role in STILL}
     hands = hands_of(limbs, [name for name in free if name not in still or freed(name, overrides)], overrides.arm_tip)
     still |= dict.fromkeys(of_other_arm(rest, base, hands, overrides.arm), WHY["other"])
     require_locked(rest, overrides, still)

@@ -89,9 +89,8 @@ def members(rest: AtRest, group: etree._Element, parent: str) -> Iterator[str]:
             above = {j.name for j in document.moving_ancestors(part.get("base_link", ""))}
             yield from (j.name for j in document.moving_ancestors(part.get("tip_link", "")) if j.name not in above)
         elif part.tag == "link":
-            carrier = document.carrier.get(name)
-            mounted = carrier is not None and carrier.moves and name != parent
-            yield from [carrier.name] if mounted else []
+            carrier = document.carrier.get(name) if name != parent else None
+            yield from [carrier.name] if carrier is not None and carrier.moves else []
         elif joint is None or joint.moves:
             yield name
 

@@ -38,9 +38,10 @@ WEIGHTS: dict[str, tuple[float, float, float, float]] = {  # of a sign for each 
     "another joint follows it": (-0.5, 1.5, -1.0, -2.0),
     "it slides by a few centimetres and carries no joint": (-1.0, 1.0, -1.0, 0.0),
     "it slides by two centimetres at most on the base and carries no joint": (0.0, -1.0, 0.0, 8.0),
+    "it slides": (0.0, 0.0, -3.0, 0.0),
     "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0),
     "it pans, and what it carries tilts": (1.0, -0.5, 0.0, 0.0),
-    "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 2.0, 0.0),
+    "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.0, 0.0),
     "it carries a camera": (1.5, -0.5, 1.0, 0.0),
     "it carries a lidar": (0.5, -0.5, 2.5, 0.0),
     "it carries the frame of a tool": (-4.0, -2.0, -4.0, -4.0),
@@ -68,11 +69,14 @@ WORDS = {  # English, German, French, Spanish, Italian, Portuguese, and Chinese 
 }
 ROLE_OF = {word: role for role, words in WORDS.items() for word in words.split()}
 WEAK = dict.fromkeys(("pan", "tilt", "mast"), "head")  # said of shoulders, too
-CAMERA = re.compile(r"camera|kinect|realsense|zed|xtion|d4[0-9]5|kamera", re.IGNORECASE)
-LIDAR = re.compile(r"lidar|laser|hokuyo|velodyne|rplidar|\bray\b", re.IGNORECASE)
 TOOL = re.compile(
     r"tool0|(?:^|_)(?:tcp|tool|ee|eef)(?:_|$)|end_?effector|flange|grip(?:per)?_frame|grasp", re.IGNORECASE
 )
+LOADS = {
+    "a camera": re.compile(r"camera|kinect|realsense|zed|xtion|d4[0-9]5|kamera", re.IGNORECASE),
+    "a lidar": re.compile(r"lidar|laser|hokuyo|velodyne|rplidar|\bray\b", re.IGNORECASE),
+    "the frame of a tool": TOOL,
+}
 LETTERS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
 
 
@@ -119,12 +123,14 @@ class Limb:
     """How a branch is taken.
 
     Attributes:
+        joints: Joints on it that may move by themselves, its own first.
         role: `arm` where it moves, else one of `STILL`.
         other: What else it may be.
         signs: What speaks for a branch that stands still over one that moves.
         margin: By how much the role beats the other [nats].
     """
 
+    joints: tuple[str, ...]
     role: str
     other: str
     signs: tuple[Sign, ...]
@@ -135,20 +141,10 @@ class Limb:
         """Signs that tell its role from the other, the strongest first."""
         return told_apart((), self.signs) if self.role == "arm" else told_apart(self.signs, ())
 
-
-@dataclass(frozen=True)
-class Doubt:
-    """A branch that may be something else.
-
-    Attributes:
-        joint: Its topmost joint.
-        limb: How it is taken, what else it may be, and why.
-        option: What has it the other way.
-    """
-
-    joint: str
-    limb: Limb
-    option: str
+    @property
+    def option(self) -> str:
+        """Options that make it the other."""
+        return " ".join(f"--{'lock' if self.role == 'arm' else 'free'} {joint}" for joint in self.joints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,31 +193,22 @@ class Limbs:
         """Reach of the longest chain [m]."""
         return max((self.tree[name].reach for name in self.candidates), default=0.0)
 
-    def common(self, name: str) -> set[str]:
-        """Words that tell nothing: in all names, or of a jaw in all names that hang on one joint of the base."""
-        whole = self.candidates.intersection(self.tree[[name, *self.tree[name].above][-1]].carried)
-        ours, every = (set.intersection(*map(words_of, names)) for names in (whole, self.candidates))
-        same = {word for word in ours if ROLE_OF.get(word) == "jaw"} if len(whole) > 2 else set()
-        return same | {word for word in every if ROLE_OF.get(word) != "arm"} if len(self.candidates) > 1 else set()
-
     @cached_property
     def limbs(self) -> dict[str, Limb]:
         """Every branch that moves, and those that stand still, by their topmost joints."""
         found, worth = dict[str, Limb](), dict[str, float]()
         for name in sorted(self.tree, key=lambda name: -len(self.tree[name].above)):
-            moves = sum(worth[joint] for joint in self.tree[name].below)
-            worth[name] = moves
+            branch = self.tree[name]
+            worth[name] = moves = sum(worth[joint] for joint in branch.below)
             if name not in self.candidates:
                 continue
-            signs = {role: self.signs(name, role) for role in STILL}
-            role = max(STILL, key=lambda role: score(signs[role]))
-            still = score(signs[role])
-            worth[name] = max(moves, still)
+            role, signs = max(self.readings(name).items(), key=lambda item: score(item[1]))
+            still, joints = score(signs), tuple(joint for joint in branch.carried if joint in self.candidates)
             if still > moves:
-                for carried in self.tree[name].carried:
-                    found.pop(carried, None)
+                worth[name] = still
+                found = {joint: limb for joint, limb in found.items() if joint not in joints}
             roles = (role, "arm") if still > moves else ("arm", role)
-            found[name] = Limb(*roles, tuple(signs[role]), abs(still - moves))
+            found[name] = Limb(joints, *roles, tuple(signs), abs(still - moves))
         if not any(limb.role == "arm" for limb in found.values()):  # what else is there to move?
             found |= {name: replace(limb, role="arm") for name, limb in found.items() if limb.role in ("head", "jaw")}
         return found
@@ -230,8 +217,7 @@ class Limbs:
     def roles(self) -> dict[str, str]:
         """The role of every candidate: of the branch that it is on, `arm` where that moves."""
         tops = sorted(self.limbs, key=lambda name: len(self.tree[name].above))
-        roles = {joint: self.limbs[top].role for top in tops for joint in self.tree[top].carried}
-        return {name: roles[name] for name in roles if name in self.candidates}
+        return {joint: self.limbs[top].role for top in tops for joint in self.limbs[top].joints}
 
     def is_jaw(self, name: str) -> bool:
         """Whether a joint is of a jaw, or follows one that is."""
@@ -242,37 +228,36 @@ class Limbs:
         """Joints of the arm."""
         return [name for name, role in self.roles.items() if role == "arm"]
 
-    def doubts(self, said: Iterable[str] = ()) -> tuple[Doubt, ...]:
+    def doubts(self, said: Iterable[str]) -> tuple[Limb, ...]:
         """Branches whose roles beat others by little, one of every chain; none of those that the user speaks of."""
-        found, known = list[Doubt](), {*said}
+        found, known = list[Limb](), {*said}
         for name, limb in sorted(self.limbs.items(), key=lambda item: item[1].margin):
-            branch = [joint for joint in self.tree[name].carried if joint in self.candidates]
-            alone = {*self.arm} <= {*branch}
-            if limb.margin < MARGIN and limb.other != limb.role and not alone and not known & {"all", *branch}:
-                option = " ".join(f"--{'lock' if limb.role == 'arm' else 'free'} {joint}" for joint in branch)
-                found.append(Doubt(name, limb, option))
-                known |= {*self.tree[name].carried, *self.tree[name].above}
+            alone = {*self.arm} <= {*limb.joints} and limb.other in ("head", "jaw")  # it would be the arm all the same
+            if limb.margin < MARGIN and limb.other != limb.role and not alone and not known & {"all", *limb.joints}:
+                found.append(limb)
+                known |= {*limb.joints, *self.tree[name].above}
         return tuple(found)
 
-    def signs(self, name: str, role: str) -> list[Sign]:
-        """Signs for a role of a branch that stands still, over one that moves: of its shape, and every joint's name."""
-        place, keys = STILL.index(role), ["most joints are an arm's"]
-        keys += [*self.of_place(name), *self.of_motion(name), *self.of_load(name)]
-        signs = [Sign(key, self.weights[key][place], joint=name) for key in keys]
-        for joint in self.tree[name].carried:
-            signs += [
-                Sign(text, self.weights[key][place], joint=joint) for key, text in self.named.get(joint, {}).items()
-            ]
-        return signs
+    def readings(self, name: str) -> dict[str, list[Sign]]:
+        """Signs for every role of a branch that stands still, over one that moves."""
+        seen = self.seen(name)
+        weigh = self.weights.__getitem__
+        return {role: [Sign(text, weigh(key)[i], joint=of) for key, text, of in seen] for i, role in enumerate(STILL)}
+
+    def seen(self, name: str) -> list[tuple[str, str, str]]:
+        """Signs of a branch: of its shape, and every joint's name; keys of `WEIGHTS`, what is told, and the joint."""
+        carried = self.tree[name].carried
+        load = {key for joint in carried for key in self.loads[joint]}
+        keys = ("most joints are an arm's", *self.of_place(name), *self.of_motion(name), *sorted(load))
+        return [*((key, key, name) for key in keys), *(one for joint in carried for one in self.named.get(joint, ()))]
 
     def of_place(self, name: str) -> Iterable[str]:
         """Signs of its size and its place in the tree."""
         branch = self.tree[name]
         led = {follower for follower, master in self.followers.items() if master in branch.carried}
-        share = branch.reach / self.longest if self.longest else 1.0
-        if share < SHORT:
+        if branch.reach < SHORT * self.longest:
             yield "it reaches less than a third as far as the longest chain"
-        elif share > LONG:
+        elif branch.reach >= LONG * self.longest and not self.candidates <= {*branch.carried}:
             yield "it reaches more than half as far as the longest chain"
         yield f"it has {'four joints or more' if branch.row >= ROW else 'three joints or fewer'} in a row"
         above, beside = (
@@ -313,6 +298,7 @@ class Limbs:
             if travel <= BUTTON and not branch.above:
                 yield "it slides by two centimetres at most on the base and carries no joint"
         if joint.type == "prismatic":
+            yield "it slides"
             return
         before, first = (rest.document.joints[name] for name in (*branch.above, name, name)[:2])
         along = rest.hub(before) - rest.hub(first)
@@ -325,37 +311,53 @@ class Limbs:
             if alone and joint.turns_freely:
                 yield "it turns without end about an upright axis and carries no joint"
 
-    def of_load(self, name: str) -> Iterable[str]:
-        """Signs of the links and sensors that it carries."""
-        document = self.rest.document
-        links = [link for joint in self.tree[name].carried for link in document.body(document.joints[joint].child)]
-        kinds = [sensor.get("type", "") for link in links for sensor in self.sensors.get(link, ())]
-        for pattern, key in ((CAMERA, "a camera"), (LIDAR, "a lidar"), (TOOL, "the frame of a tool")):
-            if any(pattern.search(text) for text in (*links, *kinds)):
-                yield f"it carries {key}"
-
     @cached_property
-    def sensors(self) -> dict[str, list]:
-        """Sensors of simulators, by the link that carries them."""
-        blocks = self.rest.document.root.iterchildren("gazebo")
-        return {block.get("reference", ""): list(block.iter("sensor")) for block in blocks}
-
-    @cached_property
-    def named(self) -> dict[str, dict[str, str]]:
-        """Names of every joint, as keys of `WEIGHTS`: its own, else its link's, and the smallest group's."""
-        found: dict[str, dict[str, str]] = {name: {} for name in self.candidates}
-        for name, names in found.items():
-            joint = self.rest.document.joints[name]
-            for text in (joint.child,) if "_to_" in name else (name, joint.child):
-                role, word = role_named(text, self.common(name), joint.type != "prismatic")
-                if role and not names:
-                    names[f"names of {role}s"] = f"'{word}' in the name of '{text}'"
-            for group in sorted((g for g in self.groups if name in g.joints), key=lambda g: len(g.joints)):
-                role, _ = role_named(group.name)
-                if role:
-                    names[f"names of {role}s"] = f"'{group.name}' has '{name}' ({group.where})"
-                    break
+    def loads(self) -> dict[str, set[str]]:
+        """Signs of the links and sensors on the body of every joint."""
+        document, sensors = self.rest.document, dict[str, list[str]]()
+        for block in document.root.iterchildren("gazebo"):
+            kinds = [sensor.get("type", "") for sensor in block.iter("sensor")]
+            sensors.setdefault(block.get("reference", ""), []).extend(kinds)
+        found = dict[str, set[str]]()
+        for name in self.tree:
+            links = document.body(document.joints[name].child)
+            texts = [*links, *(kind for link in links for kind in sensors.get(link, ()))]
+            found[name] = {f"it carries {key}" for key, hint in LOADS.items() if any(map(hint.search, texts))}
         return found
+
+    @cached_property
+    def named(self) -> dict[str, list[tuple[str, str, str]]]:
+        """Signs of the name of every joint, else of its link's, and of the smallest group's that has it.
+
+        Words in all names tell nothing, nor does a jaw's in all names that hang on one joint of the base.
+        """
+        words, root = {name: words_of(name) for name in self.candidates}, self.rest.document.root_link
+        every, found = common(words.values()), dict[str, list[tuple[str, str, str]]]()
+        for top in self.rest.document.moving_children(root):
+            branch = [name for name in self.tree[top.name].carried if name in words]
+            ours = common(words[name] for name in branch) if len(branch) > 2 else set()
+            told = {w for w in every if ROLE_OF.get(w) != "arm"} | {w for w in ours if ROLE_OF.get(w) == "jaw"}
+            found |= {name: list(self.of_name(name, told)) for name in branch}
+        return found
+
+    def of_name(self, name: str, told: set[str]) -> Iterable[tuple[str, str, str]]:
+        """Signs of the name of a joint; words that are told mean nothing."""
+        joint = self.rest.document.joints[name]
+        texts = (joint.child,) if "_to_" in name else (name, joint.child)
+        named = [(text, *role_named(text, told, joint.type != "prismatic")) for text in texts]
+        text, role, word = next((one for one in named if one[1]), ("", "", ""))
+        groups = sorted((group for group in self.groups if name in group.joints), key=lambda group: len(group.joints))
+        by, where = next(((by, group) for group in groups if (by := role_named(group.name)[0])), ("", None))
+        if role and role != by:
+            yield f"names of {role}s", f"'{word}' in the name of '{text}'", name
+        if where is not None:
+            yield f"names of {by}s", f"'{where.name}' has '{name}' ({where.where})", name
+
+
+def common(names: Iterable[set[str]]) -> set[str]:
+    """Words of all of two names or more."""
+    names = list(names)
+    return set.intersection(*names) if len(names) > 1 else set()
 
 
 def words_of(name: str) -> set[str]:

@@ -202,8 +202,8 @@ def test_an_arm_too_weak_for_the_middle_of_its_range_swings_about_another_postur
 
 @pytest.mark.skipif("so101" not in extra(), reason="example-robot-data is not installed")
 def test_an_arm_too_weak_for_the_ends_of_its_swing_swings_less_far() -> None:
-    robot = load("so101")
-    experiment = load_experiment("track", ["robot=so101"])
+    robot = load("so101", free=("gripper",))
+    experiment = load_experiment("track", ["robot=so101", 'overrides.free=["gripper"]'])
     still = needed(robot, replace(experiment.trajectory_of(robot), slowness=SLOWEST))
     weak = replace(robot, effort_limits=robot.effort_limits * still / 1.04)  # no posture of the whole swing helps
     swings = [

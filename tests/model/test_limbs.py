@@ -35,6 +35,7 @@ class Built:
     moves: set[str] = field(default_factory=set)
     still: set[str] = field(default_factory=set)
     seed: int = 0
+    lidar: str = ""
 
     def add(self, parent: str, kind="revolute", p=(0, 0, 0.3), axis=Y, moves=True, limits=(-2, 2), more="", mass=1.0):
         """A joint with its link, by neutral names; the link."""
@@ -54,6 +55,14 @@ class Built:
 
     def jaws(self, parent: str, kind: str) -> None:
         """A gripper of two jaws at the end of an arm."""
+        if kind == "linkage":  # a knuckle with a tip, and the other one; all but the first follow
+            sizes = {"moves": False, "limits": (-0.8, 0.8), "mass": 0.05, "axis": X}
+            first = self.add(parent, p=(0, 0.03, 0.06), **sizes)
+            follow = '<mimic joint="{}j" multiplier="{}"/>'.format
+            self.add(first, p=(0, 0.01, 0.04), more=follow(first, -1), **sizes)
+            other = self.add(parent, p=(0, -0.03, 0.06), more=follow(first, -1), **sizes)
+            self.add(other, p=(0, -0.01, 0.04), more=follow(first, 1), **sizes)
+            return
         turns = kind == "turn"
         sizes = {"kind": "revolute" if turns else "prismatic", "limits": (0, 0.8) if turns else (0, 0.04), "mass": 0.05}
         master = self.add(parent, p=(0, 0.02, 0.08), axis=X if turns else Y, moves=False, **sizes)
@@ -74,18 +83,21 @@ class Built:
 
 @st.composite
 def robots(draw) -> Built:
-    built, grippers = Built(seed=draw(st.integers(0, 99))), st.sampled_from(["slide", "turn", "mimic", "none"])
-    on = "base"
+    built, grippers = (
+        Built(seed=draw(st.integers(0, 99))),
+        st.sampled_from(["slide", "turn", "mimic", "linkage", "none"]),
+    )
+    on, count = "base", draw(st.integers(2, 7))
     if draw(st.booleans()):
         on = built.add("base", "prismatic", axis=Z, limits=(0, 0.3))
     for side in draw(st.sampled_from([(0.0,), (0.25, -0.25)])):
-        end = built.arm(on, side, draw(st.integers(4, 7)))
+        end = built.arm(on, side, count)
         if (gripper := draw(grippers)) != "none":
             built.jaws(end, gripper)
     if draw(st.booleans()):
         built.head(on)
     if draw(st.booleans()):
-        built.add("base", "continuous", p=(0.1, 0.1, 0.4), axis=Z, moves=False, mass=0.1)  # a lidar
+        built.lidar = built.add("base", "continuous", p=(0.1, 0.1, 0.4), axis=Z, moves=False, mass=0.1)
     return built
 
 
@@ -95,6 +107,7 @@ def test_structure_alone_tells_arms_from_jaws_heads_and_lidars(built: Built):
     robot = robot_of(built.urdf())
     assert set(robot.joint_names) == built.moves
     assert set(robot.arm.locked) == built.still
+    assert not built.lidar or robot.arm.reasons[f"{built.lidar}j"] == "taken as a sensor that turns"
     assert len(robot.hands) == len(set(robot.hands)) == sum("arm" not in h for h in robot.hands)
 
 
@@ -105,8 +118,8 @@ def test_the_order_of_the_file_does_not_matter(built: Built, seed: int):
     built.seed = seed
     again = robot_of(built.urdf())
     assert set(first.joint_names) == set(again.joint_names) and set(first.hands) == set(again.hands)
-    assert {d.joint: d.limb.margin for d in first.arm.doubts} == pytest.approx(
-        {d.joint: d.limb.margin for d in again.arm.doubts}
+    assert {d.joints[0]: d.margin for d in first.arm.doubts} == pytest.approx(
+        {d.joints[0]: d.margin for d in again.arm.doubts}
     )
 
 
@@ -148,7 +161,7 @@ def test_a_branch_that_stands_still_in_doubt_is_freed_by_its_option():
         bar.add(end, p=(0, side, 0.05), axis=Z, moves=False)
     robot = robot_of(bar.urdf())
     for doubt in robot.arm.doubts:
-        assert doubt.limb.margin < MARGIN and doubt.limb.role == "jaw" and doubt.limb.told
+        assert doubt.margin < MARGIN and doubt.role == "jaw" and doubt.told
         names = tuple(re.findall(r"--free (\S+)", doubt.option))
         assert names and set(names) <= set(robot_of(bar.urdf(), free=names).joint_names)
 
@@ -171,15 +184,25 @@ def test_words_that_all_names_share_tell_nothing():
 def test_what_only_pans_and_tilts_is_the_arm_where_nothing_else_moves():
     built = Built()
     built.head("base")
+    for text in (built.urdf(), built.urdf().replace("n0j", "neck").replace("n1j", "head")):
+        robot = robot_of(text)
+        assert robot.dimensions.arm == 2 and not robot.arm.doubts
+
+
+def test_what_turns_alone_is_asked_about_unless_it_is_named():
+    built = Built()
+    built.add("base", "continuous", p=(0.1, 0, 0.4), axis=Z, mass=0.1)
     robot = robot_of(built.urdf())
-    assert set(robot.joint_names) == built.still and not robot.arm.doubts
+    assert robot.joint_names == ("n0j",) and [limb.option for limb in robot.arm.doubts] == ["--lock n0j"]
+    assert not robot_of(built.urdf(), lock=("n0j",)).arm.doubts
+    assert "sensor" in robot_of(built.urdf().replace("n0j", "lidar_joint")).arm.reasons["lidar_joint"]
 
 
 # --- What files say ---------------------------------------------------------------------------------------------------
 
 GROUPS = {
     "srdf": '<robot name="r"><group name="arm"><chain base_link="base" tip_link="{wrist}"/></group>'
-    '<group name="gripper"><joint name="{jaw}"/></group>'
+    '<group name="gripper"><link name="{wrist}"/><joint name="{jaw}"/></group>'
     '<end_effector name="e" parent_link="{wrist}" group="gripper"/></robot>',
     "yaml": "gripper_controller:\n  ros__parameters:\n    joints:\n      - {jaw}\n",
     "ros2_control": '<ros2_control name="GripperSystem" type="system"><joint name="{jaw}"/></ros2_control>',
@@ -202,7 +225,7 @@ def test_groups_of_files_tell_a_jaw(tmp_path, kind):
         assert robot.hands == (wrist,) and "'gripper' is mounted on it" in robot.arm.hands[0].why
 
 
-OTHER = '<robot name="r"><group name="gripper"><joint name="x"/></group></robot>'
+OTHER = '<robot name="r"><group name="gripper"><joint name="joint6"/><joint name="x"/></group></robot>'
 
 
 @pytest.mark.parametrize("broken", ["<robot", "", OTHER])

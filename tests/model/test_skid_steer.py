@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from test_base import four
 from test_base import wheel as wheel_at
 
-from mmnn_pin.errors import ConfigError, RobotError
+from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.base.base import Wheel
 from mmnn_pin.model.base.report import Undecided
 from mmnn_pin.model.base.skid_steer import GRAVITY, loads, rotation_centre, turning_friction, turning_track
@@ -202,12 +202,13 @@ def test_more_wheels_than_three_per_side_are_tracks():
 
 
 def test_a_name_that_steers_is_never_a_skid_steer_by_guess():
-    with pytest.raises(Undecided, match="'ackermann_rover' among its names: does it steer"):
-        robot_of(rover().replace('name="rover"', 'name="ackermann_rover"'))
+    with pytest.raises(Undecided, match="'ackermann' among its names: does it steer"):
+        robot_of(rover().replace('name="rover"', 'name="ackermann"'))
     with pytest.raises(Undecided):
-        robot_of(rover().replace('name="rover"', 'name="skid_steer_rover"'))
-    with pytest.raises(RobotError):
-        robot_of(rover())
+        robot_of(rover().replace('name="rover"', 'name="skid_steer"'))
+    told = next(f for f in robot_of(rover()).findings if f.code == "base-doubt")
+    assert "the robot is called 'rover'" in told.message and told.fix == "--base holonomic for the other"
+    assert robot_of(rover(), base="holonomic").base.kind == "holonomic"  # as it says
 
 
 def test_its_turning_friction_is_a_linear_parameter():

@@ -36,9 +36,10 @@ WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
     ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
     ("skid_steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
 )
+OUTDOORS = re.compile(r"rover|4wd|4x4|ugv|all.?terrain|off.?road", re.IGNORECASE)  # robots that mostly skid
 MOVED = re.compile(r"joint|wheel", re.IGNORECASE)  # tags of plugins that name what they drive
 READS = re.compile(r"state[_-]?publisher|force[_-]?torque|ft[_-]?sensor", re.IGNORECASE)  # plugins that drive nothing
-WEIGHTS = {  # of evidence by its source, as of `model.signs`: the last two only confirm
+WEIGHTS = {  # of evidence by its source, as of `model.signs`: the last ones only confirm
     "rollers": 8.0,
     "oblique friction": 5.0,
     "plugin": 3.5,
@@ -46,7 +47,9 @@ WEIGHTS = {  # of evidence by its source, as of `model.signs`: the last two only
     "commands": 3.5,
     "no friction": 3.0,
     "friction": 2.5,
+    "meshes": 2.5,
     "names": 1.5,
+    "called": 1.2,
     "transmissions": 1.0,
 }
 NO_FRICTION, GRIP = 1e-3, 0.2  # friction coefficients below the first slide, above the second hold
@@ -104,7 +107,7 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
     return [
         *rollers(rest, wheels),
         *plugins(rest),
-        *controllers_in(controllers),
+        *(piece for file in named_files(rest, wheels, controllers) for piece in controllers_in(file)),
         *commands(rest, wheels),
         *contact(rest, wheels),
         *transmissions(rest, wheels),
@@ -149,6 +152,19 @@ def plugins(rest: AtRest) -> Iterator[Evidence]:
                     if hit := pattern.search(words):
                         text = f"<{tag}> names '{hit[0]}' in <{element.tag}> (line {element.sourceline})"
                         yield Evidence(meaning, text, element.sourceline, "plugin")
+
+
+def named_files(rest: AtRest, wheels: list[Candidate], controllers: str | None) -> list[str]:
+    """The controllers' file that was given, else those beside the robot's that name all these wheels."""
+    if controllers is not None:
+        return [controllers]
+    joints = {wheel.joint.name for wheel in wheels}
+    return [str(file) for file in beside(rest) if joints <= words_of(str(file))]
+
+
+def words_of(file: str) -> set[str]:
+    """All values in a controllers' file, the items of lists each."""
+    return {word for table in tables_of(file) for entry in table.values() for word in entry.items}
 
 
 def controllers_in(file: str | None) -> Iterator[Evidence]:
@@ -233,16 +249,21 @@ def transmissions(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
 
 
 def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
-    """Names of wheels and their meshes; they only confirm."""
+    """Names of wheels and their meshes, and what the robot is called; they weigh little."""
     for wheel in wheels:
-        element = rest.document.links[wheel.joint.child]
-        words = [wheel.joint.name, wheel.joint.child, *(mesh.get("filename", "") for mesh in element.iter("mesh"))]
-        for meaning, pattern in WORDS:
-            for word in words:
-                if hit := pattern.search(word):
-                    text = f"'{hit[0]}' in the names of wheel '{wheel.joint.name}' (line {wheel.joint.line})"
-                    yield Evidence(meaning, text, wheel.joint.line, "names")
-                    break
+        element, where = (
+            rest.document.links[wheel.joint.child],
+            f"of wheel '{wheel.joint.name}' (line {wheel.joint.line})",
+        )
+        meshes = [mesh.get("filename", "") for mesh in element.iter("mesh")]
+        for source, words in (("names", [wheel.joint.name, wheel.joint.child]), ("meshes", meshes)):
+            for meaning, pattern in WORDS:
+                if hit := next(filter(None, map(pattern.search, words)), None):
+                    text = f"'{hit[0]}' in the {'mesh' if source == 'meshes' else 'names'} {where}"
+                    yield Evidence(meaning, text, wheel.joint.line, source, wheel.joint.name)
+    called = f"{rest.document.root.get('name', '')} {rest.document.path.name}"
+    if hit := OUTDOORS.search(called):
+        yield Evidence("skid_steer", f"the robot is called '{hit[0]}'", 1, "called")
 
 
 # -- what drives its joints --------------------------------------------------------------------------------------------

@@ -28,7 +28,9 @@ STEERED_NAMES = re.compile(
     r"(?<!skid_)(?<!skid)(?<!skid-)steer|ackermann|racecar|tricycle|bicycle|car[_-]?like", re.IGNORECASE
 )
 
-TRACK_NAMES = re.compile(r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?|flippers?)([_./ -]|$)", re.IGNORECASE)
+TRACK_NAMES = re.compile(
+    r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?|flippers?|tank)([_./ -]|$)", re.IGNORECASE
+)
 LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
 SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
 SWERVE = "swerve drive"
@@ -85,7 +87,11 @@ def belt_signs(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Sign]:
     if count > 2 * MOST_PER_SIDE:
         yield Sign(f"{count} parallel wheels: more than {MOST_PER_SIDE} per side run in tracks", 4.0)
     if named := track_named(rest):
-        yield Sign(named, 0.5)
+        yield Sign(named, 1.0)
+    size, bottom = (max(2.0 * c.radius for c in wheels), min(c.bottom for c in wheels)) if wheels else (0.0, 0.0)
+    if rest.is_footprint and bottom > size:
+        text = f"they end {bottom:.3g} m above the root link '{rest.document.root_link}', which stands for the floor"
+        yield Sign(text, 1.0)
 
 
 def track_named(rest: AtRest) -> str:

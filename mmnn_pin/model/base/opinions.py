@@ -36,6 +36,7 @@ from .evidence import (
     number_of,
     stated,
     tables_of,
+    words_of,
 )
 from .heading import axis_name
 from .overrides import LARGEST, SMALLEST, Overrides
@@ -240,11 +241,6 @@ def own_files(rest: AtRest, base: Base, overrides: Overrides) -> list[str]:
         return [overrides.controllers_file] if base.wheels and not base.shape and overrides.controllers_file else []
     joints = {wheel.joint for wheel in base.wheels}
     return [str(file) for file in beside(rest) if joints <= words_of(str(file))]
-
-
-def words_of(file: str) -> set[str]:
-    """All values in a controllers' file, the items of lists each."""
-    return {word for table in tables_of(file) for entry in table.values() for word in entry.items}
 
 
 def agreed(lengths: list[Stated]) -> Stated | None:

@@ -345,7 +345,7 @@ def skidding(
         kind: On wheels, or on belts, which may run over more of them.
 
     Raises:
-        ConfigError: Not two or three parallel wheels on either side, on belts two or more; with their names.
+        ConfigError: Not two or three parallel wheels on either side, on belts one or more; with their names.
         Undecided: Wheels of one side that do not roll alike.
     """
     base = frame_of(rest, drives, wheels, kind, overrides)
@@ -388,8 +388,8 @@ def require_sides(
         kind: On wheels or on belts.
     """
     left, right = sides
-    most = MOST_PER_SIDE if kind is SkidSteer else len(drives)
-    even = all(parallel(drives[0], c) for c in drives[1:]) and 2 <= len(left) == len(right) <= most
+    least, most = (2, MOST_PER_SIDE) if kind is SkidSteer else (1, len(drives))
+    even = all(parallel(drives[0], c) for c in drives[1:]) and least <= len(left) == len(right) <= most
     if even and len(left) + len(right) == len(drives):
         return
     name = "tracked machine" if kind is Tracked else "skid-steer base"

@@ -62,85 +62,75 @@ class Reading:
         return " ".join(f"--{key.replace('_', '-')} {text}" for key, text in texts.items())
 
 
-Attempt = Callable[[Mapping[str, Any]], BaseResult]  # what the loader makes of the robot if a user says so
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What the loader asks where readings leave a doubt.
 
-
-def best_of(
-    rest: AtRest,
-    readings: Sequence[Reading],
-    wheels: Sequence[Candidate],
-    attempt: Attempt,
-    blind: Sequence[Candidate] = (),
-    sure: bool = False,
-) -> BaseResult:
-    """The base of the reading that is borne out.
-
-    Args:
+    Attributes:
         rest: The robot at rest.
-        readings: At least one.
-        wheels: What was found, for the question.
-        attempt: Tries what is to be printed.
+        wheels: What was found.
+        attempt: What becomes of the robot if a user says something more; None where that is what is tried.
         blind: What may be wheels, too, and cannot be measured.
-        sure: Whether the user says that it is one of these.
-
-    Raises:
-        Undecided: Another one is borne out as well.
-        RobotError, ConfigError: It cannot be built.
+        sure: Whether the user says that one of the readings is right.
     """
-    ordered = sorted(readings, key=lambda reading: -reading.score)
-    best, others = ordered[0], ordered[1:]
-    rivals = [r for r in others if best.score - r.score < MARGIN and leads_on(r, attempt)]
-    if not rivals and best.score - NOTHING < MARGIN and not sure:
-        raise unlikely(rest, best, others, [*wheels, *blind] if blind else wheels, attempt, bool(blind))
-    if rivals:
-        raise asked(rest, [best, *rivals], [r for r in others if r not in rivals], wheels, attempt)
-    found = best.build()
-    return replace(found, findings=(*reading_note(rest, best, others), *found.findings))
 
+    rest: AtRest
+    wheels: Sequence[Candidate]
+    attempt: Callable[[Mapping[str, Any]], BaseResult] | None
+    blind: Sequence[Candidate] = ()
+    sure: bool = False
 
-def leads_on(reading: Reading, attempt: Attempt) -> bool:
-    """Whether its options lead to a reading: only then they are printed."""
-    try:
-        return attempt(reading.said).base.kind == reading.kind
-    except InputError:
-        return False
+    def best_of(self, readings: Sequence[Reading]) -> BaseResult:
+        """The base of the reading that is borne out.
 
+        Raises:
+            Undecided: Another one is borne out as well, or much speaks against it.
+            RobotError, ConfigError: It cannot be built.
+        """
+        ordered = sorted(readings, key=lambda reading: -reading.score)
+        best, others = ordered[0], ordered[1:]
+        near = [reading for reading in others if best.score - reading.score < MARGIN]
+        doubtful = best.score - NOTHING < MARGIN and not self.sure
+        rivals = near if self.attempt is None else [reading for reading in near if self.leads_on(reading)]
+        if rivals:
+            raise self.which([best, *rivals], [reading for reading in others if reading not in rivals])
+        if doubtful:
+            raise self.whether(best, others)
+        found = best.build()
+        return replace(found, findings=(*reading_note(self.rest, best, others), *found.findings))
 
-def asked(
-    rest: AtRest, rivals: Sequence[Reading], others: Sequence[Reading], wheels: Sequence[Candidate], attempt: Attempt
-) -> Exception:
-    """The question which of some readings is meant."""
-    told = [told_apart(one.signs, other.signs) for one in rivals for other in rivals if one is not other]
-    texts = list(dict.fromkeys(text for texts in told for text in texts))
-    kinds = dict.fromkeys(r.kind.replace("_", " ") for r in rivals)
-    why = f"nothing in the file tells {' from '.join(kinds)}"
-    if texts:
-        why = f"the signs do not tell which: {'; '.join(texts)}"
-    ways = [f"{r.options} {when(r, rivals)}".strip() for r in rivals if leads_on(r, attempt)]
-    last = PARKED if "holonomic" in kinds else FORCES
-    listed = [reading.told for reading in [*rivals, *others][:4]]
-    return undecided(rest, list(wheels), listed, why, "; ".join([*ways, last]))
+    def leads_on(self, reading: Reading) -> bool:
+        """Whether its options lead to a reading: only then they are printed."""
+        try:
+            return self.attempt is not None and self.attempt(reading.said).base.kind == reading.kind
+        except InputError:
+            return False
 
+    def which(self, rivals: Sequence[Reading], others: Sequence[Reading]) -> Exception:
+        """The question which of some readings is meant."""
+        told = [told_apart(one.signs, other.signs) for one in rivals for other in rivals if one is not other]
+        texts = list(dict.fromkeys(text for texts in told for text in texts))
+        kinds = dict.fromkeys(reading.kind.replace("_", " ") for reading in rivals)
+        why = f"nothing in the file tells {' from '.join(kinds)}"
+        if texts:
+            why = f"the signs do not tell which: {'; '.join(texts)}"
+        ways = [f"{r.options} {when(r, rivals)}".strip() for r in rivals if self.leads_on(r)]
+        last = PARKED if "holonomic" in kinds else FORCES
+        listed = [reading.told for reading in [*rivals, *others][:4]]
+        return undecided(self.rest, list(self.wheels), listed, why, "; ".join([*ways, last]))
 
-def unlikely(
-    rest: AtRest,
-    best: Reading,
-    others: Sequence[Reading],
-    wheels: Sequence[Candidate],
-    attempt: Attempt,
-    blind: bool,
-) -> Exception:
-    """The question whether a reading is meant though much speaks against it."""
-    against = [sign.text for sign in best.signs if sign.weight < 0]
-    ways = [f"{best.options} {when(best, [best])}"] if leads_on(best, attempt) else []
-    why, last = "; ".join(against), FORCES
-    if any("<mimic>" in text for text in against):
-        ways.append("take out their <mimic> if they turn by themselves")
-    if blind:
-        why = "what turns on some of them cannot be measured, or does not reach the floor"
-        ways, last = [], blind_fix(rest, wheels)
-    listed = [reading.told for reading in [best, *others][:4]]
-    return undecided(rest, list(wheels), listed, why, "; ".join([*ways, last]))
+    def whether(self, best: Reading, others: Sequence[Reading]) -> Exception:
+        """The question whether a reading is meant though much speaks against it."""
+        listed = [reading.told for reading in [best, *others][:4]]
+        if self.blind:
+            why = "what turns on some of them cannot be measured, or does not reach the floor"
+            everything = [*self.wheels, *self.blind]
+            return undecided(self.rest, everything, listed, why, blind_fix(self.rest, everything))
+        against = [sign.text for sign in best.signs if sign.weight < 0]
+        ways = [f"{best.options} {when(best, [best])}"] if self.leads_on(best) else []
+        if any("<mimic>" in text for text in against):
+            ways.append("take out their <mimic> if they turn by themselves")
+        return undecided(self.rest, list(self.wheels), listed, "; ".join(against), "; ".join([*ways, FORCES]))
 
 
 def when(reading: Reading, rivals: Sequence[Reading]) -> str:
@@ -184,6 +174,7 @@ class Drives:
         fixed: Wheels that hang on nothing that turns; or those that the user names.
         motors: Joints that the file drives, with where it says so.
         named: Whether the user names them.
+        said: The kind that the user says, None where that is open.
         belts: Signs that it runs on tracks.
         words: Signs against all that does not steer.
     """
@@ -191,6 +182,7 @@ class Drives:
     fixed: Sequence[Candidate]
     motors: Mapping[str, str]
     named: bool
+    said: str | None
     belts: Sequence[Sign]
     words: Sequence[Sign]
 
@@ -200,6 +192,7 @@ class Drives:
             return [list(self.fixed)]
         sets = [list(self.fixed), [c for c in self.fixed if c.shape != "sphere"]]
         sets.append([c for c in self.fixed if c.joint.name in self.motors])
+        sets += [[o for o in self.fixed if o.carried == c.carried and alike(o, c)] for c in self.fixed]
         sets += [list(pair) for pair in combinations(self.fixed, 2)]
         known = {frozenset(c.joint.name for c in some): some for some in reversed(sets) if len(some) > 1}
         return list(known.values())[::-1]
@@ -208,11 +201,13 @@ class Drives:
         """Kinds of base that some wheels can make by their places."""
         if len(drives) == 2:
             near = SLOPPY if self.named else COAXIAL
-            return ["differential_drive"] if coaxial(*drives, within=near) else []
+            pair = ["differential_drive"] if coaxial(*drives, within=near) else []
+            tracked = pair and (self.said == "tracked" or (self.belts and not self.named))
+            return pair + (["tracked"] if tracked else [])
         if not all(parallel(drives[0], c) for c in drives[1:]):
             return ["holonomic"] if len(drives) >= 3 else []
         left, right = on_either_side(drives)
-        even = left == right >= 2
+        even = 2 <= left == right == len(drives) / 2
         rollers = len(drives) == 4 and in_pairs(drives) and not one_axle(drives)
         kinds = ["holonomic"] if rollers or (self.named and len(drives) > 2) else []
         kinds += ["skid_steer"] if even and left <= MOST_PER_SIDE else []
@@ -233,12 +228,15 @@ class Drives:
         if not all(alike(drives[0], c) for c in drives[1:]):
             yield Sign("the wheels that drive differ in size", -2.0 if kind == "differential_drive" else -4.0)
         meaning = TOLD_BY.get(kind)
-        for weight in dict.fromkeys(piece.source for piece in pieces):
-            cited = [p for p in pieces if p.source == weight and p.meaning == meaning]
+        for source in dict.fromkeys(piece.source for piece in pieces):
+            cited = [p for p in pieces if p.source == source and p.meaning == meaning]
             if cited:
                 more = f" and {len(cited) - 1} more" if len(cited) > 1 else ""
                 yield Sign(f"{cited[0].text}{more}", cited[0].weight, cited[0].line, cited[0].wheel)
         belts = sum(sign.weight for sign in self.belts)
+        level = all(parallel(drives[0], c) for c in drives[1:])
+        if kind == "holonomic" and level and not any(p.meaning == "holonomic" for p in pieces):
+            yield Sign("nothing in the file speaks of rollers", -1.3)  # of such robots most have none
         if kind == "skid_steer" and one_axle(drives):
             yield Sign(f"{len(drives)} wheels on one axle: twin tyres whose sides turn alike", 1.0)
         if kind == "tracked":
@@ -250,6 +248,9 @@ class Drives:
         """Signs of wheels that are left out: they cannot swivel, and have to slide where the base turns."""
         groups: dict[tuple[str, float], list[Candidate]] = {}
         for c in (c for c in others if c.shape != "sphere"):
+            if c.carried > drives[0].carried:
+                groups.setdefault(("hangs on a joint that the wheels do not hang on", -0.5), []).append(c)
+                continue
             on_axle = any(coaxial(c, d) for d in drives)
             why, weight = ("is on the axle, too", -2.0) if on_axle else ("cannot swivel, and would have to slide", -2.5)
             if not on_axle and alike(c, drives[0]):
@@ -262,7 +263,7 @@ class Drives:
 
     def of_motors(self, kind: str, drives: Sequence[Candidate], others: Sequence[Candidate]) -> Iterator[Sign]:
         """Signs of motors: what has one drives; of a base whose wheels skid, others may turn along."""
-        powered = [c for c in others if c.joint.name in self.motors]
+        powered = [c for c in others if c.joint.name in self.motors and c.carried <= drives[0].carried]
         idle = [c for c in drives if c.joint.name not in self.motors]
         if powered:
             yield about(powered, "has a motor, and would not drive", -4.0 * len(powered))

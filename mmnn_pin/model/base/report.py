@@ -264,10 +264,10 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
             fix = f"--free {names[0]} if it has one, or state it: a <command_interface> or a <transmission>"
             notes.append(note(rest, "arm-passive", names[0], text, reason, fix, "arm"))
     for doubt in arm.doubts:
-        taken, other = ("part of the arm" if r == "arm" else f"a {r}" for r in (doubt.limb.role, doubt.limb.other))
-        text = f"'{doubt.joint}' is taken as {taken}, and may be {other}"
-        why = "; ".join(doubt.limb.told)
-        notes.append(note(rest, "arm-doubt", doubt.joint, text, why, f"{doubt.option} if it is", "arm"))
+        taken, other = ("part of the arm" if r == "arm" else f"a {r}" for r in (doubt.role, doubt.other))
+        text = f"'{doubt.joints[0]}' is taken as {taken}, and may be {other}"
+        why = "; ".join(doubt.told)
+        notes.append(note(rest, "arm-doubt", doubt.joints[0], text, why, f"{doubt.option} if it is", "arm"))
     return notes
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -42,7 +42,7 @@ from .modules import STEERED, Undercarriage, pivots_above, says_steered, underca
 from .opinions import calibration, second_opinions, unasked
 from .overrides import Overrides, folders_of
 from .placing import declared_wheel, in_order, on_wheels, pushed, require_motors, require_possible, require_used
-from .readings import FORCES, Attempt, Drives, Reading, best_of
+from .readings import FORCES, ROLLING, Drives, Question, Reading
 from .report import (
     BaseReading,
     BaseResult,
@@ -145,17 +145,22 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
     return replace(result, findings=(*result.findings, *findings), taken=taken)
 
 
-def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
-    """The base by its geometry, by what the file says, and by what the user says; errors of `understand`."""
+def understood(rest: AtRest, overrides: Overrides, asks: bool = True) -> BaseResult:
+    """The base by its geometry, by what the file says, and by what the user says; errors of `understand`.
+
+    Args:
+        rest: The robot at rest.
+        overrides: What the user says.
+        asks: Whether ways out are tried and printed where it is undecided.
+    """
     radii = {length.nominal for length in stated(rest, overrides.controllers_file, RADII)}
     radius = overrides.radius or (min(radii) if len(radii) == 1 else None)
     candidates = wheel_candidates(rest, radius, overrides.radius is not None)
     named = [declared_wheel(rest, name, candidates, overrides) for name in overrides.wheels or ()]
     if overrides.base != "fixed":
         require_possible(overrides, candidates, named)
-    result = with_strays(rest, chosen(rest, candidates, named, overrides), overrides)
+    result = with_strays(rest, chosen(rest, candidates, named, overrides, asks), overrides)
     require_drive(rest, result.base, overrides)
-    require_floor(rest, result.base, overrides)
     require_motors(rest, result.base, overrides)
     require_used(overrides, result.base)
     drives = named if overrides.wheels is not None and overrides.base != "fixed" else candidates.wheels
@@ -171,7 +176,9 @@ def understood(rest: AtRest, overrides: Overrides) -> BaseResult:
     return replace(result, findings=(*result.findings, *notes))
 
 
-def chosen(rest: AtRest, candidates: Candidates, named: list[Candidate], overrides: Overrides) -> BaseResult:
+def chosen(
+    rest: AtRest, candidates: Candidates, named: list[Candidate], overrides: Overrides, asks: bool
+) -> BaseResult:
     """The base as the user says, else as the best reading has it."""
     if overrides.base == "fixed":
         return BaseResult(parked(rest, [*candidates.wheels, *candidates.near_misses, *candidates.limited]))
@@ -181,10 +188,10 @@ def chosen(rest: AtRest, candidates: Candidates, named: list[Candidate], overrid
         if not found:  # with the error that says why
             kind = overrides.base or ("holonomic" if len(named) > 2 else "differential_drive")
             return on_wheels(rest, kind, named, wheels, overrides)
-        return best_of(rest, found, wheels, attempt(rest, overrides), sure=True)
+        return Question(rest, wheels, attempt(rest, overrides, asks), sure=True).best_of(found)
     if overrides.base == "holonomic" and not plain(candidates.wheels):
         return pushed(rest, candidates)
-    return decide(rest, candidates, overrides)
+    return decide(rest, candidates, overrides, asks)
 
 
 def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseResult:
@@ -243,23 +250,6 @@ def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
         raise undecided(rest, [], [rolls, BaseReading("fixed", ("no wheel is found",), driving)], why, UNDRIVEN)
 
 
-def require_floor(rest: AtRest, base: Base, overrides: Overrides) -> None:
-    """Refuse wheels that end more than their diameter above a footprint frame: sprockets of tracks, say.
-
-    Raises:
-        Undecided: They do, and the user says nothing of them.
-    """
-    size = 2.0 * max((w.radius for w in base.wheels), default=math.inf)
-    if not rest.is_footprint or base.floor <= size or overrides.wheels is not None or overrides.base is not None:
-        return
-    names = [w.joint for w in base.wheels]
-    wheels = [wheel_of(rest, rest.document.joints[name]) for name in names]
-    why = f"they end {base.floor:.3g} m above the root link '{rest.document.root_link}', which stands for the floor"
-    fix = f"--wheels {','.join(names)} if they stand on it; {FORCES}"
-    belts = BaseReading("tracked", ("wheels above the floor may run in belts",), ("no belt is modelled",))
-    raise undecided(rest, wheels, [BaseReading(base.kind, (), (why,)), belts], why, fix)
-
-
 def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
     """Whether two joints stand at the same place on either side."""
     if len(joints) != 2:
@@ -284,7 +274,7 @@ def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:
     return [(float(rest.hub(rest.document.joints[w.joint])[2]), w.radius) for w in base.wheels]
 
 
-def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
+def decide(rest: AtRest, candidates: Candidates, overrides: Overrides, asks: bool) -> BaseResult:
     """The base as the best reading has it."""
     require_sound_wheels(rest, candidates, overrides)
     if not candidates.wheels:
@@ -295,15 +285,18 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseRe
     found = list(base_readings(rest, candidates, overrides))
     if overrides.base == "holonomic" and not found:
         return pushed(rest, candidates)
+    if not found and overrides.base in ROLLING:  # with the error that says why
+        return on_wheels(rest, str(overrides.base), plain(candidates.wheels), candidates.wheels, overrides)
     if not found:
         raise no_base(rest, candidates.wheels, plain(candidates.wheels))
     blind = blind_beside(rest, candidates.wheels)
-    return best_of(rest, found, candidates.wheels, attempt(rest, overrides), blind, overrides.base is not None)
+    question = Question(rest, candidates.wheels, attempt(rest, overrides, asks), blind, overrides.base is not None)
+    return question.best_of(found)
 
 
-def attempt(rest: AtRest, overrides: Overrides) -> Attempt:
-    """What becomes of the robot if the user says something more."""
-    return lambda said: understood(rest, msgspec.structs.replace(overrides, **said))
+def attempt(rest: AtRest, overrides: Overrides, asks: bool) -> Callable[[Mapping[str, Any]], BaseResult] | None:
+    """What becomes of the robot if the user says something more; None where that is what is tried."""
+    return (lambda said: understood(rest, msgspec.structs.replace(overrides, **said), asks=False)) if asks else None
 
 
 def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Iterator[Reading]:
@@ -352,7 +345,9 @@ def drive_readings(
 ) -> list[Reading]:
     """What wheels make that do not steer, of the kind that the user says."""
     words = [Sign(f"{why}: does it steer?", -2.5) for why in (steering_named(rest),) if why and len(fixed) > 2]
-    drives = Drives(fixed, motors_named(rest), overrides.wheels is not None, tuple(belt_signs(rest, fixed)), words)
+    drives = Drives(
+        fixed, motors_named(rest), overrides.wheels is not None, overrides.base, tuple(belt_signs(rest, fixed)), words
+    )
     found = list[Reading]()
     for some in drives.sets():
         kinds = [kind for kind in drives.kinds(some) if overrides.base in (None, kind)]

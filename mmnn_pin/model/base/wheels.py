@@ -64,6 +64,7 @@ class Candidate:
         trail: Distance of the wheel from the vertical axis that it hangs on, inf without one [m].
         rollers: Joints of the rollers on its rim.
         other: Radius of its visual shapes where its collision shapes are measured, nan where it is not known [m].
+        carried: How many joints carry it that are not upright and do not slide.
         left: Radius of what is left of it where a mesh is missing: that may be its hub; nan where nothing is missing,
             or nothing left [m].
         signs: What speaks for and against that what is left is all of it.
@@ -77,6 +78,7 @@ class Candidate:
     mount: Mount = ""
     trail: float = math.inf
     rollers: tuple[str, ...] = ()
+    carried: int = 0
     other: float = math.nan
     left: float = math.nan
     signs: tuple[Sign, ...] = ()
@@ -356,7 +358,8 @@ def round_joint(rest: AtRest, joint: Joint) -> Candidate | None:
         return None
     candidate = wheel_of(rest, joint, rollers)
     mount, trail = hangs_on(rest, joint, candidate)
-    return replace(candidate, mount=mount, trail=trail, rollers=rollers)
+    carried = sum(not rest.is_vertical(j) for j in moving_above(rest, candidate))
+    return replace(candidate, mount=mount, trail=trail, rollers=rollers, carried=carried)
 
 
 def on_hitch(rest: AtRest, carried: list[Joint]) -> bool:
