@@ -19,7 +19,7 @@ from mmnn_pin import Feedback, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RobotError
 from mmnn_pin.lab.experiments.runner import interface_notes
-from mmnn_pin.lab.show.robots import names_in
+from mmnn_pin.lab.show.robots import names_in, options_in
 from mmnn_pin.model import Undecided, load
 from mmnn_pin.model.base.report import Unsupported
 from mmnn_pin.model.robots import FILES, extra, robot_data
@@ -145,6 +145,13 @@ def test_a_base_that_steers_is_said_by_what_steers_and_what_drives(call):
     found = json.loads(call("inspect", "car_arm", "--json")[1])["base"]
     assert said.startswith("base: car like, steered front_left_steering_joint and 1 more, driven rear_left_wheel_joint")
     assert f"wheelbase {found['length']:.4g} m, forward x" in said and arm.startswith("arm: 4 joints: ")
+
+
+def test_options_of_a_fix_are_named_with_their_values_if_these_are_short():
+    fix = (
+        f"--wheels a,b where these drive; --radius 0.1, or --package-dir FOLDER; --steer {','.join(['knuckle'] * 9)} if"
+    )
+    assert options_in(fix) == ["--wheels a,b", "--radius 0.1", "--package-dir FOLDER", "--steer"]
 
 
 @given(st.lists(st.text("abc_", min_size=1, max_size=12), min_size=1, max_size=30), st.integers(5, 90))

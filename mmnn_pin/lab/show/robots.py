@@ -28,7 +28,7 @@ CHECK_SAMPLES = 20  # random states of the property checks
 CHECK_SEED = 0
 LONGEST = 120  # letters of a line of what was understood
 STRAIGHT = 0.02  # of a quarter turn: what forward may be off an axis by and is said to be along it
-OPTION = re.compile(r"--[a-z-]+(?: [^\s,;]+)?")  # in a fix
+OPTION = re.compile(r"(--[a-z-]+)((?: [^\s;]*[^\s;,])?)")  # in a fix, with its value
 DOUBTS = {  # what a finding leaves in doubt, by its code
     "base-doubt": "what the base is",
     "base-none": "whether it has a base",
@@ -63,13 +63,18 @@ def summary(content: dict[str, Any]) -> list[str]:
     base, arm, doubts = content["base"], content["arm"]["joints"], dict[str, list[str]]()
     for finding in content["findings"]:
         if about := DOUBTS.get(finding["code"]):
-            doubts.setdefault(about, []).extend(OPTION.findall(finding["fix"]))
+            doubts.setdefault(about, []).extend(options_in(finding["fix"]))
     held = [name for name, entry in content["locked_at"].items() if entry["why"] != WHY["base"]]
     locked = f"; locked: {names_in(held, LONGEST // 3)}" if held else ""
     has = f"{len(arm)} joint{'s' * (len(arm) != 1)}: {names_in(arm, LONGEST - 20 - len(locked))}" if arm else "no arm"
     said = (f"{about} ({', '.join(dict.fromkeys(options))})" if options else about for about, options in doubts.items())
     lines = [f"base: {base_summary(base)}", f"arm: {has}{locked}"]
     return [*lines, f"in doubt: {'; '.join(said)}"] if doubts else lines
+
+
+def options_in(fix: str) -> list[str]:
+    """Options that a fix names, a long value left out."""
+    return [f"{name}{value if len(value) <= LONGEST // 3 else ''}" for name, value in OPTION.findall(fix)]
 
 
 def summary_text(content: dict[str, Any], width: int = WIDTH) -> str:

@@ -353,7 +353,7 @@ def skidding(
         kind: On wheels, or on belts, which may run over more of them.
 
     Raises:
-        ConfigError: Not two or three parallel wheels on either side, on belts two or more; with their names.
+        ConfigError: Not two or three parallel wheels on either side, on belts one or more; with their names.
         Undecided: Wheels of one side that do not roll alike.
     """
     base = frame_of(rest, drives, wheels, kind, overrides)

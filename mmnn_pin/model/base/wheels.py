@@ -570,7 +570,7 @@ def coaxial(a: Candidate, b: Candidate, *, within: float = COAXIAL) -> bool:
     return parallel(a, b) and bool(np.linalg.norm(across) < within * abs(along))
 
 
-def one_axle(wheels: list[Candidate]) -> bool:
+def one_axle(wheels: Sequence[Candidate]) -> bool:
     """Whether all wheels turn about one line: twin tyres where they are more than two."""
     return all(coaxial(wheels[0], c) for c in wheels[1:])
 
