@@ -31,24 +31,26 @@ def floor_at(height: float) -> str:
 
 @given(st.floats(0.02, 0.095), st.sampled_from(["", "ball", "frame"]))
 @settings(max_examples=12, deadline=None)
-def test_a_wheel_is_never_measured_from_its_hub(left, witness):
+def test_a_wheel_is_measured_from_what_is_left_only_where_nothing_contradicts_it(left, witness):
     more = {"": "", "ball": BALL, "frame": floor_at(0.0)}[witness]
     text = chassis(hubs(left) + more)  # the tyre, which is missing, has 0.1
-    try:
-        robot = robot_of(text)
-    except Undecided as error:
-        assert not witness and "none is measured from what is left" in error.why
-        assert ways_of(error.fix)[0].keys() == {"radius"} and "--package-dir FOLDER" in error.fix
-        robot = followed(text, {"radius": "0.1"})
+    slim = left < 0.036  # for wheels 0.4 m apart
+    if not witness and slim:
+        with pytest.raises(Undecided, match="none is measured from what is left") as error:
+            robot_of(text)
+        assert ways_of(error.value.fix)[0].keys() == {"radius"} and "--package-dir FOLDER" in error.value.fix
+    robot = followed(text, {"radius": "0.1"}) if slim and not witness else robot_of(text)
     radius = [w.radius for w in robot.base.wheels]
-    if abs(left - 0.1) > 0.005:
+    if not witness and not slim:  # told as the collision shape's
+        assert radius == pytest.approx([left, left]) and "base-shapes" in codes(robot)
+    elif abs(left - 0.1) > 0.005:
         assert radius == pytest.approx([0.1, 0.1])  # of the hub's height, or as it was said
     else:
         assert radius == pytest.approx([left, left]) or radius == pytest.approx([0.1, 0.1])
 
 
 def test_four_hubs_without_a_floor_are_asked_about():
-    shape = f"{GONE}<collision>{LYING_CYLINDER}<geometry>{CYLINDER.format(r=0.05)}</geometry></collision>"
+    shape = f"{GONE}<collision>{LYING_CYLINDER}<geometry>{CYLINDER.format(r=0.03)}</geometry></collision>"
     own = re.compile(r"<collision>.*?</collision>")
     text = "".join(own.sub(shape, wheel(f"w{i}", (x, y, 0.1))) for i, (x, y) in enumerate(CORNERS))
     text = chassis(text + "<gazebo><plugin name='skid_steer_drive'/></gazebo>")
@@ -150,7 +152,7 @@ def sides(name: str) -> str:
 
 
 def test_an_arm_on_welded_tracks_is_a_tracked_machine():
-    with pytest.raises(Unsupported, match="tracked machine: 'left_track' and 'right_track'") as error:
+    with pytest.raises(Unsupported, match="tracked machine perhaps: 'left_track' and 'right_track'") as error:
         robot_of(chassis(sides("track")))
     assert [followed(chassis(sides("track")), way).base.kind for way in ways_of(error.value.fix)] == [
         "holonomic",
