@@ -192,7 +192,7 @@ def arrow(text: str, vectors: Sequence[Array], weight: float, least: float = 1e-
 
 def arrows(rest: AtRest, drives: Sequence[Candidate], controllers: str | None, any_way: bool) -> Iterator[Arrow]:
     """All signs of a robot where forward is; errors as of `heading`."""
-    middle = np.mean([c.centre[:2] for c in drives], axis=0)
+    middle = np.mean([c.centre[:2] for c in drives], axis=0) if drives else np.zeros(2)
     least = min((c.radius for c in drives if not math.isnan(c.radius)), default=0.0) / 2
     near = [name for name in rest.document.links if len(rest.document.moving_ancestors(name)) <= 1]
     at = {name: rest.placements[name][:2, 3] - middle for name in near}
@@ -296,6 +296,6 @@ def reaches(rest: AtRest, joint: Joint) -> int:
 
 def beside(drives: Sequence[Candidate], steered: Sequence[Array], towed: Sequence[Array]) -> Iterator[Arrow]:
     """Trailers are behind the axle, what steers is mostly ahead."""
-    middle = np.mean([c.centre[:2] for c in drives], axis=0)
+    middle = np.mean([c.centre[:2] for c in drives], axis=0) if drives else np.zeros(2)
     yield from arrow("trailers behind", [middle - place for place in towed], TOWED)
     yield from arrow("what steers ahead", [place - middle for place in steered], STEERED)

@@ -31,6 +31,7 @@ STEERED_NAMES = re.compile(
 TRACK_NAMES = re.compile(
     r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?|flippers?|tank)([_./ -]|$)", re.IGNORECASE
 )
+TANK_NAMES = re.compile(r"(^|[_/ -])(tracked|crawlers?|caterpillars?|tank)([_./ -]|$)", re.IGNORECASE)
 LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
 SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
 SWERVE = "swerve drive"
@@ -94,13 +95,18 @@ def belt_signs(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Sign]:
         yield Sign(text, 1.0)
 
 
-def track_named(rest: AtRest) -> str:
+def track_named(rest: AtRest, pattern: re.Pattern[str] = TRACK_NAMES) -> str:
     """A name that tells that a machine runs on tracks, empty where there is none."""
     meshes = (mesh.get("filename", "") for mesh in rest.document.root.iterfind(MESHES))
     called = rest.document.root.get("name", ""), rest.document.path.stem
     names = [*called, *rest.document.links, *rest.document.joints, *("/".join(m.split("/")[-2:]) for m in meshes)]
-    hit = next(filter(None, map(TRACK_NAMES.search, names)), None)
+    hit = next(filter(None, map(pattern.search, names)), None)
     return f"'{hit.string}' among its names" if hit else ""
+
+
+def belts_named(rest: AtRest) -> str:
+    """A name that tells that a machine without wheels runs on belts: an arm may stand on a track, not on a tank."""
+    return track_named(rest, TANK_NAMES)
 
 
 def welded_tracks(rest: AtRest) -> str:

@@ -42,28 +42,28 @@ ON_LINE = 0.02  # wheels of one axle may be off their line by this fraction of i
 STEERED = tuple(kind.kind for kind in STEERED_KINDS)
 ROLES = ("steered", "caster", "powered", "waist", "hitch")
 WEIGHTS = {  # of what is seen of a module, for each role, as of `model.signs`; names alone do not decide
-    "turns all round": (-1.0, 1.0, -1.0, 0.0, 0.0),
-    "has stops": (4.0, -4.0, -4.0, 0.0, 0.0),
-    "trails as a caster": (-3.0, 3.0, 3.0, 0.0, 0.0),
-    "trails a little": (0.0, 1.5, -4.0, 0.0, 0.0),
-    "has no trail: a caster could not follow": (1.0, -1.0, -5.0, 0.0, 0.0),
-    "makes an axle of its own": (3.0, 0.0, 0.0, 0.0, 0.0),
-    "has a motor": (4.0, -4.0, 3.0, 4.0, -4.0),
-    "has no motor, as others have": (-3.0, 1.0, 0.0, -3.0, 3.0),
-    "has no motor beside what steers": (0.0, 0.0, 0.0, 0.0, 3.0),
-    "drives by its wheel": (0.0, -3.0, 3.0, 0.0, 0.0),
-    "has no motor on its wheel": (0.0, 0.0, -3.0, 0.0, 0.0),
-    "may have motors: the file names none": (0.0, 0.0, 2.0, 0.0, 0.0),
-    "is called steering": (1.5, 0.0, 0.0, 1.5, 0.0),
-    "is called a caster": (0.0, 1.5, 0.0, 0.0, 0.0),
-    "is called a hitch": (0.0, 0.0, 0.0, 0.0, 1.5),
-    "is called a waist": (0.0, 0.0, 0.0, 1.5, 0.0),
+    "turn all round": (-1.0, 1.0, -1.0, 0.0, 0.0),
+    "have stops": (4.0, -4.0, -4.0, 0.0, 0.0),
+    "trail as casters do": (-3.0, 3.0, 3.0, 0.0, 0.0),
+    "trail a little": (0.0, 1.5, -4.0, 0.0, 0.0),
+    "no trail: casters could not follow": (1.0, -1.0, -5.0, 0.0, 0.0),
+    "make an axle of their own": (3.0, 0.0, 0.0, 0.0, 0.0),
+    "have motors": (4.0, -4.0, 3.0, 4.0, -4.0),
+    "no motors, as others have": (-3.0, 1.0, 0.0, -3.0, 3.0),
+    "no motors beside what steers": (0.0, 0.0, 0.0, 0.0, 3.0),
+    "drive by their wheels": (0.0, -3.0, 3.0, 0.0, 0.0),
+    "no motors on their wheels": (0.0, 0.0, -3.0, 0.0, 0.0),
+    "the file names no motors": (0.0, 0.0, 2.0, 0.0, 0.0),
+    "called steering": (1.5, 0.0, 0.0, 1.5, 0.0),
+    "called casters": (0.0, 1.5, 0.0, 0.0, 0.0),
+    "called hitches": (0.0, 0.0, 0.0, 0.0, 1.5),
+    "called waists": (0.0, 0.0, 0.0, 1.5, 0.0),
 }
 NAMES = {
-    "is called steering": re.compile(r"steer|ackermann|knuckle|lenk|direction|volante", re.IGNORECASE),
-    "is called a caster": re.compile(r"caster|castor|roulette|lenkrolle|rueda_?loca", re.IGNORECASE),
-    "is called a hitch": re.compile(r"hitch|trailer|tow|king_?pin|anhaenger|remorque|remolque", re.IGNORECASE),
-    "is called a waist": re.compile(r"waist|articulat", re.IGNORECASE),
+    "called steering": re.compile(r"steer|ackermann|knuckle|lenk|direction|volante", re.IGNORECASE),
+    "called casters": re.compile(r"caster|castor|roulette|lenkrolle|rueda_?loca", re.IGNORECASE),
+    "called hitches": re.compile(r"hitch|trailer|tow|king_?pin|anhaenger|remorque|remolque", re.IGNORECASE),
+    "called waists": re.compile(r"waist|articulat", re.IGNORECASE),
 }
 MOST = 200  # combinations of roles that are looked at
 
@@ -127,6 +127,12 @@ class Undercarriage(NamedTuple):
     def of(self, *roles: str) -> list[Module]:
         """The modules of some roles."""
         return [m for m in self.modules if m.role in roles]
+
+    @property
+    def told(self) -> bool:
+        """Whether the file tells motors of some of its joints: then those that it leaves out have none."""
+        wheels = [*self.fixed, *(c for m in self.modules for c in m.wheels)]
+        return bool(self.motors.keys() & {*(m.joint.name for m in self.modules), *(c.joint.name for c in wheels)})
 
     @property
     def steers(self) -> bool:
@@ -225,33 +231,33 @@ def signs_of(rest: AtRest, some: Sequence[Module], role: str, under: Undercarria
     names, place = ", ".join(f"'{m.joint.name}'" for m in some), ROLES.index(role)
     for what, detail in dict.fromkeys(seen_of(rest, some, under)):
         if weight := WEIGHTS[what][place]:
-            yield Sign(f"{names} {what}{detail}", weight, some[0].joint.line, some[0].joint.name)
+            yield Sign(f"{what}{detail}: {names}", weight, some[0].joint.line, some[0].joint.name)
 
 
 def seen_of(rest: AtRest, some: Sequence[Module], under: Undercarriage) -> Iterator[tuple[str, str]]:
     """What is seen of some modules that look alike: keys of `WEIGHTS`, and what more there is to say."""
     first, wheels = some[0], [c for m in some for c in m.wheels]
     trails = first.trails(rest)
-    yield "turns all round" if first.swivels else "has stops", ""
+    yield "turn all round" if first.swivels else "have stops", ""
     little = abs(first.lever(rest)[0]) > TRAIL
-    none = "trails a little" if little else "has no trail: a caster could not follow"
-    yield "trails as a caster" if trails else none, ""
+    none = "trail a little" if little else "no trail: casters could not follow"
+    yield "trail as casters do" if trails else none, ""
     if not trails and under.fixed and front_axle(wheels, under.fixed):
-        yield "makes an axle of its own", ""
+        yield "make an axle of their own", ""
     powered = [m.joint.name for m in some if m.joint.name in under.motors]
     rolls = [c.joint.name for c in wheels if c.joint.name in under.motors]
     if powered:
-        yield "has a motor", f": {under.motors[powered[0]]}"
-    elif under.motors and not any(m.joint.mimics for m in some):
-        yield "has no motor, as others have", ""
-    elif under.of("steered") and not under.motors:
-        yield "has no motor beside what steers", ""
+        yield "have motors", f", by {under.motors[powered[0]]}"
+    elif under.told and not any(m.joint.mimics for m in some):
+        yield "no motors, as others have", ""
+    elif under.of("steered") and not under.told:
+        yield "no motors beside what steers", ""
     if rolls:
-        yield "drives by its wheel", f": {under.motors[rolls[0]]}"
-    elif under.motors:
-        yield "has no motor on its wheel", ""
+        yield "drive by their wheels", f", by {under.motors[rolls[0]]}"
+    elif under.told:
+        yield "no motors on their wheels", ""
     else:
-        yield "may have motors: the file names none", ""
+        yield "the file names no motors", ""
     for named, pattern in NAMES.items():
         if any(pattern.search(f"{m.joint.name} {m.joint.child}") for m in some):
             yield named, ""

@@ -37,6 +37,7 @@ from .wheels import (
     coaxial,
     is_endless_end,
     is_low,
+    moving_above,
     on_either_side,
     parallel,
     rolling,
@@ -306,18 +307,26 @@ def in_rows(wheels: list[Wheel]) -> list[Wheel]:
     return [w for row in rows for w in sorted(row, key=lambda w: -w.y)]
 
 
-def on_an_arm(rest: AtRest, c: Candidate, drives: list[Candidate]) -> bool:
-    """Whether something round hangs on more joints than what drives, which have motors: a drum of an arm."""
-    motors = motors_named(rest)
-    carried = [j for j in rest.document.moving_ancestors(c.joint.child)[1:] if not rest.is_vertical(j)]
-    return c.carried > drives[0].carried and any(j.name in motors for j in carried)
+def on_arms(rest: AtRest, wheels: Sequence[Candidate]) -> frozenset[str]:
+    """Joints of what is round and hangs on a joint that is not upright, which a motor turns or which carries it alone.
+
+    So do drums on arms; wheels on rockers stand in pairs.
+    """
+    motors, found = motors_named(rest), set[str]()
+    for c in wheels:
+        above = [j for j in moving_above(rest, c) if not rest.is_vertical(j)]
+        alone = not any(coaxial(c, o) for o in wheels if o is not c)
+        if above and (alone or any(j.name in motors for j in above)):
+            found.add(c.joint.name)
+    return frozenset(found)
 
 
 def casters_of(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> set[str]:
     """Joints that carry wheels that do not drive, and swivels whose wheel is welded on."""
     floor, radius = max(c.bottom for c in drives), max(c.radius for c in drives)
     driving = [d.joint for d in drives]
-    free = [c for c in wheels if c.joint not in driving and not on_an_arm(rest, c, drives)]
+    drums = on_arms(rest, wheels)
+    free = [c for c in wheels if c.joint not in driving and c.joint.name not in drums]
     others = [j for c in free for j in rest.document.moving_ancestors(c.joint.child)]
     return {joint.name for joint in (*others, *bare_swivels(rest, floor, radius))}
 
@@ -511,7 +520,7 @@ def checked(rest: AtRest, base: Base, drives: list[Candidate]) -> Base:
     return base
 
 
-def pushed(rest: AtRest, candidates: Candidates) -> BaseResult:
+def pushed(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
     """A holonomic base whose wheels are not modelled: forces on its frame drive it."""
     found = [c.joint for c in (*candidates.wheels, *candidates.near_misses, *candidates.limited)]
     found += [joint for joint in rest.document.joints.values() if is_low(rest, joint)]
@@ -521,5 +530,7 @@ def pushed(rest: AtRest, candidates: Candidates) -> BaseResult:
     text = "the base has no drive wheels: forces and a torque on the root link drive it, without limits"
     if any(c.mount in ("steering", "swivel") for c in candidates.wheels):
         text += "; its wheels slide over the floor, and what steers them stands still"
-    base = HolonomicBase(floor=floor, casters=in_order(rest, names))
+    x, y = heading(rest, [], overrides, any_way=True).forward
+    frame = np.array([0.0, 0.0, atan2(float(y), float(x))])
+    base = HolonomicBase(floor=floor, frame=frame, casters=in_order(rest, names))
     return BaseResult(base, (note(rest, "base-pushed", "", text, "you said --base holonomic"),))

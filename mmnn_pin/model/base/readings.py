@@ -178,6 +178,7 @@ class Drives:
         said: The kind that the user says, None where that is open.
         belts: Signs that it runs on tracks.
         words: Signs against all that does not steer.
+        on_arms: Round bodies on arms, such as drums.
     """
 
     fixed: Sequence[Candidate]
@@ -186,6 +187,7 @@ class Drives:
     said: str | None
     belts: Sequence[Sign]
     words: Sequence[Sign]
+    on_arms: frozenset[str]
 
     def sets(self) -> list[list[Candidate]]:
         """Sets of wheels of which one drives: all, those that are no balls, those with motors, pairs on one axle."""
@@ -193,7 +195,8 @@ class Drives:
             return [list(self.fixed)]
         sets = [list(self.fixed), [c for c in self.fixed if c.shape != "sphere"]]
         sets.append([c for c in self.fixed if c.joint.name in self.motors])
-        sets += [[o for o in self.fixed if o.carried == c.carried and alike(o, c)] for c in self.fixed]
+        on_body = [c for c in self.fixed if c.joint.name not in self.on_arms]
+        sets += [on_body, *([o for o in on_body if alike(o, c)] for c in on_body)]
         sets += [list(pair) for pair in combinations(self.fixed, 2)]
         known = {frozenset(c.joint.name for c in some): some for some in reversed(sets) if len(some) > 1}
         return list(known.values())[::-1]
@@ -223,9 +226,9 @@ class Drives:
         yield from self.of_slaves(kind, drives)
         balls = [c for c in drives if c.shape == "sphere"]
         if 0 < len(balls) < sum(c in balls or c.shape != "sphere" for c in self.fixed):
-            yield about(balls, "is a ball, as casters are", -4.0 * len(balls))
+            yield about(balls, "balls, as casters are", -4.0 * len(balls))
         if called := [c for c in drives if is_called_caster(c)]:
-            yield about(called, "is called a caster", -1.5 * len(called))
+            yield about(called, "called casters", -1.5 * len(called))
         if not all(alike(drives[0], c) for c in drives[1:]):
             yield Sign("the wheels that drive differ in size", -2.0 if kind == "differential_drive" else -4.0)
         meaning = TOLD_BY.get(kind)
@@ -250,30 +253,33 @@ class Drives:
     def of_others(self, drives: Sequence[Candidate], others: Sequence[Candidate]) -> Iterator[Sign]:
         """Signs of wheels that are left out: they cannot swivel, and have to slide where the base turns."""
         groups: dict[tuple[str, float], list[Candidate]] = {}
-        for c in (c for c in others if c.shape != "sphere"):
-            if c.carried > drives[0].carried:
-                groups.setdefault(("hangs on a joint that the wheels do not hang on", -0.5), []).append(c)
+        balls = all(c.shape == "sphere" for c in drives)
+        for c in (c for c in others if balls or c.shape != "sphere"):
+            if c.joint.name in self.on_arms:
+                groups.setdefault(("on arms, not on the floor", -0.5), []).append(c)
                 continue
             on_axle = any(coaxial(c, d) for d in drives)
-            why, weight = ("is on the axle, too", -2.0) if on_axle else ("cannot swivel, and would have to slide", -2.5)
+            why, weight = (
+                ("on the axle, too", -2.0) if on_axle else ("wheels that cannot swivel and would have to slide", -2.5)
+            )
             if not on_axle and alike(c, drives[0]):
-                why, weight = "is as large as those that drive, and would have to slide", -3.0
+                why, weight = "wheels as large as those that drive, which would have to slide", -3.0
             groups.setdefault((why, weight), []).append(c)
             if is_called_caster(c):
-                groups.setdefault(("is called a caster", 1.5), []).append(c)
+                groups.setdefault(("called casters", 1.5), []).append(c)
         for (why, weight), some in groups.items():
             yield about(some, why, weight * len(some))
 
     def of_motors(self, kind: str, drives: Sequence[Candidate], others: Sequence[Candidate]) -> Iterator[Sign]:
         """Signs of motors: what has one drives; of a base whose wheels skid, others may turn along."""
-        powered = [c for c in others if c.joint.name in self.motors and c.carried <= drives[0].carried]
+        powered = [c for c in others if c.joint.name in self.motors and c.joint.name not in self.on_arms]
         idle = [c for c in drives if c.joint.name not in self.motors]
         if powered:
-            yield about(powered, "has a motor, and would not drive", -4.0 * len(powered))
+            yield about(powered, "with motors, and would not drive", -4.0 * len(powered))
         if idle and len(powered) + len(drives) > len(idle) and not self.named:
-            yield about(idle, "has no motor in the file", (-0.3 if kind in ROLLING else -2.5) * len(idle))
+            yield about(idle, "without motors in the file", (-0.3 if kind in ROLLING else -2.5) * len(idle))
         if others and not idle and not powered:
-            yield about(drives, f"alone has a motor: {self.motors[drives[0].joint.name]}", 4.0)
+            yield about(drives, f"alone with motors, by {self.motors[drives[0].joint.name]}", 4.0)
 
     def of_slaves(self, kind: str, drives: Sequence[Candidate]) -> Iterator[Sign]:
         """Signs of wheels that follow others: the sides of a base that skids turn alike, other wheels by themselves."""
@@ -295,8 +301,7 @@ def follows_on_its_side(slave: Candidate, drives: Sequence[Candidate]) -> bool:
 def about(wheels: Sequence[Candidate], what: str, weight: float) -> Sign:
     """A sign of some wheels."""
     names = ", ".join(f"'{c.joint.name}'" for c in wheels)
-    each = "" if len(wheels) == 1 else " each"
-    return Sign(f"{names}{each} {what}", weight, wheels[0].joint.line, wheels[0].joint.name)
+    return Sign(f"{what}: {names}", weight, wheels[0].joint.line, wheels[0].joint.name)
 
 
 def alike(a: Candidate, b: Candidate) -> bool:

@@ -30,6 +30,7 @@ from .machines import (
     PUSHED,
     SWERVE,
     belt_signs,
+    belts_named,
     machine,
     plain,
     propellers,
@@ -41,7 +42,16 @@ from .machines import (
 from .modules import STEERED, Undercarriage, pivots_above, says_steered, undercarriages
 from .opinions import calibration, second_opinions, unasked
 from .overrides import Overrides, folders_of
-from .placing import declared_wheel, in_order, on_wheels, pushed, require_motors, require_possible, require_used
+from .placing import (
+    declared_wheel,
+    in_order,
+    on_arms,
+    on_wheels,
+    pushed,
+    require_motors,
+    require_possible,
+    require_used,
+)
 from .readings import FORCES, ROLLING, Drives, Question, Reading
 from .report import (
     BaseReading,
@@ -192,7 +202,7 @@ def chosen(
             return on_wheels(rest, kind, named, wheels, overrides)
         return Question(rest, wheels, attempt(rest, overrides, asks), sure=True).best_of(found)
     if overrides.base == "holonomic" and not plain(candidates.wheels):
-        return pushed(rest, candidates)
+        return pushed(rest, candidates, overrides)
     return decide(rest, candidates, overrides, asks)
 
 
@@ -283,10 +293,10 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides, asks: boo
         return without_wheels(rest, overrides, candidates.floor)
     refuse_legs(rest, candidates.wheels)
     if overrides.base == "holonomic" and any(c.mount == "steering" for c in candidates.wheels):
-        return pushed(rest, candidates)
+        return pushed(rest, candidates, overrides)
     found = list(base_readings(rest, candidates, overrides))
     if overrides.base == "holonomic" and not found:
-        return pushed(rest, candidates)
+        return pushed(rest, candidates, overrides)
     if not found and overrides.base in ROLLING:  # with the error that says why
         return on_wheels(rest, str(overrides.base), plain(candidates.wheels), candidates.wheels, overrides)
     if not found:
@@ -347,9 +357,8 @@ def drive_readings(
 ) -> list[Reading]:
     """What wheels make that do not steer, of the kind that the user says."""
     words = [Sign(f"{why}: does it steer?", -6.0) for why in (steering_named(rest),) if why and len(fixed) > 2]
-    drives = Drives(
-        fixed, motors_named(rest), overrides.wheels is not None, overrides.base, tuple(belt_signs(rest, fixed)), words
-    )
+    belts, drums, named = tuple(belt_signs(rest, fixed)), on_arms(rest, fixed), overrides.wheels is not None
+    drives = Drives(fixed, motors_named(rest), named, overrides.base, belts, words, drums)
     found = list[Reading]()
     for some in drives.sets():
         kinds = [kind for kind in drives.kinds(some) if overrides.base in (None, kind)]
@@ -438,6 +447,9 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
     if why := track_named(rest) if not moving else welded_tracks(rest):
         more = "; --base fixed takes it as an arm" if moving else ""
         raise unsupported(rest, "tracked machine", why, (), f"--base holonomic drives it by forces on its frame{more}")
+    if why := belts_named(rest):
+        rolls, still = BaseReading("tracked", (why,)), BaseReading("fixed", ("nothing in this file could be a wheel",))
+        raise undecided(rest, [], [rolls, still], f"{why}: are its belts welded on", FORCES)
     if not moving:
         fix = "--base holonomic drives it by forces on its frame, if it drives at all"
         raise unsupported(rest, "single rigid body", "it has no joint that moves", (), fix)

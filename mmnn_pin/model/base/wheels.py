@@ -64,7 +64,6 @@ class Candidate:
         trail: Distance of the wheel from the vertical axis that it hangs on, inf without one [m].
         rollers: Joints of the rollers on its rim.
         other: Radius of its visual shapes where its collision shapes are measured, nan where it is not known [m].
-        carried: How many joints carry it that are not upright and do not slide.
         left: Radius of what is left of it where a mesh is missing: that may be its hub; nan where nothing is missing,
             or nothing left [m].
         signs: What speaks for and against that what is left is all of it.
@@ -78,7 +77,6 @@ class Candidate:
     mount: Mount = ""
     trail: float = math.inf
     rollers: tuple[str, ...] = ()
-    carried: int = 0
     other: float = math.nan
     left: float = math.nan
     signs: tuple[Sign, ...] = ()
@@ -358,8 +356,7 @@ def round_joint(rest: AtRest, joint: Joint) -> Candidate | None:
         return None
     candidate = wheel_of(rest, joint, rollers)
     mount, trail = hangs_on(rest, joint, candidate)
-    carried = sum(not rest.is_vertical(j) for j in moving_above(rest, candidate))
-    return replace(candidate, mount=mount, trail=trail, rollers=rollers, carried=carried)
+    return replace(candidate, mount=mount, trail=trail, rollers=rollers)
 
 
 def on_hitch(rest: AtRest, carried: list[Joint]) -> bool:
@@ -473,8 +470,14 @@ def on_floor(
         partner = next((o for o in (*known, *hidden) if o is not c and coaxial(c, o)), None)
         if partner is not None or (c in low and len(low) >= ROUND_ABOUT):
             room = math.inf if partner is None else float(np.linalg.norm(partner.centre - c.centre))
-            wheels.append(sized(c, room, footing, stated, given))
+            wheels.append(possible(rest, sized(c, room, footing, stated, given)))
     return wheels
+
+
+def possible(rest: AtRest, c: Candidate) -> Candidate:
+    """A hidden wheel whose radius is not known where its inertia has no room within the height of its hub."""
+    crowded = c.shape == HUB and math.sqrt(2.0) * c.radius < LOOSE * radius_by_inertia(rest, c)
+    return replace(c, radius=math.nan, shape=PARTIAL) if crowded else c
 
 
 def sized(c: Candidate, room: float, footing: float, stated: float | None, given: bool) -> Candidate:
