@@ -69,11 +69,15 @@ class Opened:
     problems: list[str] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
 
+    def settle(self) -> None:
+        """Wait until two frames are drawn: a page draws its plots anew as soon as it learns how wide it is."""
+        self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
     def shot(self, file: Path | None = None) -> np.ndarray:
         """What is to be seen, (height, width, 3) in [0, 255]; kept in the folder of screenshots."""
         from PIL import Image
 
-        self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        self.settle()
         data = self.page.screenshot()
         if file is not None:
             folder = Path(os.environ.get("MMNN_SCREENSHOTS") or file.parent)
@@ -100,5 +104,6 @@ def opened(browser: Any, file: Path, ready: str = "window.replay", **options: An
     page.on("request", lambda request: seen.requests.append(request.url) if request.url != own else None)
     page.goto(own)
     page.wait_for_function(ready, timeout=READY)
+    seen.settle()
     yield seen
     page.close()
