@@ -36,6 +36,7 @@ WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
     ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
     ("skid_steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
 )
+MECANUM = re.compile(r"mecanum|swedish_?wheel", re.IGNORECASE)
 OUTDOORS = re.compile(r"rover|4wd|4x4|ugv|all.?terrain|off.?road", re.IGNORECASE)  # robots that mostly skid
 MOVED = re.compile(r"joint|wheel", re.IGNORECASE)  # tags of plugins that name what they drive
 READS = re.compile(r"state[_-]?publisher|force[_-]?torque|ft[_-]?sensor", re.IGNORECASE)  # plugins that drive nothing
@@ -47,6 +48,7 @@ WEIGHTS = {  # of evidence by its source, as of `model.signs`: the last ones onl
     "commands": 3.5,
     "no friction": 3.0,
     "friction": 2.5,
+    "mecanum": 4.5,
     "meshes": 2.5,
     "names": 1.5,
     "called": 1.2,
@@ -262,6 +264,9 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
                     text = f"'{hit[0]}' in the {'mesh' if source == 'meshes' else 'names'} {where}"
                     yield Evidence(meaning, text, wheel.joint.line, source, wheel.joint.name)
     called = f"{rest.document.root.get('name', '')} {rest.document.path.name}"
+    meshes = " ".join(mesh.get("filename", "") for mesh in rest.document.root.iterfind("link/*/geometry/mesh"))
+    if hit := MECANUM.search(f"{called} {meshes}"):
+        yield Evidence("holonomic", f"the robot or a mesh of it is called '{hit[0]}'", 1, "mecanum")
     if hit := OUTDOORS.search(called):
         yield Evidence("skid_steer", f"the robot is called '{hit[0]}'", 1, "called")
 

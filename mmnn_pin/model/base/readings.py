@@ -12,17 +12,20 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
+import numpy as np
+
 from ...errors import InputError
 from ..signs import MARGIN, Sign, score, told_apart
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .evidence import Evidence
 from .report import BaseReading, BaseResult, blind_fix, note, undecided
-from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, coaxial, on_either_side, one_axle, parallel
+from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, coaxial, on_either_side, one_axle, parallel, rolling
 
 NOTHING = -4.0  # score of the reading that these wheels make no base
 CLEAR, DOUBT = 9.0, 3.0  # a runner-up further behind is not told; a nearer one is told as a doubt
 LARGE = 0.13  # [m] radius beyond which few wheels have rollers: 1 of 14 on public robots, of plain ones 9 of 22
+IN_ROW = 0.2  # wheels of a side may differ in place by this fraction of the width
 ALIKE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
 CASTER, ROLLING = ("caster", "castor", "roulette", "lenkrolle", "rueda_loca"), ("skid_steer", "tracked")
 TOLD_BY = {"skid_steer": "skid_steer", "tracked": "skid_steer", "holonomic": "holonomic"}  # meaning of evidence
@@ -245,6 +248,8 @@ class Drives:
             yield Sign(f"wheels of {drives[0].radius:.3g} m: those with rollers are mostly smaller", -1.0)
         if kind == "skid_steer" and one_axle(drives):
             yield Sign(f"{len(drives)} wheels on one axle: twin tyres whose sides turn alike", 1.0)
+        if kind in ROLLING and not in_rows(drives):
+            yield Sign("the wheels of a side do not stand in a row", -6.0)
         if kind == "tracked":
             yield from self.belts or [Sign("no belt is in the file", -5.0)]
         elif kind == "holonomic" and belts > 0:
@@ -312,6 +317,13 @@ def alike(a: Candidate, b: Candidate) -> bool:
 def is_called_caster(c: Candidate) -> bool:
     """Whether names call a wheel a caster."""
     return any(word in f"{c.joint.name} {c.joint.child}".lower() for word in CASTER)
+
+
+def in_rows(drives: Sequence[Candidate]) -> bool:
+    """Whether the parallel wheels of each side stand about in a row."""
+    across = np.array([float(np.array([-1.0, 1.0]) * rolling(drives[0])[::-1] @ c.centre[:2]) for c in drives])
+    sides = [across[across > across.mean()], across[across < across.mean()]]
+    return all(np.ptp(side) < IN_ROW * np.ptp(across) for side in sides if side.size)
 
 
 def in_pairs(drives: Sequence[Candidate]) -> bool:

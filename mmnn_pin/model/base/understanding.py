@@ -23,7 +23,7 @@ from ..urdf.document import Document, Joint, text_of
 from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base, Fixed
-from .evidence import RADII, evidence, motors_named, plugins, stated
+from .evidence import OUTDOORS, RADII, evidence, motors_named, plugins, stated
 from .heading import left_first
 from .machines import (
     PROPELLERS,
@@ -100,6 +100,7 @@ UPRIGHT = (
 )
 Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
 UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
+PLANE = [(False, True), (True, True)]  # a turn and a slide, both upright: beside two level slides
 NOTHING = 0.05  # of the mass of a robot: what simulators ask for of an empty link
 
 
@@ -301,8 +302,8 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides, asks: boo
         return on_wheels(rest, str(overrides.base), plain(candidates.wheels), candidates.wheels, overrides)
     if not found:
         raise no_base(rest, candidates.wheels, plain(candidates.wheels))
-    blind = blind_beside(rest, candidates.wheels)
-    question = Question(rest, candidates.wheels, attempt(rest, overrides, asks), blind, overrides.base is not None)
+    blind, sure = blind_beside(rest, candidates.wheels), overrides.base is not None or says_steered(overrides)
+    question = Question(rest, candidates.wheels, attempt(rest, overrides, asks), blind, sure)
     return question.best_of(found)
 
 
@@ -447,6 +448,10 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
     if why := track_named(rest) if not moving else welded_tracks(rest):
         more = "; --base fixed takes it as an arm" if moving else ""
         raise unsupported(rest, "tracked machine", why, (), f"--base holonomic drives it by forces on its frame{more}")
+    if hit := OUTDOORS.search(f"{rest.document.root.get('name', '')} {rest.document.path.stem}"):
+        why = f"it is called '{hit[0]}', and nothing in the file could be a wheel"
+        rolls, still = BaseReading("skid_steer", (f"called '{hit[0]}'",)), BaseReading("fixed", ("no wheel is found",))
+        raise undecided(rest, [], [rolls, still], why, FORCES)
     if why := belts_named(rest):
         rolls, still = BaseReading("tracked", (why,)), BaseReading("fixed", ("nothing in this file could be a wheel",))
         raise undecided(rest, [], [rolls, still], f"{why}: are its belts welded on", FORCES)
@@ -498,24 +503,23 @@ def welded(document: Document) -> tuple[Document, dict[str, str]]:
 
 
 def virtual_joints(document: Document) -> dict[str, str]:
-    """Joints with their types that place a robot in the plane: two level slides and a vertical turn.
+    """Joints with their types that place a robot in the plane: two level slides, an upright turn, maybe a slide.
 
     Their links are empty, but for the little mass that some simulators ask for.
     """
     rest, link, chain = AtRest(document), document.root_link, list[Joint]()
     mass = NOTHING * sum(rest.masses.values())
-    while len(chain) < 3:
+    while len(chain) < 2 + len(PLANE):
         below = document.moving_children(link)
         if len(below) != 1 or any(rest.mass(name) > mass or shaped(rest, name) for name in document.body(link)):
-            return {}
+            break
         chain.append(below[0])
         link = below[0].child
-    if not document.moving_children(link):  # they are all that it can do
-        return {}
-    slides = [j for j in chain if j.type == "prismatic" and rest.is_horizontal(j)]
-    turns = [j for j in chain if j.type in ("revolute", "continuous") and rest.is_vertical(j)]
-    crossed = len(slides) == 2 and len(turns) == 1 and abs(rest.axis(slides[0]) @ rest.axis(slides[1])) < HORIZONTAL
-    return {j.name: j.type for j in chain} if crossed else {}
+    level = [j for j in chain if j.type == "prismatic" and rest.is_horizontal(j)]
+    rest_of = sorted((j.type == "prismatic", rest.is_vertical(j)) for j in chain if j not in level)
+    crossed = len(level) == 2 and abs(rest.axis(level[0]) @ rest.axis(level[1])) < HORIZONTAL
+    places = crossed and rest_of in (PLANE[:1], PLANE)
+    return {j.name: j.type for j in chain} if places and document.moving_children(link) else {}
 
 
 def shaped(rest: AtRest, link: str) -> bool:
