@@ -249,7 +249,7 @@ class Drives:
         if kind == "skid_steer" and one_axle(drives):
             yield Sign(f"{len(drives)} wheels on one axle: twin tyres whose sides turn alike", 1.0)
         if kind in ROLLING and not in_rows(drives):
-            yield Sign("the wheels of a side do not stand in a row", -6.0)
+            yield Sign("the wheels of a side do not stand in a row", -8.0)
         if kind == "tracked":
             yield from self.belts or [Sign("no belt is in the file", -5.0)]
         elif kind == "holonomic" and belts > 0:

@@ -19,7 +19,7 @@ import numpy as np
 from ...errors import ConfigError
 from ..arm import Arm, choose_arm
 from ..signs import Sign
-from ..urdf.document import Document, Joint, text_of
+from ..urdf.document import Document, Joint, largest, text_of
 from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base, Fixed
@@ -448,13 +448,13 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
     if why := track_named(rest) if not moving else welded_tracks(rest):
         more = "; --base fixed takes it as an arm" if moving else ""
         raise unsupported(rest, "tracked machine", why, (), f"--base holonomic drives it by forces on its frame{more}")
+    if why := belts_named(rest):
+        rolls, still = BaseReading("tracked", (why,)), BaseReading("fixed", ("nothing in this file could be a wheel",))
+        raise undecided(rest, [], [rolls, still], f"{why}: are its belts welded on", FORCES)
     if hit := OUTDOORS.search(f"{rest.document.root.get('name', '')} {rest.document.path.stem}"):
         why = f"it is called '{hit[0]}', and nothing in the file could be a wheel"
         rolls, still = BaseReading("skid_steer", (f"called '{hit[0]}'",)), BaseReading("fixed", ("no wheel is found",))
         raise undecided(rest, [], [rolls, still], why, FORCES)
-    if why := belts_named(rest):
-        rolls, still = BaseReading("tracked", (why,)), BaseReading("fixed", ("nothing in this file could be a wheel",))
-        raise undecided(rest, [], [rolls, still], f"{why}: are its belts welded on", FORCES)
     if not moving:
         fix = "--base holonomic drives it by forces on its frame, if it drives at all"
         raise unsupported(rest, "single rigid body", "it has no joint that moves", (), fix)
@@ -511,7 +511,7 @@ def virtual_joints(document: Document) -> dict[str, str]:
     mass = NOTHING * sum(rest.masses.values())
     while len(chain) < 2 + len(PLANE):
         below = document.moving_children(link)
-        if len(below) != 1 or any(rest.mass(name) > mass or shaped(rest, name) for name in document.body(link)):
+        if len(below) != 1 or not all(empty(rest, name, mass) for name in document.body(link)):
             break
         chain.append(below[0])
         link = below[0].child
@@ -522,9 +522,12 @@ def virtual_joints(document: Document) -> dict[str, str]:
     return {j.name: j.type for j in chain} if places and document.moving_children(link) else {}
 
 
-def shaped(rest: AtRest, link: str) -> bool:
-    """Whether a link that weighs something has a shape, too."""
-    return rest.mass(link) > 0 and rest.document.links[link].find(".//geometry") is not None
+def empty(rest: AtRest, link: str, little: float) -> bool:
+    """Whether a link is a mere frame: without a shape, with little mass or one that is in no place (inertia 0)."""
+    element = rest.document.links[link]
+    inertia = element.find("inertial/inertia")
+    point = inertia is not None and not any(largest(value) for value in inertia.attrib.values())
+    return (rest.mass(link) <= little or point) and (rest.mass(link) == 0 or element.find(".//geometry") is None)
 
 
 def require_rolling(rest: AtRest, base: Base, welds: dict[str, str], overrides: Overrides) -> None:
