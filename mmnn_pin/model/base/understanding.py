@@ -19,7 +19,7 @@ import numpy as np
 from ...errors import ConfigError
 from ..arm import Arm, choose_arm
 from ..signs import Sign
-from ..urdf.document import Document, Joint, largest, text_of
+from ..urdf.document import Document, Joint, text_of
 from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base, Fixed
@@ -101,6 +101,7 @@ UPRIGHT = (
 Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
 UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
 PLANE = [(False, True), (True, True)]  # a turn and a slide, both upright: beside two level slides
+FAR = 50.0  # [m] travel of a slide that no gantry has
 NOTHING = 0.05  # of the mass of a robot: what simulators ask for of an empty link
 
 
@@ -505,13 +506,16 @@ def welded(document: Document) -> tuple[Document, dict[str, str]]:
 def virtual_joints(document: Document) -> dict[str, str]:
     """Joints with their types that place a robot in the plane: two level slides, an upright turn, maybe a slide.
 
-    Their links are empty, but for the little mass that some simulators ask for.
+    Their links are frames without shapes, but for the little mass that some simulators ask for; slides that go on and
+    on are no gantry's, whatever they weigh.
     """
     rest, link, chain = AtRest(document), document.root_link, list[Joint]()
-    mass = NOTHING * sum(rest.masses.values())
+    little = NOTHING * sum(rest.masses.values())
     while len(chain) < 2 + len(PLANE):
         below = document.moving_children(link)
-        if len(below) != 1 or not all(empty(rest, name, mass) for name in document.body(link)):
+        far = any(j.type == "prismatic" and j.upper - j.lower > FAR for j in (*chain, *below))
+        mass = math.inf if far else little
+        if len(below) != 1 or any(rest.mass(name) > mass or shaped(rest, name) for name in document.body(link)):
             break
         chain.append(below[0])
         link = below[0].child
@@ -522,12 +526,9 @@ def virtual_joints(document: Document) -> dict[str, str]:
     return {j.name: j.type for j in chain} if places and document.moving_children(link) else {}
 
 
-def empty(rest: AtRest, link: str, little: float) -> bool:
-    """Whether a link is a mere frame: without a shape, with little mass or one that is in no place (inertia 0)."""
-    element = rest.document.links[link]
-    inertia = element.find("inertial/inertia")
-    point = inertia is not None and not any(largest(value) for value in inertia.attrib.values())
-    return (rest.mass(link) <= little or point) and (rest.mass(link) == 0 or element.find(".//geometry") is None)
+def shaped(rest: AtRest, link: str) -> bool:
+    """Whether a link that weighs something has a shape, too."""
+    return rest.mass(link) > 0 and rest.document.links[link].find(".//geometry") is not None
 
 
 def require_rolling(rest: AtRest, base: Base, welds: dict[str, str], overrides: Overrides) -> None:
