@@ -21,7 +21,7 @@ from .evidence import evidence, motors_named, plugins, stated_rollers
 from .heading import heading
 from .holonomic import HolonomicBase
 from .overrides import Overrides
-from .report import BaseReading, BaseResult, note, undecided
+from .report import BaseResult, note, undecided
 from .skid_steer import SkidSteer, Tracked, loads, rotation_centre, turning_friction, turning_track
 from .steered import SteeredBase
 from .wheels import (
@@ -448,9 +448,8 @@ def require_together(rest: AtRest, drives: list[Candidate]) -> None:
         if abs(c.joint.multiplier / right - 1) > SAME_RATE:
             rate = f"{c.joint.multiplier / right:.3g} times as fast as '{master.joint.name}'"
             what = f"<mimic> rolls wheel '{c.joint.name}' {rate} (multiplier {c.joint.multiplier:g})"
-            against = BaseReading("skid_steer", ("it follows another wheel",), (what,))
             fix = f'multiplier="{right:.4g}" rolls them alike; or take out the <mimic> if it turns by itself'
-            raise undecided(rest, drives, [against], what, fix, c.joint.line)
+            raise undecided(rest, drives, what, fix, ["skid_steer"], c.joint.line)
 
 
 def weight_in(rest: AtRest, base: Base) -> tuple[float, Array]:
@@ -513,10 +512,8 @@ def checked(rest: AtRest, base: Base, drives: list[Candidate]) -> Base:
         Undecided: They cannot.
     """
     if np.linalg.matrix_rank(np.array([wheel.grip for wheel in base.wheels]), tol=1e-6) < 3:
-        against = BaseReading("holonomic", (), ("its wheels cannot drive it in all three directions",))
-        raise undecided(
-            rest, drives, [against], "wheels with rollers at these places leave a direction undriven", ROLLERS
-        )
+        why = "wheels with rollers at these places leave a direction undriven"
+        raise undecided(rest, drives, why, ROLLERS, [HolonomicBase.kind])
     return base
 
 
