@@ -107,7 +107,11 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
     return [
         *rollers(rest, wheels),
         *plugins(rest),
-        *(piece for file in named_files(rest, wheels, controllers) for piece in controllers_in(file)),
+        *(
+            piece
+            for file in own_files(rest, {c.joint.name for c in wheels}, controllers)
+            for piece in controllers_in(file)
+        ),
         *commands(rest, wheels),
         *contact(rest, wheels),
         *transmissions(rest, wheels),
@@ -154,12 +158,11 @@ def plugins(rest: AtRest) -> Iterator[Evidence]:
                         yield Evidence(meaning, text, element.sourceline, "plugin")
 
 
-def named_files(rest: AtRest, wheels: list[Candidate], controllers: str | None) -> list[str]:
+def own_files(rest: AtRest, wheels: set[str], controllers: str | None) -> list[str]:
     """The controllers' file that was given, else those beside the robot's that name all these wheels."""
     if controllers is not None:
         return [controllers]
-    joints = {wheel.joint.name for wheel in wheels}
-    return [str(file) for file in beside(rest) if joints <= words_of(str(file))]
+    return [str(file) for file in beside(rest) if wheels <= words_of(str(file))]
 
 
 def words_of(file: str) -> set[str]:

@@ -144,7 +144,7 @@ def heading_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrid
     if found.said and found.margin < -MARGIN:
         text = f"'{names[0]}' is the left wheel as you said, so forward is {way} {root}"
         yield note(rest, "base-sides", names[0], text, why, fix)
-    elif not found.said and any("names of left and right" in text for text in contra):
+    elif not found.said and any("left and right" in text for text in contra):
         text = f"'{names[0]}' is on the left: does the robot drive along {other} {root}?"
         yield note(rest, "base-sides", names[0], text, why, fix)
     elif not found.said and found.margin < MARGIN:

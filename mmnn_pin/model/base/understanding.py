@@ -40,7 +40,7 @@ from .machines import (
     welded_tracks,
 )
 from .modules import STEERED, Undercarriage, pivots_above, says_steered, undercarriages
-from .opinions import calibration, second_opinions, unasked
+from .opinions import calibration, second_opinions
 from .overrides import Overrides, folders_of
 from .placing import (
     declared_wheel,
@@ -176,7 +176,6 @@ def understood(rest: AtRest, overrides: Overrides, asks: bool = True) -> BaseRes
         *base_notes(rest, result.base, drives, candidates.floor, overrides.radius is not None),
         *heading_notes(rest, result.base, list(seen.values()), overrides),
         *second_opinions(rest, result.base, drives, overrides),
-        *unasked(rest, result.base, overrides),
     ]
     return replace(result, findings=(*result.findings, *notes))
 
