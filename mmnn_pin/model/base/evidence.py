@@ -14,10 +14,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from lxml import etree
@@ -31,8 +31,9 @@ from ..urdf.packages import package_of
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .wheels import Candidate
 
-Meaning = Literal["holonomic", "skid_steer"]
-WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
+Patterns = tuple[tuple[str, re.Pattern[str]], ...]
+Word = tuple[str, str, int]  # what it means, its text, its line
+WORDS: Patterns = (
     ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
     ("skid_steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
 )
@@ -72,7 +73,7 @@ class Evidence:
     """One thing that speaks for a kind of base.
 
     Attributes:
-        meaning: What it speaks for.
+        meaning: The kind of base that it speaks for, `holonomic` or `skid_steer`.
         text: What it is, with its line in the file.
         line: That line.
         source: Where it is from, a key of `WEIGHTS`; what one source says of several wheels counts once.
@@ -80,7 +81,7 @@ class Evidence:
         roller: Roller angle that it states of that wheel [rad], see `Wheel`; nan when it states none.
     """
 
-    meaning: Meaning
+    meaning: str
     text: str
     line: int
     source: str
@@ -104,14 +105,11 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
     Raises:
         ConfigError: The controllers' file cannot be read.
     """
+    files = own_files(rest, {c.joint.name for c in wheels}, controllers)
     return [
         *rollers(rest, wheels),
         *plugins(rest),
-        *(
-            piece
-            for file in own_files(rest, {c.joint.name for c in wheels}, controllers)
-            for piece in controllers_in(file)
-        ),
+        *(Evidence(*word, "controllers") for file in files for word in types_in(file, WORDS)),
         *commands(rest, wheels),
         *contact(rest, wheels),
         *transmissions(rest, wheels),
@@ -129,8 +127,8 @@ def rollers(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     for wheel in wheels:
         if wheel.rollers:
             name, line, angle = wheel.joint.name, wheel.joint.line, roller_angle(rest, wheel)
-            text = f"'{name}' carries {len(wheel.rollers)} rollers at {math.degrees(abs(angle)):.0f} degrees"
-            yield Evidence("holonomic", f"{text} (line {line})", line, "rollers", name, angle)
+            angles = f"rollers at {math.degrees(abs(angle)):.0f} degrees (line {line})"
+            yield Evidence("holonomic", f"'{name}' carries {len(wheel.rollers)} {angles}", line, "rollers", name, angle)
 
 
 def roller_angle(rest: AtRest, wheel: Candidate) -> float:
@@ -148,14 +146,27 @@ def from_rolling(wheel: Candidate, axis: Array) -> float:
 
 def plugins(rest: AtRest) -> Iterator[Evidence]:
     """Simulator plugins and controllers that say how they move the base."""
-    for tag in ("gazebo", "ros2_control"):
-        for block in rest.document.root.iterchildren(tag):
-            for element in block.iter("plugin", "controller", "hardware"):
-                words = " ".join([element.get("filename", ""), element.get("name", ""), (element.text or "").strip()])
-                for meaning, pattern in WORDS:
-                    if hit := pattern.search(words):
-                        text = f"<{tag}> names '{hit[0]}' in <{element.tag}> (line {element.sourceline})"
-                        yield Evidence(meaning, text, element.sourceline, "plugin")
+    for meaning, text, line in words_in(rest, WORDS, ("gazebo", "ros2_control"), ("plugin", "controller", "hardware")):
+        yield Evidence(meaning, text, line, "plugin")
+
+
+def words_in(rest: AtRest, patterns: Patterns, blocks: Sequence[str], tags: Sequence[str]) -> Iterator[Word]:
+    """Words of some patterns in elements of a file: what each means, its text with its line, and that line."""
+    for block in rest.document.root.iterchildren(*blocks):
+        for e in block.iter(*tags):
+            words = f"{e.get('filename', '')} {e.get('name', '')} {(e.text or '').strip()}"
+            for meaning, pattern in patterns:
+                if hit := pattern.search(words):
+                    text = f"<{block.tag}> names '{hit[0]}' in <{e.tag}> (line {e.sourceline})"
+                    yield meaning, text, e.sourceline
+
+
+def types_in(file: str | None, patterns: Patterns) -> Iterator[Word]:
+    """Words of some patterns in the types of a file of controllers, as of `words_in`."""
+    for number, line in lines_of(file):
+        for meaning, pattern in patterns:
+            if "type" in line and (hit := pattern.search(line)):
+                yield meaning, f"{Path(file or '').name} names '{hit[0]}' (line {number})", 1
 
 
 def own_files(rest: AtRest, wheels: set[str], controllers: str | None) -> list[str]:
@@ -170,27 +181,32 @@ def words_of(file: str) -> set[str]:
     return {word for table in tables_of(file) for entry in table.values() for word in entry.items}
 
 
-def controllers_in(file: str | None) -> Iterator[Evidence]:
-    """Controllers of a YAML file that say how they move the base."""
-    for number, line in lines_of(file):
-        for meaning, pattern in WORDS:
-            if "type" in line and (hit := pattern.search(line)):
-                text = f"{Path(file or '').name} names '{hit[0]}' (line {number})"
-                yield Evidence(meaning, text, 1, "controllers")
-
-
 def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     """Wheels of which `ros2_control` commands some and only reads others: those roll along, so they must skid."""
-    states: dict[str, bool] = {}
-    lines: dict[str, int] = {}
-    for joint in rest.document.root.iterfind("ros2_control/joint"):
-        states[joint.get("name", "")] = joint.find("command_interface") is not None
-        lines[joint.get("name", "")] = joint.sourceline
-    commanded_by_name = {wheel.joint.name: states[wheel.joint.name] for wheel in wheels if wheel.joint.name in states}
-    driven = [name for name, commanded in commanded_by_name.items() if commanded]
+    stated = {e.get("name"): e for e in rest.document.root.iterfind("ros2_control/joint")}
+    driven = [stated[w.joint.name] for w in wheels if w.joint.name in stated]
+    yield from of_some("<ros2_control> commands only", [e for e in driven if is_commanded(e)], wheels, "commands")
+
+
+def transmissions(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Transmissions of some of the wheels only: the others have no motor; they only confirm."""
+    stated = {e.get("name"): e for e in rest.document.root.iterfind("transmission/joint")}
+    driven = [stated[w.joint.name] for w in wheels if w.joint.name in stated]
+    yield from of_some("transmissions only of", driven, wheels, "transmissions")
+
+
+def of_some(
+    what: str, driven: Sequence[etree._Element], wheels: Sequence[Candidate], source: str
+) -> Iterator[Evidence]:
+    """Evidence that only some of the wheels are driven, by the elements that do."""
     if 0 < len(driven) < len(wheels):
-        text = f"<ros2_control> commands only {', '.join(driven)} (line {lines[driven[0]]})"
-        yield Evidence("skid_steer", text, lines[driven[0]], "commands")
+        text = f"{what} {', '.join(e.get('name', '') for e in driven)} (line {driven[0].sourceline})"
+        yield Evidence("skid_steer", text, driven[0].sourceline, source)
+
+
+def is_commanded(element: etree._Element) -> bool:
+    """Whether a joint of `ros2_control` has a command interface."""
+    return element.find("command_interface") is not None
 
 
 def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -216,9 +232,8 @@ def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
 
 def coefficient(block: etree._Element, tag: str) -> float:
     """A friction coefficient, nan when it is not stated as a number."""
-    element = block.find(f".//{tag}")
-    text = None if element is None else element.get("value", element.text)
-    return math.nan if number_problem(text or "", 1) else float(text or "nan")
+    values = numbers_of(block.find(f".//{tag}"), 1)
+    return values[0] if values else math.nan
 
 
 def friction_direction(rest: AtRest, block: etree._Element) -> Array:
@@ -227,12 +242,17 @@ def friction_direction(rest: AtRest, block: etree._Element) -> Array:
     It is in the frame of the link, or of the link that an attribute `expressed_in` names.
     """
     element = block.find(".//fdir1")
-    text = None if element is None else element.get("value", element.text)
-    if element is None or number_problem(text or "", 3):
+    if not (values := numbers_of(element, 3)):
         return np.zeros(3)
     named = [value for key, value in element.attrib.items() if key.endswith("expressed_in")]
     frame = rest.placements.get([*named, block.get("reference", "")][0], np.eye(4))
-    return np.asarray(frame[:3, :3] @ [float(word) for word in (text or "").split()])
+    return np.asarray(frame[:3, :3] @ values)
+
+
+def numbers_of(element: etree._Element | None, count: int) -> list[float]:
+    """So many numbers of an element's value or text, none where it has others."""
+    text = "" if element is None else element.get("value", element.text) or ""
+    return [] if number_problem(text, count) else [float(word) for word in text.split()]
 
 
 def is_oblique(direction: Array, wheel: Candidate) -> bool:
@@ -241,29 +261,17 @@ def is_oblique(direction: Array, wheel: Candidate) -> bool:
     return size > 0 and 0.1 < abs(float(direction @ wheel.axis)) / size < 0.995
 
 
-def transmissions(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
-    """Transmissions of some of the wheels only: the others have no motor; they only confirm."""
-    named = {e.get("name"): e.sourceline for e in rest.document.root.iterfind("transmission/joint")}
-    driven = [wheel.joint.name for wheel in wheels if wheel.joint.name in named]
-    if 0 < len(driven) < len(wheels):
-        line = named[driven[0]]
-        text = f"transmissions only of {', '.join(driven)} (line {line})"
-        yield Evidence("skid_steer", text, line, "transmissions")
-
-
 def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     """Names of wheels and their meshes, and what the robot is called; they weigh little."""
     for wheel in wheels:
-        element, where = (
-            rest.document.links[wheel.joint.child],
-            f"of wheel '{wheel.joint.name}' (line {wheel.joint.line})",
-        )
-        meshes = [mesh.get("filename", "") for mesh in element.iter("mesh")]
-        for source, words in (("names", [wheel.joint.name, wheel.joint.child]), ("meshes", meshes)):
+        name, line = wheel.joint.name, wheel.joint.line
+        meshes = [mesh.get("filename", "") for mesh in rest.document.links[wheel.joint.child].iter("mesh")]
+        for source, word, words in (("names", "names", (name, wheel.joint.child)), ("meshes", "mesh", meshes)):
             for meaning, pattern in WORDS:
                 if hit := next(filter(None, map(pattern.search, words)), None):
-                    text = f"'{hit[0]}' in the {'mesh' if source == 'meshes' else 'names'} {where}"
-                    yield Evidence(meaning, text, wheel.joint.line, source, wheel.joint.name)
+                    yield Evidence(
+                        meaning, f"'{hit[0]}' in the {word} of wheel '{name}' (line {line})", line, source, name
+                    )
     called = f"{rest.document.root.get('name', '')} {rest.document.path.name}"
     if hit := OUTDOORS.search(called):
         yield Evidence("skid_steer", f"the robot is called '{hit[0]}'", 1, "called")
@@ -280,7 +288,7 @@ def motors_named(rest: AtRest) -> dict[str, str]:
         if "joint" in tag and not tag.startswith("passive"):  # PR2's have flexJoint, gap_joint, passive_joint
             drivers[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
     for element in root.iterfind("ros2_control/joint"):
-        if element.find("command_interface") is not None:
+        if is_commanded(element):
             drivers[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
     for element in root.iterfind("gazebo//*"):
         if MOVED.search(str(element.tag)) and not reads_only(element):
@@ -295,8 +303,10 @@ def reads_only(element: etree._Element) -> bool:
     return any(e.tag == "sensor" or READS.search(f"{e.get('filename')} {e.get('name')}") for e in above)
 
 
-STEERS = re.compile(r"tricycle|ackermann|bicycle|car[_-]?like|four_wheel_steering", re.IGNORECASE)  # of plugins
-ROLLS = re.compile(r"diff[_-]?drive", re.IGNORECASE)
+DRIVING = (
+    ("car-like", re.compile(r"tricycle|ackermann|bicycle|car[_-]?like|four_wheel_steering", re.IGNORECASE)),
+    ("differential_drive", re.compile(r"diff[_-]?drive", re.IGNORECASE)),
+)
 DRIVEN_KEYS = re.compile(r"(?:wheel|axle|steering|traction|drive|front|rear|left|right)\w*_(?:names?|joints?)$")
 
 
@@ -321,16 +331,10 @@ def driving_words(rest: AtRest, controllers: str | None) -> Iterator[tuple[str, 
     Raises:
         ConfigError: The controllers' file cannot be read.
     """
-    patterns = (("car-like", STEERS), ("differential_drive", ROLLS))
-    for element in rest.document.root.iterfind("gazebo//*"):
-        words = f"{element.get('filename', '')} {element.get('name', '')} {element.text or ''}"
-        for kind, pattern in patterns:
-            if element.tag in ("plugin", "controller") and (hit := pattern.search(words)):
-                yield kind, f"<gazebo> names '{hit[0]}' (line {element.sourceline})"
-    for number, line in lines_of(controllers):
-        for kind, pattern in patterns:
-            if "type" in line and (hit := pattern.search(line)):
-                yield kind, f"{Path(controllers or '').name} names '{hit[0]}' (line {number})"
+    for kind, text, _ in words_in(rest, DRIVING, ("gazebo",), ("plugin", "controller")):
+        yield kind, text
+    for kind, text, _ in types_in(controllers, DRIVING):
+        yield kind, text
 
 
 # -- lengths that are stated -------------------------------------------------------------------------------------------
