@@ -1,13 +1,10 @@
 """Evidence of a base beside its geometry: rollers, contact friction, plugins, controllers, names; and stated lengths.
 
-Geometry cannot tell mecanum wheels from plain ones: both are four parallel cylinders. Each piece of evidence speaks
-for one of `holonomic` and `skid_steer`, and says where it stands. Names and transmissions weigh too little to
-decide alone. Plugins and YAML files of the robot's controllers also state a radius and a track.
-
-A length that a controller works with is the stated one times its multipliers, as `diff_drive_controller` of
-ros-controls/ros2_controllers (6.9.0) has them: `wheel_separation_multiplier`, `left_wheel_radius_multiplier` and
-`right_wheel_radius_multiplier` (ROS 1 also `wheel_radius_multiplier`). Keys are read by their indentation, so far as
-such files go: mappings, flow mappings on one line, lists.
+Geometry cannot tell mecanum wheels from plain ones. Each piece of evidence speaks for `holonomic` or `skid_steer`, and
+says where it stands. Plugins and YAML files of the robot's controllers also state a radius and a track. A controller
+works with the stated length times its multipliers, as `diff_drive_controller` of ros-controls/ros2_controllers (6.9.0)
+has them (ROS 1 also `wheel_radius_multiplier`). Keys are read by their indentation, so far as such files go: mappings,
+flow mappings on one line, lists.
 """
 
 from __future__ import annotations
@@ -37,6 +34,11 @@ WORDS: Patterns = (
     ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
     ("skid_steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
 )
+DRIVING = (
+    ("car-like", re.compile(r"tricycle|ackermann|bicycle|car[_-]?like|four_wheel_steering", re.IGNORECASE)),
+    ("differential_drive", re.compile(r"diff[_-]?drive", re.IGNORECASE)),
+)
+DRIVEN_KEYS = re.compile(r"(?:wheel|axle|steering|traction|drive|front|rear|left|right)\w*_(?:names?|joints?)$")
 OUTDOORS = re.compile(r"rover|4wd|4x4|ugv|all.?terrain|off.?road", re.IGNORECASE)  # robots that mostly skid
 MOVED = re.compile(r"joint|wheel", re.IGNORECASE)  # tags of plugins that name what they drive
 READS = re.compile(r"state[_-]?publisher|force[_-]?torque|ft[_-]?sensor", re.IGNORECASE)  # plugins that drive nothing
@@ -63,6 +65,7 @@ FACTORS = {  # what else a controller multiplies them by
     "wheel_radius": ("wheel_radius_multiplier", "{side}_wheel_radius_multiplier"),
 }
 SIDES = ("left", "right")
+MOTORS = {"commands": "ros2_control/joint[command_interface]", "transmissions": "transmission/joint"}
 KEY = re.compile(r"['\"]?([^\s'\"{}\[\],]+?)['\"]?\s*:(?:\s+|$)(.*)")
 FLOW = re.compile(r"[{,]\s*['\"]?([^\s'\"{}\[\],:]+)['\"]?\s*:\s*([^{}\[\],]+)")
 STEERED = re.compile(r"(?:ackermann|bicycle|tricycle)(?:_steering)?_controller|steering_controllers_library")
@@ -95,26 +98,11 @@ class Evidence:
 
 
 def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = None) -> list[Evidence]:
-    """All evidence about parallel wheels, in the order of its weight.
-
-    Args:
-        rest: The robot at rest.
-        wheels: Its wheels.
-        controllers: File of the robot's controllers, None without one.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
-    """
+    """All evidence about parallel wheels, in the order of its weight; errors as of `lines_of`."""
     files = own_files(rest, {c.joint.name for c in wheels}, controllers)
-    return [
-        *rollers(rest, wheels),
-        *plugins(rest),
-        *(Evidence(*word, "controllers") for file in files for word in types_in(file, WORDS)),
-        *commands(rest, wheels),
-        *contact(rest, wheels),
-        *transmissions(rest, wheels),
-        *names(rest, wheels),
-    ]
+    words = (word for file in files for word in types_in(file, WORDS))
+    found = [*rollers(rest, wheels), *plugins(rest), *(Evidence(*word, "controllers") for word in words)]
+    return [*found, *motors_of_some(rest, wheels), *contact(rest, wheels), *names(rest, wheels)]
 
 
 def stated_rollers(pieces: list[Evidence]) -> dict[str, float]:
@@ -173,40 +161,21 @@ def own_files(rest: AtRest, wheels: set[str], controllers: str | None) -> list[s
     """The controllers' file that was given, else those beside the robot's that name all these wheels."""
     if controllers is not None:
         return [controllers]
-    return [str(file) for file in beside(rest) if wheels <= words_of(str(file))]
+    values = {
+        str(file): [entry for table in mappings_of(str(file)).values() for entry in table.values()]
+        for file in beside(rest)
+    }
+    return [file for file, entries in values.items() if wheels <= {word for entry in entries for word in entry.items}]
 
 
-def words_of(file: str) -> set[str]:
-    """All values in a controllers' file, the items of lists each."""
-    return {word for table in tables_of(file) for entry in table.values() for word in entry.items}
-
-
-def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
-    """Wheels of which `ros2_control` commands some and only reads others: those roll along, so they must skid."""
-    stated = {e.get("name"): e for e in rest.document.root.iterfind("ros2_control/joint")}
-    driven = [stated[w.joint.name] for w in wheels if w.joint.name in stated]
-    yield from of_some("<ros2_control> commands only", [e for e in driven if is_commanded(e)], wheels, "commands")
-
-
-def transmissions(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
-    """Transmissions of some of the wheels only: the others have no motor; they only confirm."""
-    stated = {e.get("name"): e for e in rest.document.root.iterfind("transmission/joint")}
-    driven = [stated[w.joint.name] for w in wheels if w.joint.name in stated]
-    yield from of_some("transmissions only of", driven, wheels, "transmissions")
-
-
-def of_some(
-    what: str, driven: Sequence[etree._Element], wheels: Sequence[Candidate], source: str
-) -> Iterator[Evidence]:
-    """Evidence that only some of the wheels are driven, by the elements that do."""
-    if 0 < len(driven) < len(wheels):
-        text = f"{what} {', '.join(e.get('name', '') for e in driven)} (line {driven[0].sourceline})"
-        yield Evidence("skid_steer", text, driven[0].sourceline, source)
-
-
-def is_commanded(element: etree._Element) -> bool:
-    """Whether a joint of `ros2_control` has a command interface."""
-    return element.find("command_interface") is not None
+def motors_of_some(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Commands and transmissions of some of the wheels only: the others roll along, so they must skid."""
+    for what, source in (("<ros2_control> commands only", "commands"), ("transmissions only of", "transmissions")):
+        stated = {e.get("name"): e for e in rest.document.root.iterfind(MOTORS[source])}
+        driven = [stated[wheel.joint.name] for wheel in wheels if wheel.joint.name in stated]
+        if 0 < len(driven) < len(wheels):
+            text = f"{what} {', '.join(e.get('name', '') for e in driven)} (line {driven[0].sourceline})"
+            yield Evidence("skid_steer", text, driven[0].sourceline, source)
 
 
 def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -237,10 +206,7 @@ def coefficient(block: etree._Element, tag: str) -> float:
 
 
 def friction_direction(rest: AtRest, block: etree._Element) -> Array:
-    """(3,) friction direction `fdir1` in the root frame at rest, zero when none is stated.
-
-    It is in the frame of the link, or of the link that an attribute `expressed_in` names.
-    """
+    """(3,) `fdir1` in the root frame at rest, zero without; it is stated in the link's, or that of `expressed_in`."""
     element = block.find(".//fdir1")
     if not (values := numbers_of(element, 3)):
         return np.zeros(3)
@@ -280,20 +246,22 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
 # -- what drives its joints --------------------------------------------------------------------------------------------
 
 
-def motors_named(rest: AtRest) -> dict[str, str]:
-    """Joints that plugins, `ros2_control` commands or transmissions drive, each with where it stands."""
+def motors_named(rest: AtRest, controllers: str | None = None) -> dict[str, str]:
+    """Joints that plugins, `ros2_control`, transmissions or a controllers' file drive, with places; see `lines_of`."""
     root, drivers = rest.document.root, dict[str, str]()
     for element in root.iterfind("transmission//*"):
         tag = str(element.tag).lower()
         if "joint" in tag and not tag.startswith("passive"):  # PR2's have flexJoint, gap_joint, passive_joint
             drivers[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
-    for element in root.iterfind("ros2_control/joint"):
-        if is_commanded(element):
-            drivers[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
+    for element in root.iterfind(MOTORS["commands"]):
+        drivers[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
     for element in root.iterfind("gazebo//*"):
         if MOVED.search(str(element.tag)) and not reads_only(element):
-            for name in re.split(r"[\s,]+", element.text or ""):
-                drivers[name] = f"<{element.tag}> (line {element.sourceline})"
+            named = re.split(r"[\s,]+", element.text or "")
+            drivers |= dict.fromkeys(named, f"<{element.tag}> (line {element.sourceline})")
+    for key, entry in (item for table in mappings_of(controllers).values() for item in table.items()):
+        if DRIVEN_KEYS.search(key) or key == "joints":
+            drivers |= dict.fromkeys(entry.items, f"{Path(controllers or '').name} (line {entry.line})")
     return {name: where for name, where in drivers.items() if name in rest.document.joints}
 
 
@@ -303,38 +271,10 @@ def reads_only(element: etree._Element) -> bool:
     return any(e.tag == "sensor" or READS.search(f"{e.get('filename')} {e.get('name')}") for e in above)
 
 
-DRIVING = (
-    ("car-like", re.compile(r"tricycle|ackermann|bicycle|car[_-]?like|four_wheel_steering", re.IGNORECASE)),
-    ("differential_drive", re.compile(r"diff[_-]?drive", re.IGNORECASE)),
-)
-DRIVEN_KEYS = re.compile(r"(?:wheel|axle|steering|traction|drive|front|rear|left|right)\w*_(?:names?|joints?)$")
-
-
-def controllers_motors(rest: AtRest, file: str | None) -> dict[str, str]:
-    """Joints that a file of controllers drives, each with where it stands.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
-    """
-    found = dict[str, str]()
-    for table in tables_of(file):
-        for key, entry in table.items():
-            if DRIVEN_KEYS.search(key) or key == "joints":
-                place = f"{Path(file or '').name} (line {entry.line})"
-                found |= {name: place for name in entry.items if name in rest.document.joints}
-    return found
-
-
-def driving_words(rest: AtRest, controllers: str | None) -> Iterator[tuple[str, str]]:
-    """Words of plugins and controllers that tell whether wheels on one line drive or others steer: kind and text.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
-    """
-    for kind, text, _ in words_in(rest, DRIVING, ("gazebo",), ("plugin", "controller")):
-        yield kind, text
-    for kind, text, _ in types_in(controllers, DRIVING):
-        yield kind, text
+def driving_words(rest: AtRest, controllers: str | None) -> list[tuple[str, str]]:
+    """Words of plugins and controllers that tell whether others steer than drive: kind and text; see `lines_of`."""
+    words = [*words_in(rest, DRIVING, ("gazebo",), ("plugin", "controller")), *types_in(controllers, DRIVING)]
+    return [(kind, text) for kind, text, _ in words]
 
 
 # -- lengths that are stated -------------------------------------------------------------------------------------------
@@ -357,35 +297,26 @@ class Stated(NamedTuple):
 
 
 def stated(rest: AtRest, controllers: str | None, names: dict[str, float]) -> list[Stated]:
-    """Lengths that the file's plugins and the controllers' file state under some names, each value once.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
-    """
-    lengths: list[Stated] = []
-    for element in rest.document.root.iterfind("gazebo//*"):
-        if element.tag in names and not number_problem(text := (element.text or "").strip(), 1):
-            value = float(text) * names[element.tag]
-            lengths.append(Stated(value, f"<{element.tag}> (line {element.sourceline})", value))
-    lengths += in_yaml(controllers, names)
-    return list(
-        {(round(length.value, 9), length.side): length for length in reversed(lengths) if length.value > 0}.values()
-    )[::-1]
+    """Lengths that plugins and the controllers' file state under some names, each value once; errors of `lines_of`."""
+    found, lengths = dict[tuple[float, str], Stated](), list[Stated]()
+    for e in rest.document.root.iterfind("gazebo//*"):
+        if e.tag in names and not number_problem(text := (e.text or "").strip(), 1):
+            value = float(text) * names[e.tag]
+            lengths.append(Stated(value, f"<{e.tag}> (line {e.sourceline})", value))
+    for length in (*lengths, *in_yaml(controllers, names)):
+        if length.value > 0:
+            found.setdefault((round(length.value, 9), length.side), length)
+    return list(found.values())
 
 
 def in_yaml(file: str | None, names: dict[str, float]) -> Iterator[Stated]:
-    """Lengths that a controllers' file states under some names, one for each side where they differ.
-
-    Raises:
-        ConfigError: It cannot be read.
-    """
-    for table in tables_of(file):
+    """Lengths that a controllers' file states under some names, one for each side where they differ."""
+    for table in mappings_of(file).values():
         for key in [key for key in table if key in names]:
             nominal = number_of(table, key, 0.0) * names[key]
             where = f"{Path(file or '').name}, line {table[key].line}"
             known = {side: multipliers(table, key, side) for side in SIDES}
-            sides = {"": known["left"]} if known["left"] == known["right"] else known
-            for side, factors in sides.items():
+            for side, factors in ({"": known["left"]} if known["left"] == known["right"] else known).items():
                 value = nominal * abs(math.prod(factors.values()))
                 times = "".join(f" times {name} {factor:g}" for name, factor in factors.items())
                 yield Stated(value, f"{key} ({where}){times}", nominal, side)
@@ -432,17 +363,8 @@ def lines_of(file: str | None) -> list[tuple[int, str]]:
     return [(number, line.partition("#")[0]) for number, line in enumerate(text.splitlines(), 1)]
 
 
-def tables_of(file: str | None) -> list[YamlTable]:
-    """The mappings of a controllers' file; errors as of `mappings_of`."""
-    return list(mappings_of(file).values())
-
-
 def mappings_of(file: str | None) -> dict[tuple[str, ...], YamlTable]:
-    """The mappings of a controllers' file by the keys above them, each by its own, the last part of those with dots.
-
-    Raises:
-        ConfigError: It cannot be read.
-    """
+    """The mappings of a controllers' file by the keys above them, each by its own, the last part of those with dots."""
     tables: dict[tuple[str, ...], YamlTable] = {}
     above: list[tuple[int, str]] = []
     last: tuple[YamlTable, str] | None = None
@@ -458,9 +380,8 @@ def mappings_of(file: str | None) -> dict[tuple[str, ...], YamlTable]:
             last[0][last[1]] = YamlEntry(hit[2].strip(" '\""), number)
             above.append((indent, hit[1]))
             inner = tables.setdefault((*path, hit[1]), {})
-            inner |= {
-                one[1].rpartition(".")[2]: YamlEntry(one[2].strip(" '\""), number) for one in FLOW.finditer(hit[2])
-            }
+            for one in FLOW.finditer(hit[2]):
+                inner[one[1].rpartition(".")[2]] = YamlEntry(one[2].strip(" '\""), number)
     return tables
 
 
@@ -475,9 +396,8 @@ def beside(rest: AtRest) -> list[Path]:
     package = Path(package_of(str(rest.document.path.parent.absolute())))
     stem = re.sub(r"_?(description|model|urdf)$", "", package.name)
     folders = [package, *(f for f in siblings(package) if stem and f.name.startswith(stem) and f != package)]
-    files = [
-        file for folder in folders for place in ("", "config", "params") for file in (folder / place).glob("*.y*ml")
-    ]
+    places = [folder / place for folder in folders for place in ("", "config", "params")]
+    files = [file for place in places for file in place.glob("*.y*ml")]
     return [file for file in files[:YAMLS] if file.stat().st_size < LONGEST]
 
 

@@ -31,11 +31,11 @@ from .evidence import (
     beside,
     in_yaml,
     lines_of,
+    mappings_of,
     multipliers,
     number_of,
     own_files,
     stated,
-    tables_of,
 )
 from .overrides import LARGEST, SMALLEST, Overrides
 from .report import note
@@ -216,7 +216,7 @@ def contradictions(rest: AtRest, base: Base, files: Sequence[str]) -> Iterator[F
         for line, name in steered[:1]:
             text = f"{file} names '{name}' (line {line}), which steers its wheels; this base does not"
             yield note(rest, "base-stated", first, text, "nothing of it is used", "check which it is")
-        for table in tables_of(path):
+        for table in mappings_of(path).values():
             for key in sums.keys() & table.keys() if base.sideways else ():
                 used, value = float(sums[key].mean()), number_of(table, key, 0.0)
                 if apart(value, used):
