@@ -34,7 +34,7 @@ FORCES = "--base holonomic to drive it by forces on its frame, or --base fixed t
 
 
 @dataclass(frozen=True, eq=False)
-class Reading(BaseReading):
+class Proposal(BaseReading):
     """A reading that a base can be built by.
 
     Attributes:
@@ -47,14 +47,14 @@ class Reading(BaseReading):
 
     @property
     def options(self) -> str:
-        """What is said for it on the command line."""
+        """Its statements as they stand on the command line."""
         texts = {key: value if isinstance(value, str) else ",".join(value) for key, value in self.said.items()}
         return " ".join(f"--{key.replace('_', '-')} {text}" for key, text in texts.items())
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What the loader asks where readings leave a doubt.
+    """The question that is asked where readings leave a doubt.
 
     Attributes:
         rest: The robot at rest.
@@ -70,7 +70,7 @@ class Question:
     blind: Sequence[Candidate] = ()
     sure: bool = False
 
-    def best_of(self, readings: Sequence[Reading]) -> BaseResult:
+    def best_of(self, readings: Sequence[Proposal]) -> BaseResult:
         """The base of the reading that is borne out.
 
         Raises:
@@ -89,14 +89,14 @@ class Question:
         found = best.build()
         return replace(found, findings=(*reading_note(self.rest, best, others), *found.findings))
 
-    def leads_on(self, reading: Reading) -> bool:
+    def leads_on(self, reading: Proposal) -> bool:
         """Whether its options lead to a reading: only then they are printed."""
         try:
             return self.attempt is not None and self.attempt(reading.said).base.kind == reading.kind
         except InputError:
             return False
 
-    def which(self, rivals: Sequence[Reading], others: Sequence[Reading]) -> Exception:
+    def which(self, rivals: Sequence[Proposal], others: Sequence[Proposal]) -> Exception:
         """The question which of some readings is meant."""
         told = [told_apart(one.signs, other.signs) for one in rivals for other in rivals if one is not other]
         texts = list(dict.fromkeys(text for texts in told for text in texts))
@@ -108,7 +108,7 @@ class Question:
         last = PARKED if "holonomic" in kinds else FORCES
         return undecided(self.rest, self.wheels, why, "; ".join([*ways, last]), [*rivals, *others][:4])
 
-    def whether(self, best: Reading, others: Sequence[Reading]) -> Exception:
+    def whether(self, best: Proposal, others: Sequence[Proposal]) -> Exception:
         """The question whether a reading is meant though much speaks against it."""
         listed = [best, *others][:4]
         if self.blind:
@@ -122,7 +122,7 @@ class Question:
         return undecided(self.rest, self.wheels, "; ".join(against), "; ".join([*ways, FORCES]), listed)
 
 
-def when(reading: Reading, rivals: Sequence[Reading]) -> str:
+def when(reading: Proposal, rivals: Sequence[Proposal]) -> str:
     """In which case a reading is the right one, in words."""
     mixed = {"skid_steer", "holonomic"} <= {r.kind for r in rivals}
     words = {
@@ -136,7 +136,7 @@ def when(reading: Reading, rivals: Sequence[Reading]) -> str:
     return words.get(reading.kind, "if they steer" if "steer" in reading.said else "")
 
 
-def reading_note(rest: AtRest, best: Reading, others: Sequence[Reading]) -> list[Finding]:
+def reading_note(rest: AtRest, best: Proposal, others: Sequence[Proposal]) -> list[Finding]:
     """The reading that was taken, its runner-up and what told them apart; a warning where that is little."""
     other = next((r for r in others if best.score - r.score < CLEAR and r.kind != best.kind), None)
     ordered = sorted((sign for sign in best.signs if sign.weight > 0), key=lambda sign: -sign.weight)
@@ -157,7 +157,7 @@ def reading_note(rest: AtRest, best: Reading, others: Sequence[Reading]) -> list
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """What may drive a base that does not steer.
+    """Wheels that may drive a base that does not steer.
 
     Attributes:
         fixed: Wheels that hang on nothing that turns; or those that the user names.

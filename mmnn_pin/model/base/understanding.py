@@ -52,7 +52,7 @@ from .placing import (
     require_possible,
     require_used,
 )
-from .readings import FORCES, ROLLING, Drives, Question, Reading
+from .readings import FORCES, ROLLING, Drives, Proposal, Question
 from .report import (
     BaseResult,
     Undecided,
@@ -301,13 +301,13 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides, asks: boo
 
 
 def attempt(rest: AtRest, overrides: Overrides, asks: bool) -> Callable[[Mapping[str, Any]], BaseResult] | None:
-    """What becomes of the robot if the user says something more; None where that is what is tried."""
+    """Trial of what becomes of the robot if the user says something more; None within such a trial."""
     return (lambda said: understood(rest, msgspec.structs.replace(overrides, **said), asks=False)) if asks else None
 
 
-def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Iterator[Reading]:
+def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Iterator[Proposal]:
     """All that these wheels could make, of the kind that the user says."""
-    found = list[Reading]()
+    found = list[Proposal]()
     for under in undercarriages(rest, candidates, overrides):
         if under.steers:
             found.append(steered_reading(rest, candidates, under, overrides))
@@ -329,31 +329,31 @@ def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) ->
         raise not_that_kind(rest, kinds, overrides)
 
 
-def steered_reading(rest: AtRest, candidates: Candidates, under: Undercarriage, overrides: Overrides) -> Reading:
+def steered_reading(rest: AtRest, candidates: Candidates, under: Undercarriage, overrides: Overrides) -> Proposal:
     """The reading of modules in their roles."""
     names = [m.joint.name for m in under.of("steered", "waist")]
     said: dict[str, Any] = {"steer": names} if names else {"base": "casters"}
     build = partial(steered_base, rest, candidates, overrides, under)
-    return Reading(steered_kind(under), under.signs, said, build)
+    return Proposal(steered_kind(under), under.signs, said, build)
 
 
-def with_modules(rest: AtRest, reading: Reading, under: Undercarriage) -> Reading:
+def with_modules(rest: AtRest, reading: Proposal, under: Undercarriage) -> Proposal:
     """A reading of wheels that drive, with the modules beside them: casters, trailers."""
     signs, hitches = (*under.signs, *reading.signs), [m.joint.name for m in under.of("hitch")]
     if not hitches:
         return replace(reading, signs=signs)
     build = reading.build
-    return Reading(DriveWithTrailer.kind, signs, {"hitch": hitches}, lambda: behind_drive(rest, build(), under))
+    return Proposal(DriveWithTrailer.kind, signs, {"hitch": hitches}, lambda: behind_drive(rest, build(), under))
 
 
 def drive_readings(
     rest: AtRest, fixed: list[Candidate], wheels: list[Candidate], overrides: Overrides
-) -> list[Reading]:
-    """What wheels make that do not steer, of the kind that the user says."""
+) -> list[Proposal]:
+    """Readings of wheels that do not steer, of the kind that the user says."""
     words = [Sign(f"{why}: does it steer?", -6.0) for why in (steering_named(rest),) if why and len(fixed) > 2]
     belts, drums, named = tuple(belt_signs(rest, fixed)), on_arms(rest, fixed), overrides.wheels is not None
     drives = Drives(fixed, motors_named(rest), named, overrides.base, belts, words, drums)
-    found = list[Reading]()
+    found = list[Proposal]()
     for some in drives.sets():
         kinds = [kind for kind in drives.kinds(some) if overrides.base in (None, kind)]
         pieces = evidence(rest, some, overrides.controllers_file) if len(some) > 2 else []
@@ -363,7 +363,7 @@ def drive_readings(
             said: dict[str, Any] = {"wheels": names} if kind == "differential_drive" else {"base": kind}
             said |= {} if whole else {"wheels": names}
             build = partial(on_wheels, rest, kind, some, wheels, overrides)
-            found.append(Reading(kind, tuple(drives.signs(kind, some, pieces)), said, build))
+            found.append(Proposal(kind, tuple(drives.signs(kind, some, pieces)), said, build))
     return found
 
 
