@@ -1,4 +1,4 @@
-"""What wheels hang on, found in a file: pivots, and what each may be, with the signs for it and against.
+"""Pivots that wheels hang on, found in a file, and what each may be, with the signs for it and against.
 
 A wheel's *pivot* is the nearest joint above it about a vertical axis. Its lever on the floor, from the axis to the
 middle of its wheels, has two parts: along the rolling direction, the *trail*, and across it, which no steering feels.
@@ -31,7 +31,7 @@ from ...signals import Array
 from ..signs import Sign
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .evidence import controllers_motors, driving_words, motors_named
+from .evidence import driving_words, motors_named
 from .overrides import Overrides
 from .report import in_words, unsupported
 from .steered import STEERED_KINDS
@@ -182,7 +182,7 @@ def undercarriages(rest: AtRest, candidates: Candidates, overrides: Overrides) -
     modules += without_spin(rest, candidates, modules, fixed, overrides) if fixed else []
     modules.sort(key=lambda m: len(rest.document.moving_ancestors(m.joint.child)))
     require_pivots(rest, modules, overrides)
-    motors = {**motors_named(rest), **controllers_motors(rest, overrides.controllers_file)}
+    motors = motors_named(rest, overrides.controllers_file)
     return list(with_roles(rest, Undercarriage(modules, fixed, motors), overrides))
 
 
@@ -203,7 +203,7 @@ def with_roles(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Iter
 
 
 def likeness(rest: AtRest, m: Module, under: Undercarriage, overrides: Overrides) -> tuple[object, ...]:
-    """What modules share that have one role."""
+    """Properties that modules share which have one role."""
     name, said = m.joint.name, (*(overrides.steer or ()), *(overrides.hitch or ()))
     driven = name in under.motors, any(c.joint.name in under.motors for c in m.wheels)
     carrier = m.carrier.name if m.carrier is not None else ""
@@ -235,7 +235,7 @@ def signs_of(rest: AtRest, some: Sequence[Module], role: str, under: Undercarria
 
 
 def seen_of(rest: AtRest, some: Sequence[Module], under: Undercarriage) -> Iterator[tuple[str, str]]:
-    """What is seen of some modules that look alike: keys of `WEIGHTS`, and what more there is to say."""
+    """Keys of `WEIGHTS` that are seen of some modules that look alike, and what more there is to say."""
     first, wheels = some[0], [c for m in some for c in m.wheels]
     trails = first.trails(rest)
     yield "turn all round" if first.swivels else "have stops", ""
