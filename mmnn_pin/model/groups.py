@@ -48,26 +48,17 @@ def groups_of(rest: AtRest, controllers: str | None = None) -> tuple[tuple[Group
     Raises:
         ConfigError: The controllers' file cannot be read.
     """
-    files = [controllers] if controllers else [str(file) for file in beside(rest) if b"joints" in bytes_of(file)]
-    roots = {file: parse_xml(bytes_of(file))[0] for file in srdf_files(rest)}
-    found = [*of_systems(rest), *(group for file in files for group in of_controllers(file))]
-    found += [group for file, root in roots.items() if root is not None for group in of_srdf(rest, file.name, root)]
-    known = (group for group in found if group.joints and group.joints <= rest.document.joints.keys())
-    return tuple(known), tuple(file for file, root in roots.items() if root is None)
-
-
-def of_systems(rest: AtRest) -> Iterator[Group]:
-    """Joints of `ros2_control` systems."""
+    found, known = list[Group](), rest.document.joints.keys()
     for system in rest.document.root.iterchildren("ros2_control"):
         joints = frozenset(joint.get("name", "") for joint in system.iterchildren("joint"))
-        yield Group(system.get("name", ""), joints, f"<ros2_control>, line {system.sourceline}")
-
-
-def of_controllers(file: str) -> Iterator[Group]:
-    """Joints of controllers in a YAML file."""
-    for path, table in mappings_of(file).items():
-        if path and (entry := table.get("joints")):
-            yield Group(" ".join(path), frozenset(entry.items), f"{Path(file).name}, line {entry.line}")
+        found.append(Group(system.get("name", ""), joints, f"<ros2_control>, line {system.sourceline}"))
+    for file in [controllers] if controllers else [str(file) for file in beside(rest) if b"joints" in bytes_of(file)]:
+        tables = {" ".join(path): table["joints"] for path, table in mappings_of(file).items() if "joints" in table}
+        found += [Group(k, frozenset(v.items), f"{Path(file).name}, line {v.line}") for k, v in tables.items() if k]
+    roots = {file: parse_xml(bytes_of(file))[0] for file in srdf_files(rest)}
+    found += [group for file, root in roots.items() if root is not None for group in of_srdf(rest, file.name, root)]
+    sound = tuple(group for group in found if group.joints and group.joints <= known)
+    return sound, tuple(file for file, root in roots.items() if root is None)
 
 
 def of_srdf(rest: AtRest, file: str, root: etree._Element) -> Iterator[Group]:

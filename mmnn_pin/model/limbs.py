@@ -25,7 +25,6 @@ STILL = ("head", "jaw", "sensor", "button", "linkage")  # roles of branches that
 WEIGHTS: dict[str, tuple[float, float, float, float, float]] = {  # of a sign for each of these over an arm
     "most joints are an arm's": (-1.5, -1.5, -3.0, -6.0, -4.0),
     "it reaches less than a third as far as the longest chain": (1.5, 1.5, 1.5, 0.0, 1.5),
-    "it reaches more than half as far as the longest chain": (-2.5, -3.0, -2.5, 0.0, -1.0),
     "it has four joints or more in a row": (-3.5, -1.5, -4.0, -6.0, -4.0),
     "three joints or more lead to it": (-1.0, 1.5, 0.0, -6.0, -1.0),
     "one joint at most leads to it": (0.0, -2.0, 0.0, 0.0, 0.0),
@@ -34,11 +33,9 @@ WEIGHTS: dict[str, tuple[float, float, float, float, float]] = {  # of a sign fo
     "nothing stands beside it on an arm, and it carries a joint": (0.0, -2.0, 0.0, 0.0, 0.0),
     "others stand beside it at the end of an arm": (0.0, 1.5, 0.0, 0.0, 0.0),
     "its like faces it": (-1.0, 2.5, -2.0, 0.0, 0.0),
-    "another joint follows it": (-0.5, 1.5, -1.0, -2.0, 0.0),
     "it slides by a few centimetres and carries no joint": (-1.0, 1.0, -4.0, 0.0, 0.0),
     "it slides by two centimetres at most on the base and carries no joint": (0.0, -1.0, 0.0, 8.0, 0.0),
     "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0, 0.0),
-    "it pans, and what it carries tilts": (1.0, -0.5, 0.0, 0.0, 0.0),
     "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.0, 0.0, -4.0),
     "it hangs on a rocker": (0.0, 0.0, 0.0, 0.0, 7.0),
     "it is all at the height at which rockers turn": (0.0, 0.0, 0.0, 0.0, 7.0),
@@ -53,7 +50,7 @@ WEIGHTS: dict[str, tuple[float, float, float, float, float]] = {  # of a sign fo
     "names of buttons": (0.0, 0.0, 0.0, 6.0, 0.0),
     "names of linkages": (0.0, 0.0, 0.0, 0.0, 2.0),
 }
-SHORT, LONG = 1 / 3, 1 / 2  # fractions of the longest chain's reach
+SHORT = 1 / 3  # fraction of the longest chain's reach
 ROW, WRIST = 4, 3  # joints in a row that are more than a head's; joints that lead to a jaw
 STROKE, BUTTON = 0.15, 0.02  # [m] longest travel of a jaw and of a button
 ALIKE = 0.2  # reaches of two jaws differ by less than this fraction
@@ -245,17 +242,18 @@ class Limbs:
 
     def readings(self, name: str) -> dict[str, list[Sign]]:
         """Signs for every role of a branch that stands still, over one that moves."""
-        seen = self.seen(name)
-        weigh = self.weights.__getitem__
-        return {role: [Sign(text, weigh(key)[i], joint=of) for key, text, of in seen] for i, role in enumerate(STILL)}
+        seen, weights = self.seen(name), self.weights
+        return {r: [Sign(text, weights[key][i], joint=of) for key, text, of in seen] for i, r in enumerate(STILL)}
 
     def seen(self, name: str) -> list[tuple[str, str, str]]:
         """Signs of a branch: of its shape, and every joint's name; keys of `WEIGHTS`, what is told, and the joint."""
+        joints = self.tree[name].carried
+        links = [link for joint in joints for link in self.rest.document.body(self.joint(joint).child)]
+        loads = [text for link in links for text in (link, self.sensors.get(link, ""))]
         facts = self.of_place(name) | self.of_motion(name)
-        keys = [key for key, seen in facts.items() if seen]
-        keys += [key for key in LOADS if any(key in self.loads[joint] for joint in self.tree[name].carried)]
-        named = [sign for joint in self.tree[name].carried for sign in self.named.get(joint, ())]
-        return [*((key, key, name) for key in keys), *named]
+        facts |= {key: any(map(hint.search, loads)) for key, hint in LOADS.items()}
+        named = [sign for joint in joints if joint in self.candidates for sign in self.of_name(joint)]
+        return [(key, key, name) for key, seen in facts.items() if seen] + named
 
     def of_place(self, name: str) -> dict[str, bool]:
         """Whether there are the signs of its size and its place in the tree."""
@@ -269,8 +267,6 @@ class Limbs:
         return {
             "most joints are an arm's": True,
             "it reaches less than a third as far as the longest chain": branch.reach < SHORT * self.longest,
-            "it reaches more than half as far as the longest chain": branch.reach >= LONG * self.longest
-            and not self.candidates <= {*branch.carried},
             "it has four joints or more in a row": branch.row >= ROW,
             "three joints or more lead to it": len(above) >= WRIST,
             "one joint at most leads to it": len(above) <= 1,
@@ -279,7 +275,6 @@ class Limbs:
             "nothing stands beside it on an arm, and it carries a joint": on_arm and not beside and branch.row > 1,
             "others stand beside it at the end of an arm": len(above) >= WRIST and bool(beside),
             "its like faces it": any(self.faces(name, other.carried[0]) for other in beside),
-            "another joint follows it": name in map(self.followers.get, (*branch.beside, *branch.carried)),
             "it hangs on a rocker": not self.rockers.keys().isdisjoint(branch.above[:1]),
             "it is all at the height at which rockers turn": not above and self.level(branch),
             "it slides or spins at its end, beside a longer chain on an arm": on_arm and longer and free,
@@ -314,50 +309,36 @@ class Limbs:
         along = rest.hub(before) - rest.hub(first)
         rolls = abs(float(product(rest.axis(before), along))) > ALONG * length(along) > 0
         across = abs(float(product(rest.axis(joint), rest.axis(before)))) < 1 - ALONG
-        tilts = [rest.is_horizontal(self.joint(n)) for n in branch.below] == [True] and branch.row == 2
         return {
             "it slides by a few centimetres and carries no joint": travel <= STROKE,
             "it slides by two centimetres at most on the base and carries no joint": travel <= BUTTON
             and not branch.above,
             "it turns across the joint before it, which rolls": alone and not slides and rolls and across,
-            "it pans, and what it carries tilts": upright and not slides and tilts,
             "it turns without end about an upright axis and carries no joint": upright and alone and joint.turns_freely,
         }
 
     @cached_property
-    def loads(self) -> dict[str, set[str]]:
-        """Signs of the links and sensors on the body of every joint."""
-        sensors = dict[str, str]()
-        for block in self.rest.document.root.iterchildren("gazebo"):
-            kinds, link = (
-                " ".join(sensor.get("type", "") for sensor in block.iter("sensor")),
-                block.get("reference", ""),
-            )
-            sensors[link] = f"{sensors.get(link, '')} {kinds}"
-        found = dict[str, set[str]]()
-        for name in self.tree:
-            links = self.rest.document.body(self.joint(name).child)
-            texts = [*links, *(sensors.get(link, "") for link in links)]
-            found[name] = {key for key, hint in LOADS.items() if any(map(hint.search, texts))}
+    def sensors(self) -> dict[str, str]:
+        """Types of the sensors that Gazebo has on links."""
+        found = dict[str, str]()
+        for sensor in self.rest.document.root.iterfind("gazebo//sensor"):
+            link = next(block for block in sensor.iterancestors("gazebo")).get("reference", "")
+            found[link] = f"{found.get(link, '')} {sensor.get('type', '')}"
         return found
 
     @cached_property
-    def named(self) -> dict[str, list[tuple[str, str, str]]]:
-        """Signs of the name of every joint, else of its link's, and of the smallest group's that has it.
-
-        Words in all names tell nothing, nor does a jaw's in all names that hang on one joint of the base.
-        """
-        found = dict[str, list[tuple[str, str, str]]]()
-        every = {word for word in shared(self.candidates) if ROLE_OF.get(word) != "arm"}
+    def told(self) -> dict[str, set[str]]:
+        """Words that tell nothing in the name of a joint, for the top of what it is on: those of all names on it."""
+        found, every = dict[str, set[str]](), {word for word in shared(self.candidates) if ROLE_OF.get(word) != "arm"}
         for top in self.rest.document.moving_children(self.rest.document.root_link):
             names = [name for name in self.tree[top.name].carried if name in self.candidates]
             jaws = {word for word in shared(names) if ROLE_OF.get(word) == "jaw"} if len(names) > 2 else set()
-            found |= {name: list(self.of_name(name, every | jaws)) for name in names}
+            found[top.name] = every | jaws
         return found
 
-    def of_name(self, name: str, told: set[str]) -> Iterable[tuple[str, str, str]]:
-        """Signs of the name of a joint; words that are told mean nothing."""
-        joint = self.joint(name)
+    def of_name(self, name: str) -> Iterable[tuple[str, str, str]]:
+        """Signs of the name of a joint, else of its link's, and of the smallest group's that has it."""
+        joint, told = self.joint(name), self.told[[name, *self.tree[name].above][-1]]
         texts = (joint.child,) if "_to_" in name else (name, joint.child)
         named = [(text, *role_named(text, told, joint.type != "prismatic")) for text in texts]
         text, role, word = next((one for one in named if one[1]), ("", "", ""))
