@@ -93,7 +93,10 @@ def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
     moves = [name for name in free if name not in still or name in freed]
     hands = hands_of(limbs, moves, overrides.arm_tip)
     still |= dict.fromkeys(of_other_arm(rest, base, hands, overrides.arm), WHY["other"])
-    require_locked(rest, overrides, still)
+    low = {j.name for j in joints.values() if is_low(rest, j)}  # a base may take these for its own
+    known = {*still, *low, *(j.name for j in alike_on_root(rest)), "all"}
+    if idle := [name for name in overrides.free if name not in known]:
+        raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
     reasons = {name: still[name] for name in free if name in still and name not in freed}
     reasons |= dict.fromkeys(base.locked, WHY["base"]) | dict.fromkeys(overrides.locks, WHY["user"])
     at = {name: where for name, where in overrides.locks.items() if where is not None}
@@ -168,28 +171,16 @@ def require_free(rest: AtRest, base: Base, slaves: Iterable[str], overrides: Ove
             raise ConfigError(f"'{name}' cannot be locked at {at:g}", fix=fix, key="lock")
 
 
-def leading_to(rest: AtRest, tip: str, free: list[str], slaves: dict[str, Slave]) -> set[str]:
+def leading_to(rest: AtRest, tip: str, free: Iterable[str], slaves: dict[str, Slave]) -> set[str]:
     """Joints between the root and the arm's tip, and those that they follow; errors as of `choose_arm`."""
     if tip not in rest.document.links:
         raise UnknownName("link", tip, rest.document.links, file=rest.document.path, key="arm_tip")
-    leading = {j.name for j in rest.document.moving_ancestors(tip)}
+    leading = {joint.name for joint in rest.document.moving_ancestors(tip)}
     leading |= {slaves[name].master for name in leading & slaves.keys()}
-    if not leading & {*free}:
+    if leading.isdisjoint(free):
         fix = "name a link that the arm carries"
         raise ConfigError(f"no joint leads to '{tip}'", fix=fix, file=rest.document.path, key="arm_tip")
     return leading
-
-
-def require_locked(rest: AtRest, overrides: Overrides, still: Iterable[str]) -> None:
-    """Refuse to free joints that are not locked; those that a base may take for its own can be freed.
-
-    Raises:
-        ConfigError: One moves anyhow.
-    """
-    low = [j for j in rest.document.joints.values() if is_low(rest, j)]
-    known = {*still, "all", *(j.name for j in (*low, *alike_on_root(rest)))}
-    if idle := [name for name in overrides.free if name not in known]:
-        raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
 
 
 # -- mimic joints ------------------------------------------------------------------------------------------------------
