@@ -130,22 +130,11 @@ def limbs_of(
     driven = {slaves[name].master if name in slaves else name for name in motors_named(rest)}
     masters = {name: slave.master for name, slave in slaves.items()}
     groups, broken = groups_of(rest, overrides.controllers_file)
-    limbs = Limbs(rest, frozenset(joints), masters, rockers_of(rest, base), groups)
+    limbs = Limbs(rest, frozenset(joints), masters, base, groups)
     idle = {name for name in joints if name not in driven} if driven & limbs.arm else set()
     still = dict.fromkeys(idle, WHY["passive"]) | dict.fromkeys(stiff, WHY["rigid"])
     fixed = set() if "all" in overrides.free else still.keys() - {*overrides.free}
     return replace(limbs, candidates=limbs.candidates - fixed), still, broken
-
-
-def rockers_of(rest: AtRest, base: Base) -> dict[str, float]:
-    """Joints of the base that turn with some of its wheels, two or more, each with their largest radius [m]."""
-    joints, rockers = rest.document.joints, dict[str, float]()
-    for name in base.suspensions:
-        below = {j.name for j in joints.values() if joints[name] in rest.document.moving_ancestors(j.child)}
-        radii = [wheel.radius for wheel in base.wheels if wheel.joint in below]
-        if joints[name].type != "prismatic" and 2 <= len(radii) < len(base.wheels):
-            rockers[name] = max(radii)
-    return rockers
 
 
 def require_free(rest: AtRest, base: Base, slaves: Iterable[str], overrides: Overrides) -> None:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from ..elementary.matrices import length, product
+from .base.base import Base
 from .groups import Group
 from .signs import MARGIN, Sign, score, told_apart
 from .urdf.document import Joint
@@ -159,7 +160,7 @@ class Limbs:
         rest: The robot at rest.
         candidates: Joints that may move by themselves.
         followers: Joints that follow others, with those.
-        rockers: Joints that turn with two of the wheels or more, each with their radius [m].
+        base: The base that carries them.
         groups: Joints that files of its controllers and of MoveIt name together.
         weights: Of every sign, as `WEIGHTS` has them.
     """
@@ -167,7 +168,7 @@ class Limbs:
     rest: AtRest
     candidates: frozenset[str]
     followers: Mapping[str, str]
-    rockers: Mapping[str, float] = field(default_factory=dict)
+    base: Base
     groups: tuple[Group, ...] = ()
     weights: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: WEIGHTS)
 
@@ -193,6 +194,16 @@ class Limbs:
 
         grow(rest.document.moving_children(rest.document.root_link), ())
         return tree
+
+    @cached_property
+    def rockers(self) -> dict[str, float]:
+        """Joints of the base that turn with two of its wheels or more, but not all, each with their radius [m]."""
+        found = dict[str, float]()
+        for name in self.base.suspensions:
+            radii = [wheel.radius for wheel in self.base.wheels if wheel.joint in self.tree[name].carried]
+            if self.joint(name).type != "prismatic" and 2 <= len(radii) < len(self.base.wheels):
+                found[name] = max(radii)
+        return found
 
     @cached_property
     def longest(self) -> float:
