@@ -1,7 +1,7 @@
 """Which joints are the manipulator, where the others stand, and where its hands are.
 
-By default the arm is every joint that moves by itself and is no part of the base, but heads, jaws, sensors that turn
-and buttons stand still: `limbs` tells them apart. Where the file says what drives some joints of the arm, by
+By default the arm is every joint that moves by itself and is no part of the base, but heads, jaws, sensors that turn,
+buttons and linkages stand still: `limbs` tells them apart. Where the file says what drives some joints of the arm, by
 transmissions, command interfaces or plugins, the others have no motor: they are locked, too. What the user locks,
 frees, or names as the arm or its tip counts more.
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from ..errors import ConfigError, RobotError, UnknownName
 from .base.base import Base
@@ -23,7 +24,7 @@ from .base.wheels import alike_on_root, is_low
 from .groups import groups_of
 from .hands import Hand, hands_of, of_other_arm
 from .limbs import STILL, WRIST, Limb, Limbs
-from .urdf.document import Document, Joint, number
+from .urdf.document import Document, number
 from .urdf.shapes import AtRest
 
 WHY = {
@@ -35,6 +36,7 @@ WHY = {
     "jaw": "taken as a jaw of a gripper",
     "sensor": "taken as a sensor that turns",
     "button": "taken as a button or bumper",
+    "linkage": "taken as a linkage, which moves with what it links",
     "passive": "no transmission, command interface or plugin drives them, as it does other joints",
     "rigid": "taken as a rigid joint: its limits are one value",
 }
@@ -51,6 +53,7 @@ class Arm:
         slaves: Mimic joints that move with a master.
         hands: The end of every arm, that with the most joints first.
         doubts: What may be otherwise.
+        broken: SRDF files that cannot be read.
     """
 
     joints: tuple[str, ...]
@@ -59,6 +62,7 @@ class Arm:
     slaves: dict[str, Slave]
     hands: tuple[Hand, ...] = ()
     doubts: tuple[Limb, ...] = ()
+    broken: tuple[Path, ...] = ()
 
 
 def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
@@ -71,32 +75,34 @@ def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
 
     Raises:
         UnknownName: A joint or link that the robot does not have.
-        ConfigError: A lock on a drive wheel or outside the limits, a tip that no joint carries, or an arm of two where
-            there are not two.
+        ConfigError: A lock on a drive wheel or outside the limits, a joint freed that is not locked, a tip that no
+            joint carries, or an arm of two where there are not two.
     """
-    joints, slaves, wheels = rest.document.joints, slaves_of(rest.document), {*base.joints}
-    moving = [joint.name for joint in joints.values() if joint.moves and joint.name not in wheels]
-    reasons = dict.fromkeys(base.locked, WHY["base"])
-    reasons |= dict.fromkeys(user_locks(rest, overrides, wheels, base.locked), WHY["user"])
-    free = [name for name in moving if name not in reasons and name not in slaves]
-    known = {*overrides.locks}.difference(slaves, base.locked)  # they have roles among the others, too
-    ours = [name for name in moving if name in free or name in known]
-    limbs, still = limbs_of(rest, base, ours, slaves, overrides)
-    if overrides.arm_tip is not None:
-        left = [name for name in free if name not in still or freed(name, overrides)]
-        leading = leading_to(rest, overrides.arm_tip, left, slaves)
-        still |= {name: WHY["tip"] for name in left if name not in leading}
+    joints, slaves = rest.document.joints, slaves_of(rest.document)
+    moving = [joint.name for joint in joints.values() if joint.moves and joint.name not in base.joints]
+    require_free(rest, base, slaves, overrides)
+    ours = [name for name in moving if name not in slaves and name not in base.locked]
+    free = [name for name in ours if name not in overrides.locks]
+    freed = {*ours} if "all" in overrides.free else {*overrides.free}
+    limbs, still, broken = limbs_of(rest, base, ours, slaves, overrides)
+    if overrides.arm_tip is None:
+        still |= {name: WHY[role] for name, role in limbs.roles.items() if role in STILL}
     else:
-        still |= {name: WHY[role] for name, role in limbs.roles.items() if name in free and role in STILL}
-    hands = hands_of(limbs, [name for name in free if name not in still or freed(name, overrides)], overrides.arm_tip)
+        leading = leading_to(rest, overrides.arm_tip, free, slaves)
+        still |= {name: WHY["tip"] for name in free if name not in leading and (name not in still or name in freed)}
+    moves = [name for name in free if name not in still or name in freed]
+    hands = hands_of(limbs, moves, overrides.arm_tip)
     still |= dict.fromkeys(of_other_arm(rest, base, hands, overrides.arm), WHY["other"])
-    require_locked(rest, overrides, still)
-    reasons |= {name: why for name, why in still.items() if name in free and not freed(name, overrides)}
-    hands = tuple(hand for hand in hands if hand.joints[-1] not in reasons)
-    locked = {name: position_of(joints[name], overrides) for name in moving if name in reasons}
-    masters = {*free, *wheels}.difference(locked)
+    low = {j.name for j in joints.values() if is_low(rest, j)}  # a base may take these for its own
+    known = {*still, *low, *(j.name for j in alike_on_root(rest)), "all"}
+    if idle := [name for name in overrides.free if name not in known]:
+        raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
+    reasons = {name: still[name] for name in free if name in still and name not in freed}
+    reasons |= dict.fromkeys(base.locked, WHY["base"]) | dict.fromkeys(overrides.locks, WHY["user"])
+    at = {name: where for name, where in overrides.locks.items() if where is not None}
+    locked = {name: at.get(name, joints[name].rest) for name in moving if name in reasons}
     for name, slave in slaves.items():  # a slave stands still with its master
-        if slave.master in locked or (name not in locked and slave.master not in masters):
+        if slave.master not in (*free, *base.joints) or slave.master in locked:
             locked.setdefault(name, slave.at(locked.get(slave.master, joints[slave.master].rest)))
             reasons.setdefault(name, f"follows '{slave.master}', which stands still")
     still_now = [name for name in joints if name in locked]
@@ -104,16 +110,17 @@ def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
         joints=tuple(name for name in free if name not in locked),
         locked={name: locked[name] for name in still_now},
         reasons={name: reasons[name] for name in still_now},
-        slaves={name: slave for name, slave in slaves.items() if name not in locked and name not in wheels},
-        hands=hands,
+        slaves={name: slave for name, slave in slaves.items() if name not in locked and name not in base.joints},
+        hands=tuple(hand for hand in hands if hand.joints[-1] not in reasons),
         doubts=() if overrides.arm_tip else limbs.doubts({*overrides.locks, *overrides.free}),
+        broken=broken,
     )
 
 
 def limbs_of(
     rest: AtRest, base: Base, joints: list[str], slaves: dict[str, Slave], overrides: Overrides
-) -> tuple[Limbs, dict[str, str]]:
-    """Roles of joints that are not the base's, and those of them that cannot move, with why.
+) -> tuple[Limbs, dict[str, str], tuple[Path, ...]]:
+    """Roles of joints that are not the base's, those of them that cannot move, with why, and broken files.
 
     A joint is rigid where its limits are one value, unless nobody wrote the limits of an arm. It has no motor in a file
     that names the motors of others, unless those are at most of heads and jaws: then the arm's own are said elsewhere.
@@ -122,83 +129,47 @@ def limbs_of(
     stiff = stiff if len(stiff) < len(joints) or (base.columns and len(stiff) < WRIST) else []
     driven = {slaves[name].master if name in slaves else name for name in motors_named(rest)}
     masters = {name: slave.master for name, slave in slaves.items()}
-    limbs = Limbs(rest, frozenset(joints), masters, groups_of(rest, overrides.controllers_file))
-    idle = {name for name in joints if name not in driven} if driven & {*limbs.arm} else set()
+    groups, broken = groups_of(rest, overrides.controllers_file)
+    limbs = Limbs(rest, frozenset(joints), masters, base, groups)
+    idle = {name for name in joints if name not in driven} if driven & limbs.arm else set()
     still = dict.fromkeys(idle, WHY["passive"]) | dict.fromkeys(stiff, WHY["rigid"])
-    fixed = {name for name in still if not freed(name, overrides)}
-    return replace(limbs, candidates=limbs.candidates - fixed), still
+    fixed = set() if "all" in overrides.free else still.keys() - {*overrides.free}
+    return replace(limbs, candidates=limbs.candidates - fixed), still, broken
 
 
-def user_locks(rest: AtRest, overrides: Overrides, wheels: Iterable[str], held: Iterable[str]) -> list[str]:
-    """Joints that the user locks.
+def require_free(rest: AtRest, base: Base, slaves: Iterable[str], overrides: Overrides) -> None:
+    """Refuse to lock or free what the robot lacks, or what stands and moves with something else.
 
     Raises:
         UnknownName: A joint that the robot does not have.
-        ConfigError: A lock on a drive wheel; a joint freed that stands or moves with something else.
+        ConfigError: A lock on a drive wheel or outside the limits; a joint of the base, or one that follows another.
     """
-    names = [joint.name for joint in rest.document.joints.values() if joint.moves]
-    for name in overrides.locks:
-        if name not in names:
-            raise UnknownName("joint", name, names, file=rest.document.path, key="lock")
-        if name in wheels:
-            fix = "use --base fixed to park the base"
-            what = f"'{name}' is a drive wheel, or steers one, and cannot be locked"
-            raise ConfigError(what, fix=fix, key="lock")
-        if name in slaves_of(rest.document):
-            why, fix = "it stands where the joint that it follows puts it", "lock that one"
-            raise ConfigError(f"'{name}' cannot be locked", why=why, fix=fix, key="lock")
-    for name in overrides.free:
-        if name not in names and name != "all":
-            raise UnknownName("joint", name, ["all", *names], file=rest.document.path, key="free")
-        if name in (*wheels, *held, *slaves_of(rest.document)):
-            why = "it is part of the base" if name in (*wheels, *held) else "it follows another joint"
-            raise ConfigError(f"'{name}' cannot be freed", why=why, fix="leave it out", key="free")
-    return list(overrides.locks)
+    names = {joint.name: joint for joint in rest.document.joints.values() if joint.moves}
+    for key, done, said in (("lock", "locked", {*overrides.locks}), ("free", "freed", {*overrides.free} - {"all"})):
+        for name in sorted(said):
+            if name not in names:
+                raise UnknownName("joint", name, names, file=rest.document.path, key=key)
+            held = {*base.joints, *(base.locked if key == "free" else ())}
+            if name in slaves or name in held:
+                why = "it is part of the base" if name in held else "it follows another joint"
+                fix = "use --base fixed to park the base" if key == "lock" and name in held else "leave it out"
+                raise ConfigError(f"'{name}' cannot be {done}", why=why, fix=fix, key=key)
+    for name, at in overrides.locks.items():
+        if at is not None and not names[name].lower <= at <= names[name].upper:
+            fix = f"give a position within [{names[name].lower:g}, {names[name].upper:g}]"
+            raise ConfigError(f"'{name}' cannot be locked at {at:g}", fix=fix, key="lock")
 
 
-def position_of(joint: Joint, overrides: Overrides) -> float:
-    """Position of a locked joint [rad or m].
-
-    Raises:
-        ConfigError: Outside its limits.
-    """
-    given = overrides.locks.get(joint.name)
-    if given is None:
-        return joint.rest
-    if not joint.lower <= given <= joint.upper:
-        what = f"'{joint.name}' cannot be locked at {given:g}"
-        raise ConfigError(what, fix=f"give a position within [{joint.lower:g}, {joint.upper:g}]", key="lock")
-    return given
-
-
-def leading_to(rest: AtRest, tip: str, free: list[str], slaves: dict[str, Slave]) -> set[str]:
-    """Joints between the root and the arm's tip, and those that they follow; errors as of `unwanted`."""
+def leading_to(rest: AtRest, tip: str, free: Iterable[str], slaves: dict[str, Slave]) -> set[str]:
+    """Joints between the root and the arm's tip, and those that they follow; errors as of `choose_arm`."""
     if tip not in rest.document.links:
         raise UnknownName("link", tip, rest.document.links, file=rest.document.path, key="arm_tip")
-    leading = {j.name for j in rest.document.moving_ancestors(tip)}
+    leading = {joint.name for joint in rest.document.moving_ancestors(tip)}
     leading |= {slaves[name].master for name in leading & slaves.keys()}
-    if not leading & set(free):
+    if leading.isdisjoint(free):
         fix = "name a link that the arm carries"
         raise ConfigError(f"no joint leads to '{tip}'", fix=fix, file=rest.document.path, key="arm_tip")
     return leading
-
-
-def require_locked(rest: AtRest, overrides: Overrides, still: Iterable[str]) -> None:
-    """Refuse to free joints that are not locked; those that a base may take for its own can be freed.
-
-    Raises:
-        ConfigError: One moves anyhow.
-    """
-    low = [j for j in rest.document.joints.values() if is_low(rest, j)]
-    known = {*still, "all", *(j.name for j in (*low, *alike_on_root(rest)))}
-    idle = [name for name in overrides.free if name not in known]
-    if idle:
-        raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
-
-
-def freed(name: str, overrides: Overrides) -> bool:
-    """Whether the user frees a joint."""
-    return name in overrides.free or "all" in overrides.free
 
 
 # -- mimic joints ------------------------------------------------------------------------------------------------------
@@ -229,30 +200,22 @@ def slaves_of(document: Document) -> dict[str, Slave]:
     Raises:
         RobotError: A master that does not exist, or a circle.
     """
-    direct: dict[str, Slave] = {}
+    direct, slaves = dict[str, Slave](), dict[str, Slave]()
     for element in document.root.iterchildren("joint"):
         mimic = element.find("mimic")
         if mimic is not None and document.joints[element.get("name")].moves:
             gain, offset = number(mimic, "multiplier", 1.0), number(mimic, "offset", 0.0)
             direct[element.get("name")] = Slave(mimic.get("joint", ""), gain, offset)
-    return {name: resolved(document, name, direct) for name in direct}
-
-
-def resolved(document: Document, name: str, direct: dict[str, Slave]) -> Slave:
-    """A slave of a slave, as slave of the first master."""
-    slave, seen = direct[name], {name}
-    while slave.master in direct:
-        above = direct[slave.master]
-        if slave.master in seen:
-            raise broken(document, name, "follows itself in a circle")
-        seen.add(slave.master)
-        slave = Slave(above.master, slave.multiplier * above.multiplier, slave.at(above.offset))
-    if slave.master not in document.joints:
-        raise broken(document, name, f"mimics '{slave.master}', which does not exist")
-    return slave
-
-
-def broken(document: Document, name: str, what: str) -> RobotError:
-    """The refusal of a mimic joint."""
-    fix = "name a joint that moves by itself"
-    return RobotError(f"joint '{name}' {what}", fix=fix, file=document.path, line=document.joints[name].line)
+    for name, slave in direct.items():
+        seen, problem = {name}, ""
+        while slave.master in direct and slave.master not in seen:  # a slave of a slave: of the first master
+            above = direct[slave.master]
+            seen.add(slave.master)
+            slave = Slave(above.master, slave.multiplier * above.multiplier, slave.at(above.offset))
+        if slave.master not in document.joints:
+            problem = f"mimics '{slave.master}', which does not exist"
+        if problem or slave.master in seen:
+            what, line = f"joint '{name}' {problem or 'follows itself in a circle'}", document.joints[name].line
+            raise RobotError(what, fix="name a joint that moves by itself", file=document.path, line=line)
+        slaves[name] = slave
+    return slaves

@@ -1,7 +1,7 @@
 """Joints that files name together: `ros2_control` systems, YAML files of controllers, and groups of an SRDF (MoveIt).
 
 An SRDF is looked for beside the robot's file, in `srdf` and `config` of its package, and in the packages beside that
-whose names speak of MoveIt. One that is of another robot, or broken, says nothing.
+whose names speak of MoveIt. One that is of another robot says nothing, one that is broken is told.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Group:
     parent: str = ""
 
 
-def groups_of(rest: AtRest, controllers: str | None = None) -> tuple[Group, ...]:
-    """All groups of a robot's joints.
+def groups_of(rest: AtRest, controllers: str | None = None) -> tuple[tuple[Group, ...], tuple[Path, ...]]:
+    """All groups of a robot's joints, and SRDF files that are broken.
 
     Args:
         rest: The robot at rest.
@@ -48,36 +48,26 @@ def groups_of(rest: AtRest, controllers: str | None = None) -> tuple[Group, ...]
     Raises:
         ConfigError: The controllers' file cannot be read.
     """
-    files = [controllers] if controllers else [str(file) for file in beside(rest) if b"joints" in bytes_of(file)]
-    found = [*of_systems(rest), *(group for file in files for group in of_controllers(file))]
-    found += [group for file in srdf_files(rest) for group in of_srdf(rest, file)]
-    return tuple(group for group in found if group.joints and group.joints <= rest.document.joints.keys())
-
-
-def of_systems(rest: AtRest) -> Iterator[Group]:
-    """Joints of `ros2_control` systems."""
+    found, known = list[Group](), rest.document.joints.keys()
     for system in rest.document.root.iterchildren("ros2_control"):
         joints = frozenset(joint.get("name", "") for joint in system.iterchildren("joint"))
-        yield Group(system.get("name", ""), joints, f"<ros2_control>, line {system.sourceline}")
+        found.append(Group(system.get("name", ""), joints, f"<ros2_control>, line {system.sourceline}"))
+    for file in [controllers] if controllers else [str(file) for file in beside(rest) if b"joints" in bytes_of(file)]:
+        tables = {" ".join(path): table["joints"] for path, table in mappings_of(file).items() if "joints" in table}
+        found += [Group(k, frozenset(v.items), f"{Path(file).name}, line {v.line}") for k, v in tables.items() if k]
+    roots = {file: parse_xml(bytes_of(file))[0] for file in srdf_files(rest)}
+    found += [group for file, root in roots.items() if root is not None for group in of_srdf(rest, file.name, root)]
+    sound = tuple(group for group in found if group.joints and group.joints <= known)
+    return sound, tuple(file for file, root in roots.items() if root is None)
 
 
-def of_controllers(file: str) -> Iterator[Group]:
-    """Joints of controllers in a YAML file."""
-    for path, table in mappings_of(file).items():
-        if path and (entry := table.get("joints")):
-            yield Group(" ".join(path), frozenset(entry.items), f"{Path(file).name}, line {entry.line}")
-
-
-def of_srdf(rest: AtRest, file: Path) -> Iterator[Group]:
+def of_srdf(rest: AtRest, file: str, root: etree._Element) -> Iterator[Group]:
     """Groups and end effectors of an SRDF."""
-    root, document = parse_xml(bytes_of(file))[0], rest.document
-    if root is None:
-        return
     ends = {end.get("group", ""): end.get("parent_link", "") for end in root.iterchildren("end_effector")}
     for group in root.iterchildren("group"):
-        name, parent = group.get("name", ""), ends.get(group.get("name", ""), "")
-        parent = parent if parent in document.links else ""
-        yield Group(name, frozenset(members(rest, group, parent)), f"{file.name}, line {group.sourceline}", parent)
+        parent = ends.get(name := group.get("name", ""), "")
+        parent = parent if parent in rest.document.links else ""
+        yield Group(name, frozenset(members(rest, group, parent)), f"{file}, line {group.sourceline}", parent)
 
 
 def members(rest: AtRest, group: etree._Element, parent: str) -> Iterator[str]:

@@ -54,9 +54,8 @@ def hands_of(limbs: Limbs, moves: Sequence[str], tip: str | None = None) -> tupl
         tip: What the user names as the end.
     """
     inner = {up for name in moves for up in limbs.tree[name].above}
-    ends = [name for name in moves if name not in inner]
-    chains = [tuple(up for up in (*limbs.tree[end].above[::-1], end) if up in moves) for end in ends]
-    chains.sort(key=lambda chain: -len(chain))
+    ends = [(*limbs.tree[name].above[::-1], name) for name in moves if name not in inner]
+    chains = sorted((tuple(up for up in end if up in moves) for end in ends), key=lambda chain: -len(chain))
     if tip is not None:
         return tuple(Hand(tip, chain, "as you said") for chain in chains[:1])
     return tuple(hand_at(limbs, chain) for chain in chains)
@@ -64,22 +63,24 @@ def hands_of(limbs: Limbs, moves: Sequence[str], tip: str | None = None) -> tupl
 
 def hand_at(limbs: Limbs, chain: tuple[str, ...]) -> Hand:
     """The hand at the end of a chain of joints."""
-    rest, end = limbs.rest, limbs.rest.document.joints[chain[-1]]
-    links = rest.document.body(end.child)
-    out = {link: math.dist(rest.placements[link][:3, 3], rest.hub(end)) for link in links}
-    if tools := [link for link in links if TOOL.search(link)]:
-        return Hand(max(tools, key=lambda link: out[link]), chain, "the frame of a tool")
-    mounts = [(group.parent, group) for group in limbs.groups if group.parent in links]
-    if mounts:
-        return Hand(mounts[0][0], chain, f"'{mounts[0][1].name}' is mounted on it ({mounts[0][1].where})")
-    jaws = [name for name in limbs.tree[chain[-1]].below if limbs.is_jaw(name)]
-    if len(jaws) > 1:
-        tips = [rest.centre(rest.document.joints[limbs.tree[name].carried[-1]].child) for name in jaws]
-        place = rest.placements[end.child]
-        at = place[:3, :3].T @ (np.mean(tips, axis=0) - place[:3, 3])
-        name = next(n for n in (f"{end.child}_hand", f"{end.child}_middle_of_jaws") if n not in rest.document.links)
-        return Hand(name, chain, f"the middle of {' and '.join(jaws)}", end.child, tuple(map(float, at)))
-    return Hand(max(links, key=lambda link: out[link]), chain, "the link farthest out")
+    rest, document = limbs.rest, limbs.rest.document
+    root, roles = document.joints[chain[-1]].child, limbs.roles
+    place, out = rest.placements[root], dict[str, float]()
+    for link in document.body(root):
+        out[link] = math.dist(rest.placements[link][:3, 3], place[:3, 3])
+    farthest = max(out, key=lambda link: (TOOL.search(link) is not None, out[link]))
+    if TOOL.search(farthest):
+        return Hand(farthest, chain, "the frame of a tool")
+    for group in limbs.groups:
+        if group.parent in out:
+            return Hand(group.parent, chain, f"'{group.name}' is mounted on it ({group.where})")
+    jaws = [name for name in limbs.tree[chain[-1]].below if roles.get(limbs.followers.get(name, name)) == "jaw"]
+    if len(jaws) < 2:
+        return Hand(farthest, chain, "the link farthest out")
+    tips = [rest.centre(document.joints[limbs.tree[name].carried[-1]].child) for name in jaws]
+    at = place[:3, :3].T @ (np.mean(tips, axis=0) - place[:3, 3])
+    frame = f"{root}_hand" if f"{root}_hand" not in document.links else f"{root}_middle_of_jaws"
+    return Hand(frame, chain, f"the middle of {' and '.join(jaws)}", root, tuple(map(float, at)))
 
 
 def placed(document: Document, hands: Sequence[Hand]) -> Document:
@@ -109,11 +110,9 @@ def of_other_arm(rest: AtRest, base: Base, hands: Sequence[Hand], arm: str | Non
         what, why = f"no {arm} arm", f"'{rest.document.path.stem}' has {len(hands)} arm(s)"
         fix = "leave it out, or name the end of the arm with --arm-tip LINK"
         raise ConfigError(what, why=why, fix=fix, file=rest.document.path, key="arm")
-    pairs = ((hands[0], hands[1]), (hands[1], hands[0]))
-    own = [[name for name in hand.joints if name not in other.joints] for hand, other in pairs]
+    own = [[name for name in hand.joints if name not in other.joints] for hand, other in (hands, hands[::-1])]
     named = [[any(side.search(name) for name in joints) for side in SIDES] for joints in own]
     c, s = cos_sin(float(base.frame[2]) if base.columns else 0.0)
-    places = [np.mean([rest.hub(rest.document.joints[name]) for name in joints], axis=0) for joints in own]
-    y = [float(c * place[1] - s * place[0]) for place in places]
+    y = [float(np.mean([(-s, c) @ rest.hub(rest.document.joints[name])[:2] for name in joints])) for joints in own]
     left = int(named[1][0]) if named[0] != named[1] and named[0][0] != named[1][0] else int(y[1] > y[0])
     return {"left": own[1 - left], "right": own[left], "both": []}[arm]

@@ -1,10 +1,10 @@
-"""Roles of the joints that are not the base's: which branches of the tree are heads, jaws, sensors or buttons.
+"""Roles of the joints that are not the base's: which branches of the tree are heads, jaws, sensors, buttons, linkages.
 
 Every joint that moves by itself is the top of a *branch*: itself and what it carries. A branch moves, as part of an
-arm, or stands still as one whole: as a head, the jaw of a gripper, a sensor that turns, or a button. Signs speak for
-or against each of these over an arm, with the weights of `WEIGHTS` [nats]; the branches that stand still are those
-whose scores have the largest sum. So the roles are found together: an arm is what carries its jaws. Names are one
-sign among others, and what the files of controllers and of MoveIt group is another.
+arm, or stands still as one whole: as a head, the jaw of a gripper, a sensor that turns, a button, or a linkage, whose
+loop no URDF can close. Signs speak for or against each of these over an arm, with the weights of `WEIGHTS` [nats]; the
+branches that stand still are those whose scores have the largest sum. So the roles are found together: an arm is what
+carries its jaws. Names are one sign among others, and what the files of controllers and of MoveIt group is another.
 """
 
 from __future__ import annotations
@@ -16,42 +16,42 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from ..elementary.matrices import length, product
+from .base.base import Base
 from .groups import Group
 from .signs import MARGIN, Sign, score, told_apart
 from .urdf.document import Joint
 from .urdf.shapes import AtRest
 
-STILL = ("head", "jaw", "sensor", "button")  # roles of branches that stand still
-WEIGHTS: dict[str, tuple[float, float, float, float]] = {  # of a sign for each of these over an arm; NEVER decides
-    "most joints are an arm's": (-2.0, -2.0, -3.0, -6.0),
-    "it reaches less than a third as far as the longest chain": (1.5, 1.5, 1.5, 0.0),
-    "it reaches more than half as far as the longest chain": (-2.5, -3.0, -2.5, 0.0),
-    "it has four joints or more in a row": (-3.0, -1.0, -4.0, -6.0),
-    "it has three joints or fewer in a row": (0.5, 0.5, 0.0, 0.0),
-    "three joints or more lead to it": (-1.0, 1.5, 0.0, -6.0),
-    "one joint at most leads to it": (0.0, -2.0, 0.0, 0.0),
-    "it stands beside a longer branch": (2.0, 1.0, 1.0, 1.0),
-    "nothing stands beside it on an arm": (-2.0, -4.0, -1.0, 0.0),
-    "nothing stands beside it on an arm, and it carries a joint": (0.0, -2.0, 0.0, 0.0),
-    "others stand beside it at the end of an arm": (0.0, 1.5, 0.0, 0.0),
-    "its like faces it": (-1.0, 2.5, -2.0, 0.0),
-    "another joint follows it": (-0.5, 1.5, -1.0, -2.0),
-    "it slides by a few centimetres and carries no joint": (-1.0, 1.0, -1.0, 0.0),
-    "it slides by two centimetres at most on the base and carries no joint": (0.0, -1.0, 0.0, 8.0),
-    "it slides": (0.0, 0.0, -3.0, 0.0),
-    "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0),
-    "it pans, and what it carries tilts": (1.0, -0.5, 0.0, 0.0),
-    "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.0, 0.0),
-    "it carries a camera": (1.5, -0.5, 1.0, 0.0),
-    "it carries a lidar": (0.5, -0.5, 2.5, 0.0),
-    "it carries the frame of a tool": (-4.0, -2.0, -4.0, -4.0),
-    "names of arms": (-5.0, -5.0, -5.0, -2.0),
-    "names of heads": (6.0, -1.0, 2.0, 0.0),
-    "names of jaws": (-1.0, 5.0, -1.0, 0.0),
-    "names of sensors": (3.0, -1.0, 5.0, 0.0),
-    "names of buttons": (0.0, 0.0, 0.0, 6.0),
+STILL = ("head", "jaw", "sensor", "button", "linkage")  # roles of branches that stand still
+WEIGHTS: dict[str, tuple[float, float, float, float, float]] = {  # of a sign for each of these over an arm
+    "most joints are an arm's": (-1.5, -1.5, -3.0, -6.0, -4.0),
+    "it reaches less than a third as far as the longest chain": (1.5, 1.5, 1.5, 0.0, 1.5),
+    "it has four joints or more in a row": (-3.5, -1.5, -4.0, -6.0, -4.0),
+    "three joints or more lead to it": (-1.0, 1.5, 0.0, -6.0, -1.0),
+    "one joint at most leads to it": (0.0, -2.0, 0.0, 0.0, 0.0),
+    "it stands beside a longer branch": (2.0, 1.0, 1.0, 1.0, 1.0),
+    "nothing stands beside it on an arm": (-2.0, -4.0, -1.0, 0.0, -4.0),
+    "nothing stands beside it on an arm, and it carries a joint": (0.0, -2.0, 0.0, 0.0, 0.0),
+    "others stand beside it at the end of an arm": (0.0, 1.5, 0.0, 0.0, 0.0),
+    "its like faces it": (-1.0, 2.5, -2.0, 0.0, 0.0),
+    "it slides by a few centimetres and carries no joint": (-1.0, 1.0, -4.0, 0.0, 0.0),
+    "it slides by two centimetres at most on the base and carries no joint": (0.0, -1.0, 0.0, 8.0, 0.0),
+    "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0, 0.0),
+    "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.0, 0.0, -4.0),
+    "it hangs on a rocker": (0.0, 0.0, 0.0, 0.0, 7.0),
+    "it is all at the height at which rockers turn": (0.0, 0.0, 0.0, 0.0, 7.0),
+    "it slides or spins at its end, beside a longer chain on an arm": (0.0, 0.0, 0.0, 0.0, 7.0),
+    "it carries a camera": (1.5, -0.5, 1.0, 0.0, 0.0),
+    "it carries a lidar": (0.5, -0.5, 2.5, 0.0, 0.0),
+    "it carries the frame of a tool": (-4.0, -2.0, -4.0, -4.0, -4.0),
+    "names of arms": (-5.0, -5.0, -5.0, -2.0, -1.0),
+    "names of heads": (6.0, -1.0, 2.0, 0.0, -1.0),
+    "names of jaws": (-1.0, 5.0, -1.0, 0.0, -1.0),
+    "names of sensors": (3.0, -1.0, 5.0, 0.0, -1.0),
+    "names of buttons": (0.0, 0.0, 0.0, 6.0, 0.0),
+    "names of linkages": (0.0, 0.0, 0.0, 0.0, 2.0),
 }
-SHORT, LONG = 1 / 3, 1 / 2  # fractions of the longest chain's reach
+SHORT = 1 / 3  # fraction of the longest chain's reach
 ROW, WRIST = 4, 3  # joints in a row that are more than a head's; joints that lead to a jaw
 STROKE, BUTTON = 0.15, 0.02  # [m] longest travel of a jaw and of a button
 ALIKE = 0.2  # reaches of two jaws differ by less than this fraction
@@ -66,6 +66,7 @@ WORDS = {  # English, German, French, Spanish, Italian, Portuguese, and Chinese 
     " griffe pince doigt mors pinza garra dedo mano dito greifer klaue backe zange zhua jiazhua shou hasami yubi",
     "sensor": "camera cam gimbal lidar laser radar scanner lds sonar antenna antenne antena kamera fotocamera",
     "button": "button bumper knopf taste bouton boton bottone botao",
+    "linkage": "linkage rocker bogie differential diff crank strut piston pushrod",
 }
 ROLE_OF = {word: role for role, words in WORDS.items() for word in words.split()}
 WEAK = dict.fromkeys(("pan", "tilt", "mast"), "head")  # said of shoulders, too
@@ -73,11 +74,16 @@ TOOL = re.compile(
     r"tool0|(?:^|_)(?:tcp|tool|ee|eef)(?:_|$)|end_?effector|flange|grip(?:per)?_frame|grasp", re.IGNORECASE
 )
 LOADS = {
-    "a camera": re.compile(r"camera|kinect|realsense|zed|xtion|d4[0-9]5|kamera", re.IGNORECASE),
-    "a lidar": re.compile(r"lidar|laser|hokuyo|velodyne|rplidar|\bray\b", re.IGNORECASE),
-    "the frame of a tool": TOOL,
+    "it carries a camera": re.compile(r"camera|kinect|realsense|zed|xtion|d4[0-9]5|kamera", re.IGNORECASE),
+    "it carries a lidar": re.compile(r"lidar|laser|hokuyo|velodyne|rplidar|\bray\b", re.IGNORECASE),
+    "it carries the frame of a tool": TOOL,
 }
 LETTERS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+
+
+def words_of(name: str) -> list[str]:
+    """The words of a name."""
+    return [text.lower() for text in LETTERS.findall(name)]
 
 
 def role_named(name: str, told: Iterable[str] = (), turns: bool = True) -> tuple[str, str]:
@@ -88,12 +94,11 @@ def role_named(name: str, told: Iterable[str] = (), turns: bool = True) -> tuple
         told: Words that tell nothing.
         turns: Whether it is of a joint that turns: what slides neither pans nor is a mast for a camera.
     """
-    words = [word for text in LETTERS.findall(name) if (word := text.lower()) not in told]
+    words = [word for word in reversed(words_of(name)) if word not in told]
     for table in (ROLE_OF, WEAK if turns else {}):
-        for word in reversed(words):
-            found = next((w for w in (word, word.rstrip("s"), word[1:] * (word[0] in "lr")) if w in table), "")
-            if found:
-                return table[found], found
+        for form in (form for word in words for form in (word, word.rstrip("s"), word[1:] * (word[0] in "lr"))):
+            if form in table:
+                return table[form], form
     return "", ""
 
 
@@ -155,6 +160,7 @@ class Limbs:
         rest: The robot at rest.
         candidates: Joints that may move by themselves.
         followers: Joints that follow others, with those.
+        base: The base that carries them.
         groups: Joints that files of its controllers and of MoveIt name together.
         weights: Of every sign, as `WEIGHTS` has them.
     """
@@ -162,6 +168,7 @@ class Limbs:
     rest: AtRest
     candidates: frozenset[str]
     followers: Mapping[str, str]
+    base: Base
     groups: tuple[Group, ...] = ()
     weights: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: WEIGHTS)
 
@@ -187,6 +194,16 @@ class Limbs:
 
         grow(rest.document.moving_children(rest.document.root_link), ())
         return tree
+
+    @cached_property
+    def rockers(self) -> dict[str, float]:
+        """Joints of the base that turn with two of its wheels or more, but not all, each with their radius [m]."""
+        found = dict[str, float]()
+        for name in self.base.suspensions:
+            radii = [wheel.radius for wheel in self.base.wheels if wheel.joint in self.tree[name].carried]
+            if self.joint(name).type != "prismatic" and 2 <= len(radii) < len(self.base.wheels):
+                found[name] = max(radii)
+        return found
 
     @cached_property
     def longest(self) -> float:
@@ -219,20 +236,16 @@ class Limbs:
         tops = sorted(self.limbs, key=lambda name: len(self.tree[name].above))
         return {joint: self.limbs[top].role for top in tops for joint in self.limbs[top].joints}
 
-    def is_jaw(self, name: str) -> bool:
-        """Whether a joint is of a jaw, or follows one that is."""
-        return self.roles.get(self.followers.get(name, name)) == "jaw"
-
     @property
-    def arm(self) -> list[str]:
+    def arm(self) -> set[str]:
         """Joints of the arm."""
-        return [name for name, role in self.roles.items() if role == "arm"]
+        return {name for name, role in self.roles.items() if role == "arm"}
 
     def doubts(self, said: Iterable[str]) -> tuple[Limb, ...]:
         """Branches whose roles beat others by little, one of every chain; none of those that the user speaks of."""
         found, known = list[Limb](), {*said}
         for name, limb in sorted(self.limbs.items(), key=lambda item: item[1].margin):
-            alone = {*self.arm} <= {*limb.joints} and limb.other in ("head", "jaw")  # it would be the arm all the same
+            alone = self.arm <= {*limb.joints} and limb.other in ("head", "jaw")  # it would be the arm all the same
             if limb.margin < MARGIN and limb.other != limb.role and not alone and not known & {"all", *limb.joints}:
                 found.append(limb)
                 known |= {*limb.joints, *self.tree[name].above}
@@ -240,109 +253,103 @@ class Limbs:
 
     def readings(self, name: str) -> dict[str, list[Sign]]:
         """Signs for every role of a branch that stands still, over one that moves."""
-        seen = self.seen(name)
-        weigh = self.weights.__getitem__
-        return {role: [Sign(text, weigh(key)[i], joint=of) for key, text, of in seen] for i, role in enumerate(STILL)}
+        seen, weights = self.seen(name), self.weights
+        return {r: [Sign(text, weights[key][i], joint=of) for key, text, of in seen] for i, r in enumerate(STILL)}
 
     def seen(self, name: str) -> list[tuple[str, str, str]]:
         """Signs of a branch: of its shape, and every joint's name; keys of `WEIGHTS`, what is told, and the joint."""
-        carried = self.tree[name].carried
-        load = {key for joint in carried for key in self.loads[joint]}
-        keys = ("most joints are an arm's", *self.of_place(name), *self.of_motion(name), *sorted(load))
-        return [*((key, key, name) for key in keys), *(one for joint in carried for one in self.named.get(joint, ()))]
+        joints = self.tree[name].carried
+        links = [link for joint in joints for link in self.rest.document.body(self.joint(joint).child)]
+        loads = [text for link in links for text in (link, self.sensors.get(link, ""))]
+        facts = self.of_place(name) | self.of_motion(name)
+        facts |= {key: any(map(hint.search, loads)) for key, hint in LOADS.items()}
+        named = [sign for joint in joints if joint in self.candidates for sign in self.of_name(joint)]
+        return [(key, key, name) for key, seen in facts.items() if seen] + named
 
-    def of_place(self, name: str) -> Iterable[str]:
-        """Signs of its size and its place in the tree."""
-        branch = self.tree[name]
+    def of_place(self, name: str) -> dict[str, bool]:
+        """Whether there are the signs of its size and its place in the tree."""
+        branch, tree = self.tree[name], self.tree
         led = {follower for follower, master in self.followers.items() if master in branch.carried}
-        if branch.reach < SHORT * self.longest:
-            yield "it reaches less than a third as far as the longest chain"
-        elif branch.reach >= LONG * self.longest and not self.candidates <= {*branch.carried}:
-            yield "it reaches more than half as far as the longest chain"
-        yield f"it has {'four joints or more' if branch.row >= ROW else 'three joints or fewer'} in a row"
-        above, beside = (
-            [up for up in branch.above if up in self.candidates],
-            [n for n in branch.beside if n in self.candidates | led],
-        )
-        if len(above) >= WRIST:
-            yield "three joints or more lead to it"
-        elif len(above) <= 1:
-            yield "one joint at most leads to it"
-        if any(self.tree[other].reach > branch.reach / SHORT for other in beside):
-            yield "it stands beside a longer branch"
-        if not beside and branch.above and branch.above[0] in self.candidates:
-            yield "nothing stands beside it on an arm"
-            if branch.row > 1:
-                yield "nothing stands beside it on an arm, and it carries a joint"
-        if beside and len(above) >= WRIST:
-            yield "others stand beside it at the end of an arm"
-        if any(self.faces(name, other) for other in beside):
-            yield "its like faces it"
+        above = [up for up in branch.above if up in self.candidates]
+        beside = [tree[other] for other in branch.beside if other in self.candidates | led]
+        on_arm, ends = above[:1] == [*branch.above[:1]] != [], [n for n in branch.carried if not tree[n].below]
+        longer = any(other.row > branch.row and other.reach > branch.reach for other in beside)
+        free = all(self.joint(n).type in ("prismatic", "continuous") for n in ends)
+        return {
+            "most joints are an arm's": True,
+            "it reaches less than a third as far as the longest chain": branch.reach < SHORT * self.longest,
+            "it has four joints or more in a row": branch.row >= ROW,
+            "three joints or more lead to it": len(above) >= WRIST,
+            "one joint at most leads to it": len(above) <= 1,
+            "it stands beside a longer branch": any(other.reach > branch.reach / SHORT for other in beside),
+            "nothing stands beside it on an arm": on_arm and not beside,
+            "nothing stands beside it on an arm, and it carries a joint": on_arm and not beside and branch.row > 1,
+            "others stand beside it at the end of an arm": len(above) >= WRIST and bool(beside),
+            "its like faces it": any(self.faces(name, other.carried[0]) for other in beside),
+            "it hangs on a rocker": not self.rockers.keys().isdisjoint(branch.above[:1]),
+            "it is all at the height at which rockers turn": not above and self.level(branch),
+            "it slides or spins at its end, beside a longer chain on an arm": on_arm and longer and free,
+        }
+
+    def joint(self, name: str) -> Joint:
+        """A joint by its name."""
+        return self.rest.document.joints[name]
+
+    def level(self, branch: Branch) -> bool:
+        """Whether a branch turns at the height at which a rocker does, all of it, within the radius of the wheels."""
+        links = [link for name in branch.carried for link in self.rest.document.body(self.joint(name).child)]
+        heights = [float(self.rest.placements[link][2, 3]) for link in links]
+        pivots = [(float(self.rest.hub(self.joint(name))[2]), radius) for name, radius in self.rockers.items()]
+        turns = all(self.joint(name).type != "prismatic" for name in branch.carried)
+        return turns and any(all(abs(height - pivot) < radius for height in heights) for pivot, radius in pivots)
 
     def faces(self, name: str, other: str) -> bool:
         """Whether two short branches beside one another are of one type and size, about or along parallel axes."""
-        one, two, joints = self.tree[name], self.tree[other], self.rest.document.joints
+        one, two, pair = self.tree[name], self.tree[other], (self.joint(name), self.joint(other))
         alike = abs(one.reach - two.reach) <= ALIKE * max(one.reach, two.reach)
-        parallel = abs(float(product(self.rest.axis(joints[name]), self.rest.axis(joints[other])))) > ALONG
-        slides = {joints[name].type == "prismatic", joints[other].type == "prismatic"}
+        parallel = abs(float(product(*map(self.rest.axis, pair)))) > ALONG
+        slides = {joint.type == "prismatic" for joint in pair}
         return alike and parallel and len(slides) == 1 and one.reach < SHORT * self.longest and bool(one.above)
 
-    def of_motion(self, name: str) -> Iterable[str]:
-        """Signs of its joint: type, axis and travel."""
-        joint, branch, rest = self.rest.document.joints[name], self.tree[name], self.rest
-        if any(self.followers.get(led) == name for led in self.followers if led in (*branch.beside, *branch.carried)):
-            yield "another joint follows it"
-        travel, alone = joint.upper - joint.lower, not branch.below
-        if joint.type == "prismatic" and alone and travel <= STROKE:
-            yield "it slides by a few centimetres and carries no joint"
-            if travel <= BUTTON and not branch.above:
-                yield "it slides by two centimetres at most on the base and carries no joint"
-        if joint.type == "prismatic":
-            yield "it slides"
-            return
-        before, first = (rest.document.joints[name] for name in (*branch.above, name, name)[:2])
+    def of_motion(self, name: str) -> dict[str, bool]:
+        """Whether there are the signs of its joint: type, axis and travel."""
+        joint, branch, rest = self.joint(name), self.tree[name], self.rest
+        slides, alone, upright = joint.type == "prismatic", not branch.below, rest.is_vertical(joint)
+        travel = joint.upper - joint.lower if slides and alone else math.inf
+        before, first = map(self.joint, (*branch.above, name, name)[:2])
         along = rest.hub(before) - rest.hub(first)
         rolls = abs(float(product(rest.axis(before), along))) > ALONG * length(along) > 0
-        if alone and rolls and abs(float(product(rest.axis(joint), rest.axis(before)))) < 1 - ALONG:
-            yield "it turns across the joint before it, which rolls"
-        if rest.is_vertical(joint):
-            if branch.row == 2 and [rest.is_horizontal(rest.document.joints[n]) for n in branch.below] == [True]:
-                yield "it pans, and what it carries tilts"
-            if alone and joint.turns_freely:
-                yield "it turns without end about an upright axis and carries no joint"
+        across = abs(float(product(rest.axis(joint), rest.axis(before)))) < 1 - ALONG
+        return {
+            "it slides by a few centimetres and carries no joint": travel <= STROKE,
+            "it slides by two centimetres at most on the base and carries no joint": travel <= BUTTON
+            and not branch.above,
+            "it turns across the joint before it, which rolls": alone and not slides and rolls and across,
+            "it turns without end about an upright axis and carries no joint": upright and alone and joint.turns_freely,
+        }
 
     @cached_property
-    def loads(self) -> dict[str, set[str]]:
-        """Signs of the links and sensors on the body of every joint."""
-        document, sensors = self.rest.document, dict[str, list[str]]()
-        for block in document.root.iterchildren("gazebo"):
-            kinds = [sensor.get("type", "") for sensor in block.iter("sensor")]
-            sensors.setdefault(block.get("reference", ""), []).extend(kinds)
-        found = dict[str, set[str]]()
-        for name in self.tree:
-            links = document.body(document.joints[name].child)
-            texts = [*links, *(kind for link in links for kind in sensors.get(link, ()))]
-            found[name] = {f"it carries {key}" for key, hint in LOADS.items() if any(map(hint.search, texts))}
+    def sensors(self) -> dict[str, str]:
+        """Types of the sensors that Gazebo has on links."""
+        found = dict[str, str]()
+        for sensor in self.rest.document.root.iterfind("gazebo//sensor"):
+            link = next(block for block in sensor.iterancestors("gazebo")).get("reference", "")
+            found[link] = f"{found.get(link, '')} {sensor.get('type', '')}"
         return found
 
     @cached_property
-    def named(self) -> dict[str, list[tuple[str, str, str]]]:
-        """Signs of the name of every joint, else of its link's, and of the smallest group's that has it.
-
-        Words in all names tell nothing, nor does a jaw's in all names that hang on one joint of the base.
-        """
-        words, root = {name: words_of(name) for name in self.candidates}, self.rest.document.root_link
-        every, found = common(words.values()), dict[str, list[tuple[str, str, str]]]()
-        for top in self.rest.document.moving_children(root):
-            branch = [name for name in self.tree[top.name].carried if name in words]
-            ours = common(words[name] for name in branch) if len(branch) > 2 else set()
-            told = {w for w in every if ROLE_OF.get(w) != "arm"} | {w for w in ours if ROLE_OF.get(w) == "jaw"}
-            found |= {name: list(self.of_name(name, told)) for name in branch}
+    def told(self) -> dict[str, set[str]]:
+        """Words that tell nothing in the name of a joint, for the top of what it is on: those of all names on it."""
+        found, every = dict[str, set[str]](), {word for word in shared(self.candidates) if ROLE_OF.get(word) != "arm"}
+        for top in self.rest.document.moving_children(self.rest.document.root_link):
+            names = [name for name in self.tree[top.name].carried if name in self.candidates]
+            jaws = {word for word in shared(names) if ROLE_OF.get(word) == "jaw"} if len(names) > 2 else set()
+            found[top.name] = every | jaws
         return found
 
-    def of_name(self, name: str, told: set[str]) -> Iterable[tuple[str, str, str]]:
-        """Signs of the name of a joint; words that are told mean nothing."""
-        joint = self.rest.document.joints[name]
+    def of_name(self, name: str) -> Iterable[tuple[str, str, str]]:
+        """Signs of the name of a joint, else of its link's, and of the smallest group's that has it."""
+        joint, told = self.joint(name), self.told[[name, *self.tree[name].above][-1]]
         texts = (joint.child,) if "_to_" in name else (name, joint.child)
         named = [(text, *role_named(text, told, joint.type != "prismatic")) for text in texts]
         text, role, word = next((one for one in named if one[1]), ("", "", ""))
@@ -354,15 +361,10 @@ class Limbs:
             yield f"names of {by}s", f"'{where.name}' has '{name}' ({where.where})", name
 
 
-def common(names: Iterable[set[str]]) -> set[str]:
+def shared(names: Iterable[str]) -> set[str]:
     """Words of all of two names or more."""
-    names = list(names)
-    return set.intersection(*names) if len(names) > 1 else set()
-
-
-def words_of(name: str) -> set[str]:
-    """The words of a name."""
-    return {text.lower() for text in LETTERS.findall(name)}
+    words = [{*words_of(name)} for name in names]
+    return set.intersection(*words) if len(words) > 1 else set()
 
 
 def own_reach(rest: AtRest, joint: Joint) -> float:

@@ -94,7 +94,7 @@ def test_the_map_knows_only_what_moves_and_the_model_feels_where_locks_are():
     ({"lock": ("lift=0.4",)}, ConfigError, r"within \[0, 0.3\]"),
     ({"lock": ("lift=high",)}, ConfigError, "no position"),
     ({"lock": ("lift=nan",)}, ConfigError, "no position"),
-    ({"lock": ("left",)}, ConfigError, "drive wheel"),
+    ({"lock": ("left",)}, ConfigError, "part of the base"),
     ({"lock": ("lifft",)}, UnknownName, "did you mean 'lift'"),
     ({"free": ("heat_joint_0",)}, UnknownName, "did you mean 'head_joint_0'"),
     ({"arm_tip": "left_6"}, UnknownName, "did you mean 'left_5'"),

@@ -117,7 +117,7 @@ def test_it_tells_how_a_run_drives_motors_and_how_to_drive_them_as_the_urdf_offe
 def test_the_first_lines_say_what_was_understood_and_a_run_says_them_too(call):
     file = written(Drive(track=0.5).urdf())
     said = ["base: differential drive, left left, right right, radius 0.1 m, track 0.5 m, forward x"]
-    said.append("arm: 2 joints: shoulder, elbow")
+    said.append("arm: 2 joints: shoulder, elbow; hand: fore")
     assert call("inspect", file)[1].splitlines()[:3] == [*said, ""]
     assert json.loads(call("inspect", file, "--json")[1])["understood"] == said
     options = ("--robot", file, "--controller", "pd", "--set", "time.duration=0.02", "--set", "plots=[]")
@@ -126,7 +126,7 @@ def test_the_first_lines_say_what_was_understood_and_a_run_says_them_too(call):
     assert json.loads(call("run", "track", *options, "--force", "--json")[1])["experiment"]
     turned = call("inspect", file, "--forward", "-x", "--lock", "elbow")[1].splitlines()
     assert turned[0].endswith("left right, right left, radius 0.1 m, track 0.5 m, forward -x")
-    assert turned[1] == "arm: 1 joint: shoulder; locked: elbow"
+    assert turned[1] == "arm: 1 joint: shoulder; hand: upper; locked: elbow"
     assert call("inspect", file, "--base", "fixed")[1].splitlines()[0] == "base: fixed"
 
 

@@ -16,10 +16,11 @@ from drives import LIMIT, Drive, joint, link, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_arm import chain, finger, two_armed
+from test_base import wheel
 
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.model import Robot
-from mmnn_pin.model.limbs import WEIGHTS, role_named
+from mmnn_pin.model.limbs import STILL, WEIGHTS, role_named
 from mmnn_pin.model.loading import load
 from mmnn_pin.model.robots import extra
 from mmnn_pin.model.signs import MARGIN
@@ -228,11 +229,54 @@ def test_groups_of_files_tell_a_jaw(tmp_path, kind):
 OTHER = '<robot name="r"><group name="gripper"><joint name="joint6"/><joint name="x"/></group></robot>'
 
 
-@pytest.mark.parametrize("broken", ["<robot", "", OTHER])
-def test_an_srdf_that_is_broken_or_of_another_robot_says_nothing(tmp_path, broken):
+@pytest.mark.parametrize(("text", "warned"), [("<robot", True), ("", True), (OTHER, False)])
+def test_an_srdf_that_is_broken_is_told_and_one_of_another_robot_says_nothing(tmp_path, text, warned):
     (tmp_path / "robot.urdf").write_text(one_jaw("joint6"))
-    (tmp_path / "robot.srdf").write_text(broken)
-    assert "joint6" in load(tmp_path / "robot.urdf").joint_names
+    (tmp_path / "robot.srdf").write_text(text)
+    robot = load(tmp_path / "robot.urdf")
+    told = [f.message for f in robot.findings if f.code == "arm-srdf"]
+    assert "joint6" in robot.joint_names and len(told) == warned == any("robot.srdf" in message for message in told)
+
+
+# --- Linkages ---------------------------------------------------------------------------------------------------------
+
+
+def rover() -> Built:
+    """Six wheels on two rockers, with a bar that couples these; an arm with a cylinder beside its second link."""
+    built = Built()
+    bar = built.add("base", p=(-0.2, 0, 0.3), axis=X, moves=False)
+    for y in (0.3, -0.3):
+        end = built.add(bar, p=(0, y, 0), axis=X, moves=False, mass=0.1)
+        built.add(end, p=(0, 0, 0), moves=False, mass=0.1)
+        rocker = built.add("base", p=(0, y, 0.3), moves=False)
+        for x in (-0.3, 0.0, 0.3):
+            built.pieces.append(wheel(f"w{len(built.pieces)}", (x, np.sign(y) * 0.1, -0.2), parent=rocker))
+        built.add(rocker, p=(0.05, 0, 0.15), moves=False, mass=0.2)
+    first = built.add("base", p=(0.1, 0, 0.4), axis=Z)
+    built.arm(first, 0.0, 4)
+    tube = built.add(first, p=(0.05, 0, 0.1), moves=False, mass=0.1)
+    built.add(tube, "prismatic", p=(0, 0, 0.2), axis=Z, limits=(0, 0.2), moves=False, mass=0.1)
+    return built
+
+
+def test_what_couples_rockers_and_cylinders_beside_an_arm_stand_still_and_nothing_is_asked():
+    built = rover()
+    robot = robot_of(f'<robot name="r">{link("base", 20.0)}{"".join(built.pieces)}</robot>', base="skid_steer")
+    assert set(robot.joint_names) == built.moves and not robot.arm.doubts
+    still = {name for name, why in robot.arm.reasons.items() if "a linkage" in why}
+    assert still == built.still - set(robot.base.suspensions)
+
+
+def test_doubts_of_one_kind_are_one_line_whose_option_ends_them():
+    built = Built()
+    for side in (0.4, -0.4):
+        end = built.arm("base", side, 5)
+        wrist = built.add(end, p=(0, 0, 0.06), axis=Z, mass=0.2)
+        built.add(wrist, p=(0.02, 0, 0.03), mass=0.05)
+    doubts = [f for f in robot_of(built.urdf()).findings if f.code == "arm-doubt"]
+    assert len(doubts) == 1 and "are each taken as part of the arm" in doubts[0].message
+    names = tuple(re.findall(r"--lock (\S+)", doubts[0].fix))
+    assert len(names) == 2 and not robot_of(built.urdf(), lock=names).arm.doubts
 
 
 # --- Hands and arms of two --------------------------------------------------------------------------------------------
@@ -300,4 +344,4 @@ def test_arms_are_those_of_their_makers_and_nothing_is_asked(name):
 
 
 def test_every_sign_has_a_weight_for_every_role():
-    assert all(len(weights) == 4 and any(weights) for weights in WEIGHTS.values())
+    assert all(len(weights) == len(STILL) and any(weights) for weights in WEIGHTS.values())

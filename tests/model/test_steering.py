@@ -241,7 +241,7 @@ def test_what_is_said_of_steering_must_suit_the_robot(said, wrong):
 
 
 def test_what_steers_cannot_be_locked_or_freed():
-    with pytest.raises(ConfigError, match="steers one, and cannot be locked"):
+    with pytest.raises(ConfigError, match="cannot be locked: it is part of the base"):
         robot_of(CAR, lock=("steer0",))
     with pytest.raises(ConfigError, match="part of the base"):
         robot_of(CAR, free=("steer0",))

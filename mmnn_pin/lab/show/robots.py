@@ -68,7 +68,10 @@ def summary(content: dict[str, Any]) -> list[str]:
     locked = f"; locked: {names_in(held, LONGEST // 3)}" if held else ""
     has = f"{len(arm)} joint{'s' * (len(arm) != 1)}: {names_in(arm, LONGEST - 20 - len(locked))}" if arm else "no arm"
     said = (f"{about} ({', '.join(dict.fromkeys(options))})" if options else about for about, options in doubts.items())
-    lines = [f"base: {base_summary(base)}", f"arm: {has}{locked}"]
+    hands = [hand["frame"] for hand in content["arm"]["hands"]]
+    hand = f"; hand{'s' * (len(hands) != 1)}: {names_in(hands, LONGEST // 3)}" if hands else ""
+    hand = hand if len(f"arm: {has}{hand}{locked}") <= LONGEST else ""
+    lines = [f"base: {base_summary(base)}", f"arm: {has}{hand}{locked}"]
     return [*lines, f"in doubt: {'; '.join(said)}"] if doubts else lines
 
 

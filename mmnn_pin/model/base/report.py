@@ -51,7 +51,7 @@ SEVERITIES = {
     "error": "base-undecided base-unsupported robot base-size",
     "warning": "base-doubt base-roller base-pushed base-sides base-radius base-heading base-hub-height base-shapes "
     "base-stated base-stray base-pair base-limit base-linkage base-scrub base-floor base-friction base-welded "
-    "arm-doubt arm-passive arm-weak welded pinocchio",
+    "arm-doubt arm-passive arm-srdf arm-weak welded pinocchio",
     "note": "base-evidence base-omni base-none base-joints base-driven base-skid base-steered arm-locked no-friction "
     "overrides",
 }
@@ -216,25 +216,34 @@ def welded_note(rest: AtRest, welded: Sequence[Joint]) -> Iterator[Finding]:
 
 
 def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
-    """Notes on joints that were locked without being asked to, one per reason."""
+    """Notes on joints that were locked without being asked to, one per reason, and on what may be otherwise."""
     notes = []
     for reason in dict.fromkeys(arm.reasons.values()):
         names = [name for name, why in arm.reasons.items() if why == reason]
         if "taken as a" in reason:
-            more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-            text = f"locked: {', '.join(names[:MOST_NAMES])}{more}"
             fix = "--free JOINT lets one move, --free all every one"
-            notes.append(note(rest, "arm-locked", names[0], text, reason, fix, "arm"))
+            notes.append(note(rest, "arm-locked", names[0], f"locked: {few(names)}", reason, fix, "arm"))
         if reason == WHY["passive"]:
-            text = f"locked, since they have no motor: {', '.join(names)}"
+            text = f"locked, since they have no motor: {few(names)}"
             fix = f"--free {names[0]} if it has one, or state it: a <command_interface> or a <transmission>"
             notes.append(note(rest, "arm-passive", names[0], text, reason, fix, "arm"))
-    for doubt in arm.doubts:
-        taken, other = ("part of the arm" if r == "arm" else f"a {r}" for r in (doubt.role, doubt.other))
-        text = f"'{doubt.joints[0]}' is taken as {taken}, and may be {other}"
-        why = "; ".join(doubt.told)
-        notes.append(note(rest, "arm-doubt", doubt.joints[0], text, why, f"{doubt.option} if it is", "arm"))
+    for kinds in dict.fromkeys((doubt.role, doubt.other) for doubt in arm.doubts):
+        alike = [doubt for doubt in arm.doubts if (doubt.role, doubt.other) == kinds]
+        taken, other = ("part of the arm" if kind == "arm" else f"a {kind}" for kind in kinds)
+        are, they = ("are each", "they are") if len(alike) > 1 else ("is", "it is")
+        names = [f"'{doubt.joints[0]}'" for doubt in alike]
+        text = f"{few(names)} {are} taken as {taken}, and may be {other}"
+        fix = f"{' '.join(doubt.option for doubt in alike)} if {they}"
+        notes.append(note(rest, "arm-doubt", alike[0].joints[0], text, "; ".join(alike[0].told), fix, "arm"))
+    if arm.broken:
+        text, why = f"{few(list(map(str, arm.broken)))} cannot be read", "its groups tell nothing of the arm"
+        notes.append(note(rest, "arm-srdf", "", text, why, "correct it, or remove it", "arm"))
     return notes
+
+
+def few(names: Sequence[str]) -> str:
+    """Names, one after the other, at most so many, and how many more there are."""
+    return ", ".join(names[:MOST_NAMES]) + (f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else "")
 
 
 def weak_notes(rest: AtRest, names: Sequence[str], held: Array, limits: Array) -> list[Finding]:
