@@ -360,7 +360,7 @@ def test_two_pairs_of_which_one_is_driven():
     motors = "".join(f'<transmission name="t{n}"><joint name="{n}"/></transmission>' for n in ("left", "right"))
     robot = robot_of(chassis(pair() + rear + motors))
     assert [w.joint for w in robot.base.wheels] == ["left", "right"] and robot.base.casters == ("rl", "rr")
-    assert "alone with motors, by <transmission>" in codes(robot)["base-evidence"]
+    assert "alone with motors, by <transmission>" in codes(robot)["base-doubt"]
 
 
 @given(st.lists(st.floats(0.4, 2.4), min_size=3, max_size=3), st.floats(0, 6))

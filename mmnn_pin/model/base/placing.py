@@ -346,14 +346,10 @@ def idlers(rest: AtRest, base: Base, drives: Sequence[Candidate]) -> list[str]:
     """Endless joints beside the wheels of a side, about parallel axes: sprockets and idlers of a belt."""
     known = {c.joint.name for c in drives}
     ends = [j for j in rest.document.moving_children(rest.document.root_link) if is_endless_end(rest, j)]
-    others = [wheel_of(rest, j) for j in ends if j.name not in known]
+    others = [c for c in (wheel_of(rest, j) for j in ends if j.name not in known) if parallel(c, drives[0])]
     c, s = cos_sin(base.frame[2])
-    left = np.array([-s, c])
-    return [
-        c.joint.name
-        for c in others
-        if parallel(c, drives[0]) and any(abs(product(left, (c.centre - d.centre)[:2])) < d.radius / 2 for d in drives)
-    ]
+    beside = [any(abs(product([-s, c], (o.centre - d.centre)[:2])) < d.radius / 2 for d in drives) for o in others]
+    return [o.joint.name for o, close in zip(others, beside, strict=True) if close]
 
 
 def require_together(rest: AtRest, drives: list[Candidate]) -> None:
@@ -428,8 +424,7 @@ def rolling_sideways(
 def pushed(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
     """A holonomic base whose wheels are not modelled: forces on its frame drive it."""
     found = [c.joint for c in (*candidates.wheels, *candidates.near_misses, *candidates.limited)]
-    found += [joint for joint in rest.document.joints.values() if is_low(rest, joint)]
-    found += alike_on_root(rest)
+    found += [*(joint for joint in rest.document.joints.values() if is_low(rest, joint)), *alike_on_root(rest)]
     names = tuple(j.name for joint in found for j in rest.document.moving_ancestors(joint.child))
     floor = candidates.floor if math.isfinite(candidates.floor) else 0.0
     text = "the base has no drive wheels: forces and a torque on the root link drive it, without limits"

@@ -94,15 +94,7 @@ def settle(audited: Sequence[Finding], findings: Sequence[Finding]) -> tuple[Fin
 
 
 def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], lowest: float, given: bool) -> list[Finding]:
-    """Warnings about radii that are odd, differ or are not measured, a floor elsewhere, and friction that holds.
-
-    Args:
-        rest: The robot at rest.
-        base: Its base.
-        wheels: Its drive wheels, and maybe others.
-        lowest: Height of its lowest point [m].
-        given: Whether the user states the radius.
-    """
+    """Warnings about radii, maybe given, a floor that is not at the lowest height [m], friction, welded wheels."""
     if not base.wheels:
         return []
     return [
@@ -217,13 +209,16 @@ def welded_note(rest: AtRest, welded: Sequence[Joint]) -> Iterator[Finding]:
 
 def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
     """Notes on joints that were locked without being asked to, one per reason."""
-    notes = []
-    for reason in dict.fromkeys(arm.reasons.values()):
-        names = [name for name, why in arm.reasons.items() if why == reason]
+    notes, by_reason = list[Finding](), dict[str, list[str]]()
+    for name, reason in arm.reasons.items():
+        by_reason.setdefault(reason, []).append(name)
+    for reason, names in by_reason.items():
         if "taken as a" in reason:
             more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-            text = f"locked: {', '.join(names[:MOST_NAMES])}{more}"
-            fix = "--free JOINT lets one move, --free all every one"
+            text, fix = (
+                f"locked: {', '.join(names[:MOST_NAMES])}{more}",
+                "--free JOINT lets one move, --free all every one",
+            )
             notes.append(note(rest, "arm-locked", names[0], text, reason, fix, "arm"))
         if reason == WHY["passive"]:
             text = f"locked, since they have no motor: {', '.join(names)}"
@@ -231,8 +226,7 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
             notes.append(note(rest, "arm-passive", names[0], text, reason, fix, "arm"))
     for doubt in arm.doubts:
         taken, other = ("part of the arm" if r == "arm" else f"a {r}" for r in (doubt.role, doubt.other))
-        text = f"'{doubt.joints[0]}' is taken as {taken}, and may be {other}"
-        why = "; ".join(doubt.told)
+        text, why = f"'{doubt.joints[0]}' is taken as {taken}, and may be {other}", "; ".join(doubt.told)
         notes.append(note(rest, "arm-doubt", doubt.joints[0], text, why, f"{doubt.option} if it is", "arm"))
     return notes
 
@@ -335,50 +329,38 @@ def undecided(
     texts, found = tuple(c.text for c in wheels), [BaseReading(r, ()) if isinstance(r, str) else r for r in readings]
     listed = f"{len(wheels)} wheel(s) found: {'; '.join(texts)}" if wheels else "no wheel that turns is found"
     what = f"the base is undecided: {listed}{'; it could be ' if found else ''}{' or '.join(map(str, found))}"
-    error = Undecided(
-        what,
-        why=why,
-        fix=fix,
-        file=rest.document.path,
-        line=line or (wheels[0].joint.line if wheels else None),
-    )
+    line = line or (wheels[0].joint.line if wheels else None)
+    error = Undecided(what, why=why, fix=fix, file=rest.document.path, line=line)
     error.candidates, error.readings = texts, tuple(found)
     return error
 
 
 def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[str] = ()) -> Undecided:
     """The error for what would be drive wheels but for one thing; `package_dirs` were given for meshes."""
-    near_misses, fix = (
-        candidates.near_misses,
-        "--base holonomic drives it by forces on its frame; --base fixed parks it",
-    )
-    gap = min(c.bottom for c in near_misses) - candidates.floor
-    ends = f"end {gap:.3g} m above the robot's lowest point"
-    if any(abs(c.axis[2]) > VERTICAL for c in near_misses):
-        why = "their axle is vertical"
-        fix = "turn the robot so that z points up (a file with y up?); --base fixed parks them"
-    elif any(abs(c.axis[2]) > HORIZONTAL for c in near_misses):
+    near, gap = candidates.near_misses, min(c.bottom for c in candidates.near_misses) - candidates.floor
+    why, parks = f"they end {gap:.3g} m above the robot's lowest point", "--base fixed parks them"
+    fix = "--base holonomic drives it by forces on its frame; --base fixed parks it"
+    if any(abs(c.axis[2]) > VERTICAL for c in near):
+        why, fix = "their axle is vertical", f"turn the robot so that z points up (a file with y up?); {parks}"
+    elif any(abs(c.axis[2]) > HORIZONTAL for c in near):
         why = "wheels roll about a horizontal axis here, not with camber: that is not covered"
-    elif any(c.shape == LUMPY for c in near_misses):
-        why, fix = lumpy(rest, near_misses)
-    elif any(math.isnan(c.radius) for c in near_misses):
+    elif any(c.shape == LUMPY for c in near):
+        why, fix = lumpy(rest, near)
+    elif any(math.isnan(c.radius) for c in near) and any(c.shape == PARTIAL for c in near):
+        why = "meshes are missing, none is measured from what is left, and nothing tells where the floor is"
+        empty = f" (not in {' or '.join(package_dirs)})" if package_dirs else ""
+        fix = f"give --radius METRES, or --package-dir FOLDER where their meshes are{empty}; {parks}"
+    elif any(math.isnan(c.radius) for c in near):
         why = "no shape of them can be read, and nothing tells where the floor is"
-        fix = "give --radius METRES, or make their shapes cylinders; --base fixed parks them"
-        if any(c.shape == PARTIAL for c in near_misses):
-            why = "meshes are missing, none is measured from what is left, and nothing tells where the floor is"
-            empty = f" (not in {' or '.join(package_dirs)})" if package_dirs else ""
-            fix = (
-                f"give --radius METRES, or --package-dir FOLDER where their meshes are{empty}; --base fixed parks them"
-            )
-    elif min(c.centre[2] for c in near_misses) > height_at(rest, 0.5) and gap > min(c.radius for c in near_misses):
-        why, fix = f"they {ends}, in its upper half", "turn it over if it stands on its head; --base fixed parks them"
-    else:
-        why, names = f"they {ends}", ",".join(c.joint.name for c in left_first(rest, near_misses))
-        if len(near_misses) > 1:
-            larger = "with --radius METRES if they are larger"
-            fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
-    upright = all(c.mount in ("steering", "swivel") for c in near_misses)
-    return undecided(rest, near_misses, why, fix, ["swerve" if upright else "differential_drive"])
+        fix = f"give --radius METRES, or make their shapes cylinders; {parks}"
+    elif min(c.centre[2] for c in near) > height_at(rest, 0.5) and gap > min(c.radius for c in near):
+        why, fix = f"{why}, in its upper half", f"turn it over if it stands on its head; {parks}"
+    elif len(near) > 1:
+        names = ",".join(c.joint.name for c in left_first(rest, near))
+        larger = "with --radius METRES if they are larger"
+        fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
+    upright = all(c.mount in ("steering", "swivel") for c in near)
+    return undecided(rest, near, why, fix, ["swerve" if upright else "differential_drive"])
 
 
 def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:
@@ -425,13 +407,11 @@ def blind_fix(rest: AtRest, wheels: Sequence[Candidate]) -> str:
 def unsupported(rest: AtRest, name: str, why: str, wheels: Sequence[Candidate] = (), fix: str = "") -> Unsupported:
     """The refusal of a machine by what is seen of it, and what that may be."""
     drives = ", ".join(kind.words for kind in KINDS.values())
-    line: int | None = wheels[0].joint.line if wheels else rest.document.root.sourceline
-    error = Unsupported(
+    what, fix = (
         f"this cannot be driven here, a {name} perhaps",
-        why=why,
-        fix=fix or f"this package drives {drives}; --base fixed takes it as an arm",
-        file=rest.document.path,
-        line=line,
+        fix or (f"this package drives {drives}; --base fixed takes it as an arm"),
     )
+    line: int | None = wheels[0].joint.line if wheels else rest.document.root.sourceline
+    error = Unsupported(what, why=why, fix=fix, file=rest.document.path, line=line)
     error.machine = name
     return error
