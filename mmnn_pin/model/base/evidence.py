@@ -105,11 +105,6 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
     return [*found, *motors_of_some(rest, wheels), *contact(rest, wheels), *names(rest, wheels)]
 
 
-def stated_rollers(pieces: list[Evidence]) -> dict[str, float]:
-    """Roller angle of every wheel whose angle a piece states [rad]."""
-    return {piece.wheel: piece.roller for piece in pieces if not math.isnan(piece.roller)}
-
-
 def rollers(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     """Rollers modelled as joints on the wheels."""
     for wheel in wheels:
@@ -184,7 +179,7 @@ def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     for block in rest.document.root.iterchildren("gazebo"):
         if block.get("reference") not in links:
             continue
-        mu1, mu2 = coefficient(block, "mu1"), coefficient(block, "mu2")
+        mu1, mu2 = ((numbers_of(block.find(f".//{tag}"), 1) or [math.nan])[0] for tag in ("mu1", "mu2"))
         where = f"of '{block.get('reference')}' (line {block.sourceline})"
         wheel, along = links[block.get("reference")], friction_direction(rest, block)
         if mu1 > GRIP and mu2 < NO_FRICTION and is_oblique(along, wheel):
@@ -197,12 +192,6 @@ def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
         elif mu1 > GRIP and mu2 > GRIP:
             text = f"contact friction {mu1:g}, {mu2:g} holds in all directions {where}"
             yield Evidence("skid_steer", text, block.sourceline, "friction")
-
-
-def coefficient(block: etree._Element, tag: str) -> float:
-    """A friction coefficient, nan when it is not stated as a number."""
-    values = numbers_of(block.find(f".//{tag}"), 1)
-    return values[0] if values else math.nan
 
 
 def friction_direction(rest: AtRest, block: etree._Element) -> Array:

@@ -94,15 +94,9 @@ def heading(
     towed: Sequence[Array] = (),
     any_way: bool = False,
 ) -> Heading:
-    """Where forward is.
+    """Where forward is by the wheels that drive, or hold the base, and by the user's `forward` or two `wheels`.
 
-    Args:
-        rest: The robot at rest.
-        drives: The wheels that drive, or hold the base.
-        overrides: What the user says: `forward`, or `wheels` of two on one axle, the left one first.
-        steered: Places (2,) of what steers beside a fixed axle.
-        towed: Places (2,) of trailers.
-        any_way: Whether the base moves in all directions, however its wheels stand.
+    The places (2,) of what steers beside a fixed axle and of trailers tell it, too; a base that moves any way has four.
 
     Raises:
         ConfigError: The wheels do not roll along the axis that the user names.

@@ -116,21 +116,13 @@ class Overrides(Settings, frozen=True):
 
     @property
     def locks(self) -> dict[str, float | None]:
-        """Position of every joint in `lock`, None where it rests.
-
-        Raises:
-            ConfigError: A position that is not a finite number.
-        """
+        """Position of every joint in `lock`, None where it rests; errors as of `numbers_of`."""
         bare = {text: None for text in self.lock if "=" not in text}
         return bare | numbers_of([text for text in self.lock if "=" in text], "lock", "position to lock a joint at")
 
     @property
     def radius_of(self) -> dict[str, float]:
-        """Radius of every wheel in `wheel_radii` [m].
-
-        Raises:
-            ConfigError: No joint, or a radius that is not a finite number.
-        """
+        """Radius of every wheel in `wheel_radii` [m]; errors as of `numbers_of`."""
         return numbers_of(self.wheel_radii, "wheel_radii", "radius of a wheel")
 
     def over(self, other: Overrides) -> Overrides:
@@ -171,7 +163,11 @@ def folders_of(urdf: Path, overrides: Overrides) -> tuple[Path, ...]:
 
 
 def numbers_of(texts: Sequence[str], key: str, what: str) -> dict[str, float]:
-    """Numbers by joint that texts `joint=number` state; errors as of `Overrides.radius_of`."""
+    """Numbers by joint that texts `joint=number` state.
+
+    Raises:
+        ConfigError: No joint, or a number that is not finite.
+    """
     table = dict[str, float]()
     for text in texts:
         name, _, value = text.rpartition("=")

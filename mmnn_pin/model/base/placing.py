@@ -18,7 +18,7 @@ from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .differential import DifferentialDrive
-from .evidence import evidence, motors_named, plugins, stated_rollers
+from .evidence import evidence, motors_named, plugins
 from .heading import heading
 from .holonomic import HolonomicBase
 from .overrides import Overrides
@@ -82,16 +82,15 @@ def on_wheels(
     return BaseResult(base, (*notes, *sliding_note(rest, drives, wheels)))
 
 
-def along_note(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
+def along_note(rest: AtRest, drives: list[Candidate]) -> Iterator[Finding]:
     """A note where only some wheels of a skid-steer base have motors: the others are taken as turned by these."""
     motors = motors_named(rest)
     powered = [c.joint.name for c in drives if c.joint.name in motors]
-    if not 0 < len(powered) < len(drives):
-        return []
-    text = f"of the wheels only {', '.join(powered)} have motors: {motors[powered[0]]}"
-    why = "the others are taken as turned along with those of their side, by a belt or chain"
-    fix = f"--wheels {','.join(powered)} where they roll freely" if len(powered) == 2 else ""
-    return [note(rest, "base-driven", powered[0], text, why, fix)]
+    if 0 < len(powered) < len(drives):
+        text = f"of the wheels only {', '.join(powered)} have motors: {motors[powered[0]]}"
+        why = "the others are taken as turned along with those of their side, by a belt or chain"
+        fix = f"--wheels {','.join(powered)} where they roll freely" if len(powered) == 2 else ""
+        yield note(rest, "base-driven", powered[0], text, why, fix)
 
 
 def sliding_note(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> Iterator[Finding]:
@@ -309,10 +308,9 @@ def skidding(
     first, rolls = drives[0].joint.name, turning_track(base.wheels)
     text = f"effective track {track:.4g} m, turning friction {base.turning:.3g} N m (mu {mu:g}, {mass:.4g} kg)"
     why = f"of wheels that skid the turn on the spot on a hard floor has about {rolls:.3g} m"
-    if overrides.track is None:
-        text = f"the effective track is taken as the geometric one: {text}"
-    findings = along_note(rest, drives)
-    findings += [note(rest, "base-skid", first, text, why, f"--track {rolls:.3g}, or as you measured it; --mu")]
+    text = f"the effective track is taken as the geometric one: {text}" if overrides.track is None else text
+    fix = f"--track {rolls:.3g}, or as you measured it; --mu"
+    findings = [*along_note(rest, drives), note(rest, "base-skid", first, text, why, fix)]
     if kind is Tracked:
         text = "a belt makes the radius larger by its thickness, which is not in the file"
         findings.append(note(rest, "base-skid", first, text, "", "--radius with the belt"))
@@ -402,7 +400,7 @@ def rolling_sideways(
     first, angle = drives[0].joint.name, overrides.roller
     if level and angle is None:
         pieces = evidence(rest, drives, overrides.controllers_file)
-        known = stated_rollers([piece for piece in pieces if piece.meaning == HolonomicBase.kind])
+        known = {piece.wheel: piece.roller for piece in pieces if not math.isnan(piece.roller)}
     if angle is None and not level:
         angle, text = 0.0, "omni wheels assumed: their rollers turn about the rolling direction (0 degrees)"
         why = "plain wheels whose axles cross could not roll together"

@@ -1,7 +1,4 @@
-"""The report of how a robot was understood: notes with stable codes beside the audit's, and refusals.
-
-A refusal lists what the base could be, each with the reasons for and against, or names the machine.
-"""
+"""The report of how a robot was understood: notes with stable codes beside the audit's, and refusals."""
 
 from __future__ import annotations
 
@@ -124,11 +121,9 @@ def heading_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrid
     drives = [c for c in wheels if c.joint.name in names]
     if not drives or overrides.forward is not None:
         return
-    at = {
-        role: [rest.hub(rest.document.joints[p.joint])[:2] for p in pivots if (p.role == "passive") == role]
-        for role in (True, False)
-    }
-    found = heading(rest, drives, overrides, at[False], at[True], any_way)
+    at = [(p.role == "passive", rest.hub(rest.document.joints[p.joint])[:2]) for p in pivots]
+    steered, towed = ([place for passive, place in at if passive == role] for role in (False, True))
+    found = heading(rest, drives, overrides, steered, towed, any_way)
     way, other = map(axis_name, found.ways[:2])
     pro, contra = told_apart(found.signs[0], found.signs[1]), told_apart(found.signs[1], found.signs[0])
     why = f"for {way}: {', '.join(pro) or 'nothing'}; for {other}: {', '.join(contra) or 'nothing'}"
