@@ -1,17 +1,7 @@
 """Statements of the user about a robot's base and arm: in a call, on the command line or in a file beside the URDF.
 
-Beside `NAME.urdf` the file is `NAME.mmnn.toml`:
-
-    base = "differential_drive"          # or "holonomic", "fixed"
-    wheels = ["left_joint", "right_joint"]
-    radius = 0.1                         # m
-    track = 0.4                          # m
-    lock = ["head_1_joint", "gripper_joint=0.02"]
-    arm = "left"                         # of two; or "right", "both"
-    arm_tip = "tool0"
-    package_dirs = ["../meshes"]         # from the file's own folder
-
-What is said in a call, on the command line or in an experiment counts more than the file.
+Beside `NAME.urdf` the file is `NAME.mmnn.toml`, with the keys of `Overrides`; its folders and files start from its own
+folder. What is said in a call, on the command line or in an experiment counts more than the file.
 """
 
 from __future__ import annotations

@@ -270,12 +270,10 @@ def casters_of(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -
 
 def placed_wheel(c: Candidate, at: Array, forward: Array, left: Array, alike: bool) -> Wheel:
     """The wheel in the control frame; parallel wheels have a sign, others a heading of their own."""
-    direction = rolling(c)
-    sign = math.copysign(1.0, product(direction, forward)) if alike else 1.0
-    heading = 0.0 if alike else atan2(float(product(direction, left)), float(product(direction, forward)))
+    ahead, beside = (float(product(rolling(c), way)) for way in (forward, left))
     x, y = float(product(at, forward)), float(product(at, left))
-    x = 0.0 if abs(x) < 1e-12 else x
-    return Wheel(c.joint.name, c.radius, sign, y=y, x=x, heading=heading)
+    sign, heading = (math.copysign(1.0, ahead), 0.0) if alike else (1.0, atan2(beside, ahead))
+    return Wheel(c.joint.name, c.radius, sign, y=y, x=0.0 if abs(x) < 1e-12 else x, heading=heading)
 
 
 def in_order(rest: AtRest, names: Sequence[str] | set[str]) -> tuple[str, ...]:
@@ -335,8 +333,8 @@ def require_sides(
     places = {"on the left": left, "on the right": right, "in the middle": middle}
     told = "; ".join(f"{place} {', '.join(names)}" for place, names in places.items() if names)
     what = f"{len(drives)} wheel(s) for a {'tracked machine' if kind is Tracked else 'skid-steer base'}: {told}"
-    fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
-    fix = f"--wheels {','.join([*left, *right])} where these drive" if even else fix
+    several = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
+    fix = f"--wheels {','.join([*left, *right])} where these drive" if even else several
     raise ConfigError(what, fix=fix, key="wheels", file=rest.document.path)
 
 
@@ -357,10 +355,7 @@ def require_together(rest: AtRest, drives: list[Candidate]) -> None:
         Undecided: They would have to slide as the base drives straight on.
     """
     by_name = {c.joint.name: c for c in drives}
-    for c in drives:
-        master = by_name.get(c.joint.mimics or "")
-        if master is None:
-            continue
+    for c, master in [(c, by_name[c.joint.mimics]) for c in drives if c.joint.mimics in by_name]:
         right = master.radius / c.radius * math.copysign(1.0, product(rolling(c), rolling(master)))
         if abs(c.joint.multiplier / right - 1) > SAME_RATE:
             rate = f"{c.joint.multiplier / right:.3g} times as fast as '{master.joint.name}'"

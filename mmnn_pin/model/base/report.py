@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -150,22 +150,16 @@ def size_notes(rest: AtRest, base: Base, given: bool) -> Iterator[Finding]:
         text = f"wheel '{large[0].joint}' has a radius of {large[0].radius:.4g} m on a track of {base.track:.4g} m"
         why, fix = "is its mesh in millimetres or inches?", "give the mesh its scale, or --radius"
         yield note(rest, "base-size", large[0].joint, text, why, fix)
-    for wheels in alike(base):
+    pivots, sizes_of = base.pivots if isinstance(base, SteeredBase) else (), dict[tuple[bool, bool], list[Wheel]]()
+    for w in base.wheels:  # of a base that steers those that drive, the others and those of trailers have a size each
+        towed = bool(pivots) and w.pivot >= 0 and pivots[w.pivot].role == "passive"
+        sizes_of.setdefault((w.driven or not pivots, towed), []).append(w)
+    for wheels in sizes_of.values():
         radii = [w.radius for w in wheels]
         if max(radii) - min(radii) > SAME_RADIUS * max(radii):
             sizes = ", ".join(f"'{w.joint}' {w.radius:.4g} m" for w in wheels)
             why, fix = "they are used as they are", "--radius if they should be alike"
             yield note(rest, "base-radius", wheels[0].joint, f"the wheels' radii differ: {sizes}", why, fix)
-
-
-def alike(base: Base) -> Iterable[list[Wheel]]:
-    """Wheels that should have one size: of a base that steers those that drive, the others, those of trailers."""
-    pivots = base.pivots if isinstance(base, SteeredBase) else ()
-    found: dict[tuple[bool, bool], list[Wheel]] = {}
-    for w in base.wheels:
-        towed = bool(pivots) and w.pivot >= 0 and pivots[w.pivot].role == "passive"
-        found.setdefault((w.driven or not pivots, towed), []).append(w)
-    return found.values()
 
 
 def floor_notes(rest: AtRest, base: Base, lowest: float) -> Iterator[Finding]:
@@ -210,10 +204,8 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
     for reason, names in by_reason.items():
         if "taken as a" in reason:
             more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-            text, fix = (
-                f"locked: {', '.join(names[:MOST_NAMES])}{more}",
-                "--free JOINT lets one move, --free all every one",
-            )
+            text = f"locked: {', '.join(names[:MOST_NAMES])}{more}"
+            fix = "--free JOINT lets one move, --free all every one"
             notes.append(note(rest, "arm-locked", names[0], text, reason, fix, "arm"))
         if reason == WHY["passive"]:
             text = f"locked, since they have no motor: {', '.join(names)}"
@@ -317,15 +309,15 @@ def undecided(
     wheels: Sequence[Candidate],
     why: str,
     fix: str,
-    readings: Sequence[BaseReading | str] = (),
-    line: int | None = None,
+    could: Sequence[BaseReading | str] = (),
+    line: int = 0,
 ) -> Undecided:
     """The error that lists what could be a wheel, and what the base could be: readings, or kinds that `why` tells."""
-    texts, found = tuple(c.text for c in wheels), [BaseReading(r, ()) if isinstance(r, str) else r for r in readings]
+    texts, found = tuple(c.text for c in wheels), [BaseReading(r, ()) if isinstance(r, str) else r for r in could]
     listed = f"{len(wheels)} wheel(s) found: {'; '.join(texts)}" if wheels else "no wheel that turns is found"
     what = f"the base is undecided: {listed}{'; it could be ' if found else ''}{' or '.join(map(str, found))}"
-    line = line or (wheels[0].joint.line if wheels else None)
-    error = Undecided(what, why=why, fix=fix, file=rest.document.path, line=line)
+    at = line or (wheels[0].joint.line if wheels else None)
+    error = Undecided(what, why=why, fix=fix, file=rest.document.path, line=at)
     error.candidates, error.readings = texts, tuple(found)
     return error
 
@@ -402,10 +394,8 @@ def blind_fix(rest: AtRest, wheels: Sequence[Candidate]) -> str:
 def unsupported(rest: AtRest, name: str, why: str, wheels: Sequence[Candidate] = (), fix: str = "") -> Unsupported:
     """The refusal of a machine by what is seen of it, and what that may be."""
     drives = ", ".join(kind.words for kind in KINDS.values())
-    what, fix = (
-        f"this cannot be driven here, a {name} perhaps",
-        fix or (f"this package drives {drives}; --base fixed takes it as an arm"),
-    )
+    what = f"this cannot be driven here, a {name} perhaps"
+    fix = fix or f"this package drives {drives}; --base fixed takes it as an arm"
     line: int | None = wheels[0].joint.line if wheels else rest.document.root.sourceline
     error = Unsupported(what, why=why, fix=fix, file=rest.document.path, line=line)
     error.machine = name
