@@ -34,6 +34,7 @@ WORDS: Patterns = (
     ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
     ("skid_steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
 )
+MECANUM = re.compile(r"mecanum|swedish_?wheel", re.IGNORECASE)
 DRIVING = (
     ("car-like", re.compile(r"tricycle|ackermann|bicycle|car[_-]?like|four_wheel_steering", re.IGNORECASE)),
     ("differential_drive", re.compile(r"diff[_-]?drive", re.IGNORECASE)),
@@ -50,6 +51,7 @@ WEIGHTS = {  # of evidence by its source, as of `model.signs`: the last ones onl
     "commands": 3.5,
     "no friction": 3.0,
     "friction": 2.5,
+    "mecanum": 4.5,
     "meshes": 2.5,
     "names": 1.5,
     "called": 1.2,
@@ -212,6 +214,9 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
                     text = f"'{hit[0]}' in the {word} of wheel '{name}' (line {line})"
                     yield Evidence(meaning, text, line, source, name)
     called = f"{rest.document.root.get('name', '')} {rest.document.path.name}"
+    shown = " ".join(mesh.get("filename", "") for mesh in rest.document.root.iterfind("link/*/geometry/mesh"))
+    if hit := MECANUM.search(f"{called} {shown}"):
+        yield Evidence("holonomic", f"the robot or a mesh of it is called '{hit[0]}'", 1, "mecanum")
     if hit := OUTDOORS.search(called):
         yield Evidence("skid_steer", f"the robot is called '{hit[0]}'", 1, "called")
 

@@ -48,6 +48,7 @@ from .wheels import (
 SKIDDING = (SkidSteer.kind, Tracked.kind)
 ROLLERS = "--roller RADIANS says how they lie, --wheels which of the wheels drive"
 SAME_RATE = 0.05  # rims of wheels that are coupled may differ in speed by this fraction
+CLOSE = 3.0  # radii from an upright joint within which what rolls is a caster's, and no arm's drum
 OFF_CENTRE = 0.02  # a centre of rotation further off than this fraction of half the wheelbase is told
 MECANUM = math.pi / 4  # roller angle that is assumed where nothing states one
 
@@ -251,7 +252,8 @@ def on_arms(rest: AtRest, wheels: Sequence[Candidate]) -> frozenset[str]:
     """
     motors, found = motors_named(rest), set[str]()
     for c in wheels:
-        above = [j for j in moving_above(rest, c) if not rest.is_vertical(j)]
+        swivels = c.trail < CLOSE * c.radius  # on an upright joint, as a ball in a housing that turns
+        above = [] if swivels else [j for j in moving_above(rest, c) if not rest.is_vertical(j)]
         alone = not any(coaxial(c, o) for o in wheels if o is not c)
         if above and (alone or any(j.name in motors for j in above)):
             found.add(c.joint.name)

@@ -12,17 +12,20 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
+import numpy as np
+
 from ...errors import InputError
 from ..signs import MARGIN, Sign, told_apart
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .evidence import Evidence
 from .report import BaseReading, BaseResult, blind_fix, note, undecided
-from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, coaxial, on_either_side, one_axle, parallel
+from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, coaxial, on_either_side, one_axle, parallel, rolling
 
 NOTHING = -4.0  # score of the reading that these wheels make no base
 CLEAR, DOUBT = 9.0, 3.0  # a runner-up further behind is not told; a nearer one is told as a doubt
 LARGE = 0.13  # [m] radius beyond which few wheels have rollers: 1 of 14 on public robots, of plain ones 9 of 22
+IN_ROW = 0.2  # wheels of a side may differ in place by this fraction of the width
 ALIKE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
 CASTER, ROLLING = ("caster", "castor", "roulette", "lenkrolle", "rueda_loca"), ("skid_steer", "tracked")
 TOLD_BY = {"skid_steer": "skid_steer", "tracked": "skid_steer", "holonomic": "holonomic"}  # meaning of evidence
@@ -31,7 +34,7 @@ FORCES = "--base holonomic to drive it by forces on its frame, or --base fixed t
 
 
 @dataclass(frozen=True, eq=False)
-class Reading(BaseReading):
+class Proposal(BaseReading):
     """A reading that a base can be built by.
 
     Attributes:
@@ -44,14 +47,14 @@ class Reading(BaseReading):
 
     @property
     def options(self) -> str:
-        """What is said for it on the command line."""
+        """Its statements as they stand on the command line."""
         texts = {key: value if isinstance(value, str) else ",".join(value) for key, value in self.said.items()}
         return " ".join(f"--{key.replace('_', '-')} {text}" for key, text in texts.items())
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What the loader asks where readings leave a doubt.
+    """The question that is asked where readings leave a doubt.
 
     Attributes:
         rest: The robot at rest.
@@ -67,7 +70,7 @@ class Question:
     blind: Sequence[Candidate] = ()
     sure: bool = False
 
-    def best_of(self, readings: Sequence[Reading]) -> BaseResult:
+    def best_of(self, readings: Sequence[Proposal]) -> BaseResult:
         """The base of the reading that is borne out.
 
         Raises:
@@ -86,14 +89,14 @@ class Question:
         found = best.build()
         return replace(found, findings=(*reading_note(self.rest, best, others), *found.findings))
 
-    def leads_on(self, reading: Reading) -> bool:
+    def leads_on(self, reading: Proposal) -> bool:
         """Whether its options lead to a reading: only then they are printed."""
         try:
             return self.attempt is not None and self.attempt(reading.said).base.kind == reading.kind
         except InputError:
             return False
 
-    def which(self, rivals: Sequence[Reading], others: Sequence[Reading]) -> Exception:
+    def which(self, rivals: Sequence[Proposal], others: Sequence[Proposal]) -> Exception:
         """The question which of some readings is meant."""
         told = [told_apart(one.signs, other.signs) for one in rivals for other in rivals if one is not other]
         texts = list(dict.fromkeys(text for texts in told for text in texts))
@@ -105,7 +108,7 @@ class Question:
         last = PARKED if "holonomic" in kinds else FORCES
         return undecided(self.rest, self.wheels, why, "; ".join([*ways, last]), [*rivals, *others][:4])
 
-    def whether(self, best: Reading, others: Sequence[Reading]) -> Exception:
+    def whether(self, best: Proposal, others: Sequence[Proposal]) -> Exception:
         """The question whether a reading is meant though much speaks against it."""
         listed = [best, *others][:4]
         if self.blind:
@@ -119,7 +122,7 @@ class Question:
         return undecided(self.rest, self.wheels, "; ".join(against), "; ".join([*ways, FORCES]), listed)
 
 
-def when(reading: Reading, rivals: Sequence[Reading]) -> str:
+def when(reading: Proposal, rivals: Sequence[Proposal]) -> str:
     """In which case a reading is the right one, in words."""
     mixed = {"skid_steer", "holonomic"} <= {r.kind for r in rivals}
     words = {
@@ -133,7 +136,7 @@ def when(reading: Reading, rivals: Sequence[Reading]) -> str:
     return words.get(reading.kind, "if they steer" if "steer" in reading.said else "")
 
 
-def reading_note(rest: AtRest, best: Reading, others: Sequence[Reading]) -> list[Finding]:
+def reading_note(rest: AtRest, best: Proposal, others: Sequence[Proposal]) -> list[Finding]:
     """The reading that was taken, its runner-up and what told them apart; a warning where that is little."""
     other = next((r for r in others if best.score - r.score < CLEAR and r.kind != best.kind), None)
     ordered = sorted((sign for sign in best.signs if sign.weight > 0), key=lambda sign: -sign.weight)
@@ -154,7 +157,7 @@ def reading_note(rest: AtRest, best: Reading, others: Sequence[Reading]) -> list
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """What may drive a base that does not steer.
+    """Wheels that may drive a base that does not steer.
 
     Attributes:
         fixed: Wheels that hang on nothing that turns; or those that the user names.
@@ -230,6 +233,8 @@ class Drives:
             yield Sign(f"wheels of {drives[0].radius:.3g} m: those with rollers are mostly smaller", -1.0)
         if kind == "skid_steer" and one_axle(drives):
             yield Sign(f"{len(drives)} wheels on one axle: twin tyres whose sides turn alike", 1.0)
+        if kind in ROLLING and not in_rows(drives):
+            yield Sign("the wheels of a side do not stand in a row", -8.0)
         if kind == "tracked":
             yield from self.belts or [Sign("no belt is in the file", -5.0)]
         elif kind == "holonomic" and belts > 0:
@@ -297,6 +302,13 @@ def alike(a: Candidate, b: Candidate) -> bool:
 def is_called_caster(c: Candidate) -> bool:
     """Whether names call a wheel a caster."""
     return any(word in f"{c.joint.name} {c.joint.child}".lower() for word in CASTER)
+
+
+def in_rows(drives: Sequence[Candidate]) -> bool:
+    """Whether the parallel wheels of each side stand about in a row."""
+    across = np.array([float(np.array([-1.0, 1.0]) * rolling(drives[0])[::-1] @ c.centre[:2]) for c in drives])
+    sides = [across[across > across.mean()], across[across < across.mean()]]
+    return all(np.ptp(side) < IN_ROW * np.ptp(across) for side in sides if side.size)
 
 
 def in_pairs(drives: Sequence[Candidate]) -> bool:

@@ -273,7 +273,7 @@ class BaseReading:
         return score(self.signs)
 
     def told(self, side: int) -> list[str]:
-        """What speaks for it (1), or against it (-1), the strongest first."""
+        """Its signs in words that speak for it (1), or against it (-1), the strongest first."""
         ordered = sorted(self.signs, key=lambda sign: -abs(sign.weight))
         return [sign.text for sign in ordered if sign.weight * side > 0]
 

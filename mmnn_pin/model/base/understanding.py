@@ -23,7 +23,7 @@ from ..urdf.document import Document, Joint, text_of
 from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base, Fixed
-from .evidence import RADII, evidence, motors_named, plugins, stated
+from .evidence import OUTDOORS, RADII, evidence, motors_named, plugins, stated
 from .heading import left_first
 from .machines import (
     PROPELLERS,
@@ -52,7 +52,7 @@ from .placing import (
     require_possible,
     require_used,
 )
-from .readings import FORCES, ROLLING, Drives, Question, Reading
+from .readings import FORCES, ROLLING, Drives, Proposal, Question
 from .report import (
     BaseResult,
     Undecided,
@@ -95,6 +95,8 @@ UPRIGHT = (
 )
 Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
 UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
+PLANE = [(False, True), (True, True)]  # a turn and a slide, both upright: beside two level slides
+FAR = 50.0  # [m] travel of a slide that no gantry has
 NOTHING = 0.05  # of the mass of a robot: what simulators ask for of an empty link
 
 
@@ -293,19 +295,19 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides, asks: boo
         return on_wheels(rest, str(overrides.base), plain(candidates.wheels), candidates.wheels, overrides)
     if not found:
         raise no_base(rest, candidates.wheels, plain(candidates.wheels))
-    blind = blind_beside(rest, candidates.wheels)
-    question = Question(rest, candidates.wheels, attempt(rest, overrides, asks), blind, overrides.base is not None)
+    blind, sure = blind_beside(rest, candidates.wheels), overrides.base is not None or says_steered(overrides)
+    question = Question(rest, candidates.wheels, attempt(rest, overrides, asks), blind, sure)
     return question.best_of(found)
 
 
 def attempt(rest: AtRest, overrides: Overrides, asks: bool) -> Callable[[Mapping[str, Any]], BaseResult] | None:
-    """What becomes of the robot if the user says something more; None where that is what is tried."""
+    """Trial of what becomes of the robot if the user says something more; None within such a trial."""
     return (lambda said: understood(rest, msgspec.structs.replace(overrides, **said), asks=False)) if asks else None
 
 
-def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Iterator[Reading]:
+def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Iterator[Proposal]:
     """All that these wheels could make, of the kind that the user says."""
-    found = list[Reading]()
+    found = list[Proposal]()
     for under in undercarriages(rest, candidates, overrides):
         if under.steers:
             found.append(steered_reading(rest, candidates, under, overrides))
@@ -327,31 +329,31 @@ def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) ->
         raise not_that_kind(rest, kinds, overrides)
 
 
-def steered_reading(rest: AtRest, candidates: Candidates, under: Undercarriage, overrides: Overrides) -> Reading:
+def steered_reading(rest: AtRest, candidates: Candidates, under: Undercarriage, overrides: Overrides) -> Proposal:
     """The reading of modules in their roles."""
     names = [m.joint.name for m in under.of("steered", "waist")]
     said: dict[str, Any] = {"steer": names} if names else {"base": "casters"}
     build = partial(steered_base, rest, candidates, overrides, under)
-    return Reading(steered_kind(under), under.signs, said, build)
+    return Proposal(steered_kind(under), under.signs, said, build)
 
 
-def with_modules(rest: AtRest, reading: Reading, under: Undercarriage) -> Reading:
+def with_modules(rest: AtRest, reading: Proposal, under: Undercarriage) -> Proposal:
     """A reading of wheels that drive, with the modules beside them: casters, trailers."""
     signs, hitches = (*under.signs, *reading.signs), [m.joint.name for m in under.of("hitch")]
     if not hitches:
         return replace(reading, signs=signs)
     build = reading.build
-    return Reading(DriveWithTrailer.kind, signs, {"hitch": hitches}, lambda: behind_drive(rest, build(), under))
+    return Proposal(DriveWithTrailer.kind, signs, {"hitch": hitches}, lambda: behind_drive(rest, build(), under))
 
 
 def drive_readings(
     rest: AtRest, fixed: list[Candidate], wheels: list[Candidate], overrides: Overrides
-) -> list[Reading]:
-    """What wheels make that do not steer, of the kind that the user says."""
+) -> list[Proposal]:
+    """Readings of wheels that do not steer, of the kind that the user says."""
     words = [Sign(f"{why}: does it steer?", -6.0) for why in (steering_named(rest),) if why and len(fixed) > 2]
     belts, drums, named = tuple(belt_signs(rest, fixed)), on_arms(rest, fixed), overrides.wheels is not None
     drives = Drives(fixed, motors_named(rest), named, overrides.base, belts, words, drums)
-    found = list[Reading]()
+    found = list[Proposal]()
     for some in drives.sets():
         kinds = [kind for kind in drives.kinds(some) if overrides.base in (None, kind)]
         pieces = evidence(rest, some, overrides.controllers_file) if len(some) > 2 else []
@@ -361,7 +363,7 @@ def drive_readings(
             said: dict[str, Any] = {"wheels": names} if kind == "differential_drive" else {"base": kind}
             said |= {} if whole else {"wheels": names}
             build = partial(on_wheels, rest, kind, some, wheels, overrides)
-            found.append(Reading(kind, tuple(drives.signs(kind, some, pieces)), said, build))
+            found.append(Proposal(kind, tuple(drives.signs(kind, some, pieces)), said, build))
     return found
 
 
@@ -438,6 +440,9 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         raise unsupported(rest, "tracked machine", why, (), f"--base holonomic drives it by forces on its frame{more}")
     if why := belts_named(rest):
         raise undecided(rest, [], f"{why}: are its belts welded on", FORCES, ["tracked", "fixed"])
+    if hit := OUTDOORS.search(f"{rest.document.root.get('name', '')} {rest.document.path.stem}"):
+        why = f"it is called '{hit[0]}', and nothing in the file could be a wheel"
+        raise undecided(rest, [], why, FORCES, ["skid_steer", "fixed"])
     if not moving:
         fix = "--base holonomic drives it by forces on its frame, if it drives at all"
         raise unsupported(rest, "single rigid body", "it has no joint that moves", (), fix)
@@ -483,24 +488,26 @@ def welded(document: Document) -> tuple[Document, dict[str, str]]:
 
 
 def virtual_joints(document: Document) -> dict[str, str]:
-    """Joints with their types that place a robot in the plane: two level slides and a vertical turn.
+    """Joints with their types that place a robot in the plane: two level slides, an upright turn, maybe a slide.
 
-    Their links are empty, but for the little mass that some simulators ask for.
+    Their links are frames without shapes, but for the little mass that some simulators ask for; slides that go on and
+    on are no gantry's, whatever they weigh.
     """
     rest, link, chain = AtRest(document), document.root_link, list[Joint]()
-    mass = NOTHING * sum(rest.masses.values())
-    while len(chain) < 3:
+    little = NOTHING * sum(rest.masses.values())
+    while len(chain) < 2 + len(PLANE):
         below = document.moving_children(link)
+        far = any(j.type == "prismatic" and j.upper - j.lower > FAR for j in (*chain, *below))
+        mass = math.inf if far else little
         if len(below) != 1 or any(rest.mass(name) > mass or shaped(rest, name) for name in document.body(link)):
-            return {}
+            break
         chain.append(below[0])
         link = below[0].child
-    if not document.moving_children(link):  # they are all that it can do
-        return {}
-    slides = [j for j in chain if j.type == "prismatic" and rest.is_horizontal(j)]
-    turns = [j for j in chain if j.type in ("revolute", "continuous") and rest.is_vertical(j)]
-    crossed = len(slides) == 2 and len(turns) == 1 and abs(rest.axis(slides[0]) @ rest.axis(slides[1])) < HORIZONTAL
-    return {j.name: j.type for j in chain} if crossed else {}
+    level = [j for j in chain if j.type == "prismatic" and rest.is_horizontal(j)]
+    rest_of = sorted((j.type == "prismatic", rest.is_vertical(j)) for j in chain if j not in level)
+    crossed = len(level) == 2 and abs(rest.axis(level[0]) @ rest.axis(level[1])) < HORIZONTAL
+    places = crossed and rest_of in (PLANE[:1], PLANE)
+    return {j.name: j.type for j in chain} if places and document.moving_children(link) else {}
 
 
 def shaped(rest: AtRest, link: str) -> bool:
