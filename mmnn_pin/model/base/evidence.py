@@ -75,13 +75,10 @@ STEERED = re.compile(r"(?:ackermann|bicycle|tricycle)(?:_steering)?_controller|s
 
 @dataclass(frozen=True)
 class Evidence:
-    """One thing that speaks for a kind of base.
+    """A text, with its line, that speaks for `holonomic` or `skid_steer`; of one source it counts once for all wheels.
 
     Attributes:
-        meaning: The kind of base that it speaks for, `holonomic` or `skid_steer`.
-        text: What it is, with its line in the file.
-        line: That line.
-        source: Where it is from, a key of `WEIGHTS`; what one source says of several wheels counts once.
+        source: Where it is from, a key of `WEIGHTS`.
         wheel: Joint of the wheel that it is about, empty for all.
         roller: Roller angle that it states of that wheel [rad], see `Wheel`; nan when it states none.
     """
@@ -107,24 +104,13 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
     return [*found, *motors_of_some(rest, wheels), *contact(rest, wheels), *names(rest, wheels)]
 
 
-def stated_rollers(pieces: list[Evidence]) -> dict[str, float]:
-    """Roller angle of every wheel whose angle a piece states [rad]."""
-    return {piece.wheel: piece.roller for piece in pieces if not math.isnan(piece.roller)}
-
-
 def rollers(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
-    """Rollers modelled as joints on the wheels."""
-    for wheel in wheels:
-        if wheel.rollers:
-            name, line, angle = wheel.joint.name, wheel.joint.line, roller_angle(rest, wheel)
-            angles = f"rollers at {math.degrees(abs(angle)):.0f} degrees (line {line})"
-            yield Evidence("holonomic", f"'{name}' carries {len(wheel.rollers)} {angles}", line, "rollers", name, angle)
-
-
-def roller_angle(rest: AtRest, wheel: Candidate) -> float:
-    """Angle of the roller on the floor from the rolling direction, counterclockwise from above, in (-pi/2, pi/2]."""
-    joints = [rest.document.joints[name] for name in wheel.rollers]
-    return from_rolling(wheel, rest.axis(min(joints, key=lambda joint: rest.hub(joint)[2])))
+    """Rollers modelled as joints on the wheels, at the angle of the one on the floor, in (-pi/2, pi/2]."""
+    for wheel in (wheel for wheel in wheels if wheel.rollers):
+        lowest = min((rest.document.joints[name] for name in wheel.rollers), key=lambda joint: rest.hub(joint)[2])
+        name, line, angle = wheel.joint.name, wheel.joint.line, from_rolling(wheel, rest.axis(lowest))
+        angles = f"rollers at {math.degrees(abs(angle)):.0f} degrees (line {line})"
+        yield Evidence("holonomic", f"'{name}' carries {len(wheel.rollers)} {angles}", line, "rollers", name, angle)
 
 
 def from_rolling(wheel: Candidate, axis: Array) -> float:
@@ -186,25 +172,19 @@ def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     for block in rest.document.root.iterchildren("gazebo"):
         if block.get("reference") not in links:
             continue
-        mu1, mu2 = coefficient(block, "mu1"), coefficient(block, "mu2")
+        mu1, mu2 = ((numbers_of(block.find(f".//{tag}"), 1) or [math.nan])[0] for tag in ("mu1", "mu2"))
         where = f"of '{block.get('reference')}' (line {block.sourceline})"
         wheel, along = links[block.get("reference")], friction_direction(rest, block)
-        if mu1 > GRIP and mu2 < NO_FRICTION and is_oblique(along, wheel):
+        size = float(np.linalg.norm(along))
+        if mu1 > GRIP and mu2 < NO_FRICTION and 0.1 < abs(along @ wheel.axis) / (size or 1.0) < 0.995:
             text = f"contact friction holds only along an oblique direction {where}"
-            level = abs(along[2]) <= HORIZONTAL * np.linalg.norm(along)
-            roller = from_rolling(wheel, along) if level else math.nan
+            roller = from_rolling(wheel, along) if abs(along[2]) <= HORIZONTAL * size else math.nan
             yield Evidence("holonomic", text, block.sourceline, "oblique friction", wheel.joint.name, roller)
         elif mu1 < NO_FRICTION and mu2 < NO_FRICTION:
             yield Evidence("holonomic", f"contact friction is 0 {where}", block.sourceline, "no friction")
         elif mu1 > GRIP and mu2 > GRIP:
             text = f"contact friction {mu1:g}, {mu2:g} holds in all directions {where}"
             yield Evidence("skid_steer", text, block.sourceline, "friction")
-
-
-def coefficient(block: etree._Element, tag: str) -> float:
-    """A friction coefficient, nan when it is not stated as a number."""
-    values = numbers_of(block.find(f".//{tag}"), 1)
-    return values[0] if values else math.nan
 
 
 def friction_direction(rest: AtRest, block: etree._Element) -> Array:
@@ -223,12 +203,6 @@ def numbers_of(element: etree._Element | None, count: int) -> list[float]:
     return [] if number_problem(text, count) else [float(word) for word in text.split()]
 
 
-def is_oblique(direction: Array, wheel: Candidate) -> bool:
-    """Whether a direction has a part along a wheel's axle and one across it."""
-    size = float(np.linalg.norm(direction))
-    return size > 0 and 0.1 < abs(float(direction @ wheel.axis)) / size < 0.995
-
-
 def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     """Names of wheels and their meshes, and what the robot is called; they weigh little."""
     for wheel in wheels:
@@ -237,9 +211,8 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
         for source, word, words in (("names", "names", (name, wheel.joint.child)), ("meshes", "mesh", meshes)):
             for meaning, pattern in WORDS:
                 if hit := next(filter(None, map(pattern.search, words)), None):
-                    yield Evidence(
-                        meaning, f"'{hit[0]}' in the {word} of wheel '{name}' (line {line})", line, source, name
-                    )
+                    text = f"'{hit[0]}' in the {word} of wheel '{name}' (line {line})"
+                    yield Evidence(meaning, text, line, source, name)
     called = f"{rest.document.root.get('name', '')} {rest.document.path.name}"
     shown = " ".join(mesh.get("filename", "") for mesh in rest.document.root.iterfind("link/*/geometry/mesh"))
     if hit := MECANUM.search(f"{called} {shown}"):
@@ -286,13 +259,11 @@ def driving_words(rest: AtRest, controllers: str | None) -> list[tuple[str, str]
 
 
 class Stated(NamedTuple):
-    """A length of the base that a file states.
+    """A length of the base that a file states, and where; of the wheels of a side, or of all.
 
     Attributes:
-        value: As the controller works with it [m].
-        text: Where it stands.
-        nominal: Without multipliers [m].
-        side: Whose wheels it is of, "left" or "right"; empty for all.
+        value: As the controller works with it, with its multipliers [m].
+        nominal: Without them [m].
     """
 
     value: float

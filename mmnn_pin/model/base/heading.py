@@ -55,13 +55,7 @@ NECK = 2  # joints above an eye, at most: those of a hand look anywhere
 
 
 class Arrow(NamedTuple):
-    """A sign of where forward is.
-
-    Attributes:
-        text: What it is, in words.
-        towards: (2,) unit vector that it speaks for, in the root link.
-        weight: [nats].
-    """
+    """A sign of where forward is, in words: it speaks for a unit vector (2,) in the root link by a weight [nats]."""
 
     text: str
     towards: Array
@@ -75,13 +69,7 @@ def axis_name(direction: Array) -> str:
 
 
 class Heading(NamedTuple):
-    """The directions that a base may take as forward, the best first, each with its signs.
-
-    Attributes:
-        ways: (2,) each.
-        signs: Of each.
-        said: Whether the user says it.
-    """
+    """The directions (2,) that a base may take as forward, the best first, their signs, and whether a user says it."""
 
     ways: list[Array]
     signs: list[list[Sign]]
@@ -106,31 +94,30 @@ def heading(
     towed: Sequence[Array] = (),
     any_way: bool = False,
 ) -> Heading:
-    """Where forward is.
+    """Where forward is by the wheels that drive, or hold the base, and by the user's `forward` or two `wheels`.
 
-    Args:
-        rest: The robot at rest.
-        drives: The wheels that drive, or hold the base.
-        overrides: What the user says: `forward`, or `wheels` of two on one axle, the left one first.
-        steered: Places (2,) of what steers beside a fixed axle.
-        towed: Places (2,) of trailers.
-        any_way: Whether the base moves in all directions, however its wheels stand.
+    The places (2,) of what steers beside a fixed axle and of trailers tell it, too; a base that moves any way has four.
 
     Raises:
         ConfigError: The wheels do not roll along the axis that the user names.
     """
     ways = ways_of(drives, any_way)
-    found = [*arrows(rest, drives, overrides.controllers_file, any_way), *beside(drives, steered, towed)]
+    found = list(arrows(rest, drives, overrides.controllers_file, any_way))
+    middle = middle_of(drives)
+    found += arrow("trailers behind", [middle - place for place in towed], TOWED)
+    found += arrow("what steers ahead", [place - middle for place in steered], STEERED)
     signs = [
         [Sign(a.text, a.weight * cosine) for a in found if (cosine := float(product(a.towards, way))) > ALONG]
         for way in ways
     ]
-    order = sorted(range(len(ways)), key=lambda i: -score(signs[i]))  # equal ones as they are: along x, then y
-    said = said_way(rest, drives, overrides, ways)
-    if said is not None:
-        order.remove(said)
-        order.insert(0, said)
+    said = said_way(drives, overrides, ways)
+    order = sorted(range(len(ways)), key=lambda i: (i != said, -score(signs[i])))  # equal ones as they are: x, then y
     return Heading([ways[i] for i in order], [signs[i] for i in order], said is not None)
+
+
+def middle_of(drives: Sequence[Candidate]) -> Array:
+    """(2,) the middle of wheels on the floor, that of the root link without any."""
+    return np.asarray(np.mean([c.centre[:2] for c in drives], axis=0)) if drives else np.zeros(2)
 
 
 def ways_of(drives: Sequence[Candidate], any_way: bool) -> list[Array]:
@@ -143,7 +130,7 @@ def ways_of(drives: Sequence[Candidate], any_way: bool) -> list[Array]:
     return [way, -way + 0.0]
 
 
-def said_way(rest: AtRest, drives: Sequence[Candidate], overrides: Overrides, ways: Sequence[Array]) -> int | None:
+def said_way(drives: Sequence[Candidate], overrides: Overrides, ways: Sequence[Array]) -> int | None:
     """Number of the direction that the user says; None where he says none; errors as of `heading`."""
     if overrides.forward is not None:
         cosines = [float(product(FORWARD[overrides.forward], way)) for way in ways]
@@ -176,14 +163,7 @@ def left_first(rest: AtRest, wheels: Sequence[Candidate]) -> list[Candidate]:
 
 
 def arrow(text: str, vectors: Sequence[Array], weight: float, least: float = 1e-9) -> Iterator[Arrow]:
-    """The sign that several arrows make together, none where they contradict each other or are short.
-
-    Args:
-        text: What it is.
-        vectors: (2,) each.
-        weight: Of it.
-        least: Shortest sum that tells something.
-    """
+    """The sign that arrows (2,) make together; none where they contradict each other, or their sum is the least."""
     total = np.sum([*vectors, np.zeros(2)], axis=0)
     size, whole = float(np.linalg.norm(total)), sum(float(np.linalg.norm(v)) for v in vectors)
     if size > max(least, TOGETHER * whole):
@@ -192,7 +172,7 @@ def arrow(text: str, vectors: Sequence[Array], weight: float, least: float = 1e-
 
 def arrows(rest: AtRest, drives: Sequence[Candidate], controllers: str | None, any_way: bool) -> Iterator[Arrow]:
     """All signs of a robot where forward is; errors as of `heading`."""
-    middle = np.mean([c.centre[:2] for c in drives], axis=0) if drives else np.zeros(2)
+    middle = middle_of(drives)
     least = min((c.radius for c in drives if not math.isnan(c.radius)), default=0.0) / 2
     near = [name for name in rest.document.links if len(rest.document.moving_ancestors(name)) <= 1]
     at = {name: rest.placements[name][:2, 3] - middle for name in near}
@@ -243,34 +223,26 @@ def side_of(name: str) -> int:
 
 
 def told_sides(rest: AtRest, controllers: str | None) -> dict[str, int]:
-    """Sides of joints as plugins and a controllers' file have them, 1 for left.
-
-    Raises:
-        ConfigError: The file cannot be read.
-    """
+    """Sides of joints as plugins and a controllers' file have them, 1 for left; errors as of `lines_of`."""
     found = dict[str, int]()
     for element in rest.document.root.iterfind("gazebo//*"):
         if "joint" in str(element.tag).lower() and (side := side_of(str(element.tag))):
             found |= dict.fromkeys((element.text or "").split(), side)
-    for table in mappings_of(controllers).values():
-        for key, entry in table.items():
-            if "wheel" in key and (side := side_of(key)):
-                found |= dict.fromkeys(entry.items, side)
+    for key, entry in (item for table in mappings_of(controllers).values() for item in table.items()):
+        if "wheel" in key and (side := side_of(key)):
+            found |= dict.fromkeys(entry.items, side)
     return found
 
 
 def eyes(rest: AtRest, middle: Array, least: float) -> Iterator[Arrow]:
     """Where cameras and scanners of the body or of a head look, and where they are."""
-    seen = {
-        block.get("reference") for block in rest.document.root.iterchildren("gazebo") if len(block.findall("sensor"))
-    }
+    blocks = rest.document.root.iterchildren("gazebo")
+    seen = {block.get("reference") for block in blocks if block.find("sensor") is not None}
     names = [n for n in rest.document.links if EYES.search(n) or n in seen]
-    names = [n for n in names if len(rest.document.moving_ancestors(n)) <= NECK]
-    views = [rest.placements[n][:2, 2 if "optical" in n.lower() else 0] for n in names]
+    at = {n: rest.placements[n] for n in names if len(rest.document.moving_ancestors(n)) <= NECK}
+    views = [pose[:2, 2 if "optical" in n.lower() else 0] for n, pose in at.items()]
     yield from arrow("where cameras and scanners look", views, VIEW, 0.5)
-    yield from arrow(
-        "the place of cameras and scanners", [rest.placements[n][:2, 3] - middle for n in names], PLACE, least
-    )
+    yield from arrow("the place of cameras and scanners", [p[:2, 3] - middle for p in at.values()], PLACE, least)
 
 
 def props(rest: AtRest, drives: Sequence[Candidate]) -> list[Array]:
@@ -292,10 +264,3 @@ def reaches(rest: AtRest, joint: Joint) -> int:
     """Number of joints of the longest chain from a joint."""
     below = rest.document.moving_children(joint.child)
     return 1 + max((reaches(rest, j) for j in below), default=0)
-
-
-def beside(drives: Sequence[Candidate], steered: Sequence[Array], towed: Sequence[Array]) -> Iterator[Arrow]:
-    """Trailers are behind the axle, what steers is mostly ahead."""
-    middle = np.mean([c.centre[:2] for c in drives], axis=0) if drives else np.zeros(2)
-    yield from arrow("trailers behind", [middle - place for place in towed], TOWED)
-    yield from arrow("what steers ahead", [place - middle for place in steered], STEERED)

@@ -47,17 +47,7 @@ TAKEN = "taken is the geometry"
 
 
 def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrides: Overrides) -> Iterator[Finding]:
-    """Notes where joints, plugins or controllers have another track or radius than the geometry.
-
-    Args:
-        rest: The robot at rest.
-        base: Its base.
-        wheels: Its drive wheels, and maybe others.
-        overrides: What the user says; that is not questioned.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
-    """
+    """Notes where joints, plugins or controllers have another track or radius than the geometry; see `lines_of`."""
     if not base.wheels or base.shape:
         return
     drives = [c for c in wheels if c.joint.name in {w.joint for w in base.wheels}]
@@ -152,19 +142,10 @@ def apart(one: float, other: float) -> bool:
 
 
 def calibration(rest: AtRest, base: Base, overrides: Overrides) -> tuple[dict[str, Any], list[Finding]]:
-    """Corrections of a base's geometry by the robot's own controllers.
-
-    Args:
-        rest: The robot at rest.
-        base: Its base by its geometry.
-        overrides: What the user says; that is not corrected.
+    """Corrections of a base's geometry by the robot's own controllers, where the user does not say it; see `lines_of`.
 
     Returns:
-        `track` and `wheel_radii` as `Overrides` has them, as far as they are taken; that they are, and what
-        contradicts the URDF.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
+        `track` and `wheel_radii` as `Overrides` has them; that they are taken, and what contradicts the URDF.
     """
     taken, findings = dict[str, Any](), list[Finding]()
     if base.shape or not base.wheels:

@@ -1,17 +1,7 @@
 """Statements of the user about a robot's base and arm: in a call, on the command line or in a file beside the URDF.
 
-Beside `NAME.urdf` the file is `NAME.mmnn.toml`:
-
-    base = "differential_drive"          # or "holonomic", "fixed"
-    wheels = ["left_joint", "right_joint"]
-    radius = 0.1                         # m
-    track = 0.4                          # m
-    lock = ["head_1_joint", "gripper_joint=0.02"]
-    arm = "left"                         # of two; or "right", "both"
-    arm_tip = "tool0"
-    package_dirs = ["../meshes"]         # from the file's own folder
-
-What is said in a call, on the command line or in an experiment counts more than the file.
+Beside `NAME.urdf` the file is `NAME.mmnn.toml`, with the keys of `Overrides`; its folders and files start from its own
+folder. What is said in a call, on the command line or in an experiment counts more than the file.
 """
 
 from __future__ import annotations
@@ -116,21 +106,13 @@ class Overrides(Settings, frozen=True):
 
     @property
     def locks(self) -> dict[str, float | None]:
-        """Position of every joint in `lock`, None where it rests.
-
-        Raises:
-            ConfigError: A position that is not a finite number.
-        """
+        """Position of every joint in `lock`, None where it rests; errors as of `numbers_of`."""
         bare = {text: None for text in self.lock if "=" not in text}
         return bare | numbers_of([text for text in self.lock if "=" in text], "lock", "position to lock a joint at")
 
     @property
     def radius_of(self) -> dict[str, float]:
-        """Radius of every wheel in `wheel_radii` [m].
-
-        Raises:
-            ConfigError: No joint, or a radius that is not a finite number.
-        """
+        """Radius of every wheel in `wheel_radii` [m]; errors as of `numbers_of`."""
         return numbers_of(self.wheel_radii, "wheel_radii", "radius of a wheel")
 
     def over(self, other: Overrides) -> Overrides:
@@ -171,7 +153,11 @@ def folders_of(urdf: Path, overrides: Overrides) -> tuple[Path, ...]:
 
 
 def numbers_of(texts: Sequence[str], key: str, what: str) -> dict[str, float]:
-    """Numbers by joint that texts `joint=number` state; errors as of `Overrides.radius_of`."""
+    """Numbers by joint that texts `joint=number` state.
+
+    Raises:
+        ConfigError: No joint, or a number that is not finite.
+    """
     table = dict[str, float]()
     for text in texts:
         name, _, value = text.rpartition("=")

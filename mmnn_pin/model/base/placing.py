@@ -18,7 +18,7 @@ from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Wheel
 from .differential import DifferentialDrive
-from .evidence import evidence, motors_named, plugins, stated_rollers
+from .evidence import evidence, motors_named, plugins
 from .heading import heading
 from .holonomic import HolonomicBase
 from .overrides import Overrides
@@ -83,16 +83,15 @@ def on_wheels(
     return BaseResult(base, (*notes, *sliding_note(rest, drives, wheels)))
 
 
-def along_note(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
+def along_note(rest: AtRest, drives: list[Candidate]) -> Iterator[Finding]:
     """A note where only some wheels of a skid-steer base have motors: the others are taken as turned by these."""
     motors = motors_named(rest)
     powered = [c.joint.name for c in drives if c.joint.name in motors]
-    if not 0 < len(powered) < len(drives):
-        return []
-    text = f"of the wheels only {', '.join(powered)} have motors: {motors[powered[0]]}"
-    why = "the others are taken as turned along with those of their side, by a belt or chain"
-    fix = f"--wheels {','.join(powered)} where they roll freely" if len(powered) == 2 else ""
-    return [note(rest, "base-driven", powered[0], text, why, fix)]
+    if 0 < len(powered) < len(drives):
+        text = f"of the wheels only {', '.join(powered)} have motors: {motors[powered[0]]}"
+        why = "the others are taken as turned along with those of their side, by a belt or chain"
+        fix = f"--wheels {','.join(powered)} where they roll freely" if len(powered) == 2 else ""
+        yield note(rest, "base-driven", powered[0], text, why, fix)
 
 
 def sliding_note(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> Iterator[Finding]:
@@ -273,12 +272,10 @@ def casters_of(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -
 
 def placed_wheel(c: Candidate, at: Array, forward: Array, left: Array, alike: bool) -> Wheel:
     """The wheel in the control frame; parallel wheels have a sign, others a heading of their own."""
-    direction = rolling(c)
-    sign = math.copysign(1.0, product(direction, forward)) if alike else 1.0
-    heading = 0.0 if alike else atan2(float(product(direction, left)), float(product(direction, forward)))
+    ahead, beside = (float(product(rolling(c), way)) for way in (forward, left))
     x, y = float(product(at, forward)), float(product(at, left))
-    x = 0.0 if abs(x) < 1e-12 else x
-    return Wheel(c.joint.name, c.radius, sign, y=y, x=x, heading=heading)
+    sign, heading = (math.copysign(1.0, ahead), 0.0) if alike else (1.0, atan2(beside, ahead))
+    return Wheel(c.joint.name, c.radius, sign, y=y, x=0.0 if abs(x) < 1e-12 else x, heading=heading)
 
 
 def in_order(rest: AtRest, names: Sequence[str] | set[str]) -> tuple[str, ...]:
@@ -311,10 +308,9 @@ def skidding(
     first, rolls = drives[0].joint.name, turning_track(base.wheels)
     text = f"effective track {track:.4g} m, turning friction {base.turning:.3g} N m (mu {mu:g}, {mass:.4g} kg)"
     why = f"of wheels that skid the turn on the spot on a hard floor has about {rolls:.3g} m"
-    if overrides.track is None:
-        text = f"the effective track is taken as the geometric one: {text}"
-    findings = along_note(rest, drives)
-    findings += [note(rest, "base-skid", first, text, why, f"--track {rolls:.3g}, or as you measured it; --mu")]
+    text = f"the effective track is taken as the geometric one: {text}" if overrides.track is None else text
+    fix = f"--track {rolls:.3g}, or as you measured it; --mu"
+    findings = [*along_note(rest, drives), note(rest, "base-skid", first, text, why, fix)]
     if kind is Tracked:
         text = "a belt makes the radius larger by its thickness, which is not in the file"
         findings.append(note(rest, "base-skid", first, text, "", "--radius with the belt"))
@@ -339,8 +335,8 @@ def require_sides(
     places = {"on the left": left, "on the right": right, "in the middle": middle}
     told = "; ".join(f"{place} {', '.join(names)}" for place, names in places.items() if names)
     what = f"{len(drives)} wheel(s) for a {'tracked machine' if kind is Tracked else 'skid-steer base'}: {told}"
-    fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
-    fix = f"--wheels {','.join([*left, *right])} where these drive" if even else fix
+    several = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
+    fix = f"--wheels {','.join([*left, *right])} where these drive" if even else several
     raise ConfigError(what, fix=fix, key="wheels", file=rest.document.path)
 
 
@@ -348,14 +344,10 @@ def idlers(rest: AtRest, base: Base, drives: Sequence[Candidate]) -> list[str]:
     """Endless joints beside the wheels of a side, about parallel axes: sprockets and idlers of a belt."""
     known = {c.joint.name for c in drives}
     ends = [j for j in rest.document.moving_children(rest.document.root_link) if is_endless_end(rest, j)]
-    others = [wheel_of(rest, j) for j in ends if j.name not in known]
+    others = [c for c in (wheel_of(rest, j) for j in ends if j.name not in known) if parallel(c, drives[0])]
     c, s = cos_sin(base.frame[2])
-    left = np.array([-s, c])
-    return [
-        c.joint.name
-        for c in others
-        if parallel(c, drives[0]) and any(abs(product(left, (c.centre - d.centre)[:2])) < d.radius / 2 for d in drives)
-    ]
+    beside = [any(abs(product([-s, c], (o.centre - d.centre)[:2])) < d.radius / 2 for d in drives) for o in others]
+    return [o.joint.name for o, close in zip(others, beside, strict=True) if close]
 
 
 def require_together(rest: AtRest, drives: list[Candidate]) -> None:
@@ -365,10 +357,7 @@ def require_together(rest: AtRest, drives: list[Candidate]) -> None:
         Undecided: They would have to slide as the base drives straight on.
     """
     by_name = {c.joint.name: c for c in drives}
-    for c in drives:
-        master = by_name.get(c.joint.mimics or "")
-        if master is None:
-            continue
+    for c, master in [(c, by_name[c.joint.mimics]) for c in drives if c.joint.mimics in by_name]:
         right = master.radius / c.radius * math.copysign(1.0, product(rolling(c), rolling(master)))
         if abs(c.joint.multiplier / right - 1) > SAME_RATE:
             rate = f"{c.joint.multiplier / right:.3g} times as fast as '{master.joint.name}'"
@@ -408,7 +397,7 @@ def rolling_sideways(
     first, angle = drives[0].joint.name, overrides.roller
     if level and angle is None:
         pieces = evidence(rest, drives, overrides.controllers_file)
-        known = stated_rollers([piece for piece in pieces if piece.meaning == HolonomicBase.kind])
+        known = {piece.wheel: piece.roller for piece in pieces if not math.isnan(piece.roller)}
     if angle is None and not level:
         angle, text = 0.0, "omni wheels assumed: their rollers turn about the rolling direction (0 degrees)"
         why = "plain wheels whose axles cross could not roll together"
@@ -430,8 +419,7 @@ def rolling_sideways(
 def pushed(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
     """A holonomic base whose wheels are not modelled: forces on its frame drive it."""
     found = [c.joint for c in (*candidates.wheels, *candidates.near_misses, *candidates.limited)]
-    found += [joint for joint in rest.document.joints.values() if is_low(rest, joint)]
-    found += alike_on_root(rest)
+    found += [*(joint for joint in rest.document.joints.values() if is_low(rest, joint)), *alike_on_root(rest)]
     names = tuple(j.name for joint in found for j in rest.document.moving_ancestors(joint.child))
     floor = candidates.floor if math.isfinite(candidates.floor) else 0.0
     text = "the base has no drive wheels: forces and a torque on the root link drive it, without limits"

@@ -1,12 +1,9 @@
-"""The report of how a robot was understood: notes with stable codes beside the audit's, and refusals.
-
-A refusal lists what the base could be, each with the reasons for and against, or names the machine.
-"""
+"""The report of how a robot was understood: notes with stable codes beside the audit's, and refusals."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -94,15 +91,7 @@ def settle(audited: Sequence[Finding], findings: Sequence[Finding]) -> tuple[Fin
 
 
 def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], lowest: float, given: bool) -> list[Finding]:
-    """Warnings about radii that are odd, differ or are not measured, a floor elsewhere, and friction that holds.
-
-    Args:
-        rest: The robot at rest.
-        base: Its base.
-        wheels: Its drive wheels, and maybe others.
-        lowest: Height of its lowest point [m].
-        given: Whether the user states the radius.
-    """
+    """Warnings about radii, maybe given, a floor that is not at the lowest height [m], friction, welded wheels."""
     if not base.wheels:
         return []
     return [
@@ -132,11 +121,9 @@ def heading_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrid
     drives = [c for c in wheels if c.joint.name in names]
     if not drives or overrides.forward is not None:
         return
-    at = {
-        role: [rest.hub(rest.document.joints[p.joint])[:2] for p in pivots if (p.role == "passive") == role]
-        for role in (True, False)
-    }
-    found = heading(rest, drives, overrides, at[False], at[True], any_way)
+    at = [(p.role == "passive", rest.hub(rest.document.joints[p.joint])[:2]) for p in pivots]
+    steered, towed = ([place for passive, place in at if passive == role] for role in (False, True))
+    found = heading(rest, drives, overrides, steered, towed, any_way)
     way, other = map(axis_name, found.ways[:2])
     pro, contra = told_apart(found.signs[0], found.signs[1]), told_apart(found.signs[1], found.signs[0])
     why = f"for {way}: {', '.join(pro) or 'nothing'}; for {other}: {', '.join(contra) or 'nothing'}"
@@ -163,22 +150,16 @@ def size_notes(rest: AtRest, base: Base, given: bool) -> Iterator[Finding]:
         text = f"wheel '{large[0].joint}' has a radius of {large[0].radius:.4g} m on a track of {base.track:.4g} m"
         why, fix = "is its mesh in millimetres or inches?", "give the mesh its scale, or --radius"
         yield note(rest, "base-size", large[0].joint, text, why, fix)
-    for wheels in alike(base):
+    pivots, sizes_of = base.pivots if isinstance(base, SteeredBase) else (), dict[tuple[bool, bool], list[Wheel]]()
+    for w in base.wheels:  # of a base that steers those that drive, the others and those of trailers have a size each
+        towed = bool(pivots) and w.pivot >= 0 and pivots[w.pivot].role == "passive"
+        sizes_of.setdefault((w.driven or not pivots, towed), []).append(w)
+    for wheels in sizes_of.values():
         radii = [w.radius for w in wheels]
         if max(radii) - min(radii) > SAME_RADIUS * max(radii):
             sizes = ", ".join(f"'{w.joint}' {w.radius:.4g} m" for w in wheels)
             why, fix = "they are used as they are", "--radius if they should be alike"
             yield note(rest, "base-radius", wheels[0].joint, f"the wheels' radii differ: {sizes}", why, fix)
-
-
-def alike(base: Base) -> Iterable[list[Wheel]]:
-    """Wheels that should have one size: of a base that steers those that drive, the others, those of trailers."""
-    pivots = base.pivots if isinstance(base, SteeredBase) else ()
-    found: dict[tuple[bool, bool], list[Wheel]] = {}
-    for w in base.wheels:
-        towed = bool(pivots) and w.pivot >= 0 and pivots[w.pivot].role == "passive"
-        found.setdefault((w.driven or not pivots, towed), []).append(w)
-    return found.values()
 
 
 def floor_notes(rest: AtRest, base: Base, lowest: float) -> Iterator[Finding]:
@@ -217,9 +198,10 @@ def welded_note(rest: AtRest, welded: Sequence[Joint]) -> Iterator[Finding]:
 
 def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
     """Notes on joints that were locked without being asked to, one per reason, and on what may be otherwise."""
-    notes = []
-    for reason in dict.fromkeys(arm.reasons.values()):
-        names = [name for name, why in arm.reasons.items() if why == reason]
+    notes, by_reason = list[Finding](), dict[str, list[str]]()
+    for name, reason in arm.reasons.items():
+        by_reason.setdefault(reason, []).append(name)
+    for reason, names in by_reason.items():
         if "taken as a" in reason:
             fix = "--free JOINT lets one move, --free all every one"
             notes.append(note(rest, "arm-locked", names[0], f"locked: {few(names)}", reason, fix, "arm"))
@@ -337,57 +319,45 @@ def undecided(
     wheels: Sequence[Candidate],
     why: str,
     fix: str,
-    readings: Sequence[BaseReading | str] = (),
-    line: int | None = None,
+    could: Sequence[BaseReading | str] = (),
+    line: int = 0,
 ) -> Undecided:
     """The error that lists what could be a wheel, and what the base could be: readings, or kinds that `why` tells."""
-    texts, found = tuple(c.text for c in wheels), [BaseReading(r, ()) if isinstance(r, str) else r for r in readings]
+    texts, found = tuple(c.text for c in wheels), [BaseReading(r, ()) if isinstance(r, str) else r for r in could]
     listed = f"{len(wheels)} wheel(s) found: {'; '.join(texts)}" if wheels else "no wheel that turns is found"
     what = f"the base is undecided: {listed}{'; it could be ' if found else ''}{' or '.join(map(str, found))}"
-    error = Undecided(
-        what,
-        why=why,
-        fix=fix,
-        file=rest.document.path,
-        line=line or (wheels[0].joint.line if wheels else None),
-    )
+    at = line or (wheels[0].joint.line if wheels else None)
+    error = Undecided(what, why=why, fix=fix, file=rest.document.path, line=at)
     error.candidates, error.readings = texts, tuple(found)
     return error
 
 
 def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[str] = ()) -> Undecided:
     """The error for what would be drive wheels but for one thing; `package_dirs` were given for meshes."""
-    near_misses, fix = (
-        candidates.near_misses,
-        "--base holonomic drives it by forces on its frame; --base fixed parks it",
-    )
-    gap = min(c.bottom for c in near_misses) - candidates.floor
-    ends = f"end {gap:.3g} m above the robot's lowest point"
-    if any(abs(c.axis[2]) > VERTICAL for c in near_misses):
-        why = "their axle is vertical"
-        fix = "turn the robot so that z points up (a file with y up?); --base fixed parks them"
-    elif any(abs(c.axis[2]) > HORIZONTAL for c in near_misses):
+    near, gap = candidates.near_misses, min(c.bottom for c in candidates.near_misses) - candidates.floor
+    why, parks = f"they end {gap:.3g} m above the robot's lowest point", "--base fixed parks them"
+    fix = "--base holonomic drives it by forces on its frame; --base fixed parks it"
+    if any(abs(c.axis[2]) > VERTICAL for c in near):
+        why, fix = "their axle is vertical", f"turn the robot so that z points up (a file with y up?); {parks}"
+    elif any(abs(c.axis[2]) > HORIZONTAL for c in near):
         why = "wheels roll about a horizontal axis here, not with camber: that is not covered"
-    elif any(c.shape == LUMPY for c in near_misses):
-        why, fix = lumpy(rest, near_misses)
-    elif any(math.isnan(c.radius) for c in near_misses):
+    elif any(c.shape == LUMPY for c in near):
+        why, fix = lumpy(rest, near)
+    elif any(math.isnan(c.radius) for c in near) and any(c.shape == PARTIAL for c in near):
+        why = "meshes are missing, none is measured from what is left, and nothing tells where the floor is"
+        empty = f" (not in {' or '.join(package_dirs)})" if package_dirs else ""
+        fix = f"give --radius METRES, or --package-dir FOLDER where their meshes are{empty}; {parks}"
+    elif any(math.isnan(c.radius) for c in near):
         why = "no shape of them can be read, and nothing tells where the floor is"
-        fix = "give --radius METRES, or make their shapes cylinders; --base fixed parks them"
-        if any(c.shape == PARTIAL for c in near_misses):
-            why = "meshes are missing, none is measured from what is left, and nothing tells where the floor is"
-            empty = f" (not in {' or '.join(package_dirs)})" if package_dirs else ""
-            fix = (
-                f"give --radius METRES, or --package-dir FOLDER where their meshes are{empty}; --base fixed parks them"
-            )
-    elif min(c.centre[2] for c in near_misses) > height_at(rest, 0.5) and gap > min(c.radius for c in near_misses):
-        why, fix = f"they {ends}, in its upper half", "turn it over if it stands on its head; --base fixed parks them"
-    else:
-        why, names = f"they {ends}", ",".join(c.joint.name for c in left_first(rest, near_misses))
-        if len(near_misses) > 1:
-            larger = "with --radius METRES if they are larger"
-            fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
-    upright = all(c.mount in ("steering", "swivel") for c in near_misses)
-    return undecided(rest, near_misses, why, fix, ["swerve" if upright else "differential_drive"])
+        fix = f"give --radius METRES, or make their shapes cylinders; {parks}"
+    elif min(c.centre[2] for c in near) > height_at(rest, 0.5) and gap > min(c.radius for c in near):
+        why, fix = f"{why}, in its upper half", f"turn it over if it stands on its head; {parks}"
+    elif len(near) > 1:
+        names = ",".join(c.joint.name for c in left_first(rest, near))
+        larger = "with --radius METRES if they are larger"
+        fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
+    upright = all(c.mount in ("steering", "swivel") for c in near)
+    return undecided(rest, near, why, fix, ["swerve" if upright else "differential_drive"])
 
 
 def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:
@@ -434,13 +404,9 @@ def blind_fix(rest: AtRest, wheels: Sequence[Candidate]) -> str:
 def unsupported(rest: AtRest, name: str, why: str, wheels: Sequence[Candidate] = (), fix: str = "") -> Unsupported:
     """The refusal of a machine by what is seen of it, and what that may be."""
     drives = ", ".join(kind.words for kind in KINDS.values())
+    what = f"this cannot be driven here, a {name} perhaps"
+    fix = fix or f"this package drives {drives}; --base fixed takes it as an arm"
     line: int | None = wheels[0].joint.line if wheels else rest.document.root.sourceline
-    error = Unsupported(
-        f"this cannot be driven here, a {name} perhaps",
-        why=why,
-        fix=fix or f"this package drives {drives}; --base fixed takes it as an arm",
-        file=rest.document.path,
-        line=line,
-    )
+    error = Unsupported(what, why=why, fix=fix, file=rest.document.path, line=line)
     error.machine = name
     return error
