@@ -243,7 +243,7 @@ def require_used(overrides: Overrides, base: Base) -> None:
     unused["mu"] = not base.scrubs
     steers = any(p.role != "passive" for p in pivots)
     unused |= {"steer": not steers, "hitch": not pivots, "wheelbase": not steers, "steering_limit": not steers}
-    unused |= {"roller": unused["roller"] or not base.wheels, "forward": not base.joints}
+    unused |= {"roller": unused["roller"] or not base.wheels, "forward": not base.columns}
     for key, ignored in unused.items():
         if ignored and getattr(overrides, key) is not None:
             what = f"a {key.replace('_', ' ')} for a base '{base.kind}'"
