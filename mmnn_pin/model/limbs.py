@@ -42,6 +42,7 @@ WEIGHTS: dict[str, tuple[float, float, float, float]] = {  # of a sign for each 
     "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0),
     "it pans, and what it carries tilts": (1.0, -0.5, 0.0, 0.0),
     "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.0, 0.0),
+    "it carries what turns without end about a level axis": (-0.5, 0.0, 0.0, 0.0),
     "it carries a camera": (1.5, -0.5, 1.0, 0.0),
     "it carries a lidar": (0.5, -0.5, 2.5, 0.0),
     "it carries the frame of a tool": (-4.0, -2.0, -4.0, -4.0),
@@ -292,6 +293,9 @@ class Limbs:
         joint, branch, rest = self.rest.document.joints[name], self.tree[name], self.rest
         if any(self.followers.get(led) == name for led in self.followers if led in (*branch.beside, *branch.carried)):
             yield "another joint follows it"
+        joints = [rest.document.joints[led] for led in branch.carried if led != name]
+        if any(j.turns_freely and rest.is_horizontal(j) for j in joints):
+            yield "it carries what turns without end about a level axis"
         travel, alone = joint.upper - joint.lower, not branch.below
         if joint.type == "prismatic" and alone and travel <= STROKE:
             yield "it slides by a few centimetres and carries no joint"

@@ -295,7 +295,7 @@ def leads(found: Roles | InputError, made: Made, said: Mapping[str, Any], steps:
     if is_true(found, made):
         return "right"
     for more in ways(found, made) if steps else ():
-        both = {**said, **more}
+        both = {**said, **more, "free": (*said.get("free", ()), *(n for n in more.get("free", ()) if n not in said.get("free", ())))}
         if both != said and leads(outcome(made.text, both), made, both, steps - 1):
             return "offered"
     return ""
@@ -339,3 +339,46 @@ def built_as_said(found: Roles, said: Mapping[str, Any]) -> bool:
     if "forward" in said:
         truth += [float(np.dot(polar(1.0, base.frame[2]), FORWARD[said["forward"]])) > 0.1]
     return all(truth)
+
+
+# -- promises ----------------------------------------------------------------------------------------------------------
+
+DRAWN = settings(max_examples=150, deadline=None)
+
+
+@st.composite
+def robots(draw: st.DrawFn, kinds: Sequence[str] = KINDS_MADE) -> Made:
+    """Robots as drawn."""
+    return made_by(lambda some: draw(st.sampled_from(some)), kinds)
+
+
+@given(robots())
+@DRAWN
+def test_what_is_accepted_is_true_or_a_doubt_and_what_is_asked_offers_the_truth(made):
+    found = outcome(made.text, {})
+    assert leads(found, made, {}), found if isinstance(found, InputError) else (found.base, found.arm, made)
+
+
+@given(robots(), st.integers(0, 99))
+@DRAWN
+def test_the_order_of_a_file_changes_nothing(made, seed):
+    assert facts(outcome(made.text, {})) == facts(outcome(shuffled(made, seed).text, {}))
+
+
+@given(robots())
+@DRAWN
+def test_every_option_that_is_printed_does_what_it_says(made):
+    for said in ways(outcome(made.text, {}), made):
+        found = outcome(made.text, said)
+        if isinstance(found, InputError):  # a radius leads to the next question, with its options
+            assert "radius" in said and list(ways(found, made)), found
+        else:
+            assert built_as_said(found, said), said
+
+
+@given(robots(), st.data())
+@DRAWN
+def test_what_a_user_says_is_built_or_refused_by_one_error(made, data):
+    said = statements(made, lambda some: data.draw(st.sampled_from(some)))
+    found = outcome(made.text, said)
+    assert isinstance(found, InputError) or built_as_said(found, said), (said, found)

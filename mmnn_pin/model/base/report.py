@@ -26,7 +26,7 @@ from .heading import axis_name, heading, left_first
 from .overrides import Overrides
 from .skid_steer import GRAVITY
 from .steered import SteeredBase
-from .wheels import HUB, LUMPY, PARTIAL, TILTED, TOUCHING, Candidate, Candidates, coaxial, height_at
+from .wheels import HUB, LUMPY, PARTIAL, TILTED, TOUCHING, Candidate, Candidates, coaxial, height_at, parallel
 
 LARGE, WIDE = 2.0, 3.0  # [m], fraction of the track; no wheel of a robot has a larger radius
 NO_FRICTION = "no joint has damping or friction"
@@ -187,7 +187,7 @@ def size_notes(rest: AtRest, base: Base, given: bool) -> Iterator[Finding]:
         radii = [w.radius for w in wheels]
         if max(radii) - min(radii) > SAME_RADIUS * max(radii):
             sizes = ", ".join(f"'{w.joint}' {w.radius:.4g} m" for w in wheels)
-            why, fix = "they are used as they are", "--radius if they should be alike"
+            why, fix = "they are used as they are", "--radius METRES if they should be alike"
             yield note(rest, "base-radius", wheels[0].joint, f"the wheels' radii differ: {sizes}", why, fix)
 
 
@@ -445,7 +445,12 @@ def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[st
         if len(near_misses) > 1:
             larger = "with --radius METRES if they are larger"
             fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
-    two = BaseReading("differential_drive", ("coaxial wheels",), (why,))
+    kind, seen = "differential_drive", "coaxial wheels"
+    if not all(parallel(near_misses[0], c) for c in near_misses):
+        kind, seen = "holonomic", "wheels whose axles cross"
+    elif len(near_misses) > 2:
+        kind, seen = "skid_steer", f"{len(near_misses)} parallel wheels"
+    two = BaseReading(kind, (seen,), (why,))
     if all(c.mount in ("steering", "swivel") for c in near_misses):
         two = BaseReading("swerve", ("wheels under joints about vertical axes",), (why,))
     return undecided(rest, near_misses, [two], why, fix)

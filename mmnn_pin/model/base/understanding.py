@@ -236,7 +236,7 @@ def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseR
     base = replace(base, casters=in_order(rest, {*base.casters, *(j.name for j in strays)}))
     names = ", ".join(f"'{j.name}'" for j in strays)
     why = "low on the base and endless: hardly joints of an arm"
-    fix = f"name them in --wheels if they drive, --free {strays[0].name} if it is the arm's"
+    fix = f"--wheels JOINTS with them if they drive, --free {strays[0].name} if it is the arm's"
     stray = note(rest, "base-stray", strays[0].name, f"joints that may be wheels stand still: {names}", why, fix)
     return BaseResult(base, (*result.findings, stray))
 
@@ -495,7 +495,10 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     """The error for wheels whose joints have limits."""
     names = ", ".join(f"'{c.joint.name}'" for c in candidates.limited)
     why = f"{names}: revolute with limits, and a wheel turns without end"
-    two = BaseReading("differential_drive", ("coaxial round bodies on the floor",), (why,))
+    all_turn = replace(candidates, wheels=[*candidates.wheels, *candidates.limited])
+    found = sorted(base_readings(rest, all_turn, Overrides()), key=lambda reading: -reading.score)
+    kind = found[0].kind if found else "differential_drive"
+    two = BaseReading(kind, ("round bodies on the floor",), (why,))
     still = BaseReading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
     drives = ",".join(c.joint.name for c in left_first(rest, plain(candidates.wheels)))
     others = f"name the others with --wheels {drives}, " if drives else ""
