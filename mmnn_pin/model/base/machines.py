@@ -19,7 +19,7 @@ from ...elementary import hypot
 from ..signs import Sign
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .report import blind_fix, readings, undecided, unsupported
+from .report import blind_fix, undecided, unsupported
 from .wheels import LOW, MOST_PER_SIDE, Candidate, height_at, is_low, wheel_of
 
 MESHES = "link/*/geometry/mesh"
@@ -268,7 +268,7 @@ def require_measured(rest: AtRest, wheels: list[Candidate]) -> None:
     blind = [wheel_of(rest, j) for j in rest.document.joints.values() if is_low(rest, j) and j.name not in known]
     if len(blind) >= 2:
         why = "what would drive them cannot be measured"
-        raise undecided(rest, [*wheels, *blind], readings(rest, blind), why, blind_fix(rest, blind))
+        raise undecided(rest, [*wheels, *blind], why, blind_fix(rest, blind))
 
 
 def in_texts(wheels: Sequence[Candidate]) -> str:

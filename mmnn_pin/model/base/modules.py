@@ -31,7 +31,7 @@ from ...signals import Array
 from ..signs import Sign
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .evidence import controllers_motors, driving_words, motors_named
+from .evidence import driving_words, motors_named
 from .overrides import Overrides
 from .report import in_words, unsupported
 from .steered import STEERED_KINDS
@@ -182,7 +182,7 @@ def undercarriages(rest: AtRest, candidates: Candidates, overrides: Overrides) -
     modules += without_spin(rest, candidates, modules, fixed, overrides) if fixed else []
     modules.sort(key=lambda m: len(rest.document.moving_ancestors(m.joint.child)))
     require_pivots(rest, modules, overrides)
-    motors = {**motors_named(rest), **controllers_motors(rest, overrides.controllers_file)}
+    motors = motors_named(rest, overrides.controllers_file)
     return list(with_roles(rest, Undercarriage(modules, fixed, motors), overrides))
 
 

@@ -8,14 +8,14 @@ readings in question, each built before it is printed. That these wheels make no
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from ...errors import InputError
-from ..signs import MARGIN, Sign, score, told_apart
+from ..signs import MARGIN, Sign, told_apart
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .evidence import Evidence
@@ -34,30 +34,16 @@ FORCES = "--base holonomic to drive it by forces on its frame, or --base fixed t
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """One way to understand a base.
+class Reading(BaseReading):
+    """A reading that a base can be built by.
 
     Attributes:
-        kind: What it would be, a key of `KINDS`.
-        signs: What speaks for it and against it.
         said: What a user says for it, keys of `Overrides`.
         build: Makes it; raises what `understanding` raises where it cannot be.
     """
 
-    kind: str
-    signs: tuple[Sign, ...]
     said: Mapping[str, Any]
-    build: Callable[[], BaseResult] = field(repr=False)
-
-    @property
-    def score(self) -> float:
-        """The sum of its signs."""
-        return score(self.signs)
-
-    @property
-    def told(self) -> BaseReading:
-        """It with its reasons in words."""
-        return BaseReading.of(self.kind, self.signs)
+    build: Callable[[], BaseResult]
 
     @property
     def options(self) -> str:
@@ -120,8 +106,8 @@ class Question:
             why = f"the signs do not tell which: {'; '.join(texts)}"
         ways = [f"{r.options} {when(r, rivals)}".strip() for r in rivals if self.leads_on(r)]
         first = {reading.kind: reading for reading in reversed(others) if reading.kind.replace("_", " ") not in kinds}
-        listed = [reading.told for reading in [*rivals, *reversed(first.values())][:4]]
-        return undecided(self.rest, list(self.wheels), listed, why, "; ".join([*ways, self.last]))
+        listed = [*rivals, *reversed(first.values())][:4]
+        return undecided(self.rest, self.wheels, why, "; ".join([*ways, self.last]), listed)
 
     @property
     def last(self) -> str:
@@ -134,16 +120,16 @@ class Question:
 
     def whether(self, best: Reading, others: Sequence[Reading]) -> Exception:
         """The question whether a reading is meant though much speaks against it."""
-        listed = [reading.told for reading in [best, *others][:4]]
+        listed = [best, *others][:4]
         if self.blind:
             why = "what turns on some of them cannot be measured, or does not reach the floor"
             everything = [*self.wheels, *self.blind]
-            return undecided(self.rest, everything, listed, why, blind_fix(self.rest, everything))
+            return undecided(self.rest, everything, why, blind_fix(self.rest, everything), listed)
         against = [sign.text for sign in best.signs if sign.weight < 0]
         ways = [f"{best.options} {when(best, [best])}"] if self.leads_on(best) else []
         if any("<mimic>" in text for text in against):
             ways.append("take out their <mimic> if they turn by themselves")
-        return undecided(self.rest, list(self.wheels), listed, "; ".join(against), "; ".join([*ways, self.last]))
+        return undecided(self.rest, self.wheels, "; ".join(against), "; ".join([*ways, self.last]), listed)
 
 
 def when(reading: Reading, rivals: Sequence[Reading]) -> str:
@@ -259,7 +245,7 @@ class Drives:
         if kind == "skid_steer" and one_axle(drives):
             yield Sign(f"{len(drives)} wheels on one axle: twin tyres whose sides turn alike", 1.0)
         if kind in ROLLING and not in_rows(drives):
-            yield Sign("the wheels of a side do not stand in a row", -6.0)
+            yield Sign("the wheels of a side do not stand in a row", -8.0)
         if kind == "tracked":
             yield from self.belts or [Sign("no belt is in the file", -5.0)]
         elif kind == "holonomic" and belts > 0:
