@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import random
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from drives import CYLINDER, LIMIT, LYING_CYLINDER, joint, link, origin
+from drawn import KINDS_MADE, Made, Pick, made_by, polar, shuffled
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lxml import etree
-from steered import ARM, LAYOUTS, urdf_of
 
 from mmnn_pin.errors import InputError
 from mmnn_pin.model.base import KINDS
@@ -23,233 +19,8 @@ from mmnn_pin.model.base.steered import SteeredBase
 from mmnn_pin.model.base.understanding import Roles, understand
 from mmnn_pin.model.urdf.reading import parse
 
-Pick = Callable[[Sequence[Any]], Any]
 LISTS = ("wheels", "steer", "hitch")
 OPTION = re.compile(r"--(base|wheels|radius|steer|hitch|lock|free|forward) ([\w.,-]*\w)")
-TURNS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
-WORDS = {  # honest words, and those of other languages
-    "german": {"left": "links", "right": "rechts", "front": "vorne", "rear": "hinten", "wheel": "rad", "caster":
-               "lenkrolle", "arm": "gelenk", "jaw": "backe", "head": "kopf", "steer": "lenk", "drive": "antrieb",
-               "lift": "hub"},
-    "french": {"left": "gauche", "right": "droite", "front": "avant", "rear": "arriere", "wheel": "roue", "caster":
-               "roulette", "arm": "bras", "jaw": "doigt", "head": "tete", "steer": "direction", "hitch": "remorque"},
-    "swapped": {"left": "right", "right": "left", "front": "rear", "rear": "front"},
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Made:
-    """A robot of drawn structure, and the truth about it.
-
-    Attributes:
-        text: The URDF.
-        kind: Of its base.
-        wheels: Joints of its wheels; of a base that does not steer those that drive.
-        pivots: Joints that steer, or on which trailers follow.
-        motors: All joints of the base that have motors.
-        arm: Joints of its arm; those of a head where there is none.
-        drums: Endless joints at the ends of booms, which may be counted with these or not.
-        forward: (2,) in the root link; None where nobody could know it.
-        radius: Of its drive wheels [m].
-    """
-
-    text: str
-    kind: str
-    wheels: frozenset[str]
-    pivots: frozenset[str]
-    motors: frozenset[str]
-    arm: frozenset[str]
-    drums: frozenset[str] = frozenset()
-    forward: tuple[float, float] | None = (1.0, 0.0)
-    radius: float = 0.1
-
-
-# -- structures --------------------------------------------------------------------------------------------------------
-
-
-def wheel(name: str, x: float, y: float, radius: float, yaw: float = 0.0, parent: str = "base", z: float = 0.0) -> str:
-    """A cylinder on an endless level joint, at a height over the floor."""
-    R = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    body = link(f"{name}_link", 1.0, 0.004, CYLINDER.format(r=radius), LYING_CYLINDER)
-    return body + joint(name, "continuous", parent, f"{name}_link", R, (x, y, radius + z))
-
-
-def caster(name: str, x: float, y: float, radius: float, trail: float) -> str:
-    """A wheel on a swivel."""
-    swivel = link(f"{name}_link", 0.3, 0.001)
-    swivel += joint(name, "continuous", "base", f"{name}_link", p=(x, y, 2.5 * radius), axis=(0, 0, 1))
-    return swivel + wheel(f"{name}_wheel", -trail, 0.0, radius, parent=f"{name}_link", z=-2.5 * radius)
-
-
-def chassis(pick: Pick, kind: str) -> Made:
-    """A base that does not steer: wheels on a box, and casters or balls."""
-    r, half = pick((0.1, 0.06, 0.2)), pick((0.25, 0.2))
-    text = link("base", 30.0, 1.0, '<box size="0.6 0.35 0.2"/>', origin(p=(0, 0, 2 * r + 0.1)))
-    if kind == "differential_drive":
-        places = [("left_wheel", 0.0, half, 0.0), ("right_wheel", 0.0, -half, 0.0)]
-        for k, (x, y) in enumerate(((-0.25, 0.0), (0.25, 0.0), (-0.25, 0.1), (0.25, 0.1))[: pick(range(5))]):
-            if pick((True, False)):
-                text += caster(f"caster_{k}", x, y, 0.4 * r, pick((0.03, 0.1, 0.012, 0.005, 0.0)))
-            else:
-                text += link(f"ball_{k}", 0.1, 1e-4, f'<sphere radius="{0.3 * r}"/>')
-                text += joint(f"ball_{k}_mount", "fixed", "base", f"ball_{k}", p=(x, y, 0.3 * r))
-    elif kind == "omni":
-        n, start = pick((3, 4)), pick((0.0, np.pi / 4))
-        places = [(f"wheel_{k}", *polar(0.3, start + 2 * np.pi * k / n), start + 2 * np.pi * k / n + np.pi / 2) for k in range(n)]
-    else:
-        rows = {"front": 0.25, "rear": -0.25} | ({"middle": 0.0} if kind == "skid_steer" and pick((False, True)) else {})
-        mark = "" if kind != "mecanum" else "mecanum_"
-        places = [(f"{row}_{side}_{mark}wheel", x, y, 0.0) for row, x in rows.items() for side, y in (("left", half), ("right", -half))]
-    text += "".join(wheel(name, x, y, r, yaw) for name, x, y, yaw in places)
-    names = frozenset(name for name, *_ in places)
-    title = "tracked_robot" if kind == "tracked" else "robot"
-    kind = {"omni": "holonomic", "mecanum": "holonomic"}.get(kind, kind)
-    return Made(f'<robot name="{title}">{text}</robot>', kind, names, frozenset(), names, frozenset(), radius=r)
-
-
-def polar(r: float, angle: float) -> tuple[float, float]:
-    return r * float(np.cos(angle)), r * float(np.sin(angle))
-
-
-@cache
-def layout(name: str) -> Made:
-    """A base that steers, of `steered`, with its arm of three."""
-    base = LAYOUTS[name]()
-    wheels, pivots = frozenset(w.joint for w in base.wheels), frozenset(p.joint for p in base.pivots)
-    made = Made(urdf_of(base), base.kind, wheels, pivots, frozenset(base.driven), frozenset(ARM))
-    return replace(made, forward=polar(1.0, float(base.frame[2])), radius=base.wheels[0].radius)
-
-
-def with_limbs(made: Made, pick: Pick) -> Made:
-    """With an arm, jaws, a head, a lidar, drums on arms, as drawn."""
-    text, arm, drums, mount, z = "", list[str](), list[str](), "base", 0.5
-    turn = LIMIT.format(-2, 2)
-    if not made.arm and pick((True, False)):
-        if pick((False, True)):
-            text += link("lift_link", 3.0) + joint("lift", "prismatic", "base", "lift_link", p=(0, 0, z), axis=(0, 0, 1), more=LIMIT.format(0, 0.4))
-            mount, z, arm = "lift_link", 0.2, ["lift"]
-        for k, axis in enumerate(((0, 0, 1), (0, 1, 0), (0, 1, 0), (1, 0, 0), (0, 1, 0), (1, 0, 0))[: pick((3, 6, 4))], 1):
-            text += link(f"arm_{k}_link", 2.0, 0.01) + joint(f"arm_{k}", "revolute", mount, f"arm_{k}_link", p=(0.05, 0, z), axis=axis, more=turn)
-            arm, mount, z = [*arm, f"arm_{k}"], f"arm_{k}_link", 0.2
-        if pick((True, False)):
-            for side, y in (("left", 0.03), ("right", -0.03)):
-                text += link(f"{side}_jaw_link", 0.1, 1e-4) + joint(f"{side}_jaw", "prismatic", mount, f"{side}_jaw_link", p=(0, y, 0.08), axis=(0, 1, 0), more=LIMIT.format(0, 0.03))
-    if pick((False, True)):
-        text += link("head_pan_link", 0.5, 0.002) + joint("head_pan", "revolute", "base", "head_pan_link", p=(-0.2, 0, 0.9), axis=(0, 0, 1), more=turn)
-        text += link("head_tilt_link", 0.5, 0.002) + joint("head_tilt", "revolute", "head_pan_link", "head_tilt_link", p=(0, 0, 0.08), more=turn)
-        text += link("head_camera", 0.0) + joint("head_camera_mount", "fixed", "head_tilt_link", "head_camera", p=(0.05, 0, 0))
-    if pick((False, True)):
-        text += link("lidar_link", 0.2, 1e-3) + joint("lidar_spin", "continuous", "base", "lidar_link", p=(0.2, 0, 0.45), axis=(0, 0, 1))
-    if made.kind in ("skid_steer", "differential_drive") and (arm or "head_pan" not in text) and pick((False, False, True)):
-        for k, x in enumerate((0.45, -0.45)):
-            text += link(f"boom_{k}_link", 1.0, 0.01) + joint(f"boom_{k}", "revolute", "base", f"boom_{k}_link", p=(x, 0, 0.3), more=turn)
-            text += wheel(f"drum_{k}", 0.2 * np.sign(x), 0.0, 0.8 * made.radius, parent=f"boom_{k}_link", z=-0.15)
-            arm, drums = [*arm, f"boom_{k}"], [*drums, f"drum_{k}"]
-    if not arm and not made.arm and "head_pan" in text:
-        arm = ["head_pan", "head_tilt"]
-    whole = made.text.replace("</robot>", f"{text}</robot>")
-    return replace(made, text=whole, arm=frozenset((*made.arm, *arm)), drums=frozenset(drums))
-
-
-# -- how a file is written ---------------------------------------------------------------------------------------------
-
-
-def turned(made: Made, angle: float) -> Made:
-    """With another frame of the root link."""
-    root = etree.fromstring(made.text)
-    children = {e.find("child").get("link") for e in root.iterchildren("joint")}
-    link = next(e for e in root.iterchildren("link") if e.get("name") not in children)
-    owners = [e for e in link] + [e for e in root.iterchildren("joint") if e.find("parent").get("link") == link.get("name")]
-    c, s = np.cos(angle), np.sin(angle)
-    for element in owners:
-        place = element.find("origin")
-        if place is None:
-            place = etree.SubElement(element, "origin")
-        x, y, z = map(float, place.get("xyz", "0 0 0").split())
-        roll, pitch, yaw = map(float, place.get("rpy", "0 0 0").split())
-        place.set("xyz", f"{float(c * x - s * y)!r} {float(s * x + c * y)!r} {z!r}")
-        place.set("rpy", f"{roll!r} {pitch!r} {yaw + angle!r}")
-    x, y = made.forward or (0.0, 0.0)
-    forward = None if made.forward is None else (float(c * x - s * y), float(s * x + c * y))
-    return replace(made, text=etree.tostring(root).decode(), forward=forward)
-
-
-def renamed(made: Made, new: Callable[[str], str]) -> Made:
-    """With other names of joints and links."""
-    root = etree.fromstring(made.text)
-    table = {e.get("name"): new(e.get("name")) for e in root if e.tag in ("joint", "link")}
-    if len(set(table.values())) < len(table):
-        return made
-    for e in root.iter("joint", "link", "parent", "child", "mimic"):
-        for key in ("name", "link", "joint"):
-            if e.get(key) in table:
-                e.set(key, table[e.get(key)])
-    sets = {key: frozenset(table[n] for n in getattr(made, key)) for key in ("wheels", "pivots", "motors", "arm", "drums")}
-    return replace(made, text=etree.tostring(root).decode(), **sets)
-
-
-def neutral(made: Made) -> Made:
-    """With names that tell nothing."""
-    root = etree.fromstring(made.text)
-    root.set("name", "machine")
-    numbers = {e.get("name"): f"{e.tag[0]}{k}" for k, e in enumerate(root)}
-    return renamed(replace(made, text=etree.tostring(root).decode()), numbers.__getitem__)
-
-
-def in_words(language: str) -> Callable[[str], str]:
-    """Names with the words of a language."""
-    return lambda name: "_".join(WORDS[language].get(word, word) for word in name.split("_"))
-
-
-def shuffled(made: Made, seed: int) -> Made:
-    """With joints and links in another order."""
-    root = etree.fromstring(made.text)
-    parts = list(root)
-    random.Random(seed).shuffle(parts)
-    root[:] = parts
-    return replace(made, text=etree.tostring(root).decode())
-
-
-def unseen(made: Made, pick: Pick) -> Made:
-    """With a missing visual mesh on every wheel, beside the collision shape that was there."""
-    mesh = '<visual><geometry><mesh filename="package://nowhere/wheel.stl"/></geometry></visual>'
-    ends = re.sub(r"(<link name=\"[^\"]*wheel_link\">)", rf"\1{mesh}", made.text)
-    return replace(made, text=ends)
-
-
-def powered(made: Made, names: Sequence[str]) -> Made:
-    """With transmissions of some joints."""
-    blocks = "".join(f'<transmission name="t_{n}"><joint name="{n}"/></transmission>' for n in sorted(names))
-    return replace(made, text=made.text.replace("</robot>", f"{blocks}</robot>"))
-
-
-def made_by(pick: Pick, kinds: Sequence[str]) -> Made:
-    """A robot as drawn; what nobody could know of it is no part of the truth."""
-    kind = pick(kinds)
-    made = layout(kind) if kind in LAYOUTS else chassis(pick, kind)
-    made = with_limbs(made, pick)
-    motors = pick(("none", "right", "all"))
-    made = unseen(made, pick) if pick((False, False, True)) else made
-    angle = pick(TURNS)
-    made = turned(made, angle)
-    names = pick(("honest", "neutral", *WORDS))
-    if motors == "right":
-        made = powered(made, [*made.motors, *made.arm])
-    elif motors == "all":
-        free = re.findall(r'<joint name="((?!caster_\d"|hitch)[^"]*)" type="(?!fixed)', made.text)
-        made = powered(made, free)
-    if names == "neutral":
-        made = neutral(replace(made, kind="skid_steer" if kind == "tracked" else made.kind))
-    elif names != "honest":
-        made = renamed(made, in_words(names))
-    if pick((False, True)):
-        made = renamed(made, lambda name: f"robot1_{name}")
-    if names == "swapped" or kind == "omni" or (angle != 0.0 and (names == "neutral" or kind not in ("skid_steer", "differential_drive", "mecanum"))):
-        made = replace(made, forward=None)
-    return made
-
-
-KINDS_MADE = ("differential_drive", "skid_steer", "mecanum", "omni", "tracked", *LAYOUTS)
 
 
 # -- what is understood ------------------------------------------------------------------------------------------------
@@ -280,7 +51,8 @@ def base_is_true(found: Roles | InputError, made: Made) -> bool:
 
 def ways(found: Roles | InputError, made: Made) -> Iterator[dict[str, Any]]:
     """The options of every command that is printed: in an error, or in warnings."""
-    fixes = [found.fix] if isinstance(found, InputError) else [f.fix for f in (*found.findings, *found.notes) if f.severity == "warning"]
+    told = [] if isinstance(found, InputError) else [*found.findings, *found.notes]
+    fixes = [found.fix] if isinstance(found, InputError) else [f.fix for f in told if f.severity == "warning"]
     for way in re.split(r"; |, or | or | if |, and ", " or ".join(f or "" for f in fixes)):
         said = dict[str, Any]()
         for key, value in OPTION.findall(way.replace("METRES", repr(made.radius))):
@@ -295,7 +67,7 @@ def leads(found: Roles | InputError, made: Made, said: Mapping[str, Any], steps:
     if is_true(found, made):
         return "right"
     for more in ways(found, made) if steps else ():
-        both = {**said, **more, "free": (*said.get("free", ()), *(n for n in more.get("free", ()) if n not in said.get("free", ())))}
+        both = {**said, **more, "free": tuple(dict.fromkeys((*said.get("free", ()), *more.get("free", ()))))}
         if both != said and leads(outcome(made.text, both), made, both, steps - 1):
             return "offered"
     return ""
@@ -309,7 +81,8 @@ def facts(found: Roles | InputError) -> tuple[object, ...]:
     base = found.base
     wheels = sorted((w.joint, round(w.radius, 9), w.sign) for w in base.wheels)
     frame = tuple(np.round(np.append(base.frame[:2], polar(1.0, base.frame[2])), 6) + 0.0)
-    return base.kind, wheels, frame, sorted(found.arm.joints), sorted(found.arm.locked), sorted(f.code for f in found.findings)
+    codes = sorted(f.code for f in (*found.findings, *found.notes))
+    return base.kind, wheels, frame, sorted(found.arm.joints), sorted(found.arm.locked), codes
 
 
 def statements(made: Made, pick: Pick) -> dict[str, Any]:
@@ -321,7 +94,7 @@ def statements(made: Made, pick: Pick) -> dict[str, Any]:
     if key == "base":
         return {"base": pick(tuple(KINDS))}
     if key == "wheels":
-        return {"wheels": tuple(random.Random(pick(range(999))).sample(sorted(made.wheels), pick((2, 2, 2))))}
+        return {"wheels": tuple(random.Random(pick(range(999))).sample(sorted(made.wheels), 2))}
     if key == "steer":
         return {"steer": (pick(sorted(made.pivots) or joints),)}
     return {key: pick(tuple(FORWARD) if key == "forward" else ARMS)}
@@ -335,7 +108,8 @@ def built_as_said(found: Roles, said: Mapping[str, Any]) -> bool:
         truth += [{*said["wheels"]} == {*placed}]
         truth += [base.kind != "differential_drive" or placed[said["wheels"][0]].y > 0]
     if "steer" in said:
-        truth += [isinstance(base, SteeredBase) and said["steer"][0] in [p.joint for p in base.pivots if p.role != "passive"]]
+        pivots = base.pivots if isinstance(base, SteeredBase) else ()
+        truth += [said["steer"][0] in [p.joint for p in pivots if p.role != "passive"]]
     if "forward" in said:
         truth += [float(np.dot(polar(1.0, base.frame[2]), FORWARD[said["forward"]])) > 0.1]
     return all(truth)
