@@ -107,8 +107,8 @@ def of_other_arm(rest: AtRest, base: Base, hands: Sequence[Hand], arm: str | Non
     if arm is None:
         return []
     if len(hands) != 2:
-        what, why = f"no {arm} arm", f"'{rest.document.path.stem}' has {len(hands)} arm(s)"
-        fix = "leave it out, or name the end of the arm with --arm-tip LINK"
+        what, why = f"'{arm}' of two arms", f"'{rest.document.path.stem}' has {len(hands) or 'none'}"
+        fix = "leave --arm out, or name the end of the arm with --arm-tip LINK"
         raise ConfigError(what, why=why, fix=fix, file=rest.document.path, key="arm")
     own = [[name for name in hand.joints if name not in other.joints] for hand, other in (hands, hands[::-1])]
     named = [[any(side.search(name) for name in joints) for side in SIDES] for joints in own]

@@ -41,6 +41,7 @@ WEIGHTS: dict[str, tuple[float, float, float, float, float]] = {  # of a sign fo
     "it hangs on a rocker": (0.0, 0.0, 0.0, 0.0, 7.0),
     "it is all at the height at which rockers turn": (0.0, 0.0, 0.0, 0.0, 7.0),
     "it slides or spins at its end, beside a longer chain on an arm": (0.0, 0.0, 0.0, 0.0, 7.0),
+    "it carries what turns without end about a level axis": (-0.5, 0.0, 0.0, 0.0, 0.0),
     "it carries a camera": (1.5, -0.5, 1.0, 0.0, 0.0),
     "it carries a lidar": (0.5, -0.5, 2.5, 0.0, 0.0),
     "it carries the frame of a tool": (-4.0, -2.0, -4.0, -4.0, -4.0),
@@ -320,7 +321,11 @@ class Limbs:
         along = rest.hub(before) - rest.hub(first)
         rolls = abs(float(product(rest.axis(before), along))) > ALONG * length(along) > 0
         across = abs(float(product(rest.axis(joint), rest.axis(before)))) < 1 - ALONG
+        carried = [self.joint(led) for led in branch.carried if led != name]
         return {
+            "it carries what turns without end about a level axis": any(
+                j.turns_freely and rest.is_horizontal(j) for j in carried
+            ),
             "it slides by a few centimetres and carries no joint": travel <= STROKE,
             "it slides by two centimetres at most on the base and carries no joint": travel <= BUTTON
             and not branch.above,

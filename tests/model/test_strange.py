@@ -229,7 +229,7 @@ def test_a_name_of_tracks_can_be_overruled():
     with pytest.raises(Undecided, match="'flipper_fl' among its names") as error:
         robot_of(text)
     kinds = [followed(text, way).base.kind for way in ways_of(error.value.fix)]
-    assert kinds == ["tracked", "skid_steer", "holonomic", "fixed"]
+    assert kinds == ["tracked", "skid_steer", "fixed"]  # holonomic would be mecanum wheels, not forces
 
 
 # --- Bases without wheels ---------------------------------------------------------------------------------------------

@@ -99,7 +99,7 @@ def track_named(rest: AtRest, pattern: re.Pattern[str] = TRACK_NAMES) -> str:
     """A name that tells that a machine runs on tracks, empty where there is none."""
     meshes = (mesh.get("filename", "") for mesh in rest.document.root.iterfind(MESHES))
     called = f"{rest.document.root.get('name', '')} {rest.document.path.stem}"
-    if hit := re.search("tank", called, re.IGNORECASE):
+    if re.search("tank", called, re.IGNORECASE) or TANK_NAMES.search(called):
         return f"'{called.strip()}' is its name"
     names = [*rest.document.links, *rest.document.joints, *("/".join(m.split("/")[-2:]) for m in meshes)]
     hit = next(filter(None, map(pattern.search, names)), None)

@@ -193,7 +193,7 @@ def require_used(overrides: Overrides, base: Base) -> None:
     steers = any(p.role != "passive" for p in pivots)
     used = {"radius": bool(names), "track": len(names) > 1, "roller": base.sideways and bool(names), "mu": base.scrubs}
     used |= {"steer": steers, "hitch": bool(pivots), "wheelbase": steers, "steering_limit": steers}
-    for key, uses in (used | {"forward": bool(base.joints)}).items():
+    for key, uses in (used | {"forward": bool(base.columns)}).items():
         if not uses and getattr(overrides, key) is not None:
             what = f"a {key.replace('_', ' ')} for a base '{base.kind}'{'' if names else ' without drive wheels'}"
             raise ConfigError(what, why="nothing would use it", fix="leave it out, or say what the base is", key=key)

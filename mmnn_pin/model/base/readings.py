@@ -2,7 +2,7 @@
 
 A reading gives every wheel and every pivot a role, all together; its score is the sum of its signs (`model.signs`).
 The best is taken where it beats the next by `MARGIN`. Else the loader asks, and prints the options that lead to the
-readings in question, each built before it is printed. That these wheels make no base is a reading, too: `NOTHING`.
+readings in question, each built before it is printed. That these wheels make no base is a reading, too: `NO_BASE`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .evidence import Evidence
 from .report import BaseReading, BaseResult, blind_fix, note, undecided
 from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, coaxial, on_either_side, one_axle, parallel, rolling
 
-NOTHING = -4.0  # score of the reading that these wheels make no base
+NO_BASE = -4.0  # score of the reading that these wheels make no base
 CLEAR, DOUBT = 9.0, 3.0  # a runner-up further behind is not told; a nearer one is told as a doubt
 LARGE = 0.13  # [m] radius beyond which few wheels have rollers: 1 of 14 on public robots, of plain ones 9 of 22
 IN_ROW = 0.2  # wheels of a side may differ in place by this fraction of the width
@@ -80,7 +80,7 @@ class Question:
         ordered = sorted(readings, key=lambda reading: -reading.score)
         best, others = ordered[0], ordered[1:]
         near = [reading for reading in others if best.score - reading.score < MARGIN]
-        doubtful = best.score - NOTHING < MARGIN and not self.sure
+        doubtful = best.score - NO_BASE < MARGIN and not self.sure
         rivals = near if self.attempt is None else [reading for reading in near if self.leads_on(reading)]
         if rivals:
             raise self.which([best, *rivals], [reading for reading in others if reading not in rivals])
@@ -105,8 +105,18 @@ class Question:
         if texts:
             why = f"the signs do not tell which: {'; '.join(texts)}"
         ways = [f"{r.options} {when(r, rivals)}".strip() for r in rivals if self.leads_on(r)]
-        last = PARKED if "holonomic" in kinds else FORCES
-        return undecided(self.rest, self.wheels, why, "; ".join([*ways, last]), [*rivals, *others][:4])
+        first = {reading.kind: reading for reading in reversed(others) if reading.kind.replace("_", " ") not in kinds}
+        listed = [*rivals, *reversed(first.values())][:4]
+        return undecided(self.rest, self.wheels, why, "; ".join([*ways, self.last]), listed)
+
+    @property
+    def last(self) -> str:
+        """The way out that is always left: to drive the base by forces where it has no wheels for that, to park it."""
+        try:
+            pushed = self.attempt is not None and not self.attempt({"base": "holonomic"}).base.wheels
+        except InputError:
+            pushed = False
+        return FORCES if pushed else PARKED
 
     def whether(self, best: Proposal, others: Sequence[Proposal]) -> Exception:
         """The question whether a reading is meant though much speaks against it."""
@@ -119,7 +129,7 @@ class Question:
         ways = [f"{best.options} {when(best, [best])}"] if self.leads_on(best) else []
         if any("<mimic>" in text for text in against):
             ways.append("take out their <mimic> if they turn by themselves")
-        return undecided(self.rest, self.wheels, "; ".join(against), "; ".join([*ways, FORCES]), listed)
+        return undecided(self.rest, self.wheels, "; ".join(against), "; ".join([*ways, self.last]), listed)
 
 
 def when(reading: Proposal, rivals: Sequence[Proposal]) -> str:
@@ -133,7 +143,8 @@ def when(reading: Proposal, rivals: Sequence[Proposal]) -> str:
         "drive_trailer": "if it follows freely",
         "articulated": "if a motor turns it",
     }
-    return words.get(reading.kind, "if they steer" if "steer" in reading.said else "")
+    steer = {0: "", 1: "if it steers"}.get(len(reading.said.get("steer", ())), "if they steer")
+    return words.get(reading.kind, steer)
 
 
 def reading_note(rest: AtRest, best: Proposal, others: Sequence[Proposal]) -> list[Finding]:

@@ -32,6 +32,7 @@ from .wheels import (
     Candidates,
     coaxial,
     height_at,
+    parallel,
     welded_cylinders,
 )
 
@@ -158,7 +159,7 @@ def size_notes(rest: AtRest, base: Base, given: bool) -> Iterator[Finding]:
         radii = [w.radius for w in wheels]
         if max(radii) - min(radii) > SAME_RADIUS * max(radii):
             sizes = ", ".join(f"'{w.joint}' {w.radius:.4g} m" for w in wheels)
-            why, fix = "they are used as they are", "--radius if they should be alike"
+            why, fix = "they are used as they are", "--radius METRES if they should be alike"
             yield note(rest, "base-radius", wheels[0].joint, f"the wheels' radii differ: {sizes}", why, fix)
 
 
@@ -356,8 +357,10 @@ def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[st
         names = ",".join(c.joint.name for c in left_first(rest, near))
         larger = "with --radius METRES if they are larger"
         fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
-    upright = all(c.mount in ("steering", "swivel") for c in near)
-    return undecided(rest, near, why, fix, ["swerve" if upright else "differential_drive"])
+    kind = "differential_drive" if len(near) < 3 else "skid_steer"
+    kind = kind if all(parallel(near[0], c) for c in near) else "holonomic"
+    kind = "swerve" if all(c.mount in ("steering", "swivel") for c in near) else kind
+    return undecided(rest, near, why, fix, [kind])
 
 
 def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:

@@ -105,7 +105,8 @@ def require_alike(rest: AtRest, under: Undercarriage) -> None:
     odd = [m for m in steered if m.trails(rest)]
     if len(steered) > 1 and odd:
         names, trail = ", ".join(f"'{m.joint.name}'" for m in odd), abs(odd[0].lever(rest)[0])
-        why = f"the wheel under {names} stands {trail:.3g} m behind its axis, and others steer"
+        why = f"the wheel under {names} stands {trail:.3g} m behind its axis"
+        why += ", and others steer" if len(odd) < len(steered) else ""
         two = left_first(rest, under.fixed) if len(under.fixed) == 2 and coaxial(*under.fixed) else []
         pair = ",".join(c.joint.name for c in two)
         casters = f"--wheels {pair} if they are casters; " if pair else ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +17,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ...errors import ConfigError
+from ...errors import ConfigError, RobotError
 from ..arm import Arm, choose_arm
 from ..signs import Sign
 from ..urdf.document import Document, Joint, text_of
@@ -52,7 +53,7 @@ from .placing import (
     require_possible,
     require_used,
 )
-from .readings import FORCES, ROLLING, Drives, Proposal, Question
+from .readings import FORCES, NO_BASE, ROLLING, Drives, Proposal, Question
 from .report import (
     BaseResult,
     Undecided,
@@ -94,6 +95,7 @@ UPRIGHT = (
     "like bodies turn without end about vertical axes: do they steer, or swivel, is their <axis> wrong, or is y up"
 )
 Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
+PARKING = re.compile(r"(?:; |,? or |, |^)--base fixed [^;,]*")  # the way out for what has an arm
 UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
 PLANE = [(False, True), (True, True)]  # a turn and a slide, both upright: beside two level slides
 FAR = 50.0  # [m] travel of a slide that no gantry has
@@ -134,14 +136,25 @@ def understand(document: Document, overrides: Overrides) -> Roles:
     """
     document, welds = welded(document)
     rest = AtRest(document, folders_of(document.path, overrides))
-    found = find_base(rest, overrides)
-    require_rolling(rest, found.base, welds, overrides)
+    try:
+        found = find_base(rest, overrides)
+        require_rolling(rest, found.base, welds, overrides)
+    except RobotError as error:
+        if "--base fixed" in error.fix and not is_arm(rest, overrides):
+            raise error.but(fix=PARKING.sub("", error.fix).lstrip(";, ")) from None
+        raise
     arm = choose_arm(rest, found.base, overrides)
     if not found.base.columns and not arm.joints:
         fix = "--free JOINT moves one that is locked"
         raise unsupported(rest, "single rigid body", "no joint of it moves", (), fix)
     notes = (*arm_notes(rest, arm), *weld_notes(rest, welds))
     return Roles(document, rest, found.base, arm, found.findings, notes, found.taken)
+
+
+def is_arm(rest: AtRest, overrides: Overrides) -> bool:
+    """Whether something of a robot moves once its base is parked."""
+    still = Overrides(base="fixed", lock=overrides.lock, package_dirs=overrides.package_dirs)
+    return bool(choose_arm(rest, find_base(rest, still).base, still).joints)
 
 
 def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
@@ -216,7 +229,7 @@ def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseR
     base = replace(base, casters=in_order(rest, {*base.casters, *(j.name for j in strays)}))
     names = ", ".join(f"'{j.name}'" for j in strays)
     why = "low on the base and endless: hardly joints of an arm"
-    fix = f"name them in --wheels if they drive, --free {strays[0].name} if it is the arm's"
+    fix = f"--wheels JOINTS with them if they drive, --free {strays[0].name} if it is the arm's"
     stray = note(rest, "base-stray", strays[0].name, f"joints that may be wheels stand still: {names}", why, fix)
     return BaseResult(base, (*result.findings, stray))
 
@@ -291,8 +304,10 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides, asks: boo
     found = list(base_readings(rest, candidates, overrides))
     if overrides.base == "holonomic" and not found:
         return pushed(rest, candidates, overrides)
-    if not found and overrides.base in ROLLING:  # with the error that says why
+    if not found and overrides.base in ROLLING and len(plain(candidates.wheels)) > 2:  # with the error that says why
         return on_wheels(rest, str(overrides.base), plain(candidates.wheels), candidates.wheels, overrides)
+    if not found and overrides.base is not None:
+        require_kind(rest, candidates, overrides)
     if not found:
         raise no_base(rest, candidates.wheels, plain(candidates.wheels))
     blind, sure = blind_beside(rest, candidates.wheels), overrides.base is not None or says_steered(overrides)
@@ -316,17 +331,10 @@ def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) ->
         said = under.said(overrides) if under.of("hitch") else overrides
         for reading in drive_readings(rest, under.fixed, own.wheels, said):
             found.append(with_modules(rest, reading, under))
-    kinds = [reading.kind for reading in found]
     for reading in found:
         alone = overrides.base in CARS and reading.kind in CARS  # one steered wheel, or a bicycle model of two
         if overrides.base in (None, reading.kind) or alone:
             yield reading
-    if (
-        overrides.base in STEERED
-        and overrides.base not in kinds
-        and not (overrides.base in CARS and {*kinds} & {*CARS})
-    ):
-        raise not_that_kind(rest, kinds, overrides)
 
 
 def steered_reading(rest: AtRest, candidates: Candidates, under: Undercarriage, overrides: Overrides) -> Proposal:
@@ -367,11 +375,20 @@ def drive_readings(
     return found
 
 
-def not_that_kind(rest: AtRest, kinds: list[str], overrides: Overrides) -> ConfigError:
-    """The error for a kind of base that the user says and no reading of the file is."""
-    why = f"its wheels make {' or '.join(dict.fromkeys(kinds))}" if kinds else "no wheel of it steers"
-    fix = "leave it out, or --steer and --hitch name what steers and what is a hitch"
-    return ConfigError(f"this is no '{overrides.base}'", why=why, fix=fix, key="base", file=rest.document.path)
+def require_kind(rest: AtRest, candidates: Candidates, overrides: Overrides) -> None:
+    """Refuse a kind of base that the user says and no reading of the file is.
+
+    Raises:
+        ConfigError: The wheels make others, or none of them steers.
+    """
+    others = list(base_readings(rest, candidates, msgspec.structs.replace(overrides, base=None)))
+    others = sorted((r for r in others if r.score > NO_BASE or len(others) == 1), key=lambda r: -r.score)
+    kinds = dict.fromkeys(reading.kind for reading in others)
+    if kinds or overrides.base in STEERED:
+        why = f"its wheels could make {' or '.join(kinds)}" if kinds else "no wheel of it steers"
+        steers = overrides.base in STEERED and {*kinds} & {*STEERED}
+        fix = f"leave it out{', or --steer and --hitch name what steers and what is a hitch' if steers else ''}"
+        raise ConfigError(f"this is no '{overrides.base}'", why=why, fix=fix, key="base", file=rest.document.path)
 
 
 def require_sound_wheels(rest: AtRest, candidates: Candidates, overrides: Overrides) -> None:
@@ -465,10 +482,13 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     """The error for wheels whose joints have limits."""
     names = ", ".join(f"'{c.joint.name}'" for c in candidates.limited)
     why = f"{names}: revolute with limits, and a wheel turns without end"
+    all_turn = replace(candidates, wheels=[*candidates.wheels, *candidates.limited])
+    found = sorted(base_readings(rest, all_turn, Overrides()), key=lambda reading: -reading.score)
+    kind = found[0].kind if found else "differential_drive"
     drives = ",".join(c.joint.name for c in left_first(rest, plain(candidates.wheels)))
     others = f"name the others with --wheels {drives}, " if drives else ""
     fix = f'write type="continuous" in {names} for wheels, {others}or --base fixed to park them'
-    return undecided(rest, [*candidates.wheels, *candidates.limited], why, fix, ["differential_drive", "fixed"])
+    return undecided(rest, [*candidates.wheels, *candidates.limited], why, fix, [kind, "fixed"])
 
 
 # -- joints that stand a robot in the world ----------------------------------------------------------------------------

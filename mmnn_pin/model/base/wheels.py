@@ -89,7 +89,7 @@ class Candidate:
     @property
     def text(self) -> str:
         """Its joint, shape, size and place in words."""
-        x, y, _ = self.centre
+        x, y, _ = np.round(self.centre, 6) + 0.0
         size = "radius unknown" if math.isnan(self.radius) else f"radius {self.radius:.4g} m"
         size += f", {self.left:.4g} m without it" if self.shape == PARTIAL and not math.isnan(self.left) else ""
         tilt = math.degrees(math.asin(min(1.0, abs(self.axis[2]))))
