@@ -19,7 +19,7 @@ from ..settings import Settings
 from ..settings.arguments import unknown_key, wrong_type
 from ..signals import Array
 from .base.overrides import Overrides, folders_of, with_file
-from .base.report import BaseReading, Undecided, Unsupported
+from .base.report import SPEAKS, BaseReading, Undecided, Unsupported
 from .base.steered import SteeredBase
 from .dynamics import Dynamics
 from .robot import Robot, revolute
@@ -100,7 +100,7 @@ def as_dict(finding: Finding) -> dict[str, Any]:
 
 def reading_of(reading: BaseReading) -> dict[str, Any]:
     """One way to read a base, by names."""
-    return {"kind": reading.kind, "for": list(reading.reasons), "against": list(reading.objections)}
+    return {"kind": reading.kind, **{word: reading.told(side) for word, side in SPEAKS.items()}}
 
 
 def base_of(robot: Robot) -> dict[str, Any]:

@@ -35,7 +35,7 @@ def score(signs: Sequence[Sign]) -> float:
 
 
 def told_apart(best: Sequence[Sign], other: Sequence[Sign], most: int = 3) -> list[str]:
-    """What speaks for one reading rather than for another, the strongest first, at most so much of it."""
+    """Signs that speak for one reading rather than for another, in words, the strongest first, at most so many."""
     weights = {sign.text: sign.weight for sign in best}
     for sign in other:
         weights[sign.text] = weights.get(sign.text, 0.0) - sign.weight

@@ -359,9 +359,8 @@ def test_two_pairs_of_which_one_is_driven():
     rear = "".join(wheel(n, (-0.4, y, 0.06), radius=0.06) for n, y in (("rl", 0.25), ("rr", -0.25)))
     motors = "".join(f'<transmission name="t{n}"><joint name="{n}"/></transmission>' for n in ("left", "right"))
     robot = robot_of(chassis(pair() + rear + motors))
-    assert [w.joint for w in robot.base.wheels] == ["left", "right"] and "rl, rr" in next(
-        f.why for f in robot.findings if f.code == "base-driven"
-    )
+    assert [w.joint for w in robot.base.wheels] == ["left", "right"] and robot.base.casters == ("rl", "rr")
+    assert "alone with motors, by <transmission>" in codes(robot)["base-doubt"]
 
 
 @given(st.lists(st.floats(0.4, 2.4), min_size=3, max_size=3), st.floats(0, 6))

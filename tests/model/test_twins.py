@@ -349,7 +349,7 @@ def test_wheels_a_little_over_what_reaches_deepest_of_a_flat_base_have_a_way_out
     ("left", "right", "code", "words"),
     [
         ("left", "right", "", ""),
-        ("right", "left", "base-sides", "names 'right', which is on the right"),
+        ("right", "left", "base-sides", "is on the left: does the robot drive along -x"),
         ("wheel_l", "wheel_r", "base-stated", "names 'wheel_r', which the robot does not have"),
     ],
 )

@@ -260,7 +260,7 @@ def test_two_of_three_wheels_that_have_motors_drive():
     assert robot_of(text, wheels=("left", "right")).base.casters == ("third",)
     motors = "".join(f'<transmission name="t{n}"><joint name="{n}"/></transmission>' for n in ("left", "right"))
     robot = robot_of(text.replace("</robot>", motors + "</robot>"))
-    assert robot.base.casters == ("third",) and "<transmission>" in codes(robot)["base-driven"]
+    assert robot.base.casters == ("third",) and "<transmission>" in codes(robot)["base-evidence"]
 
 
 # --- Locked means locked ----------------------------------------------------------------------------------------------

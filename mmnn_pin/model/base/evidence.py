@@ -1,23 +1,20 @@
 """Evidence of a base beside its geometry: rollers, contact friction, plugins, controllers, names; and stated lengths.
 
-Geometry cannot tell mecanum wheels from plain ones: both are four parallel cylinders. Each piece of evidence speaks
-for one of `holonomic` and `skid_steer`, and says where it stands. Names and transmissions weigh too little to
-decide alone. Plugins and YAML files of the robot's controllers also state a radius and a track.
-
-A length that a controller works with is the stated one times its multipliers, as `diff_drive_controller` of
-ros-controls/ros2_controllers (6.9.0) has them: `wheel_separation_multiplier`, `left_wheel_radius_multiplier` and
-`right_wheel_radius_multiplier` (ROS 1 also `wheel_radius_multiplier`). Keys are read by their indentation, so far as
-such files go: mappings, flow mappings on one line, lists.
+Geometry cannot tell mecanum wheels from plain ones. Each piece of evidence speaks for `holonomic` or `skid_steer`, and
+says where it stands. Plugins and YAML files of the robot's controllers also state a radius and a track. A controller
+works with the stated length times its multipliers, as `diff_drive_controller` of ros-controls/ros2_controllers (6.9.0)
+has them (ROS 1 also `wheel_radius_multiplier`). Keys are read by their indentation, so far as such files go: mappings,
+flow mappings on one line, lists.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from lxml import etree
@@ -31,11 +28,18 @@ from ..urdf.packages import package_of
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .wheels import Candidate
 
-Meaning = Literal["holonomic", "skid_steer"]
-WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
+Patterns = tuple[tuple[str, re.Pattern[str]], ...]
+Word = tuple[str, str, int]  # what it means, its text, its line
+WORDS: Patterns = (
     ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
     ("skid_steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
 )
+MECANUM = re.compile(r"mecanum|swedish_?wheel", re.IGNORECASE)
+DRIVING = (
+    ("car-like", re.compile(r"tricycle|ackermann|bicycle|car[_-]?like|four_wheel_steering", re.IGNORECASE)),
+    ("differential_drive", re.compile(r"diff[_-]?drive", re.IGNORECASE)),
+)
+DRIVEN_KEYS = re.compile(r"(?:wheel|axle|steering|traction|drive|front|rear|left|right)\w*_(?:names?|joints?)$")
 OUTDOORS = re.compile(r"rover|4wd|4x4|ugv|all.?terrain|off.?road", re.IGNORECASE)  # robots that mostly skid
 MOVED = re.compile(r"joint|wheel", re.IGNORECASE)  # tags of plugins that name what they drive
 READS = re.compile(r"state[_-]?publisher|force[_-]?torque|ft[_-]?sensor", re.IGNORECASE)  # plugins that drive nothing
@@ -47,6 +51,7 @@ WEIGHTS = {  # of evidence by its source, as of `model.signs`: the last ones onl
     "commands": 3.5,
     "no friction": 3.0,
     "friction": 2.5,
+    "mecanum": 4.5,
     "meshes": 2.5,
     "names": 1.5,
     "called": 1.2,
@@ -62,6 +67,7 @@ FACTORS = {  # what else a controller multiplies them by
     "wheel_radius": ("wheel_radius_multiplier", "{side}_wheel_radius_multiplier"),
 }
 SIDES = ("left", "right")
+MOTORS = {"commands": "ros2_control/joint[command_interface]", "transmissions": "transmission/joint"}
 KEY = re.compile(r"['\"]?([^\s'\"{}\[\],]+?)['\"]?\s*:(?:\s+|$)(.*)")
 FLOW = re.compile(r"[{,]\s*['\"]?([^\s'\"{}\[\],:]+)['\"]?\s*:\s*([^{}\[\],]+)")
 STEERED = re.compile(r"(?:ackermann|bicycle|tricycle)(?:_steering)?_controller|steering_controllers_library")
@@ -72,7 +78,7 @@ class Evidence:
     """One thing that speaks for a kind of base.
 
     Attributes:
-        meaning: What it speaks for.
+        meaning: The kind of base that it speaks for, `holonomic` or `skid_steer`.
         text: What it is, with its line in the file.
         line: That line.
         source: Where it is from, a key of `WEIGHTS`; what one source says of several wheels counts once.
@@ -80,7 +86,7 @@ class Evidence:
         roller: Roller angle that it states of that wheel [rad], see `Wheel`; nan when it states none.
     """
 
-    meaning: Meaning
+    meaning: str
     text: str
     line: int
     source: str
@@ -94,25 +100,11 @@ class Evidence:
 
 
 def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = None) -> list[Evidence]:
-    """All evidence about parallel wheels, in the order of its weight.
-
-    Args:
-        rest: The robot at rest.
-        wheels: Its wheels.
-        controllers: File of the robot's controllers, None without one.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
-    """
-    return [
-        *rollers(rest, wheels),
-        *plugins(rest),
-        *(piece for file in named_files(rest, wheels, controllers) for piece in controllers_in(file)),
-        *commands(rest, wheels),
-        *contact(rest, wheels),
-        *transmissions(rest, wheels),
-        *names(rest, wheels),
-    ]
+    """All evidence about parallel wheels, in the order of its weight; errors as of `lines_of`."""
+    files = own_files(rest, {c.joint.name for c in wheels}, controllers)
+    words = (word for file in files for word in types_in(file, WORDS))
+    found = [*rollers(rest, wheels), *plugins(rest), *(Evidence(*word, "controllers") for word in words)]
+    return [*found, *motors_of_some(rest, wheels), *contact(rest, wheels), *names(rest, wheels)]
 
 
 def stated_rollers(pieces: list[Evidence]) -> dict[str, float]:
@@ -125,8 +117,8 @@ def rollers(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     for wheel in wheels:
         if wheel.rollers:
             name, line, angle = wheel.joint.name, wheel.joint.line, roller_angle(rest, wheel)
-            text = f"'{name}' carries {len(wheel.rollers)} rollers at {math.degrees(abs(angle)):.0f} degrees"
-            yield Evidence("holonomic", f"{text} (line {line})", line, "rollers", name, angle)
+            angles = f"rollers at {math.degrees(abs(angle)):.0f} degrees (line {line})"
+            yield Evidence("holonomic", f"'{name}' carries {len(wheel.rollers)} {angles}", line, "rollers", name, angle)
 
 
 def roller_angle(rest: AtRest, wheel: Candidate) -> float:
@@ -144,50 +136,48 @@ def from_rolling(wheel: Candidate, axis: Array) -> float:
 
 def plugins(rest: AtRest) -> Iterator[Evidence]:
     """Simulator plugins and controllers that say how they move the base."""
-    for tag in ("gazebo", "ros2_control"):
-        for block in rest.document.root.iterchildren(tag):
-            for element in block.iter("plugin", "controller", "hardware"):
-                words = " ".join([element.get("filename", ""), element.get("name", ""), (element.text or "").strip()])
-                for meaning, pattern in WORDS:
-                    if hit := pattern.search(words):
-                        text = f"<{tag}> names '{hit[0]}' in <{element.tag}> (line {element.sourceline})"
-                        yield Evidence(meaning, text, element.sourceline, "plugin")
+    for meaning, text, line in words_in(rest, WORDS, ("gazebo", "ros2_control"), ("plugin", "controller", "hardware")):
+        yield Evidence(meaning, text, line, "plugin")
 
 
-def named_files(rest: AtRest, wheels: list[Candidate], controllers: str | None) -> list[str]:
+def words_in(rest: AtRest, patterns: Patterns, blocks: Sequence[str], tags: Sequence[str]) -> Iterator[Word]:
+    """Words of some patterns in elements of a file: what each means, its text with its line, and that line."""
+    for block in rest.document.root.iterchildren(*blocks):
+        for e in block.iter(*tags):
+            words = f"{e.get('filename', '')} {e.get('name', '')} {(e.text or '').strip()}"
+            for meaning, pattern in patterns:
+                if hit := pattern.search(words):
+                    text = f"<{block.tag}> names '{hit[0]}' in <{e.tag}> (line {e.sourceline})"
+                    yield meaning, text, e.sourceline
+
+
+def types_in(file: str | None, patterns: Patterns) -> Iterator[Word]:
+    """Words of some patterns in the types of a file of controllers, as of `words_in`."""
+    for number, line in lines_of(file):
+        for meaning, pattern in patterns:
+            if "type" in line and (hit := pattern.search(line)):
+                yield meaning, f"{Path(file or '').name} names '{hit[0]}' (line {number})", 1
+
+
+def own_files(rest: AtRest, wheels: set[str], controllers: str | None) -> list[str]:
     """The controllers' file that was given, else those beside the robot's that name all these wheels."""
     if controllers is not None:
         return [controllers]
-    joints = {wheel.joint.name for wheel in wheels}
-    return [str(file) for file in beside(rest) if joints <= words_of(str(file))]
+    values = {
+        str(file): [entry for table in mappings_of(str(file)).values() for entry in table.values()]
+        for file in beside(rest)
+    }
+    return [file for file, entries in values.items() if wheels <= {word for entry in entries for word in entry.items}]
 
 
-def words_of(file: str) -> set[str]:
-    """All values in a controllers' file, the items of lists each."""
-    return {word for table in tables_of(file) for entry in table.values() for word in entry.items}
-
-
-def controllers_in(file: str | None) -> Iterator[Evidence]:
-    """Controllers of a YAML file that say how they move the base."""
-    for number, line in lines_of(file):
-        for meaning, pattern in WORDS:
-            if "type" in line and (hit := pattern.search(line)):
-                text = f"{Path(file or '').name} names '{hit[0]}' (line {number})"
-                yield Evidence(meaning, text, 1, "controllers")
-
-
-def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
-    """Wheels of which `ros2_control` commands some and only reads others: those roll along, so they must skid."""
-    states: dict[str, bool] = {}
-    lines: dict[str, int] = {}
-    for joint in rest.document.root.iterfind("ros2_control/joint"):
-        states[joint.get("name", "")] = joint.find("command_interface") is not None
-        lines[joint.get("name", "")] = joint.sourceline
-    commanded_by_name = {wheel.joint.name: states[wheel.joint.name] for wheel in wheels if wheel.joint.name in states}
-    driven = [name for name, commanded in commanded_by_name.items() if commanded]
-    if 0 < len(driven) < len(wheels):
-        text = f"<ros2_control> commands only {', '.join(driven)} (line {lines[driven[0]]})"
-        yield Evidence("skid_steer", text, lines[driven[0]], "commands")
+def motors_of_some(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Commands and transmissions of some of the wheels only: the others roll along, so they must skid."""
+    for what, source in (("<ros2_control> commands only", "commands"), ("transmissions only of", "transmissions")):
+        stated = {e.get("name"): e for e in rest.document.root.iterfind(MOTORS[source])}
+        driven = [stated[wheel.joint.name] for wheel in wheels if wheel.joint.name in stated]
+        if 0 < len(driven) < len(wheels):
+            text = f"{what} {', '.join(e.get('name', '') for e in driven)} (line {driven[0].sourceline})"
+            yield Evidence("skid_steer", text, driven[0].sourceline, source)
 
 
 def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -213,23 +203,24 @@ def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
 
 def coefficient(block: etree._Element, tag: str) -> float:
     """A friction coefficient, nan when it is not stated as a number."""
-    element = block.find(f".//{tag}")
-    text = None if element is None else element.get("value", element.text)
-    return math.nan if number_problem(text or "", 1) else float(text or "nan")
+    values = numbers_of(block.find(f".//{tag}"), 1)
+    return values[0] if values else math.nan
 
 
 def friction_direction(rest: AtRest, block: etree._Element) -> Array:
-    """(3,) friction direction `fdir1` in the root frame at rest, zero when none is stated.
-
-    It is in the frame of the link, or of the link that an attribute `expressed_in` names.
-    """
+    """(3,) `fdir1` in the root frame at rest, zero without; it is stated in the link's, or that of `expressed_in`."""
     element = block.find(".//fdir1")
-    text = None if element is None else element.get("value", element.text)
-    if element is None or number_problem(text or "", 3):
+    if not (values := numbers_of(element, 3)):
         return np.zeros(3)
     named = [value for key, value in element.attrib.items() if key.endswith("expressed_in")]
     frame = rest.placements.get([*named, block.get("reference", "")][0], np.eye(4))
-    return np.asarray(frame[:3, :3] @ [float(word) for word in (text or "").split()])
+    return np.asarray(frame[:3, :3] @ values)
+
+
+def numbers_of(element: etree._Element | None, count: int) -> list[float]:
+    """So many numbers of an element's value or text, none where it has others."""
+    text = "" if element is None else element.get("value", element.text) or ""
+    return [] if number_problem(text, count) else [float(word) for word in text.split()]
 
 
 def is_oblique(direction: Array, wheel: Candidate) -> bool:
@@ -238,30 +229,21 @@ def is_oblique(direction: Array, wheel: Candidate) -> bool:
     return size > 0 and 0.1 < abs(float(direction @ wheel.axis)) / size < 0.995
 
 
-def transmissions(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
-    """Transmissions of some of the wheels only: the others have no motor; they only confirm."""
-    named = {e.get("name"): e.sourceline for e in rest.document.root.iterfind("transmission/joint")}
-    driven = [wheel.joint.name for wheel in wheels if wheel.joint.name in named]
-    if 0 < len(driven) < len(wheels):
-        line = named[driven[0]]
-        text = f"transmissions only of {', '.join(driven)} (line {line})"
-        yield Evidence("skid_steer", text, line, "transmissions")
-
-
 def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     """Names of wheels and their meshes, and what the robot is called; they weigh little."""
     for wheel in wheels:
-        element, where = (
-            rest.document.links[wheel.joint.child],
-            f"of wheel '{wheel.joint.name}' (line {wheel.joint.line})",
-        )
-        meshes = [mesh.get("filename", "") for mesh in element.iter("mesh")]
-        for source, words in (("names", [wheel.joint.name, wheel.joint.child]), ("meshes", meshes)):
+        name, line = wheel.joint.name, wheel.joint.line
+        meshes = [mesh.get("filename", "") for mesh in rest.document.links[wheel.joint.child].iter("mesh")]
+        for source, word, words in (("names", "names", (name, wheel.joint.child)), ("meshes", "mesh", meshes)):
             for meaning, pattern in WORDS:
                 if hit := next(filter(None, map(pattern.search, words)), None):
-                    text = f"'{hit[0]}' in the {'mesh' if source == 'meshes' else 'names'} {where}"
-                    yield Evidence(meaning, text, wheel.joint.line, source, wheel.joint.name)
+                    yield Evidence(
+                        meaning, f"'{hit[0]}' in the {word} of wheel '{name}' (line {line})", line, source, name
+                    )
     called = f"{rest.document.root.get('name', '')} {rest.document.path.name}"
+    shown = " ".join(mesh.get("filename", "") for mesh in rest.document.root.iterfind("link/*/geometry/mesh"))
+    if hit := MECANUM.search(f"{called} {shown}"):
+        yield Evidence("holonomic", f"the robot or a mesh of it is called '{hit[0]}'", 1, "mecanum")
     if hit := OUTDOORS.search(called):
         yield Evidence("skid_steer", f"the robot is called '{hit[0]}'", 1, "called")
 
@@ -269,20 +251,22 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
 # -- what drives its joints --------------------------------------------------------------------------------------------
 
 
-def motors_named(rest: AtRest) -> dict[str, str]:
-    """Joints that plugins, `ros2_control` commands or transmissions drive, each with where it stands."""
+def motors_named(rest: AtRest, controllers: str | None = None) -> dict[str, str]:
+    """Joints that plugins, `ros2_control`, transmissions or a controllers' file drive, with places; see `lines_of`."""
     root, drivers = rest.document.root, dict[str, str]()
     for element in root.iterfind("transmission//*"):
         tag = str(element.tag).lower()
         if "joint" in tag and not tag.startswith("passive"):  # PR2's have flexJoint, gap_joint, passive_joint
             drivers[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
-    for element in root.iterfind("ros2_control/joint"):
-        if element.find("command_interface") is not None:
-            drivers[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
+    for element in root.iterfind(MOTORS["commands"]):
+        drivers[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
     for element in root.iterfind("gazebo//*"):
         if MOVED.search(str(element.tag)) and not reads_only(element):
-            for name in re.split(r"[\s,]+", element.text or ""):
-                drivers[name] = f"<{element.tag}> (line {element.sourceline})"
+            named = re.split(r"[\s,]+", element.text or "")
+            drivers |= dict.fromkeys(named, f"<{element.tag}> (line {element.sourceline})")
+    for key, entry in (item for table in mappings_of(controllers).values() for item in table.items()):
+        if DRIVEN_KEYS.search(key) or key == "joints":
+            drivers |= dict.fromkeys(entry.items, f"{Path(controllers or '').name} (line {entry.line})")
     return {name: where for name, where in drivers.items() if name in rest.document.joints}
 
 
@@ -292,42 +276,10 @@ def reads_only(element: etree._Element) -> bool:
     return any(e.tag == "sensor" or READS.search(f"{e.get('filename')} {e.get('name')}") for e in above)
 
 
-STEERS = re.compile(r"tricycle|ackermann|bicycle|car[_-]?like|four_wheel_steering", re.IGNORECASE)  # of plugins
-ROLLS = re.compile(r"diff[_-]?drive", re.IGNORECASE)
-DRIVEN_KEYS = re.compile(r"(?:wheel|axle|steering|traction|drive|front|rear|left|right)\w*_(?:names?|joints?)$")
-
-
-def controllers_motors(rest: AtRest, file: str | None) -> dict[str, str]:
-    """Joints that a file of controllers drives, each with where it stands.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
-    """
-    found = dict[str, str]()
-    for table in tables_of(file):
-        for key, entry in table.items():
-            if DRIVEN_KEYS.search(key) or key == "joints":
-                place = f"{Path(file or '').name} (line {entry.line})"
-                found |= {name: place for name in entry.items if name in rest.document.joints}
-    return found
-
-
-def driving_words(rest: AtRest, controllers: str | None) -> Iterator[tuple[str, str]]:
-    """Words of plugins and controllers that tell whether wheels on one line drive or others steer: kind and text.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
-    """
-    patterns = (("car-like", STEERS), ("differential_drive", ROLLS))
-    for element in rest.document.root.iterfind("gazebo//*"):
-        words = f"{element.get('filename', '')} {element.get('name', '')} {element.text or ''}"
-        for kind, pattern in patterns:
-            if element.tag in ("plugin", "controller") and (hit := pattern.search(words)):
-                yield kind, f"<gazebo> names '{hit[0]}' (line {element.sourceline})"
-    for number, line in lines_of(controllers):
-        for kind, pattern in patterns:
-            if "type" in line and (hit := pattern.search(line)):
-                yield kind, f"{Path(controllers or '').name} names '{hit[0]}' (line {number})"
+def driving_words(rest: AtRest, controllers: str | None) -> list[tuple[str, str]]:
+    """Words of plugins and controllers that tell whether others steer than drive: kind and text; see `lines_of`."""
+    words = [*words_in(rest, DRIVING, ("gazebo",), ("plugin", "controller")), *types_in(controllers, DRIVING)]
+    return [(kind, text) for kind, text, _ in words]
 
 
 # -- lengths that are stated -------------------------------------------------------------------------------------------
@@ -350,35 +302,26 @@ class Stated(NamedTuple):
 
 
 def stated(rest: AtRest, controllers: str | None, names: dict[str, float]) -> list[Stated]:
-    """Lengths that the file's plugins and the controllers' file state under some names, each value once.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
-    """
-    lengths: list[Stated] = []
-    for element in rest.document.root.iterfind("gazebo//*"):
-        if element.tag in names and not number_problem(text := (element.text or "").strip(), 1):
-            value = float(text) * names[element.tag]
-            lengths.append(Stated(value, f"<{element.tag}> (line {element.sourceline})", value))
-    lengths += in_yaml(controllers, names)
-    return list(
-        {(round(length.value, 9), length.side): length for length in reversed(lengths) if length.value > 0}.values()
-    )[::-1]
+    """Lengths that plugins and the controllers' file state under some names, each value once; errors of `lines_of`."""
+    found, lengths = dict[tuple[float, str], Stated](), list[Stated]()
+    for e in rest.document.root.iterfind("gazebo//*"):
+        if e.tag in names and not number_problem(text := (e.text or "").strip(), 1):
+            value = float(text) * names[e.tag]
+            lengths.append(Stated(value, f"<{e.tag}> (line {e.sourceline})", value))
+    for length in (*lengths, *in_yaml(controllers, names)):
+        if length.value > 0:
+            found.setdefault((round(length.value, 9), length.side), length)
+    return list(found.values())
 
 
 def in_yaml(file: str | None, names: dict[str, float]) -> Iterator[Stated]:
-    """Lengths that a controllers' file states under some names, one for each side where they differ.
-
-    Raises:
-        ConfigError: It cannot be read.
-    """
-    for table in tables_of(file):
+    """Lengths that a controllers' file states under some names, one for each side where they differ."""
+    for table in mappings_of(file).values():
         for key in [key for key in table if key in names]:
             nominal = number_of(table, key, 0.0) * names[key]
             where = f"{Path(file or '').name}, line {table[key].line}"
             known = {side: multipliers(table, key, side) for side in SIDES}
-            sides = {"": known["left"]} if known["left"] == known["right"] else known
-            for side, factors in sides.items():
+            for side, factors in ({"": known["left"]} if known["left"] == known["right"] else known).items():
                 value = nominal * abs(math.prod(factors.values()))
                 times = "".join(f" times {name} {factor:g}" for name, factor in factors.items())
                 yield Stated(value, f"{key} ({where}){times}", nominal, side)
@@ -425,17 +368,8 @@ def lines_of(file: str | None) -> list[tuple[int, str]]:
     return [(number, line.partition("#")[0]) for number, line in enumerate(text.splitlines(), 1)]
 
 
-def tables_of(file: str | None) -> list[YamlTable]:
-    """The mappings of a controllers' file; errors as of `mappings_of`."""
-    return list(mappings_of(file).values())
-
-
 def mappings_of(file: str | None) -> dict[tuple[str, ...], YamlTable]:
-    """The mappings of a controllers' file by the keys above them, each by its own, the last part of those with dots.
-
-    Raises:
-        ConfigError: It cannot be read.
-    """
+    """The mappings of a controllers' file by the keys above them, each by its own, the last part of those with dots."""
     tables: dict[tuple[str, ...], YamlTable] = {}
     above: list[tuple[int, str]] = []
     last: tuple[YamlTable, str] | None = None
@@ -451,9 +385,8 @@ def mappings_of(file: str | None) -> dict[tuple[str, ...], YamlTable]:
             last[0][last[1]] = YamlEntry(hit[2].strip(" '\""), number)
             above.append((indent, hit[1]))
             inner = tables.setdefault((*path, hit[1]), {})
-            inner |= {
-                one[1].rpartition(".")[2]: YamlEntry(one[2].strip(" '\""), number) for one in FLOW.finditer(hit[2])
-            }
+            for one in FLOW.finditer(hit[2]):
+                inner[one[1].rpartition(".")[2]] = YamlEntry(one[2].strip(" '\""), number)
     return tables
 
 
@@ -468,9 +401,8 @@ def beside(rest: AtRest) -> list[Path]:
     package = Path(package_of(str(rest.document.path.parent.absolute())))
     stem = re.sub(r"_?(description|model|urdf)$", "", package.name)
     folders = [package, *(f for f in siblings(package) if stem and f.name.startswith(stem) and f != package)]
-    files = [
-        file for folder in folders for place in ("", "config", "params") for file in (folder / place).glob("*.y*ml")
-    ]
+    places = [folder / place for folder in folders for place in ("", "config", "params")]
+    files = [file for place in places for file in place.glob("*.y*ml")]
     return [file for file in files[:YAMLS] if file.stat().st_size < LONGEST]
 
 

@@ -22,7 +22,7 @@ from ...signals import Array
 from ..signs import Sign, score
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .evidence import tables_of
+from .evidence import mappings_of
 from .overrides import FORWARD, Overrides
 from .wheels import SLOPPY, TOUCHING, Candidate, coaxial, parallel, rolling
 
@@ -252,7 +252,7 @@ def told_sides(rest: AtRest, controllers: str | None) -> dict[str, int]:
     for element in rest.document.root.iterfind("gazebo//*"):
         if "joint" in str(element.tag).lower() and (side := side_of(str(element.tag))):
             found |= dict.fromkeys((element.text or "").split(), side)
-    for table in tables_of(controllers):
+    for table in mappings_of(controllers).values():
         for key, entry in table.items():
             if "wheel" in key and (side := side_of(key)):
                 found |= dict.fromkeys(entry.items, side)

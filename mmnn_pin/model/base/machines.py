@@ -19,7 +19,7 @@ from ...elementary import hypot
 from ..signs import Sign
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .report import blind_fix, readings, undecided, unsupported
+from .report import blind_fix, undecided, unsupported
 from .wheels import LOW, MOST_PER_SIDE, Candidate, height_at, is_low, wheel_of
 
 MESHES = "link/*/geometry/mesh"
@@ -98,8 +98,10 @@ def belt_signs(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Sign]:
 def track_named(rest: AtRest, pattern: re.Pattern[str] = TRACK_NAMES) -> str:
     """A name that tells that a machine runs on tracks, empty where there is none."""
     meshes = (mesh.get("filename", "") for mesh in rest.document.root.iterfind(MESHES))
-    called = rest.document.root.get("name", ""), rest.document.path.stem
-    names = [*called, *rest.document.links, *rest.document.joints, *("/".join(m.split("/")[-2:]) for m in meshes)]
+    called = f"{rest.document.root.get('name', '')} {rest.document.path.stem}"
+    if hit := re.search("tank", called, re.IGNORECASE):
+        return f"'{called.strip()}' is its name"
+    names = [*rest.document.links, *rest.document.joints, *("/".join(m.split("/")[-2:]) for m in meshes)]
     hit = next(filter(None, map(pattern.search, names)), None)
     return f"'{hit.string}' among its names" if hit else ""
 
@@ -266,7 +268,7 @@ def require_measured(rest: AtRest, wheels: list[Candidate]) -> None:
     blind = [wheel_of(rest, j) for j in rest.document.joints.values() if is_low(rest, j) and j.name not in known]
     if len(blind) >= 2:
         why = "what would drive them cannot be measured"
-        raise undecided(rest, [*wheels, *blind], readings(rest, blind), why, blind_fix(rest, blind))
+        raise undecided(rest, [*wheels, *blind], why, blind_fix(rest, blind))
 
 
 def in_texts(wheels: Sequence[Candidate]) -> str:

@@ -1,4 +1,4 @@
-"""What wheels hang on, found in a file: pivots, and what each may be, with the signs for it and against.
+"""Pivots that wheels hang on, found in a file, and what each may be, with the signs for it and against.
 
 A wheel's *pivot* is the nearest joint above it about a vertical axis. Its lever on the floor, from the axis to the
 middle of its wheels, has two parts: along the rolling direction, the *trail*, and across it, which no steering feels.
@@ -31,7 +31,7 @@ from ...signals import Array
 from ..signs import Sign
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .evidence import controllers_motors, driving_words, motors_named
+from .evidence import driving_words, motors_named
 from .overrides import Overrides
 from .report import in_words, unsupported
 from .steered import STEERED_KINDS
@@ -43,15 +43,15 @@ STEERED = tuple(kind.kind for kind in STEERED_KINDS)
 ROLES = ("steered", "caster", "powered", "waist", "hitch")
 WEIGHTS = {  # of what is seen of a module, for each role, as of `model.signs`; names alone do not decide
     "turn all round": (-1.0, 1.0, -1.0, 0.0, 0.0),
-    "have stops": (4.0, -4.0, -4.0, 0.0, 0.0),
-    "trail as casters do": (-3.0, 3.0, 3.0, 0.0, 0.0),
+    "have stops": (4.5, -4.5, -4.5, 0.0, 0.0),
+    "trail as casters do": (-3.5, 3.0, 3.0, 0.0, 0.0),
     "trail a little": (0.0, 1.5, -4.0, 0.0, 0.0),
     "no trail: casters could not follow": (1.0, -1.0, -5.0, 0.0, 0.0),
     "make an axle of their own": (3.0, 0.0, 0.0, 0.0, 0.0),
-    "have motors": (4.0, -4.0, 3.0, 4.0, -4.0),
+    "have motors": (3.0, -3.0, 3.0, 4.0, -4.0),
     "no motors, as others have": (-3.0, 1.0, 0.0, -3.0, 3.0),
     "no motors beside what steers": (0.0, 0.0, 0.0, 0.0, 3.0),
-    "drive by their wheels": (0.0, -3.0, 3.0, 0.0, 0.0),
+    "drive by their wheels": (0.0, -2.0, 3.0, 0.0, 0.0),
     "no motors on their wheels": (0.0, 0.0, -3.0, 0.0, 0.0),
     "the file names no motors": (0.0, 0.0, 2.0, 0.0, 0.0),
     "called steering": (1.5, 0.0, 0.0, 1.5, 0.0),
@@ -177,12 +177,12 @@ def undercarriages(rest: AtRest, candidates: Candidates, overrides: Overrides) -
     for c in wheels:
         if pivots := above[c.joint.name]:
             groups.setdefault(pivots[0].name, []).append(c)
-    refuse_level(rest, [c for c in fixed if c.mount == "steering"])
+    refuse_level(rest, [c for c in fixed if c.mount == "steering" or (groups and leaning(rest, c))])
     modules = [Module(rest.document.joints[name], cs, carrier_of(rest, name, wheels)) for name, cs in groups.items()]
     modules += without_spin(rest, candidates, modules, fixed, overrides) if fixed else []
     modules.sort(key=lambda m: len(rest.document.moving_ancestors(m.joint.child)))
     require_pivots(rest, modules, overrides)
-    motors = {**motors_named(rest), **controllers_motors(rest, overrides.controllers_file)}
+    motors = motors_named(rest, overrides.controllers_file)
     return list(with_roles(rest, Undercarriage(modules, fixed, motors), overrides))
 
 
@@ -203,7 +203,7 @@ def with_roles(rest: AtRest, under: Undercarriage, overrides: Overrides) -> Iter
 
 
 def likeness(rest: AtRest, m: Module, under: Undercarriage, overrides: Overrides) -> tuple[object, ...]:
-    """What modules share that have one role."""
+    """Properties that modules share which have one role."""
     name, said = m.joint.name, (*(overrides.steer or ()), *(overrides.hitch or ()))
     driven = name in under.motors, any(c.joint.name in under.motors for c in m.wheels)
     carrier = m.carrier.name if m.carrier is not None else ""
@@ -235,7 +235,7 @@ def signs_of(rest: AtRest, some: Sequence[Module], role: str, under: Undercarria
 
 
 def seen_of(rest: AtRest, some: Sequence[Module], under: Undercarriage) -> Iterator[tuple[str, str]]:
-    """What is seen of some modules that look alike: keys of `WEIGHTS`, and what more there is to say."""
+    """Keys of `WEIGHTS` that are seen of some modules that look alike, and what more there is to say."""
     first, wheels = some[0], [c for m in some for c in m.wheels]
     trails = first.trails(rest)
     yield "turn all round" if first.swivels else "have stops", ""
@@ -302,8 +302,14 @@ def carrier_of(rest: AtRest, name: str, wheels: Sequence[Candidate]) -> Joint | 
     return above[0] if above else None
 
 
+def leaning(rest: AtRest, c: Candidate) -> bool:
+    """Whether a joint carries a wheel from above it, as pivots do, about a level axis."""
+    above = [j for j in rest.document.moving_ancestors(c.joint.child)[1:2] if rest.is_horizontal(j)]
+    return any(math.dist(rest.hub(j)[:2], c.centre[:2]) < c.radius / 2 and rest.hub(j)[2] > c.centre[2] for j in above)
+
+
 def refuse_level(rest: AtRest, steered: Sequence[Candidate]) -> None:
-    """Refuse joints that steer by their names, about level axes: their axes are written wrong.
+    """Refuse joints that steer by their names, or as others do, about level axes: their axes are written wrong.
 
     Raises:
         Unsupported: There are some; with the axes that would be right.
@@ -311,7 +317,9 @@ def refuse_level(rest: AtRest, steered: Sequence[Candidate]) -> None:
     joints = dict[str, Joint]()
     for c in steered:
         above = rest.document.moving_ancestors(c.joint.child)[1:]
-        joints |= {j.name: j for j in above if STEER_NAMES.search(j.name) and not rest.is_vertical(j)}
+        joints |= {
+            j.name: j for j in above if not rest.is_vertical(j) and (STEER_NAMES.search(j.name) or leaning(rest, c))
+        }
     axes = dict[str, list[str]]()
     for joint in joints.values():
         up = in_words(product(rest.placements[joint.child][:3, :3].T, np.array([0.0, 0.0, 1.0])))
@@ -319,7 +327,7 @@ def refuse_level(rest: AtRest, steered: Sequence[Candidate]) -> None:
     if axes:
         fix = "; ".join(f'write <axis xyz="{up}"/> in {", ".join(names)}' for up, names in axes.items())
         named = ", ".join(f"'{name}'" for name in joints)
-        why = f"{named} steer by their names, and turn about level axes"
+        why = f"{named} steer by their names, or as others do, and turn about level axes"
         raise unsupported(rest, "car-like base", why, steered, fix)
 
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +32,14 @@ from ..robots import package_dirs_of
 from ..urdf.finding import Finding
 from . import KINDS
 
-LARGEST_MU = 10.0
 ARMS = ("left", "right", "both")
 FORWARD = {"x": (1.0, 0.0), "-x": (-1.0, 0.0), "y": (0.0, 1.0), "-y": (0.0, -1.0)}  # of the root link
 SMALLEST, LARGEST = 1e-4, 1e3  # [m] what a radius and a track can be
+RANGES = (  # of other values: above the first, up to the second
+    ("mu", "a friction coefficient", 0.0, 10.0, "give one above 0, such as 0.6"),
+    ("steering_limit", "the limit of a steering angle", 0.0, math.pi, "give radians above 0, such as 0.6"),
+    ("roller", "a roller angle", -1.4, 1.4, "give radians within +-1.4"),
+)
 
 
 class Overrides(Settings, frozen=True):
@@ -89,30 +94,18 @@ class Overrides(Settings, frozen=True):
     forward: str | None = None
 
     def __post_init__(self) -> None:
-        if self.base is not None and self.base not in KINDS:
-            raise UnknownName("base", self.base, KINDS, key="base")
-        if self.arm is not None and self.arm not in ARMS:
-            raise UnknownName("arm", self.arm, ARMS, key="arm")
-        if self.forward is not None and self.forward not in FORWARD:
-            raise UnknownName("direction", self.forward, FORWARD, key="forward")
-        for key, value in (
-            ("radius", self.radius),
-            ("track", self.track),
-            ("wheelbase", self.wheelbase),
-            *(("wheel_radii", r) for r in self.radius_of.values()),
-        ):
+        for key, known, name in (("base", KINDS, "base"), ("arm", ARMS, "arm"), ("forward", FORWARD, "direction")):
+            if (said := getattr(self, key)) is not None and said not in known:
+                raise UnknownName(name, said, known, key=key)
+        lengths = {"radius": self.radius, "track": self.track, "wheelbase": self.wheelbase}
+        for key, value in (*lengths.items(), *(("wheel_radii", radius) for radius in self.radius_of.values())):
             if value is not None and not SMALLEST <= value <= LARGEST:
                 fix = f"give metres, from {SMALLEST:g} to {LARGEST:g}"
                 raise ConfigError(f"{value} cannot be a {key.replace('wheel_radii', 'radius')}", fix=fix, key=key)
-        if self.mu is not None and not 0 < self.mu <= LARGEST_MU:
-            raise ConfigError(
-                f"{self.mu} cannot be a friction coefficient", fix="give one above 0, such as 0.6", key="mu"
-            )
-        if self.steering_limit is not None and not 0 < self.steering_limit <= math.pi:
-            what = f"{self.steering_limit} cannot be the limit of a steering angle"
-            raise ConfigError(what, fix="give radians above 0, such as 0.6", key="steering_limit")
-        if self.roller is not None and not abs(self.roller) < 1.4:
-            raise ConfigError(f"{self.roller} cannot be a roller angle", fix="give radians within +-1.4", key="roller")
+        for key, what, low, high, fix in RANGES:
+            value = getattr(self, key)
+            if value is not None and not low < value <= high:
+                raise ConfigError(f"{value} cannot be {what}", fix=fix, key=key)
         if self.wheels is not None and len(set(self.wheels)) < max(len(self.wheels), 1):
             raise ConfigError("wheels are named twice, or none is", fix="name each drive wheel once", key="wheels")
         if len(self.locks) < len(self.lock) or set(self.locks) & set(self.free):
@@ -128,15 +121,8 @@ class Overrides(Settings, frozen=True):
         Raises:
             ConfigError: A position that is not a finite number.
         """
-        table: dict[str, float | None] = {}
-        for text in self.lock:
-            name, equals, value = text.rpartition("=")
-            try:
-                table[name if equals else value] = finite(value) if equals else None
-            except ValueError:
-                fix = "write joint=position in rad or m"
-                raise ConfigError(f"'{value}' is no position to lock '{name}' at", fix=fix, key="lock") from None
-        return table
+        bare = {text: None for text in self.lock if "=" not in text}
+        return bare | numbers_of([text for text in self.lock if "=" in text], "lock", "position to lock a joint at")
 
     @property
     def radius_of(self) -> dict[str, float]:
@@ -145,16 +131,7 @@ class Overrides(Settings, frozen=True):
         Raises:
             ConfigError: No joint, or a radius that is not a finite number.
         """
-        table: dict[str, float] = {}
-        for text in self.wheel_radii:
-            name, _, value = text.rpartition("=")
-            try:
-                table[name] = finite(value)
-            except ValueError:
-                name = ""
-            if not name:
-                raise ConfigError(f"'{text}' is no radius of a wheel", fix="write joint=radius in m", key="wheel_radii")
-        return table
+        return numbers_of(self.wheel_radii, "wheel_radii", "radius of a wheel")
 
     def over(self, other: Overrides) -> Overrides:
         """These, and the other ones where these say nothing."""
@@ -193,16 +170,18 @@ def folders_of(urdf: Path, overrides: Overrides) -> tuple[Path, ...]:
     return (*map(Path, overrides.package_dirs), *package_dirs_of(urdf))
 
 
-def finite(text: str) -> float:
-    """A finite number.
-
-    Raises:
-        ValueError: It is none.
-    """
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(text)
-    return value
+def numbers_of(texts: Sequence[str], key: str, what: str) -> dict[str, float]:
+    """Numbers by joint that texts `joint=number` state; errors as of `Overrides.radius_of`."""
+    table = dict[str, float]()
+    for text in texts:
+        name, _, value = text.rpartition("=")
+        try:
+            table[name] = float(value)
+        except ValueError:
+            name = ""
+        if not name or not math.isfinite(table[name]):
+            raise ConfigError(f"'{text}' is no {what}", fix="write joint=number in m or rad", key=key)
+    return table
 
 
 def beside(urdf: Path) -> Path:

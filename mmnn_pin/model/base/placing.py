@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from .evidence import evidence, motors_named, plugins, stated_rollers
 from .heading import heading
 from .holonomic import HolonomicBase
 from .overrides import Overrides
-from .report import BaseReading, BaseResult, note, undecided
+from .report import BaseResult, note, undecided
 from .skid_steer import SkidSteer, Tracked, loads, rotation_centre, turning_friction, turning_track
 from .steered import SteeredBase
 from .wheels import (
@@ -47,6 +48,7 @@ from .wheels import (
 SKIDDING = (SkidSteer.kind, Tracked.kind)
 ROLLERS = "--roller RADIANS says how they lie, --wheels which of the wheels drive"
 SAME_RATE = 0.05  # rims of wheels that are coupled may differ in speed by this fraction
+CLOSE = 3.0  # radii from an upright joint within which what rolls is a caster's, and no arm's drum
 OFF_CENTRE = 0.02  # a centre of rotation further off than this fraction of half the wheelbase is told
 MECANUM = math.pi / 4  # roller angle that is assumed where nothing states one
 
@@ -54,14 +56,7 @@ MECANUM = math.pi / 4  # roller angle that is assumed where nothing states one
 def on_wheels(
     rest: AtRest, kind: str, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides
 ) -> BaseResult:
-    """The base of a kind on some wheels that drive.
-
-    Args:
-        rest: The robot at rest.
-        kind: A differential drive, a base that skids, or a holonomic one.
-        drives: The wheels that drive.
-        wheels: All its wheels.
-        overrides: What the user says.
+    """The base of a kind on some of its wheels that drive: a differential drive, one that skids, or a holonomic one.
 
     Raises:
         ConfigError: Wheels that do not suit the base.
@@ -75,7 +70,7 @@ def on_wheels(
         what = "not two wheels on one axle" if len(drives) == 2 else f"{len(drives)} wheel(s) for a differential drive"
         raise ConfigError(what, fix="name the left and the right one", key="wheels", file=rest.document.path)
     base = frame_of(rest, drives, wheels, DifferentialDrive, overrides)
-    first, left, notes = drives[0].joint.name, base.wheels[0].joint, []
+    first, left, notes = drives[0].joint.name, base.wheels[0].joint, list[Finding]()
     if not coaxial(*drives):
         apart = abs(base.wheels[0].x - base.wheels[1].x)
         text = f"the two wheels are not on one axle: {apart:.3g} m apart along the rolling direction"
@@ -85,35 +80,7 @@ def on_wheels(
     if overrides.wheels and left != overrides.wheels[0]:
         text = f"'{left}' is the left wheel, not '{overrides.wheels[0]}'"
         notes.append(note(rest, "base-sides", first, text, "seen along the rolling direction"))
-    return BaseResult(base, (*notes, *free_note(rest, drives, wheels), *sliding_note(rest, base, drives, wheels)))
-
-
-def rolling_sideways(
-    rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides
-) -> BaseResult:
-    """A holonomic base on mecanum or omni wheels.
-
-    Raises:
-        ConfigError: Fewer than three wheels.
-    """
-    if len(drives) < 3:
-        raise ConfigError(f"{len(drives)} wheel(s) for a holonomic base", fix="name at least three", key="wheels")
-    if not all(parallel(drives[0], c) for c in drives[1:]):
-        return crossed(rest, drives, wheels, overrides)
-    pieces = evidence(rest, drives, overrides.controllers_file)
-    angles = stated_rollers([piece for piece in pieces if piece.meaning == HolonomicBase.kind])
-    base, findings = mecanum(rest, drives, wheels, overrides, angles)
-    return BaseResult(base, tuple(findings))
-
-
-def free_note(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> list[Finding]:
-    """A note where two wheels drive since they alone have motors."""
-    motors = motors_named(rest)
-    others = [c.joint.name for c in wheels if c.mount == "" and c not in drives]
-    if not others or not {c.joint.name for c in drives} <= motors.keys() or motors.keys() & {*others}:
-        return []
-    text = f"drive wheels by their motors: {', '.join(f'{c.joint.name} {motors[c.joint.name]}' for c in drives)}"
-    return [note(rest, "base-driven", drives[0].joint.name, text, f"taken as free casters: {', '.join(others)}")]
+    return BaseResult(base, (*notes, *sliding_note(rest, drives, wheels)))
 
 
 def along_note(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
@@ -128,19 +95,17 @@ def along_note(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
     return [note(rest, "base-driven", powered[0], text, why, fix)]
 
 
-def sliding_note(rest: AtRest, base: Base, drives: list[Candidate], wheels: list[Candidate]) -> list[Finding]:
+def sliding_note(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> Iterator[Finding]:
     """A note on wheels as large as those that drive, parallel to them and off their axle: they would have to slide."""
     driving = [d.joint for d in drives]
     behind = [c for c in wheels if c.mount == "" and c.joint not in driving and parallel(c, drives[0])]
-    if not any(abs(c.radius - drives[0].radius) < 0.1 * drives[0].radius for c in behind):
-        return []
-    text = f"wheels off the axle cannot swivel and would have to slide: {', '.join(c.joint.name for c in behind)}"
-    why = "they are taken as free, and the axle as where the base turns"
-    fix = "--base skid_steer without --wheels"
-    left, right = on_either_side([*drives, *behind])
-    if not 2 <= left == right <= MOST_PER_SIDE:
-        why, fix = f"{why}; what they rub is left out, no base here has them", "put casters there if that is meant"
-    return [note(rest, "base-pair", behind[0].joint.name, text, why, fix)]
+    if any(abs(c.radius - drives[0].radius) < 0.1 * drives[0].radius for c in behind):
+        text = f"wheels off the axle cannot swivel and would have to slide: {', '.join(c.joint.name for c in behind)}"
+        why, fix = "they are taken as free, and the axle as where the base turns", "--base skid_steer without --wheels"
+        left, right = on_either_side([*drives, *behind])
+        if not 2 <= left == right <= MOST_PER_SIDE:
+            why, fix = f"{why}; what they rub is left out, no base here has them", "put casters there if that is meant"
+        yield note(rest, "base-pair", behind[0].joint.name, text, why, fix)
 
 
 def declared_wheel(rest: AtRest, name: str, candidates: Candidates, overrides: Overrides) -> Candidate:
@@ -181,29 +146,18 @@ def wheel_joint(rest: AtRest, name: str, overrides: Overrides) -> Joint:
 def require_possible(overrides: Overrides, candidates: Candidates, named: list[Candidate]) -> None:
     """Refuse a radius beyond the distance of wheels on one axle, or ten times that where a shape tells theirs.
 
-    Args:
-        overrides: What the user says.
-        candidates: What was found.
-        named: Wheels that the user names.
-
     Raises:
-        ConfigError: They cannot, with the radius in millimetres if that may be meant.
+        ConfigError: The user says one, maybe in millimetres.
     """
-    radius = overrides.radius
-    if radius is None:
-        return
-    wheels = [*candidates.wheels, *candidates.near_misses, *named]
-    for i, one in enumerate(wheels):
-        for other in wheels[:i]:
-            apart = float(np.linalg.norm(one.centre - other.centre))
-            blind = math.isnan(one.radius) and math.isnan(other.radius)
-            if one.joint is not other.joint and coaxial(one, other) and radius >= (1.0 if blind else 10.0) * apart:
-                why = f"the wheels '{other.joint.name}' and '{one.joint.name}' are {apart:.3g} m apart"
-                metres = f"--radius {radius / 1000:g} if these are millimetres, else " * (
-                    1.0 <= radius < 1000.0 * apart
-                )
-                fix = f"give {metres}less than {apart:.3g} m, or leave it out"
-                raise ConfigError(f"{radius:g} m cannot be their radius", why=why, fix=fix, key="radius")
+    radius, wheels = overrides.radius or math.nan, [*candidates.wheels, *candidates.near_misses, *named]
+    for other, one in combinations(wheels, 2):
+        apart = float(np.linalg.norm(one.centre - other.centre))
+        blind = math.isnan(one.radius) and math.isnan(other.radius)
+        if one.joint is not other.joint and coaxial(one, other) and radius >= (1.0 if blind else 10.0) * apart:
+            why = f"the wheels '{other.joint.name}' and '{one.joint.name}' are {apart:.3g} m apart"
+            millimetres = f"{radius / 1000:g} if these are millimetres, else " if 1.0 <= radius < 1000.0 * apart else ""
+            fix = f"give {'--radius ' if millimetres else ''}{millimetres}less than {apart:.3g} m, or leave it out"
+            raise ConfigError(f"{radius:g} m cannot be their radius", why=why, fix=fix, key="radius")
 
 
 def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
@@ -218,7 +172,7 @@ def require_motors(rest: AtRest, base: Base, overrides: Overrides) -> None:
     idle = [name for name in names if name not in motors]
     if base.scrubs or overrides.wheels is not None or not 0 < len(idle) < len(names):
         return
-    if base.sideways and any(piece.meaning == "holonomic" for piece in plugins(rest)):
+    if base.sideways and any(piece.meaning == HolonomicBase.kind for piece in plugins(rest)):
         return
     driven = next(name for name in names if name not in idle)
     what, why = f"nothing drives the wheel(s) {', '.join(idle)}", f"'{driven}' has a motor: {motors[driven]}"
@@ -234,19 +188,15 @@ def require_used(overrides: Overrides, base: Base) -> None:
         UnknownName: The radius of a joint that is no drive wheel.
     """
     names = [wheel.joint for wheel in base.wheels]
-    for name in overrides.radius_of:
-        if name not in names:
-            raise UnknownName("drive wheel", name, names, key="wheel_radii")
+    if strange := [name for name in overrides.radius_of if name not in names]:
+        raise UnknownName("drive wheel", strange[0], names, key="wheel_radii")
     pivots = base.pivots if isinstance(base, SteeredBase) else ()
-    unused = {"radius": not base.wheels, "track": len(base.wheels) < 2, "roller": not base.sideways}
-    unused["mu"] = not base.scrubs
     steers = any(p.role != "passive" for p in pivots)
-    unused |= {"steer": not steers, "hitch": not pivots, "wheelbase": not steers, "steering_limit": not steers}
-    unused |= {"roller": unused["roller"] or not base.wheels, "forward": not base.joints}
-    for key, ignored in unused.items():
-        if ignored and getattr(overrides, key) is not None:
-            what = f"a {key.replace('_', ' ')} for a base '{base.kind}'"
-            what += "" if base.wheels else " without drive wheels"
+    used = {"radius": bool(names), "track": len(names) > 1, "roller": base.sideways and bool(names), "mu": base.scrubs}
+    used |= {"steer": steers, "hitch": bool(pivots), "wheelbase": steers, "steering_limit": steers}
+    for key, uses in (used | {"forward": bool(base.joints)}).items():
+        if not uses and getattr(overrides, key) is not None:
+            what = f"a {key.replace('_', ' ')} for a base '{base.kind}'{'' if names else ' without drive wheels'}"
             raise ConfigError(what, why="nothing would use it", fix="leave it out, or say what the base is", key=key)
 
 
@@ -276,21 +226,10 @@ def frame_of(
 def placed_wheels(
     drives: list[Candidate], middle: Array, forward: Array, kind: type[Base], stated: float | None
 ) -> tuple[tuple[Wheel, ...], float]:
-    """The wheels in the control frame, front to rear and left before right, and their track [m].
-
-    Args:
-        drives: Those that drive.
-        middle: (2,) origin of the control frame [m].
-        forward: (2,) its x.
-        kind: Kind of the base.
-        stated: The track that the user states [m].
-    """
+    """The wheels in the control frame, front to rear and left before right, and their track, maybe stated [m]."""
     left, alike = np.array([-forward[1], forward[0]]), all(parallel(drives[0], c) for c in drives[1:])
     placed = [placed_wheel(c, c.centre[:2] - middle, forward, left, alike) for c in drives]
-    if kind is not DifferentialDrive:
-        placed = in_rows(placed)
-    else:
-        placed.sort(key=lambda w: -w.y)
+    placed = sorted(placed, key=lambda w: -w.y) if kind is DifferentialDrive else in_rows(placed)
     track = max(w.y for w in placed) - min(w.y for w in placed)
     if stated is None or not track > 0 or kind.scrubs:
         return tuple(placed), track
@@ -314,7 +253,8 @@ def on_arms(rest: AtRest, wheels: Sequence[Candidate]) -> frozenset[str]:
     """
     motors, found = motors_named(rest), set[str]()
     for c in wheels:
-        above = [j for j in moving_above(rest, c) if not rest.is_vertical(j)]
+        swivels = c.trail < CLOSE * c.radius  # on an upright joint, as a ball in a housing that turns
+        above = [] if swivels else [j for j in moving_above(rest, c) if not rest.is_vertical(j)]
         alone = not any(coaxial(c, o) for o in wheels if o is not c)
         if above and (alone or any(j.name in motors for j in above)):
             found.add(c.joint.name)
@@ -352,14 +292,7 @@ def in_order(rest: AtRest, names: Sequence[str] | set[str]) -> tuple[str, ...]:
 def skidding(
     rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides, kind: type[SkidSteer]
 ) -> BaseResult:
-    """Base on wheels that skid when it turns: a virtual axle in their middle, an effective track, turning friction.
-
-    Args:
-        rest: The robot at rest.
-        drives: The wheels on the floor.
-        wheels: All its wheels.
-        overrides: What the user says.
-        kind: On wheels, or on belts, which may run over more of them.
+    """Base on wheels or belts that skid when it turns: a virtual axle in the middle, effective track, turning friction.
 
     Raises:
         ConfigError: Not two or three parallel wheels on either side, on belts one or more; with their names.
@@ -367,13 +300,13 @@ def skidding(
     """
     base = frame_of(rest, drives, wheels, kind, overrides)
     base = replace(base, parked=in_order(rest, [*base.parked, *idlers(rest, base, drives)]))
-    sides = [[w.joint for w in base.wheels if side * w.y > MIDDLE * base.track] for side in (1, -1)]
-    require_sides(rest, sides, drives, kind)
+    sides = [[w for w in base.wheels if side * w.y > MIDDLE * base.track] for side in (1, -1)]
+    require_sides(rest, [[w.joint for w in side] for side in sides], drives, kind)
     require_together(rest, drives)
     mass, centre = weight_in(rest, base)
     load, mu = loads(base.wheels, mass, centre), overrides.mu or 1.0
-    between = abs(np.mean([w.y for w in base.wheels if w.y > 0]) - np.mean([w.y for w in base.wheels if w.y < 0]))
-    track = overrides.track or float(between)
+    left, right = (float(np.mean([w.y for w in side])) for side in sides)
+    track = overrides.track or left - right
     base = replace(base, track=track, turning=turning_friction(base.wheels, track, load, mu))
     first, rolls = drives[0].joint.name, turning_track(base.wheels)
     text = f"effective track {track:.4g} m, turning friction {base.turning:.3g} N m (mu {mu:g}, {mass:.4g} kg)"
@@ -396,24 +329,16 @@ def skidding(
 def require_sides(
     rest: AtRest, sides: Sequence[Sequence[str]], drives: Sequence[Candidate], kind: type[SkidSteer]
 ) -> None:
-    """Refuse wheels that are not as many on either side, or too few, or too many; errors as of `skidding`.
-
-    Args:
-        rest: The robot at rest.
-        sides: Names of those on the left and on the right.
-        drives: All that are to drive.
-        kind: On wheels or on belts.
-    """
+    """Refuse wheels that are not as many on either side, or too few, or too many; errors as of `skidding`."""
     left, right = sides
     least, most = (2, MOST_PER_SIDE) if kind is SkidSteer else (1, len(drives))
     even = all(parallel(drives[0], c) for c in drives[1:]) and least <= len(left) == len(right) <= most
     if even and len(left) + len(right) == len(drives):
         return
-    name = "tracked machine" if kind is Tracked else "skid-steer base"
     middle = [c.joint.name for c in drives if c.joint.name not in (*left, *right)]
     places = {"on the left": left, "on the right": right, "in the middle": middle}
     told = "; ".join(f"{place} {', '.join(names)}" for place, names in places.items() if names)
-    what = f"{len(drives)} wheel(s) for a {name}: {told}"
+    what = f"{len(drives)} wheel(s) for a {'tracked machine' if kind is Tracked else 'skid-steer base'}: {told}"
     fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
     fix = f"--wheels {','.join([*left, *right])} where these drive" if even else fix
     raise ConfigError(what, fix=fix, key="wheels", file=rest.document.path)
@@ -448,9 +373,8 @@ def require_together(rest: AtRest, drives: list[Candidate]) -> None:
         if abs(c.joint.multiplier / right - 1) > SAME_RATE:
             rate = f"{c.joint.multiplier / right:.3g} times as fast as '{master.joint.name}'"
             what = f"<mimic> rolls wheel '{c.joint.name}' {rate} (multiplier {c.joint.multiplier:g})"
-            against = BaseReading("skid_steer", ("it follows another wheel",), (what,))
             fix = f'multiplier="{right:.4g}" rolls them alike; or take out the <mimic> if it turns by itself'
-            raise undecided(rest, drives, [against], what, fix, c.joint.line)
+            raise undecided(rest, drives, what, fix, ["skid_steer"], c.joint.line)
 
 
 def weight_in(rest: AtRest, base: Base) -> tuple[float, Array]:
@@ -465,59 +389,42 @@ def weight_in(rest: AtRest, base: Base) -> tuple[float, Array]:
 # -- holonomic bases ---------------------------------------------------------------------------------------------------
 
 
-def mecanum(
-    rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides, stated: dict[str, float]
-) -> tuple[Base, list[Finding]]:
-    """Base on mecanum wheels; on the floor their rollers lie as the file states it, else across the diagonals.
+def rolling_sideways(
+    rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides
+) -> BaseResult:
+    """A holonomic base on mecanum wheels, which are parallel, or on omni wheels.
 
-    Args:
-        rest: The robot at rest.
-        drives: Its drive wheels.
-        wheels: All its wheels.
-        overrides: What the user says.
-        stated: Roller angle by wheel, where the file states one [rad].
-    """
-    base = frame_of(rest, drives, wheels, HolonomicBase, overrides)
-    size, known = (MECANUM, stated) if overrides.roller is None else (overrides.roller, {})
-    rolled = tuple(replace(w, roller=known.get(w.joint, -math.copysign(1.0, w.x * w.y) * size)) for w in base.wheels)
-    base = checked(rest, replace(base, wheels=rolled), drives)
-    if overrides.roller is not None or all(wheel.joint in stated for wheel in base.wheels):
-        return base, []
-    text = (
-        f"rollers at {math.degrees(MECANUM):.0f} degrees assumed, on the floor across the diagonals (from above an X)"
-    )
-    why, fix = (
-        "nothing in the file states their angle",
-        "--roller RADIANS, negative for wheels mounted the other way round",
-    )
-    return base, [note(rest, "base-roller", drives[0].joint.name, text, why, fix)]
-
-
-def crossed(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
-    """Wheels whose axles are not parallel: to roll together they must slide along them (omni wheels)."""
-    base = frame_of(rest, drives, wheels, HolonomicBase, overrides)
-    roller = overrides.roller if overrides.roller is not None else 0.0
-    base = checked(rest, replace(base, wheels=tuple(replace(w, roller=roller) for w in base.wheels)), drives)
-    if overrides.roller is not None:
-        return BaseResult(base)
-    text = "omni wheels assumed: their rollers turn about the rolling direction (0 degrees)"
-    why = "plain wheels whose axles cross could not roll together"
-    omni = note(rest, "base-omni", drives[0].joint.name, text, why, "--roller RADIANS for another angle")
-    return BaseResult(base, (omni,))
-
-
-def checked(rest: AtRest, base: Base, drives: list[Candidate]) -> Base:
-    """The base, if its wheels can move it in all three directions.
+    Rollers lie as the user or the file says; else those of mecanum wheels on the floor across the diagonals, and those
+    of omni wheels across the rolling direction: wheels whose axles cross must slide along them to roll together.
 
     Raises:
-        Undecided: They cannot.
+        ConfigError: Fewer than three wheels.
+        Undecided: They cannot move it in all three directions.
     """
+    if len(drives) < 3:
+        raise ConfigError(f"{len(drives)} wheel(s) for a holonomic base", fix="name at least three", key="wheels")
+    base = frame_of(rest, drives, wheels, HolonomicBase, overrides)
+    level, known, findings = all(parallel(drives[0], c) for c in drives[1:]), dict[str, float](), list[Finding]()
+    first, angle = drives[0].joint.name, overrides.roller
+    if level and angle is None:
+        pieces = evidence(rest, drives, overrides.controllers_file)
+        known = stated_rollers([piece for piece in pieces if piece.meaning == HolonomicBase.kind])
+    if angle is None and not level:
+        angle, text = 0.0, "omni wheels assumed: their rollers turn about the rolling direction (0 degrees)"
+        why = "plain wheels whose axles cross could not roll together"
+        findings.append(note(rest, "base-omni", first, text, why, "--roller RADIANS for another angle"))
+    elif angle is None and not {*known} >= {wheel.joint for wheel in base.wheels}:
+        text = f"rollers at {math.degrees(MECANUM):.0f} degrees assumed, on the floor across the diagonals "
+        text, why = f"{text}(from above an X)", "nothing in the file states their angle"
+        fix = "--roller RADIANS, negative for wheels mounted the other way round"
+        findings.append(note(rest, "base-roller", first, text, why, fix))
+    size = MECANUM if angle is None else angle
+    across = {w.joint: -math.copysign(1.0, w.x * w.y) * size if level else size for w in base.wheels} | known
+    base = replace(base, wheels=tuple(replace(w, roller=across[w.joint]) for w in base.wheels))
     if np.linalg.matrix_rank(np.array([wheel.grip for wheel in base.wheels]), tol=1e-6) < 3:
-        against = BaseReading("holonomic", (), ("its wheels cannot drive it in all three directions",))
-        raise undecided(
-            rest, drives, [against], "wheels with rollers at these places leave a direction undriven", ROLLERS
-        )
-    return base
+        why = "wheels with rollers at these places leave a direction undriven"
+        raise undecided(rest, drives, why, ROLLERS, [HolonomicBase.kind])
+    return BaseResult(base, tuple(findings))
 
 
 def pushed(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:

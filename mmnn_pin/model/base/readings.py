@@ -8,21 +8,24 @@ readings in question, each built before it is printed. That these wheels make no
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
+import numpy as np
+
 from ...errors import InputError
-from ..signs import MARGIN, Sign, score, told_apart
+from ..signs import MARGIN, Sign, told_apart
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .evidence import Evidence
 from .report import BaseReading, BaseResult, blind_fix, note, undecided
-from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, coaxial, on_either_side, one_axle, parallel
+from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, coaxial, on_either_side, one_axle, parallel, rolling
 
 NOTHING = -4.0  # score of the reading that these wheels make no base
 CLEAR, DOUBT = 9.0, 3.0  # a runner-up further behind is not told; a nearer one is told as a doubt
 LARGE = 0.13  # [m] radius beyond which few wheels have rollers: 1 of 14 on public robots, of plain ones 9 of 22
+IN_ROW = 0.2  # wheels of a side may differ in place by this fraction of the width
 ALIKE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
 CASTER, ROLLING = ("caster", "castor", "roulette", "lenkrolle", "rueda_loca"), ("skid_steer", "tracked")
 TOLD_BY = {"skid_steer": "skid_steer", "tracked": "skid_steer", "holonomic": "holonomic"}  # meaning of evidence
@@ -31,41 +34,27 @@ FORCES = "--base holonomic to drive it by forces on its frame, or --base fixed t
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """One way to understand a base.
+class Proposal(BaseReading):
+    """A reading that a base can be built by.
 
     Attributes:
-        kind: What it would be, a key of `KINDS`.
-        signs: What speaks for it and against it.
         said: What a user says for it, keys of `Overrides`.
         build: Makes it; raises what `understanding` raises where it cannot be.
     """
 
-    kind: str
-    signs: tuple[Sign, ...]
     said: Mapping[str, Any]
-    build: Callable[[], BaseResult] = field(repr=False)
-
-    @property
-    def score(self) -> float:
-        """The sum of its signs."""
-        return score(self.signs)
-
-    @property
-    def told(self) -> BaseReading:
-        """It with its reasons in words."""
-        return BaseReading.of(self.kind, self.signs)
+    build: Callable[[], BaseResult]
 
     @property
     def options(self) -> str:
-        """What is said for it on the command line."""
+        """Its statements as they stand on the command line."""
         texts = {key: value if isinstance(value, str) else ",".join(value) for key, value in self.said.items()}
         return " ".join(f"--{key.replace('_', '-')} {text}" for key, text in texts.items())
 
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What the loader asks where readings leave a doubt.
+    """The question that is asked where readings leave a doubt.
 
     Attributes:
         rest: The robot at rest.
@@ -81,7 +70,7 @@ class Question:
     blind: Sequence[Candidate] = ()
     sure: bool = False
 
-    def best_of(self, readings: Sequence[Reading]) -> BaseResult:
+    def best_of(self, readings: Sequence[Proposal]) -> BaseResult:
         """The base of the reading that is borne out.
 
         Raises:
@@ -100,14 +89,14 @@ class Question:
         found = best.build()
         return replace(found, findings=(*reading_note(self.rest, best, others), *found.findings))
 
-    def leads_on(self, reading: Reading) -> bool:
+    def leads_on(self, reading: Proposal) -> bool:
         """Whether its options lead to a reading: only then they are printed."""
         try:
             return self.attempt is not None and self.attempt(reading.said).base.kind == reading.kind
         except InputError:
             return False
 
-    def which(self, rivals: Sequence[Reading], others: Sequence[Reading]) -> Exception:
+    def which(self, rivals: Sequence[Proposal], others: Sequence[Proposal]) -> Exception:
         """The question which of some readings is meant."""
         told = [told_apart(one.signs, other.signs) for one in rivals for other in rivals if one is not other]
         texts = list(dict.fromkeys(text for texts in told for text in texts))
@@ -117,24 +106,23 @@ class Question:
             why = f"the signs do not tell which: {'; '.join(texts)}"
         ways = [f"{r.options} {when(r, rivals)}".strip() for r in rivals if self.leads_on(r)]
         last = PARKED if "holonomic" in kinds else FORCES
-        listed = [reading.told for reading in [*rivals, *others][:4]]
-        return undecided(self.rest, list(self.wheels), listed, why, "; ".join([*ways, last]))
+        return undecided(self.rest, self.wheels, why, "; ".join([*ways, last]), [*rivals, *others][:4])
 
-    def whether(self, best: Reading, others: Sequence[Reading]) -> Exception:
+    def whether(self, best: Proposal, others: Sequence[Proposal]) -> Exception:
         """The question whether a reading is meant though much speaks against it."""
-        listed = [reading.told for reading in [best, *others][:4]]
+        listed = [best, *others][:4]
         if self.blind:
             why = "what turns on some of them cannot be measured, or does not reach the floor"
             everything = [*self.wheels, *self.blind]
-            return undecided(self.rest, everything, listed, why, blind_fix(self.rest, everything))
+            return undecided(self.rest, everything, why, blind_fix(self.rest, everything), listed)
         against = [sign.text for sign in best.signs if sign.weight < 0]
         ways = [f"{best.options} {when(best, [best])}"] if self.leads_on(best) else []
         if any("<mimic>" in text for text in against):
             ways.append("take out their <mimic> if they turn by themselves")
-        return undecided(self.rest, list(self.wheels), listed, "; ".join(against), "; ".join([*ways, FORCES]))
+        return undecided(self.rest, self.wheels, "; ".join(against), "; ".join([*ways, FORCES]), listed)
 
 
-def when(reading: Reading, rivals: Sequence[Reading]) -> str:
+def when(reading: Proposal, rivals: Sequence[Proposal]) -> str:
     """In which case a reading is the right one, in words."""
     mixed = {"skid_steer", "holonomic"} <= {r.kind for r in rivals}
     words = {
@@ -148,7 +136,7 @@ def when(reading: Reading, rivals: Sequence[Reading]) -> str:
     return words.get(reading.kind, "if they steer" if "steer" in reading.said else "")
 
 
-def reading_note(rest: AtRest, best: Reading, others: Sequence[Reading]) -> list[Finding]:
+def reading_note(rest: AtRest, best: Proposal, others: Sequence[Proposal]) -> list[Finding]:
     """The reading that was taken, its runner-up and what told them apart; a warning where that is little."""
     other = next((r for r in others if best.score - r.score < CLEAR and r.kind != best.kind), None)
     ordered = sorted((sign for sign in best.signs if sign.weight > 0), key=lambda sign: -sign.weight)
@@ -169,7 +157,7 @@ def reading_note(rest: AtRest, best: Reading, others: Sequence[Reading]) -> list
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """What may drive a base that does not steer.
+    """Wheels that may drive a base that does not steer.
 
     Attributes:
         fixed: Wheels that hang on nothing that turns; or those that the user names.
@@ -245,6 +233,8 @@ class Drives:
             yield Sign(f"wheels of {drives[0].radius:.3g} m: those with rollers are mostly smaller", -1.0)
         if kind == "skid_steer" and one_axle(drives):
             yield Sign(f"{len(drives)} wheels on one axle: twin tyres whose sides turn alike", 1.0)
+        if kind in ROLLING and not in_rows(drives):
+            yield Sign("the wheels of a side do not stand in a row", -8.0)
         if kind == "tracked":
             yield from self.belts or [Sign("no belt is in the file", -5.0)]
         elif kind == "holonomic" and belts > 0:
@@ -312,6 +302,13 @@ def alike(a: Candidate, b: Candidate) -> bool:
 def is_called_caster(c: Candidate) -> bool:
     """Whether names call a wheel a caster."""
     return any(word in f"{c.joint.name} {c.joint.child}".lower() for word in CASTER)
+
+
+def in_rows(drives: Sequence[Candidate]) -> bool:
+    """Whether the parallel wheels of each side stand about in a row."""
+    across = np.array([float(np.array([-1.0, 1.0]) * rolling(drives[0])[::-1] @ c.centre[:2]) for c in drives])
+    sides = [across[across > across.mean()], across[across < across.mean()]]
+    return all(np.ptp(side) < IN_ROW * np.ptp(across) for side in sides if side.size)
 
 
 def in_pairs(drives: Sequence[Candidate]) -> bool:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,69 +15,47 @@ import numpy as np
 from ...errors import RobotError, printable
 from ...signals import Array
 from ..arm import WHY, Arm
-from ..signs import MARGIN, Sign, told_apart
+from ..signs import MARGIN, Sign, score, told_apart
 from ..urdf.document import Joint
 from ..urdf.finding import AuditError, Finding
 from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
 from . import KINDS
 from .base import Base, Wheel
-from .evidence import Evidence, evidence
 from .heading import axis_name, heading, left_first
 from .overrides import Overrides
 from .skid_steer import GRAVITY
 from .steered import SteeredBase
-from .wheels import HUB, LUMPY, PARTIAL, TILTED, TOUCHING, Candidate, Candidates, coaxial, height_at
+from .wheels import (
+    HUB,
+    LUMPY,
+    PARTIAL,
+    TILTED,
+    TOUCHING,
+    Candidate,
+    Candidates,
+    coaxial,
+    height_at,
+    welded_cylinders,
+)
 
 LARGE, WIDE = 2.0, 3.0  # [m], fraction of the track; no wheel of a robot has a larger radius
+SPEAKS = {"for": 1, "against": -1}
 NO_FRICTION = "no joint has damping or friction"
 HUGE = 20.0  # [m], no robot has a larger track
 SAME_RADIUS = 0.01  # radii that differ by more than this fraction are told
 OFF_FLOOR = 0.02  # wheels further than this fraction of their radius from the footprint are told
 MOST_NAMES = 8  # joints that a note names; what was understood of the robot lists all
 
-# Severity by code; docs/reference/urdf-audit.md tells each with its reason.
-CODES = {
-    # refused, with the candidates or the machine's name
-    "base-undecided": "error",
-    "base-unsupported": "error",
-    "robot": "error",
-    # the base
-    "base-evidence": "note",
-    "base-doubt": "warning",
-    "base-roller": "warning",
-    "base-omni": "note",
-    "base-none": "note",
-    "base-pushed": "warning",
-    "base-sides": "warning",
-    "base-radius": "warning",
-    "base-heading": "warning",
-    "base-hub-height": "warning",
-    "base-size": "error",
-    "base-shapes": "warning",
-    "base-joints": "note",
-    "base-stated": "warning",
-    "base-driven": "note",
-    "base-stray": "warning",
-    "base-pair": "warning",
-    "base-skid": "note",
-    "base-steered": "note",
-    "base-limit": "warning",
-    "base-linkage": "warning",
-    "base-scrub": "warning",
-    "base-floor": "warning",
-    "base-friction": "warning",
-    "base-welded": "warning",
-    # the arm and the rest
-    "arm-locked": "note",
-    "arm-doubt": "warning",
-    "arm-passive": "warning",
-    "arm-srdf": "warning",
-    "arm-weak": "warning",
-    "no-friction": "note",
-    "welded": "warning",
-    "pinocchio": "warning",
-    "overrides": "note",
+# Codes by severity; docs/reference/urdf-audit.md tells each with its reason.
+SEVERITIES = {
+    "error": "base-undecided base-unsupported robot base-size",
+    "warning": "base-doubt base-roller base-pushed base-sides base-radius base-heading base-hub-height base-shapes "
+    "base-stated base-stray base-pair base-limit base-linkage base-scrub base-floor base-friction base-welded "
+    "arm-doubt arm-passive arm-srdf arm-weak welded pinocchio",
+    "note": "base-evidence base-omni base-none base-joints base-driven base-skid base-steered arm-locked no-friction "
+    "overrides",
 }
+CODES = {code: severity for severity, codes in SEVERITIES.items() for code in codes.split()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,13 +93,14 @@ def settle(audited: Sequence[Finding], findings: Sequence[Finding]) -> tuple[Fin
     return (*audited, *findings)
 
 
-def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: bool) -> list[Finding]:
-    """Warnings about radii that are odd, differ or are not measured, and a floor that is not the root's.
+def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], lowest: float, given: bool) -> list[Finding]:
+    """Warnings about radii that are odd, differ or are not measured, a floor elsewhere, and friction that holds.
 
     Args:
         rest: The robot at rest.
         base: Its base.
         wheels: Its drive wheels, and maybe others.
+        lowest: Height of its lowest point [m].
         given: Whether the user states the radius.
     """
     if not base.wheels:
@@ -129,20 +108,20 @@ def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: boo
     return [
         *hidden_radii_note(rest, base, wheels),
         *size_notes(rest, base, given),
-        *floor_note(rest, base),
+        *floor_notes(rest, base, lowest),
         *friction_note(rest, base),
+        *welded_note(rest, welded_cylinders(rest, lowest)),
     ]
 
 
-def hidden_radii_note(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> list[Finding]:
+def hidden_radii_note(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> Iterator[Finding]:
     """A warning about radii that are assumed from the height of the hubs."""
-    blind = [c for c in wheels if c.shape == HUB and c.joint.name in [w.joint for w in base.wheels]]
-    if not blind:
-        return []
-    sizes = ", ".join(f"'{c.joint.name}' {c.radius:.4g} m" for c in blind)
-    text = f"radii assumed from the height of the hubs above the floor: {sizes}"
-    why, fix = "no shape of them can be read", "--radius, or --package-dir where their meshes are"
-    return [note(rest, "base-hub-height", blind[0].joint.name, text, why, fix)]
+    driving = {w.joint for w in base.wheels}
+    if blind := [c for c in wheels if c.shape == HUB and c.joint.name in driving]:
+        sizes = ", ".join(f"'{c.joint.name}' {c.radius:.4g} m" for c in blind)
+        text = f"radii assumed from the height of the hubs above the floor: {sizes}"
+        why, fix = "no shape of them can be read", "--radius, or --package-dir where their meshes are"
+        yield note(rest, "base-hub-height", blind[0].joint.name, text, why, fix)
 
 
 def heading_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrides: Overrides) -> Iterator[Finding]:
@@ -165,7 +144,7 @@ def heading_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrid
     if found.said and found.margin < -MARGIN:
         text = f"'{names[0]}' is the left wheel as you said, so forward is {way} {root}"
         yield note(rest, "base-sides", names[0], text, why, fix)
-    elif not found.said and any("names of left and right" in text for text in contra):
+    elif not found.said and any("left and right" in text for text in contra):
         text = f"'{names[0]}' is on the left: does the robot drive along {other} {root}?"
         yield note(rest, "base-sides", names[0], text, why, fix)
     elif not found.said and found.margin < MARGIN:
@@ -202,52 +181,38 @@ def alike(base: Base) -> Iterable[list[Wheel]]:
     return found.values()
 
 
-def floor_note(rest: AtRest, base: Base) -> list[Finding]:
-    """A warning where the wheels do not touch the floor at the height of a root that is a footprint."""
-    if not rest.is_footprint or abs(base.floor) <= OFF_FLOOR * max(wheel.radius for wheel in base.wheels):
-        return []
-    where, root = "below" if base.floor < 0 else "above", rest.document.root_link
-    text = f"the wheels touch the ground {abs(base.floor):.3g} m {where} the root link '{root}'"
-    return [note(rest, "base-floor", base.wheels[0].joint, text, "the floor is taken where the wheels are")]
+def floor_notes(rest: AtRest, base: Base, lowest: float) -> Iterator[Finding]:
+    """Warnings where the wheels touch no floor at the height of a footprint, or the robot reaches far below theirs."""
+    first, largest = base.wheels[0].joint, max(wheel.radius for wheel in base.wheels)
+    if rest.is_footprint and abs(base.floor) > OFF_FLOOR * largest:
+        where, root = "below" if base.floor < 0 else "above", rest.document.root_link
+        text = f"the wheels touch the ground {abs(base.floor):.3g} m {where} the root link '{root}'"
+        yield note(rest, "base-floor", first, text, "the floor is taken where the wheels are")
+    if base.floor - lowest > TOUCHING * largest:
+        text = f"the robot reaches {base.floor - lowest:.3g} m below the floor that its wheels touch"
+        why, fix = "does it stand on its head, or do other wheels carry it?", "turn it over, or name other wheels"
+        yield note(rest, "base-floor", first, text, why, fix)
 
 
-def buried_note(rest: AtRest, base: Base, lowest: float) -> list[Finding]:
-    """A warning where the robot at rest reaches far below the floor that its wheels touch."""
-    if not base.wheels or base.floor - lowest <= TOUCHING * max(w.radius for w in base.wheels):
-        return []
-    text = f"the robot reaches {base.floor - lowest:.3g} m below the floor that its wheels touch"
-    why, fix = "does it stand on its head, or do other wheels carry it?", "turn it over, or name other wheels"
-    return [note(rest, "base-floor", base.wheels[0].joint, text, why, fix)]
-
-
-def friction_note(rest: AtRest, base: Base) -> list[Finding]:
+def friction_note(rest: AtRest, base: Base) -> Iterator[Finding]:
     """A warning where the friction of the wheels' joints, at 1 m/s, takes more than any floor gives the wheels."""
-    joints = rest.document.joints
+    joints, first = rest.document.joints, rest.document.joints[base.wheels[0].joint]
     force = sum((joints[w.joint].damping / w.radius + joints[w.joint].friction) / w.radius for w in base.wheels)
     weight = GRAVITY * math.fsum(rest.mass(name) for name in rest.document.links)
-    if force <= weight:
-        return []
-    first = base.wheels[0].joint
-    times = f"{force / weight:.2g} times the weight"
-    text = f"rolling at 1 m/s takes {force:.3g} N against the friction of the wheels' joints, {times}"
-    why = "no floor gives wheels that grip: a simulator's number? PD hardly moves such a base"
-    dynamics = f'damping="{joints[first].damping:g}" friction="{joints[first].friction:g}"'
-    return [note(rest, "base-friction", first, text, why, f"state the measured friction instead of {dynamics}")]
+    if force > weight:
+        text = f"rolling at 1 m/s takes {force:.3g} N against the friction of the wheels' joints, "
+        text += f"{force / weight:.2g} times the weight"
+        why = "no floor gives wheels that grip: a simulator's number? PD hardly moves such a base"
+        fix = f'state the measured friction instead of damping="{first.damping:g}" friction="{first.friction:g}"'
+        yield note(rest, "base-friction", first.name, text, why, fix)
 
 
-def welded_note(rest: AtRest, welded: Sequence[Joint]) -> list[Finding]:
+def welded_note(rest: AtRest, welded: Sequence[Joint]) -> Iterator[Finding]:
     """Wheels beside the drive wheels that are welded on."""
-    text = f"wheels on the floor are welded on: {', '.join(joint.name for joint in welded)}"
-    why, fix = "taken as sliding without friction", "make their joints continuous if they turn"
-    return [note(rest, "base-welded", welded[0].name, text, why, fix)] if welded else []
-
-
-def evidence_note(rest: AtRest, meaning: str, cited: list[Evidence]) -> Finding:
-    """A note on the evidence by which four parallel wheels are mecanum wheels, or skid."""
-    texts = list(dict.fromkeys(piece.text for piece in cited))
-    more = f" and {len(texts) - 4} more" if len(texts) > 4 else ""
-    text = f"taken as {meaning}: {'; '.join(texts[:4])}{more}"
-    return replace(note(rest, "base-evidence", "", text), line=cited[0].line)
+    if welded:
+        text = f"wheels on the floor are welded on: {', '.join(joint.name for joint in welded)}"
+        why, fix = "taken as sliding without friction", "make their joints continuous if they turn"
+        yield note(rest, "base-welded", welded[0].name, text, why, fix)
 
 
 def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
@@ -282,14 +247,7 @@ def few(names: Sequence[str]) -> str:
 
 
 def weak_notes(rest: AtRest, names: Sequence[str], held: Array, limits: Array) -> list[Finding]:
-    """Joints whose motors cannot hold them where the robot rests.
-
-    Args:
-        rest: The robot.
-        names: Of the joints of the arm.
-        held: (n,) what gravity takes there [N m or N].
-        limits: (n,) what their motors give; inf for those without a limit.
-    """
+    """Joints of the arm whose motors cannot hold them where the robot rests: `held` (n,) against `limits` (n,)."""
     notes = []
     for name, needed, limit in zip(names, np.abs(held), limits, strict=True):
         if needed > limit:
@@ -301,13 +259,7 @@ def weak_notes(rest: AtRest, names: Sequence[str], held: Array, limits: Array) -
 
 
 def friction_notes(rest: AtRest, damping: Array, coulomb: Array) -> list[Finding]:
-    """A note that no joint has friction.
-
-    Args:
-        rest: The robot.
-        damping: (nv,) of all joints.
-        coulomb: (nv,) their dry friction.
-    """
+    """A note that no joint has friction, of damping and dry friction (nv,) each."""
     if np.any(damping) or np.any(coulomb):
         return []
     why = "runs have none, and a real gear takes a good part of a small motor's torque"
@@ -331,31 +283,31 @@ def printed_notes(rest: AtRest, printed: str) -> list[Finding]:
 # -- refusals ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BaseReading:
-    """One way to read the geometry of a base.
+    """One way to understand a base.
 
     Attributes:
-        kind: What the base would be.
-        reasons: What speaks for it.
-        objections: What speaks against it.
+        kind: What it would be, a key of `KINDS`, or another machine.
+        signs: What speaks for it and against it.
     """
 
     kind: str
-    reasons: tuple[str, ...] = ()
-    objections: tuple[str, ...] = ()
+    signs: tuple[Sign, ...]
 
-    @classmethod
-    def of(cls, kind: str, signs: Iterable[Sign]) -> BaseReading:
-        """A reading with its signs."""
-        ordered = sorted(signs, key=lambda sign: -abs(sign.weight))
-        reasons, objections = (tuple(s.text for s in ordered if s.weight * side > 0) for side in (1, -1))
-        return cls(kind, reasons, objections)
+    @property
+    def score(self) -> float:
+        """The sum of its signs."""
+        return score(self.signs)
+
+    def told(self, side: int) -> list[str]:
+        """Its signs in words that speak for it (1), or against it (-1), the strongest first."""
+        ordered = sorted(self.signs, key=lambda sign: -abs(sign.weight))
+        return [sign.text for sign in ordered if sign.weight * side > 0]
 
     def __str__(self) -> str:
-        parts = [f"for: {', '.join(self.reasons)}"] if self.reasons else []
-        parts += [f"against: {', '.join(self.objections)}"] if self.objections else []
-        return f"{self.kind} ({'; '.join(parts)})" if parts else self.kind
+        sides = [f"{word}: {', '.join(texts)}" for word, side in SPEAKS.items() if (texts := self.told(side))]
+        return f"{self.kind} ({'; '.join(sides)})" if sides else self.kind
 
 
 class Undecided(RobotError):
@@ -380,47 +332,26 @@ class Unsupported(RobotError):
     machine: str = ""
 
 
-def readings(rest: AtRest, drives: list[Candidate]) -> list[BaseReading]:
-    """The kinds of base that these wheels could make, with the reasons for and against."""
-    pieces = evidence(rest, drives)
-    speaks = {
-        kind: tuple(dict.fromkeys(p.text for p in pieces if p.meaning == kind)) for kind in ("holonomic", "skid_steer")
-    }
-    many = len(drives) >= 4
-    pairs = sum(coaxial(a, b) for i, a in enumerate(drives) for b in drives[:i])
-    two = BaseReading(
-        "differential_drive",
-        (f"{pairs} pair(s) of coaxial wheels",) if pairs else (),
-        (f"{len(drives)} wheel(s) that do not swivel",) if len(drives) != 2 else ("they are not on one axle",),
-    )
-    if not many:
-        return [two]
-    rolls = BaseReading("holonomic", ("four or more parallel wheels", *speaks["holonomic"]), speaks["skid_steer"])
-    skids = BaseReading("skid_steer", ("four or more parallel wheels", *speaks["skid_steer"]), speaks["holonomic"])
-    return [rolls, skids, two]
-
-
 def undecided(
     rest: AtRest,
-    wheels: list[Candidate],
-    pieces: list[BaseReading],
+    wheels: Sequence[Candidate],
     why: str,
     fix: str,
+    readings: Sequence[BaseReading | str] = (),
     line: int | None = None,
-    names: str = "",
 ) -> Undecided:
-    """The error that lists what could be a wheel, and what the base could be."""
-    texts = tuple(c.text for c in wheels)
-    none = f"no wheel turns: {names}" if names else "no wheels found"
-    listed = f"{len(wheels)} wheel(s) found: {'; '.join(texts)}" if wheels else none
+    """The error that lists what could be a wheel, and what the base could be: readings, or kinds that `why` tells."""
+    texts, found = tuple(c.text for c in wheels), [BaseReading(r, ()) if isinstance(r, str) else r for r in readings]
+    listed = f"{len(wheels)} wheel(s) found: {'; '.join(texts)}" if wheels else "no wheel that turns is found"
+    what = f"the base is undecided: {listed}{'; it could be ' if found else ''}{' or '.join(map(str, found))}"
     error = Undecided(
-        f"the base is undecided: {listed}; it could be {' or '.join(map(str, pieces))}",
+        what,
         why=why,
         fix=fix,
         file=rest.document.path,
         line=line or (wheels[0].joint.line if wheels else None),
     )
-    error.candidates, error.readings = texts, tuple(pieces)
+    error.candidates, error.readings = texts, tuple(found)
     return error
 
 
@@ -455,10 +386,8 @@ def not_on_floor(rest: AtRest, candidates: Candidates, package_dirs: Sequence[st
         if len(near_misses) > 1:
             larger = "with --radius METRES if they are larger"
             fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
-    two = BaseReading("differential_drive", ("coaxial wheels",), (why,))
-    if all(c.mount in ("steering", "swivel") for c in near_misses):
-        two = BaseReading("swerve", ("wheels under joints about vertical axes",), (why,))
-    return undecided(rest, near_misses, [two], why, fix)
+    upright = all(c.mount in ("steering", "swivel") for c in near_misses)
+    return undecided(rest, near_misses, why, fix, ["swerve" if upright else "differential_drive"])
 
 
 def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:

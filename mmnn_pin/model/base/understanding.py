@@ -23,7 +23,7 @@ from ..urdf.document import Document, Joint, text_of
 from ..urdf.finding import Finding
 from ..urdf.shapes import HORIZONTAL, AtRest
 from .base import Base, Fixed
-from .evidence import RADII, evidence, motors_named, plugins, stated
+from .evidence import OUTDOORS, RADII, evidence, motors_named, plugins, stated
 from .heading import left_first
 from .machines import (
     PROPELLERS,
@@ -40,7 +40,7 @@ from .machines import (
     welded_tracks,
 )
 from .modules import STEERED, Undercarriage, pivots_above, says_steered, undercarriages
-from .opinions import calibration, second_opinions, unasked
+from .opinions import calibration, second_opinions
 from .overrides import Overrides, folders_of
 from .placing import (
     declared_wheel,
@@ -52,24 +52,20 @@ from .placing import (
     require_possible,
     require_used,
 )
-from .readings import FORCES, ROLLING, Drives, Question, Reading
+from .readings import FORCES, ROLLING, Drives, Proposal, Question
 from .report import (
-    BaseReading,
     BaseResult,
     Undecided,
     arm_notes,
     base_notes,
     blind_fix,
-    buried_note,
     heading_notes,
     lumpy,
     not_on_floor,
     note,
-    readings,
     undecided,
     unsupported,
     weld_notes,
-    welded_note,
 )
 from .steered import CarLike, DriveWithTrailer, Tricycle
 from .steering import behind_drive, steered_base, steered_kind
@@ -87,7 +83,6 @@ from .wheels import (
     is_endless_end,
     is_low,
     moving_above,
-    welded_cylinders,
     welded_wheels,
     wheel_candidates,
     wheel_of,
@@ -100,6 +95,8 @@ UPRIGHT = (
 )
 Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
 UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
+PLANE = [(False, True), (True, True)]  # a turn and a slide, both upright: beside two level slides
+FAR = 50.0  # [m] travel of a slide that no gantry has
 NOTHING = 0.05  # of the mass of a robot: what simulators ask for of an empty link
 
 
@@ -178,12 +175,9 @@ def understood(rest: AtRest, overrides: Overrides, asks: bool = True) -> BaseRes
     drives = named if overrides.wheels is not None and overrides.base != "fixed" else candidates.wheels
     seen = {c.joint.name: c for c in (*candidates.wheels, *candidates.limited, *named)}
     notes = [
-        *base_notes(rest, result.base, drives, overrides.radius is not None),
+        *base_notes(rest, result.base, drives, candidates.floor, overrides.radius is not None),
         *heading_notes(rest, result.base, list(seen.values()), overrides),
-        *buried_note(rest, result.base, candidates.floor),
         *second_opinions(rest, result.base, drives, overrides),
-        *unasked(rest, result.base, overrides),
-        *(welded_note(rest, welded_cylinders(rest, candidates.floor)) if result.base.wheels else ()),
     ]
     return replace(result, findings=(*result.findings, *notes))
 
@@ -246,7 +240,7 @@ def unclear_strays(rest: AtRest, strays: list[Joint]) -> Undecided:
         why, fix = f"{len(strays)} like bodies turn without end about tilted axes: does it roll on a ball?", FORCES
     elif all(c.shape == LUMPY for c in wheels):
         why, fix = lumpy(rest, wheels)
-    return undecided(rest, wheels, readings(rest, wheels), why, fix or blind_fix(rest, wheels))
+    return undecided(rest, wheels, why, fix or blind_fix(rest, wheels))
 
 
 def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
@@ -258,8 +252,8 @@ def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
     driving = tuple(dict.fromkeys(piece.text for piece in plugins(rest)))
     if driving and not base.columns and overrides.base is None:
         why = "no joint could be a wheel, and a plugin drives a base"
-        rolls = BaseReading("holonomic", driving, ("no wheel can turn in this file",))
-        raise undecided(rest, [], [rolls, BaseReading("fixed", ("no wheel is found",), driving)], why, UNDRIVEN)
+        why += f": {', '.join(driving)}"
+        raise undecided(rest, [], why, UNDRIVEN, ["holonomic", "fixed"])
 
 
 def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
@@ -301,19 +295,19 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides, asks: boo
         return on_wheels(rest, str(overrides.base), plain(candidates.wheels), candidates.wheels, overrides)
     if not found:
         raise no_base(rest, candidates.wheels, plain(candidates.wheels))
-    blind = blind_beside(rest, candidates.wheels)
-    question = Question(rest, candidates.wheels, attempt(rest, overrides, asks), blind, overrides.base is not None)
+    blind, sure = blind_beside(rest, candidates.wheels), overrides.base is not None or says_steered(overrides)
+    question = Question(rest, candidates.wheels, attempt(rest, overrides, asks), blind, sure)
     return question.best_of(found)
 
 
 def attempt(rest: AtRest, overrides: Overrides, asks: bool) -> Callable[[Mapping[str, Any]], BaseResult] | None:
-    """What becomes of the robot if the user says something more; None where that is what is tried."""
+    """Trial of what becomes of the robot if the user says something more; None within such a trial."""
     return (lambda said: understood(rest, msgspec.structs.replace(overrides, **said), asks=False)) if asks else None
 
 
-def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Iterator[Reading]:
+def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) -> Iterator[Proposal]:
     """All that these wheels could make, of the kind that the user says."""
-    found = list[Reading]()
+    found = list[Proposal]()
     for under in undercarriages(rest, candidates, overrides):
         if under.steers:
             found.append(steered_reading(rest, candidates, under, overrides))
@@ -335,31 +329,31 @@ def base_readings(rest: AtRest, candidates: Candidates, overrides: Overrides) ->
         raise not_that_kind(rest, kinds, overrides)
 
 
-def steered_reading(rest: AtRest, candidates: Candidates, under: Undercarriage, overrides: Overrides) -> Reading:
+def steered_reading(rest: AtRest, candidates: Candidates, under: Undercarriage, overrides: Overrides) -> Proposal:
     """The reading of modules in their roles."""
     names = [m.joint.name for m in under.of("steered", "waist")]
     said: dict[str, Any] = {"steer": names} if names else {"base": "casters"}
     build = partial(steered_base, rest, candidates, overrides, under)
-    return Reading(steered_kind(under), under.signs, said, build)
+    return Proposal(steered_kind(under), under.signs, said, build)
 
 
-def with_modules(rest: AtRest, reading: Reading, under: Undercarriage) -> Reading:
+def with_modules(rest: AtRest, reading: Proposal, under: Undercarriage) -> Proposal:
     """A reading of wheels that drive, with the modules beside them: casters, trailers."""
     signs, hitches = (*under.signs, *reading.signs), [m.joint.name for m in under.of("hitch")]
     if not hitches:
         return replace(reading, signs=signs)
     build = reading.build
-    return Reading(DriveWithTrailer.kind, signs, {"hitch": hitches}, lambda: behind_drive(rest, build(), under))
+    return Proposal(DriveWithTrailer.kind, signs, {"hitch": hitches}, lambda: behind_drive(rest, build(), under))
 
 
 def drive_readings(
     rest: AtRest, fixed: list[Candidate], wheels: list[Candidate], overrides: Overrides
-) -> list[Reading]:
-    """What wheels make that do not steer, of the kind that the user says."""
+) -> list[Proposal]:
+    """Readings of wheels that do not steer, of the kind that the user says."""
     words = [Sign(f"{why}: does it steer?", -6.0) for why in (steering_named(rest),) if why and len(fixed) > 2]
     belts, drums, named = tuple(belt_signs(rest, fixed)), on_arms(rest, fixed), overrides.wheels is not None
     drives = Drives(fixed, motors_named(rest), named, overrides.base, belts, words, drums)
-    found = list[Reading]()
+    found = list[Proposal]()
     for some in drives.sets():
         kinds = [kind for kind in drives.kinds(some) if overrides.base in (None, kind)]
         pieces = evidence(rest, some, overrides.controllers_file) if len(some) > 2 else []
@@ -369,7 +363,7 @@ def drive_readings(
             said: dict[str, Any] = {"wheels": names} if kind == "differential_drive" else {"base": kind}
             said |= {} if whole else {"wheels": names}
             build = partial(on_wheels, rest, kind, some, wheels, overrides)
-            found.append(Reading(kind, tuple(drives.signs(kind, some, pieces)), said, build))
+            found.append(Proposal(kind, tuple(drives.signs(kind, some, pieces)), said, build))
     return found
 
 
@@ -407,7 +401,7 @@ def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> U
     """The error for wheels that make no base by themselves, with the options that would."""
     if blind := blind_beside(rest, wheels):
         why = "what turns on some of them cannot be measured, or does not reach the floor"
-        return undecided(rest, [*wheels, *blind], readings(rest, drives), why, blind_fix(rest, [*wheels, *blind]))
+        return undecided(rest, [*wheels, *blind], why, blind_fix(rest, [*wheels, *blind]))
     why, ways = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls", []
     if len(drives) == 2:
         near = coaxial(*drives, within=SLOPPY)
@@ -415,7 +409,7 @@ def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> U
         ways = [f"--wheels {','.join(c.joint.name for c in left_first(rest, drives))}"] if near else []
     elif len(drives) == 1:
         why = "a base on one wheel is not covered"
-    return undecided(rest, wheels, readings(rest, drives), why, ", or ".join([*ways, FORCES]))
+    return undecided(rest, wheels, why, ", or ".join([*ways, FORCES]))
 
 
 def parked(rest: AtRest, wheels: list[Candidate]) -> Base:
@@ -438,29 +432,27 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         raise unsupported(rest, "base that steers", f"{why}, and its wheels are welded on", (), fix)
     if welded:
         names = ", ".join(f"'{joint.name}'" for joint in welded)
-        rolls = BaseReading(
-            "holonomic", ("wheels under casters on all sides",), (f"{names} are welded on (fixed joints)",)
-        )
-        still = BaseReading("fixed", ("no wheel can turn in this file",), ("there are wheels under it",))
         fix = f"{UNDRIVEN}, or {written_to_turn(rest, welded)}"
-        raise undecided(rest, [], [rolls, still], f"{len(welded)} wheels are welded on", fix, welded[0].line, names)
+        why = f"{len(welded)} wheels are welded on (fixed joints): {names}"
+        raise undecided(rest, [], why, fix, ["holonomic", "fixed"], welded[0].line)
     if why := track_named(rest) if not moving else welded_tracks(rest):
         more = "; --base fixed takes it as an arm" if moving else ""
         raise unsupported(rest, "tracked machine", why, (), f"--base holonomic drives it by forces on its frame{more}")
     if why := belts_named(rest):
-        rolls, still = BaseReading("tracked", (why,)), BaseReading("fixed", ("nothing in this file could be a wheel",))
-        raise undecided(rest, [], [rolls, still], f"{why}: are its belts welded on", FORCES)
+        raise undecided(rest, [], f"{why}: are its belts welded on", FORCES, ["tracked", "fixed"])
+    if hit := OUTDOORS.search(f"{rest.document.root.get('name', '')} {rest.document.path.stem}"):
+        why = f"it is called '{hit[0]}', and nothing in the file could be a wheel"
+        raise undecided(rest, [], why, FORCES, ["skid_steer", "fixed"])
     if not moving:
         fix = "--base holonomic drives it by forces on its frame, if it drives at all"
         raise unsupported(rest, "single rigid body", "it has no joint that moves", (), fix)
     if overrides.base is not None:
         why = "no joint turns without end about a horizontal axis with something round on the floor"
-        yours = BaseReading(overrides.base, ("you said so",), (why,))
-        raise undecided(rest, [], [yours], why, f"name them with --wheels if they turn in this file, or {UNDRIVEN}")
+        fix = f"name them with --wheels if they turn in this file, or {UNDRIVEN}"
+        raise undecided(rest, [], why, fix, [overrides.base])
     if len(called := called_wheels(rest)) >= ROUND_ABOUT:
         why = "joints that turn without end are called wheels, and none is found on the floor"
-        still = BaseReading("fixed", ("no wheel is found on the floor",), (why,))
-        raise undecided(rest, called, [still], why, FORCES)
+        raise undecided(rest, called, why, FORCES, ["fixed"])
     text = "nothing in this file could be a wheel: taken as an arm on a stand"
     fix = "--base holonomic if it stands on a base whose wheels the file leaves out"
     return BaseResult(Fixed(), (note(rest, "base-none", "", text, fix=fix),))
@@ -473,12 +465,10 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     """The error for wheels whose joints have limits."""
     names = ", ".join(f"'{c.joint.name}'" for c in candidates.limited)
     why = f"{names}: revolute with limits, and a wheel turns without end"
-    two = BaseReading("differential_drive", ("coaxial round bodies on the floor",), (why,))
-    still = BaseReading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
     drives = ",".join(c.joint.name for c in left_first(rest, plain(candidates.wheels)))
     others = f"name the others with --wheels {drives}, " if drives else ""
     fix = f'write type="continuous" in {names} for wheels, {others}or --base fixed to park them'
-    return undecided(rest, [*candidates.wheels, *candidates.limited], [two, still], why, fix)
+    return undecided(rest, [*candidates.wheels, *candidates.limited], why, fix, ["differential_drive", "fixed"])
 
 
 # -- joints that stand a robot in the world ----------------------------------------------------------------------------
@@ -498,24 +488,26 @@ def welded(document: Document) -> tuple[Document, dict[str, str]]:
 
 
 def virtual_joints(document: Document) -> dict[str, str]:
-    """Joints with their types that place a robot in the plane: two level slides and a vertical turn.
+    """Joints with their types that place a robot in the plane: two level slides, an upright turn, maybe a slide.
 
-    Their links are empty, but for the little mass that some simulators ask for.
+    Their links are frames without shapes, but for the little mass that some simulators ask for; slides that go on and
+    on are no gantry's, whatever they weigh.
     """
     rest, link, chain = AtRest(document), document.root_link, list[Joint]()
-    mass = NOTHING * sum(rest.masses.values())
-    while len(chain) < 3:
+    little = NOTHING * sum(rest.masses.values())
+    while len(chain) < 2 + len(PLANE):
         below = document.moving_children(link)
+        far = any(j.type == "prismatic" and j.upper - j.lower > FAR for j in (*chain, *below))
+        mass = math.inf if far else little
         if len(below) != 1 or any(rest.mass(name) > mass or shaped(rest, name) for name in document.body(link)):
-            return {}
+            break
         chain.append(below[0])
         link = below[0].child
-    if not document.moving_children(link):  # they are all that it can do
-        return {}
-    slides = [j for j in chain if j.type == "prismatic" and rest.is_horizontal(j)]
-    turns = [j for j in chain if j.type in ("revolute", "continuous") and rest.is_vertical(j)]
-    crossed = len(slides) == 2 and len(turns) == 1 and abs(rest.axis(slides[0]) @ rest.axis(slides[1])) < HORIZONTAL
-    return {j.name: j.type for j in chain} if crossed else {}
+    level = [j for j in chain if j.type == "prismatic" and rest.is_horizontal(j)]
+    rest_of = sorted((j.type == "prismatic", rest.is_vertical(j)) for j in chain if j not in level)
+    crossed = len(level) == 2 and abs(rest.axis(level[0]) @ rest.axis(level[1])) < HORIZONTAL
+    places = crossed and rest_of in (PLANE[:1], PLANE)
+    return {j.name: j.type for j in chain} if places and document.moving_children(link) else {}
 
 
 def shaped(rest: AtRest, link: str) -> bool:
@@ -532,6 +524,5 @@ def require_rolling(rest: AtRest, base: Base, welds: dict[str, str], overrides: 
     moves = [name for name, kind in welds.items() if kind != "floating"]
     if moves and not base.columns and overrides.base is None:
         why = f"its root moves in the plane by {', '.join(moves)}, and no wheel is found"
-        rolls, still = BaseReading("holonomic", (why,)), BaseReading("fixed", ("no wheel is found",))
         fix = "--base holonomic drives it by forces on its frame; --base fixed takes it as an arm"
-        raise undecided(rest, [], [rolls, still], why, fix, rest.document.joints[moves[0]].line)
+        raise undecided(rest, [], why, fix, ["holonomic", "fixed"], rest.document.joints[moves[0]].line)
