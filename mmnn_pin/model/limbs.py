@@ -34,7 +34,8 @@ WEIGHTS: dict[str, tuple[float, float, float, float, float]] = {  # of a sign fo
     "nothing stands beside it on an arm, and it carries a joint": (0.0, -2.0, 0.0, 0.0, 0.0),
     "others stand beside it at the end of an arm": (0.0, 1.5, 0.0, 0.0, 0.0),
     "its like faces it": (-1.0, 2.5, -2.0, 0.0, 0.0),
-    "it slides by a few centimetres and carries no joint": (-1.0, 1.0, -4.0, 0.0, 0.0),
+    "it slides by a few centimetres and carries no joint": (-1.0, 1.0, -1.0, 0.0, 0.0),
+    "it slides": (0.0, 0.0, -3.0, 0.0, 0.0),
     "it slides by two centimetres at most on the base and carries no joint": (0.0, -1.0, 0.0, 8.0, 0.0),
     "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0, 0.0),
     "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.0, 0.0, -4.0),
@@ -321,6 +322,7 @@ class Limbs:
         rolls = abs(float(product(rest.axis(before), along))) > ALONG * length(along) > 0
         across = abs(float(product(rest.axis(joint), rest.axis(before)))) < 1 - ALONG
         return {
+            "it slides": slides,
             "it slides by a few centimetres and carries no joint": travel <= STROKE,
             "it slides by two centimetres at most on the base and carries no joint": travel <= BUTTON
             and not branch.above,
