@@ -34,7 +34,8 @@ WEIGHTS: dict[str, tuple[float, float, float, float, float]] = {  # of a sign fo
     "nothing stands beside it on an arm, and it carries a joint": (0.0, -2.0, 0.0, 0.0, 0.0),
     "others stand beside it at the end of an arm": (0.0, 1.5, 0.0, 0.0, 0.0),
     "its like faces it": (-1.0, 2.5, -2.0, 0.0, 0.0),
-    "it slides by a few centimetres and carries no joint": (-1.0, 1.0, -4.0, 0.0, 0.0),
+    "it slides by a few centimetres and carries no joint": (-1.0, 1.0, -1.0, 0.0, 0.0),
+    "it slides": (0.0, 0.0, -3.0, 0.0, 0.0),
     "it slides by two centimetres at most on the base and carries no joint": (0.0, -1.0, 0.0, 8.0, 0.0),
     "it turns across the joint before it, which rolls": (0.0, 1.0, 0.0, 0.0, 0.0),
     "it turns without end about an upright axis and carries no joint": (0.0, -2.0, 3.0, 0.0, -4.0),
@@ -326,6 +327,7 @@ class Limbs:
             "it carries what turns without end about a level axis": any(
                 j.turns_freely and rest.is_horizontal(j) for j in carried
             ),
+            "it slides": slides,
             "it slides by a few centimetres and carries no joint": travel <= STROKE,
             "it slides by two centimetres at most on the base and carries no joint": travel <= BUTTON
             and not branch.above,

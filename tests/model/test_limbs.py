@@ -317,8 +317,8 @@ def test_names_of_sides_count_more_than_places():
 
 
 def test_an_arm_of_two_is_refused_where_there_are_not_two():
-    for text, count in ((Drive().urdf(chain("arm", 4, "base")), 1), (Drive().urdf(""), 0)):
-        with pytest.raises(ConfigError, match=rf"no left arm: 'robot' has {count} arm.*--arm-tip LINK"):
+    for text, count in ((Drive().urdf(chain("arm", 4, "base")), "1"), (Drive().urdf(""), "none")):
+        with pytest.raises(ConfigError, match=rf"'left' of two arms: 'robot' has {count}.*--arm-tip LINK"):
             robot_of(text, arm="left")
     with pytest.raises(UnknownName, match="did you mean 'left'"):
         robot_of(two_armed(), arm="lefft")
