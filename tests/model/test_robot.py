@@ -111,9 +111,9 @@ def test_axle_ahead_of_the_root_swings_the_root_sideways():
 
 
 @pytest.mark.parametrize("heading", [np.pi / 2, -np.pi / 2, np.pi])
-def test_forward_is_the_rolling_direction_nearer_the_root_x(heading):
+def test_forward_is_along_the_root_x_and_across_it_where_names_and_rates_say(heading):
     robot = robot_of(Drive(frame=(0, 0, heading)).urdf())
-    assert robot.frame[2] == pytest.approx(0 if heading == np.pi else np.pi / 2)
+    assert robot.frame[2] == pytest.approx(0 if heading == np.pi else heading)
 
 
 def test_wheels_weigh_in_the_reduced_mass_with_their_spin():

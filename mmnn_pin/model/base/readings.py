@@ -278,7 +278,7 @@ class Drives:
         if powered:
             yield about(powered, "with motors, and would not drive", -4.0 * len(powered))
         if idle and len(powered) + len(drives) > len(idle) and not self.named:
-            yield about(idle, "without motors in the file", (-0.3 if kind in ROLLING else -2.5) * len(idle))
+            yield about(idle, "without motors in the file", (-0.3 if kind in ROLLING else -1.8) * len(idle))
         if others and not idle and not powered:
             yield about(drives, f"alone with motors, by {self.motors[drives[0].joint.name]}", 4.0)
 
