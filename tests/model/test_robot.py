@@ -38,7 +38,7 @@ rotations = st.builds(rotation, angles, st.floats(-1.5, 1.5), angles)
 signs = st.sampled_from([1, -1])
 drives = st.builds(
     Drive,
-    frame=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-1.5, 1.5)),
+    frame=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.9, 0.9)),
     floor=st.floats(-0.5, 0.5),
     track=st.floats(0.2, 1.0),
     radii=st.tuples(st.floats(0.03, 0.15), st.floats(0.03, 0.15)),
