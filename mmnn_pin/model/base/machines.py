@@ -20,7 +20,7 @@ from ..signs import Sign
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
 from .report import blind_fix, undecided, unsupported
-from .wheels import LOW, MOST_PER_SIDE, Candidate, height_at, is_low, wheel_of
+from .wheels import LOW, MOST_PER_SIDE, Candidate, blind_beside, height_at
 
 MESHES = "link/*/geometry/mesh"
 
@@ -264,8 +264,7 @@ def require_measured(rest: AtRest, wheels: list[Candidate]) -> None:
     Raises:
         Undecided: There are two or more of these.
     """
-    known = {c.joint.name for c in wheels}
-    blind = [wheel_of(rest, j) for j in rest.document.joints.values() if is_low(rest, j) and j.name not in known]
+    blind = blind_beside(rest, wheels)
     if len(blind) >= 2:
         why = "what would drive them cannot be measured"
         raise undecided(rest, [*wheels, *blind], why, blind_fix(rest, blind))

@@ -79,6 +79,7 @@ from .wheels import (
     Candidate,
     Candidates,
     alike_on_root,
+    blind_beside,
     called_wheels,
     coaxial,
     is_endless_end,
@@ -406,12 +407,6 @@ def require_sound_wheels(rest: AtRest, candidates: Candidates, overrides: Overri
         raise undecided_limits(rest, candidates)
     if near and not wheels and not (rest.is_vertical(near[0].joint) and machine(rest)):
         raise not_on_floor(rest, candidates, overrides.package_dirs)
-
-
-def blind_beside(rest: AtRest, wheels: list[Candidate]) -> list[Candidate]:
-    """Joints low on the base that turn without end beside wheels, and cannot be measured as such."""
-    known = {c.joint.name for c in wheels}
-    return [wheel_of(rest, j) for j in rest.document.joints.values() if is_low(rest, j) and j.name not in known]
 
 
 def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> Undecided:

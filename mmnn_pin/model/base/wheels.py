@@ -516,6 +516,12 @@ def is_low(rest: AtRest, joint: Joint) -> bool:
     return bool(rest.hub(joint)[2] <= height_at(rest, LOW / 2 if above else LOW))
 
 
+def blind_beside(rest: AtRest, wheels: list[Candidate]) -> list[Candidate]:
+    """Joints low on the base that turn without end beside wheels, and cannot be measured as such."""
+    known = {c.joint.name for c in wheels}
+    return [wheel_of(rest, j) for j in rest.document.joints.values() if is_low(rest, j) and j.name not in known]
+
+
 def height_at(rest: AtRest, fraction: float) -> float:
     """Height of so much of the way from a robot's lowest frame or primitive to its highest [m]."""
     heights = [float(pose[2, 3]) for pose in rest.placements.values()]
