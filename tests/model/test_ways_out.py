@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, joint, link, robot_of
 from hypothesis import given, settings
@@ -288,6 +289,27 @@ def test_balls_that_turn_about_any_axis_on_swivels_are_no_arm(tilt, named):
     robot = robot_of(chassis(pair() + balls).replace(ARM, ""))
     assert robot.base.kind == "differential_drive" and robot.joint_names == ()
     assert {"front_turns", "front_rolls", "rear_turns", "rear_rolls"} <= {*robot.base.casters}
+
+
+@given(st.integers(1, 4), st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda axis: np.linalg.norm(axis) > 0.1))
+@settings(max_examples=12, deadline=None)
+def test_balls_on_the_floor_are_casters_about_whatever_axis_they_turn(count, axis):
+    places = ((0.25, 0.15), (0.25, -0.15), (-0.25, 0.15), (-0.25, -0.15))[:count]
+    balls = "".join(
+        link(f"b{i}_ball", 0.1, 0.001, SPHERE.format(r=0.03))
+        + joint(
+            f"b{i}",
+            "continuous",
+            "base",
+            f"b{i}_ball",
+            p=(*at, 0.03),
+            axis=tuple(np.array(axis) / np.linalg.norm(axis)),
+        )
+        for i, at in enumerate(places)
+    )
+    robot = robot_of(chassis(pair() + balls))
+    assert robot.base.kind == "differential_drive" and robot.joint_names == ("shoulder", "elbow")
+    assert {f"b{i}" for i in range(count)} <= {*robot.base.casters}
 
 
 @pytest.mark.parametrize("steered", [True, False])

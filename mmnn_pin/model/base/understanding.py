@@ -220,6 +220,7 @@ def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseR
     Raises:
         Undecided: Nothing says what base they make, or they stand as high as the drive wheels.
     """
+    result = replace(result, base=with_balls(rest, result.base, overrides))
     base, strays = result.base, strays_of(rest, result.base, overrides)
     few = len(strays) < ROUND_ABOUT and not mirrored(rest, strays)
     if not strays or (not base.columns and overrides.base is None and few):
@@ -233,6 +234,19 @@ def with_strays(rest: AtRest, result: BaseResult, overrides: Overrides) -> BaseR
     fix = f"--wheels JOINTS with them if they drive, --free {strays[0].name} if it is the arm's"
     stray = note(rest, "base-stray", strays[0].name, f"joints that may be wheels stand still: {names}", why, fix)
     return BaseResult(base, (*result.findings, stray))
+
+
+def with_balls(rest: AtRest, base: Base, overrides: Overrides) -> Base:
+    """The base, with balls that touch its floor and turn without end, about whatever axis, as casters."""
+    ends = [j for j in rest.document.joints.values() if is_endless_end(rest, j)]
+    free = [j for j in ends if base.columns and j.name not in {*base.locked, *base.joints, *overrides.free}]
+    near = {j.name: [s for link in rest.document.body(j.child) for s in rest.primitives[link]] for j in free}
+    balls = [
+        name
+        for name, shapes in near.items()
+        if any(s.kind == "sphere" and abs(s.lowest - base.floor) < TOUCHING * s.radius for s in shapes)
+    ]
+    return replace(base, casters=in_order(rest, {*base.casters, *balls})) if balls else base
 
 
 def strays_of(rest: AtRest, base: Base, overrides: Overrides) -> list[Joint]:
