@@ -332,7 +332,10 @@ class Limbs:
             "it slides by two centimetres at most on the base and carries no joint": travel <= BUTTON
             and not branch.above,
             "it turns across the joint before it, which rolls": alone and not slides and rolls and across,
-            "it turns without end about an upright axis and carries no joint": upright and alone and joint.turns_freely,
+            "it turns without end about an upright axis and carries no joint": upright
+            and alone
+            and joint.turns_freely
+            and not any(self.joint(up).type != "prismatic" for up in branch.above),
         }
 
     @cached_property

@@ -18,9 +18,11 @@ import numpy as np
 
 from ...elementary.matrices import product
 from ...errors import ConfigError
+from ...files import read_bytes
 from ...signals import Array
 from ..signs import Sign, score
 from ..urdf.document import Joint
+from ..urdf.reading import MAX_BYTES
 from ..urdf.shapes import AtRest
 from .evidence import mappings_of
 from .overrides import FORWARD, Overrides
@@ -192,9 +194,8 @@ def arrows(rest: AtRest, drives: Sequence[Candidate], controllers: str | None, a
 def is_drawn(rest: AtRest) -> bool:
     """Whether a drawing program wrote the file, as it says at its head."""
     try:
-        with open(rest.document.path, "rb") as file:
-            return bool(DRAWERS.search(file.read(HEAD)))
-    except OSError:  # a robot of a recording, whose file is elsewhere
+        return bool(DRAWERS.search(read_bytes(rest.document.path, MAX_BYTES)[:HEAD]))
+    except (OSError, ValueError):  # a robot of a recording, whose file is elsewhere
         return False
 
 
