@@ -150,7 +150,7 @@ def test_a_jaw_in_line_without_a_name_is_asked_about_and_the_option_is_one(name:
     robot = robot_of(one_jaw(name))
     doubt = next(f for f in robot.findings if f.code == "arm-doubt")
     assert name in robot.joint_names and doubt.severity == "warning"
-    assert "part of the arm, and may be a jaw" in doubt.message and doubt.fix == f"--lock {name} if it is"
+    assert "part of the arm, and may be a jaw" in doubt.message and doubt.fix == f"--lock {name} if '{name}' is"
     again = robot_of(one_jaw(name), lock=(name,))
     assert name in again.arm.locked and not again.arm.doubts
 

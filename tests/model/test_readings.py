@@ -67,7 +67,8 @@ def leads(found: Roles | InputError, made: Made, said: Mapping[str, Any], steps:
     if is_true(found, made):
         return "right"
     for more in ways(found, made) if steps else ():
-        both = {**said, **more, "free": tuple(dict.fromkeys((*said.get("free", ()), *more.get("free", ()))))}
+        kept = {key: tuple(dict.fromkeys((*said.get(key, ()), *more.get(key, ())))) for key in ("free", "lock")}
+        both = {**said, **more, **kept}
         if both != said and leads(outcome(made.text, both), made, both, steps - 1):
             return "offered"
     return ""

@@ -213,10 +213,10 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
     for kinds in dict.fromkeys((doubt.role, doubt.other) for doubt in arm.doubts):
         alike = [doubt for doubt in arm.doubts if (doubt.role, doubt.other) == kinds]
         taken, other = ("part of the arm" if kind == "arm" else f"a {kind}" for kind in kinds)
-        are, they = ("are each", "they are") if len(alike) > 1 else ("is", "it is")
+        are = "are each" if len(alike) > 1 else "is"
         names = [f"'{doubt.joints[0]}'" for doubt in alike]
         text = f"{few(names)} {are} taken as {taken}, and may be {other}"
-        fix = f"{' '.join(doubt.option for doubt in alike)} if {they}"
+        fix = "; ".join(f"{doubt.option} if {name} is" for doubt, name in zip(alike, names, strict=True))
         notes.append(note(rest, "arm-doubt", alike[0].joints[0], text, "; ".join(alike[0].told), fix, "arm"))
     if arm.broken:
         text, why = f"{few(list(map(str, arm.broken)))} cannot be read", "its groups tell nothing of the arm"
