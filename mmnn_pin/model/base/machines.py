@@ -3,7 +3,7 @@
 A leg is a chain of joints from the root's body down to the lowest place of the robot, with no other support under the
 root; two or more make a legged machine, two with arms above them or under a waist a humanoid. A drone has rotors: three
 or more equal bodies that turn, or are welded, about vertical axes around its middle. Where a machine hides its rotors
-in a mesh only its names are left; they make the loader ask, never accept.
+in a mesh only its names are left; they make the loader refuse or ask, never accept.
 """
 
 from __future__ import annotations

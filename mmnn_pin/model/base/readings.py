@@ -2,7 +2,7 @@
 
 A reading gives every wheel and every pivot a role, all together; its score is the sum of its signs (`model.signs`).
 The best is taken where it beats the next by `MARGIN`. Else the loader asks, and prints the options that lead to the
-readings in question, each built before it is printed. That these wheels make no base is a reading, too: `NO_BASE`.
+readings in question, each tried before it is printed. That these wheels make no base is a reading, too: `NO_BASE`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .evidence import Evidence
 from .report import BaseReading, BaseResult, blind_fix, note, undecided
-from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, coaxial, on_either_side, one_axle, parallel, rolling
+from .wheels import COAXIAL, MOST_PER_SIDE, SLOPPY, Candidate, across, coaxial, on_either_side, one_axle, parallel
 
 NO_BASE = -4.0  # score of the reading that these wheels make no base
 CLEAR, DOUBT = 9.0, 3.0  # a runner-up further behind is not told; a nearer one is told as a doubt
@@ -317,9 +317,9 @@ def is_called_caster(c: Candidate) -> bool:
 
 def in_rows(drives: Sequence[Candidate]) -> bool:
     """Whether the parallel wheels of each side stand about in a row."""
-    across = np.array([float(np.array([-1.0, 1.0]) * rolling(drives[0])[::-1] @ c.centre[:2]) for c in drives])
-    sides = [across[across > across.mean()], across[across < across.mean()]]
-    return all(np.ptp(side) < IN_ROW * np.ptp(across) for side in sides if side.size)
+    places = across(drives)
+    sides = [places[places > places.mean()], places[places < places.mean()]]
+    return all(np.ptp(side) < IN_ROW * np.ptp(places) for side in sides if side.size)
 
 
 def in_pairs(drives: Sequence[Candidate]) -> bool:

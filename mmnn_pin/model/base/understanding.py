@@ -1,7 +1,8 @@
 """The roles of a robot's joints, in its base and in its arm; or a question to the user.
 
-Geometry at rest decides first (`wheels`), what else the file says next (`evidence`). What the user says (`overrides`)
-is taken as it is. A machine that is none of the kinds of base is refused by its name (`machines`).
+Geometry at rest tells what may be wheels (`wheels`) and pivots (`modules`); what they make is the reading that is borne
+out by all signs together (`readings`, `evidence`). What the user says (`overrides`) is taken as it is. What has no
+wheels is looked at for legs, rotors and belts (`machines`).
 """
 
 from __future__ import annotations

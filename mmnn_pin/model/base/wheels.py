@@ -562,12 +562,17 @@ def rolling(candidate: Candidate) -> Array:
     return np.array([candidate.axis[1], -candidate.axis[0]]) / hypot(candidate.axis[0], candidate.axis[1])
 
 
+def across(wheels: Sequence[Candidate]) -> Array:
+    """(k,) places of some parallel wheels along their axles, to the left of the rolling direction of the first [m]."""
+    left = np.array([-1.0, 1.0]) * rolling(wheels[0])[::-1]
+    return np.array([float(left @ c.centre[:2]) for c in wheels])
+
+
 def on_either_side(wheels: Sequence[Candidate]) -> tuple[int, int]:
     """How many of some parallel wheels are left and right; those near the middle are on no side."""
-    left = np.array([-1.0, 1.0]) * rolling(wheels[0])[::-1]
-    across = np.array([float(left @ c.centre[:2]) for c in wheels])
-    middle, near = (across.max() + across.min()) / 2, MIDDLE * (across.max() - across.min())
-    return int((across > middle + near).sum()), int((across < middle - near).sum())
+    places = across(wheels)
+    middle, near = (places.max() + places.min()) / 2, MIDDLE * (places.max() - places.min())
+    return int((places > middle + near).sum()), int((places < middle - near).sum())
 
 
 def coaxial(a: Candidate, b: Candidate, *, within: float = COAXIAL) -> bool:
