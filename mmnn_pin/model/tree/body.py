@@ -64,9 +64,6 @@ class Work(NamedTuple):
     M: Array
     h: Array
     F: Array
-    L: Array
-    rest: Array
-    grip: Array
     hold: Array
     ydot: Array
     total: Array
@@ -118,10 +115,10 @@ def new_work(body: Body) -> Work:
     """Scratch memory for a robot."""
     nv, p = body.T.shape
     size = nv + p + 1
-    shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (nv, p + 2), (nv,), (size,), (size,), (size,))
-    v, M, h, F, L, rest, grip, hold, ydot, total, trial = (np.zeros(shape) for shape in shapes)
+    shapes = ((nv,), (p, p), (p,), (p,), (nv,), (size,), (size,), (size,))
+    v, M, h, F, hold, ydot, total, trial = (np.zeros(shape) for shape in shapes)
     maps = new_maps(body.rolling, body.T)
-    return Work(new_scratch(body.tree), v, M, h, F, L, rest, grip, hold, ydot, total, trial, maps)
+    return Work(new_scratch(body.tree), v, M, h, F, hold, ydot, total, trial, maps)
 
 
 def parameters(robot: Robot) -> Array:
