@@ -143,23 +143,6 @@ def shared(K: Array, weights: Array | None) -> Array:
 
 
 @internal
-def at_reference(row: Array, at: IntArray, known: Massless, nu: Array, nudot: Array) -> None:
-    """Position and velocity of the desired motion into `known`, the angles of a base that steers as they are measured.
-
-    Args:
-        row: (width,) row of signals.
-        at: Offsets of the signals.
-        known: How the robot moves.
-        nu: (p,) written: desired velocities.
-        nudot: (p,) written: their derivative.
-    """
-    nb, shape = at[ALPHA + 1] - at[ALPHA], row[at[SHAPE] : at[SHAPE + 1]]
-    for i in range(nu.size):
-        nu[i], nudot[i] = desired_rates(row, at, i)
-    measured(known, row[at[POSE_REF] : at[POSE_REF + 1]], nu[:nb], row[at[Q_REF] : at[Q_REF + 1]], nu[nb:], shape)
-
-
-@internal
 def desired(row: Array, at: IntArray, c: Correction, known: Massless, gain: Array, Phi: Array) -> None:
     """F of a sample into c.F, and the learner's features (p, k) moved by `blend` towards those of the reference.
 
@@ -171,10 +154,12 @@ def desired(row: Array, at: IntArray, c: Correction, known: Massless, gain: Arra
         gain: (p,) K.
         Phi: (p, k) features of the measured motion, changed.
     """
-    k0 = known.Y.shape[1]
-    at_reference(row, at, known, c.nu, c.nudot)
+    p, nb, k0, shape = gain.size, at[ALPHA + 1] - at[ALPHA], known.Y.shape[1], row[at[SHAPE] : at[SHAPE + 1]]
+    for i in range(p):
+        c.nu[i], c.nudot[i] = desired_rates(row, at, i)
+    measured(known, row[at[POSE_REF] : at[POSE_REF + 1]], c.nu[:nb], row[at[Q_REF] : at[Q_REF + 1]], c.nu[nb:], shape)
     regress(known, c.nu, c.nudot)
-    for i in range(gain.size):
+    for i in range(p):
         copy_to(known.Y[i], c.F[i, :k0])
         copy_to(Phi[i, k0:], c.F[i, k0:])
         total = 0.0

@@ -1,12 +1,13 @@
 """Feedforward of the robot's file along the reference, and an integral: what an engineer writes who has a URDF.
 
-    tau = Y(q_d, nu_d, nu_ref, nudot_ref) theta + K s + I,      I' = rate K s,      s = [z; r] = nu_ref - nu
+    tau = Y(q, nu_d, nu_d, nudot_ref) theta + K s + I,      I' = rate K s,      s = [z; r] = nu_ref - nu
 
-Y is the regressor of the robot at the positions q_d and velocities nu_d of the reference, not at measured ones, and
-theta the parameters of its file: masses, and friction where the file states some. What the experiment makes of the true
-robot beside its file, other masses, a payload, rotors or friction, it does not know. Positions and velocities of the
-reference are the desired compensation of Sadegh and Horowitz 1990 (Int. J. Robotics Research 9(3)): gravity, friction
-and C carry no noise and are no feedback.
+Y is the regressor of the robot at the velocities nu_d of the reference, and theta the parameters of its file: masses,
+and friction where the file states some. What the experiment makes of the true robot beside its file, other masses, a
+payload, rotors or friction, it does not know. Velocities of the reference are the desired compensation of Sadegh and
+Horowitz 1990 (Int. J. Robotics Research 9(3)): C and friction carry no noise and are no feedback. Joints are the
+measured ones, as with `pd_gravity`: where a joint's spring K k is weaker than gravity, gravity along the reference lets
+an arm fall off it.
 
 The acceleration is the commanded one, `nudot_ref = [alphadot; qddot_ref + K edot]`. Of a model that is right it leaves
 
@@ -17,7 +18,7 @@ where M is constant). With the reference's own acceleration, as with `pid`, it i
 a slow mode of bandwidth b bears only `rate k < b (k + rate)`: arms of six joints have modes of 0.4 1/s.
 
 What is missed is left to the integral, which is that of `pid` (`classical.integrate`): it does not wind up against the
-motors' limits, here with the feedforward beside it. Of a base that steers nu_d is alpha, and its angles are measured.
+motors' limits, here with the feedforward beside it. Of a base that steers nu_d is alpha.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ import numpy as np
 
 from ..by_address import by_address
 from ..compiled import copy_to, linked
-from ..model.regressor import Massless, Regressor, regress
+from ..model.regressor import Massless, Regressor, measured, regress
 from ..parts import layout_of
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
@@ -45,10 +46,10 @@ from .controller import (
     Told,
     read_facts,
 )
-from .correction import at_reference
+from .friction_features import desired_rates
 from .law import KERNELS, Kernels, constant_gain
 
-NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
+POSE, Q, SHAPE, NUDOT_REF = (INDEX[name] for name in ("pose", "q", "shape", "nudot_ref"))
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 
 
@@ -93,9 +94,11 @@ def forward(row: Array, at: IntArray, a: Forward, state: Array) -> None:
     own, squares = a.integrator, 0.0
     o = integral_of(state, own.layout)
     copy_to(o.integral, o.used)
-    at_reference(row, at, a.known, a.nu, a.nudot)
+    nb, pose, q = a.known.base, row[at[POSE] : at[POSE + 1]], row[at[Q] : at[Q + 1]]
     for i in range(o.used.size):
-        a.nu[i], a.nudot[i] = row[at[NU_REF] + i], row[at[NUDOT_REF] + i]
+        a.nu[i], _ = desired_rates(row, at, i)
+        a.nudot[i] = row[at[NUDOT_REF] + i]
+    measured(a.known, pose, a.nu[:nb], q, a.nu[nb:], row[at[SHAPE] : at[SHAPE + 1]])
     regress(a.known, a.nu, a.nudot)
     for i in range(o.used.size):
         total = 0.0
