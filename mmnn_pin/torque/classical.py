@@ -9,8 +9,8 @@ J. Dyn. Sys. Meas. Control 103(2), for a constant setpoint). What the experiment
 file, other masses or a payload, it does not know.
 
 *PID.* For a joint `s = edot + k e`, so the integral of s over time is `e + k int e`: K s + I is a PID law of the
-position error e with the gains `K k + rate K` on e, `rate K k` on its integral and K on its rate. A joint's integral is made so: the
-change of e in place of its measured rate, which may be filtered, and is then late where nobody told.
+position error e with the gains `K k + rate K` on e, `rate K k` on its integral and K on its rate. A joint's
+integral is made so, of the change of e in place of its measured rate, which may be filtered, late where nobody told.
 
 *Anti-windup* is conditional integration (Astrom and Hagglund 1995, PID Controllers, 3.5) within the motors' limits.
 With u = E^+ (K s + I) of all motors, clipped to their limits, let `K s + I - E clip(u)` be the excess. A velocity whose
