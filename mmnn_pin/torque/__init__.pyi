@@ -9,6 +9,8 @@ from .concurrent import Concurrent as Concurrent
 from .concurrent import ConcurrentSettings as ConcurrentSettings
 from .disturbance_observer import DisturbanceObserver as DisturbanceObserver
 from .disturbance_observer import DisturbanceObserverSettings as DisturbanceObserverSettings
+from .feedforward import Feedforward as Feedforward
+from .feedforward import FeedforwardSettings as FeedforwardSettings
 from .kalman import Kalman as Kalman
 from .kalman_settings import KalmanBilinearSettings as KalmanBilinearSettings
 from .kalman_settings import KalmanFeaturesSettings as KalmanFeaturesSettings

@@ -124,12 +124,13 @@ class PIDSettings(Settings, frozen=True):
 
 @by_address
 class Integrator(NamedTuple):
-    """The numbers of a PID controller.
+    """The numbers of an integral of K s.
 
     Attributes:
         K: (p,) feedback gains.
         rate: (p,) what a sample adds to the integral over s; 0 keeps it.
         limits: Of the motors, and room to work in.
+        beside: (p,) what is added to K s and the integral; zeros for PID [N, N m].
         asked: (p,) room to work in.
         sent: (p,) room to work in.
         nothing: (p,) zeros.
@@ -139,6 +140,7 @@ class Integrator(NamedTuple):
     K: Array
     rate: Array
     limits: MotorLimits
+    beside: Array
     asked: Array
     sent: Array
     nothing: Array
@@ -153,6 +155,21 @@ class Integral(NamedTuple):
 
 
 integral_of = views(Integral)
+
+
+def new_integrator(context: Context, K: Array, rate: float, layout: IntArray) -> Integrator:
+    """The numbers of an integral.
+
+    Args:
+        context: Control period, and the motors' limits.
+        K: (p,) feedback gains.
+        rate: Of the integral over K [1/s]; 0 keeps it.
+        layout: Of `Integral` in the state.
+    """
+    given, p = context.limits, context.layout.dof
+    limits = unlimited(p) if given is None else given._replace(motors=given.motors.copy(), asked=np.zeros(p))
+    a, b, c, d = np.zeros((4, p))
+    return Integrator(K, rate * float(context.control_period) * K, limits, a, b, c, d, layout)
 
 
 @linked
@@ -172,7 +189,7 @@ def integrate(row: Array, at: IntArray, a: Integrator, state: Array) -> None:
     o, z, r = integral_of(state, a.layout), row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     for i in range(o.used.size):
         s = z[i] if i < z.size else r[i - z.size]
-        a.asked[i] = a.sent[i] = a.K[i] * s + o.used[i]
+        a.asked[i] = a.sent[i] = a.K[i] * s + o.used[i] + a.beside[i]
     limit(a.sent, a.nothing, a.limits)
     for i in range(o.used.size):
         s, excess = z[i] if i < z.size else r[i - z.size], a.asked[i] - a.sent[i]
@@ -205,10 +222,7 @@ class PID(CompiledController):
     def law(self, context: Context) -> Law:
         """The numbers of the law; errors as of `positive_gains`."""
         K, layout = self.positive_gains(context.layout), layout_of(Integral, self.shapes(context))
-        given, p = context.limits, context.layout.dof
-        limits = unlimited(p) if given is None else given._replace(motors=given.motors.copy(), asked=np.zeros(p))
-        rate = float(self.settings.rate) * float(context.control_period) * self.learning * K
-        return Law(constant_gain(K), Integrator(K, rate, limits, np.zeros(p), np.zeros(p), np.zeros(p), layout))
+        return Law(constant_gain(K), new_integrator(context, K, float(self.settings.rate) * self.learning, layout))
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """The integral, of the next sample and of the last one."""

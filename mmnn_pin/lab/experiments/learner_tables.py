@@ -8,6 +8,7 @@ from ...torque.adaptive_composite import AdaptiveCompositeSettings
 from ...torque.classical import PIDSettings
 from ...torque.concurrent import ConcurrentSettings
 from ...torque.disturbance_observer import DisturbanceObserverSettings
+from ...torque.feedforward import FeedforwardSettings
 from ...torque.kalman_settings import (
     KalmanBilinearSettings,
     KalmanFeaturesSettings,
@@ -36,6 +37,7 @@ class LearnerTables(Settings, frozen=True, kw_only=True):
     two_layer: TwoLayer = TwoLayer()
     one_layer: OneLayer = OneLayer()
     pid: PIDSettings = PIDSettings()
+    feedforward: FeedforwardSettings = FeedforwardSettings()
     adaptive: AdaptiveSettings = AdaptiveSettings()
     adaptive_composite: AdaptiveCompositeSettings = AdaptiveCompositeSettings()
     concurrent: ConcurrentSettings = ConcurrentSettings()
