@@ -11,12 +11,16 @@ from .deep_residual import DeepResidual as DeepResidual
 from .deep_residual import DeepResidualSettings as DeepResidualSettings
 from .disturbance_observer import DisturbanceObserver as DisturbanceObserver
 from .disturbance_observer import DisturbanceObserverSettings as DisturbanceObserverSettings
+from .feedforward import Feedforward as Feedforward
+from .feedforward import FeedforwardSettings as FeedforwardSettings
 from .kalman import Kalman as Kalman
 from .kalman_settings import KalmanBilinearSettings as KalmanBilinearSettings
 from .kalman_settings import KalmanFeaturesSettings as KalmanFeaturesSettings
 from .kalman_settings import KalmanFrictionSettings as KalmanFrictionSettings
 from .kalman_settings import KalmanRegressorSettings as KalmanRegressorSettings
 from .kalman_settings import KalmanResidualSettings as KalmanResidualSettings
+from .learned import LearnedFeedforward as LearnedFeedforward
+from .learned import LearnedSettings as LearnedSettings
 from .model_based import PD as PD
 from .model_based import ComputedTorque as ComputedTorque
 from .model_based import ScheduledPD as ScheduledPD
