@@ -17,6 +17,8 @@ from .kalman_settings import KalmanFeaturesSettings as KalmanFeaturesSettings
 from .kalman_settings import KalmanFrictionSettings as KalmanFrictionSettings
 from .kalman_settings import KalmanRegressorSettings as KalmanRegressorSettings
 from .kalman_settings import KalmanResidualSettings as KalmanResidualSettings
+from .learned import LearnedFeedforward as LearnedFeedforward
+from .learned import LearnedSettings as LearnedSettings
 from .model_based import PD as PD
 from .model_based import ComputedTorque as ComputedTorque
 from .model_based import ScheduledPD as ScheduledPD

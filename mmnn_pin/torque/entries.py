@@ -123,6 +123,9 @@ ENTRIES = (
           "DisturbanceObserverSettings",
           "knows nothing: one constant per velocity, learned as an integral action", "#16A085", (6, 1, 1, 1, 1, 1),
           baseline=True),
+    Entry("learned", "LearnedFeedforward", "LearnedSettings",
+          "feedforward and integral, and on top what filtered torque teaches, as far as it has predicted",
+          "#6A3D9A", (), 1.8, told=(MOTION, DESCRIBED)),
     Entry("computed_torque", "ComputedTorque", "", "feedback and the true model: the oracle",
           "#009E73", (10, 2.5), oracle=True),
 )

@@ -16,6 +16,7 @@ from ...torque.kalman_settings import (
     KalmanRegressorSettings,
     KalmanResidualSettings,
 )
+from ...torque.learned import LearnedSettings
 from ...torque.one_layer import OneLayer
 from ...torque.two_layer import TwoLayer
 from ...torque.two_layer_composite import TwoLayerCompositeSettings
@@ -44,3 +45,4 @@ class LearnerTables(Settings, frozen=True, kw_only=True):
     two_layer_composite: TwoLayerCompositeSettings = TwoLayerCompositeSettings()
     kalman: KalmanTables = KalmanTables()
     disturbance_observer: DisturbanceObserverSettings = DisturbanceObserverSettings()
+    learned: LearnedSettings = LearnedSettings()
