@@ -7,6 +7,8 @@ from .classical import PDGravity as PDGravity
 from .classical import PIDSettings as PIDSettings
 from .concurrent import Concurrent as Concurrent
 from .concurrent import ConcurrentSettings as ConcurrentSettings
+from .deep_residual import DeepResidual as DeepResidual
+from .deep_residual import DeepResidualSettings as DeepResidualSettings
 from .disturbance_observer import DisturbanceObserver as DisturbanceObserver
 from .disturbance_observer import DisturbanceObserverSettings as DisturbanceObserverSettings
 from .feedforward import Feedforward as Feedforward

@@ -98,6 +98,8 @@ ENTRIES = (
           "TwoLayerCompositeSettings",
           "the two-layer network with the prediction error of filtered torque and kept samples",
           "#8E44AD", (11, 1.5), beside=("two_layer",)),
+    Entry("deep_residual", "DeepResidual", "DeepResidualSettings",
+          "a deep residual network, all layers learn from the tracking error", "#1F3A93", (7, 1.2, 2, 1.2)),
     Entry("two_layer_residual", "TwoLayerResidual", "TwoLayer",
           "a nominal model with wrong masses, and the two-layer network on the difference",
           "#5DADE2", (4, 1), told=(NOMINAL,), table="two_layer"),

@@ -7,6 +7,7 @@ from ...torque.adaptive import AdaptiveSettings
 from ...torque.adaptive_composite import AdaptiveCompositeSettings
 from ...torque.classical import PIDSettings
 from ...torque.concurrent import ConcurrentSettings
+from ...torque.deep_residual import DeepResidualSettings
 from ...torque.disturbance_observer import DisturbanceObserverSettings
 from ...torque.feedforward import FeedforwardSettings
 from ...torque.kalman_settings import (
@@ -43,6 +44,7 @@ class LearnerTables(Settings, frozen=True, kw_only=True):
     adaptive_composite: AdaptiveCompositeSettings = AdaptiveCompositeSettings()
     concurrent: ConcurrentSettings = ConcurrentSettings()
     two_layer_composite: TwoLayerCompositeSettings = TwoLayerCompositeSettings()
+    deep_residual: DeepResidualSettings = DeepResidualSettings()
     kalman: KalmanTables = KalmanTables()
     disturbance_observer: DisturbanceObserverSettings = DisturbanceObserverSettings()
     learned: LearnedSettings = LearnedSettings()
