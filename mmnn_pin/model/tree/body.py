@@ -64,6 +64,8 @@ class Work(NamedTuple):
     M: Array
     h: Array
     F: Array
+    L: Array
+    rest: Array
     hold: Array
     ydot: Array
     total: Array
@@ -115,10 +117,10 @@ def new_work(body: Body) -> Work:
     """Scratch memory for a robot."""
     nv, p = body.T.shape
     size = nv + p + 1
-    shapes = ((nv,), (p, p), (p,), (p,), (nv,), (size,), (size,), (size,))
-    v, M, h, F, hold, ydot, total, trial = (np.zeros(shape) for shape in shapes)
+    shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (nv,), (size,), (size,), (size,))
+    v, M, h, F, L, rest, hold, ydot, total, trial = (np.zeros(shape) for shape in shapes)
     maps = new_maps(body.rolling, body.T)
-    return Work(new_scratch(body.tree), v, M, h, F, hold, ydot, total, trial, maps)
+    return Work(new_scratch(body.tree), v, M, h, F, L, rest, hold, ydot, total, trial, maps)
 
 
 def parameters(robot: Robot) -> Array:
