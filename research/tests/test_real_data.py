@@ -146,7 +146,7 @@ def test_friction_that_grows_with_the_torque_is_found_and_holds_on_the_other_mot
     assert all_joints["identified"] > 0.02
     assert all_joints["identified + friction by load"] < 0.4 * all_joints["identified"]
     assert all_joints["identified + chosen"] < 0.5 * all_joints["identified"]
-    assert set(chosen) <= {"friction by load", "and by place"}
+    assert set(chosen) <= {"friction by load", "friction by load and place"}
 
 
 def test_errors_are_root_mean_squares_where_joints_move(outcome) -> None:

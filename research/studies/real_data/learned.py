@@ -161,7 +161,8 @@ def anything(found: Identification, stretch: Stretch) -> Array:
     return np.broadcast_to(phi[:, None], (len(x), stretch.nu.shape[1], phi.shape[1]))
 
 
-FEATURES = {"friction": friction, "friction by load": load, "and by place": place, "random features": anything}
+LOAD = "friction by load"
+FEATURES = {"friction": friction, LOAD: load, f"{LOAD} and place": place, "random features": anything}
 
 
 @dataclass(frozen=True, eq=False)
