@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 import pinocchio as pin
@@ -74,6 +74,7 @@ class Structure:
         breakaway: (nv,) ratio of static to Coulomb friction, at least 1.
         stribeck: Velocity over which the one falls to the other [rad/s or m/s].
         masses: Factors that `with_masses` put on its bodies, by the joint that carries them.
+        origin: The robot as its file has it, where masses, rotors or friction were changed; None where nothing was.
     """
 
     name: str
@@ -105,6 +106,7 @@ class Structure:
     masses: Mapping[str, float] = field(default_factory=dict)
     breakaway: Array | float = 1.0
     stribeck: float = 0.05
+    origin: Structure | None = None
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -293,6 +295,15 @@ class Structure:
             columns[:, i] = self.follow(one) - offset
         return offset, columns
 
+    def changed(self, **parts: Any) -> Self:
+        """A copy with other masses, rotors or friction than its file has, which remembers the one of the file."""
+        return replace(self, origin=self.described, **parts)
+
+    @property
+    def described(self) -> Self:
+        """The robot as its file describes it, without the masses, rotors and friction that were put on it."""
+        return self if self.origin is None else cast(Self, self.origin)
+
     def with_masses(self, factors: float | Mapping[str, float]) -> Self:
         """A copy with the inertias of its moving bodies scaled (mass and rotational inertia alike).
 
@@ -313,7 +324,7 @@ class Structure:
                 raise ConfigError(f"factor {factor} for the mass at '{name}'", fix="give a finite number > 0")
             scale_body(model, names[name], factor)
         masses = {**self.masses, **{name: self.masses.get(name, 1.0) * factor for name, factor in table.items()}}
-        return replace(self, model=model, masses=masses)
+        return self.changed(model=model, masses=masses)
 
     def with_radii(self, factors: float | Mapping[str, float]) -> Self:
         """A copy on drive wheels of other radii, its hubs as much higher, so that it stands as before.
@@ -362,7 +373,7 @@ class Structure:
             return self
         model = self.model.copy()
         model.armature = armature
-        return replace(self, model=model)
+        return self.changed(model=model)
 
     def with_friction(self, viscous: ArrayLike) -> Self:
         """A copy with viscous friction on nu besides that of its joints.
@@ -374,7 +385,7 @@ class Structure:
             ConfigError: Wrong number of coefficients, or a negative or non-finite one.
         """
         given = one_or_each(viscous, self.dimensions.dof, "velocity", "friction", least=0, names=self.velocity_names)
-        return replace(self, viscous=read_only(given))
+        return self.changed(viscous=read_only(given))
 
     def with_joint_friction(
         self,
@@ -402,13 +413,13 @@ class Structure:
         if not (np.isfinite(stribeck) and stribeck > 0):
             raise ConfigError(f"{stribeck}", fix="use a finite number > 0", key="friction.stribeck")
         more: dict[str, Any] = {"coulomb": read_only(level), "breakaway": read_only(ratio), "stribeck": float(stribeck)}
-        return replace(self, damping=read_only(damping), **more)
+        return self.changed(damping=read_only(damping), **more)
 
     def without_friction(self) -> Self:
         """A copy with no friction at all: of its joints, of its gears, of its base."""
         none, smooth = read_only(np.zeros(self.dimensions.full)), read_only(np.ones(self.dimensions.full))
         viscous = read_only(np.zeros(self.dimensions.dof))
-        return replace(self, damping=none, coulomb=none, viscous=viscous, breakaway=smooth)
+        return self.changed(damping=none, coulomb=none, viscous=viscous, breakaway=smooth)
 
     @property
     def dry(self) -> Array:

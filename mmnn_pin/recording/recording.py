@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -373,7 +373,7 @@ def recorded_robot(recording: Recording, package_dirs: Sequence[str | Path] = ()
             raise RecordingError("another robot comes out of the recording's facts", why=why, file=recording.path)
     with recording.using("what it tells of masses and friction"):
         masses = robot.with_masses(meta["mass_factors"]).with_armature(meta.get("armature", 0.0))
-        return replace(masses.with_friction(meta["viscous"]), **friction_of(robot, meta["joint_friction"]))
+        return masses.with_friction(meta["viscous"]).changed(**friction_of(robot, meta["joint_friction"]))
 
 
 def friction_of(robot: Robot, recorded: Mapping[str, Any]) -> dict[str, Any]:

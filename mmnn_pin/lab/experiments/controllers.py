@@ -183,9 +183,8 @@ class Granted:
 
     @property
     def described(self) -> Array:
-        """The parameters of the robot as its file has them, without the experiment's masses; errors as of `true`."""
-        robot = self.true("described")
-        return parameters(robot.with_masses({name: 1.0 / factor for name, factor in robot.masses.items()}))
+        """The parameters of the robot as its file has it, without what an experiment adds; errors as of `true`."""
+        return parameters(self.true("described").described)
 
     def true(self, what: str) -> Robot:
         """The true robot, where the controller may be told something of it.

@@ -7,7 +7,9 @@ from ...torque.adaptive import AdaptiveSettings
 from ...torque.adaptive_composite import AdaptiveCompositeSettings
 from ...torque.classical import PIDSettings
 from ...torque.concurrent import ConcurrentSettings
+from ...torque.deep_residual import DeepResidualSettings
 from ...torque.disturbance_observer import DisturbanceObserverSettings
+from ...torque.feedforward import FeedforwardSettings
 from ...torque.kalman_settings import (
     KalmanBilinearSettings,
     KalmanFeaturesSettings,
@@ -15,6 +17,7 @@ from ...torque.kalman_settings import (
     KalmanRegressorSettings,
     KalmanResidualSettings,
 )
+from ...torque.learned import LearnedSettings
 from ...torque.one_layer import OneLayer
 from ...torque.two_layer import TwoLayer
 from ...torque.two_layer_composite import TwoLayerCompositeSettings
@@ -36,9 +39,12 @@ class LearnerTables(Settings, frozen=True, kw_only=True):
     two_layer: TwoLayer = TwoLayer()
     one_layer: OneLayer = OneLayer()
     pid: PIDSettings = PIDSettings()
+    feedforward: FeedforwardSettings = FeedforwardSettings()
     adaptive: AdaptiveSettings = AdaptiveSettings()
     adaptive_composite: AdaptiveCompositeSettings = AdaptiveCompositeSettings()
     concurrent: ConcurrentSettings = ConcurrentSettings()
     two_layer_composite: TwoLayerCompositeSettings = TwoLayerCompositeSettings()
+    deep_residual: DeepResidualSettings = DeepResidualSettings()
     kalman: KalmanTables = KalmanTables()
     disturbance_observer: DisturbanceObserverSettings = DisturbanceObserverSettings()
+    learned: LearnedSettings = LearnedSettings()
