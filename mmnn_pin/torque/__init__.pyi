@@ -7,6 +7,8 @@ from .classical import PDGravity as PDGravity
 from .classical import PIDSettings as PIDSettings
 from .concurrent import Concurrent as Concurrent
 from .concurrent import ConcurrentSettings as ConcurrentSettings
+from .deep_residual import DeepResidual as DeepResidual
+from .deep_residual import DeepResidualSettings as DeepResidualSettings
 from .extended_state import ExtendedState as ExtendedState
 from .extended_state import ExtendedStateSettings as ExtendedStateSettings
 from .feedforward import Feedforward as Feedforward
@@ -19,6 +21,8 @@ from .kalman_settings import KalmanRegressorSettings as KalmanRegressorSettings
 from .kalman_settings import KalmanResidualSettings as KalmanResidualSettings
 from .l1_adaptive import L1Adaptive as L1Adaptive
 from .l1_adaptive import L1AdaptiveSettings as L1AdaptiveSettings
+from .learned import LearnedFeedforward as LearnedFeedforward
+from .learned import LearnedSettings as LearnedSettings
 from .model_based import PD as PD
 from .model_based import ComputedTorque as ComputedTorque
 from .model_based import ScheduledPD as ScheduledPD

@@ -9,7 +9,8 @@ J. Dyn. Sys. Meas. Control 103(2), for a constant setpoint). What the experiment
 file, other masses or a payload, it does not know.
 
 *PID.* For a joint `s = edot + k e`, so the integral of s over time is `e + k int e`: K s + I is a PID law of the
-position error e with the gains `K k + rate K` on e, `rate K k` on its integral and K on its rate.
+position error e with the gains `K k + rate K` on e, `rate K k` on its integral and K on its rate. A joint's
+integral is made so, of the change of e in place of its measured rate, which may be filtered, late where nobody told.
 
 *Anti-windup* is conditional integration (Astrom and Hagglund 1995, PID Controllers, 3.5) within the motors' limits.
 With u = E^+ (K s + I) of all motors, clipped to their limits, let `K s + I - E clip(u)` be the excess. A velocity whose
@@ -26,18 +27,19 @@ from typing import ClassVar, Literal, NamedTuple, Self
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import copy_to, linked
+from ..compiled import copy_to, internal, linked
 from ..errors import ConfigError
 from ..model.regressor import Massless, Regressor, measured, regress
-from ..parts import Vector, layout_of, views
+from ..parts import Matrix, Vector, layout_of, views
 from ..settings import Settings, require_numbers
-from ..signals import INDEX, Array, IntArray
+from ..signals import INDEX, Array, IntArray, Layout
 from .controller import CompiledController, Context, ControllerSettings, ControllerState, Feedback, Law
 from .law import KERNELS, Kernels, MotorLimits, constant_gain, limit, motor_limits, nothing_to_keep
 from .model_based import ConstantGain
 
 POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "shape"))
-Z, R, PSI_HAT, EFFECTIVE_GAIN = (INDEX[name] for name in ("z", "r", "psi_hat", "effective_gain"))
+TIME, E, EDOT, Z, R = (INDEX[name] for name in ("time", "e", "edot", "z", "r"))
+PSI_HAT, EFFECTIVE_GAIN = INDEX["psi_hat"], INDEX["effective_gain"]
 WEIGHT_NORM = INDEX["weight_norm"]
 ROUNDING = 1e-9  # part of a torque below which an excess is rounding
 
@@ -163,6 +165,7 @@ class Integrator(NamedTuple):
     Attributes:
         K: (p,) feedback gains.
         rate: (p,) what a sample adds to the integral over s; 0 keeps it.
+        h: Control period [s].
         limits: Of the motors, and room to work in.
         beside: (p,) what is added to K s and the integral; zeros for PID [N, N m].
         asked: (p,) room to work in.
@@ -173,6 +176,7 @@ class Integrator(NamedTuple):
 
     K: Array
     rate: Array
+    h: float
     limits: MotorLimits
     beside: Array
     asked: Array
@@ -182,10 +186,17 @@ class Integrator(NamedTuple):
 
 
 class Integral(NamedTuple):
-    """State of the integral: I (p,) of the next sample, and that of the last one."""
+    """State of the integral: I (p,) of the next sample and of this one, e (n,) and time of this sample and the last."""
 
     integral: Vector
     used: Vector
+    error: Matrix
+    instants: Vector
+
+
+def integral_shapes(layout: Layout) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of the parts of `Integral`, to be parts of a `ControllerState`."""
+    return {"integral": (layout.dof,), "used": (layout.dof,), "error": (2, layout.arm), "instants": (2,)}
 
 
 integral_of = views(Integral)
@@ -202,15 +213,26 @@ def new_integrator(context: Context, K: Array, rate: float, layout: IntArray) ->
     """
     given, p = context.limits, context.layout.dof
     limits = unlimited(p) if given is None else given._replace(motors=given.motors.copy(), asked=np.zeros(p))
-    a, b, c, d = np.zeros((4, p))
-    return Integrator(K, rate * float(context.control_period) * K, limits, a, b, c, d, layout)
+    (a, b, c, d), h = np.zeros((4, p)), float(context.control_period)
+    return Integrator(K, rate * h * K, h, limits, a, b, c, d, layout)
+
+
+@internal
+def go_on(row: Array, at: IntArray, o: Integral) -> None:
+    """The integral of this sample is that of the next one of the last; its errors are those before."""
+    copy_to(o.integral, o.used)
+    if row[at[TIME]] != o.instants[0]:
+        copy_to(o.error[0], o.error[1])
+        o.instants[1] = o.instants[0]
+    copy_to(row[at[E] : at[E + 1]], o.error[0])
+    o.instants[0] = row[at[TIME]]
 
 
 @linked
 def integral(row: Array, at: IntArray, a: Integrator, state: Array) -> None:
     """Psi_hat = I and the gain of one sample; arguments as of `law.estimate`."""
     o, squares = integral_of(state, a.layout), 0.0
-    copy_to(o.integral, o.used)
+    go_on(row, at, o)
     for i in range(o.used.size):
         row[at[PSI_HAT] + i], row[at[EFFECTIVE_GAIN] + i] = o.used[i], a.K[i]
         squares += o.used[i] * o.used[i]
@@ -231,9 +253,13 @@ def integrate_within(row: Array, at: IntArray, a: Integrator, state: Array, laye
         s = z[i] if i < z.size else r[i - z.size]
         a.asked[i] = a.sent[i] = a.K[i] * s + o.used[i] + a.beside[i]
     limit(a.sent, a.nothing, a.limits)
+    follows = abs(o.instants[0] - o.instants[1] - a.h) < 0.5 * a.h
     for i in range(o.used.size):
-        s, excess = z[i] if i < z.size else r[i - z.size], a.asked[i] - a.sent[i]
+        j = i - z.size
+        s, excess = z[i] if j < 0 else r[j], a.asked[i] - a.sent[i]
         winds_up = excess * s > 0.0 and abs(excess) > ROUNDING * abs(a.asked[i])
+        if j >= 0 and follows:
+            s += (o.error[0, j] - o.error[1, j]) / a.h - row[at[EDOT] + j]
         o.integral[i] = o.used[i] if winds_up else o.used[i] + a.rate[i] * min(max(s, -layer), layer)
     limit(o.integral, a.nothing, a.limits)
 
@@ -266,7 +292,7 @@ class PID(Integrating):
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """The integral, of the next sample and of the last one."""
-        return dict.fromkeys(Integral._fields, (context.layout.dof,))
+        return integral_shapes(context.layout)
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The integral, (p,) [N, N m]."""

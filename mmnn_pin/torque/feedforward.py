@@ -30,12 +30,12 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import copy_to, linked
+from ..compiled import linked
 from ..model.regressor import Massless, Regressor, measured, regress
 from ..parts import layout_of
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
-from .classical import Integral, Integrating, Integrator, integral_of, integrate, new_integrator
+from .classical import Integral, Integrating, Integrator, go_on, integral_of, integral_shapes, integrate, new_integrator
 from .controller import (
     Context,
     ControllerSettings,
@@ -92,7 +92,7 @@ def forward(row: Array, at: IntArray, a: Forward, state: Array) -> None:
     """Psi_hat of one sample, feedforward and integral, and the gain; arguments as of `law.estimate`."""
     own, squares = a.integrator, 0.0
     o = integral_of(state, own.layout)
-    copy_to(o.integral, o.used)
+    go_on(row, at, o)
     nb, pose, q = a.known.base, row[at[POSE] : at[POSE + 1]], row[at[Q] : at[Q + 1]]
     for i in range(o.used.size):
         a.nu[i], _ = desired_rates(row, at, i)
@@ -163,7 +163,7 @@ class Feedforward(Integrating):
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """The integral, of the next sample and of the last one."""
-        return dict.fromkeys(Integral._fields, (context.layout.dof,))
+        return integral_shapes(context.layout)
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The integral, (p,) [N, N m]."""

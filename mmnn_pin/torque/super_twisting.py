@@ -20,11 +20,20 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 from ..by_address import by_address
-from ..compiled import copy_to, linked
+from ..compiled import linked
 from ..parts import layout_of
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
-from .classical import Integral, Integrating, Integrator, integral_of, integrate_within, new_integrator
+from .classical import (
+    Integral,
+    Integrating,
+    Integrator,
+    go_on,
+    integral_of,
+    integral_shapes,
+    integrate_within,
+    new_integrator,
+)
 from .controller import Context, ControllerSettings, ControllerState, Feedback, Law, Told, read_facts
 from .law import KERNELS, Kernels, constant_gain
 from .observer import masses_of
@@ -66,7 +75,7 @@ def twist(row: Array, at: IntArray, a: Twisting, state: Array) -> None:
     """Psi_hat of one sample, root and integral, and the gain; arguments as of `law.estimate`."""
     own, squares = a.integrator, 0.0
     o, z, r = integral_of(state, own.layout), row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
-    copy_to(o.integral, o.used)
+    go_on(row, at, o)
     for i in range(o.used.size):
         s = z[i] if i < z.size else r[i - z.size]
         own.beside[i] = a.slope[i] * s * math.sqrt(a.layer / max(abs(s), a.layer))
@@ -129,7 +138,7 @@ class SuperTwisting(Integrating):
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """The integral, of the next sample and of the last one."""
-        return dict.fromkeys(Integral._fields, (context.layout.dof,))
+        return integral_shapes(context.layout)
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The integral, (p,) [N, N m]."""

@@ -51,17 +51,17 @@ class Delayed:
         """`[e, nu, torques under way, the controller's memory]` of the next sample."""
         h, row, values = self.h, self.row, self.state.values
         e, nu, late, values[:] = x[0], x[1], x[2 : 2 + self.periods], x[2 + self.periods :]
-        if "when" in self.state.shapes:
-            self.state["when"] = 1.0 - h
+        clock = "when" if "when" in self.state.shapes else "instants"
+        self.state[clock] = 1.0 - h
         for name, value in (
-            ("time", 1.0), ("qdot", nu), ("r", -nu + k * e), ("nu_ref", k * e), ("nudot_ref", -k * nu)
+            ("time", 1.0), ("qdot", nu), ("e", e), ("edot", -nu), ("r", k * e - nu), ("nu_ref", k * e),
+            ("nudot_ref", -k * nu),
         ):  # fmt: skip
             row[LAYOUT.where(name)] = value
         estimate(row, self.at, self.law.learner, values)
         step(row, self.at, self.law.numbers, values, None, None)
         settle(row, self.at, self.law.learner, values)
-        if "when" in self.state.shapes:
-            self.state["when"] = 0.0
+        self.state[clock] = 0.0
         tau = row[LAYOUT.where("torque")][0]
         acts = late[0] if self.periods else tau
         moved = [e - h * nu - 0.5 * h * h * acts / MASS, nu + h * acts / MASS]
@@ -70,8 +70,8 @@ class Delayed:
     def radius(self):
         """Spectral radius of its matrix, column by column; the map is linear within motors without limits."""
         size = 2 + self.periods + self.state.values.size
-        A = np.column_stack([self(1e-3 * unit) / 1e-3 for unit in np.eye(size)])
-        np.testing.assert_allclose(self(np.full(size, 1e-3)), A @ np.full(size, 1e-3), rtol=1e-9, atol=1e-12)
+        A = np.column_stack([self(1e-6 * unit) / 1e-6 for unit in np.eye(size)])
+        np.testing.assert_allclose(self(np.full(size, 1e-6)), A @ np.full(size, 1e-6), rtol=1e-8, atol=1e-15)
         return np.abs(np.linalg.eigvals(A)).max()
 
 

@@ -97,6 +97,31 @@ def test_it_does_not_wind_up_and_turns_back_at_once():
     assert (np.sign(state["integral"]) == [1, 0, -1, 1]).all()
 
 
+def test_the_integral_of_joints_is_made_of_their_angles_whatever_their_rates_say():
+    """`int s = e + k int e`: a rate that is filtered, and late, leaves nothing behind; after a gap the rate counts."""
+    layout, rng = LAYOUT, np.random.default_rng(4)
+    feedback, k, h = Feedback((2.0, 3.0), (4.0, 5.0)), 7.0, 0.001
+    pid = PID(feedback, PIDSettings(rate=20.0))
+    context = Context(layout, h, 100)
+    a, state, row = pid.law(context).learner, pid.init(context), layout.new_row()
+    e = np.cumsum(rng.standard_normal((50, 2)), axis=0)
+    z, lies = rng.standard_normal((2, 50, 2))
+    for n in range(50):
+        row[layout.where("time")], row[layout.where("e")], row[layout.where("z")] = n * h, e[n], z[n]
+        row[layout.where("edot")], row[layout.where("r")] = lies[n], lies[n] + k * e[n]
+        integral(row, layout.offsets, a, state.values)
+        for _ in range(2):
+            integrate(row, layout.offsets, a, state.values)
+    joints = e[-1] - e[0] + h * (lies[0] + k * e.sum(axis=0))
+    expected = 20.0 * feedback.vector(layout) * np.concatenate((h * z.sum(axis=0), joints))
+    np.testing.assert_allclose(state["integral"], expected, rtol=1e-12)
+    before, row[layout.where("time")] = state["integral"].copy(), 1.0
+    integral(row, layout.offsets, a, state.values)
+    integrate(row, layout.offsets, a, state.values)
+    gained = 20.0 * h * feedback.vector(layout) * np.concatenate((z[-1], lies[-1] + k * e[-1]))
+    np.testing.assert_allclose(state["integral"] - before, gained, rtol=1e-9)
+
+
 @settings(max_examples=20, deadline=None)
 @given(
     seed=st.integers(0, 2**31), size=st.sampled_from([1e-3, 0.1, 10.0, 1e6]), rate=st.sampled_from([0.1, 5.0, 500.0])

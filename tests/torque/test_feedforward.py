@@ -133,7 +133,8 @@ def test_of_a_base_that_steers_it_goes_along_what_is_commanded(name):
         q = np.concatenate((run["pose"][k], run["shape"][k], run["q"][k]))
         nu = np.concatenate((run["alpha"][k], run["qdot_ref"][k]))
         expected = robot.psi(q, nu, nu, run["nudot_ref"][k])
-        gathered = gain * np.hstack((run["z"], run["r"]))[:k].sum(axis=0)
+        own = run["r"][:k].sum(axis=0) - run["edot"][1:k].sum(axis=0) + (run["e"][k - 1] - run["e"][0]) / H
+        gathered = gain * np.concatenate((run["z"][:k].sum(axis=0), own))
         found = run["psi_hat"][k] - gathered
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 

@@ -7,6 +7,7 @@ from ...torque.adaptive import AdaptiveSettings
 from ...torque.adaptive_composite import AdaptiveCompositeSettings
 from ...torque.classical import PIDSettings
 from ...torque.concurrent import ConcurrentSettings
+from ...torque.deep_residual import DeepResidualSettings
 from ...torque.extended_state import ExtendedStateSettings
 from ...torque.feedforward import FeedforwardSettings
 from ...torque.kalman_settings import (
@@ -17,6 +18,7 @@ from ...torque.kalman_settings import (
     KalmanResidualSettings,
 )
 from ...torque.l1_adaptive import L1AdaptiveSettings
+from ...torque.learned import LearnedSettings
 from ...torque.one_layer import OneLayer
 from ...torque.super_twisting import SuperTwistingSettings
 from ...torque.time_delay import TimeDelaySettings
@@ -49,4 +51,6 @@ class LearnerTables(Settings, frozen=True, kw_only=True):
     adaptive_composite: AdaptiveCompositeSettings = AdaptiveCompositeSettings()
     concurrent: ConcurrentSettings = ConcurrentSettings()
     two_layer_composite: TwoLayerCompositeSettings = TwoLayerCompositeSettings()
+    deep_residual: DeepResidualSettings = DeepResidualSettings()
     kalman: KalmanTables = KalmanTables()
+    learned: LearnedSettings = LearnedSettings()
