@@ -11,6 +11,8 @@ from .deep_residual import DeepResidual as DeepResidual
 from .deep_residual import DeepResidualSettings as DeepResidualSettings
 from .disturbance_observer import DisturbanceObserver as DisturbanceObserver
 from .disturbance_observer import DisturbanceObserverSettings as DisturbanceObserverSettings
+from .drem import Drem as Drem
+from .drem import DremSettings as DremSettings
 from .feedforward import Feedforward as Feedforward
 from .feedforward import FeedforwardSettings as FeedforwardSettings
 from .kalman import Kalman as Kalman

@@ -9,6 +9,7 @@ from ...torque.classical import PIDSettings
 from ...torque.concurrent import ConcurrentSettings
 from ...torque.deep_residual import DeepResidualSettings
 from ...torque.disturbance_observer import DisturbanceObserverSettings
+from ...torque.drem import DremSettings
 from ...torque.feedforward import FeedforwardSettings
 from ...torque.kalman_settings import (
     KalmanBilinearSettings,
@@ -44,6 +45,7 @@ class LearnerTables(Settings, frozen=True, kw_only=True):
     adaptive_composite: AdaptiveCompositeSettings = AdaptiveCompositeSettings()
     concurrent: ConcurrentSettings = ConcurrentSettings()
     two_layer_composite: TwoLayerCompositeSettings = TwoLayerCompositeSettings()
+    drem: DremSettings = DremSettings()
     deep_residual: DeepResidualSettings = DeepResidualSettings()
     kalman: KalmanTables = KalmanTables()
     disturbance_observer: DisturbanceObserverSettings = DisturbanceObserverSettings()
