@@ -25,7 +25,7 @@ from ..elementary.arrays import is_below
 from ..elementary.matrices import product
 from ..errors import ConfigError, UnknownName, keyed
 from ..kinematic import Kinematic, see
-from ..model.base.rolling import STEERED, followed
+from ..model.base.rolling import STEERED, followed, maps_in
 from ..model.base.steered import SteeredBase
 from ..model.robot import Robot
 from ..recording.recorder import Recorder
@@ -185,7 +185,8 @@ class Stepper:
             timing = Timing(duration=period, control_period=period, plant_step=period)
         with keyed(lambda key: "observer"):
             sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
-        given = LoopToSuit(settings.kinematic, period, known.total + known.margin, settings.lag)
+        delay = known.total + known.margin
+        given = LoopToSuit(settings.kinematic, period, delay, settings.lag, late=settings.filtered)
         controller = suited(controller, robot, lambda: given)
         setup = StepperSetup(
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
@@ -370,7 +371,8 @@ class Stepper:
         made = self.setup.controller
         if controller is not None:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
-            made = suited(controller, self.robot, lambda: LoopToSuit(kinematic, self.period, delay, lag))
+            given = LoopToSuit(kinematic, self.period, delay, lag, late=self.setup.filtered)
+            made = suited(controller, self.robot, lambda: given)
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         before, self.limits, direction = self.limits, limits or self.limits, self.direction.copy()
         try:
@@ -545,8 +547,9 @@ class Stepper:
         has_ended(0.0, supervisor.numbers, supervisor.state)
         bring_up(self.row, self.at, 0.0, 0.0, self.follower.guide, self.past, self.control.steering)
         self.past.times[:] = -math.inf
-        if self.control.steering is not None:
-            self.control.steering.maps.n[:] = 0.0
+        torque = self.control.torque  # which way u counts is found anew, by learners, too
+        for maps in maps_in((self.control.steering, torque.learner, torque.later)):
+            maps.n[:] = 0.0
         self.hardware.state[:], self.control.controls.state[:], self.row[:] = *kept, 0.0
 
 

@@ -72,11 +72,13 @@ def rows_of(*arguments: Any) -> list[Row]:
 
 
 def kept(file: Path) -> list[Row]:
-    """The rows of a file; a last line that was cut off is left out."""
+    """The rows of a file; a last line that was cut off is removed from it."""
     if not file.exists():
         return []
-    lines = file.read_text(encoding="utf-8").split("\n")
-    return [json.loads(line) for line in lines[:-1] if line]
+    whole, end, cut = file.read_text(encoding="utf-8").rpartition("\n")
+    if cut:
+        os.truncate(file, len((whole + end).encode()))
+    return [json.loads(line) for line in whole.splitlines()]
 
 
 def key_of(row: Row) -> tuple[Any, ...]:

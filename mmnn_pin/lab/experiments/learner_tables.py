@@ -8,8 +8,8 @@ from ...torque.adaptive_composite import AdaptiveCompositeSettings
 from ...torque.classical import PIDSettings
 from ...torque.concurrent import ConcurrentSettings
 from ...torque.deep_residual import DeepResidualSettings
-from ...torque.disturbance_observer import DisturbanceObserverSettings
 from ...torque.drem import DremSettings
+from ...torque.extended_state import ExtendedStateSettings
 from ...torque.feedforward import FeedforwardSettings
 from ...torque.kalman_settings import (
     KalmanBilinearSettings,
@@ -18,8 +18,11 @@ from ...torque.kalman_settings import (
     KalmanRegressorSettings,
     KalmanResidualSettings,
 )
+from ...torque.l1_adaptive import L1AdaptiveSettings
 from ...torque.learned import LearnedSettings
 from ...torque.one_layer import OneLayer
+from ...torque.super_twisting import SuperTwistingSettings
+from ...torque.time_delay import TimeDelaySettings
 from ...torque.two_layer import TwoLayer
 from ...torque.two_layer_composite import TwoLayerCompositeSettings
 
@@ -41,6 +44,10 @@ class LearnerTables(Settings, frozen=True, kw_only=True):
     one_layer: OneLayer = OneLayer()
     pid: PIDSettings = PIDSettings()
     feedforward: FeedforwardSettings = FeedforwardSettings()
+    time_delay: TimeDelaySettings = TimeDelaySettings()
+    extended_state: ExtendedStateSettings = ExtendedStateSettings()
+    l1_adaptive: L1AdaptiveSettings = L1AdaptiveSettings()
+    super_twisting: SuperTwistingSettings = SuperTwistingSettings()
     adaptive: AdaptiveSettings = AdaptiveSettings()
     adaptive_composite: AdaptiveCompositeSettings = AdaptiveCompositeSettings()
     concurrent: ConcurrentSettings = ConcurrentSettings()
@@ -48,5 +55,4 @@ class LearnerTables(Settings, frozen=True, kw_only=True):
     drem: DremSettings = DremSettings()
     deep_residual: DeepResidualSettings = DeepResidualSettings()
     kalman: KalmanTables = KalmanTables()
-    disturbance_observer: DisturbanceObserverSettings = DisturbanceObserverSettings()
     learned: LearnedSettings = LearnedSettings()
