@@ -16,10 +16,11 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from functools import cache
+from multiprocessing import Pool
 from pathlib import Path
+from signal import SIG_IGN, SIGINT, signal
 from typing import Any
 
 from mmnn_pin.compiled.folders import imports_of, text_of
@@ -27,6 +28,7 @@ from mmnn_pin.lab.show.table import Cell, Column, Table, number, row_of, termina
 from mmnn_pin.torque.entries import CONTROLLERS
 
 from .draws import draw_of, preregistered
+from .page import publish
 from .run import errors_of, settings_of
 from .score import Row, paired, parts_of_table, score_of
 
@@ -55,20 +57,17 @@ def sources(name: str) -> str:
     return digest.hexdigest()[:12]
 
 
-def judge_draw(robot: str, family: str, number: int, controllers: Sequence[str]) -> Iterator[Row]:
-    """Rows of some controllers on one draw, as they come."""
-    draw = draw_of(robot, family, number)
+def rows_of(wanted: tuple[str, str, int, Sequence[str]]) -> list[Row]:
+    """The rows of a robot, a family, a number and some controllers."""
+    robot, family, number, controllers = wanted
+    draw, rows = draw_of(robot, family, number), []
     said = {name: draw.said[name] for name in SAID}
     for name in controllers:
         began = time.process_time()
         errors = errors_of(draw, name)
         key = dict(zip(KEY, (robot, family, number, name, "judge", sources(name)), strict=True))
-        yield key | errors | {"said": said, "seconds": round(time.process_time() - began, 2)}
-
-
-def rows_of(*arguments: Any) -> list[Row]:
-    """`judge_draw` for another process."""
-    return list(judge_draw(*arguments))
+        rows.append(key | errors | {"said": said, "seconds": round(time.process_time() - began, 2)})
+    return rows
 
 
 def kept(file: Path) -> list[Row]:
@@ -87,7 +86,7 @@ def key_of(row: Row) -> tuple[Any, ...]:
 
 
 def missing(rows: Sequence[Row], wanted: dict[str, Any]) -> list[tuple[Any, ...]]:
-    """The arguments of `judge_draw` for what is wanted and not kept, draw after draw over all robots."""
+    """What `rows_of` takes, for what is wanted and not kept, draw after draw over all robots."""
     done, found = {key_of(row) for row in rows}, []
     for draw in range(wanted["draws"]):
         for robot in wanted["robots"]:
@@ -112,21 +111,18 @@ def wanted_of(rows: Sequence[Row], wanted: dict[str, Any]) -> list[Row]:
 
 
 def run_missing(todo: Sequence[tuple[Any, ...]], file: Path, workers: int) -> None:
-    """Run what is missing, and append rows to the file as they come."""
+    """Run what is missing, and append rows to the file draw by draw; Ctrl-C ends at once with what the file has."""
     total, done, began = sum(len(one[3]) for one in todo), 0, time.monotonic()
-    with file.open("a", encoding="utf-8") as sink, ProcessPoolExecutor(workers) as pool:
-        runs = [pool.submit(rows_of, *one) for one in todo]
+    with file.open("a", encoding="utf-8") as sink, Pool(workers, signal, (SIGINT, SIG_IGN)) as pool:
         try:
-            for run in as_completed(runs):
-                for row in run.result():
-                    sink.write(json.dumps(row) + "\n")
-                    done += 1
+            for rows in pool.imap_unordered(rows_of, todo):
+                sink.writelines(json.dumps(row) + "\n" for row in rows)
                 sink.flush()
+                done += len(rows)
                 left = (time.monotonic() - began) / done * (total - done)
                 print(f"{done} of {total} runs, {left / 60:.0f} min left", file=sys.stderr, flush=True)
         except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-            print("stopped; what is done is kept", file=sys.stderr)
+            print("stopped: what is done is kept, the same command goes on", file=sys.stderr)
 
 
 def table_of(title: str, rows: Sequence[Row], controllers: Sequence[str]) -> Table:
@@ -173,6 +169,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if todo := missing(kept(file), wanted):
         run_missing(todo, file, options.workers)
     rows = wanted_of(kept(file), wanted)
+    if options.publish:
+        publish(rows)
     for part, tables in parts_of_table(rows).items():
         for title, own in tables.items():
             if own and part != "disturbances":

@@ -44,9 +44,8 @@ def plant(
     position = robot.neutral_position()
     position[robot.arm_index] = q
     made = new_plant(
-        robot, loaded, own, (position, np.zeros(robot.dimensions.dof)), (dt, 10), new_drives(robot, 2000), carries
+        robot, loaded, own, (position, np.zeros(robot.dimensions.motors)), (dt, 10), new_drives(robot, 2000), carries
     )
-    made.arrive[1:] = 2**60
     return made
 
 
@@ -180,7 +179,7 @@ def test_sensors_tell_the_truth_where_nothing_is_wrong() -> None:
         d = robot.dimensions
         seen = np.zeros(d.pose + d.base + 2 * d.arm + len(robot.shape_index))
         advance(1200, made._replace(drives=made.drives._replace(between=10**6)))
-        tell(made, seen)
+        tell(made.drives, made.world.rows, seen)
         pose, velocity, q, qdot, shape = np.split(seen, np.cumsum([d.pose, d.base, d.arm, d.arm]))
         s = made.state
         np.testing.assert_allclose(q, s.turned[d.motors - d.arm :], atol=1e-9)
@@ -247,8 +246,9 @@ def test_what_is_better_by_construction_wins_and_what_fails_is_lost() -> None:
 
 
 def rows(controller: str, *errors: tuple[float | None, float | None]) -> list[dict[str, Any]]:
+    own = {"robot": "r", "plant": "judge", "controller": controller}
     return [
-        {"robot": "r", "draw": k, "controller": controller, "arm": arm, "base": base, "lost": "" if arm else "gone"}
+        own | {"draw": k, "arm": arm, "base": base, "lost": "" if arm else "gone"}
         for k, (arm, base) in enumerate(errors)
     ]
 
