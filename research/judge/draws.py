@@ -39,6 +39,12 @@ def preregistered() -> dict[str, Any]:
     return tomllib.loads(FILE.read_text(encoding="utf-8"))
 
 
+@cache
+def on_contact() -> dict[str, Any]:
+    """What the file of the second plant says."""
+    return tomllib.loads(FILE.with_name("preregistered_contact.toml").read_text(encoding="utf-8"))
+
+
 @dataclass(frozen=True)
 class Draw:
     """One draw.

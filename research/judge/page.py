@@ -25,17 +25,19 @@ def publish(rows: Sequence[Row], page: Path = PAGE) -> None:
     """Fill the tables of a page, and write the rows beside it.
 
     Args:
-        rows: Of all controllers.
+        rows: Of all controllers on both plants.
         page: With markers `<!-- judge: NAME -->` and `<!-- /judge -->` about every table.
     """
-    parts = {"facts": facts(rows), "all": overall(rows), "target": target(rows)}
-    parts |= {name: by_part(parts_of_table(rows)[name]) for name in ("robots", "disturbances")}
+    first, second = ([row for row in rows if row["plant"] == plant] for plant in ("judge", "contact"))
+    parts = {"facts": facts(rows), "all": overall(first), "contact": overall(second), "target": target(first)}
+    parts |= {name: by_part(parts_of_table(first)[name]) for name in ("robots", "disturbances")}
     text = page.read_text(encoding="utf-8")
     for name, content in parts.items():
         marked = re.compile(rf"(<!-- judge: {name} -->\n).*?(<!-- /judge -->)", re.DOTALL)
         text = marked.sub(lambda found, own=content: f"{found[1]}{own}\n{found[2]}", text)  # type: ignore[misc]
     page.write_text(text, encoding="utf-8")
-    write_rows(page.with_suffix(".csv"), [flat(row, rows) for row in rows])
+    pairs = chain.from_iterable(paired(rows, name) for name in controllers_of(rows))
+    write_rows(page.with_suffix(".csv"), [flat(*pair) for pair in pairs])
 
 
 def facts(rows: Sequence[Row]) -> str:
@@ -105,11 +107,8 @@ def target(rows: Sequence[Row]) -> str:
     )
 
 
-def flat(row: Row, rows: Sequence[Row]) -> Row:
-    """A row of the CSV file, with its ratio."""
-    baseline = preregistered()["controllers"]["baseline"]
-    key = [row[name] for name in ("robot", "draw", "plant")]
-    beside = next(r for r in rows if r["controller"] == baseline and [r[n] for n in ("robot", "draw", "plant")] == key)
+def flat(row: Row, baseline: Row) -> Row:
+    """A row of the CSV file, with its ratio to the baseline's of the same draw."""
     errors = dict(zip(ERRORS, (row["arm"], row["base"]), strict=True))
     own = {name: row[name] for name in ("robot", "draw", "plant", "controller")}
-    return own | errors | {"ratio": ratio_of(row, beside), "lost": row["lost"]} | row["said"]
+    return own | errors | {"ratio": ratio_of(row, baseline), "lost": row["lost"]} | row["said"]
