@@ -50,7 +50,8 @@ def facts(rows: Sequence[Row]) -> str:
     return (
         f"`preregistered.toml` (sha256 {digest}...) was last committed as {commit}. {len(rows)} runs of "
         f"{len({row['controller'] for row in rows})} controllers on {draws} draws of "
-        f"{len({row['robot'] for row in rows})} robots, {hours:.1f} hours of processor time."
+        f"{len({row['robot'] for row in rows})} robots, {hours:.1f} hours of processor time; "
+        "[judge.csv](judge.csv) has every one."
     )
 
 
