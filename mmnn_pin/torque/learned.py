@@ -62,6 +62,7 @@ SAMPLES = 300  # of random motion
 MEMORY = 5.0  # time over which predictions are compared [s]
 MOVES = 0.9  # part of the low-pass's time in which a velocity has to have moved
 LATEST = 0.03  # largest delay that is believed [s]
+LOAD, REACH = 0.1, 0.1  # what an arm may carry, as a share of its mass, and how far out [m]
 WIDE = 10.0  # standard deviation of Psi on random motion, over K, of what nothing is known of
 
 
@@ -76,6 +77,7 @@ class LearnedSettings(Settings, frozen=True):
         state_pole: Low-pass on states and torque ahead of the features [1/s]; 0 for none.
         interval: Time from one update to the next [s], at least a control period.
         change: Part of a constant's prior variance that comes back in a second [1/s].
+        load: The same of the body at the arm's end, which a load changes [1/s].
         alarm: The robot counts as changed where the square of the errors is this many times that of the last seconds;
             its load is then learned anew. 0 for never.
         friction: Standard deviation of what the friction features say before anything is learned, over K.
@@ -94,6 +96,7 @@ class LearnedSettings(Settings, frozen=True):
     state_pole: float = 100.0
     interval: float = 0.01
     change: float = 0.1
+    load: float = 0.3
     alarm: float = 3.0
     friction: float = 0.2
     constant: float = 0.03
@@ -120,6 +123,7 @@ class Learned(NamedTuple):
         noise: Variance of an equation that stands for one interval, divided by K_i [m^2/s^2, rad^2/s^2].
         drift: Part of the prior variance that comes back in a second [1/s].
         change: The same of the constants [1/s].
+        load: The same of what the arm carries [1/s].
         alarm: As in the settings.
         carrying: Places of what changes most likely.
         theta0: (k,) the robot as its file describes it.
@@ -144,6 +148,7 @@ class Learned(NamedTuple):
     noise: float
     drift: float
     change: float
+    load: float
     alarm: float
     carrying: IntArray
     theta0: Array
@@ -326,6 +331,8 @@ def predict(a: Learned, o: Parts) -> None:
     o.counts[1] += 1.0
     for c in range(k - p, k):
         drift(a, o, c, a.change * time)
+    for c in range(a.carrying.size):
+        drift(a, o, a.carrying[c], a.load * time)
     sure = 1.0 - variance(o.U, o.D, late) / o.prior[late]
     o.delay[0] = max(0.0, sure) * min(max(o.W[0, late], 0.0), LATEST)
 
@@ -396,6 +403,7 @@ class LearnedFeedforward(CompiledController):
             noise=own.noise * own.noise,
             drift=own.drift,
             change=own.change,
+            load=own.load,
             alarm=own.alarm,
             carrying=self.motion.carrying,
             theta0=theta0,
@@ -432,24 +440,34 @@ class LearnedFeedforward(CompiledController):
         state["W"][0, :k0] = self.theta
         state["prior"][:k0] = np.minimum(widest, self.doubt() ** 2)
         state["prior"][self.motion.inertial : k0] = widest[self.motion.inertial :]
-        state["prior"][self.motion.carrying] = widest[self.motion.carrying]
+        loaded = self.motion.carrying
+        state["prior"][loaded] = np.minimum(widest, self.doubt(self.heaviest_load()) ** 2)[loaded]
         state["prior"][k0] = own.delay**2
         state["prior"][k0 + 1 : -p] = own.friction**2 / d * np.repeat(K, d) ** 2
         state["prior"][-p:] = (own.constant * K) ** 2
         state["D"] = state["prior"]
-        state["D"][self.motion.carrying] = np.minimum(widest, self.doubt() ** 2)[self.motion.carrying]
+        state["D"][loaded] = np.minimum(widest, self.doubt() ** 2)[loaded]
         return state
 
-    def doubt(self) -> Array:
-        """Standard deviations of the file's parameters, (k,): of bodies `BODIES` of their mass and size, else inf."""
+    def doubt(self, more: float = 0.0) -> Array:
+        """Standard deviations of the file's parameters, (k,): of bodies `BODIES` of their mass and size, else inf.
+
+        Args:
+            more: A mass that any of them may carry [kg].
+        """
         sd, inertial = np.full(self.motion.size, np.inf), self.motion.inertial
-        for one, body in zip(
-            np.split(self.theta[:inertial], inertial // BODY), np.split(sd[:inertial], inertial // BODY), strict=True
-        ):
+        bodies = zip(self.theta[:inertial].reshape(-1, BODY), sd[:inertial].reshape(-1, BODY), strict=True)
+        for one, body in bodies:
             mass = abs(one[0])
             size = math.sqrt(max(one[4] + one[7] + one[9], 0.0) / mass) if mass > 0.0 else 0.0
-            body[:] = BODIES * mass * np.array([1.0, size, size, size, *[size * size] * 6])
+            mass, size = (max(BODIES * mass, more), max(size, REACH if more else 0.0))
+            body[:] = mass * np.array([1.0, size, size, size, *[size * size] * 6])
         return sd
+
+    def heaviest_load(self) -> float:
+        """A mass that the arm may well carry: a tenth of its own [kg]."""
+        first = BODY * (self.motion.bodies[0] == "root")
+        return float(LOAD * np.abs(self.theta[first : self.motion.inertial : BODY]).sum())
 
     def typical(self, K: Array) -> Array:
         """Regressors of random motion at 1 m/s, 1 rad/s, 1 m/s^2, 1 rad/s^2 over K, (samples, p, k0)."""
