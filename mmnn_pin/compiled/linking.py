@@ -29,6 +29,7 @@ from ..parts import spelled
 # Compiled functions allocate nothing; without numba's reference counts they run up to 1.5 times faster and compile in
 # less time. One that does allocate fails to compile, loudly.
 LEAN: dict[str, Any] = {"_nrt": False, "no_cfunc_wrapper": True}
+UNREADABLE = EOFError, UnpicklingError, ImportError, AttributeError  # cut off, or of code that is no more
 
 
 class Face(JITCodeLibrary):
@@ -44,7 +45,8 @@ class OwnNames(IndexDataCacheFile):
 
     numba numbers them. Of two processes that compile at the same time each may give one number to another signature,
     and then a run calls code that was made for other arguments, and crashes. Where one overwrites what the other has
-    entered in the index, that is compiled once more. A file that a crash left empty or cut off counts as none, and code
+    entered in the index, that is compiled once more. A file that a crash left empty or cut off, or that names a type
+    that is no more, counts as none, and code
     that does not fit on the disk is not kept.
     """
 
@@ -63,13 +65,13 @@ class OwnNames(IndexDataCacheFile):
         """The compilation that is kept under a key; None where nothing is, or nothing that can be read."""
         try:
             return super().load(key)
-        except (OSError, EOFError, UnpicklingError):
+        except (OSError, *UNREADABLE):
             return None
 
     def _load_index(self) -> dict[Any, str]:
         try:
             return dict(super()._load_index())
-        except (EOFError, UnpicklingError):
+        except UNREADABLE:
             return {}
 
 

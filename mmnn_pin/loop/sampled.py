@@ -100,6 +100,7 @@ class HeldLoop:
         torque: (k, p): what a torque held over the period does, on servo rows a velocity that is asked for.
         errors: (p, k): `[z; r]` of a deviation.
         inside: (p, k): `M nudot_ref` of a deviation, the feedback inside Psi.
+        rates: (p, k): `nudot_ref` of a deviation.
         asked: (p, k): velocities that servo rows are asked for in a deviation, 0 on the others.
     """
 
@@ -107,6 +108,7 @@ class HeldLoop:
     torque: Array
     errors: Array
     inside: Array
+    rates: Array
     asked: Array
 
     def closed(self, gains: Array) -> Array:
@@ -117,19 +119,34 @@ class HeldLoop:
         """(p, k) torque of a deviation: `gains s`, and `M nudot_ref` where it is added; on servo rows what is asked."""
         return gains[:, None] * self.errors + self.asked + (self.inside if inside else 0.0)
 
-    def radius(self, gains: Array, inside: bool) -> float:
-        """Spectral radius of one period."""
-        return float(np.abs(np.linalg.eigvals(self.state + self.torque @ self.feedback(gains, inside))).max())
+    def radius(self, gains: Array, inside: bool, adds: Array | None = None) -> float:
+        """Spectral radius of one period; `adds` (p,) is what a period adds over s to an integral beside, None for none.
 
-    def margin(self, gains: Array, h: float, inside: bool) -> float:
-        """Delay at which the loop turns unstable [s]: 0 where it is already, inf where no delay does it."""
-        if self.radius(gains, inside) > 1.0 + TOLERANCE:
+        An integral acts one period later: `I_next = I + adds s`.
+        """
+        closed = self.state + self.torque @ self.feedback(gains, inside)
+        if adds is not None:
+            closed = np.block([[closed, self.torque], [adds[:, None] * self.errors, np.eye(adds.size)]])
+        return float(np.abs(np.linalg.eigvals(closed)).max())
+
+    def margin(self, gains: Array, h: float, inside: bool, adds: Array | None = None) -> float:
+        """Delay at which the loop turns unstable [s]: 0 where it is already, inf where no delay does it.
+
+        Args:
+            gains: (p,) gain on s.
+            h: Control period [s].
+            inside: Whether the feedback inside Psi is there, too.
+            adds: Of an integral, as of `radius`.
+        """
+        if self.radius(gains, inside, adds) > 1.0 + TOLERANCE:
             return 0.0
-        F, eye = self.feedback(gains, inside), np.eye(len(self.state))
+        F, eye = self.feedback(gains, inside) + 0j, np.eye(len(self.state))
+        own = np.zeros(self.errors.shape) if adds is None else adds[:, None] * self.errors
 
         def loops(w: Array) -> Array:
             """Eigenvalues of H at some frequencies, by magnitude, (len(w), p)."""
-            H = F @ np.linalg.solve(np.exp(1j * w * h)[:, None, None] * eye - self.state, self.torque + 0j)
+            z = np.exp(1j * w * h)[:, None, None]
+            H = (F + own / (z - 1.0)) @ np.linalg.solve(z * eye - self.state, self.torque + 0j)
             found = np.asarray(np.linalg.eigvals(H), complex)
             return np.take_along_axis(found, np.argsort(np.abs(found), axis=1), axis=1)
 
@@ -196,7 +213,7 @@ def held_loop(
     held = expm(np.block([[A, B], [np.zeros((p, size + p))]]) * h)
     state, torque = held[:size, :size], held[:size, size:]
     if servos is None:
-        return HeldLoop(state, torque, errors, M @ rates, np.zeros((p, size)))
+        return HeldLoop(state, torque, errors, M @ rates, rates, np.zeros((p, size)))
     return asking(servos, state, torque, errors, rates, M, nu, h)
 
 
@@ -244,7 +261,7 @@ def asking(
     remembered = np.hstack((np.zeros((n, size)), np.eye(n))) + h * (rate * s)[rows]
     state = np.vstack((np.hstack((state, np.zeros((size, n)))), remembered))
     torque = np.vstack((torque, np.zeros((n, p))))
-    return HeldLoop(state, torque, s, (1.0 - on[:, None]) * (M @ nudot), on[:, None] * asked)
+    return HeldLoop(state, torque, s, (1.0 - on[:, None]) * (M @ nudot), nudot, on[:, None] * asked)
 
 
 def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | None]:

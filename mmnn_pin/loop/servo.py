@@ -311,7 +311,7 @@ def require_no_torque_regressor(controller: CompiledController | TorqueControlle
     """
     if needs_torques(controller, context):
         why = "it goes by the torque of every velocity, and on a velocity interface there is none to know"
-        fix = "use pd, pd_gravity, computed_torque, two_layer, one_layer, adaptive or disturbance_observer"
+        fix = "use pd, pd_gravity, computed_torque, two_layer, one_layer or adaptive"
         raise ConfigError(f"{controller.name} on a velocity interface", why=why, fix=fix, key="interfaces")
 
 

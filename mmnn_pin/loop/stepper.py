@@ -185,7 +185,8 @@ class Stepper:
             timing = Timing(duration=period, control_period=period, plant_step=period)
         with keyed(lambda key: "observer"):
             sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
-        given = LoopToSuit(settings.kinematic, period, known.total + known.margin, settings.lag)
+        delay = known.total + known.margin
+        given = LoopToSuit(settings.kinematic, period, delay, settings.lag, late=settings.filtered)
         controller = suited(controller, robot, lambda: given)
         setup = StepperSetup(
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
@@ -370,7 +371,8 @@ class Stepper:
         made = self.setup.controller
         if controller is not None:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
-            made = suited(controller, self.robot, lambda: LoopToSuit(kinematic, self.period, delay, lag))
+            given = LoopToSuit(kinematic, self.period, delay, lag, late=self.setup.filtered)
+            made = suited(controller, self.robot, lambda: given)
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         before, self.limits, direction = self.limits, limits or self.limits, self.direction.copy()
         try:

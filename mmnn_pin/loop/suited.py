@@ -7,6 +7,8 @@ none, all times the largest share up to 1 with which the loop bears the delay th
 the feedback inside Psi and `ROOM` for what a learner adds. Loops, steppers and experiments take it for gains that are
 not given. Light enough anywhere is too light elsewhere: gains that suit any posture leave an arm weak where it works.
 
+**Rates.** How fast an integral or an observer beside the feedback may be follows from the same loop (`loop.rates`).
+
 **Pace.** A reference is slowed until whoever follows it exactly needs of every motor no more than a share of its
 effort and speed limits: the rest is for errors. What gravity and dry friction alone ask for no slowness saves; so the
 arm swings about the middle of its range only where its motors hold it there within that share, else about the posture,
@@ -34,10 +36,12 @@ from ..reference import Trajectory
 from ..reference.steerable import fitted
 from ..settings import Numbers, Timing
 from ..signals import Array, Dimensions, Setpoint
+from ..torque.classical import Integrating
 from ..torque.controller import Feedback
 from ..torque.neural import Neural, Robust
 from .before_run import Start, lags, viscous_friction
-from .sampled import held_loop, margin_at
+from .rates import Kind, largest_rate
+from .sampled import HeldLoop, held_loop, margin_at
 
 MARGIN = 0.003  # delay that default gains bear, beside the delay that is known [s]
 ROOM = 1.2  # times the gains: what a learner adds to them at first
@@ -49,6 +53,7 @@ LEFT = (
     0.5  # share of what gravity and friction leave of a motor, where they take so much that it is more than the share
 )
 POSTURES, JUDGED = 60, 6  # postures at which inertias are looked at, and those at which the loop is judged
+SLOW = 3  # places where the loop is slowest, beside
 PLACES = 41  # along a reference, likewise
 STIFF = 2.78  # rk4 multiplies what decays at a rate a by more than 1 in a step h where a h is above 2.785
 TRIALS = 100  # postures that are looked at where the middle is too heavy
@@ -64,6 +69,7 @@ class LoopToSuit(NamedTuple):
         delay: That the loop has to bear [s].
         lag: Time constants of the motors [s].
         reference: Setpoints where the robot will be, rows of a `Trajectory.table` as bytes; empty for `postures`.
+        late: By how much the sensors' filter of velocities is known to be late [s].
     """
 
     kinematic: Kinematic
@@ -71,6 +77,7 @@ class LoopToSuit(NamedTuple):
     delay: float = MARGIN
     lag: Numbers = 0.0
     reference: bytes = b""
+    late: float = 0.0
 
     @classmethod
     def of(cls, loop: Any, trajectory: Trajectory, timing: Timing, layout: Dimensions) -> LoopToSuit:
@@ -81,7 +88,8 @@ class LoopToSuit(NamedTuple):
         """
         held, delay = max(timing.control_period, timing.measurement_period), loop.latency.total + loop.latency.margin
         rows = trajectory.table(np.linspace(0.0, timing.duration, PLACES), layout)
-        return cls(loop.kinematic, held, delay, loop.actuator.lag, rows.tobytes())
+        late = loop.sensor.smoothing(timing.measurement_period)
+        return cls(loop.kinematic, held, delay, loop.actuator.lag, rows.tobytes(), late)
 
 
 class Fit(NamedTuple):
@@ -104,6 +112,8 @@ def suited(controller: Any, robot: Robot, given: Callable[[], LoopToSuit]) -> An
     learner, feedback = getattr(controller, "learner", None), getattr(controller, "feedback", None)
     if isinstance(learner, Neural):
         return replace(controller, learner=suited(learner, robot, given))
+    if isinstance(controller, Integrating):
+        return with_rate(controller, robot, given)
     if not isinstance(feedback, Feedback) or feedback.complete(robot.dimensions):
         return controller
     inertia, share = fit(robot, feedback, given())
@@ -119,7 +129,61 @@ def suited(controller: Any, robot: Robot, given: Callable[[], LoopToSuit]) -> An
     return made
 
 
+def with_rate(controller: Integrating, robot: Robot, given: Callable[[], LoopToSuit]) -> Integrating:
+    """A controller that integrates, with gains, inertias and the rate that its loop bears, where not given."""
+    feedback, own = controller.feedback, controller.settings
+    if feedback.complete(robot.dimensions) and controller.complete:
+        return controller
+    found = fit(robot, feedback, given())
+    feedback = feedback.scaled(robot.dimensions, found.inertia, found.share)
+    inertia = getattr(controller, "inertia", None) or tuple(found.inertia.tolist())
+    if getattr(own, controller.rate_key) is None:
+        rate = controller.rate_factor * rate_of(robot, feedback, inertia, given(), controller.kind)
+        own = msgspec.structs.replace(own, **{controller.rate_key: rate})
+    more: dict[str, Any] = {"inertia": inertia} if hasattr(controller, "inertia") else {}
+    return replace(controller, **more | {"feedback": feedback, "settings": own})
+
+
 SCALED = Robust(1.0, 1.0)  # a robust term that was not given, beside gains from bandwidths
+
+
+class Postures(NamedTuple):
+    """Places at which a loop is judged: mass matrices (p, p), `held_velocities`, and velocities of the reference."""
+
+    masses: list[Array]
+    held: list[Array]
+    velocities: Array
+
+    def loops(self, robot: Robot, given: LoopToSuit, gains: Array, slow: int = 0) -> list[HeldLoop | None]:
+        """The loop where it is fastest with gains (p,), at `JUDGED` places, and at some where it is slowest."""
+        layout, friction = robot.dimensions, viscous_friction(robot)
+        modes = [np.abs(np.linalg.eigvals(Gamma * gains)) for Gamma in self.held]
+        fast = np.argsort([-each.max() for each in modes])[:JUDGED]
+        chosen = {*fast.tolist(), *np.argsort([each.min() for each in modes])[:slow].tolist()}
+        K, base = given.kinematic.arm_gains(layout), given.kinematic.base_gains(layout)
+        laws = {i: robot.base.linear_errors(self.velocities[i], base) for i in chosen}
+        lag = lags(robot, given.lag)
+        return [held_loop(self.masses[i], laws[i], K, given.period, friction, lag) for i in sorted(chosen)]
+
+
+@lru_cache(16)
+def places(robot: Robot, given: LoopToSuit) -> Postures:
+    """The places along the reference of a loop, or `postures` where it has none."""
+    table = postures(robot, POSTURES)
+    if given.reference:
+        table = np.frombuffer(given.reference).reshape(-1, table.shape[1])
+    masses = mass_matrices(robot, (Start().state(robot, row)[0] for row in table))
+    held = [held_velocities(M, viscous_friction(robot), given.period) for M in masses]
+    return Postures(masses, held, Setpoint.side_by_side(table, robot.dimensions).velocity)
+
+
+@lru_cache(64)
+@one_thread
+def rate_of(robot: Robot, feedback: Feedback, inertia: tuple[float, ...], given: LoopToSuit, kind: Kind) -> float:
+    """The rate that the loop with a complete feedback bears, see `loop.rates`."""
+    gains = feedback.vector(robot.dimensions)
+    loops = [loop for loop in places(robot, given).loops(robot, given, gains, SLOW) if loop is not None]
+    return largest_rate(loops, gains, np.array(inertia), given.period, given.delay + given.late, kind)
 
 
 @lru_cache(16)
@@ -129,22 +193,12 @@ def fit(robot: Robot, feedback: Feedback, given: LoopToSuit) -> Fit:
 
     The loop is judged where its gains are largest for what they move.
     """
-    layout, h, table = robot.dimensions, given.period, postures(robot, POSTURES)
-    if given.reference:
-        table = np.frombuffer(given.reference).reshape(-1, table.shape[1])
-    masses = mass_matrices(robot, (Start().state(robot, row)[0] for row in table))
-    friction = viscous_friction(robot)
-    held = [held_velocities(M, friction, h) for M in masses]
-    inertia: Array = np.min([h / np.diag(Gamma) for Gamma in held], axis=0)
+    layout, h = robot.dimensions, given.period
+    seen = places(robot, given)
+    inertia: Array = np.min([h / np.diag(Gamma) for Gamma in seen.held], axis=0)
     if feedback.given(layout):
         return Fit(inertia, 1.0)
-    full = feedback.scaled(layout, inertia).vector(layout)
-    worst = np.argsort([-np.abs(np.linalg.eigvals(Gamma * full)).max() for Gamma in held])[:JUDGED]
-    K, slow = given.kinematic.arm_gains(layout), lags(robot, given.lag)
-    velocities = Setpoint.side_by_side(table, layout).velocity
-    gains = given.kinematic.base_gains(layout)
-    laws = {i: robot.base.linear_errors(velocities[i], gains) for i in worst}
-    loops = [held_loop(masses[i], laws[i], K, h, friction, slow) for i in worst]
+    loops = seen.loops(robot, given, feedback.scaled(layout, inertia).vector(layout))
     share = 1.0
     while share > LEAST:
         k = ROOM * feedback.scaled(layout, inertia, share).vector(layout)

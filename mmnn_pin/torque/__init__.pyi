@@ -7,8 +7,10 @@ from .classical import PDGravity as PDGravity
 from .classical import PIDSettings as PIDSettings
 from .concurrent import Concurrent as Concurrent
 from .concurrent import ConcurrentSettings as ConcurrentSettings
-from .disturbance_observer import DisturbanceObserver as DisturbanceObserver
-from .disturbance_observer import DisturbanceObserverSettings as DisturbanceObserverSettings
+from .deep_residual import DeepResidual as DeepResidual
+from .deep_residual import DeepResidualSettings as DeepResidualSettings
+from .extended_state import ExtendedState as ExtendedState
+from .extended_state import ExtendedStateSettings as ExtendedStateSettings
 from .feedforward import Feedforward as Feedforward
 from .feedforward import FeedforwardSettings as FeedforwardSettings
 from .kalman import Kalman as Kalman
@@ -17,6 +19,8 @@ from .kalman_settings import KalmanFeaturesSettings as KalmanFeaturesSettings
 from .kalman_settings import KalmanFrictionSettings as KalmanFrictionSettings
 from .kalman_settings import KalmanRegressorSettings as KalmanRegressorSettings
 from .kalman_settings import KalmanResidualSettings as KalmanResidualSettings
+from .l1_adaptive import L1Adaptive as L1Adaptive
+from .l1_adaptive import L1AdaptiveSettings as L1AdaptiveSettings
 from .learned import LearnedFeedforward as LearnedFeedforward
 from .learned import LearnedSettings as LearnedSettings
 from .model_based import PD as PD
@@ -24,6 +28,10 @@ from .model_based import ComputedTorque as ComputedTorque
 from .model_based import ScheduledPD as ScheduledPD
 from .neural import Neural as Neural
 from .one_layer import OneLayer as OneLayer
+from .super_twisting import SuperTwisting as SuperTwisting
+from .super_twisting import SuperTwistingSettings as SuperTwistingSettings
+from .time_delay import TimeDelay as TimeDelay
+from .time_delay import TimeDelaySettings as TimeDelaySettings
 from .two_layer import TwoLayer as TwoLayer
 from .two_layer_composite import TwoLayerComposite as TwoLayerComposite
 from .two_layer_composite import TwoLayerCompositeSettings as TwoLayerCompositeSettings

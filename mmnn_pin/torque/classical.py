@@ -22,12 +22,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
 from ..by_address import by_address
 from ..compiled import copy_to, internal, linked
+from ..errors import ConfigError
 from ..model.regressor import Massless, Regressor, measured, regress
 from ..parts import Matrix, Vector, layout_of, views
 from ..settings import Settings, require_numbers
@@ -110,18 +111,51 @@ class PIDSettings(Settings, frozen=True):
     """How fast a PID controller integrates.
 
     Args:
-        rate: Integral gain over K [1/s]. A mode of bandwidth b, which a chain of links may have far below that
-            of a joint alone, needs `b (k + rate) > k rate` (Routh and Hurwitz; k of the filtered error). Of the robots
-            that were tried the slowest mode has 0.4 1/s with default gains.
+        rate: Integral gain over K [1/s]; None for what its loop bears (`loop.rates`), at most 20. A mode of bandwidth
+            b, which a chain of links may have far below that of a joint alone, needs `b (k + rate) > k rate` (Routh and
+            Hurwitz; k of the filtered error): on some arms that is 0.4.
 
     Raises:
         ConfigError: A number that is negative or not finite.
     """
 
-    rate: float = 0.3
+    rate: float | None = None
 
     def __post_init__(self) -> None:
         require_numbers(self, "pid", ())
+
+
+@dataclass(frozen=True, eq=False)
+class Integrating(CompiledController):
+    """A controller that integrates beside its feedback; a loop chooses how fast where it is left open (`loop.suited`).
+
+    Attributes:
+        rate_key: Name of the rate in its settings.
+        rate_factor: Times the rate of `loop.rates`.
+        kind: What it adds, of `loop.rates`.
+    """
+
+    rate_key: ClassVar[str] = "rate"
+    rate_factor: ClassVar[float] = 1.0
+    kind: ClassVar[Literal["integral", "model", "observer", "sliding"]] = "integral"
+
+    @property
+    def complete(self) -> bool:
+        """Whether it has its rate, and its inertias where it needs some."""
+        return getattr(self.settings, self.rate_key) is not None and getattr(self, "inertia", ()) is not None
+
+    @property
+    def rate(self) -> float:
+        """The rate [1/s].
+
+        Raises:
+            ConfigError: There is none.
+        """
+        found = getattr(self.settings, self.rate_key)
+        if found is None:
+            why, key = "a loop or a stepper chooses it for its robot", f"{self.name}.{self.rate_key}"
+            raise ConfigError(f"no {self.rate_key}", why=why, fix="give one, or run it in a Loop", key=key)
+        return float(found)
 
 
 @by_address
@@ -208,6 +242,12 @@ def integral(row: Array, at: IntArray, a: Integrator, state: Array) -> None:
 @linked
 def integrate(row: Array, at: IntArray, a: Integrator, state: Array) -> None:
     """The integral of the next sample; the same however often it is called. Arguments as of `law.settle`."""
+    integrate_within(row, at, a, state, math.inf)
+
+
+@linked
+def integrate_within(row: Array, at: IntArray, a: Integrator, state: Array, layer: float) -> None:
+    """The integral of s clipped to +-layer, otherwise as `integrate`."""
     o, z, r = integral_of(state, a.layout), row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     for i in range(o.used.size):
         s = z[i] if i < z.size else r[i - z.size]
@@ -220,7 +260,7 @@ def integrate(row: Array, at: IntArray, a: Integrator, state: Array) -> None:
         winds_up = excess * s > 0.0 and abs(excess) > ROUNDING * abs(a.asked[i])
         if j >= 0 and follows:
             s += (o.error[0, j] - o.error[1, j]) / a.h - row[at[EDOT] + j]
-        o.integral[i] = o.used[i] if winds_up else o.used[i] + a.rate[i] * s
+        o.integral[i] = o.used[i] if winds_up else o.used[i] + a.rate[i] * min(max(s, -layer), layer)
     limit(o.integral, a.nothing, a.limits)
 
 
@@ -228,7 +268,7 @@ KERNELS[Integrator] = Kernels(integral, integrate)
 
 
 @dataclass(frozen=True, eq=False)
-class PID(CompiledController):
+class PID(Integrating):
     """`tau = K s + I`, `I' = rate K s` within the motors' limits.
 
     Args:
@@ -248,7 +288,7 @@ class PID(CompiledController):
     def law(self, context: Context) -> Law:
         """The numbers of the law; errors as of `positive_gains`."""
         K, layout = self.positive_gains(context.layout), layout_of(Integral, self.shapes(context))
-        return Law(constant_gain(K), new_integrator(context, K, float(self.settings.rate) * self.learning, layout))
+        return Law(constant_gain(K), new_integrator(context, K, self.rate * self.learning, layout))
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """The integral, of the next sample and of the last one."""
@@ -264,7 +304,7 @@ class PID(CompiledController):
 
     def learning_gain(self, state: ControllerState, context: Context) -> Array:
         """Rate times K, (p,)."""
-        return np.asarray(self.settings.rate * self.feedback.vector(context.layout))
+        return np.asarray(self.rate * self.feedback.vector(context.layout))
 
 
 def unlimited(p: int) -> MotorLimits:

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -35,9 +35,8 @@ from ..model.regressor import Massless, Regressor, measured, regress
 from ..parts import layout_of
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
-from .classical import Integral, Integrator, go_on, integral_of, integral_shapes, integrate, new_integrator
+from .classical import Integral, Integrating, Integrator, go_on, integral_of, integral_shapes, integrate, new_integrator
 from .controller import (
-    CompiledController,
     Context,
     ControllerSettings,
     ControllerState,
@@ -57,13 +56,13 @@ class FeedforwardSettings(Settings, frozen=True):
     """How fast the integral beside a feedforward is.
 
     Args:
-        rate: Integral gain over K [1/s].
+        rate: Integral gain over K [1/s]; None for what its loop bears (`loop.rates`), at most 20.
 
     Raises:
         ConfigError: A number that is negative or not finite.
     """
 
-    rate: float = 20.0
+    rate: float | None = None
 
     def __post_init__(self) -> None:
         require_numbers(self, "feedforward", ())
@@ -120,7 +119,7 @@ KERNELS[Forward] = Kernels(forward, follow)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Feedforward(CompiledController):
+class Feedforward(Integrating):
     """`tau = Y theta + K s + I` along the reference, theta of the robot's file.
 
     Args:
@@ -140,6 +139,7 @@ class Feedforward(CompiledController):
     name: str = "feedforward"
 
     within_limits: ClassVar[bool] = True
+    kind: ClassVar[Literal["integral", "model", "observer", "sliding"]] = "model"
 
     @classmethod
     def build(cls, given: ControllerSettings) -> Self:
@@ -156,8 +156,7 @@ class Feedforward(CompiledController):
     def law(self, context: Context) -> Law:
         """The numbers of the law; errors as of `positive_gains`."""
         K, p = self.positive_gains(context.layout), context.layout.dof
-        rate = float(self.settings.rate) * self.learning
-        integrator = new_integrator(context, K, rate, layout_of(Integral, self.shapes(context)))
+        integrator = new_integrator(context, K, self.rate * self.learning, layout_of(Integral, self.shapes(context)))
         room = np.zeros(p), np.zeros(p)
         found = Forward(self.motion.workspace(), np.array(self.theta, float), *room, integrator)
         return Law(constant_gain(K), found)

@@ -121,6 +121,9 @@ class Inputs(Settings, frozen=True):
         return x
 
 
+SEEN = Inputs(signals=("q", "velocity", "qdot", "nu_ref", "nudot_ref"), bias=1.0)  # what Psi is a function of
+
+
 class Robust(Settings, frozen=True):
     """Robust term `Kz (|Z_hat|_F + ZB) s` (3.50).
 

@@ -49,7 +49,7 @@ from .controller import (
 )
 from .filtered import Filter, Filtered, new_filter, parts, period, remember
 from .law import KERNELS, Kernels, Networks, input_of
-from .neural import Inputs, Neural, layout_of_state
+from .neural import SEEN, Inputs, Neural, layout_of_state
 from .two_layer import MOST_HIDDEN, TwoLayer, shrink
 
 Z, R = INDEX["z"], INDEX["r"]
@@ -64,7 +64,6 @@ MOST = {"entries": 100_000, "replays": 1000, "hidden": MOST_HIDDEN}
 NOISE = 0.1  # of a kept sample, in units
 UNKNOWN = 0.005  # share of the output's variance left on random motion, above which a run did not excite
 SAMPLES = 300  # of random motion
-SEEN = Inputs(signals=("q", "velocity", "qdot", "nu_ref", "nudot_ref"), bias=1.0)
 
 
 class TwoLayerCompositeSettings(Settings, frozen=True):

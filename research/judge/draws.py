@@ -291,13 +291,15 @@ def plant_of(draw: Draw, step: float = 0.0) -> Plant:
         fixes=said["fix_noise"] * rng.standard_normal((readings + 2, 3)), between=round(fixed / ENCODER),
         pivot_step=2.0 * np.pi / 2.0 ** said["bits"],
     )  # fmt: skip
-    begin = round(said["payload_from"] / step) if said["payload"] else 0
+    fine = round(STEP / step)  # times come at multiples of STEP, whatever the plant's step is
+    begin = fine * round(said["payload_from"] / STEP) if said["payload"] else 0
     carries = np.array([begin, 2**62 if said["payload"] else 0])
     plant = new_plant(draw.true, draw.loaded, world, (position, nu), (step, samples), drives, carries)
     plant.state.torque[:], plant.state.twist[:], plant.commands[0] = held, held / world.spring, held
     plant.state.turned[:] += plant.state.twist
     late = said["delay"] + said["jitter"] * rng.random(samples)
-    plant.arrive[1:] = np.maximum.accumulate(np.ceil((np.arange(samples) * draw.period + late) / step - 1e-9))
+    arrive = np.ceil((np.arange(samples) * draw.period + late) / STEP - 1e-9)
+    plant.arrive[1:] = fine * np.maximum.accumulate(arrive)
     return plant
 
 

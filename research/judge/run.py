@@ -22,31 +22,41 @@ from .draws import TENTH, Draw, plant_of, preregistered, setpoints
 from .plant import Plant, advance, tell
 
 
+def settings_of(name: str) -> dict[str, Any]:
+    """The settings that `track` has for a controller: its tables, those of networks, the nominal robot.
+
+    Raises:
+        KeyError: There is none of that name.
+    """
+    experiment, entry = load_experiment("track"), CONTROLLERS[name]
+    beside = [attrgetter(CONTROLLERS[other].key)(experiment) for other in entry.beside]
+    own, switches = attrgetter(entry.key)(experiment) if entry.settings else None, experiment.learning
+    networks = {
+        "robust": experiment.robust_term(name),
+        "inputs": experiment.inputs,
+        "rates": switches.rates,
+        "leakage": switches.leakage,
+        "update": switches.update,
+        "projection": switches.projection,
+    }
+    return {"tables": (*beside, own) if beside else own, "networks": networks, "nominal": experiment.nominal}
+
+
 def shipped(name: str, robot: Robot) -> CompiledController:
     """A controller with the settings of `track`, its gains left to the stepper.
 
     Raises:
         KeyError: There is none of that name.
     """
-    experiment, entry = load_experiment("track"), CONTROLLERS[name]
-    tables = [attrgetter(CONTROLLERS[other].key)(experiment) for other in entry.beside]
-    own = attrgetter(entry.key)(experiment) if entry.settings else None
-    switches = experiment.learning
+    experiment, entry, settings = load_experiment("track"), CONTROLLERS[name], settings_of(name)
     made: CompiledController = entry.load().build(
         ControllerSettings(
             name=name,
-            settings=(*tables, own) if tables else own,
+            settings=settings["tables"],
             feedback=Feedback(),
             learning=True,
             told=Granted(entry, robot, experiment.nominal, experiment.overrides),
-            networks={
-                "robust": experiment.robust_term(name),
-                "inputs": experiment.inputs,
-                "rates": switches.rates,
-                "leakage": switches.leakage,
-                "update": switches.update,
-                "projection": switches.projection,
-            },
+            networks=settings["networks"],
         )
     )
     return made
@@ -101,7 +111,7 @@ def follow(draw: Draw, stepper: Stepper, plant: Plant) -> tuple[Array, str]:
             return found, f"{why} at {k * h:.2f} s"
         command = stepper.step(k * h, measurement, setpoint)
         if stepper.tripped:
-            return found, f"stopped by its supervisor at {k * h:.2f} s"
+            return found, stepper.finish().outcome.message
         plant.commands[k + 1] = command.motor_effort
         advance((k + 1) * steps, plant)
     return found, ""

@@ -50,7 +50,7 @@ QUICK = [
 ]
 SET = [word for text in QUICK for word in ("--set", text)]
 NAMES = ("pd", "two_layer", "adaptive", "computed_torque")
-VELOCITY = ("pd", "pd_gravity", "two_layer", "adaptive", "disturbance_observer", "computed_torque")
+VELOCITY = ("pd", "pd_gravity", "two_layer", "adaptive", "computed_torque")
 
 
 def quick(cases=("eight",), more=(), controllers=NAMES):

@@ -111,7 +111,7 @@ def test_all_learners_have_as_many_tries():
     for tuning in TUNINGS:
         assert {found["tries"] for found in tuned()[tuning].values()} == {TRIES[tuning]}
         assert {len(found["scores"]) for found in tuned()[tuning].values()} == {TRIES[tuning]}
-        own = {"pid", "disturbance_observer"} if tuning == "payload" else set()  # they keep what they have
+        own = {"pid"} if tuning == "payload" else set()  # they keep what they have
         assert set(tuned()[tuning]) == set(spaces(tuning))
         assert set(spaces(tuning)) == set(spaces("eight")) - own or tuning == "velocity"
 

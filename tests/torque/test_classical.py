@@ -62,7 +62,7 @@ def test_gravity_is_that_of_the_file_not_of_the_true_robot():
 
 
 def bench(limits=None, **own):
-    controller, context = PID(K, PIDSettings(**own)), Context(LAYOUT, H, 10, limits=limits)
+    controller, context = PID(K, PIDSettings(**{"rate": 0.3} | own)), Context(LAYOUT, H, 10, limits=limits)
     return controller.law(context).learner, controller.init(context), LAYOUT.new_row()
 
 
@@ -192,3 +192,6 @@ def test_its_table_is_one_of_an_experiment():
     with pytest.raises(ConfigError):
         PID(Feedback(0.0, 1.0)).law(Context(LAYOUT, H, 10))
     assert msgspec.structs.asdict(experiment.pid) == {"rate": 7.0}
+    with pytest.raises(ConfigError, match="a loop or a stepper chooses it") as error:
+        PID(K).law(Context(LAYOUT, H, 10))
+    assert error.value.key == "pid.rate"

@@ -27,7 +27,7 @@ def bench(robot, limits=None, theta=None, **own):
     layout, n = Layout.of(robot.dimensions), robot.dimensions.arm
     K = Feedback(300.0 if robot.dimensions.base else None, tuple(np.linspace(5.0, 9.0, n)))
     theta = parameters(robot) if theta is None else theta
-    settings = FeedforwardSettings(**own)
+    settings = FeedforwardSettings(**{"rate": 20.0} | own)
     controller = Feedforward(feedback=K, settings=settings, motion=Regressor.of(robot), theta=theta)
     context = Context(layout, H, 10, limits=limits)
     return layout, controller.law(context).learner, controller.init(context), K

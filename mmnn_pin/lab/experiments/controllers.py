@@ -45,7 +45,9 @@ RENAMED = {
     "prediction": "adaptive_composite",
     "adaptive_composite.memory": "forgetting_time",
     "replay": "two_layer_composite",
+    "disturbance_observer": "extended_state",
 }
+OTHER = ("disturbance_observer",)  # of these: learners that are no more, whose settings mean nothing to the new one
 RENAMED_VALUES = {"adaptive.initial": FORMERLY, "concurrent.initial": FORMERLY}
 
 
@@ -57,7 +59,9 @@ def effective(controllers: Iterable[str]) -> dict[str, str]:
 
 def renamed(config: dict[str, Any]) -> dict[str, Any]:
     """The config of a recording that an older version made, with the keys and values of today."""
-    config = {RENAMED.get(key, key): value for key, value in config.items()}
+    config = {RENAMED.get(key, key): value for key, value in config.items() if key not in OTHER}
+    if isinstance(names := config.get("controllers"), list):
+        config["controllers"] = list(dict.fromkeys(RENAMED.get(name, name) for name in names))
     for path, name in RENAMED.items():
         table, _, key = path.rpartition(".")
         if table and key in (own := table_at(config, table)):

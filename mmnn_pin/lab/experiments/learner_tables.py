@@ -7,7 +7,8 @@ from ...torque.adaptive import AdaptiveSettings
 from ...torque.adaptive_composite import AdaptiveCompositeSettings
 from ...torque.classical import PIDSettings
 from ...torque.concurrent import ConcurrentSettings
-from ...torque.disturbance_observer import DisturbanceObserverSettings
+from ...torque.deep_residual import DeepResidualSettings
+from ...torque.extended_state import ExtendedStateSettings
 from ...torque.feedforward import FeedforwardSettings
 from ...torque.kalman_settings import (
     KalmanBilinearSettings,
@@ -16,8 +17,11 @@ from ...torque.kalman_settings import (
     KalmanRegressorSettings,
     KalmanResidualSettings,
 )
+from ...torque.l1_adaptive import L1AdaptiveSettings
 from ...torque.learned import LearnedSettings
 from ...torque.one_layer import OneLayer
+from ...torque.super_twisting import SuperTwistingSettings
+from ...torque.time_delay import TimeDelaySettings
 from ...torque.two_layer import TwoLayer
 from ...torque.two_layer_composite import TwoLayerCompositeSettings
 
@@ -39,10 +43,14 @@ class LearnerTables(Settings, frozen=True, kw_only=True):
     one_layer: OneLayer = OneLayer()
     pid: PIDSettings = PIDSettings()
     feedforward: FeedforwardSettings = FeedforwardSettings()
+    time_delay: TimeDelaySettings = TimeDelaySettings()
+    extended_state: ExtendedStateSettings = ExtendedStateSettings()
+    l1_adaptive: L1AdaptiveSettings = L1AdaptiveSettings()
+    super_twisting: SuperTwistingSettings = SuperTwistingSettings()
     adaptive: AdaptiveSettings = AdaptiveSettings()
     adaptive_composite: AdaptiveCompositeSettings = AdaptiveCompositeSettings()
     concurrent: ConcurrentSettings = ConcurrentSettings()
     two_layer_composite: TwoLayerCompositeSettings = TwoLayerCompositeSettings()
+    deep_residual: DeepResidualSettings = DeepResidualSettings()
     kalman: KalmanTables = KalmanTables()
-    disturbance_observer: DisturbanceObserverSettings = DisturbanceObserverSettings()
     learned: LearnedSettings = LearnedSettings()

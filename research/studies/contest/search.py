@@ -44,7 +44,7 @@ SEED = 20100
 SOON = 2.0  # after a pick-up [s]
 
 
-PLAIN = ("pid", "disturbance_observer")  # what they hold says nothing of another motion: not judged frozen
+PLAIN = ("pid",)  # what they hold says nothing of another motion: not judged frozen
 
 
 LOST = 1e3  # error over PD's that a lost run counts for

@@ -106,9 +106,7 @@ def test_every_controller_has_gains_that_suit_the_robot(name, robot, path):
     assert (loop.controller.feedback_gain(context.layout) > 0).all()
 
 
-@pytest.mark.parametrize(
-    "kind", [torque.PD, torque.PID, torque.Neural, torque.ComputedTorque, torque.DisturbanceObserver]
-)
+@pytest.mark.parametrize("kind", [torque.PD, torque.PID, torque.Neural, torque.ComputedTorque, torque.ExtendedState])
 def test_a_controller_made_without_arguments_gets_the_same_gains(kind, robot, path):
     gains = Loop(robot, path, PD()).controller.feedback
     controller = Loop(robot, path, kind()).controller
