@@ -51,14 +51,11 @@ from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.pseudo_inertia import BODY
+from research.studies.real_data.sources import UR10E, columns_of_ur10e
 
 # Gear ratio times motor constant [N m / A], of the data's own script (examples/tiago/identification.py).
 TIAGO = {"arm_1_joint": 13.6, "arm_2_joint": 13.6, "arm_3_joint": -8.7, "arm_4_joint": -8.7}
 TIAGO |= {f"arm_{i}_joint": -336 * 0.0613 for i in (5, 6, 7)}
-# Joint torque over motor current [N m / A]: at rest the quotient of the controller's wanted torques and currents, which
-# the logs hold, of the joints that gravity loads; the shoulder's motors are alike, and so are the wrist's.
-UR10E = {"shoulder_pan": 11.98, "shoulder_lift": 11.98, "elbow": 9.84, "wrist_1": 10.7, "wrist_2": 10.7}
-UR10E = {f"{name}_joint": value for name, value in (UR10E | {"wrist_3": 10.7}).items()}
 FIGAROH = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # its names, in its order
 CARRYING = [(off, rubs, twice) for off, rubs in ((0.0, 0), (0.01, 0), (0.1, 0), (0.1, 1)) for twice in (0, 1)]
 TRIANGLE = np.triu_indices(3)
@@ -145,14 +142,8 @@ def by_figaroh(found: Identification, python: str) -> dict[str, float]:
 
 
 def of_ur10e(folder: Path, names: list[str], robot: Robot) -> list[Log]:
-    """Logs of its tables, which have no headers: time, and of six joints positions, velocities, currents and more."""
-    logs = []
-    for name in names:
-        file = folder / "dataset_ur10e" / "identification_data" / f"{name}.csv"
-        table = np.loadtxt(file, delimiter=",")
-        signals = [dict(zip(robot.joint_names, table[:, i : i + 6].T, strict=True)) for i in (1, 7, 13)]
-        logs.append(Log.of(table[:, 0], signals[0], signals[2], signals[1], name=name))
-    return logs
+    """Logs of its tables."""
+    return [columns_of_ur10e(folder / "dataset_ur10e/identification_data" / f"{name}.csv", robot) for name in names]
 
 
 def known_load(folder: Path, case: dict[str, Any], robot: Robot) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from ..elementary.arrays import is_below
 from ..elementary.matrices import product
 from ..errors import ConfigError, UnknownName, keyed
 from ..kinematic import Kinematic, see
-from ..model.base.rolling import STEERED, followed
+from ..model.base.rolling import STEERED, followed, maps_in
 from ..model.base.steered import SteeredBase
 from ..model.robot import Robot
 from ..recording.recorder import Recorder
@@ -547,8 +547,9 @@ class Stepper:
         has_ended(0.0, supervisor.numbers, supervisor.state)
         bring_up(self.row, self.at, 0.0, 0.0, self.follower.guide, self.past, self.control.steering)
         self.past.times[:] = -math.inf
-        if self.control.steering is not None:
-            self.control.steering.maps.n[:] = 0.0
+        torque = self.control.torque  # which way u counts is found anew, by learners, too
+        for maps in maps_in((self.control.steering, torque.learner, torque.later)):
+            maps.n[:] = 0.0
         self.hardware.state[:], self.control.controls.state[:], self.row[:] = *kept, 0.0
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from steered import car
 
-from mmnn_pin import Loop, Measurement, Setpoint, Stepper, Timing, load
+from mmnn_pin import Loop, Measurement, Setpoint, Stepper, StepperSettings, Timing, load, load_experiment
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.loop.servo import Servo, interfaces_of, share_of_base, split_of, state_size
@@ -180,3 +180,18 @@ def test_other_gains_leave_u_counted_as_it_was() -> None:
     stepper.change(kinematic=Kinematic(holonomic=(1.0, 1.0, 1.0)))
     stepper.step(0.4, Measurement(np.zeros(3), np.zeros(d.base), np.zeros(n), np.zeros(n), shape))
     np.testing.assert_allclose(stepper.direction, [-1.0, 0.0, 0.0], atol=1e-6)
+
+
+def test_a_learner_counts_u_from_where_the_wheels_first_stand() -> None:
+    """Wheels that stand for turning on the spot, though their angles were zero when all was compiled."""
+    robot = ROBOTS["swerve_arm"]
+    controller = load_experiment("track", ["robot=swerve_arm"]).controller("feedforward", robot=robot)
+    d, still = robot.dimensions, np.zeros(robot.dimensions.arm)
+    position = robot.steered_along(robot.neutral_position(), np.array([0.0, 0.0, 1.0]))
+    stepper = Stepper(robot, controller, StepperSettings(check_gains=False))
+    for k in range(3):
+        stepper.step(0.002 * k, Measurement(np.zeros(3), np.zeros(d.base), still, still, position[robot.shape_index]))
+    maps = stepper.control.torque.learner.known.maps
+    assert abs(stepper.direction[2]) == pytest.approx(1.0)
+    np.testing.assert_allclose(maps.n, stepper.direction)
+    assert np.isfinite(maps.T).all()

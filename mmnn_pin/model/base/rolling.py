@@ -32,8 +32,9 @@ Every number has its rate beside it, so that Tdot is exact.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -173,6 +174,15 @@ def new_maps(rolling: Rolling | None, T: Array) -> Maps:
     eta = np.zeros(3 if pivots else 0)
     parts = np.zeros((pivots + 1, 3, nb)), np.zeros((pivots + 1, 3, nb)), eta, np.zeros(3)
     return Maps(T.copy(), drift, *parts, np.zeros((4, 3, 3)))
+
+
+def maps_in(value: Any) -> Iterator[Maps]:
+    """All maps in a tuple of tuples, such as the numbers of a learner."""
+    if isinstance(value, Maps):
+        yield value
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from maps_in(part)
 
 
 def base_size(rolling: Rolling) -> int:
