@@ -71,6 +71,24 @@ def fixed_arm(joints: int = 7, seed: int = 0) -> Robot:
     return robot_of(f'<robot name="fixed"><link name="base"/>{arm(joints, seed, 0.1)}</robot>')
 
 
+def tiny_arm(damping: float = 0.0, coulomb: float = 0.0) -> Robot:
+    """A mobile base with seven joints, the last of 4e-6 kg m^2, all with limits."""
+    text = f'<link name="base">{inertial(40.0, (1.0, 1.5, 2.0), place((0.0, 0.0, 0.2)))}</link>'
+    for side, y in (("left", 0.25), ("right", -0.25)):
+        shape = f'<collision><origin rpy="{np.pi / 2} 0 0"/><geometry><cylinder radius="0.1" length="0.03"/>'
+        text += f'<link name="{side}">{inertial(2.0, (0.005, 0.01, 0.005))}{shape}</geometry></collision></link>'
+        limit = '<limit effort="8" velocity="20"/>'
+        text += joint(f"{side}_wheel", "base", side, place((0.0, y, 0.1)), "0 1 0", limit)
+    masses = [(3.0, 0.02), (2.0, 0.01), (2.0, 0.01), (1.5, 5e-3), (1.0, 2e-3), (0.5, 5e-4), (0.02, 4e-6)]
+    for i, (mass, moment) in enumerate(masses):
+        text += f'<link name="link_{i}">{inertial(mass, (moment,) * 3, place((0, 0, 0.05 if i < 6 else 0.0)))}</link>'
+        more = dynamics(damping, coulomb) + '<limit lower="-0.5" upper="1.5" effort="30" velocity="3"/>'
+        at, axis = place((0, 0, 0.3 if i == 0 else 0.15)), "0 0 1" if i % 2 == 0 else "0 1 0"
+        parent = f"link_{i - 1}" if i else "base"
+        text += joint(f"joint_{i}", parent, f"link_{i}", at, axis, more, "revolute")
+    return robot_of(f'<robot name="tiny">{text}</robot>')
+
+
 def feedback(robot: Robot, period: float, share: float = 0.1) -> Feedback:
     """Gains that are this share of where each velocity alone, sampled with this period, would be unstable."""
     model, rng = Dynamics(robot), np.random.default_rng(0)

@@ -25,7 +25,7 @@ from ..model.tree.body import Body, body_of, energy_of, evaluate
 from ..model.tree.dynamics import potential_energy
 from ..model.tree.twin import Twin, psi_of
 from ..parts import view
-from ..plant.integrators import METHODS, RK4, derivative, euler, rk4_stage
+from ..plant.integrators import IMPLICIT_FRICTION, METHODS, RK4, STAGES, derivative, euler, implicit_stage, rk4_stage
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
 from ..signals import INDEX, Array, IntArray
@@ -231,17 +231,18 @@ def observe(run: CompiledRun, body: Body, true: Machine, energy: float) -> int:
 @internal
 def move(n: RunNumbers, i: int, body: Body, true: Machine, tau: Array) -> None:
     """Step i of the plant in a control period under a torque (p,); at step 0 the dynamics are evaluated already."""
-    work, terms, y = true.work, true.terms, true.y
-    if n.method != RK4:
-        if i > 0:
-            evaluate(body, work, true.position, true.nu)
-        euler(n.method, n.dt, true.joints, terms, tau, y)
-    else:
-        nv, p = body.T.shape
-        copy_to(y, work.trial)
-        for stage in range(4):
-            if i > 0 or stage > 0:
-                evaluate(body, work, work.trial[:nv], work.trial[nv : nv + p])
-            derivative(work.trial, tau, true.joints, terms)
+    work, terms, y, joints = true.work, true.terms, true.y, true.joints
+    nv, p = body.T.shape
+    copy_to(y, work.trial)
+    for stage in range(STAGES[n.method]):
+        if i > 0 or stage > 0:
+            evaluate(body, work, work.trial[:nv], work.trial[nv : nv + p])
+        if n.method == RK4:
+            derivative(work.trial, tau, joints, terms)
             rk4_stage(stage, n.dt, y, work.ydot, work.total, work.trial)
+        elif n.method == IMPLICIT_FRICTION:
+            implicit_stage(stage, n.dt, joints, terms, tau, y, work.total, work.trial)
+        else:
+            euler(n.method, n.dt, joints, terms, tau, y)
+    if n.method == RK4:
         copy_to(work.trial, y)

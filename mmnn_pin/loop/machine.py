@@ -9,7 +9,7 @@ import numpy as np
 from ..by_address import by_address
 from ..model.robot import Robot
 from ..model.tree.body import Body, Work, body_of, new_work
-from ..plant.integrators import PlantJoints, PlantTerms, plant_joints
+from ..plant.integrators import PlantJoints, PlantTerms, plant_joints, plant_terms
 from ..signals import Array
 
 
@@ -38,7 +38,7 @@ def new_machine(robot: Robot, loaded: Robot | None, position: Array, nu: Array) 
     """
     body, y, nv = body_of(robot), np.concatenate((position, nu, [0.0])), position.size
     work = new_work(body)
-    terms = PlantTerms(work.v, work.M, work.h, work.F, work.hold, work.ydot, work.L, work.rest, work.grip)
+    terms = plant_terms(work.v, work.M, work.h, work.F, work.hold, work.ydot)
     joints = plant_joints((body.damping, body.dry, body.viscous), body.base, body.sideways, work.maps)
     with_load = body if loaded is None else body_of(loaded)
     return Machine(body, with_load, work, terms, joints, y, y[:nv], y[nv : nv + nu.size])

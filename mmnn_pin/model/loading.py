@@ -29,13 +29,13 @@ from ..signals import Array, Dimensions
 from .arm import Arm
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
-from .base.report import friction_notes, printed_notes, settle, weak_notes
+from .base.report import friction_notes, printed_notes, rotor_notes, settle, weak_notes
 from .base.rolling import FREE
 from .base.steered import SteeredBase
 from .base.understanding import understand
 from .dynamics import Dynamics
 from .hands import placed
-from .robot import Robot
+from .robot import Robot, lacking_rotors
 from .robots import find
 from .structure import configuration_indices, motion_map, motor_map, read_only
 from .urdf.audit import BodyPart
@@ -174,12 +174,12 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
 
 
 def strength_notes(rest: AtRest, robot: Robot) -> list[Finding]:
-    """Motors that cannot hold their joints where the robot rests, and that there is no friction."""
+    """Motors that cannot hold their joints where the robot rests, no friction, and joints without rotors."""
     held = Dynamics(robot).gravity(robot.neutral_position())[robot.dimensions.base :]
     limits = dict(zip(robot.actuator_names, robot.effort_limits, strict=True))
     efforts = np.array([limits[name] for name in robot.joint_names])
     weak = weak_notes(rest, robot.joint_names, held, efforts)
-    return [*weak, *friction_notes(rest, robot.damping, robot.coulomb)]
+    return [*weak, *friction_notes(rest, robot.damping, robot.coulomb), *rotor_notes(rest, *lacking_rotors(robot))]
 
 
 def settled(overrides: Overrides, base: Base) -> Overrides:

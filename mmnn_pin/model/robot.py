@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from ..elementary.matrices import inverse
 from ..errors import ConfigError, UnknownName
 from ..settings import Numbers, one_or_each
 from ..settings.arguments import checked, checked_but
@@ -273,6 +274,33 @@ def speed_limits(robot: Robot) -> Array:
     names, limits = robot.full_velocity_names, robot.model.velocityLimit
     stated = [limits[names.index(name)] if name in names else math.inf for name in robot.actuator_names]
     return np.array([limit if 0 < limit < 1e30 else math.inf for limit in stated], float)
+
+
+QUICK, GEARED = 1e-3, 1e-2  # [s] from rest to top speed at the effort limit: too quick for a gear, and with one
+
+
+def lacking_rotors(robot: Robot) -> tuple[str, str]:
+    """Joints of the arm that lack a rotor's inertia, in words, and an option that gives some; empty where none does.
+
+    URDF has no rotors, and a light link alone would be at its joint's top speed within microseconds. One lacks a rotor
+    that would be there within `QUICK`; one with the rotor that is printed takes `GEARED`. Joints whose limits of speed
+    or effort are not stated lack none.
+    """
+    names, base, arm = robot.actuator_names, robot.dimensions.base, robot.arm_index
+    inertia = 1.0 / np.diag(inverse(Dynamics(robot).mass_matrix(robot.neutral_position())))[base:]
+    motors = [names.index(name) for name in robot.joint_names]
+    efforts, one = robot.effort_limits[motors], np.zeros(len(arm))  # inertia that takes 1 s; 0 where it is not stated
+    np.divide(efforts, speed_limits(robot)[motors], out=one, where=np.isfinite(efforts))
+    time = np.divide(inertia, one, out=np.full(len(arm), math.inf), where=one > 0)
+    few = time < QUICK
+    if not few.any():
+        return "", ""
+    worst, others = int(np.argmin(time)), int(few.sum()) - 1
+    size = f"{inertia[worst]:.2g} {'kg m^2' if revolute(robot)[arm][worst] else 'kg'}"
+    what = f"no rotors: by its link alone '{robot.joint_names[worst]}' ({size}) is at its top speed within "
+    what += f"{1e6 * time[worst]:.3g} us" + (f", {others} more within 1 ms" if others else "")
+    rotors = np.where(few, GEARED * one, robot.model.armature[arm])
+    return what, f"--set 'armature=[{', '.join(f'{rotor:.3g}' for rotor in rotors)}]'"
 
 
 def limits(value: Literal["urdf", "none"] | Numbers | None, urdf: Array, kind: str, key: str) -> Array:

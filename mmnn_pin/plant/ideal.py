@@ -56,6 +56,9 @@ class IdealPlant:
 
         `pushed` is the part of it that does not come from the motors, which makes no difference here.
         """
+        if self.method == integrators.IMPLICIT_FRICTION:
+            self._implicit(tau)
+            return
         if self.method != integrators.RK4:
             integrators.euler(self.method, self.dt, self.joints, self.terms, tau, self.y)
             return
@@ -65,6 +68,13 @@ class IdealPlant:
             self._evaluate(tau)
             integrators.rk4_stage(stage, self.dt, self.y, self.ydot, self.total, self.trial)
         self.y[:] = self.trial
+
+    def _implicit(self, tau: Array) -> None:
+        nv, p, whole, trial = self.position.size, self.nu.size, self.total, self.trial
+        for stage in (0, 1):
+            if stage > 0:
+                self.dynamics.refresh(trial[:nv], trial[nv : nv + p])
+            integrators.implicit_stage(stage, self.dt, self.joints, self.terms, tau, self.y, whole, trial)
 
     def carry(self, robot: Robot) -> None:
         """Go on with a robot that carries more."""
@@ -97,8 +107,7 @@ class IdealPlant:
     def _take(self, robot: Robot) -> None:
         """Dynamics of a robot, and its arrays for the integrators."""
         self.robot, self.dynamics = robot, terms_of(robot)
-        d, p = self.dynamics, robot.dimensions.dof
+        d = self.dynamics
         friction = robot.damping, robot.dry, robot.viscous
         self.joints = integrators.plant_joints(friction, robot.dimensions.base, robot.dimensions.sideways, d.maps)
-        scratch = np.zeros((p, p)), np.zeros(p), np.zeros((robot.dimensions.full, p + 2))
-        self.terms = integrators.PlantTerms(d.v, d.M, d.h, d.F, self.hold, self.ydot, *scratch)
+        self.terms = integrators.plant_terms(d.v, d.M, d.h, d.F, self.hold, self.ydot)

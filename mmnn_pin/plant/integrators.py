@@ -1,11 +1,16 @@
-"""Fixed-step integration of the reduced dynamics, compiled: RK4 and semi-implicit Euler, with three kinds of friction.
+"""Fixed-step integration of the reduced dynamics, compiled: RK4, semi-implicit Euler, and two for stiff friction.
 
 The integrated vector is `y = [position (nv), nu (p), work (1)]`; the work is what torques and friction have done, so
 that `energy - work` is conserved and its drift is the balance's residual.
 
 Motion of a link of 4e-6 kg m^2 against 1 N m s dies out in microseconds: an explicit method cannot follow it. With
-implicit friction the force is `F = S nu_new`, S the ratio of friction to velocity at the start of the step, stable at
-any step.
+implicit friction an Euler step takes friction at the velocity that it ends with,
+
+    M (nu_new - nu) / dt + F(nu_new) = tau - C nu - gravity,
+
+where a convex function is least, found by Newton's method. Such a step and two of half its length give `y = 2 y_halves
+- y_whole`, of second order, in which motion too fast for the step still dies out (linearly implicit extrapolation after
+Deuflhard 1985; Hairer and Wanner, Solving Ordinary Differential Equations II, IV.9).
 
 Friction that really sticks is no function of the velocity. The method `stick` takes the impulse of dry friction on a
 joint as the one within `+-level dt` that brings the joint to rest, or comes nearest to it (time stepping after
@@ -23,13 +28,15 @@ from ..by_address import by_address
 from ..compiled import compiled, internal, linked
 from ..elementary import tanh
 from ..model.base.rolling import Maps
-from ..model.reduction import COULOMB_SPEED, dry_level, position_rate, solve, spread, substitute
+from ..model.reduction import COULOMB_SPEED, dry_level, friction, position_rate, solve, spread, substitute
 from ..signals import Array
 
 RK4, SEMI_IMPLICIT, IMPLICIT_FRICTION, STICK = 0, 1, 2, 3
 METHODS = {"rk4": RK4, "semi_implicit_euler": SEMI_IMPLICIT, "implicit_friction": IMPLICIT_FRICTION, "stick": STICK}
-ORDER = {"rk4": 4, "semi_implicit_euler": 1, "implicit_friction": 1, "stick": 1}
+ORDER = {"rk4": 4, "semi_implicit_euler": 1, "implicit_friction": 2, "stick": 1}
+STAGES = (4, 1, 2, 1)  # states of every step at which a method wants the dynamics
 SWEEPS = 100  # of Gauss-Seidel at most
+ITERATIONS, HALVINGS = 50, 40  # of Newton's method at most
 
 
 @by_address
@@ -84,6 +91,9 @@ class PlantTerms(NamedTuple):
         L: (p, p) scratch: Cholesky factor of M.
         rest: (p,) scratch.
         grip: (nv, p + 2) scratch of the method `stick`.
+        A: (p, p) scratch of implicit friction.
+        new: (p,) velocity at the end of an implicit step.
+        rates: (nv,) scratch of implicit friction.
     """
 
     v: Array
@@ -95,6 +105,16 @@ class PlantTerms(NamedTuple):
     L: Array
     rest: Array
     grip: Array
+    A: Array
+    new: Array
+    rates: Array
+
+
+def plant_terms(v: Array, M: Array, h: Array, F: Array, hold: Array, ydot: Array) -> PlantTerms:
+    """The terms of the dynamics, written elsewhere, with scratch of their own."""
+    nv, p = v.size, F.size
+    scratch = (np.zeros(shape) for shape in ((p, p), (p,), (nv, p + 2), (p, p), (p,), (nv,)))
+    return PlantTerms(v, M, h, F, hold, ydot, *scratch)
 
 
 @linked
@@ -132,51 +152,155 @@ def rk4_stage(stage: int, dt: float, y: Array, ydot: Array, total: Array, trial:
         trial[i] = y[i] + (ahead * ydot[i] if stage < 3 else dt / 6.0 * total[i])
 
 
-@compiled
-def friction_ratio(v: float, damping: float, dry: Array) -> float:
-    """Friction of a joint divided by its velocity v."""
-    level = dry_level(v, dry)
-    if abs(v) < 1e-6 * COULOMB_SPEED:
-        return damping + level / COULOMB_SPEED
-    return damping + level * tanh(v / COULOMB_SPEED) / v
+@linked
+def implicit_stage(
+    stage: int, dt: float, joints: PlantJoints, terms: PlantTerms, tau: Array, y: Array, whole: Array, trial: Array
+) -> None:
+    """One of the two stages of a step with implicit friction.
+
+    Args:
+        stage: 0 with the terms at y, after which they are wanted at trial; 1 with those.
+        dt: Step [s].
+        joints: The robot.
+        terms: Where the stage begins; v changes.
+        tau: (p,) generalized torque.
+        y: (nv + p + 1,) start of the step, in stage 1 moved on.
+        whole: Written in stage 0: the end by one Euler step.
+        trial: Written: the middle, in stage 1 the end by two Euler steps.
+    """
+    if stage == 0:
+        implicit_euler(dt, joints, terms, tau, y, whole)
+        implicit_euler(0.5 * dt, joints, terms, tau, y, trial)
+        return
+    implicit_euler(0.5 * dt, joints, terms, tau, trial, trial)
+    for i in range(y.size):
+        y[i] = 2.0 * trial[i] - whole[i]
 
 
 @internal
-def stiffen(dt: float, joints: PlantJoints, smooth: bool, terms: PlantTerms) -> None:
-    """Add `dt S` to M, so that `(M + dt S) nudot = tau - h` gives the velocity after a step with `F = S nu_new`.
+def implicit_euler(dt: float, joints: PlantJoints, terms: PlantTerms, tau: Array, y: Array, out: Array) -> None:
+    """One Euler step with the friction of its end, from y to out, (nv + p + 1,) each, which may be the same.
 
-    Args:
-        dt: Step [s].
-        joints: The robot.
-        smooth: Whether dry friction is part of F.
-        terms: At the start of the step; M changes.
+    The velocity is found by Newton's method. Slopes leave out that the level of dry friction changes with the velocity,
+    so that their matrix is positive definite.
     """
-    T, viscous, damping, dry, v, M = joints.T, joints.viscous, joints.damping, joints.dry, terms.v, terms.M
+    nv, p, new, lacking = terms.v.size, tau.size, terms.new, terms.rest
+    nu, step = y[nv : nv + p], terms.ydot[nv : nv + p]
+    for j in range(p):
+        new[j] = nu[j]
+    for _ in range(ITERATIONS):
+        slopes(dt, joints, terms)
+        lack(dt, joints, terms, tau, nu)
+        solve(terms.A, lacking, terms.L, step)
+        share = line_search(joints, terms, step)
+        for j in range(p):
+            new[j] += share * step[j]
+        if not fastest(joints, terms) > 1e-6 * COULOMB_SPEED:  # the next would be that to the square, by COULOMB_SPEED
+            break
+    spread(joints.T, new, terms.v)
+    friction(joints.T, terms.v, new, joints.damping, joints.dry, joints.viscous, lacking)
+    move_on(dt, joints, terms, tau, lacking, new, y, out)
+
+
+@compiled
+def dry_force(v: float, dry: Array) -> tuple[float, float]:
+    """Smooth dry friction of a joint at a velocity, and its slope at a given level."""
+    level, share = dry_level(v, dry), tanh(v / COULOMB_SPEED)
+    return level * share, level * (1.0 - share * share) / COULOMB_SPEED
+
+
+@internal
+def lack(dt: float, joints: PlantJoints, terms: PlantTerms, tau: Array, nu: Array) -> None:
+    """`terms.rest = tau - C nu - gravity - F(new) - M (new - nu) / dt`, with `terms.v = T new`."""
+    p, new, rest = tau.size, terms.new, terms.rest
+    spread(joints.T, new, terms.v)
+    friction(joints.T, terms.v, new, joints.damping, joints.dry, joints.viscous, rest)
+    for j in range(p):
+        rest[j] = tau[j] - (terms.h[j] - terms.F[j]) - rest[j]
+        for k in range(p):
+            rest[j] -= terms.M[j, k] * (new[k] - nu[k]) / dt
+
+
+@internal
+def slopes(dt: float, joints: PlantJoints, terms: PlantTerms) -> None:
+    """`terms.A = M / dt + dF / dnu` at the velocity `terms.new`; v becomes `T new`."""
+    T, v, A, p = joints.T, terms.v, terms.A, joints.viscous.size
+    spread(T, terms.new, v)
+    for j in range(p):
+        for k in range(p):
+            A[j, k] = terms.M[j, k] / dt
+        A[j, j] += joints.viscous[j]
+    for i in range(v.size):
+        slope = joints.damping[i]
+        if joints.dry[i, 0] != 0.0:
+            slope += dry_force(v[i], joints.dry[i])[1]
+        for j in range(p):
+            if slope * T[i, j] != 0.0:
+                for k in range(p):
+                    A[j, k] += T[i, j] * slope * T[i, k]
+
+
+@internal
+def line_search(joints: PlantJoints, terms: PlantTerms, step: Array) -> float:
+    """Share of Newton's step (p,) after which the convex function rises at most half as steeply as it fell before it.
+
+    `terms.rest` is what the equation lacks before it, v the velocities of the joints; `rates` becomes `T step`.
+    """
+    v, rates, share, fall = terms.v, terms.rates, 1.0, 0.0
+    spread(joints.T, step, rates)
+    for j in range(step.size):
+        fall += step[j] * terms.rest[j]
+    for _ in range(HALVINGS):
+        rise = (share - 1.0) * fall
+        for i in range(v.size):
+            if joints.dry[i, 0] != 0.0:
+                force, slope = dry_force(v[i], joints.dry[i])
+                there, _ = dry_force(v[i] + share * rates[i], joints.dry[i])
+                rise += rates[i] * (there - force - share * slope * rates[i])
+        if not rise > 0.5 * fall:
+            break
+        share *= 0.5
+    return share
+
+
+@internal
+def fastest(joints: PlantJoints, terms: PlantTerms) -> float:
+    """Largest `terms.rates` of a joint with dry friction; 0 without any, where Newton's first step is exact."""
+    found = 0.0
+    for i in range(terms.rates.size):
+        if joints.dry[i, 0] != 0.0:
+            found = max(found, abs(terms.rates[i]))
+    return found
+
+
+@internal
+def brake(dt: float, joints: PlantJoints, terms: PlantTerms) -> None:
+    """Add `dt D` to M, so that `(M + dt D) nudot = tau - h` gives a step with the viscous friction of its end."""
+    T, viscous, damping, M = joints.T, joints.viscous, joints.damping, terms.M
     for j in range(viscous.size):
         M[j, j] += dt * viscous[j]
-    for i in range(v.size):
-        if damping[i] != 0.0 or (smooth and dry[i, 0] != 0.0):
-            ratio = dt * (friction_ratio(v[i], damping[i], dry[i]) if smooth else damping[i])
+    for i in range(damping.size):
+        if damping[i] != 0.0:
+            ratio = dt * damping[i]
             for j in range(viscous.size):
                 for k in range(viscous.size):
                     M[j, k] += T[i, j] * ratio * T[i, k]
 
 
 @internal
-def friction_ahead(dt: float, joints: PlantJoints, smooth: bool, terms: PlantTerms) -> None:
-    """Friction F (p,) at the start of a step becomes that of its end, `F + dt S nudot`; arguments as in `stiffen`."""
-    T, viscous, damping, dry, v, F = joints.T, joints.viscous, joints.damping, joints.dry, terms.v, terms.F
-    nudot = terms.ydot[v.size : v.size + F.size]
+def viscous_ahead(dt: float, joints: PlantJoints, terms: PlantTerms) -> None:
+    """Viscous friction in F (p,) at the start of a step becomes that of its end, `F + dt D nudot`."""
+    T, viscous, damping, F, nv = joints.T, joints.viscous, joints.damping, terms.F, terms.v.size
+    nudot = terms.ydot[nv : nv + F.size]
     for j in range(viscous.size):
         F[j] += dt * viscous[j] * nudot[j]
-    for i in range(v.size):
-        if damping[i] != 0.0 or (smooth and dry[i, 0] != 0.0):
+    for i in range(nv):
+        if damping[i] != 0.0:
             rate = 0.0
             for j in range(viscous.size):
                 rate += T[i, j] * nudot[j]
-            ratio = friction_ratio(v[i], damping[i], dry[i]) if smooth else damping[i]
             for j in range(viscous.size):
-                F[j] += T[i, j] * dt * ratio * rate
+                F[j] += T[i, j] * dt * damping[i] * rate
 
 
 @compiled
@@ -251,40 +375,56 @@ def sweep(dt: float, joints: PlantJoints, terms: PlantTerms) -> float:
 
 @linked
 def euler(method: int, dt: float, joints: PlantJoints, terms: PlantTerms, tau: Array, y: Array) -> None:
-    """One step of semi-implicit Euler: nu first, then the position with the new nu; the work by the trapezoid of nu.
+    """One step of semi-implicit Euler: nu first, then the position with the new nu.
 
-    With the methods `IMPLICIT_FRICTION` and `STICK` the friction is that of the end of the step, and M, h and F change.
+    With the method `STICK` friction is that of the end of the step, and M, h and F change.
 
     Args:
-        method: One of `METHODS`, not RK4.
+        method: `SEMI_IMPLICIT` or `STICK`.
         dt: Step [s].
         joints: The robot.
         terms: At y; v becomes `T nu` of the new nu.
         tau: (p,) generalized torque.
         y: (nv + p + 1,) position, nu and work, moved on.
     """
-    nv, p, v, F, rest, ydot = terms.v.size, tau.size, terms.v, terms.F, terms.rest, terms.ydot
-    implicit, smooth = method in (IMPLICIT_FRICTION, STICK), method != STICK
-    if not smooth:
+    nv, p, new, ydot = terms.v.size, tau.size, terms.rest, terms.ydot
+    if method == STICK:
         release(joints, terms)
-    if implicit:
-        stiffen(dt, joints, smooth, terms)
+        brake(dt, joints, terms)
     derivative(y, tau, joints, terms)
-    if implicit:
-        friction_ahead(dt, joints, smooth, terms)
+    if method == STICK:
+        viscous_ahead(dt, joints, terms)
     for i in range(p):
-        rest[i] = y[nv + i] + dt * ydot[nv + i]
-    if not smooth:
+        new[i] = y[nv + i] + dt * ydot[nv + i]
+    if method == STICK:
         stick(dt, joints, terms)
-    work = 0.0
+    move_on(dt, joints, terms, tau, terms.F, new, y, y)
+
+
+@internal
+def move_on(
+    dt: float, joints: PlantJoints, terms: PlantTerms, tau: Array, F: Array, new: Array, y: Array, out: Array
+) -> None:
+    """The end of an Euler step whose nu is known: the position by the new nu, the work by the trapezoid of nu.
+
+    Args:
+        dt: Step [s].
+        joints: The robot.
+        terms: v becomes `T nu` of the new nu.
+        tau: (p,) generalized torque.
+        F: (p,) friction.
+        new: (p,) nu at the end.
+        y: (nv + p + 1,) position, nu and work at the start.
+        out: Those of the end, written; may be y.
+    """
+    nv, p, v, ydot, work = terms.v.size, tau.size, terms.v, terms.ydot, 0.0
     for i in range(p):
-        work += 0.5 * (y[nv + i] + rest[i]) * (tau[i] - F[i])
-        y[nv + i] = rest[i]
-    new = y[nv : nv + p]
+        work += 0.5 * (y[nv + i] + new[i]) * (tau[i] - F[i])
+        out[nv + i] = new[i]
+    out[nv + p] = y[nv + p] + dt * work
     spread(joints.T, new, v)
     if joints.eta.size:
         spread(joints.V, new[: joints.base], joints.eta)
     position_rate(y[:nv], new, v, joints.base, joints.sideways, joints.eta, ydot[:nv])
     for i in range(nv):
-        y[i] += dt * ydot[i]
-    y[nv + p] += dt * work
+        out[i] = y[i] + dt * ydot[i]

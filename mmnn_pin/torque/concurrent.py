@@ -20,6 +20,7 @@ tracking term; Psi_hat is bounded by the motors' limits (`torque.law`).
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -186,8 +187,8 @@ def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
     nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
     velocity, qdot = row[at[VELOCITY] : at[Q]], row[at[QDOT] : at[QDOT + 1]]
     pose, q, shape = row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], row[at[SHAPE] : at[SHAPE + 1]]
-    features(a, Movement(pose, q, velocity, qdot, nu_ref, nudot_ref, shape))
-    say(row, at, a, w)
+    features(a.known, a.basis, a.theta0, Movement(pose, q, velocity, qdot, nu_ref, nudot_ref, shape), a.Phi, a.psi0)
+    say(row, at, a.gain, a.Phi, a.psi0, w)
     if not a.learning:
         return
     answer(row, at, a, w, o.stack.P)
@@ -195,7 +196,8 @@ def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
     o.samples[0] += 1.0
     if not period(row, at, f, seen):
         return
-    features(a, Movement(f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot, f.shape))
+    movement = Movement(f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot, f.shape)
+    features(a.known, a.basis, a.theta0, movement, a.Phi, a.psi0)
     for i in range(p):
         f.torque[i] -= a.psi0[i]
     low_pass(f, a.Phi, seen)
@@ -213,33 +215,33 @@ def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
 
 
 @internal
-def features(a: History, m: Movement) -> None:
-    """Phi and Psi_0 of a movement, into a.Phi and a.psi0."""
-    measured(a.known, m.pose, m.velocity, m.q, m.qdot, m.shape)
-    regress(a.known, m.nu_ref, m.nudot_ref)
-    Y, p, k = a.known.Y, a.Phi.shape[0], a.Phi.shape[1]
+def features(known: Massless, basis: Array, theta0: Array, m: Movement, Phi: Array, psi0: Array) -> None:
+    """Phi (p, k) and Psi_0 (p,) of a movement, for parameters `theta_0 + basis w`."""
+    measured(known, m.pose, m.velocity, m.q, m.qdot, m.shape)
+    regress(known, m.nu_ref, m.nudot_ref)
+    Y, p, k = known.Y, Phi.shape[0], Phi.shape[1]
     for i in range(p):
-        a.psi0[i] = 0.0
+        psi0[i] = 0.0
         for j in range(k):
-            a.Phi[i, j] = 0.0
-        for c in range(a.theta0.size):
+            Phi[i, j] = 0.0
+        for c in range(theta0.size):
             if Y[i, c] != 0.0:
-                a.psi0[i] += Y[i, c] * a.theta0[c]
+                psi0[i] += Y[i, c] * theta0[c]
                 for j in range(k):
-                    a.Phi[i, j] += Y[i, c] * a.basis[c, j]
+                    Phi[i, j] += Y[i, c] * basis[c, j]
 
 
 @internal
-def say(row: Array, at: IntArray, a: History, w: Array) -> None:
+def say(row: Array, at: IntArray, gain: Array, Phi: Array, psi0: Array, w: Array) -> None:
     """Psi_hat, the gain, and the norm of w."""
     psi_hat, square = row[at[PSI_HAT] : at[PSI_HAT + 1]], 0.0
     for j in range(w.size):
         square += w[j] * w[j]
     row[at[WEIGHT_NORM]], row[at[WEIGHT_NORM] + 1] = math.sqrt(square), 0.0
     for i in range(psi_hat.size):
-        row[at[EFFECTIVE_GAIN] + i], psi_hat[i] = a.gain[i], a.psi0[i]
+        row[at[EFFECTIVE_GAIN] + i], psi_hat[i] = gain[i], psi0[i]
         for j in range(w.size):
-            psi_hat[i] += a.Phi[i, j] * w[j]
+            psi_hat[i] += Phi[i, j] * w[j]
 
 
 @internal
@@ -290,14 +292,11 @@ KERNELS[History] = Kernels(estimate, settle)
 
 
 @dataclass(frozen=True, eq=False)
-class Concurrent(ParameterLearner):
-    """`tau = Y theta_hat + K s`, theta_hat by concurrent learning; see above for what holds.
+class CombinationLearner(ParameterLearner):
+    """A learner of the combinations w of a robot's parameters that matter, by equations of filtered torque.
 
-    Args and errors are those of `ParameterLearner`.
+    Args and errors are those of `ParameterLearner`; its settings have a `spread`.
     """
-
-    settings: ConcurrentSettings = field(default_factory=ConcurrentSettings)
-    name: str = "concurrent"
 
     @property
     def notes(self) -> list[str]:
@@ -308,6 +307,108 @@ class Concurrent(ParameterLearner):
     def dimension(self) -> int:
         """Number of combinations that matter, k."""
         return self._typical[1].shape[1]
+
+    @abstractmethod
+    def known(self, state: ControllerState) -> Array:
+        """The covariance of w as the equations have it, (k, k), with a prior of 1."""
+
+    @property
+    def basis(self) -> Array:
+        """`theta = theta_0 + basis w`, (k0, k): the directions that matter, of the size of the prior."""
+        root, directions = self._typical
+        return product(root, directions)
+
+    @property
+    def root(self) -> Array:
+        """A root (k0, k0) of the prior covariance of theta."""
+        return self._typical[0]
+
+    @cached_property
+    def _start(self) -> Array:
+        """The parameters of `start`, (k0,), computed once: a prior looks at many positions."""
+        if self.informed and self.nominal is not None:
+            return np.array(self.nominal)
+        own = AdaptiveSettings()
+        return prior_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
+
+    def theta(self, state: ControllerState) -> Array:
+        """The estimate as parameters of the robot, (k0,)."""
+        return np.asarray(self.start() + self.basis @ state["w"])
+
+    def knowledge(self, state: ControllerState) -> tuple[Array, Array | None]:
+        """The estimate as parameters (k0,), and its covariance (k0, k0)."""
+        return self.theta(state), np.asarray(self.basis @ self.known(state) @ self.basis.T)
+
+    def weights(self, state: ControllerState) -> dict[str, Array]:
+        """The estimate, (k,)."""
+        return {"w": state["w"]}
+
+    def features(self, law: Law, state: ControllerState) -> Array | None:
+        """Phi, (p, k); while it learns, that of the last control period."""
+        return np.asarray(law.learner.Phi)
+
+    def unknown(self, state: ControllerState) -> Array:
+        """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known."""
+        Phi = self.random_motion() @ self.basis
+        left = np.einsum("nij,jk,nik->i", Phi, self.known(state), Phi)
+        return np.asarray(left / np.einsum("nij,nij->i", Phi, Phi))
+
+    def findings(self, state: ControllerState) -> list[str]:
+        """Says when the run did not excite what the learner would have to know of other motions."""
+        if not self.learning or not np.isfinite(state.values).all():
+            return []
+        unknown = float(self.unknown(state).max())
+        if unknown <= UNKNOWN:
+            return []
+        return [
+            f"{self.name}: not excited: {unknown:.0%} of what it did not know is left, on random motion; what it "
+            "learned tracks the motions of this run and is no knowledge of others"
+        ]
+
+    def random_motion(self, seed: int = 0) -> Array:
+        """Regressors of random motion of unit speed, (samples, p, k0)."""
+        rng, p = np.random.default_rng(seed), self.regressor.massless.nu.size
+        place = self.regressor.random_position
+        return np.array([self.regressor.matrix(place(rng), *standard_normal(rng, (3, p))) for _ in range(SAMPLES)])
+
+    @cached_property
+    def _typical(self) -> tuple[Array, Array]:
+        """A root of the prior covariance (k0, k0), and orthonormal directions of what it scales that matter."""
+        deviation = self.settings.spread * self._sizes()
+        root = np.diag(deviation)
+        if self.covariance is not None:
+            root = cholesky(within_prior(self.covariance, deviation * deviation))
+        Y = product(self.random_motion().reshape(-1, self.regressor.size), root)
+        _, singular, directions = svd(triangle(Y))
+        return root, np.ascontiguousarray(directions[:, singular > RANK * singular[0]])
+
+    def _sizes(self) -> Array:
+        """Sizes of the parameters, (k0,): of a typical robot, and of friction some of the gain that the joint feels."""
+        own = AdaptiveSettings()
+        inertial = sizes_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
+        return np.concatenate((inertial, FRICTION * scales(self.regressor, self._gains)))
+
+    @property
+    def _gains(self) -> Array:
+        """K, (p,); errors as of `law`."""
+        m = self.regressor.massless
+        return self.positive_gains(Layout(m.base, m.nu.size - m.base, m.offset.size, 0))
+
+    def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
+        """Where `theta - theta_0` lies in the directions that matter."""
+        root, directions = self._typical
+        return product(directions.T, solve(root, theta - self.start()))
+
+
+@dataclass(frozen=True, eq=False)
+class Concurrent(CombinationLearner):
+    """`tau = Y theta_hat + K s`, theta_hat by concurrent learning; see above for what holds.
+
+    Args and errors are those of `ParameterLearner`.
+    """
+
+    settings: ConcurrentSettings = field(default_factory=ConcurrentSettings)
+    name: str = "concurrent"
 
     def law(self, context: Context) -> Law:
         """The numbers of the law, with room of its own to work in.
@@ -358,90 +459,6 @@ class Concurrent(ParameterLearner):
         state["born"] = -1.0
         return state
 
-    @property
-    def basis(self) -> Array:
-        """`theta = theta_0 + basis w`, (k0, k): the directions that matter, of the size of the prior."""
-        root, directions = self._typical
-        return product(root, directions)
-
-    @property
-    def root(self) -> Array:
-        """A root (k0, k0) of the prior covariance of theta."""
-        return self._typical[0]
-
-    @cached_property
-    def _start(self) -> Array:
-        """The parameters of `start`, (k0,), computed once: a prior looks at many positions."""
-        if self.informed and self.nominal is not None:
-            return np.array(self.nominal)
-        own = AdaptiveSettings()
-        return prior_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
-
-    def theta(self, state: ControllerState) -> Array:
-        """The estimate as parameters of the robot, (k0,)."""
-        return np.asarray(self.start() + self.basis @ state["w"])
-
-    def knowledge(self, state: ControllerState) -> tuple[Array, Array | None]:
-        """The estimate as parameters (k0,), and its covariance (k0, k0) as the stack has it."""
-        return self.theta(state), np.asarray(self.basis @ state["P"] @ self.basis.T)
-
-    def weights(self, state: ControllerState) -> dict[str, Array]:
-        """The estimate, (k,)."""
-        return {"w": state["w"]}
-
-    def features(self, law: Law, state: ControllerState) -> Array | None:
-        """Phi, (p, k); while it learns, that of the last control period."""
-        learner: History = law.learner
-        return learner.Phi
-
-    def unknown(self, state: ControllerState) -> Array:
-        """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known."""
-        Phi = self.random_motion() @ self.basis
-        left = np.einsum("nij,jk,nik->i", Phi, state["P"], Phi)
-        return np.asarray(left / np.einsum("nij,nij->i", Phi, Phi))
-
-    def findings(self, state: ControllerState) -> list[str]:
-        """Says when the run did not excite what the learner would have to know of other motions."""
-        if not self.learning or not np.isfinite(state.values).all():
-            return []
-        unknown = float(self.unknown(state).max())
-        if unknown <= UNKNOWN:
-            return []
-        return [
-            f"{self.name}: not excited: {unknown:.0%} of what it did not know is left, on random motion; what it "
-            "learned tracks the motions of this run and is no knowledge of others"
-        ]
-
-    def random_motion(self, seed: int = 0) -> Array:
-        """Regressors of random motion of unit speed, (samples, p, k0)."""
-        rng, p = np.random.default_rng(seed), self.regressor.massless.nu.size
-        place = self.regressor.random_position
-        return np.array([self.regressor.matrix(place(rng), *standard_normal(rng, (3, p))) for _ in range(SAMPLES)])
-
-    @cached_property
-    def _typical(self) -> tuple[Array, Array]:
-        """A root of the prior covariance (k0, k0), and orthonormal directions of what it scales that matter."""
-        deviation = self.settings.spread * self._sizes()
-        root = np.diag(deviation)
-        if self.covariance is not None:
-            root = cholesky(within_prior(self.covariance, deviation * deviation))
-        Y = product(self.random_motion().reshape(-1, self.regressor.size), root)
-        _, singular, directions = svd(triangle(Y))
-        return root, np.ascontiguousarray(directions[:, singular > RANK * singular[0]])
-
-    def _sizes(self) -> Array:
-        """Sizes of the parameters, (k0,): of a typical robot, and of friction some of the gain that the joint feels."""
-        own = AdaptiveSettings()
-        inertial = sizes_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
-        return np.concatenate((inertial, FRICTION * scales(self.regressor, self._gains)))
-
-    @property
-    def _gains(self) -> Array:
-        """K, (p,); errors as of `law`."""
-        m = self.regressor.massless
-        return self.positive_gains(Layout(m.base, m.nu.size - m.base, m.offset.size, 0))
-
-    def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
-        """Where `theta - theta_0` lies in the directions that matter."""
-        root, directions = self._typical
-        return product(directions.T, solve(root, theta - self.start()))
+    def known(self, state: ControllerState) -> Array:
+        """P, (k, k)."""
+        return state["P"]

@@ -97,9 +97,7 @@ class Periods:
 def weights(timing: Timing) -> tuple[float, float]:
     """`moves` and `brakes` of a plant: how much of a period's acceleration counts in its mean velocity and friction."""
     more = 1 / timing.steps_per_control
-    if timing.integrator not in ("semi_implicit_euler", "implicit_friction"):
-        return 0.5, 0.5
-    return (1 + more) / 2, (1 + more) / 2 if timing.integrator == "implicit_friction" else (1 - more) / 2
+    return ((1 + more) / 2, (1 - more) / 2) if timing.integrator == "semi_implicit_euler" else (0.5, 0.5)
 
 
 def frame(phi: float) -> Array:

@@ -101,6 +101,7 @@ def measured_order(errors: list[float]) -> list[float]:
 
 @pytest.mark.parametrize(("method", "dts"), [
     ("rk4", (0.02, 0.01, 0.005)),
+    ("implicit_friction", (0.004, 0.002, 0.001)),
     ("semi_implicit_euler", (0.002, 0.001, 0.0005)),
 ])  # fmt: skip
 def test_order_of_the_integrators_under_a_held_torque(method, dts):

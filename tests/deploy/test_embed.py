@@ -79,7 +79,7 @@ def exported(tmp_path_factory):
 @pytest.mark.parametrize(
     "controller",
     first_of(
-        ("computed_torque", "two_layer", "deep_residual", "adaptive_composite", "kalman_friction"),
+        ("computed_torque", "two_layer", "deep_residual", "drem", "adaptive_composite", "kalman_friction"),
         *("two_layer", "adaptive_composite", "kalman_friction"),
     ),
 )

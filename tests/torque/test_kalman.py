@@ -583,14 +583,15 @@ def held_out():
 
 @LONG
 @pytest.mark.parametrize(
-    ("kind", "fvu"), [("regressor", 1e-3), ("bilinear", 0.3), ("features", 0.2), ("residual", 0.1)]
+    ("kind", "fvu", "times"),
+    [("regressor", 1e-3, 1.5), ("bilinear", 0.3, 3.0), ("features", 0.2, 3.0), ("residual", 0.1, 1.5)],
 )
-def test_each_learns_the_model_and_tracks_like_the_oracle(kind, fvu, held_out):
+def test_each_learns_the_model_and_tracks_nearly_like_the_oracle(kind, fvu, times, held_out):
     controller = learner(kind)
     loop = loop_of(controller, 24.0)
     run, oracle = loop.run(), loop_of(ComputedTorque(K), 24.0).run()
     assert run.outcome.status == "completed" and run.outcome.message == ""
-    assert (late_rms(run, 12.0) <= 1.5 * late_rms(oracle, 12.0)).all()
+    assert (late_rms(run, 12.0) <= times * late_rms(oracle, 12.0)).all()
     assert unexplained(controller, loop, run.final["controller_state"], held_out) < fvu
     assert np.abs(run["motor_torque"]).max() <= ROBOT.effort_limits.max()
 

@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...loop.servo import EFFORT, interfaces_of, needs_torques
 from ...model.inspection import interfaces_of as offered_by
-from ...model.robot import Robot
+from ...model.robot import Robot, lacking_rotors
 from ...recording.metrics import metrics
 from ...recording.recording import Recording, as_columns
 from ...reference import warnings
@@ -69,7 +69,8 @@ def run_experiment(
         understood(robot)
     runs: dict[str, Recording] = {}
     notes = [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
-    notes += [*interface_notes(experiment, robot), *sensor_notes(experiment.sensor, robot), *weak_notes(robot)]
+    notes += [*interface_notes(experiment, robot), *sensor_notes(experiment.sensor, robot)]
+    notes += [*weak_notes(robot), *rotor_notes(robot)]
     duration, learners = experiment.time.duration, effective(wanted)
     for controller in in_order(wanted):
         learner = runs.get(learners.get(controller, ""))
@@ -156,6 +157,12 @@ def weak_notes(robot: Robot) -> list[str]:
         for name, needed in zip(robot.joint_names, held, strict=True)
         if needed > efforts.get(name, np.inf)
     ]
+
+
+def rotor_notes(robot: Robot) -> list[str]:
+    """A note of joints that lack a rotor."""
+    lacking, way = lacking_rotors(robot)
+    return [f"{lacking}: its gains are hardly a real motor's; try {way}"] if lacking else []
 
 
 def limit_notes(robot: Robot, runs: Mapping[str, Recording]) -> list[str]:

@@ -51,7 +51,7 @@ SEVERITIES = {
     "base-stated base-stray base-pair base-limit base-linkage base-scrub base-floor base-friction base-welded "
     "arm-doubt arm-passive arm-srdf arm-weak welded pinocchio",
     "note": "base-evidence base-omni base-none base-joints base-driven base-skid base-steered arm-locked no-friction "
-    "overrides",
+    "no-rotor overrides",
 }
 CODES = {code: severity for severity, codes in SEVERITIES.items() for code in codes.split()}
 
@@ -248,6 +248,13 @@ def friction_notes(rest: AtRest, damping: Array, coulomb: Array) -> list[Finding
     why = "runs have none, and a real gear takes a good part of a small motor's torque"
     fix = "state it in <dynamics>, find it with mmnn identify, or try some: --set friction.arm=0.1"
     return [note(rest, "no-friction", "", NO_FRICTION, why, fix, about="")]
+
+
+def rotor_notes(rest: AtRest, lacking: str, way: str) -> list[Finding]:
+    """A note of joints that lack a rotor; the way is an option that gives them some."""
+    why = "gains are bandwidths times inertias, and a rotor behind its gear mostly outweighs a light link"
+    fix = f"find them with mmnn identify, or try some: {way}"
+    return [note(rest, "no-rotor", "", lacking, why, fix, about="")] if lacking else []
 
 
 def weld_notes(rest: AtRest, kinds: dict[str, str]) -> list[Finding]:

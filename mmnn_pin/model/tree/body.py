@@ -66,7 +66,6 @@ class Work(NamedTuple):
     F: Array
     L: Array
     rest: Array
-    grip: Array
     hold: Array
     ydot: Array
     total: Array
@@ -118,10 +117,10 @@ def new_work(body: Body) -> Work:
     """Scratch memory for a robot."""
     nv, p = body.T.shape
     size = nv + p + 1
-    shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (nv, p + 2), (nv,), (size,), (size,), (size,))
-    v, M, h, F, L, rest, grip, hold, ydot, total, trial = (np.zeros(shape) for shape in shapes)
+    shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (nv,), (size,), (size,), (size,))
+    v, M, h, F, L, rest, hold, ydot, total, trial = (np.zeros(shape) for shape in shapes)
     maps = new_maps(body.rolling, body.T)
-    return Work(new_scratch(body.tree), v, M, h, F, L, rest, grip, hold, ydot, total, trial, maps)
+    return Work(new_scratch(body.tree), v, M, h, F, L, rest, hold, ydot, total, trial, maps)
 
 
 def parameters(robot: Robot) -> Array:

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from closed_form import inertial, joint
 from numba import config
-from robots import dynamics, mobile_arm, place, robot_of
+from robots import mobile_arm, tiny_arm
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError
@@ -25,7 +24,6 @@ from mmnn_pin.loop.sampled import SampledLoop, sampled_loop
 from mmnn_pin.loop.suited import effective_inertia
 from mmnn_pin.model.base.base import Fixed
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.robots import robot_data
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference import Hold
@@ -44,24 +42,6 @@ DATA = os.environ.get("EXAMPLE_ROBOT_DATA")
 
 def experiment(*settings: str) -> Experiment:
     return load_experiment("track", (f"time.duration={DURATION}", *settings))
-
-
-def tiny_arm(damping: float = 0.0, coulomb: float = 0.0) -> Robot:
-    """A mobile base with seven joints, the last of 4e-6 kg m^2, all with limits."""
-    text = f'<link name="base">{inertial(40.0, (1.0, 1.5, 2.0), place((0.0, 0.0, 0.2)))}</link>'
-    for side, y in (("left", 0.25), ("right", -0.25)):
-        shape = f'<collision><origin rpy="{np.pi / 2} 0 0"/><geometry><cylinder radius="0.1" length="0.03"/>'
-        text += f'<link name="{side}">{inertial(2.0, (0.005, 0.01, 0.005))}{shape}</geometry></collision></link>'
-        limit = '<limit effort="8" velocity="20"/>'
-        text += joint(f"{side}_wheel", "base", side, place((0.0, y, 0.1)), "0 1 0", limit)
-    masses = [(3.0, 0.02), (2.0, 0.01), (2.0, 0.01), (1.5, 5e-3), (1.0, 2e-3), (0.5, 5e-4), (0.02, 4e-6)]
-    for i, (mass, moment) in enumerate(masses):
-        text += f'<link name="link_{i}">{inertial(mass, (moment,) * 3, place((0, 0, 0.05 if i < 6 else 0.0)))}</link>'
-        more = dynamics(damping, coulomb) + '<limit lower="-0.5" upper="1.5" effort="30" velocity="3"/>'
-        at, axis = place((0, 0, 0.3 if i == 0 else 0.15)), "0 0 1" if i % 2 == 0 else "0 1 0"
-        parent = f"link_{i - 1}" if i else "base"
-        text += joint(f"joint_{i}", parent, f"link_{i}", at, axis, more, "revolute")
-    return robot_of(f'<robot name="tiny">{text}</robot>')
 
 
 def test_swing_stays_within_limits_and_starts_at_rest():
@@ -178,40 +158,6 @@ def test_bandwidths_are_not_taken_for_gains():
     assert plain.scaled(layout, np.full(4, 7.0)) is plain
     with pytest.raises(ConfigError, match="give 4 inertias > 0"):
         Neural(feedback=plain, inertia=(1.0, -1.0, 1.0, 1.0)).law(Context(layout, 0.001, 1))
-
-
-@pytest.mark.parametrize("coulomb", [0.0, 1.0])
-def test_implicit_friction_is_stable_where_explicit_is_not(coulomb):
-    robot, h = tiny_arm(damping=1.0, coulomb=coulomb), 0.001
-    tau = np.zeros(robot.dimensions.dof)
-    nu = np.full(robot.dimensions.dof, 0.5)
-    ends = {}
-    for method in ("implicit_friction", "semi_implicit_euler"):
-        plant = IdealPlant(robot, h, method)
-        plant.start(robot.neutral_position(), nu)
-        with np.errstate(all="ignore"):
-            for _ in range(30):
-                plant.step(tau)
-                plant.refresh()
-        ends[method] = plant.nu.copy()
-    assert np.abs(ends["implicit_friction"]).max() < 3
-    assert not np.abs(ends["semi_implicit_euler"]).max() < 1e3
-
-
-def test_implicit_friction_settles_where_force_and_friction_balance():
-    robot = replace(tiny_arm(damping=1.0), coulomb=np.zeros(12))
-    model = robot.model.copy()
-    model.gravity.linear = np.zeros(3)
-    plant = IdealPlant(replace(robot, model=model), 0.001, "implicit_friction")
-    plant.start(robot.neutral_position(), np.zeros(9))
-    tau = np.zeros(9)
-    tau[8] = 0.25
-    for _ in range(60):
-        plant.step(tau)
-        plant.refresh()
-    assert plant.nu[8] == pytest.approx(0.25, abs=2e-3)
-    balance = Dynamics(plant.robot).energy(plant.position, plant.nu) - plant.y[-1]
-    assert abs(balance) < 0.05 * 0.25 * 0.25 * 0.06
 
 
 def test_compiled_and_ordinary_loop_agree_on_implicit_friction():
