@@ -121,7 +121,7 @@ class Learned(NamedTuple):
         nu: (p,) room to work in.
         nudot: (p,) room to work in.
         work: (4, k) room to work in.
-        layout: Of `Parts` in the state.
+        layout: Of `LearnedParts` in the state.
     """
 
     known: Massless
@@ -148,14 +148,14 @@ class Learned(NamedTuple):
     layout: IntArray
 
 
-class Parts(NamedTuple):
+class LearnedParts(NamedTuple):
     """State of the learner; k columns: those of the regressor, friction features and constants.
 
     Attributes:
         W: (1, k) theta.
         U, D: (k, k), (k,) factors of its covariance.
         prior: (k,) largest variances.
-        counts: (7,) as in `linear.Parts`.
+        counts: (7,) as in `linear.LearnedParts`.
         expected: (p,) variances of the last equations.
         level: (p,) squares of errors in the last seconds, over K.
         filtered: What the filter remembers.
@@ -179,7 +179,7 @@ class Parts(NamedTuple):
     integral: Integral
 
 
-parts_of = views(Parts)
+parts_of = views(LearnedParts)
 
 
 @linked
@@ -199,7 +199,7 @@ def settle(row: Array, at: IntArray, a: Learned, state: Array) -> None:
 
 
 @internal
-def feed_forward(row: Array, at: IntArray, a: Learned, o: Parts) -> None:
+def feed_forward(row: Array, at: IntArray, a: Learned, o: LearnedParts) -> None:
     """Psi_hat, the gain and the norm of one sample."""
     squares = 0.0
     desired_motion(row, at, a)
@@ -218,7 +218,7 @@ def feed_forward(row: Array, at: IntArray, a: Learned, o: Parts) -> None:
 
 
 @compiled
-def share(o: Parts, i: int) -> float:
+def share(o: LearnedParts, i: int) -> float:
     """Part of what was learned of velocity i that counts: lambda_i."""
     if not o.agrees[1, i] > 0.0:
         return 0.0
@@ -241,7 +241,7 @@ def desired_motion(row: Array, at: IntArray, a: Learned) -> None:
 
 
 @internal
-def learn(row: Array, at: IntArray, a: Learned, o: Parts) -> None:
+def learn(row: Array, at: IntArray, a: Learned, o: LearnedParts) -> None:
     """The update by one sample."""
     f, known = a.filter, a.known
     now = int(o.counts[0]) % a.every == 0 or o.counts[5] > 0.0
@@ -265,7 +265,7 @@ def learn(row: Array, at: IntArray, a: Learned, o: Parts) -> None:
 
 
 @internal
-def take_in(a: Learned, o: Parts) -> None:
+def take_in(a: Learned, o: LearnedParts) -> None:
     """Features, torque and whether velocities move through the low-pass; whether the robot has just changed."""
     f = a.filter
     low_pass(f, a.Phi, o.filtered)
@@ -277,7 +277,7 @@ def take_in(a: Learned, o: Parts) -> None:
 
 
 @internal
-def predict(a: Learned, o: Parts) -> None:
+def predict(a: Learned, o: LearnedParts) -> None:
     """Compare what was learned with the equations of velocities that move, and learn from them; then the drift."""
     k, p = o.D.size, a.gain.size
     Phi_f, Y_f = o.filtered.Phi_f, o.filtered.Y_f
@@ -362,7 +362,7 @@ class LearnedFeedforward(Feedforward):
             nu=np.zeros(p),
             nudot=np.zeros(p),
             work=np.zeros((4, k)),
-            layout=layout_of(Parts, shapes),
+            layout=layout_of(LearnedParts, shapes),
         )
         return Law(constant_gain(K), learned)
 
@@ -371,7 +371,7 @@ class LearnedFeedforward(Feedforward):
         return self.motion.size + p * (self.features_of + 1)
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
-        """Estimate and covariance, what the filter remembers, the comparison, the integral."""
+        """LearnedParts and covariance, what the filter remembers, the comparison, the integral."""
         p = context.layout.dof
         k, d = self.size(p), self.features_of
         own: dict[str, tuple[int, ...]] = {"W": (1, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (7,)}

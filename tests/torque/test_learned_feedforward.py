@@ -15,7 +15,15 @@ from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import Context
 from mmnn_pin.torque.feedforward import Feedforward, FeedforwardSettings, forward
-from mmnn_pin.torque.learned import MOVES, LearnedFeedforward, LearnedSettings, Parts, feed_forward, predict, share
+from mmnn_pin.torque.learned import (
+    MOVES,
+    LearnedFeedforward,
+    LearnedParts,
+    LearnedSettings,
+    feed_forward,
+    predict,
+    share,
+)
 
 H = 1e-3
 
@@ -35,7 +43,7 @@ def bench(robot, kind=LearnedFeedforward, settings=LearnedSettings, **own):
 def test_before_it_has_learned_it_is_feedforward(robot):
     layout, a, state = bench(robot)
     _, b, theirs = bench(robot, Feedforward, FeedforwardSettings)
-    o, rng = state.view(Parts), np.random.default_rng(0)
+    o, rng = state.view(LearnedParts), np.random.default_rng(0)
     row, other = layout.new_row(), layout.new_row()
     for _ in range(3):
         row[:] = other[:] = rng.standard_normal(row.size)
@@ -48,7 +56,7 @@ def test_before_it_has_learned_it_is_feedforward(robot):
 def test_its_estimate_is_that_of_a_dense_filter_and_stands_where_a_velocity_stands():
     """`W += P phi e / (R + phi' P phi)` row by row with a dense P; the second velocity does not move."""
     _, a, state = bench(fixed_arm(3), drift=0.0, change=0.0, load=0.0)
-    o, rng, K = state.view(Parts), np.random.default_rng(1), a.gain
+    o, rng, K = state.view(LearnedParts), np.random.default_rng(1), a.gain
     W, P, still = o.W[0].copy(), np.diag(o.D), 1
     o.moving[:] = 1.0
     o.moving[still] = 0.99 * MOVES
@@ -75,7 +83,7 @@ def test_its_estimate_is_that_of_a_dense_filter_and_stands_where_a_velocity_stan
 def test_what_was_learned_counts_as_far_as_it_has_predicted(factor, expected):
     """Measured torque is the file's, and `factor` times what was learned: that part of it is said."""
     layout, a, state = bench(fixed_arm(3), noise=1e6)  # so sure of nothing that it learns no more
-    o, rng = state.view(Parts), np.random.default_rng(2)
+    o, rng = state.view(LearnedParts), np.random.default_rng(2)
     o.moving[:] = 1.0
     learned = 0.3 * rng.standard_normal(a.theta0.size)
     o.W[0] = a.theta0 + learned
