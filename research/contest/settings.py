@@ -9,13 +9,15 @@ import msgspec
 
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.lab.experiments.config import load_as
-from mmnn_pin.lab.experiments.controllers import CONTROLLERS, PLAIN
+from mmnn_pin.lab.experiments.controllers import CONTROLLERS
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.origins import of_override
 from mmnn_pin.settings import Settings, require_gains
 
 FILE = Path(__file__).parent / "contest.toml"  # the contest `contest`
 ONLY = "task"  # name of the task of a contest without cases
+# What a learner has to beat here.
+PLAIN = ("pd", "pd_gravity", "pid")
 # What a learner knows before it starts.
 KNOWS = ("kinematics", "form", "nothing", "nominal")
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mmnn_pin.lab.experiments.controllers import ORACLES, PLAIN
+from mmnn_pin.lab.experiments.controllers import ORACLES
 from mmnn_pin.lab.show.figure import (
     FIGURES,
     Look,
@@ -32,6 +32,7 @@ from mmnn_pin.lab.show.files import HtmlPage, fill_template
 from mmnn_pin.lab.show.table import Cell, Column, Table, TextLine, number, row_of, terminal_text
 from mmnn_pin.signals import Array
 
+from .settings import PLAIN
 from .standing import BASELINE, Standing, Target, over_all, relative_errors
 from .trial import arm_of, base_of, nan
 

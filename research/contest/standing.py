@@ -10,11 +10,11 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from mmnn_pin.lab.experiments.controllers import ORACLES, PLAIN
+from mmnn_pin.lab.experiments.controllers import ORACLES
 from mmnn_pin.settings import finite
 from mmnn_pin.torque.entries import ENTRIES
 
-from .settings import Contest, ContestExperiment
+from .settings import PLAIN, Contest, ContestExperiment
 from .task import Demand
 from .trial import Number, Trial, TrialResult, arm_of, as_json, base_of, middle, nan
 

@@ -17,7 +17,6 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment, recorded_experiment
-from mmnn_pin.lab.experiments.controllers import PLAIN
 from mmnn_pin.loop.batch import BatchRun
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.model.regressor import Regressor
@@ -26,7 +25,7 @@ from mmnn_pin.reference import Eight
 from mmnn_pin.signals import Layout
 from research.contest import contest as running
 from research.contest.contest import Store, run_contest
-from research.contest.settings import Contest, Targets, load_contest
+from research.contest.settings import PLAIN, Contest, Targets, load_contest
 from research.contest.show import cell, relative_curves, render
 from research.contest.standing import everywhere, learning_time, targets
 from research.contest.task import frozen, tasks_of

@@ -7,8 +7,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from mmnn_pin.lab.experiments.controllers import PLAIN
 from mmnn_pin.lab.show.table import number
+from research.contest.settings import PLAIN
 from research.contest.show import KNOWLEDGE, TRAINING
 from research.contest.standing import ORACLE, THESIS, Standing, distances, held_out
 from research.contest.task import held_out_torque, tasks_of
