@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import math
 import os
 import pickle
@@ -388,6 +389,21 @@ def test_a_file_that_was_cut_off_counts_as_none_and_is_written_anew(tmp_path, ki
     files.save("floats", "code for floats")
     (path,) = tmp_path.glob(f"*.{kind}")
     os.truncate(path, size)
+    assert files.load("floats") is None
+    files.save("floats", "code for floats")
+    assert files.load("floats") == "code for floats"
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is kept")
+def test_code_of_a_module_that_is_no_more_counts_as_none(tmp_path, monkeypatch):
+    """As after an update that has taken a learner away: the index names the type of its numbers."""
+    (tmp_path / "gone_learner.py").write_text("class Numbers:\n    pass\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    files, numbers = OwnNames(str(tmp_path), "function", "stamp"), importlib.import_module("gone_learner").Numbers()
+    files.save(numbers, "code for its numbers")
+    monkeypatch.delitem(sys.modules, "gone_learner")
+    os.remove(tmp_path / "gone_learner.py")
+    importlib.invalidate_caches()
     assert files.load("floats") is None
     files.save("floats", "code for floats")
     assert files.load("floats") == "code for floats"

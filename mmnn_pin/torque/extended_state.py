@@ -54,7 +54,7 @@ def estimate(row: Array, at: IntArray, a: Extended, state: Array) -> None:
     o, m, h = seen_of(state, a.model.layout), a.model.inertia, a.model.h
     if follows(row, at, a.model, o):
         for i in range(o.d.size):
-            predicted = o.x[i] + h / m[i] * (o.sent[i] - o.d[i])
+            predicted = o.x[i] + h / m[i] * (o.torque[i] - o.d[i])
             error = speed(row, at, i) - predicted
             o.x[i] = predicted + (1.0 - a.pole * a.pole) * error
             o.d[i] -= (1.0 - a.pole) * (1.0 - a.pole) * m[i] / h * error

@@ -65,7 +65,7 @@ def estimate(row: Array, at: IntArray, a: Adapted, state: Array) -> None:
     if follows(row, at, a.model, o):
         for i in range(o.d.size):
             error = o.x[i] - o.nu[i]
-            o.x[i] = o.nu[i] + a.stays * error + a.answers * (o.sent[i] / m[i] + o.sigma[i])
+            o.x[i] = o.nu[i] + a.stays * error + a.answers * (o.torque[i] / m[i] + o.sigma[i])
             o.sigma[i] = -a.stays / a.answers * (o.x[i] - speed(row, at, i))
             o.d[i] += a.share * (-m[i] * o.sigma[i] - o.d[i])
     answer(row, at, a.model, o)

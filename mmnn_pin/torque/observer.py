@@ -57,7 +57,7 @@ class Seen(NamedTuple):
         x: (p,) velocities as predicted, of one that predicts.
         sigma: (p,) acceleration that the prediction lacks, of one that adapts it.
         nu: (p,) velocities of the last sample.
-        sent: (p,) torque from then on.
+        torque: (p,) what was sent from then on.
         when: (1,) its time [s].
     """
 
@@ -65,7 +65,7 @@ class Seen(NamedTuple):
     x: Vector
     sigma: Vector
     nu: Vector
-    sent: Vector
+    torque: Vector
     when: Vector
 
 
@@ -84,7 +84,7 @@ def follows(row: Array, at: IntArray, a: Model, o: Seen) -> bool:
     """Whether a sample ends a period that tells something; if not, what predicts begins anew from it."""
     told = a.learning and 0.5 * a.h < row[at[TIME]] - o.when[0] < 1.5 * a.h
     for i in range(o.d.size):
-        told = told and math.isfinite(speed(row, at, i)) and math.isfinite(o.nu[i]) and math.isfinite(o.sent[i])
+        told = told and math.isfinite(speed(row, at, i)) and math.isfinite(o.nu[i]) and math.isfinite(o.torque[i])
     if a.learning and not told:
         for i in range(o.d.size):
             o.x[i], o.sigma[i] = speed(row, at, i), -o.d[i] / a.inertia[i]
@@ -107,7 +107,7 @@ def keep(row: Array, at: IntArray, a: Model, state: Array) -> None:
     """Keep what the next sample looks back at; the same however often it is called."""
     if a.learning:
         o = seen_of(state, a.layout)
-        copy_to(row[at[TORQUE] : at[TORQUE + 1]], o.sent)
+        copy_to(row[at[TORQUE] : at[TORQUE + 1]], o.torque)
         for i in range(o.nu.size):
             o.nu[i] = speed(row, at, i)
         o.when[0] = row[at[TIME]]

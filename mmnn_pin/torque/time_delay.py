@@ -52,7 +52,7 @@ def estimate(row: Array, at: IntArray, a: Delayed, state: Array) -> None:
     o, m = seen_of(state, a.model.layout), a.model.inertia
     if follows(row, at, a.model, o):
         for i in range(o.d.size):
-            now = o.sent[i] - m[i] * (speed(row, at, i) - o.nu[i]) / a.model.h
+            now = o.torque[i] - m[i] * (speed(row, at, i) - o.nu[i]) / a.model.h
             o.d[i] += a.share * (now - o.d[i])
     answer(row, at, a.model, o)
 

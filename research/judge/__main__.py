@@ -1,7 +1,7 @@
 """Judge controllers on robots and draws that were fixed before any learner was changed.
 
     python -m research.judge FOLDER [--family dev|final] [--robots NAME ...] [--controllers NAME ...] [--draws N]
-                                    [--workers N] [--publish]
+                                    [--plants judge|contact ...] [--workers N] [--publish]
 
 Rows are kept in FOLDER/results.jsonl as they come: Ctrl-C keeps what is done, and the next call goes on. What was run
 with other sources is run again. `--family final` is for the published table alone. --publish writes
@@ -16,23 +16,27 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from functools import cache
+from multiprocessing import Pool
 from pathlib import Path
+from signal import SIG_IGN, SIGINT, signal
 from typing import Any
 
 from mmnn_pin.compiled.folders import imports_of, text_of
 from mmnn_pin.lab.show.table import Cell, Column, Table, number, row_of, terminal_text
 from mmnn_pin.torque.entries import CONTROLLERS
 
-from .draws import draw_of, preregistered
+from .draws import draw_of, on_contact, preregistered
+from .page import publish
 from .run import errors_of, settings_of
 from .score import Row, paired, parts_of_table, score_of
 
-KEY = "robot", "family", "draw", "controller", "plant", "sources"
-OWN = "preregistered.toml", "draws.py", "plant.py", "run.py"
+KEY = "robot", "family", "draw", "plant", "controller", "sources"
+OWN = "preregistered.toml", "draws.py", "plant.py", "contact.py", "run.py"
+Wanted = tuple[str, str, int, str, tuple[str, ...]]
 NOT_OF_A_RUN = {"mmnn_pin.torque.entries"}  # a list that grows
+PLANTS = ["judge", "contact"]
 SAID = "period", "delay", "lag", "encoder", "bits", "payload", "coulomb", "static"
 
 
@@ -55,20 +59,17 @@ def sources(name: str) -> str:
     return digest.hexdigest()[:12]
 
 
-def judge_draw(robot: str, family: str, number: int, controllers: Sequence[str]) -> Iterator[Row]:
-    """Rows of some controllers on one draw, as they come."""
-    draw = draw_of(robot, family, number)
+def rows_of(wanted: Wanted) -> list[Row]:
+    """The rows of a robot, a family, a number, a plant and some controllers."""
+    robot, family, number, plant, controllers = wanted
+    draw, rows = draw_of(robot, family, number), []
     said = {name: draw.said[name] for name in SAID}
     for name in controllers:
         began = time.process_time()
-        errors = errors_of(draw, name)
-        key = dict(zip(KEY, (robot, family, number, name, "judge", sources(name)), strict=True))
-        yield key | errors | {"said": said, "seconds": round(time.process_time() - began, 2)}
-
-
-def rows_of(*arguments: Any) -> list[Row]:
-    """`judge_draw` for another process."""
-    return list(judge_draw(*arguments))
+        errors = errors_of(draw, name, plant)
+        key = dict(zip(KEY, (robot, family, number, plant, name, sources(name)), strict=True))
+        rows.append(key | errors | {"said": said, "seconds": round(time.process_time() - began, 2)})
+    return rows
 
 
 def kept(file: Path) -> list[Row]:
@@ -81,52 +82,50 @@ def kept(file: Path) -> list[Row]:
     return [json.loads(line) for line in whole.splitlines()]
 
 
+def wanted_of(options: argparse.Namespace) -> list[Wanted]:
+    """What `rows_of` takes for all that is asked for, draw after draw over all robots."""
+    said, found = preregistered(), []
+    baseline, judged = said["controllers"]["baseline"], options.controllers or said["controllers"]["judged"]
+    names = (baseline, *(name for name in judged if name != baseline))
+    for plant in options.plants:
+        file = said["robots"] | {"draws": said["draws"]} if plant == "judge" else on_contact()
+        robots = file["dev"] + (file["final_only"] if options.family == "final" else [])
+        robots = [name for name in robots if name in (options.robots or robots)]
+        numbers = range(min(options.draws, file["draws"]))
+        found += [(robot, options.family, number, plant, names) for number in numbers for robot in robots]
+    return found
+
+
 def key_of(row: Row) -> tuple[Any, ...]:
     """By what a row is known."""
     return tuple(row[name] for name in KEY)
 
 
-def missing(rows: Sequence[Row], wanted: dict[str, Any]) -> list[tuple[Any, ...]]:
-    """The arguments of `judge_draw` for what is wanted and not kept, draw after draw over all robots."""
-    done, found = {key_of(row) for row in rows}, []
-    for draw in range(wanted["draws"]):
-        for robot in wanted["robots"]:
-            beside = (robot, wanted["family"], draw)
-            names = [name for name in wanted["controllers"] if (*beside, name, "judge", sources(name)) not in done]
-            if names:
-                found.append((*beside, names))
-    return found
+def keys_of(wanted: Wanted) -> list[tuple[Any, ...]]:
+    """By what the rows are known that are wanted."""
+    return [(*wanted[:4], name, sources(name)) for name in wanted[4]]
 
 
-def wanted_of(rows: Sequence[Row], wanted: dict[str, Any]) -> list[Row]:
-    """The rows of what is wanted that were run with today's sources."""
-    return [
-        row
-        for row in rows
-        if row["controller"] in wanted["controllers"]
-        and row["sources"] == sources(row["controller"])
-        and row["family"] == wanted["family"]
-        and row["robot"] in wanted["robots"]
-        and row["draw"] < wanted["draws"]
-    ]
+def missing(rows: Sequence[Row], wanted: Sequence[Wanted]) -> list[Wanted]:
+    """What is wanted and not kept."""
+    done = {key_of(row) for row in rows}
+    found = [(*one[:4], tuple(key[4] for key in keys_of(one) if key not in done)) for one in wanted]
+    return [one for one in found if one[4]]
 
 
-def run_missing(todo: Sequence[tuple[Any, ...]], file: Path, workers: int) -> None:
-    """Run what is missing, and append rows to the file as they come."""
-    total, done, began = sum(len(one[3]) for one in todo), 0, time.monotonic()
-    with file.open("a", encoding="utf-8") as sink, ProcessPoolExecutor(workers) as pool:
-        runs = [pool.submit(rows_of, *one) for one in todo]
+def run_missing(todo: Sequence[Wanted], file: Path, workers: int) -> None:
+    """Run what is missing, and append rows to the file draw by draw; Ctrl-C ends at once with what the file has."""
+    total, done, began = sum(len(one[4]) for one in todo), 0, time.monotonic()
+    with file.open("a", encoding="utf-8") as sink, Pool(workers, signal, (SIGINT, SIG_IGN)) as pool:
         try:
-            for run in as_completed(runs):
-                for row in run.result():
-                    sink.write(json.dumps(row) + "\n")
-                    done += 1
+            for rows in pool.imap_unordered(rows_of, todo):
+                sink.writelines(json.dumps(row) + "\n" for row in rows)
                 sink.flush()
+                done += len(rows)
                 left = (time.monotonic() - began) / done * (total - done)
                 print(f"{done} of {total} runs, {left / 60:.0f} min left", file=sys.stderr, flush=True)
         except KeyboardInterrupt:
-            pool.shutdown(wait=False, cancel_futures=True)
-            print("stopped; what is done is kept", file=sys.stderr)
+            print("stopped: what is done is kept, the same command goes on", file=sys.stderr)
 
 
 def table_of(title: str, rows: Sequence[Row], controllers: Sequence[str]) -> Table:
@@ -158,25 +157,33 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--robots", nargs="+", metavar="NAME", help="(all of the family)")
     parser.add_argument("--controllers", nargs="+", metavar="NAME", help="beside the baseline (all)")
     parser.add_argument("--draws", type=int, default=said["draws"], metavar="N", help="of every robot (20)")
+    parser.add_argument(
+        "--plants", nargs="+", choices=PLANTS, help="judge, contact for MuJoCo (of final both, else judge)"
+    )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--publish", action="store_true", help="write docs/explanation/judge.md")
+    parser.add_argument("--publish", action="store_true", help="write docs/explanation/judge.md of the rows of final")
     options = parser.parse_args(arguments)
-    robots = said["robots"]["dev"] + (said["robots"]["final_only"] if options.family == "final" else [])
+    options.plants = options.plants or PLANTS[: 2 if options.family == "final" else 1]
+    if options.publish and options.family != "final":
+        parser.error("--publish is for --family final")
+    wanted = wanted_of(options)
     for name in options.robots or ():
-        if name not in robots:
-            parser.error(f"--robots {name}: family {options.family} has {', '.join(robots)}")
-    wanted = {"family": options.family, "robots": options.robots or robots, "draws": options.draws}
-    baseline, judged = said["controllers"]["baseline"], options.controllers or said["controllers"]["judged"]
-    wanted["controllers"] = [baseline, *(name for name in judged if name != baseline)]
+        if name not in {one[0] for one in wanted}:
+            parser.error(f"--robots {name}: {', '.join(options.plants)} of family {options.family} has no such robot")
     options.folder.mkdir(parents=True, exist_ok=True)
     file = options.folder / "results.jsonl"
     if todo := missing(kept(file), wanted):
         run_missing(todo, file, options.workers)
-    rows = wanted_of(kept(file), wanted)
-    for part, tables in parts_of_table(rows).items():
-        for title, own in tables.items():
-            if own and part != "disturbances":
-                print(terminal_text([title, table_of(title, own, wanted["controllers"])], False, 120), flush=True)
+    keys = {key for one in wanted for key in keys_of(one)}
+    rows = [row for row in kept(file) if key_of(row) in keys]
+    if options.publish:
+        publish(rows)
+    for plant in options.plants:
+        for part, tables in parts_of_table([row for row in rows if row["plant"] == plant]).items():
+            for title, own in tables.items():
+                if own and part != "disturbances":
+                    table = table_of(title, own, wanted[0][4])
+                    print(terminal_text([f"{title}, plant {plant}", table], False, 120), flush=True)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from mmnn_pin.model.tree.twin import terms_of
 from mmnn_pin.reference import BasePath, Circle, Eight, HolonomicPath, Sine, Sines, Trajectory, Waypoints
 from mmnn_pin.signals import Array, Setpoint
 
-from .plant import AT, ENCODER, Plant, World, motor_rows, new_drives, new_plant
+from .plant import AT, ENCODER, Drives, Plant, World, motor_rows, new_drives, new_plant
 
 FILE = Path(__file__).with_name("preregistered.toml")
 STEP = 2.5e-4  # of the plant, at most [s]
@@ -37,6 +37,12 @@ WHEELS = 5.0  # times an arm joint's speed: a wheel's
 def preregistered() -> dict[str, Any]:
     """What the judge's file says."""
     return tomllib.loads(FILE.read_text(encoding="utf-8"))
+
+
+@cache
+def on_contact() -> dict[str, Any]:
+    """What the file of the second plant says."""
+    return tomllib.loads(FILE.with_name("preregistered_contact.toml").read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True)
@@ -109,7 +115,8 @@ def draw_of(name: str, family: str, number: int) -> Draw:
     masses = mass_matrices(robot, (Start().state(robot, row)[0] for row in along))
     inertia = np.median([link_inertia(robot, row, M) for row, M in zip(along, masses, strict=True)], axis=0)
     rotor = told_rotor(robot, inertia)
-    robot = robot.with_armature(rotor[robot.dimensions.motors - robot.dimensions.arm :])
+    told = robot.with_armature(rotor[robot.dimensions.motors - robot.dimensions.arm :])
+    robot = replace(told, origin=None)  # the rotors are told, as if the file had them
     found |= drawn_drive(robot, dice["drive"], found["encoder"], inertia, rotor)
     found |= drawn_friction(robot, dice["friction"], trajectory, said["duration"])
     true, loaded, payload = drawn_body(robot, dice["body"], rng)
@@ -195,7 +202,7 @@ def drawn_drive(robot: Robot, dice: Dice, encoder: str, inertia: Array, rotor: A
     weight = 9.81 * robot.mass / max(len(radius), 1)
     return {
         "rotor": J, "spring": moved * rate**2, "damper": 2.0 * ratio * moved * rate,
-        "creep": np.where(wheels, r / relaxation, 0.0), "grip": np.where(wheels, grip * weight * r, np.inf),
+        "creep": np.where(wheels, r / relaxation, 0.0), "grip": np.where(wheels, grip * weight * r, np.inf), "mu": grip,
     }  # fmt: skip
 
 
@@ -267,6 +274,24 @@ def world_of(draw: Draw) -> World:
     )  # fmt: skip
 
 
+def sensors_of(draw: Draw) -> tuple[Drives, Array]:
+    """Sensors of a draw, and when the command of every sample begins to act, in multiples of `STEP`."""
+    said, robot, samples = draw.said, draw.robot, len(draw.table)
+    rng, fixed = np.random.default_rng(draw.seed), preregistered()["sensors"]["fix"]
+    m, n, readings = robot.dimensions.motors, robot.dimensions.arm, round(samples * draw.period / ENCODER)
+    link = np.zeros((m, 2), np.int64)
+    link[m - n :] = {"motor": (0, 0), "link": (1, 1), "both": (1, 0)}[said["encoder"]]
+    drives = new_drives(
+        robot, readings, link=link, step=2.0 * np.pi / 2.0 ** said["bits"] * np.minimum(units(robot), 1.0),
+        keep=float(np.exp(-2.0 * np.pi * said["filter"] * ENCODER)), trust=said["trust"],
+        fixes=said["fix_noise"] * rng.standard_normal((readings + 2, 3)), between=round(fixed / ENCODER),
+        pivot_step=2.0 * np.pi / 2.0 ** said["bits"],
+    )  # fmt: skip
+    late = said["delay"] + said["jitter"] * rng.random(samples)
+    arrive = np.ceil((np.arange(samples) * draw.period + late) / STEP - 1e-9)
+    return drives, np.maximum.accumulate(arrive)
+
+
 def plant_of(draw: Draw, step: float = 0.0) -> Plant:
     """The plant of a draw at rest where the reference begins, its motors holding it.
 
@@ -274,33 +299,24 @@ def plant_of(draw: Draw, step: float = 0.0) -> Plant:
         draw: The draw.
         step: Of the plant [s]; 0 for one that suits its fastest oscillation.
     """
-    said, robot, world, samples = draw.said, draw.robot, world_of(draw), len(draw.table)
-    rng, fixed = np.random.default_rng(draw.seed), preregistered()["sensors"]["fix"]
-    m, n = robot.dimensions.motors, robot.dimensions.arm
-    link = np.zeros((m, 2), np.int64)
-    link[m - n :] = {"motor": (0, 0), "link": (1, 1), "both": (1, 0)}[said["encoder"]]
-    position, nu = Start().state(robot, draw.table[0])
-    terms = terms_of(draw.true.without_friction())
-    terms.refresh(position, nu)
-    held = pseudo_inverse(draw.true.E_at(position)) @ terms.h
-    step = step or step_for(world, terms.M, draw.true.E_at(position))
-    readings = round(samples * draw.period / ENCODER)
-    drives = new_drives(
-        robot, readings, link=link, step=2.0 * np.pi / 2.0 ** said["bits"] * np.minimum(units(robot), 1.0),
-        keep=float(np.exp(-2.0 * np.pi * said["filter"] * ENCODER)), trust=said["trust"],
-        fixes=said["fix_noise"] * rng.standard_normal((readings + 2, 3)), between=round(fixed / ENCODER),
-        pivot_step=2.0 * np.pi / 2.0 ** said["bits"],
-    )  # fmt: skip
+    said, world, samples = draw.said, world_of(draw), len(draw.table)
+    position, _ = Start().state(draw.robot, draw.table[0])
+    M, E, held = at_rest(draw, position)
+    step = step or step_for(world, M, E)
     fine = round(STEP / step)  # times come at multiples of STEP, whatever the plant's step is
     begin = fine * round(said["payload_from"] / STEP) if said["payload"] else 0
     carries = np.array([begin, 2**62 if said["payload"] else 0])
-    plant = new_plant(draw.true, draw.loaded, world, (position, nu), (step, samples), drives, carries)
-    plant.state.torque[:], plant.state.twist[:], plant.commands[0] = held, held / world.spring, held
-    plant.state.turned[:] += plant.state.twist
-    late = said["delay"] + said["jitter"] * rng.random(samples)
-    arrive = np.ceil((np.arange(samples) * draw.period + late) / STEP - 1e-9)
-    plant.arrive[1:] = fine * np.maximum.accumulate(arrive)
+    drives, arrive = sensors_of(draw)
+    plant = new_plant(draw.true, draw.loaded, world, (position, held), (step, samples), drives, carries)
+    plant.arrive[1:] = fine * arrive
     return plant
+
+
+def at_rest(draw: Draw, position: Array) -> tuple[Array, Array, Array]:
+    """Mass matrix, map of the motors and the torques that hold a draw's robot at a position (nv,), (m,)."""
+    terms, E = terms_of(draw.true.without_friction()), draw.true.E_at(position)
+    terms.refresh(position, np.zeros(draw.robot.dimensions.dof))
+    return terms.M, E, pseudo_inverse(E) @ terms.h
 
 
 def step_for(world: World, M: Array, E: Array) -> float:
@@ -318,8 +334,3 @@ def step_for(world: World, M: Array, E: Array) -> float:
 def setpoints(draw: Draw) -> list[Setpoint]:
     """The reference's samples."""
     return [Setpoint.side_by_side(row, draw.robot.dimensions) for row in draw.table]
-
-
-def finer(draw: Draw, **said: Any) -> Draw:
-    """The draw with something said otherwise."""
-    return replace(draw, said=draw.said | said)

@@ -30,7 +30,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmnn_pin.by_address import by_address
 from mmnn_pin.compiled import compiled, copy_to, internal, linked
@@ -378,10 +377,9 @@ def turn_pivots(state: Parts, drives: Drives) -> None:
 
 
 @linked
-def tell(plant: Plant, seen: Array) -> None:
+def tell(drives: Drives, rows: IntArray, seen: Array) -> None:
     """What a controller is told: pose, base velocity, q, qdot, pivots, side by side in `seen`."""
-    d, rows = plant.drives, plant.world.rows
-    nb, m = d.found.size, rows.size
+    d, nb, m = drives, drives.found.size, rows.size
     n, k = m - d.base.size, 0
     if nb:
         base_rates(d.rate, d, rows)
@@ -429,33 +427,64 @@ def new_plant(
     start: tuple[Array, Array],
     timing: tuple[float, int],
     drives: Drives,
-    carries: NDArray[np.int64] | None = None,
+    carries: IntArray | None = None,
 ) -> Plant:
-    """A plant at rest at a position.
+    """A plant at rest.
 
     Args:
         true: The robot that moves.
         loaded: The same with its payload.
         world: Drives and friction.
-        start: Position (nv,) and nu (p,).
+        start: Position (nv,), and the torques (m,) that motors and gears begin with.
         timing: Step [s], number of control samples.
         drives: Its sensors.
         carries: First and last step with the payload.
     """
-    (position, nu), (dt, samples) = start, timing
+    (position, held), (dt, samples) = start, timing
     body = body_of(true.without_friction())
     m, (nv, p) = world.rows.size, body.T.shape
     y, trial, ydot, total = np.zeros((4, nv + p + 5 * m + world.free.size))
     state = parts_of(y, nv, p, m)
-    state.position[:], state.nu[:], state.turned[:] = position, nu, position[world.rows]
-    for j in range(m):
-        for side in (0, 1):
-            drives.last[j, side] = reading(j, int(drives.link[j, side]), state, drives, world.rows)
-    turn_pivots(state, drives)
-    drives.pose[:] = position[:3] if len(drives.found) else 0.0
+    state.position[:], state.torque[:], state.twist[:] = position, held, held / world.spring
+    state.turned[:] = position[world.rows] + state.twist
+    begin_reading(state, drives, world.rows)
+    commands, arrive = np.zeros((samples + 1, m)), np.full(samples + 1, 2**62)
+    commands[0], arrive[0] = held, 0
     return Plant(
         body, body if loaded is None else body_of(loaded.without_friction()), new_work(body), world, y, trial, ydot,
-        total, state, parts_of(trial, nv, p, m), parts_of(ydot, nv, p, m), np.zeros(nv), np.zeros(p),
-        np.zeros((samples + 1, m)), np.zeros(samples + 1, np.int64), np.zeros(2, np.int64), dt,
-        round(ENCODER / dt), np.zeros(2, np.int64) if carries is None else carries, drives,
+        total, state, parts_of(trial, nv, p, m), parts_of(ydot, nv, p, m), np.zeros(nv), np.zeros(p), commands, arrive,
+        np.zeros(2, np.int64), dt, round(ENCODER / dt), np.zeros(2, np.int64) if carries is None else carries, drives,
     )  # fmt: skip
+
+
+def begin_reading(state: Parts, drives: Drives, rows: IntArray) -> None:
+    """The first reading: encoders stand where they are, the pose is known."""
+    for j in range(rows.size):
+        for side in (0, 1):
+            drives.last[j, side] = reading(j, int(drives.link[j, side]), state, drives, rows)
+    turn_pivots(state, drives)
+    drives.pose[:] = state.position[:3] if len(drives.found) else 0.0
+
+
+class Moved:
+    """A plant as a run moves it.
+
+    Args:
+        plant: The plant.
+
+    Attributes:
+        position: (nv,) where it is.
+        commands: (N, m) of its motors; the one of sample k stands at k + 1.
+        dt: Step [s].
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant, self.position, self.commands, self.dt = plant, plant.state.position, plant.commands, plant.dt
+
+    def tell(self, seen: Array) -> None:
+        """Write what a controller is told."""
+        tell(self.plant.drives, self.plant.world.rows, seen)
+
+    def advance(self, until: int) -> None:
+        """Step until a number of steps is done."""
+        advance(until, self.plant)

@@ -18,8 +18,9 @@ from mmnn_pin.signals import Array
 from mmnn_pin.torque.controller import CompiledController, ControllerSettings, Feedback
 from mmnn_pin.torque.entries import CONTROLLERS
 
+from .contact import Floor
 from .draws import TENTH, Draw, plant_of, preregistered, setpoints
-from .plant import Plant, advance, tell
+from .plant import Moved
 
 
 def settings_of(name: str) -> dict[str, Any]:
@@ -62,12 +63,18 @@ def shipped(name: str, robot: Robot) -> CompiledController:
     return made
 
 
-def errors_of(draw: Draw, controller: Any) -> dict[str, Any]:
+def moved(draw: Draw, plant: str) -> Moved | Floor:
+    """The plant of a draw, "judge" or "contact"."""
+    return Moved(plant_of(draw)) if plant == "judge" else Floor(draw)
+
+
+def errors_of(draw: Draw, controller: Any, plant: str = "judge") -> dict[str, Any]:
     """What a run of a draw comes to.
 
     Args:
         draw: The draw.
         controller: A controller's name, or one of one's own.
+        plant: "judge", or "contact" for MuJoCo.
 
     Returns:
         `arm` and `base`, the errors of the file's scoring [rad, m], None where lost or where there is none, and
@@ -77,7 +84,7 @@ def errors_of(draw: Draw, controller: Any) -> dict[str, Any]:
         made = shipped(controller, draw.robot) if isinstance(controller, str) else controller
         settings = StepperSettings(period=draw.period, limits=Limits(samples="exact"))
         stepper = Stepper(draw.robot, made, settings)
-        found, lost = follow(draw, stepper, plant_of(draw))
+        found, lost = follow(draw, stepper, moved(draw, plant))
     except KeyError as error:
         return {"arm": None, "base": None, "lost": f"there is no controller {error}"}
     except InputError as error:
@@ -92,7 +99,7 @@ def errors_of(draw: Draw, controller: Any) -> dict[str, Any]:
     return {"arm": float(arm) if sizes.arm else None, "base": float(base) if sizes.base else None, "lost": ""}
 
 
-def follow(draw: Draw, stepper: Stepper, plant: Plant) -> tuple[Array, str]:
+def follow(draw: Draw, stepper: Stepper, plant: Moved | Floor) -> tuple[Array, str]:
     """Drive a plant along a draw's reference.
 
     Returns:
@@ -104,16 +111,16 @@ def follow(draw: Draw, stepper: Stepper, plant: Plant) -> tuple[Array, str]:
     unit = np.where(revolute(draw.robot)[draw.robot.arm_index], 1.0, TENTH)
     steps = round(h / plant.dt)
     for k, setpoint in enumerate(setpoints(draw)):
-        tell(plant, seen)
-        e = (setpoint.q - plant.state.position[draw.robot.arm_index]) / unit
-        found[k] = math.sqrt(float(e @ e) / max(d.arm, 1)), base_error(setpoint.pose, plant.state.position)
-        if why := loss(e, setpoint.pose, plant.state.position, seen):
+        plant.tell(seen)
+        e = (setpoint.q - plant.position[draw.robot.arm_index]) / unit
+        found[k] = math.sqrt(float(e @ e) / max(d.arm, 1)), base_error(setpoint.pose, plant.position)
+        if why := loss(e, setpoint.pose, plant.position, seen):
             return found, f"{why} at {k * h:.2f} s"
         command = stepper.step(k * h, measurement, setpoint)
         if stepper.tripped:
             return found, stepper.finish().outcome.message
         plant.commands[k + 1] = command.motor_effort
-        advance((k + 1) * steps, plant)
+        plant.advance((k + 1) * steps)
     return found, ""
 
 

@@ -63,9 +63,9 @@ def score_of(pairs: Sequence[tuple[Row, Row]]) -> Score:
 
 def paired(rows: Iterable[Row], name: str) -> list[tuple[Row, Row]]:
     """A controller's rows beside the baseline's of the same draws, in the order of robots and draws."""
-    runs: dict[str, dict[tuple[str, int], Row]] = defaultdict(dict)
+    runs: dict[str, dict[tuple[str, str, int], Row]] = defaultdict(dict)
     for row in rows:
-        runs[row["controller"]][row["robot"], row["draw"]] = row
+        runs[row["controller"]][row["plant"], row["robot"], row["draw"]] = row
     baseline = runs[preregistered()["controllers"]["baseline"]]
     return [(row, baseline[key]) for key, row in sorted(runs[name].items()) if key in baseline]
 

@@ -14,13 +14,14 @@ from scipy.linalg import eigh
 from mmnn_pin import PD, TorqueController, load
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import carrying
-from mmnn_pin.model.tree.body import energy_of
+from mmnn_pin.model.tree.body import energy_of, parameters
 from mmnn_pin.torque.controller import Feedback
 from research.judge import __main__ as command
 from research.judge import draws
 from research.judge.draws import draw_of, plant_of, preregistered
+from research.judge.page import publish
 from research.judge.plant import AT, World, advance, lugre, motor_rows, new_drives, new_plant, tell
-from research.judge.run import errors_of
+from research.judge.run import errors_of, shipped
 from research.judge.score import paired, parts_of_table, ratio_of, score_of
 
 ROW = np.array([2.0, 1.0, 0.1, 0.2, 0.05, 0.3, 0.5, 0.2, 3.0, 4000.0, 5.0, 0.05])
@@ -44,9 +45,8 @@ def plant(
     position = robot.neutral_position()
     position[robot.arm_index] = q
     made = new_plant(
-        robot, loaded, own, (position, np.zeros(robot.dimensions.dof)), (dt, 10), new_drives(robot, 2000), carries
+        robot, loaded, own, (position, np.zeros(robot.dimensions.motors)), (dt, 10), new_drives(robot, 2000), carries
     )
-    made.arrive[1:] = 2**60
     return made
 
 
@@ -180,7 +180,7 @@ def test_sensors_tell_the_truth_where_nothing_is_wrong() -> None:
         d = robot.dimensions
         seen = np.zeros(d.pose + d.base + 2 * d.arm + len(robot.shape_index))
         advance(1200, made._replace(drives=made.drives._replace(between=10**6)))
-        tell(made, seen)
+        tell(made.drives, made.world.rows, seen)
         pose, velocity, q, qdot, shape = np.split(seen, np.cumsum([d.pose, d.base, d.arm, d.arm]))
         s = made.state
         np.testing.assert_allclose(q, s.turned[d.motors - d.arm :], atol=1e-9)
@@ -198,6 +198,16 @@ def test_draws_depend_on_robot_family_and_number_alone() -> None:
     assert plant_of(first).world.friction.tobytes() == plant_of(again).world.friction.tobytes()
     assert first.true.mass == again.true.mass
     assert len({first.said["delay"], *(other.said["delay"] for other in others)}) == 4
+
+
+@pytest.mark.parametrize("name", ["feedforward", "learned", "pd_gravity"])
+def test_rotors_are_told(name: str) -> None:
+    """What a controller knows of the robot are its parameters with the rotors of the arm, without anything true."""
+    draw = draw_of("platform_arm", "dev", 1)
+    rotors = draw.robot.model.armature[draw.robot.arm_index]
+    assert (rotors > 0.0).all() and not np.isin(rotors, draw.said["rotor"]).any()
+    asked = load("platform_arm").with_armature(rotors)
+    np.testing.assert_array_equal(shipped(name, draw.robot).theta, parameters(asked))
 
 
 def test_draws_are_within_what_is_written() -> None:
@@ -247,8 +257,9 @@ def test_what_is_better_by_construction_wins_and_what_fails_is_lost() -> None:
 
 
 def rows(controller: str, *errors: tuple[float | None, float | None]) -> list[dict[str, Any]]:
+    own = {"robot": "r", "plant": "judge", "controller": controller}
     return [
-        {"robot": "r", "draw": k, "controller": controller, "arm": arm, "base": base, "lost": "" if arm else "gone"}
+        own | {"draw": k, "arm": arm, "base": base, "lost": "" if arm else "gone"}
         for k, (arm, base) in enumerate(errors)
     ]
 
@@ -304,6 +315,35 @@ def test_resumes_with_the_same_rows(tmp_path: Any, capsys: pytest.CaptureFixture
     command.main(arguments)
     assert len(file.read_text(encoding="utf-8").splitlines()) == 2
     assert "feedforward" in capsys.readouterr().out
+
+
+def test_second_plant_errs_alike_where_both_roll() -> None:
+    """Two independent rigid bodies, contacts and frictions, one draw: feedforward's errors are of one size."""
+    pytest.importorskip("mujoco")
+    draw = draw_of("platform_arm", "dev", 1)
+    one, other = (errors_of(draw, "feedforward", name) for name in ("judge", "contact"))
+    assert other["lost"] == ""
+    for part in ("arm", "base"):
+        assert 0.6 < one[part] / other[part] < 1.6
+
+
+def test_page_has_the_scores_between_its_markers(tmp_path: Any) -> None:
+    said = dict.fromkeys(command.SAID, 0.01) | {"encoder": "motor", "payload": True, "bits": 18}
+    made = rows("feedforward", (1.0, 4.0), (1.0, 1.0)) + rows("learned", (1.0, 1.0), (None, None))
+    made += [row | {"plant": "contact"} for row in made[:2]]
+    made = [row | {"said": said, "seconds": 1800.0} for row in made]
+    page = tmp_path / "judge.md"
+    text = "".join(f"{name}\n<!-- judge: {name} -->\nold\n<!-- /judge -->\n" for name in ("facts", "all", "target"))
+    page.write_text(f"{text}end\n", encoding="utf-8")
+    for _ in range(2):
+        publish(made, page)
+        found = page.read_text(encoding="utf-8")
+        assert "old" not in found and found.endswith("end\n")
+        assert "| `learned` | 50 | 0.500 | lost | lost | 1 | 1 |" in found
+        assert "| median ratio | 0.5 or less | 0.500 |" in found
+        assert "6 runs of 2 controllers on 4 draws of 1 robots, 3.0 hours" in found
+    table = page.with_suffix(".csv").read_text(encoding="utf-8").splitlines()
+    assert len(table) == 7 and table[0].startswith("robot,draw,plant,controller,arm [rad],base [m],ratio,lost,period")
 
 
 def test_final_robots_are_refused_for_tuning(tmp_path: Any) -> None:

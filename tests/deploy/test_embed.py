@@ -79,8 +79,20 @@ def exported(tmp_path_factory):
 @pytest.mark.parametrize(
     "controller",
     first_of(
-        ("computed_torque", "two_layer", "deep_residual", "drem", "adaptive_composite", "kalman_friction"),
-        *("two_layer", "adaptive_composite", "kalman_friction"),
+        (
+            "computed_torque",
+            "two_layer",
+            "deep_residual",
+            "drem",
+            "adaptive_composite",
+            "kalman_friction",
+            "feedforward",
+            "time_delay",
+            "extended_state",
+            "l1_adaptive",
+            "super_twisting",
+        ),
+        *("two_layer", "feedforward", "adaptive_composite", "kalman_friction"),
     ),
 )
 def test_the_self_test_has_the_bits_of_the_stepper(exported, controller):

@@ -25,7 +25,7 @@ from ...settings.arguments import FORMERLY
 from ...signals import Array
 from ...torque.controller import CompiledController, ControllerSettings, Feedback, MachineLimits, TorqueController
 from ...torque.entries import CONTROLLERS as ENTRIES
-from ...torque.entries import DESCRIBED, Entry
+from ...torque.entries import DESCRIBED, NOMINAL, Entry
 from ...torque.neural import STARTS, Robust
 from .laws import own_controller
 
@@ -36,8 +36,9 @@ ORACLES = tuple(name for name, entry in ENTRIES.items() if entry.oracle)
 # Their Psi_hat is computed from a model, not learned.
 MODELS = (*ORACLES, *(name for name, entry in ENTRIES.items() if entry.baseline and DESCRIBED in entry.told))
 LEARNERS = tuple(name for name, entry in ENTRIES.items() if entry.thesis)
-# What an engineer tries before any learner; headlines compare with the best of those that ran.
-PLAIN = ("pd", "pd_gravity", "pid")
+# What an engineer has without learning; headlines compare with the best of those that ran, and miss those of `USUAL`.
+PLAIN = tuple(name for name, entry in ENTRIES.items() if entry.baseline and NOMINAL not in entry.told)
+USUAL = ("pd_gravity", "pid", "feedforward")
 # What an experiment runs unless it says.
 DEFAULT = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")
 # Keys and values of experiments that have another name now, and what they are called in a recording made before.

@@ -176,7 +176,7 @@ def test_the_verdict_follows_from_the_numbers(chapter4: dict[str, Recording]) ->
     assert found.headline.startswith(f"{best} tracks best of 5: ")
     assert f"{100 * (1 - size(best) / size(second)):.0f} % smaller than those of {second}" in found.headline
     assert "the best of" not in found.headline
-    assert "pd_gravity and pid did not run" in " ".join(found.warnings)
+    assert "pd_gravity, pid and feedforward did not run" in " ".join(found.warnings)
     left = 100 * size("computed_torque") / size(best)
     assert any(f"{left:.0f} % of those of {best}" in point for point in found.points)
     kept = 100 * abs(1 - size("two_layer") / size("pd_effective"))
@@ -221,21 +221,26 @@ def test_the_headline_compares_with_the_best_of_what_learns_nothing() -> None:
     """Not with PD, which is easy to beat where gravity pulls."""
     robot, sizes = (
         load("platform_arm"),
-        {"two_layer": 0.02, "adaptive": 0.03, "pd": 0.5, "pd_gravity": 0.08, "pid": 0.04},
+        {"two_layer": 0.02, "adaptive": 0.03, "pd": 0.5, "pd_gravity": 0.08, "pid": 0.06, "feedforward": 0.04},
     )
     runs = {name: recorded(robot, name, change=of_size(size)) for name, size in sizes.items()}
     found = verdict(result_of(runs))
-    assert "50 % smaller than those of pid, the best of pd, pd_gravity and pid, and 33 % smaller" in found.headline
+    assert (
+        "50 % smaller than those of feedforward, the best of pd, pd_gravity, pid and feedforward, and 33 % smaller"
+        in found.headline
+    )
     assert not any("did not run" in text for text in found.warnings if "effective" not in text)
     less = verdict(result_of({name: runs[name] for name in ("two_layer", "pd", "pd_gravity")}))
     assert less.headline.endswith(
-        "75 % smaller than those of pd_gravity, the best of pd and pd_gravity; pid did not run."
+        "75 % smaller than those of pd_gravity, the best of pd and pd_gravity; pid and feedforward did not run."
     )
-    assert "pid did not run" in " ".join(less.warnings)
+    assert "pid and feedforward did not run" in " ".join(less.warnings)
     only = verdict(result_of({name: runs[name] for name in ("two_layer", "pd")}))
-    assert only.headline.endswith("smaller than those of pd, the next best; pd_gravity and pid did not run.")
+    assert only.headline.endswith(
+        "smaller than those of pd, the next best; pd_gravity, pid and feedforward did not run."
+    )
     plain = verdict(result_of({name: runs[name] for name in ("pd", "pid")}))
-    assert plain.headline.endswith("92 % smaller than those of pd, the next best.")
+    assert plain.headline.endswith("88 % smaller than those of pd, the next best.")
 
 
 def test_the_headline_says_where_the_winner_errs_far_more() -> None:

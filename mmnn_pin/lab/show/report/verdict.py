@@ -11,7 +11,7 @@ import numpy as np
 
 from ....recording.metrics import halves
 from ....recording.recording import Recording
-from ...experiments.controllers import LEARNERS, ORACLES, PLAIN, effective
+from ...experiments.controllers import LEARNERS, ORACLES, PLAIN, USUAL, effective
 from ...experiments.outliers import farthest, shown
 from ...experiments.result import Improvement, Result, unfair
 from ...psi.judgement import Judgement, judgement_of, with_part
@@ -61,16 +61,20 @@ def headline(result: Result) -> str:
     base, others = compared_with(result), plain_runs(result)
     than = ""
     if base != best and len(others) > 1:  # feedback alone is no rival
-        beside = ", ".join(others[:-1]) + f" and {others[-1]}"
-        than = f"{percent(1 - scores[best])} smaller than those of {base}, the best of {beside},"
+        than = f"{percent(1 - scores[best])} smaller than those of {base}, the best of {listed(others)},"
     ahead = f"{percent(1 - scores[best] / scores[second])} smaller than those of {second}, the next best"
     errors = (than if second == base else f"{than} and {ahead}") if than else ahead
     missing = second in others and rivals_missing(result)  # PD alone is easily beaten
-    without = f"; {' and '.join(missing)} did not run" if missing else ""
+    without = f"; {listed(missing)} did not run" if missing else ""
     far = farthest({name: result.metrics[name] for name in judged}, best, window(result))
     but = f"; but {far[0]} errs {shown(far[1])} times as much as in the others" if far else ""
     told = f"{errors.rstrip(',')}{but}{without}"
     return f"{best} tracks best of {len(judged)}: in {when(result)} its RMS errors are on average {told}."
+
+
+def listed(names: list[str]) -> str:
+    """Names in a sentence."""
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def alone(result: Result, name: str) -> str:
@@ -115,7 +119,7 @@ def compared_with(result: Result) -> str:
 
 
 def plain_runs(result: Result) -> list[str]:
-    """The runs of PD, PD with gravity and PID that reached their end."""
+    """The runs of `PLAIN` controllers that reached their end."""
     runs = result.recordings.items()
     return [name for name, r in runs if controller_of(name, r) in PLAIN and r.outcome.status == "completed"]
 
@@ -228,15 +232,15 @@ def worse_somewhere(result: Result) -> Iterator[str]:
 
 
 def rivals_left_out(result: Result) -> Iterator[str]:
-    """A warning where a learner did not meet PD with gravity or PID."""
+    """A warning where a learner did not meet those of `USUAL`."""
     if missing := rivals_missing(result):
-        yield f"{' and '.join(missing)} did not run: this does not show whether a learner beats them"
+        yield f"{listed(missing)} did not run: this does not show whether a learner beats them"
 
 
 def rivals_missing(result: Result) -> list[str]:
-    """Of PD with gravity and PID those that did not run; none where there is no learner to beat them."""
+    """Those of `USUAL` that did not run; none where there is no learner to beat them."""
     ran = {controller_of(name, recording) for name, recording in result.recordings.items()}
-    return [name for name in PLAIN if name != "pd" and name not in ran] if ran - {*PLAIN, *ORACLES} else []
+    return [name for name in USUAL if name not in ran] if ran - {*PLAIN, *ORACLES} else []
 
 
 def torques(result: Result) -> Iterator[str]:
