@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -115,7 +115,8 @@ def draw_of(name: str, family: str, number: int) -> Draw:
     masses = mass_matrices(robot, (Start().state(robot, row)[0] for row in along))
     inertia = np.median([link_inertia(robot, row, M) for row, M in zip(along, masses, strict=True)], axis=0)
     rotor = told_rotor(robot, inertia)
-    robot = robot.with_armature(rotor[robot.dimensions.motors - robot.dimensions.arm :])
+    told = robot.with_armature(rotor[robot.dimensions.motors - robot.dimensions.arm :])
+    robot = replace(told, origin=None)  # the rotors are told, as if the file had them
     found |= drawn_drive(robot, dice["drive"], found["encoder"], inertia, rotor)
     found |= drawn_friction(robot, dice["friction"], trajectory, said["duration"])
     true, loaded, payload = drawn_body(robot, dice["body"], rng)

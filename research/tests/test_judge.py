@@ -14,14 +14,14 @@ from scipy.linalg import eigh
 from mmnn_pin import PD, TorqueController, load
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import carrying
-from mmnn_pin.model.tree.body import energy_of
+from mmnn_pin.model.tree.body import energy_of, parameters
 from mmnn_pin.torque.controller import Feedback
 from research.judge import __main__ as command
 from research.judge import draws
 from research.judge.draws import draw_of, plant_of, preregistered
 from research.judge.page import publish
 from research.judge.plant import AT, World, advance, lugre, motor_rows, new_drives, new_plant, tell
-from research.judge.run import errors_of
+from research.judge.run import errors_of, shipped
 from research.judge.score import paired, parts_of_table, ratio_of, score_of
 
 ROW = np.array([2.0, 1.0, 0.1, 0.2, 0.05, 0.3, 0.5, 0.2, 3.0, 4000.0, 5.0, 0.05])
@@ -198,6 +198,16 @@ def test_draws_depend_on_robot_family_and_number_alone() -> None:
     assert plant_of(first).world.friction.tobytes() == plant_of(again).world.friction.tobytes()
     assert first.true.mass == again.true.mass
     assert len({first.said["delay"], *(other.said["delay"] for other in others)}) == 4
+
+
+@pytest.mark.parametrize("name", ["feedforward", "learned", "pd_gravity"])
+def test_rotors_are_told(name: str) -> None:
+    """What a controller knows of the robot are its parameters with the rotors of the arm, without anything true."""
+    draw = draw_of("platform_arm", "dev", 1)
+    rotors = draw.robot.model.armature[draw.robot.arm_index]
+    assert (rotors > 0.0).all() and not np.isin(rotors, draw.said["rotor"]).any()
+    asked = load("platform_arm").with_armature(rotors)
+    np.testing.assert_array_equal(shipped(name, draw.robot).theta, parameters(asked))
 
 
 def test_draws_are_within_what_is_written() -> None:
