@@ -218,9 +218,11 @@ def new_integrator(context: Context, K: Array, rate: float, layout: IntArray) ->
 
 
 @internal
-def go_on(row: Array, at: IntArray, o: Integral) -> None:
-    """The integral of this sample is that of the next one of the last; its errors are those before."""
+def go_on(row: Array, at: IntArray, a: Integrator, o: Integral) -> None:
+    """The integral of this sample is that of the next one of the last, and the error, too; one that is kept, stays."""
     copy_to(o.integral, o.used)
+    if a.rate[0] == 0.0:
+        return
     if row[at[TIME]] != o.instants[0]:
         copy_to(o.error[0], o.error[1])
         o.instants[1] = o.instants[0]
@@ -232,7 +234,7 @@ def go_on(row: Array, at: IntArray, o: Integral) -> None:
 def integral(row: Array, at: IntArray, a: Integrator, state: Array) -> None:
     """Psi_hat = I and the gain of one sample; arguments as of `law.estimate`."""
     o, squares = integral_of(state, a.layout), 0.0
-    go_on(row, at, o)
+    go_on(row, at, a, o)
     for i in range(o.used.size):
         row[at[PSI_HAT] + i], row[at[EFFECTIVE_GAIN] + i] = o.used[i], a.K[i]
         squares += o.used[i] * o.used[i]

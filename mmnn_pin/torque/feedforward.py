@@ -92,7 +92,7 @@ def forward(row: Array, at: IntArray, a: Forward, state: Array) -> None:
     """Psi_hat of one sample, feedforward and integral, and the gain; arguments as of `law.estimate`."""
     own, squares = a.integrator, 0.0
     o = integral_of(state, own.layout)
-    go_on(row, at, o)
+    go_on(row, at, own, o)
     nb, pose, q = a.known.base, row[at[POSE] : at[POSE + 1]], row[at[Q] : at[Q + 1]]
     for i in range(o.used.size):
         a.nu[i], _ = desired_rates(row, at, i)

@@ -26,7 +26,7 @@ outside is scaled back, which need not. Psi_hat is bounded by the motors' limits
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ..by_address import by_address
 from ..compiled import copy_to, inlined, internal, linked
@@ -306,7 +306,7 @@ def predict(a: Linear, o: Parts) -> None:
 
 
 @internal
-def heed(a: Linear, o: Parts) -> None:
+def heed(a: Any, o: Any) -> None:
     """Whether the robot has just changed, by the errors of the equations ahead of their update, into o.counts[3].
 
     What the low-pass remembers is then of another robot, and is dropped.
@@ -330,14 +330,14 @@ def heed(a: Linear, o: Parts) -> None:
 
 
 @internal
-def forget_load(a: Linear, o: Parts) -> None:
+def forget_load(a: Any, o: Any) -> None:
     """Give what the robot carries its prior variance back."""
     for j in range(a.carrying.size):
         drift(a, o, a.carrying[j], 1.0)
 
 
 @internal
-def drift(a: Linear, o: Parts, place: int, part: float) -> None:
+def drift(a: Any, o: Any, place: int, part: float) -> None:
     """Add a part of the prior variance at a place, as far as there is room below the prior."""
     room = o.prior[place] - variance(o.U, o.D, place)
     added = min(part * o.prior[place], room)

@@ -75,7 +75,7 @@ def twist(row: Array, at: IntArray, a: Twisting, state: Array) -> None:
     """Psi_hat of one sample, root and integral, and the gain; arguments as of `law.estimate`."""
     own, squares = a.integrator, 0.0
     o, z, r = integral_of(state, own.layout), row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
-    go_on(row, at, o)
+    go_on(row, at, own, o)
     for i in range(o.used.size):
         s = z[i] if i < z.size else r[i - z.size]
         own.beside[i] = a.slope[i] * s * math.sqrt(a.layer / max(abs(s), a.layer))

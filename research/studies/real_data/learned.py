@@ -128,7 +128,8 @@ def along(learner: Learner, state: ControllerState) -> Callable[[Stretch], Array
 
 def modelled(found: Identification, stretch: Stretch) -> Array:
     """Torques of the identified model along a stretch, (N, r)."""
-    return np.asarray(found.unknowns.matrix(stretch.q, stretch.nu, stretch.nudot) @ found.theta)
+    Y = found.unknowns.matrix(stretch.q, stretch.nu, stretch.nudot)
+    return np.where(found.follows, Y @ found.theta, np.einsum("mrk,rk->mr", Y, found.friction))
 
 
 def friction(found: Identification, stretch: Stretch) -> Array:
@@ -215,8 +216,8 @@ def blocks(motion: Motion) -> IntArray:
 def residuals(found: Identification, learned: Motion, judged: Motion) -> tuple[dict[str, Array], list[str]]:
     """Predictions of the judged motion by kind of features, (M, r) each, and what was chosen for every joint."""
     training, block = learned.stacked, blocks(learned)
-    rest = training.y - training.Y @ found.theta
-    base = judged.stacked.Y @ found.theta
+    rest = training.y - found.predicted("identified", training)
+    base = found.predicted("identified", judged.stacked)
     made = {f"identified + {kind}": base.copy() for kind in FEATURES}
     best, chosen = [""] * base.shape[1], base.copy()
     least = [float((rest[training.use[:, i], i] ** 2).sum()) for i in range(base.shape[1])]

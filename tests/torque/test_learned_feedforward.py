@@ -1,0 +1,142 @@
+"""The default learner: it starts as feedforward; its estimate against a dense filter; what counts of it; its gain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
+from numba import config
+from robots import fixed_arm, mobile_arm
+
+from mmnn_pin import Feedback, load_experiment
+from mmnn_pin.errors import ConfigError
+from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.signals import Layout
+from mmnn_pin.torque.controller import Context
+from mmnn_pin.torque.feedforward import Feedforward, FeedforwardSettings, forward
+from mmnn_pin.torque.learned import (
+    MOVES,
+    LearnedFeedforward,
+    LearnedParts,
+    LearnedSettings,
+    feed_forward,
+    predict,
+    share,
+)
+
+H = 1e-3
+
+
+def bench(robot, kind=LearnedFeedforward, settings=LearnedSettings, **own):
+    """Dimensions, numbers and state of a controller with a file whose masses are a fifth too large."""
+    layout, n = Layout.of(robot.dimensions), robot.dimensions.arm
+    K = Feedback(300.0 if robot.dimensions.base else None, tuple(np.linspace(5.0, 9.0, n)))
+    theta = parameters(robot.with_masses(1.2))
+    controller = kind(feedback=K, settings=settings(rate=20.0, **own), motion=Regressor.of(robot), theta=theta)
+    context = Context(layout, H, 10)
+    state = controller.init(context)
+    return layout, controller.law(context).learner, state
+
+
+@pytest.mark.parametrize("robot", [mobile_arm(3), fixed_arm(4)], ids=["mobile", "fixed"])
+def test_before_it_has_learned_it_is_feedforward(robot):
+    layout, a, state = bench(robot)
+    _, b, theirs = bench(robot, Feedforward, FeedforwardSettings)
+    o, rng = state.view(LearnedParts), np.random.default_rng(0)
+    row, other = layout.new_row(), layout.new_row()
+    for _ in range(3):
+        row[:] = other[:] = rng.standard_normal(row.size)
+        feed_forward(row, layout.offsets, a, o)
+        forward(other, layout.offsets, b, theirs.values)
+        psi = other[layout.where("psi_hat")]
+        np.testing.assert_allclose(row[layout.where("psi_hat")], psi, rtol=1e-10, atol=1e-10 * np.abs(psi).max())
+
+
+def test_its_estimate_is_that_of_a_dense_filter_and_stands_where_a_velocity_stands():
+    """`W += P phi e / (R + phi' P phi)` row by row with a dense P; the second velocity does not move."""
+    _, a, state = bench(fixed_arm(3), drift=0.0, change=0.0, load=0.0)
+    o, rng, K = state.view(LearnedParts), np.random.default_rng(1), a.gain
+    W, P, still = o.W[0].copy(), np.diag(o.D), 1
+    o.moving[:] = 1.0
+    o.moving[still] = 0.99 * MOVES
+    beyond_said, said_square = np.zeros(3), np.zeros(3)
+    for _ in range(20):
+        Phi, Y = rng.standard_normal((3, W.size)), 10.0 * rng.standard_normal(3)
+        o.filtered.Phi_f[:], o.filtered.Y_f[:], o.counts[6] = Phi, Y, float(a.every)
+        predict(a, o)
+        for i in (0, 2):
+            phi = Phi[i] / K[i]
+            said, beyond = (W - a.theta0) @ phi, Y[i] / K[i] - a.theta0 @ phi
+            beyond_said[i] = a.forget * beyond_said[i] + beyond * said
+            said_square[i] = a.forget * said_square[i] + said**2
+            gain = P @ phi / (a.noise + phi @ P @ phi)
+            W = W + gain * (Y[i] / K[i] - W @ phi)
+            P = P - np.outer(gain, phi @ P)
+    np.testing.assert_allclose(o.W[0], W, rtol=1e-6, atol=1e-9 * np.abs(W).max())
+    expected = np.clip(beyond_said[[0, 2]] / said_square[[0, 2]], 0.0, 1.0)
+    np.testing.assert_allclose([share(o, 0), share(o, 2)], expected, rtol=1e-6)
+    assert share(o, still) == 0.0
+
+
+@pytest.mark.parametrize(("factor", "expected"), [(2.0, 1.0), (1.0, 1.0), (0.4, 0.4), (-1.0, 0.0)])
+def test_what_was_learned_counts_as_far_as_it_has_predicted(factor, expected):
+    """Measured torque is the file's, and `factor` times what was learned: that part of it is said."""
+    layout, a, state = bench(fixed_arm(3), noise=1e6)  # so sure of nothing that it learns no more
+    o, rng = state.view(LearnedParts), np.random.default_rng(2)
+    o.moving[:] = 1.0
+    learned = 0.3 * rng.standard_normal(a.theta0.size)
+    o.W[0] = a.theta0 + learned
+    for _ in range(50):
+        Phi = rng.standard_normal((3, learned.size))
+        o.filtered.Phi_f[:], o.filtered.Y_f[:], o.counts[6] = Phi, Phi @ (a.theta0 + factor * learned), float(a.every)
+        predict(a, o)
+    row = layout.new_row()
+    row[:] = rng.standard_normal(row.size)
+    feed_forward(row, layout.offsets, a, o)
+    said = a.Phi @ (a.theta0 + expected * learned)
+    np.testing.assert_allclose(row[layout.where("psi_hat")], said, rtol=1e-5, atol=1e-5 * np.abs(said).max())
+
+
+def test_engines_batch_resumption_and_freezing():
+    loop = made("learned")
+    run = assert_engines_agree(loop)
+    assert np.ptp(run.weights["theta"], axis=0).max() > 0.0
+    assert_it_resumes(loop, loop.timing.duration / 2)
+    assert_frozen(loop)
+
+
+def test_a_look_ahead_leaves_the_integral_as_it_is():
+    """The integral after a run in which Psi_hat leads is that of its errors: `rate K (e + k int e)`."""
+    loop = made("feedforward", "lead=true", "feedforward.rate=20")
+    run, h = loop.run(), loop.timing.control_period
+    e, own = run["e"], run["r"] - run["edot"]
+    n = len(e)
+    gathered = h * own.sum(axis=0) + e[n - 1] - e[0] + h * run["edot"][0]
+    state = loop.controller.init(loop.context())
+    state.values[:] = run.final["controller_state"]
+    K = loop.controller.feedback.vector(loop.robot.dimensions)[-e.shape[1] :]
+    np.testing.assert_allclose(state["integral"][-e.shape[1] :], 20.0 * K * gathered, rtol=1e-9)
+
+
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="seconds of control samples")
+@pytest.mark.parametrize("said", [["masses=1.2"], ["friction.coulomb=1.0", "friction.arm=0.5"]])
+def test_it_ends_with_less_error_than_feedforward(said):
+    """Seconds 6 to 10 on a fixed arm whose file is wrong: masses, or friction that it does not know."""
+    experiment = load_experiment("track", ["robot=panda", *said])
+    robot = experiment.load_robot()
+    errors = {}
+    for name in ("feedforward", "learned"):
+        run = experiment.loop(robot, experiment.controller(name, robot=robot)).run()
+        assert run.outcome.status == "completed"
+        errors[name] = np.sqrt(np.mean(run["true_e"][6000:] ** 2))
+    assert errors["learned"] < 0.6 * errors["feedforward"]
+
+
+def test_its_table_is_one_of_an_experiment():
+    experiment = load_experiment("track", ["learned.noise=0.1", "learned.rate=7"])
+    own = experiment.controller("learned", robot=experiment.load_robot()).settings
+    assert (own.noise, own.rate) == (0.1, 7.0)
+    with pytest.raises(ConfigError) as error:
+        load_experiment("track", ["learned.noise=0.0"])
+    assert error.value.key == "learned.noise"
