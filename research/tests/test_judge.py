@@ -271,6 +271,7 @@ def test_scores_of_a_hand_made_example() -> None:
     # ratios: 0.5, 1.5, lost, both lost, 0
     assert (score.draws, score.better, score.median, score.worst) == (5, 0.5, 0.5, math.inf)
     assert (score.lost, score.alone) == (2, 1)
+    assert (score.arm, score.base) == (1.0, 0.25)  # of 0, 1, 1.5, lost; of 0, 0.25, lost
     assert score_of(paired(baseline, "feedforward")).better == 0.0
 
 
@@ -339,7 +340,7 @@ def test_page_has_the_scores_between_its_markers(tmp_path: Any) -> None:
         publish(made, page)
         found = page.read_text(encoding="utf-8")
         assert "old" not in found and found.endswith("end\n")
-        assert "| `learned` | 50 | 0.500 | lost | lost | 1 | 1 |" in found
+        assert "| `learned` | 50 | 0.500 | lost | lost | 1 | 1 | 1.00 | 0.250 |" in found
         assert "| median ratio | 0.5 or less | 0.500 |" in found
         assert "6 runs of 2 controllers on 4 draws of 1 robots, 3.0 hours" in found
     table = page.with_suffix(".csv").read_text(encoding="utf-8").splitlines()
