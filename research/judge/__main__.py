@@ -176,7 +176,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         run_missing(todo, file, options.workers)
     keys = {key for one in wanted for key in keys_of(one)}
     rows = [row for row in kept(file) if key_of(row) in keys]
-    if options.publish:
+    if options.publish and (left := sum(len(one[4]) for one in missing(rows, wanted))):
+        print(f"not published: {left} runs are missing, the same command goes on", file=sys.stderr)
+    elif options.publish:
         publish(rows)
     for plant in options.plants:
         for part, tables in parts_of_table([row for row in rows if row["plant"] == plant]).items():
