@@ -6,7 +6,7 @@
 
 The old version is checked out beside this one, installed into an environment of its own, and both make the same runs on
 this machine: every controller, both engines, the contact plant, imperfect hardware, chapters 4 and 5, a batch, resumed
-runs, `prove`, `contest` and the robots' matrices. Datasets are compared bit for bit, with a table of those that were
+runs, `prove` and the robots' matrices. Datasets are compared bit for bit, with a table of those that were
 renamed; attributes, keys and texts are not compared, and what is measured in seconds of the machine's time is left out.
 Exit status 0 when nothing differs, 1 when something does.
 
@@ -37,11 +37,8 @@ from contextlib import suppress
 from mmnn_pin.cli import main, mmnn
 given = sys.argv[1:]
 with suppress(ImportError):  # before it stood beside the package
-    from research.contest.command import contest
     from research.prove import prove
     mmnn.add_command(prove)
-    mmnn.add_command(contest)
-    given = given[1:] if given[:2] == ["run", "contest"] else given
 sys.exit(main(given))
 """
 # Datasets that were renamed: old name to new name.
@@ -100,8 +97,6 @@ def cases() -> dict[str, list[str]]:
             ]
     found["eight"] = ["run", "eight", "--controller", "two_layer", "--controller", "concurrent", *SHORT, "--out", "OUT"]
     found["certified"] = ["run", "certified", "--set", "time.duration=2.0", "--out", "OUT"]
-    contest = ["--controller", "two_layer", "--controller", "adaptive_composite", "--set", "contest.seeds=1"]
-    found["contest"] = ["run", "contest", "--case", "printed", *contest, "--out", "OUT", "--json"]
     for name in ("two_layer", "adaptive_composite", "concurrent", "kalman_bilinear", "two_layer_composite"):
         found[f"prove {name}"] = ["prove", f"PREVIOUS/track {name}/{name}.h5", "--json"]
     for robot in ("platform_arm", "tiago"):

@@ -30,7 +30,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 ELSEWHERE, NO_FILE = "choose another place", "it is no plain file"
 CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
 LONGEST, DEEPEST = 1_000_000, 32  # bytes of a TOML file; levels of its tables and lists
-LARGEST = 500_000_000  # bytes of tables of numbers: logs, trajectories, rows of a contest
+LARGEST = 500_000_000  # bytes of tables of numbers: logs, trajectories
 MOST = 100_000_000_000  # bytes of any file
 TOML = "mend it: lines are key = value, texts stand in quotes, every bracket is closed"
 PART = r"(?:\"[^\"\n]*+\"|'[^'\n]*+'|[\w-]++)"  # of a key

@@ -1,4 +1,4 @@
-"""What judges the thesis or proves a theorem: proofs and certificates, the contest, studies. See README.md."""
+"""What judges the thesis or proves a theorem: proofs and certificates, the judge, studies. See README.md."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ COMMANDS = {
     "excite": "excite two_axis_arm --duration 10 --seconds 0 --out {out}/a.csv",
     "embed": "embed track --controller pd --no-check --steps 3 --out {out}/c",
 }
-GROWING = ("run", "contest", "study", "one row of a study", "tune")  # these keep what was done before
+GROWING = ("run", "study", "one row of a study", "tune")  # these keep what was done before
 SAYING = ("list", "export run.h5 --to csv --out {out}", "run x.toml --out {out}")
 # Those of the default tests are the other ones: these write, and go on, with the same functions.
 LONG = ("plot as svg", "report of a study", "judge", "excite", "embed")

@@ -30,7 +30,7 @@ READ = (
     "--without-load",
     "--package-dir",
 )  # paths that commands only read
-KEEPING = ("contest", "study", "tune")  # the same command goes on with what is there
+KEEPING = ("study", "tune")  # the same command goes on with what is there
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Output of the commands, their exit codes, and the runs, studies and contests that paths hold.
+"""Output of the commands, their exit codes, and the runs and studies that paths hold.
 
 Results go to standard output, all else to standard error. A path may hold a recording, a folder of recordings, a study
 or what else a folder may hold.

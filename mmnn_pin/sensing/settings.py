@@ -32,6 +32,8 @@ from .effects import (
     WheelOdometry,
 )
 
+LARGEST_NOISE = 4.0  # standard deviations
+
 
 class Sensor(Settings, frozen=True):
     """Encoders, derivative, odometry, noise and the line to the controller; exact by default.
@@ -49,7 +51,7 @@ class Sensor(Settings, frozen=True):
             estimates angles, too. All but "true" take the base's velocity from its wheels, and from what they steer by.
         bandwidth: wc of the filter and of the observers [rad/s].
         pose: "true", or "odometry": integrated from the wheels' encoders, so that it drifts when they slip.
-        noise: Standard deviation of the arm's encoders [rad or m].
+        noise: Standard deviation of the arm's encoders [rad or m]. No noise is larger than `LARGEST_NOISE` deviations.
         wheel_noise: Of the wheels' encoders [rad].
         steering_noise: Of those on steering, casters and hitches [rad].
         velocity_noise: Of the velocities as they are sent, one number or one per velocity [m/s, rad/s].
@@ -236,9 +238,13 @@ def steered_rows(robot: Robot, places: IntArray, rolls: Array, W: Array, path: A
 
 
 def drawn(rng: np.random.Generator, count: int, sizes: tuple[int, ...]) -> tuple[Array, ...]:
-    """Random numbers of `count` measurements: normal ones, (count, size) of every size, and two uniform, (count, 2)."""
+    """Random numbers of `count` measurements: normal ones, (count, size) of every size, and two uniform, (count, 2).
+
+    Of 16,000 normal numbers one is beyond `LARGEST_NOISE`, and becomes that: proofs count with bounded noise.
+    """
     normal, uniform = rng.spawn(2)
-    parts = np.split(standard_normal(normal, (count, sum(sizes))), np.cumsum(sizes)[:-1], axis=1)
+    bounded = np.clip(standard_normal(normal, (count, sum(sizes))), -LARGEST_NOISE, LARGEST_NOISE)
+    parts = np.split(bounded, np.cumsum(sizes)[:-1], axis=1)
     return *(np.ascontiguousarray(part) for part in parts), uniform.random((count, 2))
 
 

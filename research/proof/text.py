@@ -9,6 +9,7 @@ from mmnn_pin.lab.psi.learner import NAMES
 from mmnn_pin.lab.psi.rate import Rate
 from mmnn_pin.lab.show.psi import learned_parts, notes, small, words
 from mmnn_pin.lab.show.table import WIDTH, Cell, Column, Row, Table, TextLine, number, row_of, terminal_text
+from mmnn_pin.sensing.settings import LARGEST_NOISE
 from mmnn_pin.shown import shows
 
 from .balance import TOLERANCE, Balance
@@ -297,8 +298,8 @@ def tube_sentence(tube: Tube) -> str:
         bears = f" It bears {left} times such errors." if tube.share.max() > RIGHT else ""
         return (
             f"Tube along this reference: holds from {tube.start:.3g} s on. A motion that is where the run was then, "
-            f"with errors of Psi no larger than the run's ({psi}{late}), stays within these bounds.{bears} Motors give "
-            f"at most {100 * tube.torque.max(initial=0.0):.3g} % of their limits."
+            f"with errors of Psi no larger than the run's ({psi}{late}), stays within these bounds.{bears} "
+            f"{pushes_sentence(tube)} Motors give at most {100 * tube.torque.max(initial=0.0):.3g} % of their limits."
         )
     if math.isfinite(tube.start):
         return f"Tube along this reference: NONE: a motor may be asked for {tube.torque.max():.3g} times its limit."
@@ -312,6 +313,14 @@ def tube_sentence(tube: Tube) -> str:
         f"Tube along this reference: NONE: with the run's errors of Psi ({psi}{late}) nothing is bounded; "
         f"{number(tube.bears)} times these would have one in the run's second half."
     )
+
+
+def pushes_sentence(tube: Tube) -> str:
+    """Under which pushes there still is a tube."""
+    if not any(tube.pushes.values()):
+        return "It bears no pushes but the run's, so it is of one motion."
+    each = ", ".join(f"{name} {number(most)}" for name, most in tube.pushes.items())
+    return f"It bears pushes of up to these sizes, all at once [N, N m]: {each}."
 
 
 def proved_sentence(tube: Tube) -> str:
@@ -329,9 +338,10 @@ def proved_sentence(tube: Tube) -> str:
     if not proof.exists:
         return f"With errors of Psi that are proved a motor may be asked for {proof.torque.max():.3g} times its limit."
     return (
-        f"Proved from {proof.start:.3g} s on, for every motion in the tube: the learner's error of Psi is at most "
-        f"{psi}, and these bounds hold. {proof.note}Assumed: the robot of the run, and noise of velocities "
-        "of at most 4 standard deviations. Nothing is sampled but the size of rounding."
+        f"Proved from {proof.start:.3g} s on, for every motion that is then where the run was: the learner's error of "
+        f"Psi is at most {psi}, and these bounds hold. {pushes_sentence(proof)} {proof.note}Assumed: the robot of the "
+        f"run, and noise of velocities of at most {LARGEST_NOISE:g} standard deviations, which no simulated sensor "
+        "exceeds. Nothing is sampled but the size of rounding."
     )
 
 

@@ -50,6 +50,7 @@ class Tube:
         share: (p,) the same over the largest Psi of the run.
         bears: Factor on the run's errors of Psi up to which there is a tube; 0 for none, inf beyond what was looked at,
             NaN for errors that are proved.
+        pushes: Velocity to the largest further push on it under which there is a tube, all at once [N, N m].
         integrator: (m + p,) what the plant does in a period otherwise than exact motion without dry friction's changes.
         late: Periods by which commands are late.
         blame: What stands in the way of a proof where there is none: what errs most, and what to change.
@@ -67,6 +68,7 @@ class Tube:
     eps: Array
     share: Array
     bears: float
+    pushes: dict[str, float]
     integrator: Array
     late: int
     blame: str = ""
@@ -96,6 +98,7 @@ class Tube:
             "psi_error": [finite(v) for v in self.eps],
             "psi_error_share": [finite(v) for v in self.share],
             "bears": finite(self.bears),
+            "pushes": self.pushes,
             "commands_late": self.late,
             "in_the_way": self.blame,
             "proved": self.unproved if self.proof is None else self.proof.to_dict(),
@@ -185,6 +188,7 @@ def tube_from(search: Search, progress: Told) -> Tube:
     eps, reached = errors.max(axis=0), np.abs(search.reached[:, told])
     time = periods.subject.signal("time")[:, 0]
     largest = np.abs(periods.subject.signal("psi")).max(axis=0)
+    pushes = search.pushes(first) if there else np.zeros(periods.layout.dof)
     return Tube(
         start=float(time[search.starts[begin]]) if there else np.inf,
         time=time[search.ends[since]],
@@ -195,6 +199,7 @@ def tube_from(search: Search, progress: Told) -> Tube:
         eps=eps,
         share=eps / np.maximum(largest, 1e-300),
         bears=search.bears(begin) if isinstance(search.errors, Observed) else np.nan,
+        pushes=dict(zip(periods.robot.velocity_names, pushes.tolist(), strict=True)),
         integrator=search.integrator[begin],
         late=search.late,
         blame="" if there else search.blame(begin),

@@ -21,6 +21,7 @@ BLOCKS = 100  # of the run
 ROUNDS, AHEAD = 12, 1.2  # of tube and remainder; times what was found is tried next
 LOST = 2.0  # [m, rad] of error: no tube
 FACTORS = np.geomspace(1e-3, 1e3, 25)  # on the error of Psi, for how much is borne
+PUSHES = np.geomspace(1e-7, 10.0, 33)  # over the gains [m/s, rad/s], likewise
 Told = Callable[[float], None]
 
 
@@ -178,6 +179,22 @@ class Search:
             middle = (low + high) // 2
             low, high = (middle, high) if self.exists(first, float(FACTORS[middle])) else (low, middle)
         return 0.0 if low < 0 else float(FACTORS[low]) if high < len(FACTORS) else np.inf
+
+    def pushes(self, first: int) -> Array:
+        """(p,) pushes, all at once and alike over the gains, under which there is a tube from a block on; 0 for none.
+
+        They come beside those that are counted already [N, N m].
+        """
+        low, high, gain = -1, len(PUSHES), self.periods.gain
+        while high - low > 1:
+            middle = (low + high) // 2
+            pushed = copy(self)
+            pushed.force = self.force + PUSHES[middle] * gain
+            if not isinstance(self.errors, Observed):
+                pushed = pushed.proved()
+            there = pushed.exists(first) and (pushed.torques(first) < 1.0).all()
+            low, high = (middle, high) if there else (low, middle)
+        return np.asarray((PUSHES[low] if low >= 0 else 0.0) * gain)
 
     def torques(self, first: int) -> Array:
         """(motors,) largest torque in a tube over the motors' limits; 0 without limits."""

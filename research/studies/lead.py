@@ -1,6 +1,6 @@
 """What the lead of Psi_hat does to error, noise and delay margin: `python -m research.studies.lead`.
 
-Every controller drives the contest's eight with and without it, with the sensors' noise and without. Noise is what the
+Every controller drives `eight` with and without it, with the sensors' noise and without. Noise is what the
 sensors' noise adds to the torque: the standard deviation, over the gain K, of its change from sample to sample. The
 margin of `extrapolated` is that of `Psi_k + (Psi_k - Psi_k-1) / 2`, which takes the feedback inside Psi ahead, too.
 """

@@ -2,8 +2,6 @@
 
 import research.show  # noqa: F401
 from mmnn_pin.cli import mmnn
-from research.contest.command import contest
 from research.prove import prove
 
-for _command in (prove, contest):
-    mmnn.add_command(_command)
+mmnn.add_command(prove)

@@ -23,11 +23,9 @@ from test_radii import loop_with as rolling
 from mmnn_pin import Neural, Recording, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.lab.experiments.cases import with_case
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.classical import PID
-from research.contest.settings import load_contest
 from research.proof.certified_loop import refusal
 from research.proof.certified_run import prove
 from research.proof.linear import linear_fit
@@ -82,11 +80,6 @@ def test_a_proof_takes_the_lead_out_of_the_feedback(compiled):  # noqa: F811
     np.testing.assert_allclose(found["feedback"], -(K * s**2).sum(axis=1), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found["lead"], (s * (run["psi_hat"] - run["psi_applied"])).sum(axis=1), atol=1e-12)
     assert np.abs(found["lead"]).max() > 0
-
-
-def test_all_of_the_contest_take_the_motors_limits():
-    contest = load_contest()
-    assert all(with_case(contest, case).learning.within_limits for case in contest.cases)
 
 
 @pytest.mark.parametrize("which", ["two_layer", "one_layer"])

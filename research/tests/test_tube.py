@@ -5,6 +5,7 @@ Periods against exact motions, sums against the worst signs, and a search for a 
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -193,6 +194,23 @@ def test_learning_gives_a_tube_where_a_plain_controller_has_none(learned: Record
     assert not plain.exists and plain.bears < 1.0 and "NONE" in tube_sentence(plain)
     assert (found.size[-1] < found.size.max(axis=0)).all()
     assert told.holds and told.to_dict()["certificate"]["tube"]["exists"] and "Tube along" in str(told)
+
+
+@compiled
+def test_the_pushes_that_are_printed_are_borne_and_twice_as_large_ones_are_not(search: Search) -> None:
+    """A search of the worst signs of pushes and errors of Psi stays in their tube; there is none for twice of them."""
+    first = search.first(lambda share: None)
+    most, pushed = search.pushes(first), copy(search)
+    assert most.min() > 0 and np.ptp(most / search.periods.gain) < 1e-12
+    pushed.force = 2 * most
+    assert not pushed.exists(first)
+    pushed = copy(search)
+    pushed.force = most
+    size, eps = pushed.found(first)
+    assert np.isfinite(size).all() and (size[-1] > search.size(first)[-1]).all()
+    reached = attacked(pushed, first, len(search.ends) - 1, 4, eps + most)
+    assert within(pushed, first, reached, size)
+    assert not within(search, first, reached, search.size(first))  # they count
 
 
 @compiled

@@ -19,6 +19,7 @@ from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop.hardware import pass_through
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.sensing import Sensor
+from mmnn_pin.sensing.settings import drawn
 from mmnn_pin.signals import Layout, Measurement
 from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.model_based import ComputedTorque
@@ -175,6 +176,14 @@ def test_noise_has_the_deviation_asked_for_and_follows_the_seed():
         assert (a[name] != c[name]).any()
         centred = a[name] - a[name].mean(axis=0)
         np.testing.assert_allclose(centred.std(axis=0), np.broadcast_to(deviation, centred.shape[1]), rtol=0.15)
+
+
+def test_no_noise_is_beyond_four_deviations_and_all_other_noise_is_as_drawn():
+    (found,) = drawn(np.random.default_rng(5), 100_000, (3,))[:1]
+    plain = np.random.default_rng(5).spawn(2)[0].standard_normal((100_000, 3))
+    beyond = np.abs(plain) > 4.0
+    assert 5 < beyond.sum() < 50 and (np.abs(found[beyond]) == 4.0).all()
+    np.testing.assert_allclose(found[~beyond], plain[~beyond], rtol=4e-16)
 
 
 def test_every_velocity_may_have_noise_of_its_own():

@@ -298,22 +298,3 @@ def features_of(learner: Learner, rows: Array) -> list[Network]:
     if not isinstance(regressor, Regressor) or regressor.size != k or outputs == 1:
         return [Network.of("all", "features", weights, excitation(table), lacks.get("all"))]
     return [Network.of("all", "regressor", weights, excitation(table @ regressor.unit(), EXCITED), lacks.get("all"))]
-
-
-def not_excited(name: str, result: dict[str, Unknown]) -> list[str]:
-    """A finding on the worst network of a learner that its run did not excite; none where it did."""
-    weak = [one for one in result.items() if not one[1].excited]
-    if not weak:
-        return []
-    part, worst = max(weak, key=lambda one: (2 * one[1].acting < one[1].units, one[1].share))
-    whose = "" if part == "all" else f" of its {part}'s network"
-    why = (
-        f"the run leaves {worst.share:.0%} of what random motion shows{whose} undetermined; what it learned tracks the "
-        "motions of this run and is no knowledge of others"
-    )
-    if 2 * worst.acting < worst.units:
-        why = (
-            f"the {worst.units} units{whose} act as {worst.acting} on random motion, so no motion determines its "
-            "weights"
-        )
-    return [f"{name}: not excited: {why}"]

@@ -23,12 +23,12 @@ from ...model.robot import Robot, carrying
 from ...recording.reading import AGAIN
 from ...recording.recording import Recording, recorded_robot
 from ...sensing import Sensor, exact
+from ...sensing.settings import LARGEST_NOISE
 from ...settings import Timing
 from ...signals import Array, Layout
 from ...torque.neural import Neural
 from .learner import Learner, NetworkLearner, recorded_learner
 
-NOISE = 4.0  # standard deviations that noise is bounded by
 MOST_STEPS = 10_000  # of the plant in a control period
 LARGEST = 1e50  # what a robot's signals stay below; its square can be counted with
 NEEDED = ("time", "position", "nu", "nu_ref", "nudot_ref", "psi", "psi_hat", "robust", "torque")
@@ -137,8 +137,8 @@ class Subject:
 
     @property
     def velocity_noise(self) -> Array:
-        """(p,) what the noise of the measured velocities is bounded by: `NOISE` standard deviations."""
-        return NOISE * (np.zeros(self.layout.dof) + np.asarray(self.sensor.velocity_noise, float))
+        """(p,) what the noise of the measured velocities is bounded by: `LARGEST_NOISE` standard deviations."""
+        return LARGEST_NOISE * (np.zeros(self.layout.dof) + np.asarray(self.sensor.velocity_noise, float))
 
     @property
     def motors_lag(self) -> bool:

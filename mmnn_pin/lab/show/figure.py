@@ -1,7 +1,7 @@
 """Register, looks of controllers, marks, limits, legend and files of all figures.
 
 A figure is a function with one line above it: `@figure("name")`. `mmnn plot`, an experiment's `plots`, the notebook and
-the pages of contests and studies find it by that name.
+the pages of studies find it by that name.
 
 Colours are from Okabe and Ito's palette, which colour-blind eyes tell apart; the dashes survive a print in grey.
 matplotlib is imported when the first figure is made, and never its state machine pyplot: no display is needed.

@@ -1,6 +1,6 @@
 """A table as data, and how a terminal shows it; the pages have a macro of their own for the same data (`table.html`).
 
-What makes a table (a comparison, a contest, a study, a proof) says what stands in its cells and which of them are good
+What makes a table (a comparison, a study, a proof) says what stands in its cells and which of them are good
 or bad. It knows nothing of colours, widths or tags.
 """
 

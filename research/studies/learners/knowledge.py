@@ -11,17 +11,17 @@ instead. docs/explanation/learners.md has the tables.
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from time import process_time
+from typing import Any
 
 import numpy as np
 
 from mmnn_pin import Loop, Recording, load_experiment
+from mmnn_pin.lab.psi.learner import Learner, LearnerStepper
 from mmnn_pin.lab.psi.psi import fvu
 from mmnn_pin.signals import Array, Layout
 from mmnn_pin.torque.controller import ControllerState
-from research.contest.task import frozen
-from research.contest.trial import psi_hat_along
 
 
 def sine(*parts: tuple[float, float]) -> str:
@@ -70,10 +70,32 @@ def rows_of(run: Recording, layout: Layout) -> Array:
     return rows
 
 
+def psi_hat_along(loop: Loop, layout: Layout, state: ControllerState, rows: Array) -> Array:
+    """Psi_hat of the controller of a loop, step by step along rows (N, width); (N, p) [N, N m].
+
+    It is what the weights say, before the motors' limits take of it.
+
+    Args:
+        loop: Of the controller, which learns from the rows unless it is frozen.
+        layout: Of the rows; they may lack what the loop's hardware adds.
+        state: What it remembers, changed in place.
+        rows: The rows; they are not changed.
+    """
+    context = replace(loop.context(), layout=layout)
+    stepper = LearnerStepper(Learner(loop.controller, context, state, state, 0.0, loop.believed), state)
+    found = np.zeros((len(rows), layout.dof))
+    for n, row in enumerate(rows):
+        stepper.step(row)
+        found[n] = stepper.known
+    return found
+
+
 def frozen_fvu(learned: Loop, state: ControllerState, rows: Array) -> float:
     """FVU of a learner that no longer learns, mean of the components."""
     layout = Layout.of(learned.robot.dimensions)
-    told = psi_hat_along(replace(learned, controller=frozen(learned.controller)), layout, state.snapshot(), rows)
+    learner: Any = learned.controller
+    still = replace(learner, learning=False) if any(f.name == "learning" for f in fields(learner)) else learner
+    told = psi_hat_along(replace(learned, controller=still), layout, state.snapshot(), rows)
     return float(fvu(rows[250:, layout.where("psi")], told[250:]).mean())
 
 

@@ -13,9 +13,7 @@ from proofs import SLOW, learner, loop_of
 from mmnn_pin import LearningLaw
 from mmnn_pin.lab.psi.excitation import (
     NOISE,
-    Unknown,
     left,
-    not_excited,
     random_motion,
     signals_for,
     tangents,
@@ -110,19 +108,6 @@ def test_it_is_the_variance_that_least_squares_leave_and_does_not_know_units(see
     assert left(run @ Q, random @ Q)[0] == pytest.approx(share, rel=1e-6)
     units = np.array([1e3, 1e-2])[:, None]
     assert left(run * units, random * units)[0] == pytest.approx(share, rel=1e-6)
-
-
-def test_what_is_said():
-    bad, good, few = Unknown(0.7, 100, 20, 22), Unknown(0.1, 100, 20, 22), Unknown(0.0, 6, 2, 22)
-    assert not_excited("net", {"base": good, "arm": good}) == [] and not_excited("net", {}) == []
-    assert (
-        "leaves 70% of what random motion shows of its arm's network"
-        in not_excited("net", {"base": good, "arm": bad})[0]
-    )
-    assert "the 22 units of its base's network act as 2" in not_excited("net", {"base": few, "arm": bad})[0]
-    assert not_excited("law", {"all": Unknown(0.3, 9)})[0].startswith(
-        "law: not excited: the run leaves 30% of what random"
-    )
 
 
 def test_random_motion_is_without_errors_and_within_the_joints_limits():

@@ -1,1 +1,0 @@
-"""The contest: all controllers on all tasks with several seeds, judged by what they track, learn and know."""

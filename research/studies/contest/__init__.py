@@ -1,1 +1,0 @@
-"""The contest's document and the search for the learners' settings."""
