@@ -11,7 +11,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
-from mmnn_pin import PD, TorqueController, load
+from mmnn_pin import PD, Stepper, StepperSettings, TorqueController, load, load_experiment
+from mmnn_pin.loop.suited import SCALED
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import carrying
 from mmnn_pin.model.tree.body import energy_of, parameters
@@ -208,6 +209,16 @@ def test_rotors_are_told(name: str) -> None:
     assert (rotors > 0.0).all() and not np.isin(rotors, draw.said["rotor"]).any()
     asked = load("platform_arm").with_armature(rotors)
     np.testing.assert_array_equal(shipped(name, draw.robot).theta, parameters(asked))
+
+
+def test_networks_are_scaled_as_track_scales_them() -> None:
+    """Gains and robust terms come from one share of the bandwidths, where `track` has the robot's inertias."""
+    draw = draw_of("kinova", "dev", 0)
+    stepper = Stepper(draw.robot, shipped("two_layer", draw.robot), StepperSettings(period=draw.period))
+    made = stepper.setup.controller
+    gains, robust = np.array(made.feedback.arm), np.array(made.robust.arm)
+    np.testing.assert_allclose(gains / robust, gains[0] / robust[0])
+    assert load_experiment("track").robust == SCALED and made.inertia is not None
 
 
 def test_draws_are_within_what_is_written() -> None:
