@@ -207,7 +207,8 @@ def test_what_may_stand_in_one_place_differs_in_its_parts():
             continue
         controller = experiment.controller(name, robot=robot)
         if isinstance(controller, CompiledController):
-            learner = controller.law(experiment.loop(robot, controller).context()).learner
+            loop = experiment.loop(robot, controller)  # which chooses rates that are left open
+            learner = loop.controller.law(loop.context()).learner
             learners[type(learner)] = learner
     assert len(learners) > 6
     one, two, whole = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1), np.int64)

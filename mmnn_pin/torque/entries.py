@@ -112,7 +112,7 @@ ENTRIES = (
           "the two-layer network with the prediction error of filtered torque and kept samples",
           "#8E44AD", (11, 1.5), beside=("two_layer",)),
     Entry("deep_residual", "DeepResidual", "DeepResidualSettings",
-          "a deep residual network, all layers learn from the tracking error", "#1F3A93", (7, 1.2, 2, 1.2)),
+          "a deep residual network, all layers learn from the tracking error", "#3D5FD0", (7, 1.2, 2, 1.2)),
     Entry("two_layer_residual", "TwoLayerResidual", "TwoLayer",
           "a nominal model with wrong masses, and the two-layer network on the difference",
           "#5DADE2", (4, 1), told=(NOMINAL,), table="two_layer"),
@@ -136,7 +136,7 @@ ENTRIES = (
           "#FF7F50", (6, 1.5, 2, 1.5), told=(MACHINE, MOTION, PARAMETERS), table="kalman.residual"),
     Entry("learned", "LearnedFeedforward", "LearnedSettings",
           "feedforward and integral, and on top what filtered torque teaches, as far as it has predicted",
-          "#6A3D9A", (), 1.8, told=(MOTION, DESCRIBED)),
+          "#8250D0", (16, 1.5), 1.8, told=(MOTION, DESCRIBED)),
     Entry("computed_torque", "ComputedTorque", "", "feedback and the true model: the oracle",
           "#009E73", (10, 2.5), oracle=True),
 )

@@ -24,7 +24,7 @@ from signal import SIG_IGN, SIGINT, signal
 from typing import Any
 
 from mmnn_pin.compiled.folders import imports_of, text_of
-from mmnn_pin.lab.show.table import Cell, Column, Table, number, row_of, terminal_text
+from mmnn_pin.lab.show.table import Column, Table, number, row_of, terminal_text
 from mmnn_pin.torque.entries import CONTROLLERS
 
 from .draws import draw_of, on_contact, preregistered
@@ -135,17 +135,10 @@ def table_of(title: str, rows: Sequence[Row], controllers: Sequence[str]) -> Tab
         if not (pairs := paired(rows, name)):
             continue
         s = score_of(pairs)
-        cells = [Cell(f"{100 * s.better:.0f}"), *(Cell(number(value, "lost")) for value in (s.median, s.high, s.worst))]
-        found.append(row_of(name, *cells, f"{s.lost} ({s.alone})", str(s.draws)))
-    heads = (
-        ("better\n", "%"),
-        ("median\n", ""),
-        ("90 %\n", ""),
-        ("worst\n", ""),
-        ("lost (alone)\n", ""),
-        ("draws\n", ""),
-    )
-    return Table(title, (Column(text=True), *(Column(*head) for head in heads)), tuple(found))
+        ratios = [number(value, "lost") for value in (s.median, s.high, s.worst, s.arm, s.base)]
+        found.append(row_of(name, f"{100 * s.better:.0f}", *ratios, f"{s.lost} ({s.alone})", str(s.draws)))
+    heads = [Column(head) for head in ("median", "90 %", "worst", "arm", "base", "lost (alone)", "draws")]
+    return Table(title, (Column(text=True), Column("better", "%"), *heads), tuple(found))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -64,7 +64,7 @@ def controllers_of(rows: Sequence[Row]) -> list[str]:
 def overall(rows: Sequence[Row]) -> str:
     """Scores of all controllers, the smallest median first."""
     scores = {name: score_of(paired(rows, name)) for name in controllers_of(rows)}
-    head = f"| controller | better [%] | median | 90 % | worst | lost | lost alone |\n|{' --- |' * 7}"
+    head = f"| controller | better [%] | median | 90 % | worst | lost | lost alone | arm | base |\n|{' --- |' * 9}"
     lines = [f"| `{name}` | {line_of(scores[name])} |" for name in sorted(scores, key=lambda name: scores[name].median)]
     return "\n".join([head, *lines])
 
@@ -72,7 +72,8 @@ def overall(rows: Sequence[Row]) -> str:
 def line_of(s: Score) -> str:
     """Cells of a score."""
     ratios = (number(value, "lost") for value in (s.median, s.high, s.worst))
-    return " | ".join([f"{100 * s.better:.0f}", *ratios, str(s.lost), str(s.alone)])
+    parts = (number(value, "lost") for value in (s.arm, s.base))
+    return " | ".join([f"{100 * s.better:.0f}", *ratios, str(s.lost), str(s.alone), *parts])
 
 
 def by_part(parts: dict[str, list[Row]]) -> str:

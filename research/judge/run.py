@@ -12,11 +12,13 @@ from mmnn_pin import Measurement, Stepper, load_experiment
 from mmnn_pin.errors import InputError
 from mmnn_pin.lab.experiments.controllers import Granted
 from mmnn_pin.loop.stepper import StepperSettings
+from mmnn_pin.loop.suited import SCALED
 from mmnn_pin.model.robot import Robot, revolute
 from mmnn_pin.reference.limits import Limits
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.controller import CompiledController, ControllerSettings, Feedback
 from mmnn_pin.torque.entries import CONTROLLERS
+from mmnn_pin.torque.neural import Robust
 
 from .contact import Floor
 from .draws import TENTH, Draw, plant_of, preregistered, setpoints
@@ -32,8 +34,9 @@ def settings_of(name: str) -> dict[str, Any]:
     experiment, entry = load_experiment("track"), CONTROLLERS[name]
     beside = [attrgetter(CONTROLLERS[other].key)(experiment) for other in entry.beside]
     own, switches = attrgetter(entry.key)(experiment) if entry.settings else None, experiment.learning
+    robust = experiment.robust_term(name)
     networks = {
-        "robust": experiment.robust_term(name),
+        "robust": Robust() if robust == SCALED else robust,  # one that a stepper scales, as `track` does
         "inputs": experiment.inputs,
         "rates": switches.rates,
         "leakage": switches.leakage,
@@ -82,7 +85,8 @@ def errors_of(draw: Draw, controller: Any, plant: str = "judge") -> dict[str, An
     """
     try:
         made = shipped(controller, draw.robot) if isinstance(controller, str) else controller
-        settings = StepperSettings(period=draw.period, limits=Limits(samples="exact"))
+        within = load_experiment("track").learning.within_limits
+        settings = StepperSettings(period=draw.period, limits=Limits(samples="exact"), within_limits=within)
         stepper = Stepper(draw.robot, made, settings)
         found, lost = follow(draw, stepper, moved(draw, plant))
     except KeyError as error:

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from mmnn_pin.signals import Array
+
 from .draws import preregistered
 
 Row = dict[str, Any]
@@ -25,6 +27,7 @@ class Score:
         median, high, worst: Ratio of its error to the baseline's: median, 90th percentile, largest; nan without any.
         lost: Draws that it lost.
         alone: Draws that it lost and the baseline did not.
+        arm, base: Median ratio of the arm's error alone, and of the base's.
     """
 
     draws: int
@@ -34,10 +37,20 @@ class Score:
     worst: float
     lost: int
     alone: int
+    arm: float = math.nan
+    base: float = math.nan
 
 
-def ratio_of(row: Row, baseline: Row) -> float:
+PARTS = "arm", "base"
+
+
+def ratio_of(row: Row, baseline: Row, of: Sequence[str] = PARTS) -> float:
     """Error of a run over that of the baseline's, geometric mean of arm and base; nan where both are lost.
+
+    Args:
+        row: Of the run.
+        baseline: Of the baseline's.
+        of: Errors that count; nan, too, where the robot has none of them.
 
     >>> row = {"arm": 0.01, "base": 0.002, "lost": ""}
     >>> ratio_of(row, {"arm": 0.02, "base": 0.016, "lost": ""})
@@ -45,20 +58,30 @@ def ratio_of(row: Row, baseline: Row) -> float:
     """
     if row["lost"] or baseline["lost"]:
         return math.nan if row["lost"] and baseline["lost"] else math.inf if row["lost"] else 0.0
-    parts = [row[part] / baseline[part] for part in ("arm", "base") if baseline[part] is not None]
-    return float(math.prod(parts) ** (1.0 / len(parts)))
+    parts = [row[part] / baseline[part] for part in of if baseline[part] is not None]
+    return float(math.prod(parts) ** (1.0 / len(parts))) if parts else math.nan
 
 
 def score_of(pairs: Sequence[tuple[Row, Row]]) -> Score:
     """The score of runs, each beside the baseline's of the same draw."""
-    ratios = np.array([ratio_of(row, baseline) for row, baseline in pairs])
-    told = np.sort(ratios[~np.isnan(ratios)])
-    lost = [bool(row["lost"]) for row, _ in pairs]
-    alone = [bool(row["lost"]) and not baseline["lost"] for row, baseline in pairs]
-    if not told.size:
-        return Score(len(pairs), math.nan, math.nan, math.nan, math.nan, sum(lost), sum(alone))
-    at = {share: float(told[math.ceil(share * len(told)) - 1]) for share in (0.5, 0.9, 1.0)}
-    return Score(len(pairs), float(np.mean(told < 1.0)), at[0.5], at[0.9], at[1.0], sum(lost), sum(alone))
+    lost = sum(bool(row["lost"]) for row, _ in pairs)
+    alone = sum(bool(row["lost"]) and not baseline["lost"] for row, baseline in pairs)
+    told = ratios_of(pairs)
+    better = float(np.mean(told < 1.0)) if told.size else math.nan
+    median, high, worst = (quantile(told, share) for share in (0.5, 0.9, 1.0))
+    arm, base = (quantile(ratios_of(pairs, [part]), 0.5) for part in PARTS)
+    return Score(len(pairs), better, median, high, worst, lost, alone, arm, base)
+
+
+def ratios_of(pairs: Sequence[tuple[Row, Row]], of: Sequence[str] = PARTS) -> Array:
+    """Ratios of runs that say one, sorted."""
+    ratios = np.array([ratio_of(row, baseline, of) for row, baseline in pairs])
+    return np.sort(ratios[~np.isnan(ratios)])
+
+
+def quantile(ordered: Array, share: float) -> float:
+    """The smallest number that a share of all does not exceed; nan of none. No interpolation: they may be inf."""
+    return float(ordered[math.ceil(share * len(ordered)) - 1]) if ordered.size else math.nan
 
 
 def paired(rows: Iterable[Row], name: str) -> list[tuple[Row, Row]]:

@@ -11,7 +11,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
-from mmnn_pin import PD, TorqueController, load
+from mmnn_pin import PD, Stepper, StepperSettings, TorqueController, load, load_experiment
+from mmnn_pin.loop.suited import SCALED
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import carrying
 from mmnn_pin.model.tree.body import energy_of, parameters
@@ -210,6 +211,16 @@ def test_rotors_are_told(name: str) -> None:
     np.testing.assert_array_equal(shipped(name, draw.robot).theta, parameters(asked))
 
 
+def test_networks_are_scaled_as_track_scales_them() -> None:
+    """Gains and robust terms come from one share of the bandwidths, where `track` has the robot's inertias."""
+    draw = draw_of("kinova", "dev", 0)
+    stepper = Stepper(draw.robot, shipped("two_layer", draw.robot), StepperSettings(period=draw.period))
+    made = stepper.setup.controller
+    gains, robust = np.array(made.feedback.arm), np.array(made.robust.arm)
+    np.testing.assert_allclose(gains / robust, gains[0] / robust[0])
+    assert load_experiment("track").robust == SCALED and made.inertia is not None
+
+
 def test_draws_are_within_what_is_written() -> None:
     said = preregistered()
     assert len(said["robots"]["dev"] + said["robots"]["final_only"]) >= 12
@@ -271,6 +282,7 @@ def test_scores_of_a_hand_made_example() -> None:
     # ratios: 0.5, 1.5, lost, both lost, 0
     assert (score.draws, score.better, score.median, score.worst) == (5, 0.5, 0.5, math.inf)
     assert (score.lost, score.alone) == (2, 1)
+    assert (score.arm, score.base) == (1.0, 0.25)  # of 0, 1, 1.5, lost; of 0, 0.25, lost
     assert score_of(paired(baseline, "feedforward")).better == 0.0
 
 
@@ -339,7 +351,7 @@ def test_page_has_the_scores_between_its_markers(tmp_path: Any) -> None:
         publish(made, page)
         found = page.read_text(encoding="utf-8")
         assert "old" not in found and found.endswith("end\n")
-        assert "| `learned` | 50 | 0.500 | lost | lost | 1 | 1 |" in found
+        assert "| `learned` | 50 | 0.500 | lost | lost | 1 | 1 | 1.00 | 0.250 |" in found
         assert "| median ratio | 0.5 or less | 0.500 |" in found
         assert "6 runs of 2 controllers on 4 draws of 1 robots, 3.0 hours" in found
     table = page.with_suffix(".csv").read_text(encoding="utf-8").splitlines()

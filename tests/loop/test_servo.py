@@ -437,4 +437,4 @@ def test_controllers_that_nobody_named_are_left_out_with_a_note():
     assert "driven wheel_left_joint, wheel_right_joint by velocity; all others by effort" in result.notes
     with pytest.raises(ConfigError, match="pid on a velocity interface"):
         compare(ROBOT, path, ["pd", "pid"], duration=0.02, settings={"interfaces": WHEELS})
-    assert list(compare(ROBOT, path, duration=0.02)) == ["pd_gravity", "pid", "feedforward", "two_layer"]
+    assert list(compare(ROBOT, path, duration=0.02)) == ["pd_gravity", "pid", "feedforward", "two_layer", "learned"]

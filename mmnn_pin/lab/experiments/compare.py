@@ -32,7 +32,7 @@ from .runner import run_experiment
 
 ENDLESS = 10.0  # duration of a run along a trajectory without an end [s]
 FIRST = 1.0  # the errors of the start are told apart from the later ones [s]
-DEFAULT = ("pd_gravity", "pid", "feedforward", "two_layer")
+DEFAULT = ("pd_gravity", "pid", "feedforward", "two_layer", "learned")
 TAKEN = ("robot", "reference", "controllers", "cases", "held_out")  # keys that the objects stand for
 DEFAULTS: Mapping[str, Any] = {  # kinematic gains and learners, those of `mmnn run track`
     "weights_interval": 0.1,
