@@ -208,9 +208,9 @@ def test_the_pushes_that_are_printed_are_borne_and_four_times_as_large_ones_are_
     pushed.force = most
     size, eps = pushed.found(first)
     assert np.isfinite(size).all() and (size[-1] > search.size(first)[-1]).all()
-    reached = attacked(pushed, first, len(search.ends) - 1, 4, eps + most)
-    assert within(pushed, first, reached, size)
-    assert not within(search, first, reached, search.size(first))  # they count
+    last = len(search.ends) - 1
+    reached, without = attacked(pushed, first, last, 4, eps + most), attacked(search, first, last, 4, eps)
+    assert within(pushed, first, reached, size) and abs(reached[-1, 4]) > abs(without[-1, 4])
 
 
 @compiled
