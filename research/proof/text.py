@@ -341,7 +341,7 @@ def proved_sentence(tube: Tube) -> str:
         f"Proved from {proof.start:.3g} s on, for every motion that is then where the run was: the learner's error of "
         f"Psi is at most {psi}, and these bounds hold. {pushes_sentence(proof)} {proof.note}Assumed: the robot of the "
         f"run, and noise of velocities of at most {LARGEST_NOISE:g} standard deviations, which no simulated sensor "
-        "exceeds. Nothing is sampled but the size of rounding."
+        "exceeds. Taken from the run are the size of rounding and the error of its integrator."
     )
 
 

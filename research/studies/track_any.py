@@ -26,7 +26,7 @@ from mmnn_pin.recording.recording import as_columns
 from mmnn_pin.signals import Array
 
 LAPS, PERIOD = 3, 6.0  # of the arm's swing [s]
-NAMES = ("pd", "pd_gravity", "pid", "two_layer", "adaptive", "computed_torque")
+NAMES = ("pd", "pd_gravity", "pid", "feedforward", "two_layer", "adaptive", "computed_torque")
 
 
 @dataclass(frozen=True)

@@ -295,7 +295,7 @@ def test_what_is_proved_falls_as_it_learns_and_gives_a_tube(search: Search) -> N
     assert tube.proof is not None and tube.proof.exists and tube.covers and tube.proof.start >= tube.start
     seen = search.errors.eps(int(np.searchsorted(search.starts, round(tube.proof.start / 1e-3))), box, nothing)
     assert (tube.proof.eps > seen.max(axis=0)).all() and (tube.proof.size[-1] > tube.size[-1]).all()
-    assert "for every motion in the tube" in proved_sentence(tube)
+    assert "for every motion that is then where the run was" in proved_sentence(tube)
 
 
 @compiled

@@ -145,7 +145,7 @@ def test_what_is_proved_of_a_concurrent_learner_falls_and_gives_a_tube(search: S
     assert (bounds[2] >= search.errors.eps(len(search.ends) - 1, box, nothing)[-1]).all()
     tube = replace(tube_from(search, print), proof=tube_from(proved, print))
     assert tube.proof is not None and tube.proof.exists and tube.covers and tube.proof.start >= tube.start
-    assert "for every motion in the tube" in proved_sentence(tube)
+    assert "for every motion that is then where the run was" in proved_sentence(tube)
     first, last, m = 9 * len(search.starts) // 10, len(search.ends) - 1, search.periods.poses + 2
     size, eps = proved.found(first)
     for wanted in (1, m - 1):

@@ -197,12 +197,12 @@ def test_learning_gives_a_tube_where_a_plain_controller_has_none(learned: Record
 
 
 @compiled
-def test_the_pushes_that_are_printed_are_borne_and_twice_as_large_ones_are_not(search: Search) -> None:
-    """A search of the worst signs of pushes and errors of Psi stays in their tube; there is none for twice of them."""
+def test_the_pushes_that_are_printed_are_borne_and_four_times_as_large_ones_are_not(search: Search) -> None:
+    """A search of the worst signs of pushes and errors of Psi stays in their tube; four times of them have none."""
     first = search.first(lambda share: None)
     most, pushed = search.pushes(first), copy(search)
     assert most.min() > 0 and np.ptp(most / search.periods.gain) < 1e-12
-    pushed.force = 2 * most
+    pushed.force = 4 * most
     assert not pushed.exists(first)
     pushed = copy(search)
     pushed.force = most
