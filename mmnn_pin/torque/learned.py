@@ -426,8 +426,8 @@ class LearnedFeedforward(Feedforward):
         return np.array([Y / K[:, None] for Y in every])
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
-        """The estimate (k,) and the integral (p,)."""
-        return {"theta": state["W"][0], "integral": state["integral"]}
+        """The estimate (1, k), what its predictions are worth (2, p), and the integral (p,)."""
+        return {name: state[name] for name in ("W", "agrees", "integral")}
 
     def features(self, law: Law, state: ControllerState) -> Array:
         """Phi, (p, k), of the last equation."""

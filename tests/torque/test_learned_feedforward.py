@@ -10,6 +10,8 @@ from robots import fixed_arm, mobile_arm
 
 from mmnn_pin import Feedback, load_experiment
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.lab.psi.learner import frozen_psi_hat, recorded_learner
+from mmnn_pin.lab.psi.subject import finite_rows
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import Layout
@@ -101,7 +103,7 @@ def test_what_was_learned_counts_as_far_as_it_has_predicted(factor, expected):
 def test_engines_batch_resumption_and_freezing():
     loop = made("learned")
     run = assert_engines_agree(loop)
-    assert np.ptp(run.weights["theta"], axis=0).max() > 0.0
+    assert np.ptp(run.weights["W"], axis=0).max() > 0.0
     assert_it_resumes(loop, loop.timing.duration / 2)
     assert_frozen(loop)
 
@@ -117,6 +119,20 @@ def test_a_look_ahead_leaves_the_integral_as_it_is():
     state.values[:] = run.final["controller_state"]
     K = loop.controller.feedback.vector(loop.robot.dimensions)[-e.shape[1] :]
     np.testing.assert_allclose(state["integral"][-e.shape[1] :], 20.0 * K * gathered, rtol=1e-9)
+
+
+def test_a_recording_has_all_that_its_frozen_output_depends_on():
+    """Frozen as it ended it says along the run what its last state says: estimate, its worth and integral are kept."""
+    loop = made("learned")
+    run = loop.run()
+    learner = recorded_learner(run, loop.robot)
+    rows = finite_rows(run, learner.context.layout)[:50]
+    state = loop.controller.init(loop.context())
+    state.values[:] = run.final["controller_state"]
+    found = frozen_psi_hat(learner, learner.end, rows)
+    expected = frozen_psi_hat(learner, state, rows)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+    assert np.abs(state["agrees"]).max() > 0.0
 
 
 @pytest.mark.skipif(bool(config.DISABLE_JIT), reason="seconds of control samples")
