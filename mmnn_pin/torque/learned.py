@@ -17,7 +17,8 @@ measured torque without that of the file, and said_i = Phi_f (theta - theta_0) i
 
     lambda_i = sum beyond_i said_i / sum said_i^2     over the last `MEMORY` seconds, within [0, 1]
 
-is the share of the prediction that fits best: a test on data that the estimate has not seen. Where motors have limits
+is the share of the prediction that fits best: a test on data that the estimate has not seen, but not on other features.
+Noise that differenced velocities bring into Phi_f and, by K s, into the torque passes it. Where motors have limits
 Psi_hat takes of them what the feedback leaves, whatever was learned (`torque.law`). Nothing is claimed of theta.
 """
 
