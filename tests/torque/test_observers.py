@@ -115,8 +115,8 @@ def test_a_constant_disturbance_is_found_as_in_closed_form(name):
     for _ in range(samples):
         asked = bench.sample()
         bench.move(d)
-    q = np.exp(-W * (samples - 1) * H)
-    expected = d * (1 - q * (1 + W * samples * H)) if name == "extended_state" else d * (1 - q)
+    first, second = W * (samples - 1) * H, W * (samples - 0.5) * H
+    expected = d * (1 - np.exp(-second) * (1 + second)) if name == "extended_state" else d * (1 - np.exp(-first))
     np.testing.assert_allclose(asked, expected, rtol=0.02, atol=0.01 * np.abs(d).max() * W * H)
 
 
