@@ -240,7 +240,7 @@ def test_a_refused_run_does_not_say_where_its_runs_go(call: Call) -> None:
 def test_default_controllers_that_cannot_run_are_left_out_and_named_ones_are_refused(call: Call) -> None:
     wheels = ("--set", 'interfaces={wheel_left_joint="velocity",wheel_right_joint="velocity"}')
     code, out, err = call("run", "track", *SHORT, *wheels)
-    assert code == 0 and "note: pid, feedforward, extended_state left out: they go by the torque" in out
+    assert code == 0 and "note: learned, pid, feedforward left out: they go by the torque" in out
     assert "pid.h5" not in out and "feedforward.h5" not in out
     assert "note: driven wheel_left_joint, wheel_right_joint by velocity; all others by effort" in out
     named = [("--controller", "pid"), ("--set", "controllers=['pd', 'pid']")]

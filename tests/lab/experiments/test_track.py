@@ -36,7 +36,7 @@ from mmnn_pin.torque.two_layer import TwoLayer
 needs_data = pytest.mark.skipif(robot_data() is None, reason="example-robot-data is not installed")
 
 DURATION = 0.02 if config.DISABLE_JIT else 1.5
-CONTROLLERS = {"two_layer", "pd_gravity", "pid", "feedforward", "extended_state", "computed_torque"}
+CONTROLLERS = {"two_layer", "pd_gravity", "pid", "feedforward", "learned", "computed_torque"}
 DATA = os.environ.get("EXAMPLE_ROBOT_DATA")
 
 
