@@ -114,14 +114,14 @@ def keep(row: Array, at: IntArray, a: Model, state: Array) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class DisturbanceObserver(Integrating):
-    """`tau = K s + m nudot_ref + d_hat`.
+class ByInertia(Integrating):
+    """A controller that integrates, told one inertia per velocity.
 
     Args:
         feedback: K.
-        settings: The observer's bandwidth.
+        settings: With its bandwidth.
         inertia: (p,) effective inertias m; None for those by which gains that suit the robot are scaled.
-        learning: Off keeps the estimate.
+        learning: Off keeps what it integrates.
     """
 
     feedback: Feedback = field(default_factory=Feedback)
@@ -131,7 +131,6 @@ class DisturbanceObserver(Integrating):
 
     within_limits: ClassVar[bool] = True
     rate_key: ClassVar[str] = "bandwidth"
-    kind: ClassVar[Literal["integral", "model", "observer", "sliding"]] = "observer"
 
     @classmethod
     def build(cls, given: ControllerSettings) -> Self:
@@ -146,6 +145,13 @@ class DisturbanceObserver(Integrating):
     def facts(self) -> dict[str, Any]:
         """Gains, settings and inertias."""
         return super().facts() | {"inertia": self.inertia}
+
+
+@dataclass(frozen=True, eq=False)
+class DisturbanceObserver(ByInertia):
+    """`tau = K s + m nudot_ref + d_hat`. Args are those of `ByInertia`."""
+
+    kind: ClassVar[Literal["integral", "model", "observer", "sliding"]] = "observer"
 
     @abstractmethod
     def observer(self, model: Model) -> Any:

@@ -17,26 +17,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import ClassVar, Literal, NamedTuple
 
 from ..by_address import by_address
 from ..compiled import linked
 from ..parts import layout_of
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
-from .classical import (
-    Integral,
-    Integrating,
-    Integrator,
-    go_on,
-    integral_of,
-    integral_shapes,
-    integrate_within,
-    new_integrator,
-)
-from .controller import Context, ControllerSettings, ControllerState, Feedback, Law, Told, read_facts
+from .classical import Integral, Integrator, go_on, integral_of, integral_shapes, integrate_within, new_integrator
+from .controller import Context, ControllerState, Law
 from .law import KERNELS, Kernels, constant_gain
-from .observer import masses_of
+from .observer import ByInertia, masses_of
 
 Z, R, PSI_HAT = INDEX["z"], INDEX["r"], INDEX["psi_hat"]
 EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["effective_gain"], INDEX["weight_norm"]
@@ -94,40 +85,13 @@ KERNELS[Twisting] = Kernels(twist, follow)
 
 
 @dataclass(frozen=True, eq=False)
-class SuperTwisting(Integrating):
-    """`tau = K s + w m sqrt(layer |s|) sign(s) + I`, linear within the layer.
+class SuperTwisting(ByInertia):
+    """`tau = K s + w m sqrt(layer |s|) sign(s) + I`, linear within the layer. Args are those of `ByInertia`."""
 
-    Args:
-        feedback: K.
-        settings: Slope and layer.
-        inertia: (p,) effective inertias m; None for those by which gains that suit the robot are scaled.
-        learning: Off keeps the integral.
-        name: Name in tables and recordings.
-    """
-
-    feedback: Feedback = field(default_factory=Feedback)
     settings: SuperTwistingSettings = field(default_factory=SuperTwistingSettings)
-    inertia: tuple[float, ...] | None = None
-    learning: bool = True
     name: str = "super_twisting"
 
-    within_limits: ClassVar[bool] = True
-    rate_key: ClassVar[str] = "bandwidth"
     kind: ClassVar[Literal["integral", "model", "observer", "sliding"]] = "sliding"
-
-    @classmethod
-    def build(cls, given: ControllerSettings) -> Self:
-        """With the inertias that scale the gains."""
-        return cls(given.feedback, given.settings, given.inertia, given.learning)
-
-    @classmethod
-    def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
-        """From gains, settings and inertias."""
-        return cls(**read_facts(cls, facts, "feedback", "settings", "inertia", "learning"))
-
-    def facts(self) -> dict[str, Any]:
-        """Gains, settings and inertias."""
-        return super().facts() | {"inertia": self.inertia}
 
     def law(self, context: Context) -> Law:
         """The numbers of the law; errors as of `positive_gains` and `rate`."""

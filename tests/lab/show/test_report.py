@@ -26,7 +26,7 @@ from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show.figure import STYLES, in_the_dark
 from mmnn_pin.lab.show.files import HtmlPage
 from mmnn_pin.lab.show.report import MOST, command_of, kept_rows, report, result_of, subject
-from mmnn_pin.lab.show.report.verdict import verdict
+from mmnn_pin.lab.show.report.verdict import smaller, verdict
 from mmnn_pin.lab.show.robots import robots_of
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.robot import Robot
@@ -451,3 +451,9 @@ def test_a_recording_of_hardware_is_no_simulation(tmp_path: Path) -> None:
     assert "recording of hardware, no simulation" in report({"robot": run}, with_replay=False).html
     for runs in ({"pd": simulated}, {"pd": simulated, "robot": run}):
         assert "seed 0 · ideal plant" in subject(result_of(runs)) and "hardware" not in subject(result_of(runs))
+
+
+def test_errors_that_round_to_no_difference_are_as_large():
+    assert smaller(0.5, "pd") == "50 % smaller than those of pd"
+    assert smaller(0.994, "pd") == "1 % smaller than those of pd"
+    assert smaller(0.996, "pd") == smaller(1.0, "pd") == "as large as those of pd"

@@ -61,8 +61,8 @@ def headline(result: Result) -> str:
     base, others = compared_with(result), plain_runs(result)
     than = ""
     if base != best and len(others) > 1:  # feedback alone is no rival
-        than = f"{percent(1 - scores[best])} smaller than those of {base}, the best of {listed(others)},"
-    ahead = f"{percent(1 - scores[best] / scores[second])} smaller than those of {second}, the next best"
+        than = f"{smaller(scores[best], base)}, the best of {listed(others)},"
+    ahead = f"{smaller(scores[best] / scores[second], second)}, the next best"
     errors = (than if second == base else f"{than} and {ahead}") if than else ahead
     missing = second in others and rivals_missing(result)  # PD alone is easily beaten
     without = f"; {listed(missing)} did not run" if missing else ""
@@ -70,6 +70,13 @@ def headline(result: Result) -> str:
     but = f"; but {far[0]} errs {shown(far[1])} times as much as in the others" if far else ""
     told = f"{errors.rstrip(',')}{but}{without}"
     return f"{best} tracks best of {len(judged)}: in {when(result)} its RMS errors are on average {told}."
+
+
+def smaller(ratio: float, name: str) -> str:
+    """How errors are beside those of a controller, by their ratio."""
+    if 1 - ratio < 0.005:
+        return f"as large as those of {name}"
+    return f"{percent(1 - ratio)} smaller than those of {name}"
 
 
 def listed(names: list[str]) -> str:
