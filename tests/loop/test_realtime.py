@@ -32,6 +32,10 @@ PATIENT = [
         "safety.heading_error=4",
         "safety.joint_error=1e6",
         "safety.speed=1e6",
+        "safety.joint_speed=none",
+        "safety.wheel_speed=none",
+        "safety.jump=none",
+        "safety.slowest=none",
         "safety.torque_time=60",
         "safety.weights=1e9",
     )
