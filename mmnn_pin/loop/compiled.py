@@ -31,6 +31,7 @@ from ..sensing import exact
 from ..signals import INDEX, Array, IntArray
 from ..torque.controller import ControllerState
 from ..torque.law import Ahead, MotorLimits
+from ..touch import Feeler
 from .hardware import Hardware, World, act, load_at, note, rotate, sense, shift_energy, turn_motors
 from .machine import Machine, new_machine
 from .plan import Plan
@@ -137,6 +138,9 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
     later: Any,
     split: Split | None,
     steering: Steering | None,
+    touch: Feeler | None,
+    kept: Controls | None,
+    held: Any,
 ) -> int:
     """Control samples first ... last - 1 into the rows; -1, the column of the row that went bad, or `TRIPPED`.
 
@@ -153,6 +157,9 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
         later: Likewise.
         split: Likewise.
         steering: Likewise.
+        touch: Likewise.
+        kept: Likewise.
+        held: Likewise.
     """
     n, row, at, setpoints = run.numbers, run.controls.row, run.controls.at, run.controls.setpoints
     for k in range(first, last):
@@ -166,7 +173,7 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
             measure(k * n.steps // n.per_measurement, time, run, true, hardware)
         sample(
             k, time, setpoints[k], setpoints[max(k - 1, 0)], run.controls, model, hardware, learner, limits, ahead,
-            later, split, steering, None,
+            later, split, steering, touch, kept, held, None,
         )  # fmt: skip
         bad = observe(run, body, true, energy)
         if bad >= 0:
