@@ -115,10 +115,10 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-ROBOTS = (inspect, view, check, model)
-JUDGING = (run, study, tune, readings, plot, judge, replay, report, export, list_, warm, docs)
+JUDGING = (run, study, tune, readings, model, plot, judge, replay, report, export, list_, warm, docs)
+ROBOTS = (inspect, view, check)
 DEPLOYING = (ros2, embed, identify, excite)
-for command in (*ROBOTS, *JUDGING, *DEPLOYING):
+for command in (*JUDGING, *ROBOTS, *DEPLOYING):
     mmnn.add_command(command)
 
 
