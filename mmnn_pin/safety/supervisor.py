@@ -451,7 +451,7 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     p, n, stale, place = tau.size, supervisor.place.size, supervisor.stale, supervisor.place
     if time - state.time[0] > numbers.settle and moves(row, at, p, n, numbers.rest):
         state.given_up[0] = 1.0
-    last = state.since[0] if state.code[0] == BLIND else state.arrived[0]
+    last = min(state.arrived[0], state.since[0]) if state.code[0] == BLIND else state.arrived[0]
     if state.given_up[0] > 0.0 or state.good[0] == 0.0 or time - last > numbers.fresh:
         if state.blind[0] < 0.0:
             state.blind[0], state.acted[0] = time, 0.0
