@@ -13,6 +13,7 @@ from ..disturbance import Forces
 from ..elementary.matrices import inverse, product, pseudo_inverse, svd
 from ..errors import ConfigError
 from ..kinematic import Steering
+from ..model.robot import Robot
 from ..model.tree.twin import Twin
 from ..safety import Supervisor
 from ..sensing import FrozenEncoders, Sensor
@@ -25,7 +26,7 @@ from .hardware import CommandLine, Expected, Hardware, MotorSide, SentTorque, To
 from .latency import Transport
 from .lead import leads
 from .servo import Split, interfaces_of, own_velocities, require_no_torque_regressor, split_of, state_size
-from .servo_model import servo_slots, velocity_servo
+from .servo_model import servo_slots, servos_of
 from .setup import Setup, believed_by
 from .suited import effective_inertia, postures
 
@@ -84,14 +85,14 @@ def new_hardware(
             given_array("hardware_state", given, (0,))
         return None
     sensor_rng, gust_rng, delay_rng = loop.streams()
-    if len(under_way):
-        way = Transport(timing.plant_step, loop.latency.in_force(timing, delay_rng), under_way)
-        motors = motors._replace(imperfect=True, effects=(way, *motors.effects))
     split = split_of(robot, kinds, loop.servo, timing.control_period, rows, loop.known.total, steering)
     if split is not None:
         require_no_torque_regressor(loop.controller, loop.context())
-        servos = velocity_servo(robot, loop.servo, split, timing.plant_step, ring)
+        servos = servos_of(robot, kinds, loop.servo, loop.actuator, split, (states, ring), timing.plant_step)
         motors = motors._replace(imperfect=True, effects=(servos, *motors.effects))
+    if len(under_way):  # of torques; what is asked of a servo is under way in its ring
+        way = Transport(timing.plant_step, loop.latency.in_force(timing, delay_rng), under_way)
+        motors = motors._replace(imperfect=True, effects=(way, *motors.effects))
     count = 0 if is_exact else timing.measurements
     sensors = sensor.on(robot, timing.measurement_period, count, sensor_rng, faults, sensed)
     before = (MotorSide(geared, states), FrozenEncoders(frozen, held))
@@ -116,8 +117,15 @@ def new_hardware(
         tau=np.zeros(layout.dof),
         state=values,
         split=split,
+        places=motor_rows(robot),
         turning=np.array([true.rows[name] for name in true.actuator_names] if true.steers else [], np.int64),
     )
+
+
+def motor_rows(robot: Robot) -> IntArray:
+    """Places of the motors' joints in the position, (motors,); negative for a base that forces drive."""
+    names = robot.position_names
+    return np.array([names.index(name) if name in names else -1 for name in robot.actuator_names], np.int64)
 
 
 def expected_of(loop: Setup, acceleration: Array) -> Expected:
