@@ -25,7 +25,7 @@ from .before_run import Start
 from .hardware import CommandLine, Expected, Hardware, MotorSide, SentTorque, Totals, Way, World
 from .latency import Transport
 from .lead import leads
-from .servo import interfaces_of, own_velocities, require_no_torque_regressor, split_of, state_size
+from .servo import Split, interfaces_of, own_velocities, require_no_torque_regressor, split_of, state_size
 from .servo_model import servo_slots, servos_of
 from .setup import Setup, believed_by
 from .suited import effective_inertia, postures
@@ -104,7 +104,7 @@ def new_hardware(
         way=Way(
             line=SentTorque(np.zeros(layout.dof), np.zeros(1)),
             lines=(CommandLine(disturbance.commands(events, timing), sent),),
-            supervisor=supervisor_of(loop, state, guard, steering),
+            supervisor=supervisor_of(loop, state, guard, steering, split),
             E_inv=pseudo_inverse(robot.E) if steering is None else steering.E_inv,
             totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
             sent=sent,
@@ -213,8 +213,10 @@ def world_of(loop: Setup, rng: np.random.Generator) -> World:
     return World(len(pushes.table) > 0, forces, (pushes,), blocked, pick, drop, np.zeros(2))
 
 
-def supervisor_of(loop: Setup, state: ControllerState | object, values: Array, steering: Steering | None) -> Supervisor:
-    """The supervisor of a loop with a state (see `safety.new_state`), and the steering of its plan."""
+def supervisor_of(
+    loop: Setup, state: ControllerState | object, values: Array, steering: Steering | None, split: Split | None
+) -> Supervisor:
+    """The supervisor of a loop with a state (see `safety.new_state`), the steering of its plan and its servo rows."""
     layout, timing, actuator = loop.robot.dimensions, loop.timing, loop.actuator
     weights = places_of_weights(loop, state)
     if loop.safety is None:
@@ -231,6 +233,7 @@ def supervisor_of(loop: Setup, state: ControllerState | object, values: Array, s
         weights=weights,
         values=values,
         steering=steering,
+        asked=None if split is None else split.command,
     )
 
 
