@@ -16,6 +16,7 @@ import numpy as np
 
 from ..by_address import by_address
 from ..compiled import compiled, copy_to, internal
+from ..compliance import Compliance
 from ..disturbance import block
 from ..errors import ConfigError
 from ..kinematic import Steering
@@ -31,7 +32,7 @@ from ..sensing import exact
 from ..signals import INDEX, Array, IntArray
 from ..torque.controller import ControllerState
 from ..torque.law import Ahead, MotorLimits
-from .hardware import Hardware, World, act, load_at, note, rotate, sense, shift_energy, turn_motors
+from .hardware import Hardware, World, act, load_at, note, rotate, see_world, sense, shift_energy, turn_motors
 from .machine import Machine, new_machine
 from .plan import Plan
 from .sample import Control, Controls, after_torque, sample
@@ -137,6 +138,7 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
     later: Any,
     split: Split | None,
     steering: Steering | None,
+    task: Compliance | None,
 ) -> int:
     """Control samples first ... last - 1 into the rows; -1, the column of the row that went bad, or `TRIPPED`.
 
@@ -153,6 +155,7 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
         later: Likewise.
         split: Likewise.
         steering: Likewise.
+        task: Likewise.
     """
     n, row, at, setpoints = run.numbers, run.controls.row, run.controls.at, run.controls.setpoints
     for k in range(first, last):
@@ -166,7 +169,7 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
             measure(k * n.steps // n.per_measurement, time, run, true, hardware)
         sample(
             k, time, setpoints[k], setpoints[max(k - 1, 0)], run.controls, model, hardware, learner, limits, ahead,
-            later, split, steering, None,
+            later, split, steering, task, None,
         )  # fmt: skip
         bad = observe(run, body, true, energy)
         if bad >= 0:
@@ -204,6 +207,7 @@ def drive(k: int, time: float, run: CompiledRun, true: Machine, hardware: Hardwa
     """Motors, pushes and blocked joints of sample k over the step at a time [s]: `hardware.tau`, `work.hold`."""
     turn_motors(hardware, true.work.maps)
     rotate(true.nu, hardware.E, hardware.motors.wire.joint)
+    see_world(true.position, true.nu, hardware.world)
     act(k, time, run.controls.row, run.controls.at, hardware)
     block(time, hardware.world.blocked, true.work.hold)
 

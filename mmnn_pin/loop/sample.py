@@ -18,6 +18,7 @@ import numpy as np
 from .. import kinematic
 from ..by_address import by_address
 from ..compiled import by_type, compiled, copy_to, entry, internal, linked, plain
+from ..compliance import Compliance, give, wish
 from ..errors import ConfigError, InputError, RobotError
 from ..kinematic import Steering
 from ..model.base.trailers import trailer_pose
@@ -90,6 +91,7 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
     later: Any,
     split: Split | None,
     steering: Steering | None,
+    task: Compliance | None,
     own: Torque | None,
 ) -> None:
     """Write everything of a control sample up to the torque into the row, which has the measurement.
@@ -108,6 +110,7 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         later: The learner with its weights held, which is asked there.
         split: The rows that take a velocity, which are the hardware's; None where all take effort.
         steering: Of a base that steers; None for others.
+        task: A compliant hand; None for one that is stiff.
         own: A controller in plain Python, which is asked in place of the law; None for one of this package.
     """
     row, at, asked = controls.row, controls.at, True
@@ -118,6 +121,8 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
     before_torque(row, at, time, setpoint, controls.gains, controls.K, before, steering)
     if hardware is not None:
         asked = not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
+    if task is not None and asked:
+        wish(row, at, task)
     if split is not None and asked:
         ask(row, at, split)
     if asked:
@@ -127,6 +132,8 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
             own.answer(time)
         else:
             law_torque(controls, model, learner, limits, ahead, later)
+        if task is not None:
+            give(row, at, task)
     if split is not None:
         answered(row, at, not asked, split)
     if hardware is not None:
@@ -491,7 +498,8 @@ class Control:
         torque, own = self.torque, None if self.torque.compiled else self.torque
         self.hardware, split = hardware, None if hardware is None else hardware.split
         learned = torque.learner, torque.limits, torque.ahead, torque.later
-        self.blocks = (self.controls, torque.model, hardware, *learned, split, self.steering, own)
+        task = None if hardware is None else hardware.task
+        self.blocks = (self.controls, torque.model, hardware, *learned, split, self.steering, task, own)
 
     def step(self, time: float, setpoint: Array, k: int = 0, before: Array | None = None) -> None:
         """One `sample`; `before` is None for the setpoint itself."""

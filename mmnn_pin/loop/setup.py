@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..actuator import Actuator
+from ..compliance import Force, Impedance
 from ..disturbance import Disturbance
 from ..kinematic import Kinematic
 from ..model.robot import Robot
@@ -99,6 +100,14 @@ class Setup(Protocol):
     @property
     def interfaces(self) -> Mapping[str, str]:
         """Interface of motors' joints, effort where they are not named."""
+
+    @property
+    def impedance(self) -> Impedance | None:
+        """How the hand gives way; None for one that is stiff."""
+
+    @property
+    def force(self) -> Force | None:
+        """What the hand pushes with."""
 
     @property
     def servo(self) -> Servo:
@@ -193,6 +202,8 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
     hardware |= {"lag": setup.lags.tolist()} if setup.lags.any() else {}
     hardware |= {"way": way} if (way := setup.known.way(setup.timing)) else {}
     hardware |= {"unseen": unseen_by(setup)}
+    hardware |= {} if setup.impedance is None else {"impedance": plain(setup.impedance)}
+    hardware |= {} if setup.force is None else {"force": plain(setup.force)}
     hardware |= {} if setup.safety is None else {"safety": plain(setup.safety)}
     hardware |= {"disturbances": plain(setup.disturbances)} if setup.disturbances else {}
     return setup.robot.facts() | own | believed | hardware
@@ -221,6 +232,8 @@ class StepperSetup:
     known: Latency = field(default_factory=Latency)
     lag: Numbers = 0.0
     filtered: float = 0.0
+    impedance: Impedance | None = None
+    force: Force | None = None
 
     def __post_init__(self) -> None:
         require_gain(self.filtered, "filtered")
@@ -228,7 +241,7 @@ class StepperSetup:
     @cached_property
     def layout(self) -> Layout:
         """Where the signals stand in a row."""
-        return Layout.of(self.robot.dimensions, 0, 1, lead_signals(self))
+        return Layout.of(self.robot.dimensions, 0, 1, lead_signals(self), task=int(self.impedance is not None))
 
     @property
     def true(self) -> Robot:
