@@ -1,4 +1,4 @@
-"""What delay and period bear: the stiffness at which a compliant hand, held between samples, turns unstable.
+"""The stiffness that delay and period bear: at which a compliant hand, held between samples, turns unstable.
 
 At the start, about rest, with `d' = nu` for small motions and K_k the arm's kinematic gains:
 
@@ -47,7 +47,7 @@ class Held(NamedTuple):
 
 
 class Bound(NamedTuple):
-    """What is borne.
+    """Result of `bound_of`.
 
     Attributes:
         factor: Largest factor on all stiffnesses, their damping with its root, that is stable; 0 where none is.

@@ -53,7 +53,7 @@ NEWTONS, START, RISE, GAIN, FOLLOW, SPEED, FAR, TURNING, FORCE = 0, 1, 2, 3, 4, 
 INTEGRAL, GONE, DIRECTION, MOVED, MOVING, STATE = 0, 1, 2, 5, 11, 17
 
 
-class Scratch(NamedTuple):
+class HandScratch(NamedTuple):
     """Room to work in, of the setpoint and of the measurement.
 
     Attributes:
@@ -107,7 +107,7 @@ class Compliance(NamedTuple):
         body, inertia: The robot that is believed in, and room to evaluate it, for M.
         torque: (p,) `J' F + P' K P s`, written.
         state: Integral of the force, way gone, direction (3,), x_c (6,) and its rate (6,).
-        work: Scratch.
+        work: HandScratch.
     """
 
     chain: Chain
@@ -129,7 +129,7 @@ class Compliance(NamedTuple):
     inertia: Work
     torque: Array
     state: Array
-    work: Scratch
+    work: HandScratch
 
 
 @linked
@@ -323,7 +323,7 @@ def hand_torque(time: float, c: Compliance) -> float:
 def springs_and_dampers(rate: Array, error: Array, c: Compliance, F: Array) -> float:
     """Their wrench F (6,) in the world at a displacement (6,) that changes at a rate (6,); their energy [J]."""
     w, stored = c.work, 0.0
-    place, eta = w.place[0], math.sqrt(max(0.0, 1.0 - error[3] ** 2 - error[4] ** 2 - error[5] ** 2))
+    place, eta = w.place[0], math.sqrt(max(0.0, 1.0 - error[3] * error[3] - error[4] * error[4] - error[5] * error[5]))
     F[:] = 0.0
     for half in (0, 3):
         for i in range(3):  # axis i

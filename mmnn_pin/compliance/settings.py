@@ -1,4 +1,4 @@
-"""What is asked of a compliant hand: stiffness, damping, posture, and forces."""
+"""Settings of a compliant hand: stiffness, damping, how base and arm share the work, and forces."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from ..model.robot import Robot
 from ..model.tree.body import body_of, evaluate, new_work
 from ..signals import Array
 from .bound import Held, bound_of
-from .law import DIRECTION, FORCE, STATE, Compliance, Scratch
+from .law import DIRECTION, FORCE, STATE, Compliance, HandScratch
 from .settings import Force, Impedance
 
 LEAST_STIFFNESS, LEAST_ROTATION = 100.0, 5.0  # by which an axis without a spring is damped [N/m, N m/rad]
@@ -112,7 +112,7 @@ def compliance_of(
         inertia=inertia,
         torque=np.zeros(d.dof),
         state=state,
-        work=Scratch(
+        work=HandScratch(
             place=np.zeros((2, SIZE)),
             twist=np.zeros((2, 6)),
             bias=np.zeros((2, 6)),

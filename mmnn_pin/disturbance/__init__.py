@@ -6,7 +6,7 @@ nu: they are the `f` of `M nudot + C nu + gravity + friction = tau + f`, and the
 """
 
 from .effects import BRAKE, Forces, Pushes, block
-from .scene import Door, Scene, Surface, scene_of, scene_size, touched_frame
+from .scene import HingedDoor, Surface, Touched, scene_of, scene_size, touched_frame
 from .settings import (
     BlockedJoint,
     CommandFault,
@@ -25,4 +25,4 @@ from .settings import (
     windows,
 )
 
-Disturbance = Push | Payload | DeadMotor | BlockedJoint | FrozenEncoder | Messages | CommandFault | Surface | Door
+Disturbance = Push | Payload | DeadMotor | BlockedJoint | FrozenEncoder | Messages | CommandFault | Surface | HingedDoor

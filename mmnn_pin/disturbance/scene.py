@@ -1,4 +1,4 @@
-"""What a hand touches: flat surfaces, and a door that it holds by the handle. A force at a frame of the robot.
+"""Things that a hand touches: flat surfaces, and a door that it holds by the handle. A force at a frame of the robot.
 
     surface:  f = max(0, k d - c d'),  d how deep the frame is behind it,  and Coulomb friction f mu against the sliding
     door:     F = k (handle - hand) + c (their velocities' difference),   I a'' = (r x F)_z - friction - c_h a' - stop
@@ -73,7 +73,7 @@ class Surface(Window, frozen=True, kw_only=True, tag="surface"):
             raise ConfigError(f"{self.normal} is no direction", fix="use (0, 0, 1)", key="disturbances.normal")
 
 
-class Door(Window, frozen=True, kw_only=True, tag="door"):
+class HingedDoor(Window, frozen=True, kw_only=True, tag="door"):
     """A door about a vertical hinge that a hand holds by the handle, closed when the run begins.
 
     Args:
@@ -104,7 +104,7 @@ class Door(Window, frozen=True, kw_only=True, tag="door"):
         require_positive(self, "inertia", "grip")
         for name in ("friction", "damping", "grip_damping"):
             require_finite(getattr(self, name), f"disturbances.{name}", 0.0)
-        if not math.hypot(*self.hinge) >= 0.05 or not np.all(np.isfinite(self.hinge)):
+        if not math.sqrt(self.hinge[0] ** 2 + self.hinge[1] ** 2) >= 0.05 or not np.all(np.isfinite(self.hinge)):
             why, fix = "a door turns about a hinge beside its handle", "put it at least 0.05 m away"
             raise ConfigError(f"a hinge at {self.hinge}", why=why, fix=fix, key="disturbances.hinge")
 
@@ -132,8 +132,8 @@ def require_positive(settings: Any, *names: str) -> None:
 
 
 @by_address
-class Scene(NamedTuple):
-    """What a frame touches in one run.
+class Touched(NamedTuple):
+    """The things that a frame touches in one run.
 
     Attributes:
         dt: Step of the plant [s].
@@ -224,7 +224,7 @@ def pull(door: Array, state: Array, twist: Array, hand: Array, dt: float, time: 
 
 def touching(disturbances: Sequence[Any]) -> list[tuple[int, Any]]:
     """The surfaces and doors among disturbances, with their places in the list, surfaces first."""
-    return [*of_type(Surface, disturbances), *of_type(Door, disturbances)]
+    return [*of_type(Surface, disturbances), *of_type(HingedDoor, disturbances)]
 
 
 def touched_frame(disturbances: Sequence[Any], robot: Robot) -> str:
@@ -239,7 +239,7 @@ def touched_frame(disturbances: Sequence[Any], robot: Robot) -> str:
     if len(frames) > 1:
         why, key = "one frame touches things in a run", f"disturbances.{found[-1][0]}.frame"
         raise ConfigError(f"'{frames[1]}' beside '{frames[0]}'", why=why, fix="name one of them", key=key)
-    if len(doors := of_type(Door, disturbances)) > 1:
+    if len(doors := of_type(HingedDoor, disturbances)) > 1:
         raise ConfigError("a second door", fix="one run has one door", key=f"disturbances.{doors[1][0]}")
     return frames[0] if frames else ""
 
@@ -247,13 +247,13 @@ def touched_frame(disturbances: Sequence[Any], robot: Robot) -> str:
 def scene_size(disturbances: Sequence[Any]) -> int:
     """How many numbers a scene remembers, 0 without one."""
     found = touching(disturbances)
-    return 3 * len(found) + 2 * any(isinstance(one, Door) for _, one in found)
+    return 3 * len(found) + 2 * any(isinstance(one, HingedDoor) for _, one in found)
 
 
 def scene_of(
     disturbances: Sequence[Any], robot: Robot, dt: float, position: Array, state: Array, frame: str
-) -> Scene | None:
-    """What a frame touches in a run; None for nothing.
+) -> Touched | None:
+    """The things that a frame touches in a run; None for nothing.
 
     Args:
         disturbances: Of the run.
@@ -284,7 +284,7 @@ def scene_of(
             sense = math.copysign(1.0, -y) if one.opens == "pull" else math.copysign(1.0, y)
             numbers = one.inertia, one.grip, one.grip_damping, one.friction, one.damping, one.start, one.end
             door = np.array([*-to_hinge[:2], sense, *numbers])
-    return Scene(
+    return Touched(
         float(dt), chain, np.zeros(SIZE), np.zeros(6), np.zeros(6), np.zeros((6, p)),
         np.array(rows, float).reshape(-1, SURFACE), door, state,
     )  # fmt: skip

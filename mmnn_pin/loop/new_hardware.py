@@ -12,7 +12,7 @@ from .. import actuator as motor
 from .. import disturbance, safety
 from ..actuator import Motors, MotorState
 from ..compliance import Compliance, Held, compliance_of, compliance_size
-from ..disturbance import Forces, Scene
+from ..disturbance import Forces, Touched
 from ..elementary.matrices import inverse, product, pseudo_inverse, svd
 from ..errors import ConfigError
 from ..kinematic import Steering
@@ -225,14 +225,14 @@ def frozen_encoders(loop: Setup) -> Array:
     return np.array(found, float).reshape(-1, 4)
 
 
-def totals_of(motors: Motors, states: MotorState, layout: Layout, scene: Scene | None) -> Totals:
+def totals_of(motors: Motors, states: MotorState, layout: Layout, scene: Touched | None) -> Totals:
     """The sums over a control period, of a scene those of its forces, too."""
     hand = np.zeros(0 if scene is None else 3)
     door = scene.state[-2:] if scene is not None and scene.door.size else np.zeros(0)
     return Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof), hand, door)
 
 
-def world_of(loop: Setup, rng: np.random.Generator, scene: Scene | None) -> World:
+def world_of(loop: Setup, rng: np.random.Generator, scene: Touched | None) -> World:
     """The disturbances from outside in a run.
 
     Raises:

@@ -107,7 +107,7 @@ class Setup(Protocol):
 
     @property
     def force(self) -> Force | None:
-        """What the hand pushes with."""
+        """The force that the hand pushes with."""
 
     @property
     def servo(self) -> Servo:

@@ -91,7 +91,7 @@ class StepperSettings(Settings, frozen=True):
         state: What a controller has learned, of `snapshot` or of a recording (it is copied); None for a new one.
         weights_interval: Time between two records of the weights [s].
         impedance: How the hand gives way; None for one that is stiff.
-        force: What the hand pushes with.
+        hand_force: The force that the hand pushes with.
 
     Raises:
         ConfigError: No supervisor, or numbers out of range.
@@ -124,7 +124,7 @@ class StepperSettings(Settings, frozen=True):
     state: Any = None
     weights_interval: float = 0.1
     impedance: Impedance | None = None
-    force: Force | None = None
+    hand_force: Force | None = None
 
     def __post_init__(self) -> None:
         if self.safety is None:
@@ -197,7 +197,7 @@ class Stepper:
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
-            impedance=settings.impedance, force=settings.force,
+            impedance=settings.impedance, force=settings.hand_force,
         )  # fmt: skip
         self.period, self.check_gains, self.latency = period, settings.check_gains, known.total
         self.safety, self.limits, layout = safety, settings.limits, setup.layout
@@ -254,7 +254,7 @@ class Stepper:
             "check_gains": loop.check_gains,
             "weights_interval": loop.weights_interval,
             "impedance": loop.impedance,
-            "force": loop.force,
+            "hand_force": loop.force,
         } | more
         for name in set(said) - set(StepperSettings.__struct_fields__):
             raise UnknownName("setting of a stepper", name, StepperSettings.__struct_fields__, key=name)

@@ -160,6 +160,8 @@ class ContactPlant:
         wheels = range(len(self.feet.wheels))
         self.pairs = [model.pair(f"wheel {i}").id for i in wheels]
         self.wheel_of = {model.geom(f"wheel {i}").id: i for i in wheels}
+        if self.on_rollers:
+            self.wheel_of = {}  # nothing of theirs grips
         self._wrench = np.zeros(6)
 
     def _take_model(self) -> None:
@@ -184,13 +186,12 @@ class ContactPlant:
     def _take_rollers(self) -> None:
         """Wheels with rollers: the floor does not turn them, so what they weigh, and their friction, is the base's."""
         robot, model = self.robot, self.model
-        rows = [robot.rows[wheel.joint] for wheel in robot.base.wheels]
+        rows = np.array([robot.rows[wheel.joint] for wheel in robot.base.wheels])
         turning = np.array([model.dof_M0[model.joint(wheel.joint).dofadr[0]] for wheel in robot.base.wheels])
         T = robot.T[rows, :3]
         model.dof_armature[:2] = np.mean(turning @ T[:, :2] ** 2)
         model.dof_armature[5] = turning @ T[:, 2] ** 2
-        self.friction.base = self.friction.base + robot.damping[rows] @ T**2
-        self.friction.on_base = True
+        self.friction.roll(np.ascontiguousarray(robot.T[rows]), rows)
 
     def start(self, position: Array, nu: Array) -> None:
         """Put the robot level on the floor at a position (nv,), rolling with nu (p,), no work done.
@@ -242,8 +243,10 @@ class ContactPlant:
         own = tau - pushed if pushes else tau
         data.ctrl[:] = self.to_motors @ own if self.pivots is None else self.pivots.drive(own)
         if self.on_rollers:
-            nb = self.robot.dimensions.base
-            pushes, pushed = True, np.concatenate((tau[:nb], pushed[nb:]))
+            nb, wheels = self.robot.dimensions.base, len(self.robot.base.wheels)
+            data.ctrl[:wheels] = 0.0
+            pushed = np.concatenate((tau[:nb], pushed[nb:] if pushes else np.zeros(tau.size - nb)))
+            pushes = True
         for _ in range(self.steps):
             turned = data.qpos[self.motor_q]
             if self.contact.patches and self.motion is not None:
