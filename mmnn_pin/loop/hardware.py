@@ -190,6 +190,7 @@ class Hardware(NamedTuple):
         state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent, commands
             under way, servo rows and their servos.
         split: The rows that take a velocity; None where all take effort.
+        places: (motors,) of the motors' joints in the position, negative for a force on the base.
         turning: (motors,) rows of T of the motors' joints where T changes; (0,) elsewhere.
         task: A compliant hand, for `sample`; None without one.
     """
@@ -203,6 +204,7 @@ class Hardware(NamedTuple):
     tau: Array
     state: Array
     split: Split | None
+    places: IntArray
     turning: IntArray
     task: Compliance | None
 
@@ -342,6 +344,34 @@ def turn_motors(hardware: Hardware, maps: Maps) -> None:
             E[i, j] = maps.T[rows[j], i]
 
 
+@compiled
+def look(hardware: Hardware, position: Array) -> None:
+    """Write where the motors' joints stand, from the position (nv,), for those who act on it."""
+    for j in range(hardware.places.size):
+        if hardware.places[j] >= 0:
+            hardware.motors.wire.angle[j] = position[hardware.places[j]]
+
+
+@linked
+def push(k: int, time: float, hardware: Hardware) -> None:
+    """Torque on nu over one step of the plant of all but the servos, into `hardware.tau`: for their solve.
+
+    Args:
+        k: Number of the control sample.
+        time: Start of the step [s].
+        hardware: The hardware model; the world's forces become those of this step.
+    """
+    world, tau, command, split = hardware.world, hardware.tau, hardware.way.totals.command, hardware.split
+    world.wire.force[:] = 0.0
+    if world.pushes:
+        pass_through(world.effects, world.wire, k, time)
+    copy_to(world.wire.force, tau)
+    if split is not None:
+        for i in range(tau.size):
+            for j in range(command.size):
+                tau[i] += hardware.E[i, j] * command[j]
+
+
 @linked
 def see_world(position: Array, nu: Array, world: World) -> None:
     """Show what a hand touches where the robot is (nv,) and how it moves (p,), before `act`."""
@@ -359,7 +389,7 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
         time: Start of the step [s].
         row: (width,) row of signals.
         at: Offsets of the signals.
-        hardware: The hardware model; the speeds of its motors' joints are set.
+        hardware: The hardware model; the speeds of its motors' joints are set, and the world's forces by `push`.
     """
     motors, world, tau = hardware.motors, hardware.world, hardware.tau
     copy_to(row[at[TORQUE] : at[TORQUE + 1]], tau)
@@ -371,8 +401,6 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
             for j in range(motors.wire.torque.size):
                 tau[i] += hardware.E[i, j] * motors.wire.torque[j]
     if world.pushes:
-        world.wire.force[:] = 0.0
-        pass_through(world.effects, world.wire, k, time)
         for i in range(tau.size):
             tau[i] += world.wire.force[i]
             hardware.way.totals.force[i] += world.wire.force[i]

@@ -16,6 +16,7 @@ from ..disturbance import Forces, Touched
 from ..elementary.matrices import inverse, product, pseudo_inverse, svd
 from ..errors import ConfigError
 from ..kinematic import Steering
+from ..model.robot import Robot
 from ..model.tree.twin import Twin
 from ..safety import Supervisor
 from ..sensing import FrozenEncoders, Sensor
@@ -27,8 +28,8 @@ from .before_run import Start, viscous_friction
 from .hardware import CommandLine, Expected, Hardware, MotorSide, SentTorque, Totals, Way, World
 from .latency import Transport
 from .lead import leads
-from .servo import interfaces_of, laws, own_velocities, require_no_torque_regressor, split_of, state_size
-from .servo_model import servo_slots, velocity_servo
+from .servo import Split, interfaces_of, laws, own_velocities, require_no_torque_regressor, split_of, state_size
+from .servo_model import servo_slots, servos_of
 from .setup import Setup, believed_by
 from .suited import effective_inertia, postures
 
@@ -90,14 +91,14 @@ def new_hardware(
             given_array("hardware_state", given, (0,))
         return None
     sensor_rng, gust_rng, delay_rng = loop.streams()
-    if len(under_way):
-        way = Transport(timing.plant_step, loop.latency.in_force(timing, delay_rng), under_way)
-        motors = motors._replace(imperfect=True, effects=(way, *motors.effects))
     split = split_of(robot, kinds, loop.servo, timing.control_period, rows, loop.known.total, steering)
     if split is not None:
         require_no_torque_regressor(loop.controller, loop.context())
-        servos = velocity_servo(robot, loop.servo, split, timing.plant_step, ring)
+        servos = servos_of(robot, kinds, loop.servo, loop.actuator, split, (states, ring), timing.plant_step)
         motors = motors._replace(imperfect=True, effects=(servos, *motors.effects))
+    if len(under_way):  # of torques; what is asked of a servo is under way in its ring
+        way = Transport(timing.plant_step, loop.latency.in_force(timing, delay_rng), under_way)
+        motors = motors._replace(imperfect=True, effects=(way, *motors.effects))
     count = 0 if is_exact else timing.measurements
     sensors = sensor.on(robot, timing.measurement_period, count, sensor_rng, faults, sensed)
     before = (MotorSide(geared, states), FrozenEncoders(frozen, held))
@@ -109,7 +110,7 @@ def new_hardware(
         way=Way(
             line=SentTorque(np.zeros(layout.dof), np.zeros(1)),
             lines=(CommandLine(disturbance.commands(events, timing), sent),),
-            supervisor=supervisor_of(loop, state, guard, steering),
+            supervisor=supervisor_of(loop, state, guard, steering, split),
             E_inv=pseudo_inverse(robot.E) if steering is None else steering.E_inv,
             totals=totals_of(motors, states, layout, scene),
             sent=sent,
@@ -122,6 +123,7 @@ def new_hardware(
         tau=np.zeros(layout.dof),
         state=values,
         split=split,
+        places=motor_rows(robot),
         turning=np.array([true.rows[name] for name in true.actuator_names] if true.steers else [], np.int64),
         task=task_of(loop, position, on, yielding),
     )
@@ -158,6 +160,12 @@ def task_of(loop: Setup, position: Array, on: Array, state: Array) -> Compliance
         friction=viscous_friction(loop.robot),
     )
     return compliance_of(loop.impedance, loop.force, loop.robot, believed_by(loop), held, position, state)
+
+
+def motor_rows(robot: Robot) -> IntArray:
+    """Places of the motors' joints in the position, (motors,); negative for a base that forces drive."""
+    names = robot.position_names
+    return np.array([names.index(name) if name in names else -1 for name in robot.actuator_names], np.int64)
 
 
 def expected_of(loop: Setup, acceleration: Array) -> Expected:
@@ -258,8 +266,10 @@ def world_of(loop: Setup, rng: np.random.Generator, scene: Touched | None) -> Wo
     return World(len(pushes.table) > 0 or scene is not None, forces, effects, blocked, pick, drop, np.zeros(2))
 
 
-def supervisor_of(loop: Setup, state: ControllerState | object, values: Array, steering: Steering | None) -> Supervisor:
-    """The supervisor of a loop with a state (see `safety.new_state`), and the steering of its plan."""
+def supervisor_of(
+    loop: Setup, state: ControllerState | object, values: Array, steering: Steering | None, split: Split | None
+) -> Supervisor:
+    """The supervisor of a loop with a state (see `safety.new_state`), the steering of its plan and its servo rows."""
     layout, timing, actuator = loop.robot.dimensions, loop.timing, loop.actuator
     weights = places_of_weights(loop, state)
     if loop.safety is None:
@@ -276,6 +286,7 @@ def supervisor_of(loop: Setup, state: ControllerState | object, values: Array, s
         weights=weights,
         values=values,
         steering=steering,
+        asked=None if split is None else split.command,
     )
 
 

@@ -18,7 +18,7 @@ from ..plant.ideal import IdealPlant
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
 from ..signals import Array
-from .hardware import Hardware, act, load_at, note, see_world, sense, shift_energy, turn_motors
+from .hardware import Hardware, act, load_at, look, note, push, see_world, sense, shift_energy, turn_motors
 from .plan import Plan
 from .sample import Control, after_torque
 
@@ -135,6 +135,11 @@ class OrdinaryLoop:
         turn_motors(hardware, plant.dynamics.maps)
         plant.motor_speeds(hardware.motors.wire.joint)
         see_world(plant.position, plant.nu, world)
+        push(k, time, hardware)
+        if hardware.split is not None:
+            wire = hardware.motors.wire
+            look(hardware, plant.position)
+            plant.respond(hardware.tau, hardware.E, wire.free, wire.answer)
         act(k, time, self.row, self.at, hardware)
         if isinstance(plant, ContactPlant):
             plant.hand, plant.by_hand = world.wire.hand, world.wire.by_hand

@@ -70,7 +70,9 @@ def test_what_goes_in_comes_out(where, tmp_path):
         "lead",
         "hand",
         "shape",
-    )  # of the contact plant, of a rig, of a torque that leads, of paths, of bases that steer
+        "scene",
+        "task",
+    )  # of the contact plant, of a rig, of a torque that leads, of paths, of bases that steer, of touch
     names = tuple(name for name, kind, *_ in SIGNALS if kind.split()[0] not in others)
     for name in names:
         expected = rows[:, LAYOUT.where(name)]
