@@ -42,6 +42,7 @@ from ..sensing import exact
 from ..signals import INDEX, Array, IntArray
 from ..torque.controller import ControllerState
 from ..torque.law import Ahead, MotorLimits
+from ..touch import Feeler
 from .hardware import (
     Hardware,
     World,
@@ -162,6 +163,9 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
     split: Split | None,
     steering: Steering | None,
     task: Compliance | None,
+    touch: Feeler | None,
+    kept: Controls | None,
+    held: Any,
 ) -> int:
     """Control samples first ... last - 1 into the rows; -1, the column of the row that went bad, or `TRIPPED`.
 
@@ -179,6 +183,9 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
         split: Likewise.
         steering: Likewise.
         task: Likewise.
+        touch: Likewise.
+        kept: Likewise.
+        held: Likewise.
     """
     n, row, at, setpoints = run.numbers, run.controls.row, run.controls.at, run.controls.setpoints
     for k in range(first, last):
@@ -192,7 +199,7 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
             measure(k * n.steps // n.per_measurement, time, run, true, hardware)
         sample(
             k, time, setpoints[k], setpoints[max(k - 1, 0)], run.controls, model, hardware, learner, limits, ahead,
-            later, split, steering, task, None,
+            later, split, steering, task, touch, kept, held, None,
         )  # fmt: skip
         bad = observe(run, body, true, energy)
         if bad >= 0:

@@ -43,6 +43,7 @@ class Plan:
         age: By how much measurements are brought up to now [s].
         steering: Of a base that steers; None for others.
         touched: The frame that touches something; empty where none does.
+        freezes: Whether contact keeps a learner from learning.
         hitch: Of the trailer that follows the reference, as of `Kinematic.hitch_of`; (0,) where the base does.
     """
 
@@ -67,6 +68,7 @@ class Plan:
     age: float = 0.0
     touched: str = ""
     steering: Steering | None = None
+    freezes: bool = False
     hitch: Array = field(default_factory=lambda: np.zeros(0))
 
     @property

@@ -37,6 +37,7 @@ from ...settings import Settings, Timing, require_gains
 from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ...torque.neural import Inputs, Robust
+from ...touch import Touch
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, Learning, Nominal, RobustOf, new_controller
 from .hand import hand_motion
 from .laws import resolved
@@ -160,6 +161,7 @@ class Experiment(LearnerTables, frozen=True):
             named.
         servo: The servos behind velocity and position interfaces.
         lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag.
+        touch: What external torque is felt by; without the table nothing is.
         disturbances: What happens to the robot during a run.
         impedance: How the hand gives way; without the table it is stiff.
         force: What the hand pushes with.
@@ -208,6 +210,7 @@ class Experiment(LearnerTables, frozen=True):
     interfaces: dict[str, str] = msgspec.field(default_factory=dict)
     servo: Servo = Servo()
     lead: bool = False
+    touch: Touch | None = None
     disturbances: tuple[Disturbance, ...] = ()
     impedance: Impedance | None = None
     force: Force | None = None
@@ -366,6 +369,7 @@ class Experiment(LearnerTables, frozen=True):
             interfaces=self.interfaces,
             servo=self.servo,
             lead=self.lead,
+            touch=self.touch,
             radii=self.radii,
             impedance=self.impedance,
             force=self.force,
