@@ -328,7 +328,7 @@ def sentences(results: Results, found: Verdict) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Cell:
+class MapCell:
     """Runs within bins of some factors, as maps show them.
 
     Attributes:
@@ -342,18 +342,18 @@ class Cell:
     success: Interval
 
 
-def best_cell(results: Results, controller: str, count: int, wanted: float) -> Cell:
+def best_cell(results: Results, controller: str, count: int, wanted: float) -> MapCell:
     """The cell of `count` factors that has most runs of those with the wanted rate of successes, else the best rate."""
     success, draws = results.succeeded(controller), results.draws(controller)
     values = {name: results.values(controller, name) for name in results.factors}
     bins = {name: bins_of(values[name], factor.numeric, MAP_BINS) for name, factor in results.factors.items()}
-    found = list[Cell]()
+    found = list[MapCell]()
     for names in combinations(results.factors, count):
         for places in sorted(set(zip(*(bins[name].tolist() for name in names), strict=True))):
             inside = np.logical_and.reduce([bins[name] == place for name, place in zip(names, places, strict=True)])
             kept = {name: [value for value, is_in in zip(values[name], inside, strict=True) if is_in] for name in names}
             cuts = tuple(bin_of(name, results.factors[name].numeric, kept[name]) for name in names)
-            found.append(Cell(cuts, int(inside.sum()), rate(success[inside], draws[inside])))
+            found.append(MapCell(cuts, int(inside.sum()), rate(success[inside], draws[inside])))
     enough = [cell for cell in found if cell.success.value >= wanted]
     if enough:
         return max(enough, key=lambda cell: (cell.runs, cell.success.value))
