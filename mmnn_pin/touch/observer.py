@@ -425,7 +425,7 @@ def follow_contact(felt: bool, s: TouchState, clear: float) -> None:
         s.clock[TOUCHED], s.clock[SINCE] = 1.0, 0.0
         for k in range(LOAD + 1):
             s.fit[k, :] = 0.0
-    elif s.clock[CLEAR] >= clear:
+    elif not felt and s.clock[CLEAR] >= clear:
         s.clock[TOUCHED] = 0.0
     s.clock[SINCE] += h
 
