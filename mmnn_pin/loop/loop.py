@@ -44,10 +44,12 @@ from .lead import delays
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
 from .plan import Plan
+from .reductions import reductions
 from .sampled import delay_margin
 from .servo import Servo
 from .servo_model import linear_servos
 from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
+from .sight import Sight
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited, timing_for
 
@@ -257,6 +259,7 @@ class Loop:
             block=max(1, min(BLOCK, round(self.weights_interval / self.timing.control_period))),
             latency=self.latency.total,
             lag=self.actuator.lag,
+            sight=Sight.of(self.sensor, self.timing.measurement_period),
             servo=linear_servos(self.robot, self.interfaces, self.servo, True),
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
@@ -300,6 +303,11 @@ class Loop:
         NaN for a controller in plain Python, whose gains are not known.
         """
         return delay_margin(self.plan())
+
+    def reductions(self) -> list[str]:
+        """What the loop does not bear of its controller and was reduced for it, a line each."""
+        given = LoopToSuit.of(self, self.trajectory, self.timing, self.robot.dimensions)
+        return reductions(self.robot, self.controller, given)
 
     def rehearse(self) -> None:
         """Ask a controller in plain Python at two samples, with a state that is dropped: what fails, fails now.

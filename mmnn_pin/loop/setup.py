@@ -30,6 +30,7 @@ from .lead import Lead, delays, lead_of, leads
 from .plan import Plan
 from .servo import Servo
 from .servo_model import linear_servos
+from .sight import Sight
 from .suited import postures
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
@@ -246,6 +247,12 @@ class StepperSetup:
         return lags(self.robot, self.lag)
 
     @property
+    def sight(self) -> Sight | None:
+        """How velocities are measured, as far as it is known."""
+        period = self.timing.measurement_period
+        return Sight.late(self.filtered, period) if self.sensor.exact else Sight.of(self.sensor, period)
+
+    @property
     def smoothing(self) -> float:
         """See `Setup.smoothing`; an observer makes velocities of its own."""
         return self.filtered if self.sensor.exact else self.sensor.smoothing(self.timing.measurement_period)
@@ -272,7 +279,8 @@ def plan_outside(setup: StepperSetup) -> Plan:
     blocks = setup.timing, setup.controller, context, believed, gains, K, bounds, postures(robot)
     steering = setup.kinematic.steering_of(robot, setup.timing.control_period)
     plan, servo = Plan(robot, robot, layout, *blocks), linear_servos(robot, setup.interfaces, setup.servo, False)
-    return replace(plan, latency=setup.known.total, lag=setup.lag, servo=servo, lead=new_lead(setup), steering=steering)
+    plan = replace(plan, latency=setup.known.total, lag=setup.lag, sight=setup.sight, servo=servo)
+    return replace(plan, lead=new_lead(setup), steering=steering)
 
 
 # -- what takes the rows of a run --------------------------------------------------------------------------------------
