@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from mmnn_pin.model.chain import chain_of, poses, track
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import Outcome, Recording
-from mmnn_pin.reference.hand.chain import chain_of, poses, track
 from mmnn_pin.signals import HAND, Layout
 
 TYPES = {"f4": "<f4", "u2": "<u2", "u4": "<u4"}

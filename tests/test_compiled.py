@@ -30,7 +30,7 @@ from mmnn_pin.compiled.folders import KEPT, cache_folder, source_key
 from mmnn_pin.compiled.linking import OwnNames
 from mmnn_pin.loop.hardware import MotorSide
 from mmnn_pin.loop.latency import Transport
-from mmnn_pin.loop.servo_model import VelocityServo
+from mmnn_pin.loop.servo_model import Servos
 from mmnn_pin.parts import Cube, Matrix, Vector, cube, layout_of, matrix, vector, views
 from mmnn_pin.sensing import FrozenEncoders
 from mmnn_pin.torque.controller import CompiledController
@@ -212,8 +212,10 @@ def test_what_may_stand_in_one_place_differs_in_its_parts():
             learners[type(learner)] = learner
     assert len(learners) > 6
     one, two, whole = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1), np.int64)
-    sensors = [FrozenEncoders(two, one), MotorSide(whole, motor_state(np.zeros((1, STATES))))]
-    motors = [Transport(0.1, whole[0], two), VelocityServo(0.1, *[one] * 6, two)]
+    states = motor_state(np.zeros((1, STATES)))
+    servos = Servos(0.1, one, whole[0], two, whole[0], one, two, *[one] * 5, states, two, two)
+    sensors = [FrozenEncoders(two, one), MotorSide(whole, states)]
+    motors = [Transport(0.1, whole[0], two), servos]
     for group in (learners.values(), sensors, motors):
         assert len({compute_fingerprint(value) for value in group}) == len(group)
 

@@ -3,5 +3,5 @@
 `Actuator` in `settings` makes the list of effects, `effects` has one class for each.
 """
 
-from .effects import STATES, Backlash, Drive, Motors, MotorState, motor_state
+from .effects import STATES, Backlash, Drive, Motors, MotorState, motor_state, new_drive
 from .settings import NEVER, Actuator, motor_places

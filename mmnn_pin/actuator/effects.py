@@ -17,6 +17,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ..by_address import by_address
 from ..compiled import compiled, internal
 from ..signals import EARLY, Array, IntArray
@@ -61,13 +63,25 @@ class Drive(NamedTuple):
         torque: (motors,) first what is commanded, last what the joints get [N m or N].
         speed: (motors,) speed of the motors [rad/s or m/s].
         joint: (motors,) speed of the joints [rad/s or m/s].
+        angle: (motors,) position of the joints, where servos act [rad or m].
+        free: (motors,) speed of the joints at the end of the step without a servo, likewise.
+        answer: (motors, motors) what a motor's torque adds to it, likewise.
         shorted: (1,) how many motors, from the first on, have their windings shorted.
     """
 
     torque: Array
     speed: Array
     joint: Array
+    angle: Array
+    free: Array
+    answer: Array
     shorted: IntArray
+
+
+def new_drive(count: int) -> Drive:
+    """The signal of so many motors, at rest."""
+    torque, speed, joint, angle, free = np.zeros((5, count))
+    return Drive(torque, speed, joint, angle, free, np.zeros((count, count)), np.zeros(1, np.int64))
 
 
 @by_address

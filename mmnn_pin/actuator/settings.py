@@ -29,7 +29,6 @@ from .effects import (
     Battery,
     CurrentLoop,
     DeadMotors,
-    Drive,
     Meter,
     Motors,
     MotorSpeed,
@@ -40,6 +39,7 @@ from .effects import (
     TorqueConstant,
     TorqueLimit,
     motor_state,
+    new_drive,
 )
 
 PLACES = 20  # at which a rotor is compared with what it drives
@@ -150,7 +150,7 @@ class Actuator(Settings, frozen=True):
             Backlash(dt, gap, rotor, of("stiffness"), of("damping"), of("rotor_friction"), states),
             Meter(states),
         )
-        wire = Drive(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(1, np.int64))
+        wire = new_drive(count)
         return Motors(not self.perfect or len(dead) > 0, states, wire, effects)
 
     def _require_battery(self, resistance: Array) -> None:

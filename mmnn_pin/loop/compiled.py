@@ -25,13 +25,24 @@ from ..model.tree.body import Body, body_of, energy_of, evaluate
 from ..model.tree.dynamics import potential_energy
 from ..model.tree.twin import Twin, psi_of
 from ..parts import view
-from ..plant.integrators import IMPLICIT_FRICTION, METHODS, RK4, STAGES, derivative, euler, implicit_stage, rk4_stage
+from ..plant.integrators import (
+    IMPLICIT_FRICTION,
+    METHODS,
+    RK4,
+    STAGES,
+    derivative,
+    euler,
+    implicit_stage,
+    respond,
+    rk4_stage,
+)
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
 from ..signals import INDEX, Array, IntArray
 from ..torque.controller import ControllerState
 from ..torque.law import Ahead, MotorLimits
-from .hardware import Hardware, World, act, load_at, note, rotate, sense, shift_energy, turn_motors
+from ..touch import Feeler
+from .hardware import Hardware, World, act, load_at, look, note, push, rotate, sense, shift_energy, turn_motors
 from .machine import Machine, new_machine
 from .plan import Plan
 from .sample import Control, Controls, after_torque, sample
@@ -137,6 +148,9 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
     later: Any,
     split: Split | None,
     steering: Steering | None,
+    touch: Feeler | None,
+    kept: Controls | None,
+    held: Any,
 ) -> int:
     """Control samples first ... last - 1 into the rows; -1, the column of the row that went bad, or `TRIPPED`.
 
@@ -153,6 +167,9 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
         later: Likewise.
         split: Likewise.
         steering: Likewise.
+        touch: Likewise.
+        kept: Likewise.
+        held: Likewise.
     """
     n, row, at, setpoints = run.numbers, run.controls.row, run.controls.at, run.controls.setpoints
     for k in range(first, last):
@@ -166,7 +183,7 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
             measure(k * n.steps // n.per_measurement, time, run, true, hardware)
         sample(
             k, time, setpoints[k], setpoints[max(k - 1, 0)], run.controls, model, hardware, learner, limits, ahead,
-            later, split, steering, None,
+            later, split, steering, touch, kept, held, None,
         )  # fmt: skip
         bad = observe(run, body, true, energy)
         if bad >= 0:
@@ -178,10 +195,12 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
             step = k * n.steps + i
             if i > 0 and step % n.per_measurement == 0:
                 measure(step // n.per_measurement, step * n.dt, run, true, hardware)
+            if i > 0:
+                evaluate(body, true.work, true.position, true.nu)
             if hardware is not None:
                 drive(k, step * n.dt, run, true, hardware)
                 tau = hardware.tau
-            move(n, i, body, true, tau)
+            move(n, body, true, tau)
         if hardware is not None:
             note(n.steps, run.rows[k - first], at, hardware.way.totals)
             supervisor = hardware.way.supervisor
@@ -204,6 +223,11 @@ def drive(k: int, time: float, run: CompiledRun, true: Machine, hardware: Hardwa
     """Motors, pushes and blocked joints of sample k over the step at a time [s]: `hardware.tau`, `work.hold`."""
     turn_motors(hardware, true.work.maps)
     rotate(true.nu, hardware.E, hardware.motors.wire.joint)
+    push(k, time, hardware)
+    if hardware.split is not None:
+        wire = hardware.motors.wire
+        look(hardware, true.position)
+        respond(run.numbers.dt, true.joints, true.terms, true.nu, hardware.tau, hardware.E, wire.free, wire.answer)
     act(k, time, run.controls.row, run.controls.at, hardware)
     block(time, hardware.world.blocked, true.work.hold)
 
@@ -229,13 +253,13 @@ def observe(run: CompiledRun, body: Body, true: Machine, energy: float) -> int:
 
 
 @internal
-def move(n: RunNumbers, i: int, body: Body, true: Machine, tau: Array) -> None:
-    """Step i of the plant in a control period under a torque (p,); at step 0 the dynamics are evaluated already."""
+def move(n: RunNumbers, body: Body, true: Machine, tau: Array) -> None:
+    """A step of the plant under a torque (p,) from where the dynamics are evaluated."""
     work, terms, y, joints = true.work, true.terms, true.y, true.joints
     nv, p = body.T.shape
     copy_to(y, work.trial)
     for stage in range(STAGES[n.method]):
-        if i > 0 or stage > 0:
+        if stage > 0:
             evaluate(body, work, work.trial[:nv], work.trial[nv : nv + p])
         if n.method == RK4:
             derivative(work.trial, tau, joints, terms)

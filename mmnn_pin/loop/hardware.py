@@ -28,6 +28,7 @@ from ..safety import Supervisor, SupervisorState
 from ..sensing import Sensors, exact
 from ..sensing.effects import COUNT, RECEIVED, Reading
 from ..signals import EARLY, INDEX, Array, IntArray
+from ..touch import Feeler
 from .servo import Split
 
 APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
@@ -182,8 +183,10 @@ class Hardware(NamedTuple):
         E: (p, motors) torque on nu from motor torques.
         tau: (p,) generalized torque of motors and world.
         state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent, commands
-            under way, servo rows and their servos.
+            under way, servo rows and their servos, what feels external torque.
         split: The rows that take a velocity; None where all take effort.
+        touch: What feels external torque; None for nothing.
+        places: (motors,) of the motors' joints in the position, negative for a force on the base.
         turning: (motors,) rows of T of the motors' joints where T changes; (0,) elsewhere.
     """
 
@@ -196,6 +199,8 @@ class Hardware(NamedTuple):
     tau: Array
     state: Array
     split: Split | None
+    touch: Feeler | None
+    places: IntArray
     turning: IntArray
 
 
@@ -333,6 +338,34 @@ def turn_motors(hardware: Hardware, maps: Maps) -> None:
             E[i, j] = maps.T[rows[j], i]
 
 
+@compiled
+def look(hardware: Hardware, position: Array) -> None:
+    """Write where the motors' joints stand, from the position (nv,), for those who act on it."""
+    for j in range(hardware.places.size):
+        if hardware.places[j] >= 0:
+            hardware.motors.wire.angle[j] = position[hardware.places[j]]
+
+
+@linked
+def push(k: int, time: float, hardware: Hardware) -> None:
+    """Torque on nu over one step of the plant of all but the servos, into `hardware.tau`: for their solve.
+
+    Args:
+        k: Number of the control sample.
+        time: Start of the step [s].
+        hardware: The hardware model; the world's forces become those of this step.
+    """
+    world, tau, command, split = hardware.world, hardware.tau, hardware.way.totals.command, hardware.split
+    world.wire.force[:] = 0.0
+    if world.pushes:
+        pass_through(world.effects, world.wire, k, time)
+    copy_to(world.wire.force, tau)
+    if split is not None:
+        for i in range(tau.size):
+            for j in range(command.size):
+                tau[i] += hardware.E[i, j] * command[j]
+
+
 @linked
 def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> None:
     """Generalized torque over one step of the plant, of motors and world, into `hardware.tau`.
@@ -342,7 +375,7 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
         time: Start of the step [s].
         row: (width,) row of signals.
         at: Offsets of the signals.
-        hardware: The hardware model; the speeds of its motors' joints are set.
+        hardware: The hardware model; the speeds of its motors' joints are set, and the world's forces by `push`.
     """
     motors, world, tau = hardware.motors, hardware.world, hardware.tau
     copy_to(row[at[TORQUE] : at[TORQUE + 1]], tau)
@@ -354,8 +387,6 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
             for j in range(motors.wire.torque.size):
                 tau[i] += hardware.E[i, j] * motors.wire.torque[j]
     if world.pushes:
-        world.wire.force[:] = 0.0
-        pass_through(world.effects, world.wire, k, time)
         for i in range(tau.size):
             tau[i] += world.wire.force[i]
             hardware.way.totals.force[i] += world.wire.force[i]

@@ -18,7 +18,7 @@ from ..plant.ideal import IdealPlant
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
 from ..signals import Array
-from .hardware import Hardware, act, load_at, note, sense, shift_energy, turn_motors
+from .hardware import Hardware, act, load_at, look, note, push, sense, shift_energy, turn_motors
 from .plan import Plan
 from .sample import Control, after_torque
 
@@ -134,6 +134,11 @@ class OrdinaryLoop:
         plant, world = self.plant, hardware.world
         turn_motors(hardware, plant.dynamics.maps)
         plant.motor_speeds(hardware.motors.wire.joint)
+        push(k, time, hardware)
+        if hardware.split is not None:
+            wire = hardware.motors.wire
+            look(hardware, plant.position)
+            plant.respond(hardware.tau, hardware.E, wire.free, wire.answer)
         act(k, time, self.row, self.at, hardware)
         block(time, world.blocked, plant.hold)
         plant.step(hardware.tau, world.wire.force)

@@ -267,7 +267,7 @@ def behind(servos: LinearServos, A: Array, B: Array, M_inv: Array, nu: slice) ->
     """A and B of a loop whose servo rows take velocities u: the servos act all the time, not once in a period.
 
     A robot's own: `nudot_s = b (u - nu_s)`, by torques that act on the effort rows, too. Simulated ones: by the torque
-    `E gain (w + stiffness x)` with `w = E'(u - nu)` and `xdot = w`; the x are further states.
+    `E gain (fed E'u - E'nu + stiffness x)` with `xdot = E'(u - nu)`; the x are further states.
     """
     asked, A, B = np.diag(servos.on), A.copy(), B.copy()
     if not servos.simulated:
@@ -282,9 +282,10 @@ def behind(servos: LinearServos, A: Array, B: Array, M_inv: Array, nu: slice) ->
     by_velocity, by_integral = (E * servos.gain) @ E.T, E * (servos.gain * servos.stiffness)
     further = np.zeros((m, len(A)))
     further[:, nu] = -E.T
+    by_command = (E * servos.gain * servos.fed) @ E.T
     A[:, nu] -= B @ by_velocity
     whole = np.block([[A, B @ by_integral], [further, np.zeros((m, m))]])
-    return whole, np.vstack((B @ (np.eye(len(asked)) - asked + by_velocity @ asked), E.T @ asked))
+    return whole, np.vstack((B @ (np.eye(len(asked)) - asked + by_command @ asked), E.T @ asked))
 
 
 def asking(

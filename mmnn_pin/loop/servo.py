@@ -69,6 +69,16 @@ class Servo(Settings, frozen=True):
         rate: Of the integral, one number or one per velocity [1/s].
         delay: Of the simulated servo beside the latency [s].
         strength: Largest torque of the simulated servo over the URDF's effort limit; joints without one have none.
+        stiffness: Kp of a position servo, one number or one per motor like all that follow [N m/rad or N/m]; 0 for one
+            that moves between the positions that it is sent as its bandwidth says.
+        damping: Kd of a position servo on the joint's speed, back-EMF included [N m s/rad or N s/m].
+        integral: Ki of a position servo [N m/(rad s) or N/(m s)].
+        stall: Torque of a position servo at rest with all of its voltage, the most that its PID asks for; 0 for no
+            such limit [N m or N].
+        dead_band: Error that a position servo takes for none [rad or m].
+        profile_speed: Largest speed at which a position servo moves its goal; 0 for at once [rad/s or m/s].
+        profile_acceleration: Likewise [rad/s^2 or m/s^2].
+        period: Of a servo's own loop [s]; 0 for every step of the plant.
 
     Raises:
         ConfigError: A number that is negative or not finite, or a bandwidth of 0.
@@ -79,6 +89,14 @@ class Servo(Settings, frozen=True):
     rate: Numbers = 1.0
     delay: float = 0.0
     strength: float = 1.0
+    stiffness: Numbers = 0.0
+    damping: Numbers = 0.0
+    integral: Numbers = 0.0
+    stall: Numbers = 0.0
+    dead_band: Numbers = 0.0
+    profile_speed: Numbers = 0.0
+    profile_acceleration: Numbers = 0.0
+    period: Numbers = 0.0
 
     def __post_init__(self) -> None:
         require_numbers(self, "servo", {"bandwidth", "strength"})

@@ -129,7 +129,7 @@ def require_servo_rows(plan: Plan, what: str) -> None:
     for name, factor, why in (*tries, *(("bandwidth", factor, weak) for factor in FASTER if servos.simulated)):
         value = as_given(two_digits(factor * np.atleast_1d(getattr(servos.law, name))))
         law = msgspec.structs.replace(servos.law, **{name: value})
-        if holds(replace(plan, servo=servos_on(plan.robot, servos.on, law, servos.simulated))):
+        if holds(replace(plan, servo=servos_on(plan.robot, servos.kinds, law, servos.simulated))):
             values = Values("servo", {name: in_short(value)})
             fix = f"{values}, or shorten the control or sensor period"
             raise ConfigError(what, why=why, fix=fix, key=f"servo.{name}", values=values)

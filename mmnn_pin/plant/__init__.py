@@ -48,6 +48,9 @@ class Plant(Protocol):
     def motor_speeds(self, speeds: Array) -> None:
         """Write the speed of every motor's joint, (motors,) [rad/s or m/s]."""
 
+    def respond(self, tau: Array, E: Array, free: Array, answer: Array) -> None:
+        """Write how fast motors turn at the end of a step: see `integrators.respond`."""
+
     def observe(self, row: Array, layout: Layout) -> None:
         """Write what only this plant knows into a row of signals."""
 

@@ -89,6 +89,10 @@ class IdealPlant:
             np.copyto(self.to_motors, self.robot.E_full.T @ self.dynamics.maps.T)
         spread(self.to_motors, self.nu, speeds)
 
+    def respond(self, tau: Array, E: Array, free: Array, answer: Array) -> None:
+        """See `integrators.respond`."""
+        integrators.respond(self.dt, self.joints, self.terms, self.nu, tau, E, free, answer)
+
     def observe(self, row: Array, layout: Layout) -> None:
         """Nothing: the row has all that this plant knows."""
 

@@ -240,6 +240,42 @@ def slopes(dt: float, joints: PlantJoints, terms: PlantTerms) -> None:
                     A[j, k] += T[i, j] * slope * T[i, k]
 
 
+@linked
+def respond(
+    dt: float, joints: PlantJoints, terms: PlantTerms, nu: Array, tau: Array, E: Array, free: Array, answer: Array
+) -> None:
+    """How fast motors turn at the end of a step, `free + answer torques`, with the friction of its end linearised.
+
+    Args:
+        dt: Step [s].
+        joints: The robot.
+        terms: At the state; `rest`, `ydot`, `new`, A and L are scratch.
+        nu: (p,) velocity.
+        tau: (p,) generalized torque of all but these motors.
+        E: (p, motors) speeds of the motors are E' nu.
+        free: (motors,) written: without a torque of theirs [rad/s or m/s].
+        answer: (motors, motors) written: per torque of each.
+    """
+    nv, p, rest = terms.v.size, nu.size, terms.rest
+    step = terms.ydot[nv : nv + p]
+    for i in range(p):
+        terms.new[i], rest[i] = nu[i], tau[i] - terms.h[i]
+    slopes(dt, joints, terms)
+    solve(terms.A, rest, terms.L, step)
+    for j in range(free.size):
+        free[j] = 0.0
+        for i in range(p):
+            free[j] += E[i, j] * (nu[i] + step[i])
+    for k in range(free.size):
+        for i in range(p):
+            rest[i] = E[i, k]
+        substitute(terms.L, rest)
+        for j in range(free.size):
+            answer[j, k] = 0.0
+            for i in range(p):
+                answer[j, k] += E[i, j] * rest[i]
+
+
 @internal
 def line_search(joints: PlantJoints, terms: PlantTerms, step: Array) -> float:
     """Share of Newton's step (p,) after which the convex function rises at most half as steeply as it fell before it.

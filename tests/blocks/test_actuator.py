@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 
 from mmnn_pin import PD, Feedback, Hold, Loop, Sine, Timing, TorqueController, Trajectory, load
 from mmnn_pin import actuator as motor
-from mmnn_pin.actuator import NEVER, Actuator, Backlash, Drive
+from mmnn_pin.actuator import NEVER, Actuator, Backlash, new_drive
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.hardware import pass_through
@@ -180,7 +180,7 @@ def two_masses(torque, duration, dt, inertia=0.05, gear=None, rotor=(0.0, 0.0), 
     names = "gap", "rotor_inertia", "stiffness", "damping", "rotor_friction"
     numbers = (np.array([(gear or GEAR).get(name, 0.0)]) for name in names)
     states, rows, angle = motor.motor_state(np.zeros((1, motor.STATES))), [], 0.0
-    backlash, wire = Backlash(dt, *numbers, states), Drive(*np.zeros((3, 1)), np.zeros(1, np.int64))
+    backlash, wire = Backlash(dt, *numbers, states), new_drive(1)
     states.ahead[0], states.rotor_speed[0] = rotor
     times = dt * np.arange(round(duration / dt))
     for t in times:

@@ -20,7 +20,6 @@ from mmnn_pin.actuator.effects import (
     Battery,
     CurrentLoop,
     DeadMotors,
-    Drive,
     Meter,
     MotorSpeed,
     ShortedWindings,
@@ -29,6 +28,7 @@ from mmnn_pin.actuator.effects import (
     TorqueConstant,
     TorqueLimit,
     motor_state,
+    new_drive,
 )
 from mmnn_pin.disturbance import BRAKE, Forces, Pushes, block
 from mmnn_pin.disturbance.effects import NOISE, SINE, STEP
@@ -57,7 +57,9 @@ THREE = np.array([3.0, -4.0, 0.5])
 
 
 def drive(torque=THREE, speed=(0.0, 0.0, 0.0), shorted=0):
-    return Drive(np.array(torque), np.array(speed), np.array(speed), np.array([shorted]))
+    wire = new_drive(len(torque))._replace(shorted=np.array([shorted]))
+    wire.torque[:], wire.speed[:], wire.joint[:] = torque, speed, speed
+    return wire
 
 
 def reading(encoders=2, pose=0, size=4, modelled=False):
@@ -150,7 +152,8 @@ def test_shorted_windings_brake_the_first_motors_implicitly_in_a_rotor():
 
 def test_inside_its_gap_a_rotor_turns_freely_and_the_joint_feels_nothing():
     one, states = np.ones(1), motor_state(np.zeros((1, STATES)))
-    wire = Drive(np.array([0.3]), np.zeros(1), np.zeros(1), np.zeros(1, np.int64))
+    wire = new_drive(1)
+    wire.torque[:] = 0.3
     Backlash(0.001, 0.1 * one, 0.02 * one, 500.0 * one, 0.5 * one, 0.0 * one, states).act(wire, 0, 0.0)
     assert wire.torque[0] == 0.0 and states.rotor_speed[0] == pytest.approx(0.001 * 0.3 / 0.02)
 

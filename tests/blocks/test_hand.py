@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from mmnn_pin import Loop, Timing, load
 from mmnn_pin.errors import ConfigError, RobotError, TrajectoryError, UnknownName
+from mmnn_pin.model.chain import chain_of, gradient, hands_of, move, poses
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.reference import check_followable
 from mmnn_pin.reference.follower import Follower
@@ -34,7 +35,6 @@ from mmnn_pin.reference.hand import (
     plan,
 )
 from mmnn_pin.reference.hand.capsules import Pairs, nearest
-from mmnn_pin.reference.hand.chain import chain_of, gradient, hands_of, move, poses
 from mmnn_pin.reference.hand.path import HandPath
 from mmnn_pin.reference.hand.tasks import TARGET
 from mmnn_pin.reference.limits import Limits

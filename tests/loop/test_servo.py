@@ -30,7 +30,7 @@ from mmnn_pin import (
     load,
     load_experiment,
 )
-from mmnn_pin.actuator import Drive
+from mmnn_pin.actuator import STATES, Actuator, motor_state, new_drive
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.experiments.runner import run_experiment
@@ -40,7 +40,7 @@ from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.ordinary import OrdinaryLoop
 from mmnn_pin.loop.sampled import verdicts
 from mmnn_pin.loop.servo import Servo, interfaces_of, split_of
-from mmnn_pin.loop.servo_model import servo_slots, velocity_servo
+from mmnn_pin.loop.servo_model import servo_slots, servos_of
 from mmnn_pin.loop.suited import LoopToSuit, suited
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robots import robot_data
@@ -173,8 +173,10 @@ def test_both_engines_and_a_batch_give_the_same_bits():
     interfaces, way = WHEELS | {ROBOT.joint_names[1]: "position"}, Latency(sensing=H, command=H, jitter=H)
     limits = Safety(joint_error=0.05)  # the start is off by more
     late = {"interfaces": interfaces, "latency": way, "check_gains": False}  # one loop to compile; it would ring soon
+    known = Servo(25.0, stiffness=(0.0, 0.0, 0.0, 60.0), damping=2.0, dead_band=1e-3, profile_speed=2.0, period=0.002)
     loops = [
         made(duration=0.1, **late),
+        made(duration=0.1, **late, servo=known, actuator=Actuator(lag=0.002)),
         made(duration=0.1, **late, safety=limits, start=Start(joint_offset=0.04)),
     ]
     for loop in loops:
@@ -208,15 +210,16 @@ def test_a_weak_servo_saturates_and_a_slow_one_is_late():
     limited = replace(ROBOT, effort_limits=np.full(4, 50.0))
     applied = [replace(one, robot=limited, nominal=ROBOT).run()["applied"][:, :2] for one in (free, weak)]
     assert np.abs(applied[0]).max() > 0.1 and np.abs(applied[1]).max() == pytest.approx(0.05)
-    slow, (_, on), state = Servo(delay=0.01), interfaces_of(ROBOT, WHEELS), np.zeros(11)
-    split = split_of(ROBOT, on, slow, H, state)
+    slow, (kinds, _), state = Servo(delay=0.01), interfaces_of(ROBOT, WHEELS), np.zeros(13)
+    split = split_of(ROBOT, kinds, slow, H, state)
     split.command[:] = 0.5, 0.2, 0.0, 0.0
-    servos = velocity_servo(ROBOT, slow, split, 0.001, np.zeros((servo_slots(slow, 0.002, 0.001), 4)))
-    wire = Drive(np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(1, np.int64))
+    memory = motor_state(np.zeros((4, STATES))), np.zeros((servo_slots(slow, 0.002, 0.001), 4))
+    servos = servos_of(ROBOT, kinds, slow, Actuator(), split, memory, 0.001)
+    wire = new_drive(4)  # of joints that no torque moves
     for n in range(20):
         servos.act(wire, 0, n * 0.001)
         lasted = max(0, n - 12) * 0.001  # the integral's part of a servo that does not move
-        wheels = (1 + 0.25 * 30.0 * lasted) * servos.gain[:2] * (ROBOT.E.T @ split.command)[:2] * (n >= 12)
+        wheels = (1 + 0.25 * 30.0 * (lasted + 0.001)) * servos.law[1, :2] * (ROBOT.E.T @ split.command)[:2] * (n >= 12)
         wheels = np.clip(wheels, -ROBOT.effort_limits[:2], ROBOT.effort_limits[:2])
         np.testing.assert_allclose(wire.torque, [*wheels, 0.0, 0.0])
 

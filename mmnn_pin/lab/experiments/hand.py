@@ -14,10 +14,10 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 
+from ...model.chain import chain_of, poses, track
 from ...model.robot import Robot, speed_limits
 from ...recording.recording import Recording, as_columns, recorded_position
 from ...reference.hand import HandMotion
-from ...reference.hand.chain import chain_of, poses, track
 from ...settings import Timing, finite
 from ...signals import HAND, Array
 from .references import HandTables

@@ -285,6 +285,7 @@ def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
     if reference.slowness > 1.0:
         why = "what steers or the motors' limits ask" if robot.steers else "the motors' limits ask"
         notes.append(f"the reference takes {reference.slowness:.3g} times as long: {why} for it")
+    notes += reference.notes
     end, now = reference.duration, experiment.time.duration
     if experiment.reference.file and now + experiment.time.control_period < end < np.inf:
         file = Path(experiment.reference.file).name

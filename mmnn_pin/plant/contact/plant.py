@@ -18,6 +18,7 @@ from ...model.robot import Robot
 from ...model.tree.twin import terms_of
 from ...signals import Array, Layout
 from .. import NO_PUSH
+from ..integrators import PlantJoints, PlantTerms, plant_joints, plant_terms, respond
 from .feet import Contact, feet_of
 from .motion import BaseMotion, ContactFriction, FreeBase, tilt
 from .steps import Steps
@@ -156,6 +157,7 @@ class ContactPlant:
     def _take_model(self) -> None:
         """Base, friction and steps on MuJoCo's model."""
         robot, model = self.robot, self.model
+        self.terms: tuple[PlantJoints, PlantTerms] | None = None
         self.base = FreeBase(robot, model) if robot.dimensions.base else None
         self.pivots = None if self.base is None else self.base.pivots
         self.friction = ContactFriction(robot, self.moving, self.at_v, model, self.base)
@@ -200,6 +202,15 @@ class ContactPlant:
     def motor_speeds(self, speeds: Array) -> None:
         """Speed of every motor's joint, (motors,) [rad/s or m/s]."""
         speeds[:] = self.data.qvel[self.motor_v]
+
+    def respond(self, tau: Array, E: Array, free: Array, answer: Array) -> None:
+        """See `integrators.respond`; by our model, whose wheels roll: a wheel that slips is lighter."""
+        robot, d = self.robot, self.dynamics
+        if self.terms is None:
+            friction = robot.damping, robot.dry, robot.viscous
+            joints = plant_joints(friction, robot.dimensions.base, robot.dimensions.sideways, d.maps)
+            self.terms = joints, plant_terms(d.v, d.M, d.h, d.F, self.hold, np.zeros_like(self.y))
+        respond(self.h * self.steps, *self.terms, self.nu, tau, E, free, answer)
 
     def step(self, tau: Array, pushed: Array = NO_PUSH) -> None:
         """Advance by dt under a held generalized torque, (p,); `pushed` is the part that motors do not give."""

@@ -14,10 +14,10 @@ import numpy as np
 
 from ...compiled import compiled
 from ...errors import ConfigError
+from ...model.chain import SIZE, chain_of, move
 from ...model.robot import Robot
 from ...settings import Settings
 from ...signals import Array
-from .chain import SIZE, chain_of, move
 
 REACT = 3.0  # how fast the way that is left may be used up [1/s]
 

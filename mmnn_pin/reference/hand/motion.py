@@ -20,13 +20,13 @@ from ...elementary import atan2, cos_sin
 from ...elementary.arrays import cos_sin as cos_sin_of
 from ...elementary.matrices import length
 from ...errors import ConfigError, TrajectoryError
+from ...model.chain import SIZE, Hands, poses
 from ...model.robot import Robot
 from ...settings import given_array
 from ...signals import Array, IntArray
 from ..joint import JointProfile, JointSamples, MinimumJerk
 from ..path import BasePath, BaseSamples, times
 from ..trajectory import Trajectory
-from .chain import SIZE, Hands, poses
 from .path import HandPath, placed
 from .tasks import TARGET, P, R, Task
 from .whole_body import WholeBody, manipulability

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...elementary.matrices import product
+from ...model.chain import SIZE, move
 from ...model.reduction import as_measured
 from ...signals import Array, Setpoint
-from .chain import SIZE, move
 from .path import HandPath, placed
 from .tasks import P, R, advance
 from .whole_body import WholeBody

@@ -17,6 +17,7 @@ import numpy as np
 from ...elementary import atan2, cos_sin, log
 from ...elementary.matrices import cholesky, inverse, length, product
 from ...errors import ConfigError
+from ...model.chain import SIZE, chain_of, gradient, hands_of, move
 from ...model.reduction import as_measured
 from ...model.robot import Robot
 from ...settings import one_or_each
@@ -24,7 +25,6 @@ from ...signals import Array
 from ..limits import Limits
 from ..steerable import bend_rate, curvatures
 from .capsules import Capsule, Pairs
-from .chain import SIZE, chain_of, gradient, hands_of, move
 from .tasks import (
     AXES,
     TARGET,

@@ -29,7 +29,7 @@ CASES = {
     "alike": Added(),
     "stronger": Added(2.0),
     "weaker": Added(0.4),
-    "shaking": Added(1.5, rings=1.5),
+    "shaking": Added(1.5, rings=4.0),
 }
 
 

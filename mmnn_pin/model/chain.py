@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from ...compiled import compiled, inlined
-from ...elementary import cos_sin
-from ...errors import ConfigError, RobotError, UnknownName
-from ...model.robot import Robot
-from ...signals import Array, IntArray, Layout
+from ..compiled import compiled, inlined
+from ..elementary import cos_sin
+from ..errors import ConfigError, RobotError, UnknownName
+from ..signals import Array, IntArray, Layout
+from .robot import Robot
 
 REVOLUTE, PRISMATIC = 0, 1
 SIZE = 12  # of a placement: rotation row by row, translation
