@@ -61,7 +61,7 @@ from .setup import (
     new_lead,
     new_streams,
 )
-from .sight import Sight
+from .sight import VelocityFilter
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited, timing_for
 
@@ -275,7 +275,7 @@ class Loop:
             block=max(1, min(BLOCK, round(self.weights_interval / self.timing.control_period))),
             latency=self.latency.total,
             lag=self.actuator.lag,
-            sight=Sight.of(self.sensor, self.timing.measurement_period),
+            sight=VelocityFilter.of(self.sensor, self.timing.measurement_period),
             servo=linear_servos(self.robot, self.interfaces, self.servo, True),
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
@@ -322,7 +322,7 @@ class Loop:
         return delay_margin(self.plan())
 
     def reductions(self) -> list[str]:
-        """What the loop does not bear of its controller and was reduced for it, a line each."""
+        """Lines on its controller that was reduced because the loop bears no more."""
         given = LoopToSuit.of(self, self.trajectory, self.timing, self.robot.dimensions)
         return reductions(self.robot, self.controller, given)
 

@@ -15,7 +15,7 @@ from ..signals import Array, Layout
 from ..torque.controller import CompiledController, Context, TorqueController
 from .lead import Lead
 from .servo_model import LinearServos
-from .sight import Sight
+from .sight import VelocityFilter
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Plan:
     block: int = 1
     latency: float = 0.0
     lag: float | tuple[float, ...] = 0.0
-    sight: Sight | None = None
+    sight: VelocityFilter | None = None
     servo: LinearServos | None = None
     lead: Lead | None = None
     age: float = 0.0

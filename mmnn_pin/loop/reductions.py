@@ -1,4 +1,4 @@
-"""What a loop does not bear and was reduced for it, in lines for the user: gains, and how fast a learner answers."""
+"""Lines for the user on gains, and answers of learners, that a loop does not bear and that were reduced."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LESS = 0.7  # of what an ideal loop would have: less is told
 
 
 def reductions(robot: Robot, controller: Any, given: LoopToSuit) -> list[str]:
-    """What of a controller was reduced because of all that is in its loop; nothing where that is ideal.
+    """Lines on a controller that was reduced because of all that is in its loop; none where that is ideal.
 
     Args:
         robot: Its robot.
@@ -40,7 +40,7 @@ def reductions(robot: Robot, controller: Any, given: LoopToSuit) -> list[str]:
 
 
 def in_the_loop(given: LoopToSuit) -> str:
-    """What is in a loop beside its control period, in words."""
+    """Parts of a loop beside its control period, in words."""
     lag, late = float(np.max(given.lag)), given.delay - given.margin
     parts = [f"{1e3 * lag:.3g} ms of lag"] * (lag > 0.0) + [f"{1e3 * late:.3g} ms of latency"] * (late > 1e-9)
     parts += ["velocities made of encoders"] * (given.sight is not None or given.late > 0.0)

@@ -3,8 +3,8 @@
 The loop is linearised about the reference, with the torque held over a control period h: deviations
 `d = [ex, ey, ephi; e; nu; tau of lagging motors]` obey `d_next = Phi d + Gamma tau`, `tau = F d`, and `Phi + Gamma F`
 must have no eigenvalue beyond the unit circle. F is the feedback `k s`; a controller that adds `M nudot_ref` has also
-the feedback inside it, `M [alphadot; K edot]`, which is judged beside. Where velocities are made of encoders (`Sight`),
-what the filter or the observer remembers is part of d, and F sees its rates in place of nu.
+the feedback inside it, `M [alphadot; K edot]`, which is judged beside. Where velocities are made of encoders
+(`VelocityFilter`), the memory of the filter or the observer is part of d, and F sees its rates in place of nu.
 
 **Delay margin.** With a delay L between measurement and torque the loop turns unstable where
 `exp(-j w L) lambda = 1` for an eigenvalue lambda of `H(w) = F (exp(j w h) - Phi)^-1 Gamma`: at a frequency where
@@ -35,7 +35,7 @@ from ..torque.model_based import PD, ScheduledPD
 from .before_run import Start, lags, viscous_friction
 from .plan import Plan
 from .servo_model import LinearServos
-from .sight import Sight
+from .sight import VelocityFilter
 
 TOLERANCE = 1e-9
 TINY = 1e-5  # deviation by which a slope is taken, and by which what stands upright begins to fall [rad or m]
@@ -45,7 +45,7 @@ FREQUENCIES, SLOWEST = 160, 0.05  # of the sweep, from this one on [rad/s]
 
 
 class Machinery(NamedTuple):
-    """What stands between torque and motion, and between motion and measurement; nothing by default.
+    """The parts between torque and motion, and between motion and measurement; none by default.
 
     Attributes:
         friction: Viscous friction on nu, (p,) or a matrix (p, p).
@@ -57,7 +57,7 @@ class Machinery(NamedTuple):
     friction: Array | None = None
     lag: Array | None = None
     servos: LinearServos | None = None
-    sight: Sight | None = None
+    sight: VelocityFilter | None = None
 
 
 NOTHING = Machinery()
@@ -244,7 +244,7 @@ def over_a_period(A: Array, B: Array, nu: slice, h: float) -> tuple[Array, Array
 
 
 def seen(
-    sight: Sight, state: Array, torque: Array, errors: Array, rates: Array, moved: Array, nu: slice, h: float
+    sight: VelocityFilter, state: Array, torque: Array, errors: Array, rates: Array, moved: Array, nu: slice, h: float
 ) -> tuple[Array, Array, Array, Array, slice]:
     """The loop with a filter's or an observer's memory as its last states, and where its rates stand in place of nu."""
     (size, p), (whole, total) = torque.shape, sight.over(h)
@@ -334,7 +334,7 @@ def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | N
 
 
 def machinery_of(plan: Plan) -> Machinery:
-    """What stands between the torques of a plan and what is measured."""
+    """The parts between the torques of a plan and its measurements."""
     return Machinery(viscous_friction(plan.robot), lags(plan.robot, plan.lag), plan.servo, plan.sight)
 
 

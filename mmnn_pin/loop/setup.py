@@ -31,7 +31,7 @@ from .lead import Lead, delays, lead_of, leads
 from .plan import Plan
 from .servo import Servo
 from .servo_model import linear_servos
-from .sight import Sight
+from .sight import VelocityFilter
 from .suited import postures
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
@@ -259,10 +259,12 @@ class StepperSetup:
         return lags(self.robot, self.lag)
 
     @property
-    def sight(self) -> Sight | None:
+    def sight(self) -> VelocityFilter | None:
         """How velocities are measured, as far as it is known."""
         period = self.timing.measurement_period
-        return Sight.late(self.filtered, period) if self.sensor.exact else Sight.of(self.sensor, period)
+        return (
+            VelocityFilter.late(self.filtered, period) if self.sensor.exact else VelocityFilter.of(self.sensor, period)
+        )
 
     @property
     def smoothing(self) -> float:

@@ -10,7 +10,7 @@ from ..sensing import Sensor
 from ..signals import Array
 
 
-class Sight(NamedTuple):
+class VelocityFilter(NamedTuple):
     """Velocities that are made of encoders by `sensing.effects.Rates`, as they are used once in a control period.
 
     The rate v and the tracked angle, off by w, follow the mean velocity m of a measurement's period,
@@ -39,7 +39,7 @@ class Sight(NamedTuple):
         return whole, total
 
     @classmethod
-    def of(cls, sensor: Sensor, period: float) -> Sight | None:
+    def of(cls, sensor: Sensor, period: float) -> VelocityFilter | None:
         """That of sensors which measure at a period [s]; None for exact velocities, and an observer on a model.
 
         That observer expects what torques do: a loop hardly notices it. `Sensor.smoothing` says what an integral does.
@@ -50,6 +50,6 @@ class Sight(NamedTuple):
         return cls(period, alpha, beta)
 
     @classmethod
-    def late(cls, filtered: float, period: float) -> Sight | None:
+    def late(cls, filtered: float, period: float) -> VelocityFilter | None:
         """That of a filter of first order of which only the time constant is known [s]; None for none."""
         return cls(period, period / (filtered + period)) if filtered > 0.0 else None

@@ -53,7 +53,7 @@ from .sample import Control
 from .sampled import delay_margin
 from .servo import Command, Servo, Split, interfaces_of, limit_commands, movers, own_velocities
 from .setup import KNOWN, StepperSetup, facts_of, plan_outside
-from .sight import Sight
+from .sight import VelocityFilter
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited
 from .suited_safety import suited_safety
@@ -196,7 +196,7 @@ class Stepper:
         with keyed(lambda key: "observer"):
             sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
         delay = known.total + known.margin
-        sight = Sight.late(settings.filtered, period) if sensor.exact else Sight.of(sensor, period)
+        sight = VelocityFilter.late(settings.filtered, period) if sensor.exact else VelocityFilter.of(sensor, period)
         late = 0.0 if sensor.exact else sensor.smoothing(period)
         given = LoopToSuit(settings.kinematic, period, delay, known.margin, settings.lag, late=late, sight=sight)
         controller = suited(controller, robot, lambda: given)

@@ -42,7 +42,7 @@ from ..torque.neural import Neural, Robust
 from .before_run import Start, lags, viscous_friction
 from .rates import Kind, borne, largest_rate
 from .sampled import HeldLoop, Machinery, held_loop, margin_at
-from .sight import Sight
+from .sight import VelocityFilter
 
 MARGIN = 0.003  # delay that default gains bear, beside the delay that is known [s]
 ROOM = 1.2  # times the gains: what a learner adds to them at first
@@ -82,7 +82,7 @@ class LoopToSuit(NamedTuple):
     lag: Numbers = 0.0
     reference: bytes = b""
     late: float = 0.0
-    sight: Sight | None = None
+    sight: VelocityFilter | None = None
 
     @classmethod
     def of(cls, loop: Any, trajectory: Trajectory, timing: Timing, layout: Dimensions) -> LoopToSuit:
@@ -93,7 +93,10 @@ class LoopToSuit(NamedTuple):
         """
         period, latency, sensor = timing.measurement_period, loop.latency, loop.sensor
         held, delay = max(timing.control_period, period), latency.total + latency.margin + sensor.line(period)
-        rows, sight = trajectory.table(np.linspace(0.0, timing.duration, PLACES), layout), Sight.of(sensor, period)
+        rows, sight = (
+            trajectory.table(np.linspace(0.0, timing.duration, PLACES), layout),
+            VelocityFilter.of(sensor, period),
+        )
         late = 0.0 if sight is not None else sensor.smoothing(period)
         return cls(loop.kinematic, held, delay, latency.margin, loop.actuator.lag, rows.tobytes(), late, sight)
 
@@ -154,7 +157,7 @@ def with_answer(controller: Any, robot: Robot, given: Callable[[], LoopToSuit]) 
 @lru_cache(64)
 @one_thread
 def bears_of(robot: Robot, feedback: Feedback, given: LoopToSuit) -> Bears:
-    """What the loop with a complete feedback bears of a learner, see `loop.rates.borne`."""
+    """The part of a learner that the loop with a complete feedback bears, see `loop.rates.borne`."""
     gains, seen = feedback.vector(robot.dimensions), places(robot, given)
     loops = [loop for loop in seen.loops(robot, given, gains, SLOW) if loop is not None]
     known = given.delay - given.margin + given.late

@@ -96,7 +96,7 @@ def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Arra
 
 @compiled
 def one_layer_answer(phi: Array, s: Array, beta: float) -> float:
-    """What an update answers s with, `s' (Psi_hat_next - Psi_hat) = beta phi'phi s's`, for dt = 1, without leakage."""
+    """Answer of an update to s, `s' (Psi_hat_next - Psi_hat) = beta phi'phi s's`, for dt = 1, without leakage."""
     units, squares = 0.0, 0.0
     for j in range(phi.size):
         units += phi[j] * phi[j]

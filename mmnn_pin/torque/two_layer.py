@@ -169,7 +169,7 @@ def two_layer_update(W: Array, V: Array, x: Array, net: Array, sigma: Array, s: 
 
 @internal
 def two_layer_answer(W: Array, x: Array, net: Array, sigma: Array, s: Array, rates: Array) -> float:
-    """What an update answers s with to first order, `s' (Psi_hat_next - Psi_hat)`, for dt = 1 and without leakage.
+    """Answer of an update to s, to first order, `s' (Psi_hat_next - Psi_hat)`, for dt = 1 and without leakage.
 
     `(F sigma' (sigma - sigma' V'x) s's + G x'x |sigma' W s|^2`; arguments as in `two_layer_update`, nothing changes.
     """

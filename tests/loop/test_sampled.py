@@ -23,7 +23,7 @@ from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sampled import HeldLoop, Machinery, SampledLoop, sampled_loop
-from mmnn_pin.loop.sight import Sight
+from mmnn_pin.loop.sight import VelocityFilter
 from mmnn_pin.loop.stable_gains import require_stable
 from mmnn_pin.loop.stepper import Stepper, StepperSettings
 from mmnn_pin.loop.suited import LoopToSuit, suited
@@ -293,7 +293,9 @@ def test_margin_of_one_joint_is_the_phase_margin_of_the_textbook(mass: float, ba
     assert held.margin(np.array([mass * bandwidth]), h, False) == pytest.approx(np.arctan2(w, K) / w - h / 2, rel=1e-3)
 
 
-def loop_of_one(mass: float, K: float, h: float, lag: Array | None = None, sight: Sight | None = None) -> HeldLoop:
+def loop_of_one(
+    mass: float, K: float, h: float, lag: Array | None = None, sight: VelocityFilter | None = None
+) -> HeldLoop:
     """One joint."""
     held = sampled.held_loop(np.array([[mass]]), STILL, np.array([K]), h, Machinery(None, lag, None, sight))
     assert held is not None
@@ -382,7 +384,7 @@ def test_what_velocities_are_made_of_is_in_the_loop(  # type: ignore[no-untyped-
     """Against the filter's or observer's own steps, several of them in a control period, beside a lag and a delay."""
     h, K, mass = 0.006, 6.0, 0.7
     sensor = Sensor(velocity=kind, bandwidth=wc)
-    held = loop_of_one(mass, K, h, np.array([lag]), Sight.of(sensor, h / parts))
+    held = loop_of_one(mass, K, h, np.array([lag]), VelocityFilter.of(sensor, h / parts))
     gains, joint = np.array([mass * bandwidth]), Measured(sensor, h, parts, lag, periods)
     if parts == 1:
         assert held.radius(gains, inside) == pytest.approx(
@@ -396,9 +398,9 @@ def test_what_velocities_are_made_of_is_in_the_loop(  # type: ignore[no-untyped-
 
 
 def test_exact_velocities_and_an_observer_on_a_model_are_no_part_of_the_loop() -> None:
-    assert Sight.of(Sensor(), 0.01) is None and Sight.of(Sensor(velocity="model"), 0.01) is None
-    assert Sight.late(0.0, 0.01) is None
-    assert Sight.late(0.02, 0.001) == Sight.of(Sensor(velocity="filtered", bandwidth=50.0), 0.001)
+    assert VelocityFilter.of(Sensor(), 0.01) is None and VelocityFilter.of(Sensor(velocity="model"), 0.01) is None
+    assert VelocityFilter.late(0.0, 0.01) is None
+    assert VelocityFilter.late(0.02, 0.001) == VelocityFilter.of(Sensor(velocity="filtered", bandwidth=50.0), 0.001)
 
 
 def late(share: float, latency: Latency, controller: type = PD) -> Loop:
