@@ -20,6 +20,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..compliance import Force, Impedance
 from ..elementary import hypot
 from ..elementary.arrays import is_below
 from ..elementary.matrices import product
@@ -94,6 +95,8 @@ class StepperSettings(Settings, frozen=True):
         meta: More facts for the recording.
         state: What a controller has learned, of `snapshot` or of a recording (it is copied); None for a new one.
         weights_interval: Time between two records of the weights [s].
+        impedance: How the hand gives way; None for one that is stiff.
+        hand_force: The force that the hand pushes with.
 
     Raises:
         ConfigError: No supervisor, or numbers out of range.
@@ -126,6 +129,8 @@ class StepperSettings(Settings, frozen=True):
     meta: Mapping[str, Any] = {}
     state: Any = None
     weights_interval: float = 0.1
+    impedance: Impedance | None = None
+    hand_force: Force | None = None
 
     def __post_init__(self) -> None:
         if self.safety is None:
@@ -204,6 +209,7 @@ class Stepper:
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
+            impedance=settings.impedance, force=settings.hand_force,
             touch=settings.touch,
         )  # fmt: skip
         self.period, self.check_gains, self.latency = period, settings.check_gains, known.total
@@ -264,6 +270,8 @@ class Stepper:
             "servo": loop.servo,
             "check_gains": loop.check_gains,
             "weights_interval": loop.weights_interval,
+            "impedance": loop.impedance,
+            "hand_force": loop.force,
         } | more
         for name in set(said) - set(StepperSettings.__struct_fields__):
             raise UnknownName("setting of a stepper", name, StepperSettings.__struct_fields__, key=name)
