@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from ...actuator import Actuator
+from ...compliance import Force, Impedance
 from ...disturbance import Disturbance, require_in_time
 from ...errors import ConfigError, InputError, UnknownName, keyed
 from ...kinematic import Kinematic
@@ -162,6 +163,8 @@ class Experiment(LearnerTables, frozen=True):
         lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag.
         touch: What external torque is felt by; without the table nothing is.
         disturbances: What happens to the robot during a run.
+        impedance: How the hand gives way; without the table it is stiff.
+        force: What the hand pushes with.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
         cases: Changes of this experiment, name to case; with them it runs once in each, with a verdict on every run.
@@ -209,6 +212,8 @@ class Experiment(LearnerTables, frozen=True):
     lead: bool = False
     touch: Touch | None = None
     disturbances: tuple[Disturbance, ...] = ()
+    impedance: Impedance | None = None
+    force: Force | None = None
     plant: str = "ideal"
     contact: Contact = Contact()
     cases: dict[str, Case] = msgspec.field(default_factory=dict)
@@ -366,6 +371,8 @@ class Experiment(LearnerTables, frozen=True):
             lead=self.lead,
             touch=self.touch,
             radii=self.radii,
+            impedance=self.impedance,
+            force=self.force,
         )
 
     def setting(self, values: Mapping[str, str]) -> str:
