@@ -18,6 +18,7 @@ from typing import Any
 from ...errors import UnknownName
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
+from ...settings.arguments import faced
 from ...shown import ShownPage, ShownPicture, ShownTable, shown
 from .controllers import LEARNERS, effective
 from .experiment import Experiment
@@ -26,6 +27,7 @@ from .outliers import outliers
 from .thesis import beside_the_thesis, figure_ranges
 
 
+@faced
 @dataclass(frozen=True, repr=False)
 class Result(Mapping[str, Recording]):
     """The result of an experiment: its recordings by controller, tables and figures of them.
