@@ -21,6 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..compliance import Force, Impedance
 from ..elementary import hypot
 from ..elementary.arrays import is_below
 from ..elementary.matrices import product
@@ -42,6 +43,7 @@ from ..settings.arguments import checked, faced, shortly
 from ..signals import Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
+from ..touch import Touch
 from .before_run import require_seed, samples_between
 from .controller import state_from, with_findings
 from .latency import Latency
@@ -81,6 +83,7 @@ class StepperSettings(Settings, frozen=True):
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
         lead: Whether Psi_hat leads by half the period, the lag and what of the latency is not predicted (`loop.lead`).
         filtered: By how much the filter of measured velocities is late (`Sensor.smoothing`), for `adaptive` [s].
+        touch: What external torque is felt by; None for nothing.
         observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
             base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
@@ -91,6 +94,8 @@ class StepperSettings(Settings, frozen=True):
         meta: More facts for the recording.
         state: What a controller has learned, of `snapshot` or of a recording (it is copied); None for a new one.
         weights_interval: Time between two records of the weights [s].
+        impedance: How the hand gives way; None for one that is stiff.
+        hand_force: The force that the hand pushes with.
 
     Raises:
         ConfigError: No supervisor, or numbers out of range.
@@ -113,6 +118,7 @@ class StepperSettings(Settings, frozen=True):
     lag: Numbers = 0.0
     lead: bool = False
     filtered: float = 0.0
+    touch: Touch | None = None
     observer: float = 0.0
     interfaces: Mapping[str, str] = {}
     servo: Servo = Servo()
@@ -122,6 +128,8 @@ class StepperSettings(Settings, frozen=True):
     meta: Mapping[str, Any] = {}
     state: Any = None
     weights_interval: float = 0.1
+    impedance: Impedance | None = None
+    hand_force: Force | None = None
 
     def __post_init__(self) -> None:
         if self.safety is None:
@@ -157,6 +165,9 @@ class Stepper:
         measured: The last good measurement, views into the row.
         setpoint: The setpoint of the last sample, views.
         command: What the last step returned.
+        external_torque: (p,) torque of the world on the velocities at the last measurement, a view; (0,) without
+            `touch` [N, N m].
+        external_wrench: (6,) force and moment of the world on the hand, in the world's axes, likewise [N, N m].
         state: What the controller has learned.
         time: Of the last sample [s].
         step_time: Wall-clock time that the last step took [s].
@@ -195,6 +206,8 @@ class Stepper:
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
+            impedance=settings.impedance, force=settings.hand_force,
+            touch=settings.touch,
         )  # fmt: skip
         self.period, self.check_gains, self.latency = period, settings.check_gains, known.total
         self.safety, self.limits, layout = safety, settings.limits, setup.layout
@@ -203,6 +216,8 @@ class Stepper:
         self.received = row[layout.where("pose").start : layout.where("shape").stop]  # all of `measured`, in one piece
         self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
         self.torque, self.motor_torque = row[layout.where("torque")], row[layout.where("motor_torque")]
+        self.external_torque = row[layout.where("external_torque")]
+        self.external_wrench = row[layout.where("external_wrench")]
         sizes = [layout.dof] * 3 + [layout.motors] * 3 + [layout.twist]
         self.command = Command._make(np.full(size, np.nan) for size in sizes)
         self.seen = np.zeros(layout.pose + layout.twist + 2 * layout.arm)
@@ -246,10 +261,13 @@ class Stepper:
             "lag": loop.actuator.lag,
             "lead": loop.lead,
             "filtered": loop.smoothing,
+            "touch": loop.touch,
             "interfaces": loop.interfaces,
             "servo": loop.servo,
             "check_gains": loop.check_gains,
             "weights_interval": loop.weights_interval,
+            "impedance": loop.impedance,
+            "hand_force": loop.force,
         } | more
         for name in set(said) - set(StepperSettings.__struct_fields__):
             raise UnknownName("setting of a stepper", name, StepperSettings.__struct_fields__, key=name)
@@ -359,6 +377,7 @@ class Stepper:
         self.follower.stand(self.seen)
         self.past.times[:] = -math.inf
 
+    @checked
     def change(
         self,
         controller: CompiledController | TorqueController | None = None,
@@ -412,6 +431,12 @@ class Stepper:
     def tripped(self) -> bool:
         """Whether the supervisor has stopped the robot."""
         return bool(self.hardware.way.supervisor.state.tripped[0])
+
+    @property
+    def is_touched(self) -> bool:
+        """Whether there is contact; never without `touch`."""
+        touch = self.hardware.touch
+        return touch is not None and bool(self.row[self.setup.layout.where("contact")][0])
 
     @property
     def is_over(self) -> bool:

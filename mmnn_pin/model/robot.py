@@ -40,7 +40,9 @@ class Robot(Structure):
     in the order of `joint_names` [m, m, rad, rad or m]; for a fixed arm the joints alone. Of a base that steers the
     angles of its steering, casters and hitches stand between them. `nu` is the base velocity in the control frame,
     `(v, w)`, or `(vx, vy, w)` of a holonomic base, or of one that steers `[u; steering rates]`, then the joints' rates,
-    in the order of `velocity_names` [m/s, rad/s, rad/s or m/s]. Its attributes are those of `Structure`.
+    in the order of `velocity_names` [m/s, rad/s, rad/s or m/s]. Wheels roll: `A velocity = 0` holds for all velocities
+    of the model, and `velocity = T nu` gives those that do. T is called S in the thesis and in the literature. Its
+    attributes are those of `Structure`.
 
     >>> robot = load("platform_arm")
     >>> robot

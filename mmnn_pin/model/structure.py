@@ -469,7 +469,8 @@ def factor_of(value: Any, what: str, key: str | None = None) -> float:
     Raises:
         ConfigError: It is no number, or one that no robot needs.
     """
-    if isinstance(value, Real) and not isinstance(value, bool) and 1.0 / MOST_FACTOR <= value <= MOST_FACTOR:
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    if is_number and 1.0 / MOST_FACTOR <= value <= MOST_FACTOR:
         return float(value)
     fix = f"give a number from {1.0 / MOST_FACTOR:g} to {MOST_FACTOR:g}"
     raise ConfigError(f"factor {shortly(value)} for {what}", fix=fix, key=key)

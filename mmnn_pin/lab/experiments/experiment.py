@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from ...actuator import Actuator
+from ...compliance import Force, Impedance
 from ...disturbance import Disturbance, require_in_time
 from ...errors import ConfigError, InputError, UnknownName, keyed
 from ...kinematic import Kinematic
@@ -37,6 +38,7 @@ from ...settings.arguments import faced
 from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ...torque.neural import Inputs, Robust
+from ...touch import Touch
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, Learning, Nominal, RobustOf, new_controller
 from .hand import hand_motion
 from .laws import resolved
@@ -161,7 +163,10 @@ class Experiment(LearnerTables, frozen=True):
             named.
         servo: The servos behind velocity and position interfaces.
         lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag.
+        touch: What external torque is felt by; without the table nothing is.
         disturbances: What happens to the robot during a run.
+        impedance: How the hand gives way; without the table it is stiff.
+        force: What the hand pushes with.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
         cases: Changes of this experiment, name to case; with them it runs once in each, with a verdict on every run.
@@ -207,7 +212,10 @@ class Experiment(LearnerTables, frozen=True):
     interfaces: dict[str, str] = msgspec.field(default_factory=dict)
     servo: Servo = Servo()
     lead: bool = False
+    touch: Touch | None = None
     disturbances: tuple[Disturbance, ...] = ()
+    impedance: Impedance | None = None
+    force: Force | None = None
     plant: str = "ideal"
     contact: Contact = Contact()
     cases: dict[str, Case] = msgspec.field(default_factory=dict)
@@ -365,7 +373,10 @@ class Experiment(LearnerTables, frozen=True):
             interfaces=self.interfaces,
             servo=self.servo,
             lead=self.lead,
+            touch=self.touch,
             radii=self.radii,
+            impedance=self.impedance,
+            force=self.force,
         )
 
     def setting(self, values: Mapping[str, str]) -> str:
