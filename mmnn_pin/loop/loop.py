@@ -33,7 +33,7 @@ from ..reference.steerable import require_steerable, start_angles
 from ..safety import Safety
 from ..sensing import Sensor
 from ..settings import Timing, given_array, plain
-from ..settings.arguments import checked, require_types
+from ..settings.arguments import checked, faced, require_types
 from ..signals import Array, Dimensions, Layout, Setpoint
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from ..touch import Touch
@@ -46,6 +46,7 @@ from .lead import delays
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
 from .plan import Plan
+from .reductions import reductions
 from .sampled import delay_margin
 from .servo import Servo
 from .servo_model import linear_servos
@@ -61,6 +62,7 @@ from .setup import (
     new_lead,
     new_streams,
 )
+from .sight import VelocityFilter
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited, timing_for
 
@@ -68,6 +70,7 @@ BLOCK = 250  # most samples that an engine hands over at a time
 PLANTS = ("ideal", "contact")
 
 
+@faced
 @dataclass(frozen=True)
 class Loop:
     """A closed loop, ready to run.
@@ -279,6 +282,7 @@ class Loop:
             block=max(1, min(BLOCK, round(self.weights_interval / self.timing.control_period))),
             latency=self.latency.total,
             lag=self.actuator.lag,
+            sight=VelocityFilter.of(self.sensor, self.timing.measurement_period),
             servo=linear_servos(self.robot, self.interfaces, self.servo, True),
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
@@ -325,15 +329,22 @@ class Loop:
         """
         return delay_margin(self.plan())
 
+    def reductions(self) -> list[str]:
+        """Lines on its controller that was reduced because the loop bears no more."""
+        given = LoopToSuit.of(self, self.trajectory, self.timing, self.robot.dimensions)
+        return reductions(self.robot, self.controller, given)
+
     def rehearse(self) -> None:
         """Ask a controller in plain Python at two samples, with a state that is dropped: what fails, fails now.
+
+        Nothing is done where the loop is compiled.
 
         Raises:
             InputError: It fails, or returns something of another shape; what `engine_at` refuses.
         """
         engine = self.engine_at()
-        assert isinstance(engine, OrdinaryLoop)
-        engine.rehearse(min(2, self.timing.samples))
+        if isinstance(engine, OrdinaryLoop):
+            engine.rehearse(min(2, self.timing.samples))
 
     def final(self, engine: Engine) -> dict[str, Array]:
         """Position, nu, and the states of hardware and controller where an engine stands."""
