@@ -48,7 +48,7 @@ from ..model.reduction import as_measured, put_shape, solve, substitute
 from ..model.regressor import Massless, measured, regress
 from ..model.tree.body import Body, Work, evaluate
 from ..model.tree.dynamics import psi_again
-from ..model.tree.motion import AT, BASE, LINK, Triple, add, cross, dot, get
+from ..model.tree.motion import AT, BASE, LINK, ZERO, Triple, add, cross, dot, get
 from ..model.tree.twin import psi_of
 from ..parts import view
 from ..signals import INDEX, Array, IntArray
@@ -597,10 +597,10 @@ def jacobian(a: Feeler) -> None:
     c, s = 1.0, 0.0
     if a.moving:
         c, s = cos_sin(a.position[2] - a.body.tree.frame[2])
-    axes = ((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0))
     for m in range(3):
-        pull(b, axes[m], cross(lever, axes[m]), a, a.J[m])
-        pull(b, (0.0, 0.0, 0.0), axes[m], a, a.J[3 + m])
+        axis = (c, -s, 0.0) if m == 0 else ((s, c, 0.0) if m == 1 else (0.0, 0.0, 1.0))
+        pull(b, axis, cross(lever, axis), a, a.J[m])
+        pull(b, ZERO, axis, a, a.J[3 + m])
     for m in range(6):
         for i in range(a.felt.size):
             a.J[m, i] *= a.felt[i]
@@ -609,14 +609,14 @@ def jacobian(a: Feeler) -> None:
 @internal
 def pull(b: int, force: Triple, moment: Triple, a: Feeler, out: Array) -> None:
     """The torques on nu, (p,), of a force and a moment about the origin of body b."""
-    links, scratch, i = a.body.tree.links, a.work.scratch, b
+    links, scratch, i, there = a.body.tree.links, a.work.scratch, b, add(moment, ZERO)
     out[:] = 0.0
     while i > BASE.w:
-        feel_at(i, force, moment, a, out)
-        moment = add(moment, cross(get(scratch, i, AT.lever), force))
+        feel_at(i, force, there, a, out)
+        there = add(there, cross(get(scratch, i, AT.lever), force))
         i = int(links[i, LINK.parent])
     for i in range(BASE.w + 1):
-        feel_at(i, force, moment, a, out)
+        feel_at(i, force, there, a, out)
 
 
 @internal
