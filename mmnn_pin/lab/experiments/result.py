@@ -39,6 +39,7 @@ class Result(Mapping[str, Recording]):
         metrics: Controller to numbers (see `metrics`).
         notes: What the user should know.
         hand: Controller to what it did at every frame that the reference took along a path.
+        pushes: Controller to numbers of what its hand touched (`pushing_numbers`); empty where it touched nothing.
     """
 
     experiment: Experiment
@@ -47,6 +48,7 @@ class Result(Mapping[str, Recording]):
     metrics: dict[str, dict[str, float]]
     notes: tuple[str, ...]
     hand: dict[str, list[HandErrors]] = field(default_factory=dict)
+    pushes: dict[str, dict[str, float | None]] = field(default_factory=dict)
 
     def __getitem__(self, controller: str) -> Recording:
         if controller not in self.recordings:
@@ -137,6 +139,7 @@ class Result(Mapping[str, Recording]):
             "figure_ranges": self.figure_ranges(),
             **self.largest_errors(),
             **({"hand": {name: told(errors) for name, errors in self.hand.items()}} if any(self.hand.values()) else {}),
+            **({"pushes": self.pushes} if any(self.pushes.values()) else {}),
             "unfair": unfair(self.experiment, self.metrics),
             "notes": [*self.notes, *self.outliers()],
         }

@@ -26,6 +26,7 @@ from ...torque.entries import DESCRIBED, NOMINAL, PARAMETERS
 from .controllers import EFFECTIVE, effective
 from .experiment import Experiment
 from .hand import hand_errors, hand_motion
+from .pushing import pushing_numbers
 from .result import Result
 
 BEYOND = 0.02  # of a joint's range, past its limits, that is told
@@ -93,11 +94,12 @@ def run_experiment(
     kept = {controller: runs[controller] for controller in wanted if controller in runs}
     numbers = {controller: metrics(recording, experiment.windows) for controller, recording in kept.items()}
     hand, tables = {}, experiment.reference.hand
+    pushes = {c: pushing_numbers(recording, robot) for c, recording in kept.items()}
     if tables is not None:
         hand = {c: hand_errors(recording, robot) for c, recording in kept.items()}
         notes += hand_notes(experiment, robot)
     notes += [*margin_notes(experiment, kept), *limit_notes(robot, kept)]
-    return Result(experiment, name, kept, numbers, tuple(notes), hand)
+    return Result(experiment, name, kept, numbers, tuple(notes), hand, pushes)
 
 
 def without_unable(experiment: Experiment, robot: Robot) -> tuple[Experiment, list[str]]:
