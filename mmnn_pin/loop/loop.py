@@ -46,6 +46,7 @@ from .lead import delays
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
 from .plan import Plan
+from .reductions import reductions
 from .sampled import delay_margin
 from .servo import Servo
 from .servo_model import linear_servos
@@ -61,6 +62,7 @@ from .setup import (
     new_lead,
     new_streams,
 )
+from .sight import VelocityFilter
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited, timing_for
 
@@ -280,6 +282,7 @@ class Loop:
             block=max(1, min(BLOCK, round(self.weights_interval / self.timing.control_period))),
             latency=self.latency.total,
             lag=self.actuator.lag,
+            sight=VelocityFilter.of(self.sensor, self.timing.measurement_period),
             servo=linear_servos(self.robot, self.interfaces, self.servo, True),
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
@@ -325,6 +328,11 @@ class Loop:
         NaN for a controller in plain Python, whose gains are not known.
         """
         return delay_margin(self.plan())
+
+    def reductions(self) -> list[str]:
+        """Lines on its controller that was reduced because the loop bears no more."""
+        given = LoopToSuit.of(self, self.trajectory, self.timing, self.robot.dimensions)
+        return reductions(self.robot, self.controller, given)
 
     def rehearse(self) -> None:
         """Ask a controller in plain Python at two samples, with a state that is dropped: what fails, fails now.

@@ -32,6 +32,7 @@ from .lead import Lead, delays, lead_of, leads
 from .plan import Plan
 from .servo import Servo
 from .servo_model import linear_servos
+from .sight import VelocityFilter
 from .suited import postures
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
@@ -273,6 +274,14 @@ class StepperSetup:
         return lags(self.robot, self.lag)
 
     @property
+    def sight(self) -> VelocityFilter | None:
+        """How velocities are measured, as far as it is known."""
+        period = self.timing.measurement_period
+        return (
+            VelocityFilter.late(self.filtered, period) if self.sensor.exact else VelocityFilter.of(self.sensor, period)
+        )
+
+    @property
     def smoothing(self) -> float:
         """See `Setup.smoothing`; an observer makes velocities of its own."""
         return self.filtered if self.sensor.exact else self.sensor.smoothing(self.timing.measurement_period)
@@ -303,6 +312,7 @@ def plan_outside(setup: StepperSetup) -> Plan:
         plan,
         latency=setup.known.total,
         lag=setup.lag,
+        sight=setup.sight,
         servo=servo,
         lead=new_lead(setup),
         steering=steering,

@@ -49,10 +49,12 @@ from .latency import Latency
 from .lead import Past, bring_up
 from .loop import Loop
 from .new_hardware import new_hardware
+from .reductions import reductions
 from .sample import Control
 from .sampled import delay_margin
 from .servo import Command, Servo, Split, interfaces_of, limit_commands, movers, own_velocities
 from .setup import KNOWN, StepperSetup, facts_of, plan_outside
+from .sight import VelocityFilter
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited
 from .suited_safety import suited_safety
@@ -80,7 +82,8 @@ class StepperSettings(Settings, frozen=True):
         predict: Whether a measurement moves on with the reference, over its latency at most; None as `Latency` says.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
         lead: Whether Psi_hat leads by half the period, the lag and what of the latency is not predicted (`loop.lead`).
-        filtered: By how much the filter of measured velocities is late (`Sensor.smoothing`), for `adaptive` [s].
+        filtered: Time constant of the filter of measured velocities (`Sensor.smoothing`), which the gains have to bear
+            [s].
         touch: What external torque is felt by; None for nothing.
         observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
             base velocities measured at every sample [rad/s]; 0 takes them as they come.
@@ -169,6 +172,7 @@ class Stepper:
         time: Of the last sample [s].
         step_time: Wall-clock time that the last step took [s].
         is_late: Whether it has been stepped more slowly than its period says, by far.
+        told: What a recording will tell of it: what its loop does not bear and was reduced, trips, delays.
 
     Raises:
         ConfigError: Gains that are unstable when sampled, numbers out of range, or a state of another controller.
@@ -197,7 +201,9 @@ class Stepper:
         with keyed(lambda key: "observer"):
             sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
         delay = known.total + known.margin
-        given = LoopToSuit(settings.kinematic, period, delay, settings.lag, late=settings.filtered)
+        sight = VelocityFilter.late(settings.filtered, period) if sensor.exact else VelocityFilter.of(sensor, period)
+        late = 0.0 if sensor.exact else sensor.smoothing(period)
+        given = LoopToSuit(settings.kinematic, period, delay, known.margin, settings.lag, late=late, sight=sight)
         controller = suited(controller, robot, lambda: given)
         setup = StepperSetup(
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
@@ -224,6 +230,7 @@ class Stepper:
         self.placed = placed_motors(robot, movers(robot)[self.kinds == "position"].any(axis=0))
         self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()
         self.is_late = False
+        self.told += reductions(robot, controller, given)
         self.every, self.weighed = samples_between(settings.weights_interval, period), -1
         now = self.follower.now
         self.past, self.before = Past.of(known.caught_up(timing), period, now), now.copy()
@@ -257,7 +264,7 @@ class Stepper:
             "latency": loop.latency,
             "lag": loop.actuator.lag,
             "lead": loop.lead,
-            "filtered": loop.smoothing,
+            "filtered": loop.smoothing if loop.sensor.velocity != "model" else 0.0,
             "touch": loop.touch,
             "interfaces": loop.interfaces,
             "servo": loop.servo,
@@ -389,7 +396,8 @@ class Stepper:
         made = self.setup.controller
         if controller is not None:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
-            given = LoopToSuit(kinematic, self.period, delay, lag, late=self.setup.filtered)
+            sight, late = self.setup.sight, 0.0 if self.setup.sensor.exact else self.setup.smoothing
+            given = LoopToSuit(kinematic, self.period, delay, self.setup.known.margin, lag, late=late, sight=sight)
             made = suited(controller, self.robot, lambda: given)
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         before, self.limits, direction = self.limits, limits or self.limits, self.direction.copy()
