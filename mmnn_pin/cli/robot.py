@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ..errors import RobotError
-from .options import PATH, examples, robots, shared, understanding
+from .options import PATH, examples, robots, run_command, shared, understanding
 from .output import BAD_INPUT, DONE, FAILED, answer, columns, note, progress_bar, warn
 
 
@@ -64,6 +64,7 @@ def inspect(robot: str, gains: bool, overrides: dict[str, Any], as_json: bool) -
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. The options can also
     stand in NAME.mmnn.toml beside NAME.urdf. Exit code 2 when the robot cannot be used or its base is undecided.
     """
+    from ..lab.experiments.hardware import beside_urdf, proposed
     from ..lab.experiments.track_gains import track_gains
     from ..lab.show.robots import inspection_text, refusal_text, summary
     from ..model.base.overrides import Overrides
@@ -75,6 +76,8 @@ def inspect(robot: str, gains: bool, overrides: dict[str, Any], as_json: bool) -
         loaded = load(robot, **overrides)
         content, code = inspection_of(loaded) | ({"track": track_gains(loaded)} if gains else {}), DONE
         content["understood"] = summary(content)
+        own, profile, run = beside_urdf(robot), proposed(loaded), run_command(robot, overrides)
+        content["hardware"] = {"profile": own or profile, "run": run if own else f"{run} --hardware {profile}"}
     except RobotError as error:
         content, code = refusal_of(error, find(robot), Overrides(**overrides)), BAD_INPUT
     for finding in content["findings"]:

@@ -24,6 +24,7 @@ from ...torque.controller import TorqueController
 from .controllers import EFFECTIVE, effective
 from .experiment import Experiment
 from .hand import hand_errors, hand_motion
+from .hardware import lines
 from .result import Result
 
 BEYOND = 0.02  # of a joint's range, past its limits, that is told
@@ -68,7 +69,8 @@ def run_experiment(
     if understood is not None:
         understood(robot)
     runs: dict[str, Recording] = {}
-    notes = [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
+    notes = [] if experiment.hardware is None else [*lines(experiment.hardware)]
+    notes += [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
     notes += [*interface_notes(experiment, robot), *sensor_notes(experiment.sensor, robot)]
     notes += [*weak_notes(robot), *rotor_notes(robot)]
     duration, learners = experiment.time.duration, effective(wanted)
