@@ -45,7 +45,7 @@ from mmnn_pin.deploy.identify.identification import MODELS, Identification, foll
 from mmnn_pin.deploy.identify.least_squares import base_parameters, weighted_fit
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.payload import doubts, numbers_of, payload
-from mmnn_pin.deploy.identify.programme import Prior, consistent_fit
+from mmnn_pin.deploy.identify.programme import Prior, compressed, consistent_fit
 from mmnn_pin.deploy.identify.reading import read_logs
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
@@ -262,7 +262,7 @@ def coverage(robot: Robot, draws: int, noise: float = 0.2, seed: int = 1) -> dic
         found["value"].append(fit.value)
         found["sd"].append(fit.sd)
         if n % 10 == 0:
-            consistent = consistent_fit(noisy, prior, every, fit.deviation, weight, fit.inflation)
+            consistent = consistent_fit(*compressed(noisy, prior, every, fit.deviation), prior, weight, fit.inflation)
             found["consistent"].append(C @ consistent.theta)
             found["consistent_sd"].append(np.sqrt(np.diag(C @ consistent.covariance @ C.T)))
     value, sd, ours, ours_sd = (np.array(part) for part in found.values())

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
 F = TypeVar("F", bound=Callable[..., Any])
 ABOVE: list[
@@ -105,5 +106,33 @@ class ShownPage(Protocol):
 
     def save(self, path: str | Path, force: bool = True) -> Path:
         """Write it, whole or not at all; without `force` not in the place of another file."""
+
+    def _repr_html_(self) -> str: ...
+
+
+class ShownView(Protocol):
+    """A robot in meshcat, on a server of this machine; a notebook shows it."""
+
+    @property
+    def url(self) -> str:
+        """Of the page, with sliders and legend."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Notes on shapes that are not shown as the file says, one line each."""
+
+    def display(self, q: ArrayLike) -> None:
+        """Move the robot to a q, as `Robot` has it.
+
+        Raises:
+            ConfigError: It is of another size, or not finite.
+        """
+
+    def close(self) -> None:
+        """End the server."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *error: object) -> None: ...
 
     def _repr_html_(self) -> str: ...

@@ -30,7 +30,7 @@ FLOORS = (
         ),
     ),
     ("model", ("model",)),
-    ("blocks", ("reference", "kinematic", "torque", "safety", "actuator", "disturbance", "plant", "sensing")),
+    ("blocks", ("reference", "kinematic", "torque", "safety", "touch", "actuator", "disturbance", "plant", "sensing")),
     ("recording", ("recording",)),
     ("loop", ("loop",)),
     ("deploy", ("deploy",)),

@@ -27,7 +27,7 @@ from .identify import excite, identify
 from .options import examples
 from .output import BAD_INPUT, DONE, FAILED, STOPPED, answer, note, say
 from .results import export, judge, plot, replay, report
-from .robot import check, inspect, model
+from .robot import check, inspect, model, view
 from .ros2 import ros2
 from .run import list_, readings, run
 from .study import study, tune
@@ -115,9 +115,10 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-JUDGING = (run, study, tune, readings, model, plot, judge, replay, report, export, inspect, check, list_, warm, docs)
+JUDGING = (run, study, tune, readings, model, plot, judge, replay, report, export, list_, warm, docs)
+ROBOTS = (inspect, view, check)
 DEPLOYING = (ros2, embed, identify, excite)
-for command in (*JUDGING, *DEPLOYING):
+for command in (*JUDGING, *ROBOTS, *DEPLOYING):
     mmnn.add_command(command)
 
 

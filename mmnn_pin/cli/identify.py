@@ -11,11 +11,15 @@ import click
 from ..errors import ConfigError
 from ..files import require_free
 from .options import FORCE, PATH, RangedNumber, examples, numbers, robots, run_command, shared, understanding
-from .output import DONE, FAILED, answer, look, named, progress_bar, styled, warn, wrote
+from .output import BAD_INPUT, DONE, FAILED, answer, look, named, progress_bar, styled, warn, wrote
 
 if TYPE_CHECKING:
+    from ..deploy.identify.doctor import ExaminedLog
     from ..deploy.identify.identification import Identification
     from ..deploy.identify.log import Log
+    from ..deploy.identify.mends import Mend
+    from ..deploy.identify.odometry import Wheels
+    from ..deploy.identify.rotors import RotorChoice
     from ..model.robot import Robot
 
 FOLLOWS = "kalman_friction"  # the controller that follows such motions best, with delay and encoders, too
@@ -23,12 +27,18 @@ HEADERS = (
     "Which header, joint or topic holds a signal: SIGNAL=HEADER, several separated by commas, or a TOML file of such"
     " lines. Repeatable."
 )
+MENDS = (
+    "What mends a signal, as the check advises it: a unit that it has (ms, us, ns, deg, mm, counts:4096), negated,"
+    " late:SECONDS, lag:SECONDS, seam:PERIOD, another signal, dropped. '*' stands for several. Repeatable."
+)
 
 
 @click.command(
     short_help="Find inertias and friction from recorded motion, and write a corrected URDF.",
     epilog=examples(
         "mmnn identify motion.csv --robot my_arm.urdf",
+        "mmnn identify motion.csv --robot my_arm.urdf --check                    what is wrong with the log?",
+        "mmnn identify motion.csv --robot my_arm.urdf --mend 'effort.*=late:0.05' --mend time=us",
         "mmnn identify bag_folder --robot ur10 --out ur10_identified",
         "mmnn identify q.csv v.csv tau.csv --robot tiago --columns 'position.{joint}={joint}_pos'",
         "mmnn identify log.mcap --robot my_arm.urdf --torque-constant joint_1=13.6 --torque-constant joint_2=13.6",
@@ -58,6 +68,12 @@ HEADERS = (
 )
 @click.option("--cutoff", type=float, metavar="HZ", help="Low-pass on motion and torque.  [default: by the motion]")
 @click.option("--stribeck", type=float, metavar="V", help="Fit Stribeck friction with this velocity, rad/s or m/s.")
+@click.option(
+    "--rotors", type=click.Choice(["no", "yes", "auto"]), default="auto",
+    help="Inertias of motors: none beyond the URDF's, in every joint, or where the data ask for one.",
+)  # fmt: skip
+@click.option("--check", is_flag=True, help="Say what is wrong with the logs, worst first, and write nothing.")
+@click.option("--mend", "mends", metavar="SIGNAL=HOW", multiple=True, help=MENDS)
 @click.option("--payload", is_flag=True, help="Find what the hand of ROBOT carries, and write nothing.")
 @click.option(
     "--without-load", multiple=True, metavar="LOG", type=PATH,
@@ -79,6 +95,9 @@ def identify(
     held_out: tuple[Path, ...],
     cutoff: float | None,
     stribeck: float | None,
+    rotors: RotorChoice,
+    check: bool,
+    mends: tuple[str, ...],
     payload: bool,
     without_load: tuple[Path, ...],
     joint: str,
@@ -95,27 +114,36 @@ def identify(
     URDF's values and are named.
 
     It writes NAME.urdf, NAME.identified.toml (rotors, constants), NAME.identified.json (all numbers, covariances) and
-    NAME.mmnn.toml. Where the fit predicts the held-out motion no better than the URDF or friction alone it writes
-    nothing, and the exit code is 1.
+    NAME.mmnn.toml. A log that contradicts the physics is refused (exit code 2), with the option that mends it. Where
+    the fit predicts the held-out motion no better than the URDF or friction alone it writes nothing, and the exit code
+    is 1.
     """
     from ..deploy.identify import corrected, identification
+    from ..deploy.identify.mends import read_mends
     from ..deploy.identify.reading import read_columns, read_logs
     from ..lab.show.identified import text_of
     from ..model.loading import load
 
     loaded, names = load(robot, **overrides), read_columns(columns)
+    mend = read_mends(mends)
     if payload:
         every = [read_logs(some, loaded, names, rate, degrees) for some in (logs, without_load)]
-        return carried(loaded, every, constants, joint, cutoff, as_json)
+        return carried(loaded, every, constants, mend, joint, cutoff, as_json)
     if without_load:
         raise ConfigError("it goes with --payload", fix="add it, or leave it out", key="--without-load")
-    corrected.require_free(corrected.files_of(loaded, out), loaded, force)
+    if not check:
+        corrected.require_free(corrected.files_of(loaded, out), loaded, force)
     with progress_bar() as show:
         show("reading the logs", 0.0)
         given, judged = (read_logs(some, loaded, names, rate, degrees) for some in (logs, held_out))
+        if check:
+            seen, wheels = identification.examine(
+                loaded, [*given, *judged], torque_constants=constants_of(constants), mend=mend, progress=show
+            )
+            return checked(robot, seen, wheels, as_json)
         found = identification.identify(
             loaded, given, held_out=judged, cutoff=cutoff, stribeck=stribeck,
-            torque_constants=constants_of(constants), progress=show,
+            torque_constants=constants_of(constants), mend=mend, rotors=rotors, progress=show,
         )  # fmt: skip
     report = corrected.report_of(found)
     files = corrected.write(found, out, force) if found.better or even_if_worse else {}
@@ -129,6 +157,18 @@ def identify(
     if not files:
         warn(f"nothing written: {why_nothing(found)}; --even-if-worse writes it")
     return DONE if files else FAILED
+
+
+def checked(robot: str, seen: list[ExaminedLog], wheels: Wheels | None, as_json: bool) -> int:
+    """Print what the doctor saw, worst first; the exit code is that of bad input where something is refused."""
+    from ..deploy.identify.doctor import all_findings
+    from ..lab.show.identified import check_text
+
+    found = all_findings([one.log for one in seen])
+    report: dict[str, Any] = {"robot": robot, "findings": [one.to_dict() for one in found]}
+    report |= {"logs": [one.to_dict() for one in seen], "wheels": None if wheels is None else wheels.to_dict()}
+    answer(as_json, lambda: report, lambda: check_text(report))
+    return BAD_INPUT if any(one.grade == "refused" for one in found) else DONE
 
 
 def what_it_changes(found: Identification, robot: str, urdf: Path, overrides: dict[str, Any]) -> Iterator[str]:
@@ -163,20 +203,28 @@ def constants_of(given: tuple[str, ...]) -> dict[str, float | None]:
 
 
 def carried(
-    robot: Robot, logs: list[list[Log]], constants: tuple[str, ...], joint: str, cutoff: float | None, as_json: bool
+    robot: Robot,
+    logs: list[list[Log]],
+    constants: tuple[str, ...],
+    mend: Mend,
+    joint: str,
+    cutoff: float | None,
+    as_json: bool,
 ) -> int:
     """Print what a robot carries, by logs with the load and without.
 
     What `identify` found of the robot lies beside its corrected URDF, and is used.
     """
     from ..deploy.identify.identification import scaled
+    from ..deploy.identify.mends import mended, mends_of, require_signals
     from ..deploy.identify.payload import payload
     from ..lab.show.identified import payload_text
     from ..model.regressor import Regressor
     from ..torque.prior import identified
 
     factors, known = numbers(constants, "--torque-constant"), robot.path.with_suffix(".identified.json")
-    loaded, empty = ([scaled(log, robot, factors) for log in some] for some in logs)
+    require_signals([log for some in logs for log in some], mend)
+    loaded, empty = ([mended(scaled(log, robot, factors), mends_of(log, mend)) for log in some] for some in logs)
     believed = identified(str(known), Regressor.of(robot).labels, "--robot") if known.exists() else None
     found = payload(robot, loaded, joint, cutoff, believed, empty)
     report = found.to_dict() | {"known_by": str(known) if believed else None}

@@ -175,6 +175,8 @@ def paths(incomplete: str) -> list[str]:
 
 
 FORCE = click.option("--force", is_flag=True, help="Replace existing files.")
+PORT = click.option("--port", type=click.IntRange(0, 65535), default=7007, help="Or the next that is free.")
+NO_BROWSER = click.option("--no-browser", is_flag=True, help="Only print the address.")
 VARIANT = click.option(
     "--variant",
     metavar="NAME",

@@ -89,6 +89,19 @@ def named(files: dict[str, Path]) -> dict[str, str]:
     return {name: str(file) for name, file in files.items()}
 
 
+def has_display() -> bool:
+    """Whether a browser could show something; without, one that works in the terminal might take it over."""
+    return sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
+
+
+def open_page(url: str, no_browser: bool) -> None:
+    """Open a page in a browser, where there is a display and nobody said not to."""
+    if not no_browser and has_display():
+        import webbrowser
+
+        webbrowser.open(url)
+
+
 def note(text: str) -> None:
     """Print lines on standard error."""
     click.echo(safe(text), err=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import sys
 from contextlib import nullcontext
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +13,7 @@ import click
 
 from ..errors import ConfigError
 from ..files import require_free
-from .options import FORCE, PACKAGE_DIRS, PATH, RangedNumber, examples, judged_on, law, shared
+from .options import FORCE, NO_BROWSER, PACKAGE_DIRS, PATH, PORT, RangedNumber, examples, judged_on, law, shared
 from .output import (
     DONE,
     answer,
@@ -25,6 +24,7 @@ from .output import (
     look,
     named,
     one_run,
+    open_page,
     open_runs,
     progress_bar,
     styled,
@@ -227,6 +227,7 @@ def to_judge(run: Path) -> Recording:
         "mmnn replay runs/chapter4/two_layer.h5",
         "mmnn replay runs/chapter4/two_layer.h5 runs/chapter4/pd.h5       both in one scene",
         "mmnn replay runs/track/pd.h5 --html pd.html                      one file that opens anywhere",
+        "mmnn replay runs/track/pd.h5 --live                              in meshcat, with sliders",
         "mmnn replay my_run.h5 --package-dir ~/ros/src                    meshes of package:// are there",
     ),
 )
@@ -234,13 +235,15 @@ def to_judge(run: Path) -> Recording:
 @click.option("--html", type=PATH, help="Write the page to this file and open nothing; missing folders are made.")
 @FORCE
 @click.option("--fps", type=RangedNumber(0.1, 1000), default=60, help="Frames kept per second.")
-@click.option("--port", type=click.IntRange(0, 65535), default=7007, help="Or the next that is free.")
-@click.option("--no-browser", is_flag=True, help="Only print the address.")
+@click.option("--live", is_flag=True, help="One run in meshcat itself, with sliders for its joints.")
+@PORT
+@NO_BROWSER
 @PACKAGE_DIRS
 @shared
 def replay(
     runs: tuple[Path, ...],
     html: Path | None,
+    live: bool,
     force: bool,
     fps: float,
     port: int,
@@ -254,13 +257,28 @@ def replay(
     Ctrl-C.
     """
     parent = os.getppid()  # before anything slow: a parent that dies meanwhile counts, too
-    import webbrowser
-
     from ..lab.show.replay import page, wait_until_left
 
     if html is not None:
         require_free(html, force)
     recordings = by_name(open_runs(runs))
+    if live:
+        from ..lab.show.view import played
+
+        if html is not None:
+            raise ConfigError("--live writes no page", fix="leave out --live or --html", key="--live")
+        if len(recordings) > 1:
+            fix = f"name one, such as {next(iter(recordings.values())).path}"
+            raise ConfigError(f"--live plays one run, not {len(recordings)}", fix=fix, key="--live")
+        [recording] = recordings.values()
+        with played(recording, port, package_dirs) as shown:
+            for warning in shown.warnings:
+                warn(warning)
+            told = {"runs": [str(recording.path)], "url": shown.url, "warnings": list(shown.warnings)}
+            answer(as_json, lambda: told, lambda: f"replay at {shown.url}; Ctrl-C ends it")
+            open_page(shown.url, no_browser)
+            wait_until_left(parent)
+        return DONE
     made = page(recordings, fps=fps, package_dirs=package_dirs)
     for warning in made.warnings:
         warn(warning)
@@ -273,15 +291,9 @@ def replay(
         return DONE
     with made.served(port) as url:
         answer(as_json, lambda: about | {"url": url}, lambda: f"replay at {url} ({summary}); Ctrl-C ends it")
-        if not no_browser and has_display():
-            webbrowser.open(url)
+        open_page(url, no_browser)
         wait_until_left(parent)
     return DONE
-
-
-def has_display() -> bool:
-    """Whether a browser could show something; without, one that works in the terminal might take it over."""
-    return sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
 
 
 @click.command(

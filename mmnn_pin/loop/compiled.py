@@ -41,6 +41,7 @@ from ..sensing import exact
 from ..signals import INDEX, Array, IntArray
 from ..torque.controller import ControllerState
 from ..torque.law import Ahead, MotorLimits
+from ..touch import Feeler
 from .hardware import Hardware, World, act, load_at, look, note, push, rotate, sense, shift_energy, turn_motors
 from .machine import Machine, new_machine
 from .plan import Plan
@@ -147,6 +148,9 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
     later: Any,
     split: Split | None,
     steering: Steering | None,
+    touch: Feeler | None,
+    kept: Controls | None,
+    held: Any,
 ) -> int:
     """Control samples first ... last - 1 into the rows; -1, the column of the row that went bad, or `TRIPPED`.
 
@@ -163,6 +167,9 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
         later: Likewise.
         split: Likewise.
         steering: Likewise.
+        touch: Likewise.
+        kept: Likewise.
+        held: Likewise.
     """
     n, row, at, setpoints = run.numbers, run.controls.row, run.controls.at, run.controls.setpoints
     for k in range(first, last):
@@ -176,7 +183,7 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
             measure(k * n.steps // n.per_measurement, time, run, true, hardware)
         sample(
             k, time, setpoints[k], setpoints[max(k - 1, 0)], run.controls, model, hardware, learner, limits, ahead,
-            later, split, steering, None,
+            later, split, steering, touch, kept, held, None,
         )  # fmt: skip
         bad = observe(run, body, true, energy)
         if bad >= 0:

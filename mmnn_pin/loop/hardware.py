@@ -28,6 +28,7 @@ from ..safety import Supervisor, SupervisorState
 from ..sensing import Sensors, exact
 from ..sensing.effects import COUNT, RECEIVED, Reading
 from ..signals import EARLY, INDEX, Array, IntArray
+from ..touch import Feeler
 from .servo import Split
 
 APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
@@ -182,8 +183,9 @@ class Hardware(NamedTuple):
         E: (p, motors) torque on nu from motor torques.
         tau: (p,) generalized torque of motors and world.
         state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent, commands
-            under way, servo rows and their servos.
+            under way, servo rows and their servos, what feels external torque.
         split: The rows that take a velocity; None where all take effort.
+        touch: What feels external torque; None for nothing.
         places: (motors,) of the motors' joints in the position, negative for a force on the base.
         turning: (motors,) rows of T of the motors' joints where T changes; (0,) elsewhere.
     """
@@ -197,6 +199,7 @@ class Hardware(NamedTuple):
     tau: Array
     state: Array
     split: Split | None
+    touch: Feeler | None
     places: IntArray
     turning: IntArray
 

@@ -35,6 +35,7 @@ from ..settings import Timing, given_array, plain
 from ..settings.arguments import checked, require_types
 from ..signals import Array, Dimensions, Layout, Setpoint
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
+from ..touch import Touch
 from .before_run import Bounds, Start, lags, require_first, require_nominal, require_seed, samples_between
 from .compiled import CompiledLoop
 from .controller import state_from, with_findings
@@ -47,7 +48,18 @@ from .plan import Plan
 from .sampled import delay_margin
 from .servo import Servo
 from .servo_model import linear_servos
-from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
+from .setup import (
+    Sink,
+    Streams,
+    Watching,
+    believed_by,
+    facts_of,
+    freezes,
+    lead_signals,
+    new_context,
+    new_lead,
+    new_streams,
+)
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited, timing_for
 
@@ -88,6 +100,7 @@ class Loop:
             `loop.lead`.
         radii: True radii of the drive wheels over the robot's, one factor for all or one per wheel's joint: the plant
             rolls on them, while controller, motors' commands and what is measured by wheels take the robot's.
+        touch: What external torque is felt by, without a sensor of forces; None for nothing.
 
     >>> robot = load("platform_arm")
     >>> path = Trajectory.of(robot, base=Line(speed=0.3), arm={"arm_1_joint": Sine(0.5, period=4.0)})
@@ -120,6 +133,7 @@ class Loop:
     servo: Servo = field(default_factory=Servo)
     lead: bool = False
     radii: float | Mapping[str, float] = 1.0
+    touch: Touch | None = None
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -142,9 +156,11 @@ class Loop:
         """Where the signals stand in a row, with those that plant, motors, supervisor and disturbances add."""
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
         more = self.latency.total > 0.0 or bool(self.interfaces) or self.true is not self.robot
+        more = more or self.touch is not None
         hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances) or more)
         hands = 0 if self.trajectory.watched is None else len(self.trajectory.watched.frames)
-        return Layout.of(self.robot.dimensions, wheels, hardware, lead_signals(self), hands)
+        recorded = {"lead": lead_signals(self), "hands": hands, "touch": int(self.touch is not None)}
+        return Layout.of(self.robot.dimensions, wheels=wheels, hardware=hardware, **recorded)
 
     @checked
     @one_thread
@@ -261,6 +277,7 @@ class Loop:
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
             steering=self.kinematic.steering_of(self.robot, self.timing.control_period),
+            freezes=freezes(self),
             hitch=self.kinematic.hitch_of(self.robot, self.robot.rows),
         )
 

@@ -13,7 +13,7 @@ from ..disturbance import Forces
 from ..elementary.matrices import inverse, product, pseudo_inverse, svd
 from ..errors import ConfigError
 from ..kinematic import Steering
-from ..model.robot import Robot
+from ..model.robot import Robot, limits
 from ..model.tree.twin import Twin
 from ..safety import Supervisor
 from ..sensing import FrozenEncoders, Sensor
@@ -21,11 +21,13 @@ from ..settings import given_array
 from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
+from ..touch import Feeler, Sending, new_feeler, new_state, touch_shapes
 from .before_run import Start
+from .controller import regressor_of
 from .hardware import CommandLine, Expected, Hardware, MotorSide, SentTorque, Totals, Way, World
 from .latency import Transport
 from .lead import leads
-from .servo import interfaces_of, own_velocities, require_no_torque_regressor, split_of, state_size
+from .servo import Split, interfaces_of, own_velocities, require_no_torque_regressor, split_of, state_size
 from .servo_model import servo_slots, servos_of
 from .setup import Setup, believed_by
 from .suited import effective_inertia, postures
@@ -74,7 +76,8 @@ def new_hardware(
     parts = (sensed, at_start, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof), under_way)
     places = layout.dof - own_velocities(robot)
     parts = (*parts, np.zeros(state_size(on, places)), np.zeros((slots, layout.motors)))
-    values, (sensed, kept, guard, held, sent, under_way, rows, ring) = flat(parts)
+    parts = (*parts, *touch_state(loop))
+    values, (sensed, kept, guard, held, sent, under_way, rows, ring, *felt) = flat(parts)
     states = motor.motor_state(kept)
     motors = loop.actuator.motors(true, timing.plant_step, dead, states)
     if true is not robot:
@@ -104,7 +107,7 @@ def new_hardware(
         way=Way(
             line=SentTorque(np.zeros(layout.dof), np.zeros(1)),
             lines=(CommandLine(disturbance.commands(events, timing), sent),),
-            supervisor=supervisor_of(loop, state, guard, steering),
+            supervisor=supervisor_of(loop, state, guard, steering, split),
             E_inv=pseudo_inverse(robot.E) if steering is None else steering.E_inv,
             totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
             sent=sent,
@@ -117,9 +120,61 @@ def new_hardware(
         tau=np.zeros(layout.dof),
         state=values,
         split=split,
+        touch=new_touch(loop, felt, kinds, steering),
         places=motor_rows(robot),
         turning=np.array([true.rows[name] for name in true.actuator_names] if true.steers else [], np.int64),
     )
+
+
+def touch_state(loop: Setup) -> list[Array]:
+    """Room for the state of what feels external torque, nothing where nothing does."""
+    if loop.touch is None:
+        return []
+    motion, timing = regressor_of(described_by(loop)), loop.timing
+    shapes = touch_shapes(motion, loop.robot.dimensions, touch_way(loop), timing.control_period)
+    return [np.zeros(shape) for shape in shapes]
+
+
+def described_by(loop: Setup) -> Robot:
+    """The robot that external torque is measured against: the nominal one, or as its file describes it."""
+    return loop.nominal or loop.robot.described
+
+
+def touch_way(loop: Setup) -> float:
+    """Known time from the command of a torque to the measurement whose velocities show it [s]."""
+    held = max(0.0, loop.timing.measurement_period - loop.timing.control_period)
+    return loop.known.way(loop.timing) + max(0.0, loop.smoothing - held)
+
+
+def new_touch(loop: Setup, parts: list[Array], kinds: tuple[str, ...], steering: Steering | None) -> Feeler | None:
+    """The observer of external torque, with its state in some arrays; None for nothing.
+
+    Raises:
+        ConfigError: A controller without Psi_hat is to be the model; else as of `touch.new_feeler`.
+        UnknownName: No such hand.
+    """
+    touch, robot, timing = loop.touch, loop.robot, loop.timing
+    if touch is None:
+        return None
+    if not leads(loop.controller):
+        if touch.model == "learner":
+            why, fix = f"'{loop.controller.name}' has none", "use touch.model = 'urdf'"
+            raise ConfigError("Psi_hat of the controller as the model", why=why, fix=fix, key="touch.model")
+        touch = msgspec.structs.replace(touch, model="urdf")
+    described = described_by(loop)
+    most = limits(loop.actuator.torque_limit, robot.effort_limits, "motor", "actuator.torque_limit")
+    sending = Sending(
+        period=timing.control_period,
+        every=max(1, round(timing.measurement_period / timing.control_period)),
+        way=touch_way(loop),
+        lag=loop.lags,
+        most=np.array(most, float),
+        E=np.array(robot.E, order="C") if steering is None else steering.E,
+        E_inv=pseudo_inverse(robot.E) if steering is None else steering.E_inv,
+        felt=np.array([kind == "effort" for kind in kinds], float),
+        gains=stopping_gains(loop),
+    )
+    return new_feeler(touch, described, regressor_of(described), sending, new_state(parts))
 
 
 def motor_rows(robot: Robot) -> IntArray:
@@ -213,8 +268,10 @@ def world_of(loop: Setup, rng: np.random.Generator) -> World:
     return World(len(pushes.table) > 0, forces, (pushes,), blocked, pick, drop, np.zeros(2))
 
 
-def supervisor_of(loop: Setup, state: ControllerState | object, values: Array, steering: Steering | None) -> Supervisor:
-    """The supervisor of a loop with a state (see `safety.new_state`), and the steering of its plan."""
+def supervisor_of(
+    loop: Setup, state: ControllerState | object, values: Array, steering: Steering | None, split: Split | None
+) -> Supervisor:
+    """The supervisor of a loop with a state (see `safety.new_state`), the steering of its plan and its servo rows."""
     layout, timing, actuator = loop.robot.dimensions, loop.timing, loop.actuator
     weights = places_of_weights(loop, state)
     if loop.safety is None:
@@ -231,6 +288,7 @@ def supervisor_of(loop: Setup, state: ControllerState | object, values: Array, s
         weights=weights,
         values=values,
         steering=steering,
+        asked=None if split is None else split.command,
     )
 
 

@@ -42,6 +42,7 @@ class Plan:
         lead: How Psi_hat looks ahead to where the torque acts; None where it does not.
         age: By how much measurements are brought up to now [s].
         steering: Of a base that steers; None for others.
+        freezes: Whether contact keeps a learner from learning.
         hitch: Of the trailer that follows the reference, as of `Kinematic.hitch_of`; (0,) where the base does.
     """
 
@@ -65,6 +66,7 @@ class Plan:
     lead: Lead | None = None
     age: float = 0.0
     steering: Steering | None = None
+    freezes: bool = False
     hitch: Array = field(default_factory=lambda: np.zeros(0))
 
     @property

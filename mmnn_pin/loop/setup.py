@@ -23,6 +23,7 @@ from ..settings import Numbers, Timing, plain, require_gain
 from ..signals import SIGNALS, Array, Layout
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.learning_law import origin_of
+from ..touch import Touch
 from .before_run import lags, require_nominal
 from .controller import context_of
 from .latency import Latency
@@ -109,6 +110,10 @@ class Setup(Protocol):
         """Whether Psi_hat leads."""
 
     @property
+    def touch(self) -> Touch | None:
+        """The observer of external torque; None for nothing."""
+
+    @property
     def delays(self) -> Array:
         """How long the torque of every velocity is known to be under way, half of its hold included, (p,) [s]."""
 
@@ -156,6 +161,11 @@ def lead_signals(setup: Setup) -> int:
     return int(setup.lead and leads(setup.controller))
 
 
+def freezes(setup: Setup) -> bool:
+    """Whether contact keeps the learner of a setup from learning."""
+    return setup.touch is not None and setup.touch.learning != "on"
+
+
 def new_lead(setup: Setup) -> Lead | None:
     """How the controller of a setup looks ahead; None where it does not. Errors as of `lead_of`."""
     if not setup.layout.lead:
@@ -193,6 +203,7 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
     hardware |= {"lag": setup.lags.tolist()} if setup.lags.any() else {}
     hardware |= {"way": way} if (way := setup.known.way(setup.timing)) else {}
     hardware |= {"unseen": unseen_by(setup)}
+    hardware |= {} if setup.touch is None else {"touch": plain(setup.touch)}
     hardware |= {} if setup.safety is None else {"safety": plain(setup.safety)}
     hardware |= {"disturbances": plain(setup.disturbances)} if setup.disturbances else {}
     return setup.robot.facts() | own | believed | hardware
@@ -221,6 +232,7 @@ class StepperSetup:
     known: Latency = field(default_factory=Latency)
     lag: Numbers = 0.0
     filtered: float = 0.0
+    touch: Touch | None = None
 
     def __post_init__(self) -> None:
         require_gain(self.filtered, "filtered")
@@ -228,7 +240,7 @@ class StepperSetup:
     @cached_property
     def layout(self) -> Layout:
         """Where the signals stand in a row."""
-        return Layout.of(self.robot.dimensions, 0, 1, lead_signals(self))
+        return Layout.of(self.robot.dimensions, hardware=1, lead=lead_signals(self), touch=int(self.touch is not None))
 
     @property
     def true(self) -> Robot:
@@ -272,7 +284,15 @@ def plan_outside(setup: StepperSetup) -> Plan:
     blocks = setup.timing, setup.controller, context, believed, gains, K, bounds, postures(robot)
     steering = setup.kinematic.steering_of(robot, setup.timing.control_period)
     plan, servo = Plan(robot, robot, layout, *blocks), linear_servos(robot, setup.interfaces, setup.servo, False)
-    return replace(plan, latency=setup.known.total, lag=setup.lag, servo=servo, lead=new_lead(setup), steering=steering)
+    return replace(
+        plan,
+        latency=setup.known.total,
+        lag=setup.lag,
+        servo=servo,
+        lead=new_lead(setup),
+        steering=steering,
+        freezes=freezes(setup),
+    )
 
 
 # -- what takes the rows of a run --------------------------------------------------------------------------------------

@@ -41,6 +41,7 @@ from ..settings.arguments import checked, shortly
 from ..signals import Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
+from ..touch import Touch
 from .before_run import require_seed, samples_between
 from .controller import state_from, with_findings
 from .latency import Latency
@@ -79,6 +80,7 @@ class StepperSettings(Settings, frozen=True):
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
         lead: Whether Psi_hat leads by half the period, the lag and what of the latency is not predicted (`loop.lead`).
         filtered: By how much the filter of measured velocities is late (`Sensor.smoothing`), for `adaptive` [s].
+        touch: What external torque is felt by; None for nothing.
         observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
             base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
@@ -111,6 +113,7 @@ class StepperSettings(Settings, frozen=True):
     lag: Numbers = 0.0
     lead: bool = False
     filtered: float = 0.0
+    touch: Touch | None = None
     observer: float = 0.0
     interfaces: Mapping[str, str] = {}
     servo: Servo = Servo()
@@ -154,6 +157,9 @@ class Stepper:
         measured: The last good measurement, views into the row.
         setpoint: The setpoint of the last sample, views.
         command: What the last step returned.
+        external_torque: (p,) torque of the world on the velocities at the last measurement, a view; (0,) without
+            `touch` [N, N m].
+        external_wrench: (6,) force and moment of the world on the hand, in the world's axes, likewise [N, N m].
         state: What the controller has learned.
         time: Of the last sample [s].
         step_time: Wall-clock time that the last step took [s].
@@ -192,6 +198,7 @@ class Stepper:
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
+            touch=settings.touch,
         )  # fmt: skip
         self.period, self.check_gains, self.latency = period, settings.check_gains, known.total
         self.safety, self.limits, layout = safety, settings.limits, setup.layout
@@ -200,6 +207,8 @@ class Stepper:
         self.received = row[layout.where("pose").start : layout.where("shape").stop]  # all of `measured`, in one piece
         self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
         self.torque, self.motor_torque = row[layout.where("torque")], row[layout.where("motor_torque")]
+        self.external_torque = row[layout.where("external_torque")]
+        self.external_wrench = row[layout.where("external_wrench")]
         sizes = [layout.dof] * 3 + [layout.motors] * 3 + [layout.twist]
         self.command = Command._make(np.full(size, np.nan) for size in sizes)
         self.seen = np.zeros(layout.pose + layout.twist + 2 * layout.arm)
@@ -243,6 +252,7 @@ class Stepper:
             "lag": loop.actuator.lag,
             "lead": loop.lead,
             "filtered": loop.smoothing,
+            "touch": loop.touch,
             "interfaces": loop.interfaces,
             "servo": loop.servo,
             "check_gains": loop.check_gains,
@@ -409,6 +419,12 @@ class Stepper:
     def tripped(self) -> bool:
         """Whether the supervisor has stopped the robot."""
         return bool(self.hardware.way.supervisor.state.tripped[0])
+
+    @property
+    def is_touched(self) -> bool:
+        """Whether there is contact; never without `touch`."""
+        touch = self.hardware.touch
+        return touch is not None and bool(self.row[self.setup.layout.where("contact")][0])
 
     @property
     def is_over(self) -> bool:

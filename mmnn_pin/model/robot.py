@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from html import escape
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -21,6 +22,7 @@ from ..elementary.matrices import inverse
 from ..errors import ConfigError, UnknownName
 from ..settings import Numbers, one_or_each
 from ..settings.arguments import checked, checked_but
+from ..shown import ShownView, shown
 from ..signals import Array
 from .dynamics import Dynamics
 from .structure import Structure, bodies_of
@@ -37,7 +39,9 @@ class Robot(Structure):
     in the order of `joint_names` [m, m, rad, rad or m]; for a fixed arm the joints alone. Of a base that steers the
     angles of its steering, casters and hitches stand between them. `nu` is the base velocity in the control frame,
     `(v, w)`, or `(vx, vy, w)` of a holonomic base, or of one that steers `[u; steering rates]`, then the joints' rates,
-    in the order of `velocity_names` [m/s, rad/s, rad/s or m/s]. Its attributes are those of `Structure`.
+    in the order of `velocity_names` [m/s, rad/s, rad/s or m/s]. Wheels roll: `A velocity = 0` holds for all velocities
+    of the model, and `velocity = T nu` gives those that do. T is called S in the thesis and in the literature. Its
+    attributes are those of `Structure`.
 
     >>> robot = load("platform_arm")
     >>> robot
@@ -170,6 +174,25 @@ class Robot(Structure):
         at, place = self.configuration(self.position(q)), self._frame(frame)
         full = pin.computeFrameJacobian(self.model, self.model.createData(), at, place, pin.LOCAL_WORLD_ALIGNED)
         return np.asarray(full @ self.T_at(self.position(q)) if reduced else full)
+
+    @checked
+    def view(
+        self, q: ArrayLike | None = None, *, port: int = 7007, package_dirs: Sequence[str | Path] = ()
+    ) -> ShownView:
+        """Show it in meshcat, in colours of what was understood of it, with a slider for every joint.
+
+        A notebook shows what is returned; in a script open its `url`. It lives until it is closed, or the process ends.
+
+        Args:
+            q: Where it stands; where it rests by default.
+            port: Port to listen on, on this machine alone, or the next one that is free; 0 takes any.
+            package_dirs: Folders to look for meshes in before those that it knows.
+
+        Raises:
+            ConfigError: A q of another size or not finite, or no free port.
+        """
+        made: ShownView = shown(self, "view", q, port=port, package_dirs=package_dirs)
+        return made
 
     def __repr__(self) -> str:
         d, kind = self.dimensions, self.base.kind.replace("_", " ")

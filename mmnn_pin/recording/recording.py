@@ -24,7 +24,7 @@ from ..model.base.overrides import Overrides
 from ..model.loading import build
 from ..model.robot import Robot
 from ..settings.arguments import checked
-from ..shown import shown
+from ..shown import ShownView, shown
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
 from .robot_file import document_of
@@ -201,6 +201,21 @@ class Recording:
     def _repr_html_(self) -> str:
         """Summary, plots and replay in a notebook."""
         return str(shown(self, "html"))
+
+    @checked
+    def view(self, *, port: int = 7007, package_dirs: Sequence[str | Path] = ()) -> ShownView:
+        """Play it in meshcat, again and again; a notebook shows what is returned, in a script open its `url`.
+
+        Args:
+            port: Port to listen on, on this machine alone, or the next one that is free; 0 takes any.
+            package_dirs: Folders to look for meshes in before those that it knows.
+
+        Raises:
+            RecordingError: It has nothing to show, or does not hold its robot.
+            ConfigError: No port is free.
+        """
+        made: ShownView = shown(self, "view", port=port, package_dirs=package_dirs)
+        return made
 
     @property
     def names(self) -> tuple[str, ...]:

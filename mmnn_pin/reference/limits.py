@@ -21,6 +21,8 @@ USUAL = (1.0, 2.0, 5.0)  # accelerations where none is stated [m/s^2, rad/s^2, r
 
 OCTAGON = 4  # directions, up to their sense, in which the speed of a wheel that steers is looked at
 
+OF_STOPS, OF_RATE = 0.95, 0.9  # shares that a reference may need: of the way between stops, of the largest rate
+
 
 class Limits(Settings, frozen=True):
     """Limits of a reference that is made while the robot runs.

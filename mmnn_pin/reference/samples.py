@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 
 SECONDS = ("s", "sec", "seconds")
 MEASURED, SLOW = 100, 0.9  # rows of what is no list of waypoints; from this step on their times are hardly seconds [s]
+APART, TURNED = 0.02, 0.1  # how far beside samples the motion may pass that is driven in their place [m, rad]
+AGREES = 0.05, 0.25  # by which velocities may differ from that motion's, RMS: so much, and of its own [m/s, rad/s; 1]
+BASE_COLUMNS = ("x", "y", "phi", "v", "vx", "vy", "w")
+JUMP, LEAP = {"rad": 1.0, "m": 0.3}, 10.0  # speed of a jump, and its ratio to those around it [rad/s, m/s]
+AROUND = 4  # steps before and after a jump that tell what is usual
 SEPARATORS = ",;\t"  # of cells; the one that the first line has most of
 
 
@@ -40,6 +45,7 @@ class BaseTable(BasePath):
         pose: (N, 3) poses `(x, y, phi)` [m, m, rad]; phi may be wrapped if it turns by less than pi per sample.
         velocity: (N, 2) `(v, w)`, or (N, 3) `(vx, vy, w)` for a holonomic base [m/s, rad/s]; their derivatives are
             those of a cubic spline through them.
+        note: What was made of a planner's samples, for people; "" where they are as they came.
 
     Raises:
         TrajectoryError: The samples are malformed, or no such base can follow them (`check_followable`).
@@ -50,6 +56,7 @@ class BaseTable(BasePath):
     time: Array
     pose: Array
     velocity: Array
+    note: str = ""
 
     def __post_init__(self) -> None:
         time, pose, velocity = (np.array(part, float) for part in (self.time, self.pose, self.velocity))
@@ -69,19 +76,17 @@ class BaseTable(BasePath):
 
     @classmethod
     def read(cls, file: str | Path) -> BaseTable:
-        """Table from a CSV file with the columns `t, x, y, phi, v, w`, in any order, others ignored.
-
-        Cells are separated by commas, semicolons or tabs.
-
-        A holonomic base has the columns `vx, vy` in place of `v`. Without columns of velocities they are those of the
-        poses.
+        """Table from a CSV file with a column `t` and those of `TableColumns.base`, in any order, others ignored.
 
         Raises:
             TrajectoryError: A column is missing or a value is not a number (with the line), or as for the class.
         """
-        found = TableColumns.read(file, ("t", "x", "y", "phi"))
+        found = TableColumns.read(file)
         with found.blamed():
-            return found.table("vy" in found)
+            table = found.base("vy" in found)
+        if table is None:
+            raise TrajectoryError("no column x, y", fix="name x, y, phi in the first line", file=found.file, line=1)
+        return table
 
     @property
     def duration(self) -> float:
@@ -135,18 +140,133 @@ def velocities(time: Array, pose: Array, sideways: bool) -> Array:
 
 
 def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, sideways: bool) -> BaseTable:
-    """A table of poses, with their own velocities where none are given.
+    """A table of a planner's poses; where wheels cannot roll them, of the nearest motion that they can.
+
+    Args:
+        time: (N,) increasing times [s], the first 0.
+        pose: (N, 3) poses; (N, 2) points that are driven through forwards, by a holonomic base without turning.
+        velocity: Velocities; those of the poses where there are none.
+        sideways: Whether the base is holonomic.
 
     Raises:
-        TrajectoryError: As of `BaseTable`.
+        TrajectoryError: As of `BaseTable`; or the nearest motion passes further than `APART` or `TURNED` beside them.
     """
     t, poses = np.array(time, float), np.array(pose, float)
-    if velocity is not None or t.ndim != 1 or poses.shape != (len(t), 3):
+    if t.ndim != 1 or poses.shape not in ((len(t), 2), (len(t), 3)):
         return BaseTable(t, poses, np.zeros((len(t), 2 + sideways)) if velocity is None else np.array(velocity, float))
     require_finite(time=t, pose=poses)
     require_clock(t)
+    headed = poses.shape[1] == 3
+    if not headed:
+        poses = np.column_stack((poses, np.zeros(len(t))))
     poses[:, 2] = np.unwrap(poses[:, 2])
-    return BaseTable(t, poses, velocities(t, poses, sideways))
+    if not (headed or sideways):
+        return rolling_table(t, poses, velocity, None)
+    given = velocities(t, poses, sideways) if velocity is None else np.array(velocity, float)
+    try:
+        return BaseTable(t, poses, given)
+    except Unfollowable as error:
+        if sideways:
+            raise
+        return rolling_table(t, poses, velocity, error)
+
+
+def rolling_table(time: Array, pose: Array, velocity: ArrayLike | None, refused: Unfollowable | None) -> BaseTable:
+    """The table of the motion nearest to poses that wheels can roll.
+
+    Args:
+        time: (N,) times [s].
+        pose: (N, 3) poses.
+        velocity: Velocities that it must agree with, None for none.
+        refused: Why the poses themselves are none; None where they have no headings.
+
+    Raises:
+        TrajectoryError: It passes too far beside them, or does not agree.
+    """
+    from .rollable import nearest
+
+    found = nearest(time, pose, headed=refused is not None)
+    over = np.maximum(found.apart / APART, found.turned / TURNED)
+    worst = int(np.argmax(over))
+    if over[worst] > 1:
+        error = refused or Unfollowable("points that cannot be driven through forwards", fix="give phi, too")
+        beside = f"{found.apart[worst]:.2g} m and {found.turned[worst]:.2g} rad beside the sample of {time[worst]:g} s"
+        why = f"the nearest motion that rolls passes {beside} (allowed {APART:g} m, {TURNED:g} rad)"
+        raise error.but(why=f"{error.why}; {why}" if error.why else why)
+    if velocity is not None:
+        require_agreement(time, np.array(velocity, float), found.velocity[found.rows])
+    most = f"{1e3 * found.apart.max():.2g} mm"
+    if refused is None:
+        note = f"no headings are given: it drives forwards through the points, at most {most} beside them"
+    else:
+        turned = f"{found.turned.max():.2g} rad"
+        note = (
+            f"the samples slip sideways: driven is the nearest motion that rolls, at most {most}, {turned} beside them"
+        )
+    return BaseTable(found.time, found.pose, found.velocity, note)
+
+
+def require_agreement(time: Array, given: Array, rolled: Array) -> None:
+    """Refuse velocities (N, 2) of another motion than the one that rolls through the poses.
+
+    Raises:
+        TrajectoryError: With the worst.
+    """
+    if given.shape != rolled.shape:
+        raise TrajectoryError(f"velocities of shape {given.shape}", fix=f"give {rolled.shape}: v, w")
+    require_finite(velocity=given)
+    for name, unit, one, other in zip(("v", "w"), ("m/s", "rad/s"), given.T, rolled.T, strict=True):
+        usual, off = (float(np.sqrt(np.mean(signal**2))) for signal in (other, one - other))
+        if off > AGREES[0] + AGREES[1] * usual:
+            worst = int(np.argmax(abs(one - other)))
+            raise TrajectoryError(
+                f"{name} = {one[worst]:.3g} {unit} at t = {time[worst]:g} s, the poses move at {other[worst]:.3g}",
+                why="velocity and pose must be of one motion",
+                fix=f"correct {name}, or the time or unit of the samples, or leave v, w out",
+            )
+
+
+def integrated(time: Array, velocity: Array) -> BaseTable:
+    """The table of a base that starts at the origin and moves with velocities (N, 2 or 3), linear between samples.
+
+    Raises:
+        TrajectoryError: Times or velocities that are not finite, or times that do not increase.
+    """
+    from .rollable import driven_from, grid_of
+
+    require_finite(time=time, velocity=velocity)
+    require_clock(time)
+    nodes, _ = grid_of(time)
+    dense, steps = np.column_stack([np.interp(nodes, time, column) for column in velocity.T]), np.diff(nodes)
+    pose = driven_from(np.zeros(3), dense[:, [0, -1]], steps)
+    if has_vy(velocity):  # what it moves aside is what one would that looks to the left
+        left = driven_from(np.array([0.0, 0.0, np.pi / 2]), dense[:, 1:], steps)
+        pose[:, :2] += left[:, :2]
+    return BaseTable(nodes, pose, dense, "no poses are given: it drives from x = 0, y = 0, phi = 0")
+
+
+def require_no_jump(
+    name: str, unit: str, time: Array, values: Array, line: Callable[[int], int | None] = lambda k: None
+) -> None:
+    """Refuse a step of a coordinate (N,) that is no motion: far faster than the steps around it.
+
+    Args:
+        name: Of the coordinate.
+        unit: rad or m.
+        time: (N,) times [s].
+        values: (N,).
+        line: Line of a file in which a sample stands.
+
+    Raises:
+        TrajectoryError: With the row, the size and the speed.
+    """
+    speed = np.abs(np.diff(values) / np.diff(time))
+    for k in np.flatnonzero(speed > JUMP[unit]):
+        around = np.concatenate((speed[max(k - AROUND, 0) : k], speed[k + 1 : k + 1 + AROUND]))
+        if len(around) and speed[k] > LEAP * float(np.max(around)):
+            what = f"{name} jumps by {values[k + 1] - values[k]:.3g} {unit} to its row of t = {time[k + 1]:g} s"
+            why = f"that is {speed[k]:.3g} {unit}/s, beside {np.max(around):.2g} {unit}/s around it"
+            raise TrajectoryError(what, why=why, fix="correct that row, or give rows in between", line=line(int(k + 1)))
 
 
 def require_within(
@@ -234,15 +354,44 @@ class TableColumns(Mapping[str, Array]):
     def __contains__(self, name: object) -> bool:
         return name in self._heads
 
-    def table(self, sideways: bool) -> BaseTable:
-        """The base's: `x, y, phi`, and `v, w` or `vx, vy, w` where they are there; errors as of `BaseTable`."""
-        names = ("vx", "vy", "w") if sideways else ("v", "w")
-        missing = [name for name in names if name not in self]
-        if missing and len(missing) < len(names):
-            fix = f"give {', '.join(names)}, or none of them and the poses' own are taken"
+    def base(self, sideways: bool) -> BaseTable | None:
+        """The base's motion; None where no column is of it.
+
+        It has `x, y, phi`, or `x, y`, and with them or alone `v, w`, `vx, vy, w` for a holonomic base.
+
+        Raises:
+            TrajectoryError: A part of these, or as of `table_of` and `integrated`.
+        """
+        names, others = (("vx", "vy", "w"), ("v",)) if sideways else (("v", "w"), ("vx", "vy"))
+        have = [name for name in BASE_COLUMNS if name in self]
+        placed, moving = [n for n in have if n in ("x", "y", "phi")], [n for n in have if n in names]
+        if strange := [name for name in have if name in others]:
+            fix = f"this base moves by {', '.join(names)}: name them so, or leave the column out"
+            raise TrajectoryError(f"nothing uses the column '{strange[0]}'", fix=fix, file=self.file, line=1)
+        if placed and not {"x", "y"} <= set(placed):
+            missing = [name for name in ("x", "y") if name not in placed]
+            fix = "give x, y, phi, or x, y, or none of them and the base rests, or moves by its velocities"
             raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=self.file, line=1)
-        given = None if missing else np.stack([self[n] for n in names], axis=1)
-        return table_of(self["t"], np.stack([self[n] for n in ("x", "y", "phi")], axis=1), given, sideways)
+        if moving and len(moving) < len(names):
+            missing = [name for name in names if name not in moving]
+            fix = f"give {', '.join(names)}, or none of them" + (" and the poses' own are taken" if placed else "")
+            raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=self.file, line=1)
+        velocity = np.stack([self[name] for name in names], axis=1) if moving else None
+        if placed:
+            pose = np.stack([self[name] for name in placed], axis=1)
+            for name in ("x", "y"):
+                self.require_no_jump(name, "m", self[name])
+            return table_of(self["t"], pose, velocity, sideways)
+        return None if velocity is None else integrated(self["t"], velocity)
+
+    def require_no_jump(self, name: str, unit: str, values: Array) -> None:
+        """Refuse a step of a coordinate (N,) that is no motion.
+
+        Raises:
+            TrajectoryError: With its line.
+        """
+        if len(values) > 1 and (np.diff(self["t"]) > 0).all():
+            require_no_jump(name, unit, self["t"], values, lambda k: self._lines[k][0])
 
     def require_seconds(self, unit: str) -> None:
         """Refuse times that another unit is written behind, or that look like milliseconds and have none.
@@ -295,6 +444,10 @@ def number_at(row: Sequence[str], place: int, column: str, file: Path, line: int
     return number
 
 
+class Unfollowable(TrajectoryError):
+    """Samples that no base can follow."""
+
+
 def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float | None = None) -> None:
     """Refuse samples that a base cannot follow, thesis (2.6).
 
@@ -309,7 +462,7 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
         tolerance: Largest deviation [m/s, rad/s]; by default 2 % of the largest speed that occurs, at least 0.001.
 
     Raises:
-        TrajectoryError: Naming the worst time and the speed there.
+        Unfollowable: Naming the worst time and the speed there.
     """
     rate, forward, sideways = spline_rates(time, pose)
     if tolerance is None:
@@ -317,7 +470,7 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
     holonomic = has_vy(velocity)
     worst = int(np.argmax(abs(sideways)))
     if not holonomic and abs(sideways[worst]) > tolerance:
-        raise TrajectoryError(
+        raise Unfollowable(
             f"the reference moves sideways at t = {time[worst]:g} s, by {sideways[worst]:.3g} m/s",
             why=f"wheels that roll cannot (allowed {tolerance:.2g} m/s)",
             fix="give phi along the direction of travel (or opposite to it), in rad",
@@ -329,7 +482,7 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
     for name, unit, given, moved in compared:
         worst = int(np.argmax(abs(given - moved)))
         if abs(given - moved)[worst] > tolerance:
-            raise TrajectoryError(
+            raise Unfollowable(
                 f"{name} = {given[worst]:.3g} {unit} at t = {time[worst]:g} s, the poses move at {moved[worst]:.3g}",
                 why="velocity and pose must be of one motion",
                 fix=f"correct {name}, or the time or unit of the samples",

@@ -21,11 +21,11 @@ from ..model.base.rolling import PASSIVE, ROLES, STEERED, Pivot
 from ..model.base.stance import MOVES, Stance, along, bends, room, trail_of
 from ..model.base.steered import Articulated, SteeredBase
 from ..signals import Array, Dimensions, Setpoint
+from .limits import OF_RATE, OF_STOPS
 from .path import BasePath, BaseSamples, require_positive
 from .samples import in_three
 from .trajectory import Trajectory
 
-OF_STOPS, OF_RATE = 0.95, 0.9  # shares that a reference may need: of the way between stops, of the largest rate
 EXACT = 1e-6  # beyond a limit that is none, by the limit
 SLACK = 1.05  # times a rate: a timed path may need a little more between the points of its grid
 JUMP = 0.02  # between two samples that is one, beyond what the rates explain [rad]

@@ -30,9 +30,8 @@ from ..model.base.steered import SteeredBase
 from ..model.robot import Robot
 from ..settings.arguments import is_numeric
 from ..signals import Array
-from .limits import Limits, rims
+from .limits import OF_RATE, OF_STOPS, Limits, rims
 from .path import BasePath, BaseSamples, Curve, Progress, bending, driven, require_finite, require_positive, times
-from .steerable import OF_RATE, OF_STOPS
 
 AGAINST = -0.5  # cosine of a heading to the way below which it looks backwards
 EXACT = 1e-3  # a curve that wanders less goes through its points [m]

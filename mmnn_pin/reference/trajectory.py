@@ -19,13 +19,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import LENGTH, TrajectoryError, UnknownName
-from ..model.robot import Robot
+from ..model.robot import Robot, revolute
 from ..settings.arguments import checked, require_types
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
 from .holonomic import HolonomicPath
 from .joint import Hold, JointProfile, JointTable, Points
 from .path import BasePath, Line, Waypoints, require_positive, times
-from .samples import TableColumns, check_followable, require_within, table_of
+from .samples import BASE_COLUMNS, BaseTable, TableColumns, check_followable, require_within, table_of
+from .timed import Smoothed, Timed
 
 
 class SetpointSource(Protocol):
@@ -179,7 +180,8 @@ class Trajectory:
         Args:
             robot: The robot.
             time: (N,) increasing times [s], the first 0.
-            pose: (N, 3) `(x, y, phi)` of the base [m, m, rad]; None stands at the origin.
+            pose: (N, 3) `(x, y, phi)` of the base [m, m, rad], or (N, 2) points that it drives through forwards; None
+                stands at the origin.
             q: (N, n) positions of the arm's joints in the order of `robot.joint_names`, or (N,) by joint [rad or m];
                 joints that are not named rest.
             velocity: (N, 2) `(v, w)`, or (N, 3) `(vx, vy, w)` for a holonomic base [m/s, rad/s]; None for that of the
@@ -204,9 +206,11 @@ class Trajectory:
     def from_csv(cls, robot: Robot, file: str | Path) -> Trajectory:
         """From a CSV file: a column `t` [s], and any of these; others are left alone.
 
-        `x, y, phi` of the base [m, m, rad] and, where they are known, `v, w` or `vx, vy, w`; `position.JOINT` of an
-        arm joint, or only its name [rad or m], and, where it is known, `velocity.JOINT`. `mmnn excite` writes such
-        files. Cells are separated by commas, semicolons or tabs.
+        `x, y, phi` of the base [m, m, rad], or `x, y`, which it drives through forwards; with them or alone `v, w`, or
+        `vx, vy, w` of a holonomic base; `position.JOINT` of an arm joint, or only its name [rad or m], and, where it is
+        known, `velocity.JOINT`. `x, y` without `t` are driven as fast as the robot's limits allow. `mmnn excite` writes
+        such files. Cells are separated by commas, semicolons or tabs. Poses that wheels cannot roll exactly are
+        replaced by the nearest motion that they can, at most 2 cm and 0.1 rad beside them; `notes` tell of it.
 
         Raises:
             TrajectoryError: The file cannot be read, holds no motion of this robot, or one that it cannot follow; with
@@ -215,7 +219,7 @@ class Trajectory:
 
         Columns of other names are left alone, but not one that looks like a joint which has none.
         """
-        found, nb = TableColumns.read(file), robot.dimensions.base
+        found, nb = TableColumns.read(file, ()), robot.dimensions.base
         names = {name: f"position.{name}" for name in robot.joint_names}
         for head in found:
             kind, _, joint = head.partition(".")
@@ -229,21 +233,26 @@ class Trajectory:
                 fix = f"name it {names[near[0]]}, or something that is no joint's"
                 why = f"it may be {near[0]}, which has no column"
                 raise TrajectoryError(f"nothing uses the column '{head}'", why=why, fix=fix, file=file, line=1)
-        missing = [name for name in ("x", "y", "phi") if name not in found]
-        moves = bool(nb) and not missing
-        if nb and 0 < len(missing) < 3:
-            fix = "give x, y, phi, or none of them and the base rests"
-            raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=file, line=1)
+        moves = bool(nb) and any(name in found for name in BASE_COLUMNS)
         if not joints and not moves:
             fix = f"name columns {', '.join(['x, y, phi'] * bool(nb) + [*names.values()])}"
             raise TrajectoryError(f"no motion of {robot.name}", fix=fix, file=file, line=1)
+        if "t" not in found:
+            return cls.of(robot, timed(robot, found, list(columns.values())))
         rates = {name: found.get(f"velocity.{name}") for name in joints}
-        for name, i in zip(robot.joint_names, robot.arm_index, strict=True):
-            if name in joints:
-                found.require_within(columns[name], robot.lower[i], robot.upper[i])
+        turns = revolute(robot)
         with found.blamed():
+            for name, i in zip(robot.joint_names, robot.arm_index, strict=True):
+                if name in joints:
+                    found.require_within(columns[name], robot.lower[i], robot.upper[i])
+                    found.require_no_jump(columns[name], "rad" if turns[i] else "m", joints[name])
             arm = {name: JointTable(found["t"], at, rates[name]) for name, at in joints.items()}
-            return cls.of(robot, found.table(robot.dimensions.sideways) if moves else None, arm)
+            return cls.of(robot, found.base(robot.dimensions.sideways) if moves else None, arm)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Lines on what is driven in the place of a planner's samples, where they are not driven as they are."""
+        return (self.base.note,) if isinstance(self.base, BaseTable) and self.base.note else ()
 
     @property
     def duration(self) -> float:
@@ -305,6 +314,23 @@ class Trajectory:
                 fix=f"give {layout.arm} of them",
                 code=LENGTH,
             )
+
+
+def timed(robot: Robot, found: TableColumns, joints: Sequence[str]) -> BasePath:
+    """The base along points of a file without times, as fast as its limits allow.
+
+    Raises:
+        TrajectoryError: There are columns that need times, or no points.
+    """
+    needing = [name for name in (*joints, "v", "vx", "vy", "w", "x", "y") if name in found]
+    if {*needing} != {"x", "y"}:
+        why = "x and y alone are driven as fast as the limits allow" if robot.dimensions.base else ""
+        fix = "name t in the first line, with times in seconds"
+        raise TrajectoryError("no column t", why=why, fix=fix, file=found.file, line=1)
+    points = np.stack([found["x"], found["y"]], axis=1)
+    with found.blamed():
+        path = Smoothed(points, looks=float(found["phi"][0]) if "phi" in found else None)
+        return Timed.of(path, robot)
 
 
 def worded(part: BasePath | JointProfile, most: int = 100) -> str:

@@ -65,6 +65,10 @@ def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, door
         for i in range(door.joints.shape[1]):
             place = place_of(i, measured, door)
             measured[place] = between_ends(measured[place], i, door)
+    is_news = state.good[0] == 0.0
+    for i in range(measured.size):
+        is_news = is_news or measured[i] != message[i]
+    state.news[0] += 1.0 if is_news else 0.0
     copy_to(measured, message)
     state.heard[0], state.arrived[0], state.good[0] = time, now, state.good[0] + 1.0
 

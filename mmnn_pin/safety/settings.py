@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from ..elementary import hypot
-from ..elementary.matrices import pseudo_inverse
+from ..elementary.matrices import inverse, pseudo_inverse
 from ..errors import ConfigError
 from ..model.base.rolling import Maps
 from ..model.base.steered import SteeredBase
@@ -18,6 +18,7 @@ from ..settings import Numbers, Settings, require_numbers
 from ..signals import Array, Dimensions, IntArray
 from .supervisor import (
     BAD_WEIGHTS,
+    BLIND,
     DEAF,
     JUMPED,
     LOST,
@@ -41,10 +42,13 @@ MAY_BE_ZERO = ("torque_time", "stop_time", "settle", "hold_rate", "ramp")
 FRESH = 5.5  # measurements that fail to come before a stop does without
 FASTEST, FASTEST_SLIDE = 10.0, 2.0  # speed that explains a joint's motion where no limit is known [rad/s, m/s]
 BASE_CONTRADICTION = 0.05  # of pose and velocities of the base in a stop, on a robot [m, rad]
+TIMEOUT = 0.5  # that of ros2_controllers [s]
+REACH = (0.05, 0.2)  # that a length and an angle may change unseen [m, rad]
+POSTURES = 8  # at which the robot is moved most easily
 STEERING_JUMP = 0.1  # of a pivot, where jumps are judged [rad]
 # What passed its limit: the signal, words, and the unit, that of a sliding joint where there are two.
 SIGNAL = {OVER_TORQUE: "motor_torque", OFF_PATH: "pose_error", OFF_HEADING: "pose_error", OFF_JOINT: "e"}
-SIGNAL |= {DEAF: "measurement", LOST: "command", BAD_WEIGHTS: "weights", PRESSED: "stop"}
+SIGNAL |= {DEAF: "measurement", LOST: "command", BAD_WEIGHTS: "weights", PRESSED: "stop", BLIND: "measurement"}
 SIGNAL |= {OVER_TWIST: "velocity", OVER_WHEEL: "velocity", JUMPED: "q", TOO_SLOW: "time"}
 WHAT = {OVER_TORQUE: "torque", OVER_SPEED: "speed", OFF_PATH: "position error", OFF_HEADING: "heading error"}
 WHAT |= {OVER_TWIST: "speed", OVER_WHEEL: "speed", TOO_SLOW: "control period", JUMPED: "jump"}
@@ -52,6 +56,7 @@ WHAT |= {OFF_JOINT: "joint error", DEAF: "age of the measurement", LOST: "age of
 UNIT = {OVER_TORQUE: " N m", OVER_SPEED: " rad/s", OFF_PATH: " m", OFF_HEADING: " rad", OFF_JOINT: " rad"}
 UNIT |= {DEAF: " s", LOST: " s", OVER_TWIST: " rad/s", OVER_WHEEL: " rad/s", JUMPED: " rad", TOO_SLOW: " s"}
 SLIDING = {OVER_TWIST: " m/s", OVER_TORQUE: " N", OVER_SPEED: " m/s", OFF_JOINT: " m", OVER_WHEEL: " m/s", JUMPED: " m"}
+UNIT[BLIND], SLIDING[BLIND] = " rad", " m"
 
 
 class Standing(Protocol):
@@ -92,7 +97,9 @@ class Safety(Settings, frozen=True):
             one number or one per joint [rad or m].
         slowest: Longest control period on average over some 10 samples [s].
         weights: Largest Frobenius norm of every array of weights; larger ones are scaled back at every sample.
-        timeout: Age of the measurement or of the command at which it trips [s]; that of ros2_controllers by default.
+        timeout: Age of the measurement or of the command at which it trips [s]. None: 0.5, and before a joint
+            may have turned 0.2 rad or slid 0.05 m, or the base moved 0.05 m or turned 0.2 rad, while none came.
+            Measurements that repeat to the last bit count as none while the robot is to move.
         ramp: Time in which torque goes to zero: all of it without measurements, the last command without commands [s].
         stop_time: How long a tripped run goes on, to show the stop [s].
         settle: Time that feedback has to bring the robot to rest, where motors can short their windings instead; after
@@ -118,7 +125,7 @@ class Safety(Settings, frozen=True):
     jump: Literal["none"] | Numbers | None = None
     slowest: Literal["none"] | float | None = None
     weights: float | None = None
-    timeout: float = 0.5
+    timeout: float | None = None
     ramp: float = 0.25
     stop_time: float = 1.5
     settle: float = 0.5
@@ -140,6 +147,7 @@ class Safety(Settings, frozen=True):
         weights: IntArray | None = None,
         values: Array | None = None,
         steering: Standing | None = None,
+        asked: Array | None = None,
     ) -> Supervisor:
         """The supervisor of one robot.
 
@@ -153,16 +161,18 @@ class Safety(Settings, frozen=True):
             weights: (k, 2) start and stop of every array of weights in the controller's state; None for none.
             values: State, from `new_state`; None for a new one.
             steering: Of a base that steers, brought up to the measurement before `supervise`; None for others.
+            asked: (p,) velocities that servos are asked for; None without servos.
 
         Raises:
             ConfigError: Not one number per motor or per joint, or a base that steers without its `steering`.
         """
         layout, arm = robot.dimensions, robot.arm_index
         position, heading, bound = some(self.position_error), some(self.heading_error), some(self.weights)
-        numbers = [self.timeout, self.ramp, self.stop_time, self.torque_time, position, heading, bound]
+        timeout = TIMEOUT if self.timeout is None else self.timeout
+        numbers = [timeout, self.ramp, self.stop_time, self.torque_time, position, heading, bound]
         numbers += [self._calm_rate(robot, gains), period, math.inf if brakes == "none" else self.settle, self.rest]
         numbers += [float(brakes == "base"), FRESH * (arrivals or period), some(self.slowest)]
-        numbers += [some(self.speed), some(self.yaw_rate)]
+        numbers += [some(self.speed), some(self.yaw_rate), float(self.timeout is None)]
         wheels, turns, none = layout.motors - layout.arm, revolute(robot)[arm], np.full(layout.arm, np.inf)
         urdf, steered = speed_limits(robot), steering_motors(robot)
         turned = limits(self.steering_rate, urdf[wheels - steered : wheels], "steering joint", "safety.steering_rate")
@@ -184,10 +194,12 @@ class Safety(Settings, frozen=True):
         fixed = [np.array(array, float, order="C") for array in arrays]
         standing, maps = standing_of(robot, steering)
         places = np.zeros((0, 2), np.int64) if weights is None else weights
+        unseen = [reach_of(robot), mobility(robot), np.zeros(layout.dof) if asked is None else asked]
         *state, sense = views(new_state(layout) if values is None else values, layout)
+        state[1].every[0] = state[1].every[0] or arrivals or period
         door = Door(measured, np.array(rows, float), state[2], state[1], sense, layout.sideways, *maps)
         return Supervisor._make(
-            [True, SupervisorNumbers(*map(float, numbers)), *fixed, door, *standing, places, *state]
+            [True, SupervisorNumbers(*map(float, numbers)), *fixed, door, *standing, places, *unseen, *state]
         )
 
     def _base_speeds(self, robot: Robot, turned: dict[str, float]) -> list[float]:
@@ -203,6 +215,27 @@ class Safety(Settings, frozen=True):
         nb = robot.dimensions.base
         inertias = np.diag(Twin(robot).mass_matrix(robot.neutral_position()))[nb:]
         return min(self.hold_rate, float(np.min(0.5 * gains[nb:] / inertias, initial=math.inf)))
+
+
+def reach_of(robot: Robot) -> Array:
+    """(p,) how far velocities may lead unseen, see `Safety.timeout` [m, rad]; of two that add up each its part."""
+    slide, turn = REACH
+    sideways, nb = robot.dimensions.sideways, robot.dimensions.base
+    own = np.where([name in ("v", "vx", "vy", "u") for name in robot.velocity_names[:nb]], slide, turn)
+    if sideways and not robot.steers:
+        own[:2] /= math.sqrt(2.0)
+    return np.concatenate((own, np.where(revolute(robot)[robot.arm_index], turn, slide)))
+
+
+def mobility(robot: Robot) -> Array:
+    """(p, p) largest |M^-1| over some postures of the arm."""
+    twin, arm, rng = Twin(robot), robot.arm_index, np.random.default_rng(0)
+    lower, upper = np.maximum(robot.lower[arm], -math.pi), np.minimum(robot.upper[arm], math.pi)
+    position, found = robot.neutral_position(), np.zeros((robot.dimensions.dof,) * 2)
+    for _ in range(POSTURES):
+        found = np.maximum(found, np.abs(inverse(twin.mass_matrix(robot.follow(position)))))
+        position[arm] = rng.uniform(lower, upper)
+    return found
 
 
 def steering_motors(robot: Robot) -> int:
@@ -248,13 +281,13 @@ def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
     zeros = SupervisorNumbers(*[0.0] * len(SupervisorNumbers._fields))
     door = Door(none, none, state[2], state[1], sense, False, nothing, none, np.zeros(0, np.int64), 0.0)
     numbers: list[Any] = [False, zeros, *[nothing] * 6, door, none, none]
-    return Supervisor._make([*numbers, np.zeros((0, 2), np.int64), *state])
+    return Supervisor._make([*numbers, np.zeros((0, 2), np.int64), nothing, none, nothing, *state])
 
 
 def new_state(layout: Dimensions, start: float = 0.0) -> Array:
     """State of a supervisor before its first measurement at a time [s]."""
     message = layout.pose + layout.base + 2 * layout.arm + layout.shape
-    values = np.zeros(MARKS + message + 6 * layout.dof + layout.motors + 2 * layout.arm + 4 * layout.shape)
+    values = np.zeros(MARKS + message + 13 * layout.dof + layout.motors + 2 * layout.arm + 4 * layout.shape)
     state = marks_of(values)
     state.heard[0] = state.commanded[0] = start
     state.blind[0] = -1.0
@@ -264,8 +297,8 @@ def new_state(layout: Dimensions, start: float = 0.0) -> Array:
 def views(values: Array, layout: Dimensions) -> list[Any]:
     """A supervisor's state and views of its parts, in the order of `Supervisor`, and the sense of its door."""
     message, p, n = layout.pose + layout.base + 2 * layout.arm + layout.shape, layout.dof, layout.arm
-    _, *parts, sense = np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n, p]))
-    return [values, marks_of(values), *parts, sense.reshape(4, -1)]
+    _, *parts, sight, sense = np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n, p, 7 * p]))
+    return [values, marks_of(values), *parts, sight.reshape(7, -1), sense.reshape(4, -1)]
 
 
 def marks_of(values: Array) -> SupervisorState:
@@ -287,6 +320,7 @@ def trip_of(state: SupervisorState, robot: Robot) -> tuple[float, str, str]:
         return time, SIGNAL[code], f"stopped from outside at t = {time:g} s"
     names = {OVER_TORQUE: robot.actuator_names, OVER_SPEED: robot.velocity_names, OFF_JOINT: robot.joint_names}
     names |= {OVER_WHEEL: robot.actuator_names, JUMPED: (*robot.joint_names, *robot.base.shape), OVER_TWIST: ("v", "w")}
+    names |= {BLIND: robot.velocity_names}
     name = names[code][i] if code in names else ""
     unit = SLIDING[code] if name and slides(robot, name) else UNIT[code]
     value, limit, nb = state.value[0], state.limit[0], robot.dimensions.base
@@ -296,6 +330,9 @@ def trip_of(state: SupervisorState, robot: Robot) -> tuple[float, str, str]:
     if code == JUMPED:
         what = f"{name} jumps by {value:.3g}{unit} between two measurements, and its speed explains {limit:.3g}{unit}"
         return time, f"{SIGNAL[code]}[{i}]", f"tripped at t = {time:g} s: {what}"
+    if code == BLIND:
+        what = f"no new measurement says where {name} is, which may have gone {value:.3g}{unit}"
+        return time, SIGNAL[code], f"tripped at t = {time:g} s: {what}"
     of, over = f" of {name}" if name else "", f"{value - limit:.3g}{unit} over its limit of {limit:.4g}{unit}"
     signal = f"{SIGNAL[code]}[{i}]" if code in SIGNAL else f"velocity[{i}]" if i < nb else f"qdot[{i - nb}]"
     return time, signal, f"tripped at t = {time:g} s: {WHAT[code]}{of} {value:.4g}{unit}, {over}"

@@ -11,6 +11,7 @@ from ..elementary import hypot
 from ..signals import EARLY, INDEX, SIDEWAYS, Array, IntArray
 
 POSE, VELOCITY, Q, QDOT, ALPHA = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "alpha"))
+VELOCITY_REF, QDOT_REF = INDEX["velocity_ref"], INDEX["qdot_ref"]
 POSE_ERROR, JOINT_ERROR, STATE = INDEX["pose_error"], INDEX["e"], INDEX["safety"]
 PSI_HAT, TORQUE = INDEX["psi_hat"], INDEX["torque"]
 
@@ -20,16 +21,20 @@ RUNNING, STEPPED_IN, STOPPING, RAMPING = 0.0, 1.0, 2.0, 3.0
 TURN, LOWER, UPPER, EXPLAINS, JUMP, IS_FREE = range(6)  # of a door's joints
 CONTRADICTION, MOST = range(2)  # of its rows
 DRIFT, LEAST, WITHOUT, OFFSET = range(4)  # of its sense
+SILENT, REPEATED, RATE, BEND, BEFORE, KNOWN, TRUSTED = range(7)  # of a supervisor's sight
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
-OVER_WHEEL, JUMPED, TOO_SLOW, OVER_TWIST = range(10, 14)
+OVER_WHEEL, JUMPED, TOO_SLOW, OVER_TWIST, BLIND = range(10, 15)
 
 BORNE = 0.3  # of the slowest period: where samples are farther apart the gains of a stop are lowered in proportion
 SAMPLES = 10.0  # over which the control period is averaged, those far back less
 TOO_MANY = 4.0  # periods in a row that are too long
 GAP = 4.0  # times the slowest period: a longer pause counts as this
 PLAUSIBLE = 2.0  # times its limit: a velocity beyond this brakes as this
+SMOOTH = 0.3  # share of the latest acceleration, and time between measurements, in their averages
+PUSHED = 2.0  # times the velocity of the last measurement or of the reference: what moves under repeated ones
+MISSED = 2.0  # times the usual time between measurements: no silence before
 FASTER, HALF = 1.25, 0.5  # times the least speed in a stop, times the limit: beyond both the stop drives it on
 
 
@@ -50,6 +55,7 @@ class SupervisorNumbers(NamedTuple):
         slowest: Longest control period [s].
         twist: Largest speed of a base that steers [m/s].
         yaw_rate: Its largest yaw rate [rad/s].
+        limited: 1 where silence is limited by how far velocities may lead, 0 by `timeout` alone.
     """
 
     timeout: float
@@ -68,6 +74,7 @@ class SupervisorNumbers(NamedTuple):
     slowest: float
     twist: float
     yaw_rate: float
+    limited: float
 
 
 @by_address
@@ -87,6 +94,9 @@ class SupervisorState(NamedTuple):
         sampled: Time of the last sample [s].
         period, last_period, steady: The control period on average, at last, and at last without pauses [s].
         in_a_row: How many periods in a row were too long.
+        news: How many measurements differed from the one before.
+        noted, met, seen, since: How many of them and of all samples have noted, and when those of the last ones [s].
+        every: Time from one to the next, on average [s].
     """
 
     tripped: Array
@@ -110,6 +120,12 @@ class SupervisorState(NamedTuple):
     last_period: Array
     steady: Array
     in_a_row: Array
+    news: Array
+    noted: Array
+    met: Array
+    seen: Array
+    since: Array
+    every: Array
 
 
 MARKS = len(SupervisorState._fields)
@@ -165,6 +181,9 @@ class Supervisor(NamedTuple):
         door: What measurements pass.
         E, E_inv: (p, motors) torque on nu from motor torques, and back; of a base that steers those of the last sample.
         weights: (k, 2) start and stop of every array of weights in the controller's state.
+        reach: (p,) how far velocities may lead while no measurement says so; inf for any way [m, rad].
+        mobility: (p, p) largest |M^-1| of some postures.
+        asked: (p,) velocities that servos are asked for, of their rows.
         values: State: all of the following.
         state: Single numbers.
         message: The last good measurement: pose, velocity, q, qdot, shape.
@@ -173,6 +192,9 @@ class Supervisor(NamedTuple):
         place: (n,) where the joints are held.
         integral: (n,) of their errors.
         stale: (p,) the last command of a controller that fell silent.
+        sight: (7, p) how far velocities may have led in silence, and while measurements repeat; their bound in silence,
+            their average acceleration, and what they were; torque that was sent before the last measurement, and by the
+            last that differed.
     """
 
     on: bool
@@ -187,6 +209,9 @@ class Supervisor(NamedTuple):
     E: Array
     E_inv: Array
     weights: IntArray
+    reach: Array
+    mobility: Array
+    asked: Array
     values: Array
     state: SupervisorState
     message: Array
@@ -195,6 +220,7 @@ class Supervisor(NamedTuple):
     place: Array
     integral: Array
     stale: Array
+    sight: Array
 
 
 @linked
@@ -236,6 +262,8 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
     """
     tau, state, numbers = row[at[TORQUE] : at[TORQUE + 1]], supervisor.state, supervisor.numbers
     step_in = bound_weights(time, weights, supervisor) or state.held[0] > 0.0 or state.good[0] == 0.0
+    if state.good[0] > 0.0:
+        look(row, at, time, supervisor)
     check_period(time, state, numbers)
     if state.good[0] > 0.0:
         check_motion(row, at, time, supervisor)
@@ -264,6 +292,65 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
     if clipped and row[at[STATE]] == RUNNING:
         row[at[STATE]] = STEPPED_IN
     copy_to(tau, supervisor.last)
+
+
+@internal
+def look(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
+    """Trip where the robot may have gone too far since a measurement last said where it is.
+
+    In silence a velocity that is `nu` at the last measurement is at most `|nu| + int |a| + W |tau - tau_0| dt`: a is
+    its acceleration at the last measurements, tau_0 the torque that was sent before, and W the largest |M^-1|; a servo
+    reaches what it is asked for. While measurements repeat, to the last bit, a velocity that is measured or that the
+    reference has counts.
+    """
+    state, sight, numbers = supervisor.state, supervisor.sight, supervisor.numbers
+    h = numbers.h
+    p, dt = sight.shape[1], max(time - state.sampled[0], 0.0)
+    nb, since, waited = p - supervisor.place.size, time - state.since[0], time - state.seen[0]
+    last_news = state.since[0]
+    is_first, is_news, silent = state.noted[0] == 0.0, state.news[0] != state.noted[0], state.good[0] == state.met[0]
+    if is_news:
+        state.since[0] = time
+    if not (is_first or silent):
+        state.every[0] += SMOOTH * (min(waited, GAP * state.every[0]) - state.every[0])
+    for i in range(p):
+        nu = row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb]
+        bend = abs(sight[BEND, i])
+        if silent:
+            for j in range(p):
+                bend += supervisor.mobility[i, j] * abs(supervisor.last[j] - sight[KNOWN, j])
+            rate = max(sight[RATE, i], abs(supervisor.asked[i]))
+            sight[SILENT, i] += dt * (rate + 0.5 * dt * bend)
+            sight[RATE, i] = rate + dt * bend
+        else:
+            speed = PUSHED * max(abs(nu), abs(referred(row, at, i, nb, supervisor)))
+            sight[REPEATED, i] = 0.0 if is_news else sight[REPEATED, i] + waited * speed
+            if is_news and not is_first:
+                sight[BEND, i] += SMOOTH * ((nu - sight[BEFORE, i]) / max(since, h) - sight[BEND, i])
+            sight[SILENT, i], sight[RATE, i], sight[KNOWN, i] = 0.0, abs(nu), supervisor.last[i]
+            if is_news:
+                sight[BEFORE, i] = nu
+        if state.sampled[0] == last_news:
+            sight[TRUSTED, i] = supervisor.last[i]
+        coming = sight[REPEATED, i]
+        if numbers.limited > 0.0:
+            coming += sight[SILENT, i] + h * (sight[RATE, i] + 0.5 * h * bend)
+        if coming > supervisor.reach[i] and not is_news and since + h > MISSED * state.every[0] + EARLY:
+            trip(time, BLIND, i, coming, supervisor.reach[i], state)
+    state.noted[0], state.met[0] = state.news[0], state.good[0]
+    if not silent:
+        state.seen[0] = time
+
+
+@compiled
+def referred(row: Array, at: IntArray, i: int, nb: int, supervisor: Supervisor) -> float:
+    """The reference's velocity i; of a base that steers the size of its twist, and none of what steers."""
+    if i >= nb:
+        return row[at[QDOT_REF] + i - nb]
+    if supervisor.door.eta.size == 0:
+        return row[at[VELOCITY_REF] + i]
+    twist = row[at[VELOCITY_REF] : at[VELOCITY_REF + 1]]
+    return hypot(twist[0], twist[1] if twist.size == 3 else 0.0) if i == 0 else 0.0
 
 
 @internal
@@ -364,9 +451,11 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     p, n, stale, place = tau.size, supervisor.place.size, supervisor.stale, supervisor.place
     if time - state.time[0] > numbers.settle and moves(row, at, p, n, numbers.rest):
         state.given_up[0] = 1.0
-    if state.given_up[0] > 0.0 or state.good[0] == 0.0 or time - state.arrived[0] > numbers.fresh:
+    last = min(state.arrived[0], state.since[0]) if state.code[0] == BLIND else state.arrived[0]
+    if state.given_up[0] > 0.0 or state.good[0] == 0.0 or time - last > numbers.fresh:
         if state.blind[0] < 0.0:
             state.blind[0], state.acted[0] = time, 0.0
+            copy_to(supervisor.sight[TRUSTED], supervisor.last)  # not what was made of a measurement that is none
         row[at[STATE]], left = RAMPING, numbers.ramp - (time - state.blind[0])
         for i in range(p):  # these factors multiply to a straight line
             tau[i] = supervisor.last[i] * left / (left + numbers.h) if left > 0.0 else 0.0

@@ -4,8 +4,9 @@
     step(row, at, numbers, state, limits, ahead)
                                             tau = (K + Kz (|Z| + ZB)) s + Psi_hat    (3.39), (3.50),   s = [z; r]
     settle(row, at, learner, state)         the torque that is held from here on, to be looked back at
+    doubt(learner, state, S)                covariance of Psi_hat of the last sample
 
-The ordinary loop, the compiled loop and the batch call these three. They read and write the row of signals `row`, in
+The ordinary loop, the compiled loop and the batch call these. They read and write the row of signals `row`, in
 which signal i begins at `at[i]`; `state` is the controller's flat array. A law is its `LawNumbers`, and what it learns
 with: a named tuple whose type has its code in `KERNELS`, or None. The thesis's networks stand in `step` themselves, so
 that its controllers share one compiled loop.
@@ -135,10 +136,11 @@ class Schedule(NamedTuple):
 
 
 class Kernels(NamedTuple):
-    """The compiled code of what a law learns with; arguments as of `estimate`."""
+    """The compiled code of what a law learns with; arguments as of `estimate`, and as of `doubt`, where it has one."""
 
     estimate: Callable[..., None]
     settle: Callable[..., None]
+    doubt: Callable[..., None] | None = None
 
 
 KERNELS: dict[type, Kernels] = {}  # every module of a learner enters its own
@@ -190,8 +192,26 @@ def settle(row: Array, at: IntArray, learner: Any, state: Array) -> None:
     KERNELS[type(learner)].settle(row, at, learner, state)
 
 
+def doubt(learner: Any, state: Array, S: Array) -> None:
+    """Write the covariance of Psi_hat of the last sample into S (p, p); a negative first entry where nobody knows.
+
+    Args:
+        learner: What the law learns with.
+        state: (size,) the controller's state.
+        S: (p, p) covariance [N, N m], squared.
+    """
+    (KERNELS[type(learner)].doubt or nobody_knows)(learner, state, S)
+
+
 by_type(estimate, "learner", lambda kind: KERNELS[kind].estimate)
 by_type(settle, "learner", lambda kind: KERNELS[kind].settle)
+by_type(doubt, "learner", lambda kind: KERNELS[kind].doubt or nobody_knows)
+
+
+@compiled
+def nobody_knows(learner: Any, state: Array, S: Array) -> None:
+    """`doubt` of a learner without a covariance."""
+    S[0, 0] = -1.0
 
 
 @compiled

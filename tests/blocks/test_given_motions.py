@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from mmnn_pin import Circle, Eight, Hold, Line, Sine, Trajectory, load, load_experiment
+from mmnn_pin.cli import main
 from mmnn_pin.errors import InputError, TrajectoryError, UnknownName
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.reference import JointTable, Points
+from mmnn_pin.reference.rollable import moved, slopes
+from mmnn_pin.reference.samples import integrated, table_of
 from mmnn_pin.signals import Setpoint
 
 T = np.linspace(0.0, 4.0, 201)
@@ -157,12 +161,35 @@ BAD = {
     "infinite": ("t,x,y,phi\n0,0,0,0\n1,1,0,-inf\n", "phi = -inf is not finite", 3),
     "no x": ("t,y,phi,arm_9\n0,0,0,1\n", "no column x", 1),
     "no motion": ("t,arm_9\n0,1\n", "no motion of platform_arm", 1),
-    "no time": ("x,y,phi\n0,0,0\n", "no column t", 1),
+    "no time": ("x,y,arm_1_joint\n0,0,0\n1,0,0\n", "no column t: x and y alone are driven as fast", 1),
+    "no way": ("x,y,phi\n0,0,0\n", "points that are all in one place", None),
+    "no w": ("t,v\n0,0\n1,0\n", "no column w: give v, w, or none of them", 1),
+    "of another base": ("t,vx,vy,w\n0,0,0,0\n1,0,0,0\n", "nothing uses the column 'vx': this base moves by v, w", 1),
+    "a jump of a joint": (
+        "t,arm_1_joint\n" + "".join(f"{k / 10},{0.001 * k + 0.6 * (k > 20)}\n" for k in range(40)),
+        "arm_1_joint jumps by 0.601 rad to its row of t = 2.1 s: that is 6.01 rad/s, beside 0.01 rad/s around it",
+        23,
+    ),
+    "a jump of the base": (
+        "t,x,y,phi\n" + "".join(f"{k / 10},{0.02 * k + 0.5 * (k > 20)},0,0\n" for k in range(40)),
+        "x jumps by 0.52 m to its row of t = 2.1 s",
+        23,
+    ),
+    "too far": (
+        "t,x,y,phi\n" + "".join(f"{k / 10},{0.03 * k},{0.01 * k},0\n" for k in range(40)),
+        "the nearest motion that rolls passes .* beside the sample of .* \\(allowed 0.02 m, 0.1 rad\\)",
+        None,
+    ),
+    "of another motion": (
+        "t,x,y,phi,v,w\n" + "".join(f"{k / 10},{0.02 * k},0,0,0.5,0\n" for k in range(40)),
+        "v = 0.5 m/s at t = .* s, the poses move at 0.2",
+        None,
+    ),
     "a word": ("t,x,y,phi\n0,0,0,0\n1,one,0,0\n", "x = 'one' is not a number", 3),
     "a short line": ("t,x,y,phi\n0,0,0,0\n1,1,0\n", "phi = '' is not a number", 3),
     "too few": ("t,x,y,phi\n0,0,0,0\n1,1,0,0\n", "2 samples: a spline takes four or more", None),
     "sideways": ("t,x,y,phi\n" + "".join(f"{k},0,{k},0\n" for k in range(6)), "moves sideways", None),
-    "nothing": ("", "no column t", 1),
+    "nothing": ("", "no rows", 1),
     "no rows": ("t,x,y,phi\n\n", "no rows", 1),
 }
 
@@ -182,7 +209,7 @@ def test_a_bad_file_is_named_with_its_line(case: str, tmp_path: Path) -> None:
     ("make", "words"),
     [
         (lambda r: Trajectory.from_arrays(r, T, np.zeros((9, 3))), "samples of shapes"),
-        (lambda r: Trajectory.from_arrays(r, T, np.zeros((201, 2))), "samples of shapes"),
+        (lambda r: Trajectory.from_arrays(r, T, np.zeros((201, 4))), "samples of shapes"),
         (lambda r: Trajectory.from_arrays(r, T, q=np.zeros((201, 3))), "give \\(N, 2\\): arm_1_joint, arm_2_joint"),
         (lambda r: Trajectory.from_arrays(r, T, q={"arm_1_joint": 0.1 * T[1:]}), "give as many of each"),
         (lambda r: Trajectory.from_arrays(r, T[::-1], q={"arm_1_joint": 0.1 * T}), "does not increase at sample 1"),
@@ -278,3 +305,111 @@ def test_times_in_milliseconds_are_refused_but_not_those_that_say_seconds(tmp_pa
     assert Trajectory.from_csv(robot(), file).duration == pytest.approx(4000.0)
     csv_of(file, "t,arm_1_joint,arm_2_joint", *(column[::20] for column in columns))  # few rows: waypoints
     assert Trajectory.from_csv(robot(), file).duration == pytest.approx(4000.0)
+
+
+# -- paths as planners write them --------------------------------------------------------------------------------------
+
+
+def waves(rng: np.random.Generator, t: np.ndarray, most: float) -> np.ndarray:
+    """A smooth random signal (N,), at most so large, from rest."""
+    parts = sum(rng.uniform(-1, 1) * np.sin(rng.uniform(0.1, 1.2) * t + rng.uniform(0, 6)) for _ in range(3))
+    return most * np.asarray(parts) / 3 * np.minimum(t, 1.0)
+
+
+def planned(seed: int, period: float, seconds: float = 8.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, poses and velocities of a planner that steps by Euler's rule, in reverse and on the spot, too."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, seconds + 1e-9, period)
+    v, w = waves(rng, t, 0.5), waves(rng, t, 0.8)
+    poses = np.zeros((len(t), 3))
+    for k in range(len(t) - 1):
+        c, s = np.cos(poses[k, 2]), np.sin(poses[k, 2])
+        poses[k + 1] = poses[k] + period * np.array([v[k] * c, v[k] * s, w[k]])
+    return t, poses, np.column_stack((v, w))
+
+
+def driven_by(time: np.ndarray, velocity: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Poses (N, 3) of a base that moves with velocities linear between samples, by scipy's DOP853."""
+    holonomic = velocity.shape[1] == 3
+
+    def rates(t: float, pose: np.ndarray) -> np.ndarray:
+        u = [np.interp(t, time, column) for column in velocity.T]
+        vx, vy, w = u if holonomic else (u[0], 0.0, u[1])
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        return np.array([vx * c - vy * s, vx * s + vy * c, w])
+
+    found = solve_ivp(rates, (0, time[-1]), start, "DOP853", time, rtol=1e-9, atol=1e-10, max_step=0.02)
+    return np.asarray(found.y.T)
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0.02, 0.05, 0.1, 0.2]))
+@settings(max_examples=12, deadline=None)
+def test_what_a_planner_steps_is_driven_by_a_motion_that_rolls_close_to_it(seed: int, period: float) -> None:
+    t, poses, velocity = planned(seed, period)
+    for its in (None, velocity):
+        made = table_of(t, poses, its, False)
+        off = made.sample(t).pose - poses
+        assert np.hypot(*off[:, :2].T).max() < 0.02 and abs(off[:, 2]).max() < 0.1
+        if made.note:
+            assert driven_by(made.time, made.velocity, made.pose[0]) == pytest.approx(made.pose, abs=2e-3)
+            assert f"{1e3 * np.hypot(*off[:, :2].T).max():.2g} mm" in made.note
+        for place in (0, -1):
+            assert made.pose[place] == pytest.approx(poses[place], abs=0.02 if place else 1e-3)
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=10, deadline=None)
+def test_points_without_headings_are_driven_through_forwards(seed: int) -> None:
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 8.0, 0.1)
+    velocity = np.column_stack((0.3 + abs(waves(rng, t, 0.3)), waves(rng, t, 0.5)))
+    points = driven_by(t, velocity, np.zeros(3))[:, :2]
+    made = table_of(t, points, None, False)
+    assert "drives forwards through the points" in made.note
+    assert np.hypot(*(made.sample(t).pose[:, :2] - points).T).max() < 0.02
+    assert np.median(made.velocity[:, 0]) > 0.2
+
+
+@pytest.mark.parametrize("columns", [2, 3])
+def test_velocities_alone_are_integrated_from_the_origin(columns: int) -> None:
+    rng, t = np.random.default_rng(columns), np.linspace(0.0, 6.0, 61)
+    velocity = np.column_stack([waves(rng, t, 0.5) for _ in range(columns)])
+    made = integrated(t, velocity)
+    assert made.pose[0] == pytest.approx([0, 0, 0]) and "no poses are given" in made.note
+    assert made.sample(t).pose == pytest.approx(driven_by(t, velocity, np.zeros(3)), abs=1e-4)
+
+
+def test_slopes_of_rolling_are_finite_differences() -> None:
+    rng, steps = np.random.default_rng(4), np.array([0.1, 0.3, 0.05])
+    unknown = rng.normal(size=(4, 5))
+    found = slopes(unknown, steps)
+
+    def missed(at: np.ndarray) -> np.ndarray:
+        return moved(at[:, :3], at[:, 3:], steps) - at[1:, :3]
+
+    for k in range(3):
+        for column in range(10):
+            change = np.zeros((4, 5))
+            change[k + column // 5, column % 5] = 1e-6
+            assert (missed(unknown + change) - missed(unknown - change))[k] / 2e-6 == pytest.approx(
+                found[k, :, column], abs=1e-7
+            )
+
+
+def test_points_without_times_are_driven_within_the_robots_limits(tmp_path: Path) -> None:
+    s = np.linspace(0.0, 3.0, 60)
+    file = csv_of(tmp_path / "way.csv", "x,y,phi", s, 0.3 * np.sin(s), np.arctan(0.3 * np.cos(s)))
+    made = Trajectory.from_csv(robot(), file)
+    rows = drawn(made, robot(), np.linspace(0.0, made.duration, 500))
+    assert rows.pose[-1, :2] == pytest.approx([3.0, 0.3 * np.sin(3.0)], abs=0.01)
+    assert abs(rows.velocity[:, 0]).max() <= 1.0 + 1e-6 and rows.velocity[-1] == pytest.approx([0, 0], abs=1e-3)
+
+
+def test_a_run_of_a_planners_file_says_how_far_beside_it_drives(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    t = np.arange(0.0, 2.05, 0.1)
+    heading = np.where(t > 0, 0.5 * (t - 0.1), 0.0)  # of a planner that turns a step too late
+    way = np.array([np.cumsum(0.03 * turn(0.5 * t)) for turn in (np.cos, np.sin)]).T
+    poses = np.column_stack((way - way[0], heading))
+    file = csv_of(tmp_path / "plan.csv", "t,x,y,phi", t, *poses.T)
+    out = ["--out", str(tmp_path / "runs")]
+    given = ["--controller", "pd", "--set", f"reference.file={file}"]
+    assert main(["run", "track", "--robot", "platform_arm", *given, *out]) == 0
+    assert "driven is the nearest motion that rolls, at most" in " ".join("".join(capsys.readouterr()).split())

@@ -285,10 +285,10 @@ def test_a_measurement_that_is_too_old_trips_and_the_torque_ramps_to_zero():
     require_tripped(run, "measurement[0]", 0.038 + 0.02 + H)
     assert "age of the measurement 0.022 s, 0.002 s over its limit of 0.02 s" in run.outcome.message
     k = round(run.outcome.time / H)
-    before = run["torque"][k - 1]
+    before = run["torque"][round(0.038 / H)]  # of the last measurement: what was made of it later is not gone on with
     share = np.clip(1 - (np.arange(len(run) - k) + 1) * H / (SAFE.ramp + H), 0, 1)
     np.testing.assert_allclose(run["torque"][k:], share[:, None] * before, atol=1e-9)  # a straight line
-    assert np.abs(before).max() > 1.0 and not run["torque"][-5:].any()
+    assert np.abs(before).max() > 0.5 and not run["torque"][-5:].any()
     assert (states(run)[k:] == RAMPING).all()
 
 

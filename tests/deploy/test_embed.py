@@ -138,11 +138,11 @@ def test_fuzzed_samples_have_the_same_bits(tmp_path):
     assert status == 0 and "600 samples, 0 differ" in said, said
 
 
-def test_the_two_layer_network_fits_into_eighteen_kilobytes(exported):
+def test_the_two_layer_network_fits_into_twenty_kilobytes(exported):
     """Code and constants on a Cortex-M7 (a third of it holds references and measurements to the promise), and RAM."""
     require("cortex-m7")
     _, told = exported("two_layer")
-    assert told["initial_bytes"] < told["code_bytes"] <= 18_000 + told["initial_bytes"] and told["ram_bytes"] <= 12_000
+    assert told["initial_bytes"] < told["code_bytes"] <= 20_000 + told["initial_bytes"] and told["ram_bytes"] <= 12_000
 
 
 @needs_gcc

@@ -123,7 +123,9 @@ def parts_of(stepper: Stepper) -> dict[str, int]:
     """The members that the state of supervisor, motors and servos is split into, in the order of its memory."""
     hardware = stepper.hardware
     supervisor = hardware.way.supervisor
-    named = {f"supervisor_{name}": part for name, part in supervisor._asdict().items() if name != "values"}
+    named = {
+        f"supervisor_{name}": part for name, part in supervisor._asdict().items() if name not in ("values", "asked")
+    }
     named |= {f"supervisor_is_{name}": part for name, part in supervisor.state._asdict().items()}
     named |= {"motor_states": hardware.motors.states.values, "sent": hardware.way.sent}
     if hardware.split is not None:

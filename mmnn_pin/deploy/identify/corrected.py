@@ -33,6 +33,7 @@ from ...shown import shows
 from ...signals import Array
 from ...torque.pseudo_inertia import pseudo_inertias
 from .identification import Identification
+from .odometry import Wheels
 from .programme import thickened
 from .report import inertia_of, links_of, report_of
 
@@ -224,8 +225,18 @@ def said_of(of: Identification) -> Overrides:
         radii = {wheel.radius for wheel in robot.base.wheels}
         known["radius"] = radii.pop() if len(radii) == 1 else None
     if of.wheels is not None:
-        known |= {"radius": float(of.wheels.value[:2].mean()), "track": float(of.wheels.value[2])}
+        known |= found_wheels(robot, of.wheels)
     return msgspec.structs.replace(robot.overrides, **known)
+
+
+def found_wheels(robot: Robot, wheels: Wheels) -> dict[str, Any]:
+    """Overrides of the radii and the track that odometry found; one radius where both sides have the same."""
+    (left, right), (ratio, sd) = map(float, wheels.value[:2]), wheels.ratio
+    found: dict[str, Any] = {"track": float(wheels.value[2]), "radius": (left + right) / 2, "wheel_radii": ()}
+    if abs(ratio - 1) > 1.96 * sd:
+        radii = tuple(f"{wheel.joint}={left if wheel.y > 0 else right!r}" for wheel in robot.base.wheels)
+        found |= {"radius": None, "wheel_radii": radii}
+    return found
 
 
 @shows(Identification, "files")
@@ -286,7 +297,9 @@ def require_same(of: Identification, urdf: Path, said: Overrides) -> None:
     Raises:
         RecordingError: They differ.
     """
-    as_fitted = msgspec.structs.replace(said, radius=None, track=None) if of.wheels is not None else said
+    as_fitted = (
+        msgspec.structs.replace(said, radius=None, track=None, wheel_radii=()) if of.wheels is not None else said
+    )
     read, meant = parameters(load_with(urdf, as_fitted)), of.in_urdf[: of.unknowns.regressor.size]
     kept = np.setdiff1d(np.arange(meant.size), of.unknowns.columns("rotor"))
     if read.size != meant.size:

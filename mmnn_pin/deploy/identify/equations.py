@@ -27,7 +27,8 @@ from ...model.robot import Robot
 from ...model.tree.body import parameters
 from ...signals import Array
 from .log import Log
-from .quality import Bools, saturated, spans
+from .quality import Bools, saturated
+from .times import spans
 
 ORDER = 4  # of the Butterworth low-pass
 FINE, KEPT = 10.0, 2.5  # rows per second over the cutoff: of the regressor, of the equations
@@ -305,15 +306,17 @@ def equations(log: Log, unknowns: Unknowns, cutoff: float, still: Array) -> Equa
     Raises:
         RecordingError: No stretch without gaps is long enough for the filter.
     """
-    parts = []
-    for where in spans(log.time):
-        part = log.rows(where)
-        if len(part.time) > 30 and part.time[-1] - part.time[0] > 6 / cutoff:
-            parts.append(of_stretch(part, unknowns, cutoff, still))
+    parts = [of_stretch(part, unknowns, cutoff, still) for part in stretches_of(log, cutoff)]
     if not parts:
         why = f"a low-pass at {cutoff:.3g} Hz needs {6 / cutoff:.3g} s without gaps"
         raise RecordingError("too short a motion", why=why, fix="record a minute, or raise --cutoff", file=log.name)
     return Equations.stacked(parts)
+
+
+def stretches_of(log: Log, cutoff: float) -> list[Log]:
+    """Parts of a log without gaps that are long enough for a low-pass [Hz]."""
+    parts = [log.rows(where) for where in spans(log.time)]
+    return [part for part in parts if len(part.time) > 30 and part.time[-1] - part.time[0] > 6 / cutoff]
 
 
 def of_stretch(log: Log, unknowns: Unknowns, cutoff: float, still: Array) -> Equations:

@@ -11,7 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from ...settings.arguments import checked
 from ...shown import AsText, shown
 from ...signals import Array
 from .constants import constants_of
+from .doctor import ExaminedLog, all_findings, examined, require_no_contradiction
 from .equations import (
     Bools,
     Equations,
@@ -37,11 +38,13 @@ from .equations import (
     still_speeds,
 )
 from .least_squares import WeightedFit, base_parameters, weighted_fit
-from .log import Log
-from .odometry import Wheels, has_reference, wheels_of
-from .programme import BLOCKS, Blocks, Consistent, Prior, consistent_fit
-from .quality import misnamed, sound
+from .log import Log, LogFinding
+from .mends import mended, mends_of, require_signals
+from .odometry import Wheels, has_reference, wheel_findings
+from .programme import BLOCKS, Blocks, Consistent, Prior, compressed, consistent_fit
+from .quality import sound
 from .reading import MotionSource, logs_of
+from .rotors import RotorChoice, rotors_of
 
 HELD_OUT = 1 / 3  # of each log
 FEWEST = 40  # equations of a joint
@@ -73,6 +76,8 @@ class Identification(AsText):
         friction: (r, k) friction alone and a constant, fitted to every row.
         notes: What there is to say beside the logs' own notes.
         beyond: Efforts above their motors' limits, a line for each.
+        examined: What the doctor saw of the logs, with delays.
+        rotors: Why a joint has a rotor or none, by name.
         wheels: Radii and track, where a log has a reference pose; None without.
     """
 
@@ -90,6 +95,8 @@ class Identification(AsText):
     notes: tuple[str, ...]
     wheels: Wheels | None = None
     beyond: tuple[str, ...] = ()
+    examined: tuple[ExaminedLog, ...] = ()
+    rotors: dict[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         ours, file = 100 * self.error("identified"), 100 * self.error("urdf")
@@ -100,9 +107,15 @@ class Identification(AsText):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings of efforts above their limits and of joints that fit badly."""
+        """Warnings of the doctor, of efforts above their limits and of joints that fit badly."""
         errors = {model: self.errors(model) for model in ("identified", "least_squares", "urdf")}
-        return (*self.beyond, *misfits(self.names, errors, self.follows))
+        seen = (str(one) for one in self.findings if one.grade == "warned")
+        return (*seen, *self.beyond, *misfits(self.names, errors, self.follows))
+
+    @property
+    def findings(self) -> list[LogFinding]:
+        """The doctor's findings, worst first."""
+        return all_findings(self.logs)
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, for JSON: joints, base parameters, bodies, friction."""
@@ -197,7 +210,7 @@ def relative(of: Equations, predicted: Array, axis: int | None = 0) -> Array:
 
 
 @checked
-def identify(
+def identify(  # noqa: PLR0913 - options, by keyword alone
     robot: Robot,
     logs: MotionSource | Sequence[MotionSource],
     *,
@@ -205,7 +218,9 @@ def identify(
     cutoff: float | None = None,
     stribeck: float | None = None,
     torque_constants: Mapping[str, float | None] | None = None,
+    mend: Mapping[str, str] | Sequence[tuple[str, str]] = (),
     weight: float | None = None,
+    rotors: RotorChoice = "auto",
     progress: Callable[[str, float], None] | None = None,
 ) -> Identification:
     """Inertias and friction of a robot from recorded motion.
@@ -218,12 +233,14 @@ def identify(
         stribeck: Velocity of Stribeck friction [rad/s or m/s]; by default there is none.
         torque_constants: Torque per unit of a recorded effort, by motor; 1 for those not named. None finds it from
             motors with known constants that feel the same bodies.
+        mend: What mends the logs, signal to how, as the doctor advises it (`mmnn_pin.deploy.identify.mends`).
         weight: Of the URDF in the consistent fit; by default chosen on blocks left out.
+        rotors: Inertias of motors beyond the URDF's: `"no"`, `"yes"` for all joints, or `"auto"`, where the data ask.
         progress: Called now and then with what is being done and the fraction of it.
 
     Raises:
         RobotError: Its base steers.
-        RecordingError: A log that cannot be used.
+        RecordingError: A log that cannot be used, or contradicts the physics.
         UnknownName: A torque constant of no motor.
         ConfigError: A number that cannot be.
         SolverError: The programme has no solution.
@@ -241,10 +258,9 @@ def identify(
     given, judged = logs_of(logs, robot), logs_of(held_out, robot)
     require_settings(cutoff, stribeck, weight)
     tell, constants, count = progress or (lambda what, fraction: None), torque_constants or {}, len(given)
-    every = []
-    for i, log in enumerate([*given, *judged]):
-        tell("looking at the logs", i / (count + len(judged)))
-        every.append(sound(scaled(log, robot, constants), robot))
+    seen, wheels = examine(robot, [*given, *judged], torque_constants=constants, mend=mend, progress=tell)
+    every = [one.log for one in seen]
+    require_no_contradiction(every)
     given, judged = every[:count], every[count:]
     unknowns = Unknowns(robot, Regressor.of(robot), measured_rows(robot, every), stribeck)
     cutoff = chosen_cutoff(every, robot) if cutoff is None else cutoff
@@ -258,10 +274,60 @@ def identify(
     notes: tuple[str, ...] = ()
     if wanted:
         training, test, notes = with_constants(training, test, unknowns, wanted)
-    found = fitted(robot, every, unknowns, training, test, weight, tell)
-    found = replace(found, notes=(*notes, *found.notes), beyond=tuple(beyond_limits(every, robot, wanted)))
-    driven = [log for log in every if has_reference(log, robot)]
-    return replace(found, wheels=wheels_of(robot, driven)) if driven else found
+    found = fitted(robot, every, unknowns, training, test, weight, rotors, tell)
+    beyond = tuple(beyond_limits(every, robot, wanted))
+    found = replace(found, notes=(*notes, *found.notes), beyond=beyond, examined=tuple(seen), wheels=wheels)
+    return found
+
+
+def examine(
+    robot: Robot,
+    logs: MotionSource | Sequence[MotionSource],
+    *,
+    torque_constants: Mapping[str, float | None] | None = None,
+    mend: Mapping[str, str] | Sequence[tuple[str, str]] = (),
+    progress: Callable[[str, float], None] | None = None,
+) -> tuple[list[ExaminedLog], Wheels | None]:
+    """The doctor's look at logs, and wheels where they have a reference: what `identify` does first of all.
+
+    Args:
+        robot: As its URDF has it.
+        logs: Recorded motions, as of `identify`.
+        torque_constants: As of `identify`.
+        mend: As of `identify`.
+        progress: As of `identify`.
+
+    Raises:
+        InputError: A log that cannot be read, a mend of no signal, a torque constant of no motor.
+    """
+    constants, tell = torque_constants or {}, progress or (lambda what, fraction: None)
+    pairs, found, given = tuple(mend.items() if isinstance(mend, Mapping) else mend), [], logs_of(logs, robot)
+    require_signals(given, pairs)
+    for i, log in enumerate(given):
+        tell("looking at the logs", i / len(given))
+        own = mends_of(log, pairs)
+        made = sound(mended(scaled(log, robot, constants), own), robot, [signal for signal, _ in own])
+        found.append(examined(made, robot, None not in constants.values()))
+    every, wheels = with_wheels(robot, [one.log for one in found])
+    if len(every) > 1:
+        every = [log.by_name() for log in every]
+    return [replace(one, log=log) for one, log in zip(found, every, strict=True)], wheels
+
+
+def with_wheels(robot: Robot, logs: list[Log]) -> tuple[list[Log], Wheels | None]:
+    """The logs with what their wheels and references say, each by itself and all together; and the wheels."""
+    driven = [i for i, log in enumerate(logs) if has_reference(log, robot)]
+    if len(driven) > 1:
+        for i in driven:
+            _, seen = wheel_findings(robot, [logs[i]])
+            logs[i] = logs[i].with_findings(*(x for x in seen if x.grade == "refused" and x.mends))
+        if any(x.grade == "refused" for i in driven for x in logs[i].findings):
+            return logs, None
+    if not driven:
+        return logs, None
+    wheels, seen = wheel_findings(robot, [logs[i] for i in driven])
+    logs[driven[0]] = logs[driven[0]].with_findings(*seen)
+    return logs, wheels
 
 
 def fitted(
@@ -271,6 +337,7 @@ def fitted(
     training: Equations,
     test: Equations,
     weight: float | None,
+    rotors: RotorChoice,
     tell: Callable[[str, float], None],
 ) -> Identification:
     """The fit to some equations, judged on others; see `identify`."""
@@ -282,13 +349,14 @@ def fitted(
     fit = weighted_fit(used, base_parameters(unknowns, follows, moves))
     chosen = chosen if weight is None else weight
     tell("fitting all parameters", 0.0)
-    consistent = consistent_fit(used, prior, follows, fit.deviation, chosen, fit.inflation)
-    rigid = training.Y[:, :, : unknowns.regressor.inertial] @ unknowns.prior[: unknowns.regressor.inertial]
-    named = misnamed(unknowns.names, training.y, rigid, training.speed, training.use)
-    notes = [*missing_notes(logs, robot), *named]
+    R, z = compressed(used, prior, follows, fit.deviation)
+    allowed, about = rotors_of(R, z, prior, fit.inflation, rotors)
+    consistent = consistent_fit(R, z, prior, chosen, fit.inflation, allowed)
+    notes = missing_notes(logs, robot)
     return Identification(
-        robot, tuple(logs), unknowns, training, test, fit, consistent, prior, follows, why, friction, tuple(notes)
-    )
+        robot, tuple(logs), unknowns, training, test, fit, consistent, prior, follows, why, friction, tuple(notes),
+        rotors=about,
+    )  # fmt: skip
 
 
 def require_settings(cutoff: float | None, stribeck: float | None, weight: float | None) -> None:

@@ -6,9 +6,10 @@ Names of signals: `time`, `position.JOINT`, `velocity.JOINT`, `effort.JOINT`, `b
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +23,51 @@ REFERENCE = tuple(f"reference.{name}" for name in ("x", "y", "phi"))
 Columns = Mapping[str, str]
 
 LARGEST = 1e30  # in SI units, of anything; its square is a number
+
+
+@dataclass(frozen=True)
+class LogFinding:
+    """A finding of the doctor in a log.
+
+    Attributes:
+        grade: `"refused"`: it contradicts the physics, and nothing is written; `"warned"`; `"mended"`.
+        what: What was seen, with its band.
+        why: How sure that is, and by what.
+        changes: What it would change.
+        mends: What mends it, see `mends`; empty where the user has to do it, as `fix` says.
+        fix: In words, beside `mends`.
+        size: How bad it is among those of its grade.
+    """
+
+    grade: Literal["refused", "warned", "mended"]
+    what: str
+    why: str = ""
+    changes: str = ""
+    mends: tuple[tuple[str, str], ...] = ()
+    fix: str = ""
+    size: float = 0.0
+
+    @property
+    def advice(self) -> str:
+        """The options that mend it, and what else is to be done."""
+        options = " ".join(f"--mend '{signal}={how}'" for signal, how in self.mends)
+        return ", or ".join(part for part in (options, self.fix) if part)
+
+    def __str__(self) -> str:
+        head = self.what + (f" ({self.why})" if self.why else "")
+        return ": ".join(part for part in (head, self.changes, self.advice) if part)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"grade": self.grade, "what": self.what, "why": self.why, "changes": self.changes, "fix": self.advice}
+
+
+GRADES = ("refused", "warned", "mended")  # worst first
+
+
+def worst_first(findings: Iterable[LogFinding]) -> list[LogFinding]:
+    """Findings by grade and size, each once."""
+    return sorted(dict.fromkeys(findings), key=lambda one: (GRADES.index(one.grade), -one.size))
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +84,7 @@ class Log:
         reference: (N,) of `reference.x` and so on [m, rad].
         effort_delay: How much later than its time an effort acts [s].
         notes: Remarks on it.
+        findings: What the doctor sees in it.
     """
 
     name: str
@@ -49,6 +96,7 @@ class Log:
     reference: dict[str, Array] = field(default_factory=dict)
     effort_delay: float = 0.0
     notes: tuple[str, ...] = ()
+    findings: tuple[LogFinding, ...] = ()
 
     @classmethod
     def of(
@@ -93,7 +141,17 @@ class Log:
     def with_signals(self, signals: Mapping[str, Array], time: Array | None = None, *notes: str) -> Log:
         """The log with other numbers for its signals, and more notes."""
         made = from_signals(self.name, {"time": self.time if time is None else time, **signals})
-        return replace(made, effort_delay=self.effort_delay, notes=(*self.notes, *notes))
+        return replace(made, effort_delay=self.effort_delay, notes=(*self.notes, *notes), findings=self.findings)
+
+    def with_findings(self, *findings: LogFinding) -> Log:
+        """The log with more findings."""
+        return replace(self, findings=(*self.findings, *findings))
+
+    def by_name(self) -> Log:
+        """The log with mends that name it, as one of several."""
+        stem = Path(self.name).stem
+        named = (replace(x, mends=tuple((f"{stem}:{a}", b) for a, b in x.mends)) for x in self.findings)
+        return replace(self, findings=tuple(named))
 
     def rows(self, keep: Array | slice, *notes: str) -> Log:
         """Some rows of it, and more notes."""

@@ -26,6 +26,7 @@ from ...model.robot import Robot
 from ...signals import Array
 from ...torque.prior import DOUBT
 from ...torque.pseudo_inertia import BODY
+from .doctor import examined, require_no_contradiction
 from .equations import (
     Bools,
     Equations,
@@ -113,13 +114,15 @@ def payload(
     Raises:
         RobotError: Its base steers.
         UnknownName: No such joint.
-        RecordingError: A log that cannot be used, or a motion in which the load is not seen.
+        RecordingError: A log that cannot be used or contradicts the physics, or a motion in which the load is not seen.
     """
     require_identifiable(robot)
     loaded, empty = (
-        [sound(log, robot) for log in ([some] if isinstance(some, Log) else some)] for some in (logs, without)
+        [examined(sound(log, robot), robot).log for log in ([some] if isinstance(some, Log) else some)]
+        for some in (logs, without)
     )
     every = [*loaded, *empty]
+    require_no_contradiction(every)
     unknowns = Unknowns(robot, Regressor.of(robot), measured_rows(robot, every))
     bodies = unknowns.regressor.bodies
     joint = joint or robot.joint_names[-1]

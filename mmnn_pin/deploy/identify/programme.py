@@ -247,30 +247,32 @@ class Consistent:
 
 
 def consistent_fit(
-    equations: Equations, prior: Prior, rows: Bools, deviation: Array, weight: float, inflation: float = 1.0
+    R: Array, z: Array, prior: Prior, weight: float, inflation: float = 1.0, allowed: Bools | None = None
 ) -> Consistent:
     """Solve the programme.
 
     Args:
-        equations: Those that count.
+        R: (m, m) and
+        z: (m,) the weighted equations, from `compressed`.
         prior: Of the robot.
-        rows: (r,) which rows count.
-        deviation: (r,) their residual standard deviations.
         weight: Of the prior.
         inflation: How many equations say as much as one, see `least_squares.WeightedFit`.
+        allowed: (m,) coordinates that may leave the URDF; by default all.
 
     Raises:
         SolverError: The solver found no solution.
         InputError: cvxpy or Clarabel are not installed.
     """
-    R, z = compressed(equations, prior, rows, deviation)
     moved = np.linalg.norm(R, axis=0) > 1e-12 * np.linalg.norm(R)
     _, known = doubt(R, prior, prior.B, inflation)
     for b in range(prior.bodies):
         at = slice(BODY * b, BODY * (b + 1))
         moved[at] &= known[at].max() > BELIEVED
+    moved &= True if allowed is None else allowed
     theta = prior.theta(minimised(R, z, prior, weight, moved))
     covariance, known = doubt(R, prior, prior.around(theta), inflation)
+    still = np.repeat([not moved[BODY * b : BODY * (b + 1)].any() for b in range(prior.bodies)], BODY)
+    theta[: len(still)][still] = prior.unknowns.prior[: len(still)][still]  # as the file has them, thin ones too
     return Consistent(theta, covariance, weight, known)
 
 

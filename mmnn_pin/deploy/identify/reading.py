@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ...elementary.arrays import unwrapped
 from ...errors import InputError, RecordingError, UnknownName
 from ...files import LARGEST, read_bytes, read_toml, reason
 from ...model.robot import Robot
 from ...recording.recording import Recording, as_columns
 from ...signals import Array
 from .bag import read_bag
-from .log import BASE, REFERENCE, Columns, Log, from_signals, is_angle, revolves
+from .log import BASE, REFERENCE, Columns, Log, from_signals, revolves
 
 # Words of other headers that say what is measured; the first word of a list is our own.
 WORDS = {
@@ -83,17 +82,7 @@ def read_logs(
     made = joined(logs)
     for log in made:
         require_joints(log, robot)
-    return [without_turns(in_radians(log, robot) if degrees else log, robot) for log in made]
-
-
-def without_turns(log: Log, robot: Robot) -> Log:
-    """A log whose angles go on where their encoders turned over, as at the door of the stepper."""
-    signals, told = log.signals, list[str]()
-    for signal, values in signals.items():
-        if is_angle(signal, robot) and not np.array_equal(found := unwrapped(values), values, equal_nan=True):
-            signals[signal] = found
-            told.append(signal)
-    return log.with_signals(signals, None, f"{', '.join(told)}: whole turns taken out") if told else log
+    return [in_radians(log, robot) if degrees else log for log in made]
 
 
 def in_radians(log: Log, robot: Robot) -> Log:

@@ -13,7 +13,7 @@ from ...model.robot import Robot
 from ...model.tree.tree import carriers
 from ...shown import shows
 from ...signals import Array
-from ...torque.pseudo_inertia import BODY, pseudo_inertias
+from ...torque.pseudo_inertia import BODY, pseudo_inertias, vector_of
 from .identification import Identification
 from .programme import BELIEVED, positive_bodies
 
@@ -90,7 +90,9 @@ def report_of(of: Identification) -> dict[str, Any]:
             for i in range(len(of.fit.value))
         ],
         "bodies": dict(bodies_of(of)),
+        "total": total_of(of),
         "friction": friction_of(of),
+        "rotors": of.rotors,
         "wheels": None if of.wheels is None else of.wheels.to_dict(),
         "not_identified": not_identified(of),
         "labels": list(labels),
@@ -131,13 +133,50 @@ def bodies_of(of: Identification) -> Iterator[tuple[str, dict[str, Any]]]:
         )
 
 
+def total_of(of: Identification) -> dict[str, Any]:
+    """Mass, centre and inertia of the whole robot at rest, in its root's frame, with standard deviations.
+
+    Of an arm that stands on the floor these are those of all links that move.
+    """
+    robot, regressor = of.robot, of.unknowns.regressor
+    model, data = robot.model, robot.model.createData()
+    pin.forwardKinematics(model, data, robot.configuration(robot.rest))
+    moving = [i for i in range(3 if robot.dimensions.base else 0, model.nv) if robot.T[i].any()]
+    joint = {name: model.getJointId(name) for name in (robot.full_velocity_names[i] for i in moving)}
+    names = [name for name in regressor.bodies if name != "root"]
+    frames = {name: data.oMi[joint[name]].homogeneous for name in names} | {"root": data.oMi[1].homogeneous}
+    if not robot.dimensions.base:
+        frames["root"] = np.eye(4)
+    maps = [linear_map(frames[name]) for name in regressor.bodies]
+    L = np.hstack(maps)
+    first = regressor.inertial
+    P, before = (pseudo_inertias(L @ theta[:first])[0] for theta in (of.theta, of.unknowns.prior))
+    C = L[:4] @ of.consistent.covariance[:first, :first] @ L[:4].T
+    mass, centre, inertia = inertia_of(P)
+    to_centre = np.column_stack((-centre, np.eye(3))) / mass
+    spread = to_centre @ C @ to_centre.T
+    return {
+        "mass": mass, "mass_sd": float(np.sqrt(max(C[0, 0], 0.0))), "urdf_mass": float(before[3, 3]),
+        "com": centre.tolist(), "com_sd": np.sqrt(np.maximum(np.diag(spread), 0.0)).tolist(),
+        "inertia": inertia.tolist(),
+    }  # fmt: skip
+
+
+def linear_map(H: Array) -> Array:
+    """The map (10, 10) of a body's parameters into a frame in which it stands at H (4, 4)."""
+    columns = [vector_of(H @ pseudo_inertias(row)[0] @ H.T) for row in np.eye(BODY)]
+    return np.column_stack(columns)
+
+
 def friction_of(of: Identification) -> dict[str, dict[str, dict[str, float | None]]]:
     """Rotors, friction and constants by joint, each with its standard deviation."""
     found: dict[str, dict[str, dict[str, float | None]]] = {}
     sd = np.sqrt(np.maximum(np.diag(of.consistent.covariance), 0.0))
     for i in of.unknowns.columns("rotor", "viscous", "coulomb", "offset", "stribeck"):
         name, _, kind = of.unknowns.labels[i].rpartition(".")
-        if of.consistent.known[i] > BELIEVED:
+        if of.consistent.known[i] > BELIEVED and (
+            kind not in ("rotor", "offset") or of.theta[i] != of.unknowns.prior[i]
+        ):
             found.setdefault(name, {})[kind] = {"value": number(of.theta[i]), "sd": number(sd[i])}
     return found
 

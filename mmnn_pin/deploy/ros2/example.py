@@ -26,7 +26,7 @@ PARAMETERS = """# {title} under mmnn: mmnn ros2 THIS_FILE, or the launch file be
     latency: 0.005             # known delay from the measurement to the motors [s], which the gains have to bear
     set:
       feedback: {{scaling: inertia, base: 15.0, arm: 20.0}}    # bandwidths [1/s]
-      safety: {{torque: urdf, position_error: 0.5, heading_error: 0.5, timeout: 0.5}}
+      safety: {{torque: urdf, position_error: 0.5, heading_error: 0.5}}
     joint_states:
       age: 0.1                 # older ones are refused [s]
       # names: ["arm_1_joint=left_arm_1_joint"]    # "URDF=as the robot calls it"

@@ -36,6 +36,7 @@ from ...settings import Numbers, Settings, Timing, require_gains
 from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ...torque.neural import Inputs, Robust
+from ...touch import Touch
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, Learning, Nominal, RobustOf, new_controller
 from .hand import hand_motion
 from .hardware import Hardware
@@ -165,6 +166,7 @@ class Experiment(LearnerTables, frozen=True):
             named.
         servo: The servos behind velocity and position interfaces.
         lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag.
+        touch: What external torque is felt by; without the table nothing is.
         disturbances: What happens to the robot during a run.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
@@ -214,6 +216,7 @@ class Experiment(LearnerTables, frozen=True):
     interfaces: dict[str, str] = msgspec.field(default_factory=dict)
     servo: Servo = Servo()
     lead: bool = False
+    touch: Touch | None = None
     disturbances: tuple[Disturbance, ...] = ()
     plant: str = "ideal"
     contact: Contact = Contact()
@@ -370,6 +373,7 @@ class Experiment(LearnerTables, frozen=True):
             interfaces=self.interfaces,
             servo=self.servo,
             lead=self.lead,
+            touch=self.touch,
             radii=self.radii,
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -21,6 +21,8 @@ from ...sensing import Sensor
 from ...settings import finite
 from ...settings.arguments import checked
 from ...torque.controller import TorqueController
+from ...torque.entries import CONTROLLERS as ENTRIES
+from ...torque.entries import DESCRIBED, NOMINAL, PARAMETERS
 from .controllers import EFFECTIVE, effective
 from .experiment import Experiment
 from .hand import hand_errors, hand_motion
@@ -72,7 +74,7 @@ def run_experiment(
     notes = [] if experiment.hardware is None else [*lines(experiment.hardware)]
     notes += [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
     notes += [*interface_notes(experiment, robot), *sensor_notes(experiment.sensor, robot)]
-    notes += [*weak_notes(robot), *rotor_notes(robot)]
+    notes += [*weak_notes(robot), *rotor_notes(robot), *knowledge_notes(robot, wanted)]
     duration, learners = experiment.time.duration, effective(wanted)
     for controller in in_order(wanted):
         learner = runs.get(learners.get(controller, ""))
@@ -117,6 +119,21 @@ def without_unable(experiment: Experiment, robot: Robot) -> tuple[Experiment, li
     why = "they go" if len(unable) > 1 else "it goes"
     note = f"{', '.join(unable)} left out: {why} by the torque of every joint, which velocity interfaces do not tell"
     return msgspec.structs.replace(experiment, controllers=able), [note]
+
+
+def knowledge_notes(robot: Robot, controllers: Iterable[str]) -> list[str]:
+    """A note on which controllers know what of a robot whose masses are not those of its file."""
+    if all(factor == 1.0 for factor in robot.masses.values()):
+        return []
+    known = {name: ENTRIES[name] for name in controllers if name in ENTRIES}
+    groups = {
+        "those of the file": [name for name, entry in known.items() if DESCRIBED in entry.told],
+        "the true ones": [name for name, entry in known.items() if entry.oracle],
+        "these times nominal.masses": [n for n, entry in known.items() if {NOMINAL, PARAMETERS} & {*entry.told}],
+    }
+    knows = [f"{', '.join(names)} know {what}" for what, names in groups.items() if names]
+    rest = len(known) - sum(map(len, groups.values()))
+    return [f"masses are not those of the file: {'; '.join([*knows, *['the others none'] * bool(rest)])}"]
 
 
 def interface_notes(experiment: Experiment, robot: Robot) -> list[str]:
@@ -275,6 +292,7 @@ def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
     if reference.slowness > 1.0:
         why = "what steers or the motors' limits ask" if robot.steers else "the motors' limits ask"
         notes.append(f"the reference takes {reference.slowness:.3g} times as long: {why} for it")
+    notes += reference.notes
     end, now = reference.duration, experiment.time.duration
     if experiment.reference.file and now + experiment.time.control_period < end < np.inf:
         file = Path(experiment.reference.file).name

@@ -190,6 +190,14 @@ def gains(recordings: Recordings) -> Iterator[Panel]:
         yield replace(panel, group="base" if panel.label in on_base else "arm", step=True)
 
 
+@chart("touch", "Touch", "What the motors say of the world that pushes, and whether that is a contact.")
+def touch(recordings: Recordings) -> Iterator[Panel]:
+    """External torque on every velocity, the wrench of the hand, and contact."""
+    for signal, words in (("external_torque", "on"), ("external_wrench", "hand"), ("contact", "")):
+        for panel in signal_panels(recordings, signal):
+            yield replace(panel, title=f"{words} {panel.label}".strip(), group=words)
+
+
 @chart("weights", "Norms of the weights", "Frobenius norm of all weights of a network.")
 def weights(recordings: Recordings) -> Iterator[Panel]:
     """Norm of the weights of every network, of the runs that have some."""

@@ -14,10 +14,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
 
 from ...deploy.identify.identification import Identification
 from ...errors import InputError, UnknownName
+from ...model.robot import Robot
 from ...recording.recording import Recording
 from ...shown import AsText, filled, shows
 from ..experiments.result import Result
@@ -30,6 +33,8 @@ from .table import WIDTH
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from .view import RobotView
 
 MODULES = (identified, plots, psi, psi_figures, robots, study_figures, thesis_figures)  # that register themselves
 PICTURES: Mapping[str, FigureEntry] = ChainMap(FIGURES["judged"], FIGURES["runs"])  # of runs
@@ -181,5 +186,23 @@ def replay_in(name: str, recording: Recording) -> str:
 
 shows(Identification, "text")(lambda found: identified.text_of(found.to_dict()))
 shows(Result, "replay")(page)
+
+
+@shows(Robot, "view")
+def view(robot: Robot, q: ArrayLike | None = None, **options: Any) -> RobotView:
+    """A robot in meshcat; see `RobotView`."""
+    from .view import RobotView
+
+    return RobotView(robot, q, **options)
+
+
+@shows(Recording, "view")
+def view_run(recording: Recording, **options: Any) -> RobotView:
+    """A run in meshcat; see `view.played`."""
+    from .view import played
+
+    return played(recording, **options)
+
+
 shows(Result, "report")(report)
 filled()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,7 @@ WORDS = (
     "through the same low-pass, where the joint moves."
 )
 FITTED = ("held_out", "least_squares_held_out")  # errors of what was fitted
+CHECKED = 8  # findings on one screen
 PRIOR = 0.5  # share known below which a number is mostly the URDF's
 
 
@@ -41,6 +43,40 @@ def text_of(report: dict[str, Any], colour: bool = False, width: int = WIDTH) ->
     parts += ["", f"{len(report['base_parameters'])} base parameters, {conditioned(report)}"]
     parts += [f"- {note}" for note in (*unidentified(report), *report["notes"])]
     return terminal_text(parts, colour, width)
+
+
+def check_text(report: dict[str, Any]) -> str:
+    """The doctor's findings, worst first, on one screen."""
+    found = report["findings"]
+    count = sum(one["grade"] == "refused" for one in found)
+    head = f"{report['robot']}: {count} of {len(found)} findings contradict the physics: nothing would be written"
+    if not count:
+        head = f"{report['robot']}: nothing contradicts the physics" + (f", {len(found)} findings" if found else "")
+    parts: list[Any] = [TextLine(head, "bold")]
+    for one in found[:CHECKED]:
+        about = f" ({one['why']})" if one["why"] else ""
+        parts.append(f"{one['grade'].upper()}  {one['what']}{about}")
+        parts += [f"    changes: {one['changes']}"] if one["changes"] else []
+        parts += [f"    mend it: {one['fix']}"] if one["fix"] else []
+    parts += [f"and {len(found) - CHECKED} more, see --json"] if len(found) > CHECKED else []
+    for log in report["logs"]:
+        parts.append(f"{log['name']}: {'; '.join(log['notes'])}")
+        parts += [f"    {line}" for line in delay_lines(log)]
+    return terminal_text(parts)
+
+
+def delay_lines(log: dict[str, Any]) -> Iterator[str]:
+    """Delays of a log's efforts and rates, with bands of 95 %."""
+    for kind, what in (("efforts", "efforts are late by"), ("rates", "velocities are late by")):
+        said = [f"{name} {delay_text(one)}" for name, one in log[kind].items() if one is not None]
+        if said:
+            yield f"{what} {', '.join(said)} ms"
+
+
+def delay_text(one: dict[str, float]) -> str:
+    """A delay with its band [ms], and its lag."""
+    lag = f" + lag {1e3 * one['lag']:.3g} ± {1.96e3 * one['lag_sd']:.2g}" if one["lag"] else ""
+    return f"{1e3 * one['delay']:.3g} ± {1.96e3 * one['sd']:.2g}{lag}"
 
 
 def headline(report: dict[str, Any]) -> str:
@@ -102,10 +138,12 @@ def bodies_table(report: dict[str, Any]) -> Table:
         rows.append(row_of(name, *(Cell(text, kind) for text in (*texts, f"{100 * body['known']:.0f}"))))
     note = (
         "Intervals of 95 %. A single mass is seldom visible in torques: where little is known it is the URDF's, and "
-        "the interval that of a URDF trusted within 50 %. Known: of the body's best known number, how much of the "
-        "doubt the motion took away."
+        "the interval that of a URDF trusted within 50 %. Known: by how much the motion narrowed the interval of the "
+        "body's best determined number."
     )
-    return Table("Bodies", columns, tuple(rows), (note,))
+    whole = report["total"]
+    total = f"Together {whole['mass']:.4g} ± {1.96 * whole['mass_sd']:.2g} kg, in the URDF {whole['urdf_mass']:.4g} kg."
+    return Table("Bodies", columns, tuple(rows), (total, note))
 
 
 def friction_table(report: dict[str, Any]) -> Table:
@@ -117,7 +155,11 @@ def friction_table(report: dict[str, Any]) -> Table:
     ]
     columns = (Column("joint", text=True), *(Column(kind) for kind in kinds))
     rows = [row_of(name, *(interval(joint.get(kind)) for kind in kinds)) for name, joint in report["friction"].items()]
-    return Table("Friction, rotors, constants", columns, tuple(rows), ("Intervals of 95 %; SI units.",))
+    why = dict[str, list[str]]()
+    for name, text in report["rotors"].items():
+        why.setdefault(text, []).append(name)
+    notes = [f"{', '.join(names)}: {text}" for text, names in why.items()]
+    return Table("Friction, rotors, constants", columns, tuple(rows), ("Intervals of 95 %; SI units.", *notes))
 
 
 def interval(value: dict[str, float] | None) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...model.arm import WHY
 from ...model.checks.nonholonomy import RANK_TOLERANCE
-from ...model.checks.properties import CheckReport, check
+from ...model.checks.properties import BOUNDS, CheckReport, check
 from ...model.inspection import inspection_of
 from ...model.urdf.expansion import EXPANDED
 from ...recording.recording import Recording, recorded_robot
@@ -345,8 +345,8 @@ def properties_text(report: CheckReport, columns: int = WIDTH) -> str:
     rows = []
     for name, p in report.properties.items():
         verdict = Cell("ok") if p.passed else Cell("FAIL", "bad")
-        allowed = f"{'>' if p.at_least else '<='} {p.tolerance:.0e}"
-        rows.append(row_of(name, f"{p.worst:.1e}", allowed, verdict, p.means))
+        worst, limit = (f"{x:.4g}" if name in BOUNDS else f"{x:.{n}e}" for x, n in ((p.worst, 1), (p.tolerance, 0)))
+        rows.append(row_of(name, worst, f"{'>' if p.at_least else '<='} {limit}", verdict, p.means))
     rows += [row_of(name, "", "", "skipped", why) for name, why in report.skipped.items()]
     heads = (Column("property", text=True), Column("worst"), Column("allowed"))
     table = Table("Properties", (*heads, Column(text=True), Column("means", text=True, fold=True)), tuple(rows))

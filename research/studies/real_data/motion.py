@@ -24,7 +24,7 @@ from mmnn_pin.deploy.identify.equations import (
     still_speeds,
 )
 from mmnn_pin.deploy.identify.log import Log
-from mmnn_pin.deploy.identify.quality import spans
+from mmnn_pin.deploy.identify.times import spans
 from mmnn_pin.signals import Array, Layout
 
 APART = 1.0  # between two stretches, so that no filter takes one for the other's end [s]

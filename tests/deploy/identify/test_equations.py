@@ -227,7 +227,7 @@ def test_the_programme_is_scipys_minimum(made: tuple[eq.Unknowns, eq.Equations])
     unknowns, rows = made
     prior = Prior.of(unknowns, rows)
     deviation, weight = np.array([0.3, 0.2]), 3.0
-    found = consistent_fit(rows, prior, np.ones(2, bool), deviation, weight)
+    found = consistent_fit(*compressed(rows, prior, np.ones(2, bool), deviation), prior, weight)
     first = unknowns.regressor.inertial
     P0 = pseudo_inertias(prior.centre[:first])
     X = (rows.Y / deviation[:, None])[rows.use]

@@ -29,6 +29,7 @@ from mmnn_pin.deploy.identify.least_squares import BaseParameters
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.payload import payload
 from mmnn_pin.deploy.identify.report import inertia_of, links_of, report_of
+from mmnn_pin.deploy.identify.rotors import rotors_of
 from mmnn_pin.errors import ConfigError, InputError, MmnnError, RecordingError, RobotError, UnknownName
 from mmnn_pin.lab.show.identified import headline, percent, text_of
 from mmnn_pin.model.inspection import inspection_of
@@ -102,7 +103,8 @@ def test_the_written_urdf_is_the_fit_and_loads_like_the_robot(found: Identificat
     kinds = [finding["severity"] for finding in inspection_of(robot)["findings"]]
     assert "error" not in kinds
     toml = tomllib.loads(files["toml"].read_text())
-    np.testing.assert_allclose([toml["rotor"][name] for name in robot.joint_names], ROTORS, atol=0.02)
+    assert set(toml["rotor"]) == {"arm_2_joint"}  # the first joint's says what its link's inertia says
+    assert toml["rotor"]["arm_2_joint"] == pytest.approx(ROTORS[1], abs=0.01)
     assert toml["held_out_with"] < toml["held_out_without"]
     report = json.loads(files["json"].read_text())
     assert set(report["joints"]) == set(robot.joint_names) and report["file"] == str(files["urdf"])
@@ -365,9 +367,10 @@ def test_a_solver_that_gives_up_is_asked_again_with_more_care(
             self._status = "optimal_inaccurate"
 
     monkeypatch.setattr("cvxpy.Problem.solve", gives_up)
+    R, z = programme.compressed(found.training.only(found.follows), found.prior, found.follows, found.fit.deviation)
+    allowed, _ = rotors_of(R, z, found.prior, found.fit.inflation, "auto")
     again = programme.consistent_fit(
-        found.training.only(found.follows), found.prior, found.follows, found.fit.deviation, found.consistent.weight,
-        found.fit.inflation,
+        R, z, found.prior, found.consistent.weight, found.fit.inflation, allowed,
     )  # fmt: skip
     assert asked == [{}, *programme.CAREFUL][: failing + 1]
     np.testing.assert_allclose(again.theta, found.theta, rtol=1e-3, atol=1e-4)

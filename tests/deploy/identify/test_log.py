@@ -15,8 +15,8 @@ from robots import fixed_arm
 from mmnn_pin import PD, Line, Loop, Sine, Timing, Trajectory, load
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify.log import Log, from_signals
-from mmnn_pin.deploy.identify.quality import delay, misnamed, saturated, sound
-from mmnn_pin.deploy.identify.reading import found_columns, from_recording, read_columns, read_logs, without_turns
+from mmnn_pin.deploy.identify.quality import saturated, sound, without_turns
+from mmnn_pin.deploy.identify.reading import found_columns, from_recording, read_columns, read_logs
 from mmnn_pin.errors import InputError, RecordingError, UnknownName
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.sensing import Sensor
@@ -134,8 +134,8 @@ def test_degrees_become_radians_and_are_noticed_without(log: Log, arm: Robot, tm
     found = read(text, tmp_path, arm, degrees=True)
     np.testing.assert_allclose(found.position[JOINTS[0]], log.position[JOINTS[0]], rtol=1e-12)
     mixed = log.with_signals(turned | {f"position.{JOINTS[0]}": log.position[JOINTS[0]]})
-    with pytest.raises(RecordingError, match="velocity in degrees"):
-        sound(mixed, arm)
+    (one,) = (one for one in sound(mixed, arm).findings if "arm_1" in one.what)
+    assert "velocity in degrees" in one.what and one.mends == (("velocity.arm_1_joint", "deg"),)
 
 
 def test_a_table_without_times_needs_a_rate(log: Log, arm: Robot, tmp_path: Path) -> None:
@@ -224,8 +224,8 @@ def test_times_are_put_right(log: Log, arm: Robot) -> None:
     rows = np.sort(np.concatenate([np.arange(1000), [300, 300]]))
     rows = rows[(rows < 500) | (rows > 540)]
     found = sound(log.rows(rows).with_signals(log.rows(rows).signals, (7.0 + log.time[rows]) * 1e9), arm)
-    text = "; ".join(found.notes)
-    assert "counts nanoseconds" in text and "2 rows repeat" in text and "1 gaps, the longest 0.42 s at t = 4.99" in text
+    text = "; ".join((*found.notes, *map(str, found.findings)))
+    assert "counts ns" in text and "2 rows repeat" in text and "1 gaps, the longest 0.42 s at t = 4.99" in text
     np.testing.assert_allclose(found.time, log.time[np.unique(rows)], atol=1e-5)
     shaken = log.time + 0.002 * np.random.default_rng(0).uniform(-1, 1, 1000)
     notes = "; ".join(sound(log.with_signals(log.signals, shaken), arm).notes)
@@ -233,23 +233,14 @@ def test_times_are_put_right(log: Log, arm: Robot) -> None:
 
 
 def test_impossible_logs_are_refused(log: Log, arm: Robot) -> None:
-    with pytest.raises(RecordingError, match="the time goes back 1 times, first at row 501"):
-        sound(log.rows(np.concatenate([np.arange(500), np.arange(300, 500)])), arm)
     with pytest.raises(RecordingError, match="the time goes back"):
         sound(log.rows(np.random.default_rng(0).permutation(1000)), arm)
     with pytest.raises(RecordingError, match="time stands still"):
         sound(log.with_signals(log.signals, np.zeros(1000)), arm)
     with pytest.raises(RecordingError, match=r"1.5 s of motion"):
         sound(log.rows(slice(0, 151)), arm)
-    holed = np.where(np.arange(1000) == 20, np.nan, log.effort["arm_1_joint"])
-    with pytest.raises(RecordingError, match=r"effort.arm_1_joint has 1 values.*first at t = 0.2 s"):
-        sound(changed(log, effort__arm_1_joint=holed), arm)
     with pytest.raises(RecordingError, match="all efforts are zero"):
         sound(changed(log, effort__arm_1_joint=np.zeros(1000), effort__arm_2_joint=np.zeros(1000)), arm)
-    with pytest.raises(RecordingError, match="opposite sign of its position's rate"):
-        sound(changed(log, velocity__arm_1_joint=-log.velocity["arm_1_joint"]), arm)
-    with pytest.raises(RecordingError, match="is not the rate of"):
-        sound(changed(log, velocity__arm_1_joint=log.velocity["arm_2_joint"]), arm)
 
 
 def test_spikes_constants_saturation_and_lag_are_told(log: Log, arm: Robot) -> None:
@@ -266,23 +257,6 @@ def test_spikes_constants_saturation_and_lag_are_told(log: Log, arm: Robot) -> N
     clipped = np.clip(effort, -limit, limit)
     assert any("saturated" in note for note in sound(changed(log, effort__arm_1_joint=clipped), arm).notes)
     assert not saturated(effort).any() and (np.abs(clipped[saturated(clipped)]) == limit).all()
-    late = np.roll(log.velocity["arm_2_joint"], 8)
-    found = sound(changed(log, velocity__arm_2_joint=late).rows(slice(10, None)), arm)
-    assert any("arm_2_joint lags its position by 80 ms" in note for note in found.notes)
-    assert delay(effort, np.roll(effort, 5), 0.01) == pytest.approx(0.05)
-
-
-def test_exchanged_and_negated_efforts_are_found() -> None:
-    rng, t = np.random.default_rng(0), np.linspace(0, 20, 2000)
-    speed = np.column_stack([np.sin(t), np.cos(1.3 * t), np.sin(0.7 * t + 1)])
-    torque = np.column_stack([np.cos(2.1 * t), np.sin(1.7 * t), np.cos(0.9 * t)])
-    measured = torque + 0.5 * speed + 0.2 * np.sign(speed) + 0.05 * rng.standard_normal(torque.shape)
-    names, use = ("a", "b", "c"), np.ones(torque.shape, bool)
-    assert list(misnamed(names, measured, torque, speed, use)) == []
-    exchanged = list(misnamed(names, measured[:, [1, 0, 2]], torque, speed, use))
-    assert [text.split(" explains")[0] for text in exchanged] == ["effort.a fits b: it", "effort.b fits a: it"]
-    (negated,) = misnamed(names, measured * [1, 1, -1], torque, speed, use)
-    assert negated.startswith("effort.c has the opposite sign")
 
 
 def test_arrays_make_a_log() -> None:
@@ -304,4 +278,4 @@ def test_encoders_that_wrap_give_the_angles_that_the_joint_had(start: float, spe
         np.testing.assert_allclose(found - found[0], angle - angle[0], atol=1e-9)
         np.testing.assert_allclose(found, np.unwrap(read), atol=1e-9)
     if not np.array_equal(np.unwrap(read), read):
-        assert any("whole turns" in note and wheel in note for note in log.notes)
+        assert any("whole turns" in one.what and wheel in one.what for one in log.findings)

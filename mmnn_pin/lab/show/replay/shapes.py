@@ -54,10 +54,12 @@ class Shapes:
 
     Attributes:
         geometries: As the page reads them.
+        parts: Those of them that are meshes, by their place.
     """
 
     def __init__(self, blob: Blob, package_dirs: Sequence[str | Path] = ()) -> None:
         self.geometries: list[dict[str, Any]] = []
+        self.parts: dict[int, MeshPart] = {}
         self._warned: list[str] = []
         self._missing: dict[str, bool] = {}  # whether collision shapes stand in
         self._blob, self._folders = blob, tuple(package_dirs)
@@ -136,7 +138,7 @@ class Shapes:
             if found.file is None:
                 raise BrokenMesh(WHY.get(found.problem, ""))
             if found.file not in self._files:
-                self._files[found.file] = [(self._index(self._packed(p)), p.color) for p in read_mesh(found.file)]
+                self._files[found.file] = [(self._part(part), part.color) for part in read_mesh(found.file)]
         except BrokenMesh as error:
             gone = found.problem == "missing" or name.startswith(UNSEEN)
             yield at, Lost(name.removeprefix(UNSEEN) if gone else name, "" if gone else str(error))
@@ -144,11 +146,13 @@ class Shapes:
         scaled = at @ np.diag([*vector(solid, "scale", (1.0, 1.0, 1.0)), 1.0])
         yield from ((scaled, placed) for placed in self._files[found.file])
 
-    def _packed(self, part: MeshPart) -> dict[str, Any]:
+    def _part(self, part: MeshPart) -> int:
         indices = "u2" if len(part.grid) <= np.iinfo(np.uint16).max else "u4"
         points, triangles = self._blob.add(part.grid, "u2"), self._blob.add(part.triangles, indices)
         grid = {"corner": part.corner.tolist(), "step": part.step.tolist()}
-        return {"kind": "mesh", "points": points, "triangles": triangles, **grid}
+        index = self._index({"kind": "mesh", "points": points, "triangles": triangles, **grid})
+        self.parts[index] = part
+        return index
 
     def _box(self, *edges: float) -> int:
         return self._index({"kind": "box", "size": list(edges * 3)[:3]})

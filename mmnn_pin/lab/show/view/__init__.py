@@ -1,0 +1,3 @@
+"""A robot in meshcat: Pinocchio's visualizer on a server of this machine, with sliders and a legend beside it."""
+
+from .view import RobotView, played

@@ -1,0 +1,171 @@
+"""How far a robot goes while no measurement says where it is: never 0.2 rad or 5 cm before the supervisor stops it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmnn_pin import Hold, Line, Measurement, Recording, Sine, Stepper, Trajectory, load, load_experiment
+from mmnn_pin.elementary.matrices import product
+from mmnn_pin.model.robot import Robot
+from mmnn_pin.plant.ideal import IdealPlant
+from mmnn_pin.safety import RAMPING, Safety
+from mmnn_pin.safety.settings import REACH
+
+ROBOTS = ["platform_arm", "two_axis_arm", "swerve_arm"]
+CONTROLLERS = {"pd_gravity": True, "adaptive": True, "learned": False}  # by name: whether it takes servos
+SERVOS = [("effort", "effort"), ("velocity", "effort"), ("velocity", "velocity"), ("velocity", "position")]
+LEAST = 0.02  # a silence that no robot may take amiss [s]
+
+
+@cache
+def robot_of(name: str) -> Robot:
+    return load(name)
+
+
+def simulated(robot: Robot, controller: str, start: float, *settings: str) -> Recording:
+    """A run whose sensors fall silent at some time."""
+    lost = f'disturbances=[{{type="messages", fault="lost", start={start}}}]'
+    settings = (f"time.duration={start + 0.6}", "safety.stop_time=0.05", lost, *settings)
+    return load_experiment("track", overrides=list(settings)).loop(robot, controller).run()
+
+
+def gone(robot: Robot, step: np.ndarray) -> float:
+    """A change of position, as a share of what may be gone unseen: the base [m, rad], joints, pivots with a motor."""
+    slide, turn = REACH
+    d = robot.dimensions
+    base = [math.hypot(step[0], step[1]) / slide, abs(step[2]) / turn] if d.base else []
+    return max([*base, *np.abs(step[robot.arm_index]) / turn])
+
+
+@pytest.mark.compiled
+@given(
+    name=st.sampled_from(ROBOTS),
+    controller=st.sampled_from(list(CONTROLLERS)),
+    servos=st.sampled_from(SERVOS),
+    start=st.integers(10, 100).map(lambda k: 0.01 * k),
+    period=st.sampled_from([0.0, 0.01, 0.02]),
+    seed=st.integers(0, 99),
+)
+@settings(max_examples=300, derandomize=True)
+def test_no_joint_and_no_base_goes_far_before_a_silence_is_seen(name, controller, servos, start, period, seed) -> None:
+    robot = robot_of(name)
+    chosen = [f"seed={seed}", f"start.pose_offset=[{0.0002 * seed}, 0.0, 0.0]"] if robot.dimensions.base else []
+    if period:
+        chosen.append(f"time.sensor_period={period}")
+    if CONTROLLERS[controller] and servos != ("effort", "effort"):
+        wheels = robot.actuator_names[: robot.dimensions.motors - robot.dimensions.arm]
+        kinds = {joint: servos[joint not in wheels] for joint in robot.actuator_names}
+        chosen.append("interfaces={" + ", ".join(f'"{joint}"="{kind}"' for joint, kind in kinds.items()) + "}")
+    run = simulated(robot, controller, start, *chosen)
+    assert run.outcome.status == "tripped" and run.outcome.signal == "measurement"
+    h = run.time[1] - run.time[0]
+    every = period or h
+    heard = round(every * math.floor((start - 1e-6) / every) / h)
+    seen = int(np.argmax(run["safety"].ravel() == RAMPING))
+    assert seen > heard and gone(robot, run["position"][seen] - run["position"][heard]) <= 1.0
+    assert run.time[seen] - run.time[heard] > LEAST
+
+
+# -- one robot, sample by sample -------------------------------------------------------------------------------------
+
+ROBOT = load("platform_arm")
+H = 0.002
+LIMITS = Safety(torque="urdf", joint_error=0.5, position_error=0.5)
+
+
+def samples(controller: str, safety: Safety, deaf: float, kind: str) -> Iterator[tuple[Stepper, IdealPlant]]:
+    """Samples of a robot in motion, whose measurements stop or repeat from a time on [s]."""
+    overrides = [f"time.control_period={H}", f"time.plant_step={H}"]
+    stepper = Stepper.of(load_experiment("track", overrides=overrides).loop(ROBOT, controller), safety=safety)
+    plant = IdealPlant(ROBOT, H, "implicit_friction")
+    plant.start(ROBOT.neutral_position(), np.zeros(4))
+    arm = dict(zip(ROBOT.joint_names, (Sine(amplitude=0.4, period=4.0), Hold(0.2)), strict=True))
+    motion = stepper.plan(Trajectory.of(ROBOT, base=Line(speed=0.3), arm=arm), 5.0)
+    last = None
+    for k in range(round((deaf + 0.8) / H)):
+        if k * H <= deaf:
+            position, nu = plant.position.copy(), plant.nu.copy()
+            last = Measurement(position[:3], nu[:2], position[ROBOT.arm_index], nu[2:])
+        taken = last if k * H <= deaf or kind == "repeated" else None
+        command = stepper.step(k * H, taken, motion if k == 0 else None)
+        yield stepper, plant
+        plant.step(product(ROBOT.E, command.motor_effort))
+        plant.refresh()
+
+
+@pytest.mark.parametrize("kind", ["silent", "repeated"])
+@pytest.mark.parametrize("controller", ["pd_gravity", "adaptive"])
+def test_on_a_robot_silent_sensors_and_messages_that_repeat_are_seen_before_it_went_far(controller, kind) -> None:
+    went, speed = [], 0.0
+    for stepper, plant in samples(controller, LIMITS, 0.5, kind):
+        if stepper.time < 0.5:
+            start = plant.position.copy()
+        if not stepper.tripped:
+            went.append(gone(ROBOT, plant.position - start))
+        else:
+            speed = max(speed, np.abs(plant.nu).max())
+            if stepper.time > 0.5 + LEAST:
+                assert stepper.row[stepper.setup.layout.where("safety")] == RAMPING
+    assert stepper.tripped and 0.3 < max(went) < 1.0
+    assert speed < 8.0  # on what was asked of frozen measurements this arm comes to 60 rad/s
+    assert "no new measurement says where" in stepper.finish().outcome.message
+
+
+def test_a_time_that_is_given_holds_alone() -> None:
+    for stepper, _ in samples("pd_gravity", Safety(timeout=0.3), 0.5, "silent"):
+        if stepper.tripped:
+            break
+    assert stepper.time == pytest.approx(0.5 + 0.3 + H)
+    assert "age of the measurement 0.302 s" in stepper.finish().outcome.message
+
+
+class Still:
+    """A stepper at rest, fed by hand."""
+
+    def __init__(self, **more: float) -> None:
+        overrides = [f"time.control_period={H}", f"time.plant_step={H}"]
+        loop = load_experiment("track", overrides=overrides).loop(ROBOT, "pid")
+        self.stepper, self.k = Stepper.of(loop, safety=Safety(**more)), 0
+
+    def step(self, measurement: Measurement | None) -> bool:
+        self.stepper.step(self.k * H, measurement)
+        self.k += 1
+        return self.stepper.tripped
+
+
+def test_a_robot_that_rests_may_say_the_same_for_ever() -> None:
+    """Its integral winds up against friction meanwhile, and every tenth sample alone has a message."""
+    still, seen = Still(), Measurement(np.zeros(3), np.zeros(2), np.array([0.001, 0.0]), np.zeros(2))
+    assert not any(still.step(seen if k % 10 == 0 else None) for k in range(3000))
+
+
+@pytest.mark.parametrize("every", [1, 5, 25])
+def test_messages_that_come_as_slowly_as_ever_are_no_silence(every) -> None:
+    """At 1 m/s a base goes 5 cm between two of 20 Hz: one that fails to come is too much, none is not."""
+    still = Still(joint_error="none", position_error="none", heading_error="none")
+    for k in range(800):
+        x, v = max(0.0, k - 300) * H, float(k >= 300)
+        fast = Measurement(
+            np.array([x, 0.0, 0.0]), np.array([v, 0.0]), np.array([0.3 * x, 0.0]), np.array([0.3 * v, 0.0])
+        )
+        assert not still.step(fast if k % every == 0 else None)
+    silent = [still.step(None) for _ in range(60)]
+    assert silent[-1] and silent.index(True) <= max(2 * every, 0.06 / H)
+
+
+def test_it_goes_on_after_a_silence_when_it_is_told_to() -> None:
+    still, moves = Still(), np.array([0.0, 0.5])
+    for k in range(100):
+        still.step(Measurement(np.zeros(3), np.zeros(2), moves * k * H, moves))
+    assert any(still.step(None) for _ in range(300))
+    for k in range(100, 110):
+        still.step(Measurement(np.zeros(3), np.zeros(2), moves * 100 * H, 0.0 * moves + 1e-6 * k))
+    still.stepper.reset()
+    assert not any(still.step(Measurement(np.zeros(3), np.zeros(2), moves * 100 * H, np.zeros(2))) for _ in range(200))
