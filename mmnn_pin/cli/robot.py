@@ -77,7 +77,8 @@ def inspect(
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. The options can also
     stand in NAME.mmnn.toml beside NAME.urdf. Exit code 2 when the robot cannot be used or its base is undecided.
     """
-    from ..lab.experiments.hardware import beside_urdf, proposed
+    from ..lab.experiments.hardware import proposed
+    from ..lab.experiments.hardware_table import beside_urdf
     from ..lab.experiments.track_gains import track_gains
     from ..lab.show.robots import inspection_text, refusal_text, summary
     from ..model.base.overrides import Overrides

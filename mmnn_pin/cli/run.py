@@ -305,7 +305,7 @@ def list_(as_json: bool) -> int:
     """
     from ..lab.experiments.config import bundled, variants
     from ..lab.experiments.controllers import CONTROLLERS
-    from ..lab.experiments.hardware import profiles
+    from ..lab.experiments.hardware_table import profiles
     from ..lab.experiments.references import ARM_PROFILES, BASE_PATHS
     from ..model.robots import bundled as robots
     from ..model.robots import extra

@@ -26,7 +26,8 @@ from ...recording.recording import Recording
 from ...settings.arguments import checked, unknown_key, wrong_type
 from .controllers import new_name, renamed
 from .experiment import Experiment
-from .hardware import COARSEST, Fitted, beside_urdf, borne, read_hardware, require_strength
+from .hardware import COARSEST, Fitted, borne, require_strength
+from .hardware_table import beside_urdf, read_hardware
 from .origins import of_override
 from .references import as_long_as_its_file
 

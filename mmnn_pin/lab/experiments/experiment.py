@@ -39,7 +39,7 @@ from ...torque.neural import Inputs, Robust
 from ...touch import Touch
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, Learning, Nominal, RobustOf, new_controller
 from .hand import hand_motion
-from .hardware import Hardware
+from .hardware_table import HardwareTable
 from .laws import resolved
 from .learner_tables import LearnerTables
 from .references import HeldOutReference, ReferenceTables
@@ -185,7 +185,7 @@ class Experiment(LearnerTables, frozen=True):
     title: str = ""
     variant: str = ""
     overrides: Overrides = Overrides()
-    hardware: Hardware | None = None
+    hardware: HardwareTable | None = None
     effort_limits: Numbers = 0.0
     speed_limits: Numbers = 0.0
     masses: float | dict[str, float] = 1.0
