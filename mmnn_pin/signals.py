@@ -26,9 +26,9 @@ IntArray = NDArray[np.int64]
 # Sizes: "pose" 3 or 0, "twist" 3, 2 or 0, "base" nb, "arm" n, "all" p, "shape" pivots of a base that steers, else 0,
 # "full" coordinates of all joints, "motor" actuators, or a number; on the contact plant "wheel" drive wheels and
 # "floor" 1 with wheels, else 0; those that begin with "rig" where motors, disturbances or a supervisor are simulated,
-# else 0; "lead all" p where Psi_hat leads, else 0; those that begin with "touch" where external torque is observed,
-# else 0, of a "wrench" 6, `WRENCH`; "hand" 7 for every frame that the reference takes along a path:
-# position and quaternion, `HAND`.
+# else 0; "scene": a hand touches something; "task": it is compliant; "lead all" p where Psi_hat leads, else 0; those
+# that begin with "touch" where external torque is observed, else 0, of a "wrench" 6, `WRENCH`; "hand" 7 for every frame
+# that the reference takes along a path: position and quaternion, `HAND`.
 SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("time", "1", "s", ""),
     ("position", "full", "m, rad", "rad or m"),
@@ -67,6 +67,10 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("motor_torque", "motor", "N m", "N m or N"),
     ("applied", "rig motor", "N m", "N m or N"),
     ("disturbance", "rig all", "N, N m", "N m or N"),
+    ("hand_force", "scene 3", "N", ""),
+    ("opening", "scene", "rad", ""),
+    ("asked_force", "task 3", "N", ""),
+    ("storage", "task", "J", ""),
     ("safety", "rig", "", ""),
     ("external_torque", "touch all", "N, N m", "N m or N"),
     ("external_band", "touch all", "N, N m", "N m or N"),
@@ -138,6 +142,8 @@ class Layout(Dimensions):
         hardware: 1 where motors, disturbances or a supervisor are simulated, else 0.
         lead: 1 where the torque has Psi_hat as of the time in which it acts (`loop.lead`), else 0.
         hands: Number of frames that the reference takes along paths.
+        scene: 1 where a hand touches something (`disturbance.scene`), else 0.
+        task: 1 where the hand is compliant (`compliance`), else 0.
         touch: 1 where external torque is observed, else 0.
     """
 
@@ -145,6 +151,8 @@ class Layout(Dimensions):
     hardware: int = 0
     lead: int = 0
     hands: int = 0
+    scene: int = 0
+    task: int = 0
     touch: int = 0
 
     @classmethod
@@ -160,6 +168,7 @@ class Layout(Dimensions):
         size |= {"twist": self.twist, "shape": self.shape}
         size |= {"motor": self.motors, "wheel": self.wheels, "floor": min(1, self.wheels), "1": 1, "2": 2}
         size |= {"rig": self.hardware, "rig motor": self.hardware * self.motors, "rig all": self.hardware * self.dof}
+        size |= {"scene": self.scene, "scene 3": 3 * self.scene, "task": self.task, "task 3": 3 * self.task}
         size |= {"lead all": self.lead * self.dof, "hand": len(HAND) * self.hands}
         size |= {"touch": self.touch, "touch all": self.touch * self.dof, "touch wrench": self.touch * 6}
         starts = np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])

@@ -18,6 +18,7 @@ import numpy as np
 from .. import kinematic
 from ..by_address import by_address
 from ..compiled import by_type, compiled, copy_to, entry, internal, linked, plain
+from ..compliance import Compliance, give, wish
 from ..errors import ConfigError, InputError, RobotError
 from ..kinematic import Steering
 from ..model.base.trailers import trailer_pose
@@ -91,6 +92,7 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
     later: Any,
     split: Split | None,
     steering: Steering | None,
+    task: Compliance | None,
     touch: Feeler | None,
     kept: Controls | None,
     held: Any,
@@ -112,6 +114,7 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         later: The learner with its weights held, which is asked there.
         split: The rows that take a velocity, which are the hardware's; None where all take effort.
         steering: Of a base that steers; None for others.
+        task: A compliant hand; None for one that is stiff.
         touch: What feels external torque; None for nothing.
         kept: The controls of the law with its weights held, which takes over in contact; None where it goes on.
         held: The learner with its weights held, likewise.
@@ -128,15 +131,15 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
     before_torque(row, at, time, setpoint, controls.gains, controls.K, before, steering)
     if hardware is not None:
         asked = not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
-    if split is not None and asked:
-        ask(row, at, split)
     if asked:
+        bend(row, at, task, split)
         if ahead is not None:
             look_ahead(row, at, before, ahead, steering)
         if own is not None:
             own.answer(time, frozen)
         else:
             law_or_held(controls, model, learner, limits, ahead, later, kept, held, frozen)
+        bear(row, at, task)
     if split is not None:
         answered(row, at, not asked, split)
     if hardware is not None:
@@ -184,6 +187,22 @@ def look_back(controls: Controls, learner: Any, limits: MotorLimits | None, aske
         remember(row, at, view(row, at, PSI_HAT), asked, touch)
     if learner is not None and asked and is_asked(touch):
         doubt(learner, controls.state, touch.state.learned)
+
+
+@compiled
+def bend(row: Array, at: IntArray, task: Compliance | None, split: Split | None) -> None:
+    """The velocity that is asked for, as a compliant hand and the rows that take a velocity change it."""
+    if task is not None:
+        wish(row, at, task)
+    if split is not None:
+        ask(row, at, split)
+
+
+@compiled
+def bear(row: Array, at: IntArray, task: Compliance | None) -> None:
+    """The torque of a compliant hand in place of the feedback's."""
+    if task is not None:
+        give(row, at, task)
 
 
 @compiled
@@ -558,8 +577,9 @@ class Control:
         torque, own = self.torque, None if self.torque.compiled else self.torque
         self.hardware, (split, touch) = hardware, (None, None) if hardware is None else (hardware.split, hardware.touch)
         learned = torque.learner, torque.limits, torque.ahead, torque.later
+        task = None if hardware is None else hardware.task
         kept = (None, None) if touch is None else (torque.kept, torque.held)
-        self.blocks = (self.controls, torque.model, hardware, *learned, split, self.steering, touch, *kept, own)
+        self.blocks = (self.controls, torque.model, hardware, *learned, split, self.steering, task, touch, *kept, own)
 
     def step(self, time: float, setpoint: Array, k: int = 0, before: Array | None = None) -> None:
         """One `sample`; `before` is None for the setpoint itself."""

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..actuator import Actuator
+from ..compliance import Force, Impedance
 from ..disturbance import Disturbance
 from ..kinematic import Kinematic
 from ..model.robot import Robot
@@ -31,6 +32,7 @@ from .lead import Lead, delays, lead_of, leads
 from .plan import Plan
 from .servo import Servo
 from .servo_model import linear_servos
+from .sight import VelocityFilter
 from .suited import postures
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
@@ -100,6 +102,14 @@ class Setup(Protocol):
     @property
     def interfaces(self) -> Mapping[str, str]:
         """Interface of motors' joints, effort where they are not named."""
+
+    @property
+    def impedance(self) -> Impedance | None:
+        """How the hand gives way; None for one that is stiff."""
+
+    @property
+    def force(self) -> Force | None:
+        """The force that the hand pushes with."""
 
     @property
     def servo(self) -> Servo:
@@ -203,6 +213,8 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
     hardware |= {"lag": setup.lags.tolist()} if setup.lags.any() else {}
     hardware |= {"way": way} if (way := setup.known.way(setup.timing)) else {}
     hardware |= {"unseen": unseen_by(setup)}
+    hardware |= {} if setup.impedance is None else {"impedance": plain(setup.impedance)}
+    hardware |= {} if setup.force is None else {"force": plain(setup.force)}
     hardware |= {} if setup.touch is None else {"touch": plain(setup.touch)}
     hardware |= {} if setup.safety is None else {"safety": plain(setup.safety)}
     hardware |= {"disturbances": plain(setup.disturbances)} if setup.disturbances else {}
@@ -232,6 +244,8 @@ class StepperSetup:
     known: Latency = field(default_factory=Latency)
     lag: Numbers = 0.0
     filtered: float = 0.0
+    impedance: Impedance | None = None
+    force: Force | None = None
     touch: Touch | None = None
 
     def __post_init__(self) -> None:
@@ -240,7 +254,8 @@ class StepperSetup:
     @cached_property
     def layout(self) -> Layout:
         """Where the signals stand in a row."""
-        return Layout.of(self.robot.dimensions, hardware=1, lead=lead_signals(self), touch=int(self.touch is not None))
+        recorded = {"touch": int(self.touch is not None), "task": int(self.impedance is not None)}
+        return Layout.of(self.robot.dimensions, hardware=1, lead=lead_signals(self), **recorded)
 
     @property
     def true(self) -> Robot:
@@ -256,6 +271,14 @@ class StepperSetup:
     def lags(self) -> Array:
         """See `Setup.lags`."""
         return lags(self.robot, self.lag)
+
+    @property
+    def sight(self) -> VelocityFilter | None:
+        """How velocities are measured, as far as it is known."""
+        period = self.timing.measurement_period
+        return (
+            VelocityFilter.late(self.filtered, period) if self.sensor.exact else VelocityFilter.of(self.sensor, period)
+        )
 
     @property
     def smoothing(self) -> float:
@@ -288,6 +311,7 @@ def plan_outside(setup: StepperSetup) -> Plan:
         plan,
         latency=setup.known.total,
         lag=setup.lag,
+        sight=setup.sight,
         servo=servo,
         lead=new_lead(setup),
         steering=steering,

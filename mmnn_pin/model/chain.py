@@ -25,6 +25,7 @@ from .robot import Robot
 
 REVOLUTE, PRISMATIC = 0, 1
 SIZE = 12  # of a placement: rotation row by row, translation
+PUSHES = 0.05  # of an arm that can push along a direction: motion of the frame per joint [m/rad]
 
 
 class Chain(NamedTuple):
@@ -361,6 +362,23 @@ def track(chain: Chain, positions: Array) -> Array:
     p, places = chain.T.shape[1], np.zeros((len(positions), SIZE))
     fill_places(chain, np.ascontiguousarray(positions), np.zeros(p), np.zeros((2, 6)), np.zeros((6, p)), places)
     return places
+
+
+def pushing(chain: Chain, position: Array, arm: int) -> Array:
+    """(3,) the first of down, left and ahead of the robot in which the last `arm` velocities move a chain's frame.
+
+    Args:
+        chain: The chain.
+        position: (nv,) where the robot stands.
+        arm: Number of the arm's joints.
+    """
+    p = chain.T.shape[1]
+    J, (c, s) = np.zeros((6, p)), cos_sin(float(position[2])) if chain.frame.size else (1.0, 0.0)
+    move(chain, position, np.zeros(p), np.zeros(SIZE), np.zeros(6), np.zeros(6), J)
+    for direction in ((0.0, 0.0, -1.0), (-s, c, 0.0), (c, s, 0.0)):
+        if float(np.abs(np.array(direction) @ J[:3, p - arm :]).max(initial=0.0)) > PUSHES:
+            return np.array(direction)
+    return np.array([0.0, 0.0, -1.0])
 
 
 # -- watched during a run ----------------------------------------------------------------------------------------------

@@ -94,7 +94,7 @@ def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
 def labels_of(name: str, width: int, meta: Mapping[str, Any]) -> tuple[str, ...]:
     """Labels of the columns of a signal of so many columns, by the facts of its run; empty where these do not tell."""
     velocities, motors = (tuple(meta.get(f"{part}_names", ())) for part in ("velocity", "actuator"))
-    own = {"1": 1, "2": 2, "floor": 1, "rig": 1, "touch": 1}.get(KIND[name][0], 0)
+    own = {"1": 1, "2": 2, "floor": 1, "rig": 1, "scene": 1, "task": 1, "touch": 1}.get(KIND[name][0], 0)
     return {
         "pose": ("x", "y", "phi"),
         "all": velocities,
@@ -104,6 +104,7 @@ def labels_of(name: str, width: int, meta: Mapping[str, Any]) -> tuple[str, ...]
         "arm": velocities[-width:],
         "full": tuple(meta.get("position_names", ())),
         "motor": motors,
+        "3": ("x", "y", "z"),
         "wheel": tuple(meta.get("wheel_names", motors))[:width],
         "wrench": WRENCH,
         "hand": tuple(f"{frame}.{each}" for frame in meta.get("hands", ()) for each in HAND),

@@ -165,7 +165,7 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
         copy_to(b.guide.now, b.before)
     sample(
         0, time, b.guide.now, b.before, b.control, b.model, b.hardware, b.learner, b.limits, b.ahead, b.later, b.split,
-        b.steering, b.touch, b.kept, b.held, None,
+        b.steering, None, b.touch, b.kept, b.held, None,
     )  # fmt: skip
     copy_to(b.guide.now, b.before)
     copy_to(b.command, b.motor_torque)

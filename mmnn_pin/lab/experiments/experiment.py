@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from ...actuator import Actuator
+from ...compliance import Force, Impedance
 from ...disturbance import Disturbance, require_in_time
 from ...errors import ConfigError, InputError, UnknownName, keyed
 from ...kinematic import Kinematic
@@ -33,6 +34,7 @@ from ...reference import Trajectory
 from ...safety import Safety
 from ...sensing import Sensor
 from ...settings import Numbers, Settings, Timing, require_gains
+from ...settings.arguments import faced
 from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ...torque.neural import Inputs, Robust
@@ -118,6 +120,7 @@ class Tolerance(Settings, frozen=True):
         require_gains(self, "tolerance")
 
 
+@faced
 class Experiment(LearnerTables, frozen=True):
     """Everything that defines an experiment; see the bundled TOML files for commented examples.
 
@@ -168,6 +171,8 @@ class Experiment(LearnerTables, frozen=True):
         lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag.
         touch: What external torque is felt by; without the table nothing is.
         disturbances: What happens to the robot during a run.
+        impedance: How the hand gives way; without the table it is stiff.
+        force: What the hand pushes with.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
         cases: Changes of this experiment, name to case; with them it runs once in each, with a verdict on every run.
@@ -218,6 +223,8 @@ class Experiment(LearnerTables, frozen=True):
     lead: bool = False
     touch: Touch | None = None
     disturbances: tuple[Disturbance, ...] = ()
+    impedance: Impedance | None = None
+    force: Force | None = None
     plant: str = "ideal"
     contact: Contact = Contact()
     cases: dict[str, Case] = msgspec.field(default_factory=dict)
@@ -306,6 +313,8 @@ class Experiment(LearnerTables, frozen=True):
 
     def held_out_of(self, robot: Robot, name: str) -> Trajectory:
         """A held-out trajectory for a robot; errors as in `trajectory`, with the keys of `held_out`."""
+        if name not in self.held_out:
+            raise UnknownName("held-out trajectory", name, self.held_out, key="held_out")
         given = self.held_out[name]
         tables = ReferenceTables(given.base, given.heading, given.arm, given.share)
         try:
@@ -375,6 +384,8 @@ class Experiment(LearnerTables, frozen=True):
             lead=self.lead,
             touch=self.touch,
             radii=self.radii,
+            impedance=self.impedance,
+            force=self.force,
         )
 
     def setting(self, values: Mapping[str, str]) -> str:

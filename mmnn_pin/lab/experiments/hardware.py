@@ -254,9 +254,13 @@ def borne(experiment: Experiment, robot: Robot) -> dict[str, Any]:
 
     if bears(1.0, 1.0, 1.0):
         return {}
-    share = next((float(share) for share in SHARES[1 :: 1 if alike else 3] if bears(share, share)), None)
-    if share is None:
+    low, high = 1, len(SHARES)  # the largest share that it bears is in between
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if bears(SHARES[middle], SHARES[middle]) else (middle + 1, high)
+    if low == len(SHARES):
         return {}
+    share = float(SHARES[low])
     apart = [(1.0, share), (share, 1.0)] if whole.gains.size and whole.K.size else []
     return with_shares(*next((pair for pair in apart if bears(*pair)), (share, share)))
 

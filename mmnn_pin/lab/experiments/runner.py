@@ -23,6 +23,7 @@ from ...settings.arguments import checked
 from ...torque.controller import TorqueController
 from ...torque.entries import CONTROLLERS as ENTRIES
 from ...torque.entries import DESCRIBED, NOMINAL, PARAMETERS
+from .beside_plain import YARDSTICKS, learners
 from .controllers import EFFECTIVE, effective
 from .experiment import Experiment
 from .hand import hand_errors, hand_motion
@@ -75,15 +76,15 @@ def run_experiment(
     notes += [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
     notes += [*interface_notes(experiment, robot), *sensor_notes(experiment.sensor, robot)]
     notes += [*weak_notes(robot), *rotor_notes(robot), *knowledge_notes(robot, wanted)]
-    duration, learners = experiment.time.duration, effective(wanted)
+    duration, gain_of = experiment.time.duration, effective(wanted)
     for controller in in_order(wanted):
-        learner = runs.get(learners.get(controller, ""))
+        learner = runs.get(gain_of.get(controller, ""))
         if learner is not None and not len(learner):
-            notes.append(f"{controller} was not run: {learners[controller]} ended before its first sample")
+            notes.append(f"{controller} was not run: {gain_of[controller]} ended before its first sample")
             continue
         gains = None if learner is None else as_columns(learner["effective_gain"])
         loop = experiment.loop(robot, experiment.controller(controller, gains, robot))
-        notes += [note for note in loop.controller.notes if note not in notes]
+        notes += [note for note in (*loop.controller.notes, *loop.reductions()) if note not in notes]
         runs[controller] = loop.run(
             files.get(controller),
             force=force,
@@ -99,7 +100,17 @@ def run_experiment(
         hand = {c: hand_errors(recording, robot) for c, recording in kept.items()}
         notes += hand_notes(experiment, robot)
     notes += [*margin_notes(experiment, kept), *limit_notes(robot, kept)]
-    return Result(experiment, name, kept, numbers, tuple(notes), hand)
+    plain = None
+    if learners(kept) and not any(yardstick in kept for yardstick in YARDSTICKS):
+        plain = plain_run(experiment, robot, progress)
+    return Result(experiment, name, kept, numbers, tuple(notes), hand, plain)
+
+
+def plain_run(experiment: Experiment, robot: Robot, progress: Callable[[str, float], None] | None) -> Recording:
+    """A run of plain control in memory, that learners are measured by."""
+    if progress is not None:
+        progress(YARDSTICKS[0], 0.0)
+    return experiment.loop(robot, experiment.controller(YARDSTICKS[0], robot=robot)).run()
 
 
 def without_unable(experiment: Experiment, robot: Robot) -> tuple[Experiment, list[str]]:
@@ -206,7 +217,8 @@ def limit_notes(robot: Robot, runs: Mapping[str, Recording]) -> list[str]:
 def margin_notes(experiment: Experiment, runs: Mapping[str, Recording]) -> list[str]:
     """A note on controllers that bear less delay beside their latency than the experiment wants."""
     margins = {name: run.meta["delay_margin"] for name, run in runs.items()}
-    least = experiment.latency.margin + experiment.latency.total
+    line = experiment.sensor.line(experiment.time.measurement_period)
+    least = experiment.latency.margin + experiment.latency.total + line
     short = {name: m for name, m in margins.items() if m is not None and m < least}
     if not short:
         return []

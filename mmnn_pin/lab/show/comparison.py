@@ -200,7 +200,7 @@ def other_rows(result: Result) -> Iterator[Row]:
         yield row_of("mean effective gain", part, *(number(gain) if gain else "-" for gain in gains))
     if any("delay_margin" in run.meta for run in result.recordings.values()):
         yield row_of("delay margin [ms]", "", *(margin_cell(run) for run in result.recordings.values()))
-    yield row_of("outcome", "", *map(outcome_cell, result.recordings.values()))
+    yield row_of("outcome", "", *(outcome_cell(run, name in result.worse) for name, run in result.recordings.items()))
 
 
 def margin_cell(recording: Recording) -> str:
@@ -209,9 +209,11 @@ def margin_cell(recording: Recording) -> str:
     return "-" if margin is None else f"{1e3 * margin:.3g}"
 
 
-def outcome_cell(recording: Recording) -> Cell:
-    """The end of a run; bad unless it was completed."""
+def outcome_cell(recording: Recording, worse: bool = False) -> Cell:
+    """The end of a run; bad unless it was completed and is not worse than plain control."""
     status = recording.outcome.status
+    if worse:
+        return Cell("worse\nthan plain\ncontrol", "bad")
     if status == "completed":
         return Cell("done", "good")
     return Cell(f"{status}\nat {recording.outcome.time:.3g} s", "bad")
@@ -221,7 +223,7 @@ def notes(result: Result) -> list[str]:
     """Notes for the user: ends of runs, runs that stand out, notes on the settings."""
     messages = {name: recording.outcome.message for name, recording in result.recordings.items()}
     ends = [text if text.startswith(name) else f"{name}: {text}" for name, text in messages.items() if text]
-    return [*ends, *result.outliers(), *result.notes]
+    return [*result.worse.values(), *ends, *result.outliers(), *result.notes]
 
 
 def hand_table(result: Result) -> Table:
