@@ -28,6 +28,7 @@ from .controllers import EFFECTIVE, effective
 from .experiment import Experiment
 from .hand import hand_errors, hand_motion
 from .hardware import lines
+from .pushing import pushing_numbers
 from .result import Result
 
 BEYOND = 0.02  # of a joint's range, past its limits, that is told
@@ -96,6 +97,7 @@ def run_experiment(
     kept = {controller: runs[controller] for controller in wanted if controller in runs}
     numbers = {controller: metrics(recording, experiment.windows) for controller, recording in kept.items()}
     hand, tables = {}, experiment.reference.hand
+    pushes = {c: pushing_numbers(recording, robot) for c, recording in kept.items()}
     if tables is not None:
         hand = {c: hand_errors(recording, robot) for c, recording in kept.items()}
         notes += hand_notes(experiment, robot)
@@ -103,7 +105,7 @@ def run_experiment(
     plain = None
     if learners(kept) and not any(yardstick in kept for yardstick in YARDSTICKS):
         plain = plain_run(experiment, robot, progress)
-    return Result(experiment, name, kept, numbers, tuple(notes), hand, plain)
+    return Result(experiment, name, kept, numbers, tuple(notes), hand, pushes, plain)
 
 
 def plain_run(experiment: Experiment, robot: Robot, progress: Callable[[str, float], None] | None) -> Recording:
