@@ -27,6 +27,7 @@ from .beside_plain import YARDSTICKS, learners
 from .controllers import EFFECTIVE, effective
 from .experiment import Experiment
 from .hand import hand_errors, hand_motion
+from .hardware import lines
 from .pushing import pushing_numbers
 from .result import Result
 
@@ -72,7 +73,8 @@ def run_experiment(
     if understood is not None:
         understood(robot)
     runs: dict[str, Recording] = {}
-    notes = [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
+    notes = [] if experiment.hardware is None else [*lines(experiment.hardware)]
+    notes += [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
     notes += [*interface_notes(experiment, robot), *sensor_notes(experiment.sensor, robot)]
     notes += [*weak_notes(robot), *rotor_notes(robot), *knowledge_notes(robot, wanted)]
     duration, gain_of = experiment.time.duration, effective(wanted)
