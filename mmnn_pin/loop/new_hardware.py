@@ -143,12 +143,9 @@ def task_of(loop: Setup, position: Array, on: Array, state: Array) -> Compliance
         state: What it remembers, written.
 
     Raises:
-        ConfigError: A force without an impedance, an impedance that cannot be.
+        ConfigError: An impedance that cannot be.
     """
     if loop.impedance is None:
-        if loop.force is not None:
-            fix = "add a table [impedance], empty for its defaults"
-            raise ConfigError("a force of a hand that does not give way", fix=fix, key="force")
         return None
     if not isinstance(loop.controller, CompiledController | LearningLaw):
         what, why = f"'{loop.controller.name}' under a compliant hand", "it tells no gain that the hand could replace"
@@ -196,6 +193,9 @@ def new_touch(loop: Setup, parts: list[Array], kinds: tuple[str, ...], steering:
     """
     touch, robot, timing = loop.touch, loop.robot, loop.timing
     if touch is None:
+        if loop.safety is not None and loop.safety.contact != "go on":
+            why, fix = "nothing feels contact", "add the table [touch], or --set touch.model=both"
+            raise ConfigError(f"'{loop.safety.contact}' at contact", why=why, fix=fix, key="safety.contact")
         return None
     if not leads(loop.controller):
         if touch.model == "learner":
@@ -214,6 +214,7 @@ def new_touch(loop: Setup, parts: list[Array], kinds: tuple[str, ...], steering:
         E_inv=pseudo_inverse(robot.E) if steering is None else steering.E_inv,
         felt=np.array([kind == "effort" for kind in kinds], float),
         gains=stopping_gains(loop),
+        gives=loop.safety is not None and loop.safety.contact == "comply",
     )
     return new_feeler(touch, described, regressor_of(described), sending, new_state(parts))
 
