@@ -256,10 +256,19 @@ def endless_heap(path: Path) -> bool:
     first 2 of 16 bytes and its size in the last 8; of number 0, the free room, the size counts the 16 bytes (HDF5 File
     Format Specification, III.E). HDF5 does not leave an object that takes no room.
 
+    A file is looked at again when it has changed.
+
     Raises:
         OSError: The file cannot be read.
     """
-    start, left = 0, path.stat().st_size + PIECE  # what bounds the work: heaps do not overlap
+    now = path.stat()
+    return endless_in(path, now.st_ino, now.st_mtime_ns, now.st_size)
+
+
+@lru_cache(maxsize=256)
+def endless_in(path: Path, inode: int, changed: int, size: int) -> bool:
+    """See `endless_heap`; of a file as it was when it last changed."""
+    start, left = 0, size + PIECE  # what bounds the work: heaps do not overlap
     with opened(path) as file:
         while piece := os.pread(file.fileno(), PIECE, start):
             for found in re.finditer(HEAP, piece):
