@@ -139,6 +139,8 @@ class RunFile:
         Raises:
             RecordingError: The disk is full or gone; the file is closed and holds the rows of the last flush.
         """
+        if not len(rows):
+            return
         chunks = -(-(self.rows + len(rows)) // self._chunk_rows) - -(-self.rows // self._chunk_rows)
         signals = np.ascontiguousarray(rows).view(self._row)[:, 0]  # numpy copies a signal's numbers of a row at once
         with self._closing_on_failure():

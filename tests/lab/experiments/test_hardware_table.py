@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 from mmnn_pin import Stepper, load, load_experiment
+from mmnn_pin.cli.ros2 import asked
+from mmnn_pin.deploy.ros2.settings import settings_of
+from mmnn_pin.deploy.ros2.wiring import interfaces
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.files import read_toml
 from mmnn_pin.lab.experiments.config import merged
@@ -192,3 +195,13 @@ def test_an_arm_of_hobby_servos_errs_as_these_do_and_a_stepper_has_the_same_sett
     with Stepper.of(loop, safety=Safety(torque="urdf")) as stepper:
         assert stepper.period == 0.02 and stepper.setup.servo == found.servo and stepper.latency == 0.01
         assert stepper.setup.interfaces == found.interfaces and set(stepper.kinds) == {"position"}
+
+
+@needs_data
+def test_ros_2_takes_it_by_a_parameter():
+    joints = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"]
+    given = {"robot": "so101", "hardware": "feetech-sts3215", "rate": 50.0, "controller": "pd"}
+    given |= {"commands.arm.joints": joints, "commands.arm.interface": "position"}
+    experiment, robot = asked(settings_of(given))
+    assert experiment.latency.command == 0.01 and experiment.servo.stiffness == 17.8
+    assert interfaces(robot, settings_of(given)) == dict(experiment.interfaces)
