@@ -77,6 +77,7 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("external_wrench", "touch wrench", "N, N, N, N m, N m, N m", ""),
     ("wrench_seen", "touch wrench", "", ""),
     ("contact", "touch", "", ""),
+    ("load", "touch", "kg", ""),
     ("energy", "1", "J", ""),
     ("work", "1", "J", ""),
     ("energy_residual", "1", "J", ""),

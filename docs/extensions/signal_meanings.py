@@ -48,6 +48,7 @@ MEANINGS = {
     "external_wrench": "force and moment of the world on the hand, in the world's axes, by least squares",
     "wrench_seen": "share of every axis of that wrench which the joints feel, 0 to 1",
     "contact": "1 while there is contact",
+    "load": "mass that is felt to be carried by the hand, 0 for none",
     "energy": "kinetic and potential energy",
     "work": "work of motors and disturbances minus losses",
     "energy_residual": "energy gained minus work: zero but for the integrator's error",

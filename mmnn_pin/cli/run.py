@@ -29,6 +29,7 @@ from .output import (
     say,
     styled,
     wrote,
+    wrote_into,
 )
 
 if TYPE_CHECKING:
@@ -83,6 +84,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
     help="Folder for the files; where it has such files, a numbered one.  [default: runs/EXPERIMENT[-VARIANT]]",
 )
 @click.option("--force", is_flag=True, help="Replace what is already in that folder.")
+@click.option("--details", is_flag=True, help="Print every error, peak, torque and gain, not only what matters most.")
 @understanding
 @shared
 def run(
@@ -96,6 +98,7 @@ def run(
     seed: int | None,
     out: Path | None,
     force: bool,
+    details: bool,
     overrides: dict[str, Any],
     as_json: bool,
 ) -> int:
@@ -128,7 +131,7 @@ def run(
         compile_if_cold(hardware)
         if asked.cases:
             return run_cases(asked, name, folder, force, as_json, elsewhere)
-        return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
+        return run_one(asked, name, folder, force, as_json, elsewhere, by_name, details)
 
 
 def says_controllers(experiment: str) -> bool:
@@ -202,7 +205,7 @@ def files_of(asked: Experiment) -> list[str]:
 
 
 def run_one(
-    asked: Experiment, name: str, folder: Path, force: bool, as_json: bool, elsewhere: str, by_name: bool
+    asked: Experiment, name: str, folder: Path, force: bool, as_json: bool, elsewhere: str, by_name: bool, details: bool
 ) -> int:
     """Run an experiment, draw and print what came of it; 130 if stopped, 1 if a run did not reach its end, else 0.
 
@@ -214,12 +217,13 @@ def run_one(
         as_json: Print one JSON object.
         elsewhere: Said once it is sure to run; empty for nothing.
         by_name: Whether the user chose the controllers; else those that cannot run are left out.
+        details: Print all tables, notes and files, not what matters most.
     """
     from ..lab.experiments.runner import run_experiment
-    from ..lab.show.comparison import notes, render
+    from ..lab.show.comparison import notes, render, render_brief
     from ..lab.show.gallery import write_pictures
     from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
-    from ..lab.show.table import hanging
+    from ..lab.show.table import alike, hanging
 
     told = None if as_json else tell_robot
     with announced(elsewhere) as progress:
@@ -231,8 +235,12 @@ def run_one(
     def text() -> str:
         remarks = [f"note: {note}" for note in (*worse_somewhere(result), *rivals_left_out(result), *notes(result))]
         files = [recording.path for recording in result.recordings.values() if recording.path]
+        files += list(pictures.values())
         verdict = hanging("", headline(result), columns())
-        return "\n".join([styled(render(result, **look())), "", verdict, *remarks, wrote([*files, *pictures.values()])])
+        if details:
+            return "\n".join([styled(render(result, **look())), "", verdict, *remarks, wrote(files)])
+        table = styled(render_brief(result, **look()))
+        return "\n".join([verdict, "", table, "", *alike(remarks, least=2), wrote_into(folder, files)])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
     if any(recording.outcome.status == "interrupted" for recording in result.recordings.values()):

@@ -33,7 +33,7 @@ from ..reference.steerable import require_steerable, start_angles
 from ..safety import Safety
 from ..sensing import Sensor
 from ..settings import Timing, given_array, plain
-from ..settings.arguments import checked, require_types
+from ..settings.arguments import checked, faced, require_types
 from ..signals import Array, Dimensions, Layout, Setpoint
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from ..touch import Touch
@@ -70,6 +70,7 @@ BLOCK = 250  # most samples that an engine hands over at a time
 PLANTS = ("ideal", "contact")
 
 
+@faced
 @dataclass(frozen=True)
 class Loop:
     """A closed loop, ready to run.
@@ -336,12 +337,14 @@ class Loop:
     def rehearse(self) -> None:
         """Ask a controller in plain Python at two samples, with a state that is dropped: what fails, fails now.
 
+        Nothing is done where the loop is compiled.
+
         Raises:
             InputError: It fails, or returns something of another shape; what `engine_at` refuses.
         """
         engine = self.engine_at()
-        assert isinstance(engine, OrdinaryLoop)
-        engine.rehearse(min(2, self.timing.samples))
+        if isinstance(engine, OrdinaryLoop):
+            engine.rehearse(min(2, self.timing.samples))
 
     def final(self, engine: Engine) -> dict[str, Array]:
         """Position, nu, and the states of hardware and controller where an engine stands."""

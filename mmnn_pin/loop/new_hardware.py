@@ -196,6 +196,9 @@ def new_touch(loop: Setup, parts: list[Array], kinds: tuple[str, ...], steering:
     """
     touch, robot, timing = loop.touch, loop.robot, loop.timing
     if touch is None:
+        if loop.safety is not None and loop.safety.contact != "go on":
+            why, fix = "nothing feels contact", "add the table [touch], or --set touch.model=both"
+            raise ConfigError(f"'{loop.safety.contact}' at contact", why=why, fix=fix, key="safety.contact")
         return None
     if not leads(loop.controller):
         if touch.model == "learner":
@@ -214,6 +217,7 @@ def new_touch(loop: Setup, parts: list[Array], kinds: tuple[str, ...], steering:
         E_inv=pseudo_inverse(robot.E) if steering is None else steering.E_inv,
         felt=np.array([kind == "effort" for kind in kinds], float),
         gains=stopping_gains(loop),
+        gives=loop.safety is not None and loop.safety.contact == "comply",
     )
     return new_feeler(touch, described, regressor_of(described), sending, new_state(parts))
 

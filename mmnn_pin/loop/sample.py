@@ -33,7 +33,7 @@ from ..torque import law
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from ..torque.law import Ahead, MotorLimits, Packed, doubt, estimate, limit, settle, turn_limits
 from ..torque.learning_law import LearningLaw, Sample, blamed, norms
-from ..touch import Feeler, feel, is_asked, is_frozen, remember
+from ..touch import Feeler, feel, give_way, is_asked, is_frozen, remember
 from .hardware import Hardware, is_stopped, send
 from .lead import Lead, catch_up, held, learns, look_ahead, reference_then
 from .machine import Machine, new_machine
@@ -120,14 +120,12 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         held: The learner with its weights held, likewise.
         own: A controller in plain Python, which is asked in place of the law; None for one of this package.
     """
-    row, at, asked, frozen = controls.row, controls.at, True, False
+    row, at, asked = controls.row, controls.at, True
     if controls.age > 0.0:
         reference_then(controls.setpoints, k, controls.age / controls.h, controls.then)
         catch_up(row, at, setpoint, controls.then, controls.age, steering)
     turn(row, at, limits, steering)
-    if touch is not None:
-        feel(row, at, time, touch)
-        frozen = is_frozen(touch)
+    frozen = feel_first(row, at, time, touch)
     before_torque(row, at, time, setpoint, controls.gains, controls.K, before, steering)
     if hardware is not None:
         asked = not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
@@ -140,12 +138,12 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         else:
             law_or_held(controls, model, learner, limits, ahead, later, kept, held, frozen)
         bear(row, at, task)
+        yield_to(row, at, touch)
     if split is not None:
         answered(row, at, not asked, split)
     if hardware is not None:
         send(k, time, row, at, controls.state, hardware.way)
-    if touch is not None:
-        look_back(controls, learner, limits, asked, touch)
+    look_back(controls, learner, limits, asked, touch)
     if learner is not None and asked:
         settle_or_held(controls, learner, kept, held, frozen)
 
@@ -178,15 +176,33 @@ def settle_or_held(controls: Controls, learner: Any, kept: Controls | None, held
 
 
 @compiled
-def look_back(controls: Controls, learner: Any, limits: MotorLimits | None, asked: bool, touch: Feeler) -> None:
+def feel_first(row: Array, at: IntArray, time: float, touch: Feeler | None) -> bool:
+    """Feel what the measurement says, into the row; whether a learner is to keep what it knows."""
+    frozen = False
+    if touch is not None:
+        feel(row, at, time, touch)
+        frozen = is_frozen(touch)
+    return frozen
+
+
+@compiled
+def yield_to(row: Array, at: IntArray, touch: Feeler | None) -> None:
+    """Give way to contact where that is asked for."""
+    if touch is not None:
+        give_way(row, at, touch)
+
+
+@compiled
+def look_back(controls: Controls, learner: Any, limits: MotorLimits | None, asked: bool, touch: Feeler | None) -> None:
     """Tell what feels the torque that was sent, and what the learner knows; arguments as of `sample`."""
     row, at = controls.row, controls.at
-    if limits is not None:
-        remember(row, at, limits.asked, asked, touch)
-    else:
-        remember(row, at, view(row, at, PSI_HAT), asked, touch)
-    if learner is not None and asked and is_asked(touch):
-        doubt(learner, controls.state, touch.state.learned)
+    if touch is not None:
+        if limits is not None:
+            remember(row, at, limits.asked, asked, touch)
+        else:
+            remember(row, at, view(row, at, PSI_HAT), asked, touch)
+        if learner is not None and asked and is_asked(touch):
+            doubt(learner, controls.state, touch.state.learned)
 
 
 @compiled

@@ -9,6 +9,7 @@ Time is an argument, never a clock: pacing and messages are the caller's (`examp
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from ..compliance import Force, Impedance
 from ..elementary import hypot
 from ..elementary.arrays import is_below
 from ..elementary.matrices import product
-from ..errors import ConfigError, UnknownName, keyed
+from ..errors import ConfigError, UnknownName, keyed, printable
 from ..kinematic import Kinematic, see
 from ..model.base.rolling import STEERED, followed, maps_in
 from ..model.base.steered import SteeredBase
@@ -38,7 +39,7 @@ from ..reference.wishes import Motion, Wish
 from ..safety import Safety, accept, has_ended, press, release, remarks, trip_of
 from ..sensing import Sensor, observe
 from ..settings import Numbers, Settings, Timing, require_gain
-from ..settings.arguments import checked, shortly
+from ..settings.arguments import checked, faced, shortly
 from ..signals import Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
@@ -62,6 +63,7 @@ from .suited_safety import suited_safety
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
 SLOW = 1.5  # times its period that a stepper's samples are apart when it is said
 TINY = 1e-9  # a velocity that is none [m/s, rad/s]
+NAME = r"\w{1,100}"  # of an array
 MOST_TOLD = 20  # trips that a recording tells of
 
 
@@ -142,6 +144,7 @@ class StepperSettings(Settings, frozen=True):
             msgspec.structs.force_setattr(self, "lag", tuple(self.lag))
 
 
+@faced
 class Stepper:
     """Kinematic layer, controller and supervisor of a robot, one control sample per call.
 
@@ -361,7 +364,7 @@ class Stepper:
         """
         if not self.tripped:
             press(max(self.time, 0.0), self.hardware.way.supervisor)
-            self._tell(why)
+            self._tell(str(why))  # whatever it is: the robot stops
 
     def reset(self) -> None:
         """Go on after a trip: the robot holds where it is measured now; what was learned stays.
@@ -381,6 +384,7 @@ class Stepper:
         self.follower.stand(self.seen)
         self.past.times[:] = -math.inf
 
+    @checked
     def change(
         self,
         controller: CompiledController | TorqueController | None = None,
@@ -452,6 +456,7 @@ class Stepper:
         """Whether a motion or a joint goal is still under way."""
         return self.follower.is_moving
 
+    @checked
     def finish(
         self, status: Status = "completed", message: str = "", extra: Mapping[str, ArrayLike] | None = None
     ) -> Recording:
@@ -460,9 +465,10 @@ class Stepper:
         Args:
             status: How it ended otherwise.
             message: More about it.
-            extra: More arrays for the recording's `final`.
+            extra: More arrays for the recording's `final`, by names of letters, digits and `_`.
 
         Raises:
+            ConfigError: Another status; a name that `final` cannot have, or has already.
             RecordingError: The file cannot be written; the rows already in it can be read.
         """
         outcome, supervisor = Outcome(status, (self.k + 1) * self.period), self.hardware.way.supervisor
@@ -474,9 +480,15 @@ class Stepper:
         outcome = replace(outcome, message="; ".join(text for text in (outcome.message, *found, message) if text))
         if self.weighed < self.k + 1:
             self._weigh(self.k + 1)
-        final = {"hardware_state": self.hardware.state, **(extra or {})}
+        final = {"hardware_state": self.hardware.state}
         final |= {"controller_state": self.state.values} if isinstance(self.state, ControllerState) else {}
-        return self.recorder.finish(with_findings(outcome, self.setup.controller, self.state), final)
+        for name in extra or {}:
+            if not (isinstance(name, str) and re.fullmatch(NAME, name)) or name in final:
+                raise ConfigError(f"{shortly(name)} is no name for an array", fix="give another", key="finish.extra")
+        outcome = replace(outcome, message=printable(outcome.message))
+        return self.recorder.finish(
+            with_findings(outcome, self.setup.controller, self.state), {**final, **(extra or {})}
+        )
 
     def __enter__(self) -> Self:
         return self

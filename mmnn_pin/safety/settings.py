@@ -33,6 +33,7 @@ from .supervisor import (
     PRESSED,
     SHAKING,
     TOO_SLOW,
+    TOUCHED,
     Door,
     Supervisor,
     SupervisorNumbers,
@@ -56,7 +57,14 @@ STEERING_JUMP = 0.1  # of a pivot, where jumps are judged [rad]
 # What passed its limit: the signal, words, and the unit, that of a sliding joint where there are two.
 SIGNAL = {OVER_TORQUE: "motor_torque", OFF_PATH: "pose_error", OFF_HEADING: "pose_error", OFF_JOINT: "e"}
 SIGNAL |= {DEAF: "measurement", LOST: "command", BAD_WEIGHTS: "weights", PRESSED: "stop", BLIND: "measurement"}
-SIGNAL |= {SHAKING: "motor_torque", OVER_TWIST: "velocity", OVER_WHEEL: "velocity", JUMPED: "q", TOO_SLOW: "time"}
+SIGNAL |= {
+    SHAKING: "motor_torque",
+    TOUCHED: "contact",
+    OVER_TWIST: "velocity",
+    OVER_WHEEL: "velocity",
+    JUMPED: "q",
+    TOO_SLOW: "time",
+}
 WHAT = {OVER_TORQUE: "torque", OVER_SPEED: "speed", OFF_PATH: "position error", OFF_HEADING: "heading error"}
 WHAT |= {OVER_TWIST: "speed", OVER_WHEEL: "speed", TOO_SLOW: "control period", JUMPED: "jump"}
 WHAT |= {OFF_JOINT: "joint error", DEAF: "age of the measurement", LOST: "age of the command"}
@@ -121,6 +129,8 @@ class Safety(Settings, frozen=True):
         slowest: Longest control period on average over some 10 samples [s].
         shaking: Largest RMS over a second of the part of what is learned, Psi_hat and robust term, that is faster than
             10 Hz, as a share of a motor's limit: of `torque`, else of the URDF's. A learner beyond it shakes the motor.
+        contact: What happens where contact is felt (`touch`): "stop" trips, "comply" gives way, carried by the model
+            and damped, and goes back slowly, "go on" is up to the controller.
         weights: Largest Frobenius norm of every array of weights; larger ones are scaled back at every sample.
         timeout: Age of the measurement or of the command at which it trips [s]. None: 0.5, and before a joint
             may have turned 0.2 rad or slid 0.05 m, or the base moved 0.05 m or turned 0.2 rad, while none came.
@@ -150,6 +160,7 @@ class Safety(Settings, frozen=True):
     jump: Literal["none"] | Numbers | None = None
     slowest: Literal["none"] | float | None = None
     shaking: Literal["none"] | float | None = None
+    contact: Literal["stop", "comply", "go on"] = "go on"
     weights: float | None = None
     timeout: float | None = None
     ramp: float = 0.25
@@ -200,6 +211,7 @@ class Safety(Settings, frozen=True):
         numbers += [float(brakes == "base"), FRESH * (arrivals or period), some(self.slowest)]
         numbers += [some(self.speed), some(self.yaw_rate), float(self.timeout is None)]
         numbers += [1.0 - exp(-math.tau * min(SHAKES * period, NYQUIST)), 1.0 - exp(-period / LASTS)]
+        numbers += [float(self.contact == "stop")]
         wheels, turns, none = layout.motors - layout.arm, revolute(robot)[arm], np.full(layout.arm, np.inf)
         urdf, steered = speed_limits(robot), steering_motors(robot)
         turned = limits(self.steering_rate, urdf[wheels - steered : wheels], "steering joint", "safety.steering_rate")
@@ -346,6 +358,8 @@ def trip_of(state: SupervisorState, robot: Robot) -> tuple[float, str, str]:
     code, i, time = int(state.code[0]), int(state.place[0]), float(state.time[0])
     if code == BAD_WEIGHTS:
         return time, f"weights[{i}]", f"tripped at t = {time:g} s: weights are not finite"
+    if code == TOUCHED:
+        return time, SIGNAL[code], f"tripped at t = {time:g} s: contact"
     if code == PRESSED:
         return time, SIGNAL[code], f"stopped from outside at t = {time:g} s"
     names = {OVER_TORQUE: robot.actuator_names, OVER_SPEED: robot.velocity_names, OFF_JOINT: robot.joint_names}

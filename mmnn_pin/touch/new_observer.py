@@ -16,7 +16,7 @@ from ..model.tree.body import body_of, evaluate, new_work, parameters
 from ..model.tree.motion import AT, BASE, LINK
 from ..model.tree.tree import configuration
 from ..signals import Array, Dimensions, IntArray
-from .observer import BOTH, DEADZONE, FROZEN, LEARNER, ON, URDF, Feeler, TouchNumbers, TouchState
+from .observer import BOTH, DEADZONE, FROZEN, LEARNER, LOAD, ON, URDF, Feeler, TouchNumbers, TouchState
 from .settings import Touch
 
 MODELS = {"urdf": URDF, "learner": LEARNER, "both": BOTH}
@@ -36,6 +36,7 @@ class Sending(NamedTuple):
         E_inv: (motors, p) and back.
         felt: (p,) 1 where a torque is sent, 0 where a servo holds a velocity.
         gains: (p,) feedback on the velocities, by which small torques are measured.
+        gives: Whether the robot gives way to contact.
     """
 
     period: float
@@ -47,6 +48,7 @@ class Sending(NamedTuple):
     E_inv: Array
     felt: Array
     gains: Array
+    gives: bool = False
 
 
 def touch_shapes(regressor: Regressor, layout: Dimensions, way: float, period: float) -> tuple[tuple[int, ...], ...]:
@@ -60,7 +62,8 @@ def touch_shapes(regressor: Regressor, layout: Dimensions, way: float, period: f
     """
     p, groups = layout.dof, len(groups_of(regressor)) - 1
     vectors = ((p,),) * 5
-    return (7,), *vectors, (2, p), (groups, p), (p, p), (p, p), (1 + math.ceil(way / period), p), (p,)
+    load = (LOAD, p), (LOAD,), (LOAD + 1, LOAD + 1)
+    return (9,), *vectors, (2, p), (p,), (groups, p), *load, (p, p), (p, p), (1 + math.ceil(way / period), p), (p,)
 
 
 def new_state(parts: list[Array]) -> TouchState:
@@ -105,15 +108,21 @@ def new_feeler(touch: Touch, robot: Robot, regressor: Regressor, sending: Sendin
         torque=float(touch.torque),
         clear=float(touch.clear),
         freezes=LEARNING[touch.learning],
+        gives=int(sending.gives),
+        yields=float(touch.yields),
+        back=float(touch.back),
     )
     carrier, place = hand_of(touch.hand, robot)
+    gains = np.array(sending.gains, float)
     return Feeler(
         numbers=numbers, body=body, work=work, known=regressor.workspace(), theta=theta, doubt=doubt, ends=ends,
-        dry=theta[first : first + count].copy(), felt=sending.felt, floor=touch.unknown * sending.gains,
+        dry=theta[first : first + count].copy(), felt=sending.felt,
+        gains=gains, floor=touch.unknown * gains,
         most=sending.most, E=sending.E, E_inv=sending.E_inv,
         motor=np.array([exp(-h / each) if each > 0.0 else 0.0 for each in sending.lag]), drag=sending.lag / h,
-        carrier=carrier, moving=int(layout.base > 0), hand=place, position=robot.neutral_position(), nu=np.zeros(p),
-        vectors=np.zeros((6, p)), S=np.zeros((p, p)), L=np.zeros((p, p)), J=np.zeros((6, p)), X=np.zeros((6, p)),
+        column=column_of(carrier, robot, regressor), carrier=carrier, moving=int(layout.base > 0), hand=place,
+        position=robot.neutral_position(), nu=np.zeros(p),
+        vectors=np.zeros((7, p)), S=np.zeros((p, p)), L=np.zeros((p, p)), J=np.zeros((6, p)), X=np.zeros((6, p)),
         G=np.zeros((2, 6, 6)), wrench=np.zeros((2, 6)), state=state,
     )  # fmt: skip
 
@@ -123,6 +132,13 @@ def groups_of(regressor: Regressor) -> IntArray:
     bodies = len(regressor.bodies)
     ends = np.append(BODY * np.arange(bodies), np.arange(BODY * bodies, regressor.size + 1))
     return ends.astype(np.int64)
+
+
+def column_of(carrier: int, robot: Robot, regressor: Regressor) -> int:
+    """Column of the regressor with the mass of the body that a row of the tree is; -1 for the base."""
+    coordinate = body_of(robot).tree.links[carrier, LINK.coordinate]
+    name = robot.full_velocity_names[coordinate] if carrier > BASE.w else ""
+    return BODY * regressor.bodies.index(name) if name in regressor.bodies else -1
 
 
 def hand_of(name: str, robot: Robot) -> tuple[int, Array]:

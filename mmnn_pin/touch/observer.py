@@ -23,6 +23,11 @@ the same filter. A learner with a
 covariance has one of its own. What r does from sample to sample is noise of the measurement, and is measured. Contact
 is where `r' S^-1 r` is beyond the quantile of chi^2.
 
+**A load is no contact.** A mass that moves rigidly with the hand brings `r = -Y pi` with the columns Y of its mass and
+first moment, `pi = (m, mc)`, behind the same filter; gravity is in Y. From the sample on that feels something pi is
+fitted to what is felt, and where it leaves less than `MISFIT` of it, with `m > 0` and within reach, a load is carried:
+it is taken out of what is felt, and learned. A push straight down on an arm that stands is a load, too.
+
 **The wrench** w of the hand with Jacobian J, `r = J' w`, is the least squares in the metric S with almost no prior,
 `(J S^-1 J' + W^-1)^-1 J S^-1 r`. Of an axis that no joint feels it is 0; `wrench_seen` says which part of every axis is
 felt: the diagonal of `(J S^-1 J' + W^-1)^-1 J S^-1 J'`.
@@ -35,7 +40,7 @@ from typing import NamedTuple
 
 from ..by_address import by_address
 from ..compiled import compiled, copy_to, entry, internal, linked
-from ..elementary import cos_sin, tanh
+from ..elementary import cos_sin, exp, tanh
 from ..model.reduction import as_measured, put_shape, solve, substitute
 from ..model.regressor import Massless, measured, regress
 from ..model.tree.body import Body, Work, evaluate
@@ -48,7 +53,7 @@ from ..signals import INDEX, Array, IntArray
 POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "shape"))
 NU_REF, NUDOT_REF, TORQUE = (INDEX[name] for name in ("nu_ref", "nudot_ref", "torque"))
 EXTERNAL, BAND, WRENCH = INDEX["external_torque"], INDEX["external_band"], INDEX["external_wrench"]
-SEEN, CONTACT = INDEX["wrench_seen"], INDEX["contact"]
+SEEN, CONTACT, LOADED = INDEX["wrench_seen"], INDEX["contact"], INDEX["load"]
 URDF, LEARNER, BOTH = range(3)
 ON, FROZEN, DEADZONE = range(3)
 GAP = 2.5  # periods between two samples beyond which the observer begins anew
@@ -57,7 +62,15 @@ AVERAGED = 1.0  # time over which noise is averaged [s]
 SELDOM = 5  # samples from one covariance of a learner to the next
 SETTLES = 5.0  # time constants of the observer before it is believed
 FORCE, MOMENT = 1e3, 3e2  # prior of the wrench [N, N m]
-TIME, COUNT, ELAPSED, WAIT, CLEAR, FELT, TOUCHED = range(7)  # of a state's clock
+TIME, COUNT, ELAPSED, WAIT, CLEAR, FELT, TOUCHED, SINCE, GIVES = range(9)  # of a state's clock
+LOAD = 4  # parameters of a load: mass and first moment
+DECIDES = 0.25  # time in which a load is told from a contact [s]
+RISES = 3.0  # time constants of the observer after which what is felt is fitted
+FORGETS = 0.3  # time over which what is felt is fitted [s]
+MISFIT = 0.1  # share of the squares that a load may leave
+REACH = 0.5  # how far from its joint a load may be [m]
+UNSURE = 0.2  # standard deviation of a load's share of r
+CERTAIN = 1e-9  # of the information about a load, relative, below which it is none
 
 
 @by_address
@@ -74,6 +87,9 @@ class TouchNumbers(NamedTuple):
         torque: Standard deviation of the motors' torque, relative.
         clear: How long nothing is to be felt before a contact is over [s].
         freezes: `ON`, `FROZEN` or `DEADZONE`, see `Touch.learning`.
+        gives: 1 where the robot gives way to contact.
+        yields: Share of the feedback gains that damps it then.
+        back: Largest velocity at which it goes back [m/s, rad/s].
     """
 
     h: float
@@ -85,6 +101,9 @@ class TouchNumbers(NamedTuple):
     torque: float
     clear: float
     freezes: int
+    gives: int
+    yields: float
+    back: float
 
 
 @by_address
@@ -92,16 +111,21 @@ class TouchState(NamedTuple):
     """State of the observer.
 
     Attributes:
-        clock: (7,) time of the last sample [s], samples that have followed one another, time since the last
+        clock: (9,) time of the last sample [s], samples that have followed one another, time since the last
             measurement [s], time until the observer is believed [s], how long nothing was felt [s], 1 where something
-            is felt in this sample, 1 while there is contact.
+            is felt in this sample, 1 while there is contact, how long something has been felt [s], 1 while a robot
+            gives way.
         momentum: (p,) at the last measurement.
         bias: (p,) `C' nu - gravity - friction` there.
         last: (p,) nu there.
         impulse: (p,) of the motors since then [N s, N m s].
         residual: (p,) r with the model of the file [N, N m].
         beyond: (2, p) `Psi_hat - Psi` of the last sample, and behind the filter.
+        weight: (p,) gravity and friction of the model.
         parts: (g, p) what every group of parameters, wrong by its standard deviation, brings to r.
+        brings: (4, p) what a load of one unit each brings to r.
+        load: (4,) mass and first moment of the load in the axes of its body [kg, kg m].
+        fit: (5, 5) information about it since something is felt: of the load, its other side, and the squares.
         noise: (p, p) covariance of what r does from one measurement to the next, halved.
         learned: (p, p) covariance of Psi_hat; its first entry is negative where nobody knows.
         held: (m, p) torque that is held since the last sample, and those before it that are under way.
@@ -115,7 +139,11 @@ class TouchState(NamedTuple):
     impulse: Array
     residual: Array
     beyond: Array
+    weight: Array
     parts: Array
+    brings: Array
+    load: Array
+    fit: Array
     noise: Array
     learned: Array
     held: Array
@@ -136,18 +164,20 @@ class Feeler(NamedTuple):
         ends: (g + 1,) where the groups begin in theta.
         dry: (joints,) dry friction of every joint that moves [N m or N].
         felt: (p,) 1 where a torque is sent, 0 where a servo holds a velocity.
+        gains: (p,) feedback on the velocities.
         floor: (p,) standard deviation of what no model states [N, N m].
         most: (motors,) limits of the motors [N m or N].
         E: (p, motors) torque on nu from motor torques; of a base that steers that of the last sample.
         E_inv: (motors, p) and back.
         motor: (p,) exp(-h / lag) of the motors, 0 without lag.
         drag: (p,) lag / h.
+        column: Of theta where the body that carries the hand begins; negative for none.
         carrier: Row of the tree that carries the hand.
         moving: 1 where the axes of the tree turn with the base, 0 where they are the world's.
         hand: (3,) the hand in the axes of its body [m].
         position: (nv,) position of the measurement.
         nu: (p,) velocity of the measurement.
-        vectors: (6, p) room to work in.
+        vectors: (7, p) room to work in.
         S: (p, p) covariance of r.
         L: (p, p) its factor.
         J: (6, p) Jacobian of the hand, in the world's axes.
@@ -166,12 +196,14 @@ class Feeler(NamedTuple):
     ends: IntArray
     dry: Array
     felt: Array
+    gains: Array
     floor: Array
     most: Array
     E: Array
     E_inv: Array
     motor: Array
     drag: Array
+    column: int
     carrier: int
     moving: int
     hand: Array
@@ -251,8 +283,11 @@ def begin(a: Feeler) -> None:
     """Nothing is felt, and nothing known of the noise."""
     s = a.state
     s.clock[COUNT], s.clock[WAIT] = 1.0, SETTLES / a.numbers.bandwidth
-    for i in range(CLEAR, TOUCHED + 1):
+    for i in range(CLEAR, GIVES + 1):
         s.clock[i] = 0.0
+    s.load[:] = 0.0
+    for k in range(LOAD):
+        s.brings[k, :] = 0.0
     s.residual[:] = 0.0
     copy_to(s.beyond[0], s.beyond[1])
     for i in range(a.felt.size):
@@ -293,7 +328,8 @@ def take_state(row: Array, at: IntArray, momentum: Array, bias: Array, a: Feeler
         psi_again(body.tree, a.position, one, none, work.scratch, column)  # C e_i + gravity
         one[i] = 0.0
         momentum[i] = entry(work.M, i, a.nu)
-        bias[i] = -weight[i] - work.F[i]
+        a.state.weight[i] = weight[i] + work.F[i]
+        bias[i] = -a.state.weight[i]
         for j in range(p):
             bias[i] += (column[j] - weight[j]) * a.nu[j]
 
@@ -333,31 +369,112 @@ def spread_doubt(row: Array, at: IntArray, a: Feeler) -> None:
             for c in range(a.ends[g], a.ends[g + 1]):
                 part += known.Y[i, c] * a.theta[c]
             s.parts[g, i] = (s.parts[g, i] + gain * a.doubt[g] * part) / (1.0 + gain)
+    for k in range(LOAD if a.column >= 0 else 0):
+        for i in range(p):
+            s.brings[k, i] = (s.brings[k, i] - gain * known.Y[i, a.column + k]) / (1.0 + gain)
 
 
 @internal
 def judge(row: Array, at: IntArray, a: Feeler) -> None:
     """External torque and band of the measurement, and whether there is contact."""
-    n, s, S, p, x = a.numbers, a.state, a.S, a.nu.size, a.vectors[2]
+    n, s, S, p, raw = a.numbers, a.state, a.S, a.nu.size, a.vectors[6]
     doubt_of_file(a)
     external, band = view(row, at, EXTERNAL), view(row, at, BAND)
-    weigh(external, a)
+    weigh(raw, a)
     for i in range(p):
         for j in range(p):
             S[i, j] = (S[i, j] + s.noise[i, j]) * a.felt[i] * a.felt[j]
         motor = n.torque * s.driven[i]
         S[i, i] += motor * motor + a.floor[i] * a.floor[i]
-        band[i] = math.sqrt(S[i, i])
-    solve(S, external, a.L, x)
-    square = dot_of(external, x)
+    copy_to(raw, external)
+    if s.load[0] > 0.0:
+        if square_of(raw, a) > n.threshold:
+            carry(external, a)
+        else:
+            s.load[:] = 0.0
     s.clock[WAIT] = max(0.0, s.clock[WAIT] - s.clock[ELAPSED])
-    s.clock[FELT] = 1.0 if square > n.threshold and s.clock[WAIT] == 0.0 else 0.0
-    s.clock[CLEAR] = 0.0 if s.clock[FELT] > 0.0 else s.clock[CLEAR] + s.clock[ELAPSED]
-    if s.clock[FELT] > 0.0:
-        s.clock[TOUCHED] = 1.0
-    elif s.clock[CLEAR] >= n.clear:
+    felt = square_of(external, a) > n.threshold and s.clock[WAIT] == 0.0
+    follow_contact(felt, s, n.clear)
+    if s.clock[TOUCHED] > 0.0 and a.column >= 0:
+        if s.clock[SINCE] * n.bandwidth > RISES:
+            fit_load(raw, band, a)
+        if s.clock[SINCE] > DECIDES and is_load(a):
+            s.clock[TOUCHED] = s.clock[FELT] = s.clock[SINCE] = 0.0
+            copy_to(raw, external)
+            carry(external, a)
+            square_of(external, a)
+    for i in range(p):
+        band[i] = math.sqrt(S[i, i])
+    row[at[CONTACT]], row[at[LOADED]] = s.clock[TOUCHED], s.load[0]
+
+
+@compiled
+def square_of(external: Array, a: Feeler) -> float:
+    """`r' S^-1 r` (p,); the factor of S is left in a.L."""
+    solve(a.S, external, a.L, a.vectors[2])
+    return dot_of(external, a.vectors[2])
+
+
+@compiled
+def follow_contact(felt: bool, s: TouchState, clear: float) -> None:
+    """Contact begins with the sample that feels something, and ends when nothing has been felt for long enough."""
+    h = s.clock[ELAPSED]
+    s.clock[FELT] = 1.0 if felt else 0.0
+    s.clock[CLEAR] = 0.0 if felt else s.clock[CLEAR] + h
+    if felt and s.clock[TOUCHED] == 0.0:
+        s.clock[TOUCHED], s.clock[SINCE] = 1.0, 0.0
+        for k in range(LOAD + 1):
+            s.fit[k, :] = 0.0
+    elif not felt and s.clock[CLEAR] >= clear:
         s.clock[TOUCHED] = 0.0
-    row[at[CONTACT]] = s.clock[TOUCHED]
+    s.clock[SINCE] += h
+
+
+@compiled
+def carry(external: Array, a: Feeler) -> None:
+    """Take the load out of what is felt (p,); that is as sure as the load is."""
+    part = a.vectors[3]
+    for i in range(external.size):
+        brought = 0.0
+        for k in range(LOAD):
+            brought += a.felt[i] * a.state.brings[k, i] * a.state.load[k]
+        external[i] -= brought
+        part[i] = UNSURE * brought
+    add_square(part, a.S)
+
+
+@internal
+def fit_load(raw: Array, room: Array, a: Feeler) -> None:
+    """Add a sample to what is known of a load, in the metric of the band; room (p,) is written."""
+    s, columns = a.state, a.vectors
+    keep, h = exp(-a.state.clock[ELAPSED] / FORGETS), a.state.clock[ELAPSED]
+    for k in range(LOAD + 1):
+        for i in range(raw.size):
+            columns[k, i] = a.felt[i] * (s.brings[k, i] if k < LOAD else raw[i])
+    for k in range(LOAD + 1):
+        solve(a.S, columns[k], a.L, room)
+        for m in range(LOAD + 1):
+            s.fit[k, m] = keep * s.fit[k, m] + h * dot_of(columns[m], room)
+
+
+@internal
+def is_load(a: Feeler) -> bool:
+    """Whether a mass that is carried explains what is felt; it is then the load."""
+    fit, load, M, L, x = a.state.fit, a.state.load, a.G[0, :LOAD, :LOAD], a.G[1, :LOAD, :LOAD], a.wrench[0, :LOAD]
+    for k in range(LOAD):
+        for m in range(LOAD):
+            M[k, m] = fit[k, m]
+        M[k, k] += CERTAIN * (fit[0, 0] + fit[1, 1] + fit[2, 2] + fit[3, 3])
+        x[k] = fit[k, LOAD]
+    solve(M, x, L, a.wrench[1, :LOAD])
+    found, left = a.wrench[1, :LOAD], fit[LOAD, LOAD]
+    for k in range(LOAD):
+        left -= found[k] * fit[k, LOAD]
+    out = found[1] * found[1] + found[2] * found[2] + found[3] * found[3]
+    if not (left < MISFIT * fit[LOAD, LOAD] and found[0] > 0.0 and out < REACH * REACH * found[0] * found[0]):
+        return False
+    copy_to(found, load)
+    return True
 
 
 @internal
@@ -369,6 +486,7 @@ def weigh(external: Array, a: Feeler) -> None:
         share[i] = 1.0 if model == LEARNER else 0.0
         if model == BOTH and known and S[i, i] > 0.0:
             share[i] = S[i, i] / (S[i, i] + s.learned[i, i])
+        s.weight[i] += share[i] * s.beyond[1, i]
         external[i] = a.felt[i] * (s.residual[i] + share[i] * s.beyond[1, i])
     for i in range(p if known else 0):
         for j in range(p):
@@ -507,3 +625,31 @@ def remember(row: Array, at: IntArray, psi_hat: Array, learned: bool, a: Feeler)
         psi_of(a.body, a.work, a.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), told)
         for i in range(tau.size):
             s.beyond[0, i] = psi_hat[i] - told[i]
+
+
+@linked
+def give_way(row: Array, at: IntArray, a: Feeler) -> None:
+    """In contact a torque that gives way takes the place of the controller's, and then one that goes back slowly.
+
+    In contact the model carries the robot and a share of the feedback damps it, `tau = weight - yields K nu`. After it
+    the robot follows nu_ref, which leads it back to its reference, no faster than `back`, `tau = weight + K (nu_ref' -
+    nu)`; where nu_ref is slower the controller goes on.
+
+    Args:
+        row: (width,) row of signals with the controller's torque.
+        at: Offsets of the signals.
+        a: The observer.
+    """
+    n, s, tau, nu_ref = a.numbers, a.state, view(row, at, TORQUE), view(row, at, NU_REF)
+    if n.gives == 0:
+        return
+    touched, slow = s.clock[TOUCHED] > 0.0, True
+    for i in range(tau.size):
+        slow = slow and abs(nu_ref[i]) <= n.back
+    s.clock[GIVES] = 1.0 if touched or (s.clock[GIVES] > 0.0 and not slow) else 0.0
+    if s.clock[GIVES] == 0.0:
+        return
+    for i in range(tau.size):
+        if a.felt[i] > 0.0:
+            wish = 0.0 if touched else min(max(nu_ref[i], -n.back), n.back)
+            tau[i] = s.weight[i] + (n.yields if touched else 1.0) * a.gains[i] * (wish - a.nu[i])

@@ -383,7 +383,7 @@ def test_wrong_use_is_told(tmp_path):
     with pytest.raises(ValueError, match="shapes"):
         recorder.weights(1.0, {"W": np.zeros(4)})
     rec = recorder.finish(DONE)
-    with pytest.raises(ValueError, match="finished"):
+    with pytest.raises(RecordingError, match="this run is finished"):
         recorder.finish(DONE)
     with pytest.raises(UnknownName, match="psi_hatt") as raised:
         rec["psi_hatt"]

@@ -147,7 +147,8 @@ def test_the_threshold_is_a_rate_of_false_alarms():
         true = robot.with_masses({name: 1.0 + 0.1 * float(rng.standard_normal()) for name in robot.joint_names})
         loops.append(touching(controller, robot=true, touch=touch, duration=0.3, nominal=robot, check_gains=False))
     runs = simulate_many(loops, keep=True, workers=2)
-    felt = np.mean([one.recording["contact"][75:].mean() for one in runs])
+    seen = [one.recording for one in runs]  # a last body that is too heavy is felt as a load
+    felt = np.mean([np.maximum(one["contact"], one["load"] > 0.0)[75:].mean() for one in seen])
     assert abs(felt - rate) < 3.0 * np.sqrt(rate * (1.0 - rate) / len(runs)), felt
 
 

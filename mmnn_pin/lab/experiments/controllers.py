@@ -270,6 +270,8 @@ def new_controller(
     feedback, robust, inertia = scaled(experiment, name, robot)
     if name in experiment.laws:
         return own_controller(name, experiment.laws[name], feedback, switches.learning)
+    if name not in ENTRIES:
+        raise UnknownName("controller", name, (*experiment.laws, *ENTRIES), key="controller")
     entry = ENTRIES[name]
     tables = [attrgetter(ENTRIES[other].key)(experiment) for other in entry.beside]
     own = attrgetter(entry.key)(experiment) if entry.settings else None

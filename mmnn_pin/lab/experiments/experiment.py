@@ -34,6 +34,7 @@ from ...reference import Trajectory
 from ...safety import Safety
 from ...sensing import Sensor
 from ...settings import Settings, Timing, require_gains
+from ...settings.arguments import faced
 from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ...torque.neural import Inputs, Robust
@@ -118,6 +119,7 @@ class Tolerance(Settings, frozen=True):
         require_gains(self, "tolerance")
 
 
+@faced
 class Experiment(LearnerTables, frozen=True):
     """Everything that defines an experiment; see the bundled TOML files for commented examples.
 
@@ -302,6 +304,8 @@ class Experiment(LearnerTables, frozen=True):
 
     def held_out_of(self, robot: Robot, name: str) -> Trajectory:
         """A held-out trajectory for a robot; errors as in `trajectory`, with the keys of `held_out`."""
+        if name not in self.held_out:
+            raise UnknownName("held-out trajectory", name, self.held_out, key="held_out")
         given = self.held_out[name]
         tables = ReferenceTables(given.base, given.heading, given.arm, given.share)
         try:

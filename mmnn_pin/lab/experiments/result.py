@@ -19,6 +19,7 @@ from typing import Any
 from ...errors import UnknownName
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
+from ...settings.arguments import faced
 from ...shown import ShownPage, ShownPicture, ShownTable, shown
 from .beside_plain import worse_than_plain
 from .controllers import LEARNERS, effective
@@ -30,6 +31,7 @@ from .thesis import beside_the_thesis, figure_ranges
 WORSE = "worse than plain control"  # outcome of a learner's run that was completed, and should not have been
 
 
+@faced
 @dataclass(frozen=True, repr=False)
 class Result(Mapping[str, Recording]):
     """The result of an experiment: its recordings by controller, tables and figures of them.

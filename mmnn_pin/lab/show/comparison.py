@@ -24,6 +24,8 @@ from .curves import column_units, milli
 from .table import WIDTH, Cell, CellKind, Column, Row, Table, TextLine, grouped, number, row_of, terminal_text
 
 CASES_WIDTH = 120
+FEW = 8  # joints that a short table has a row for
+KEPT = ("delay margin [ms]", "outcome")
 NAME = 9  # letters of a controller's name on a line
 TITLES = {"pose_error": "pose", "z": "velocity", "e": "joint"}
 ABOUT = (
@@ -82,6 +84,71 @@ def title(result: Result) -> str:
     variant += "contact plant, " if experiment.plant == "contact" else ""
     about = f"{variant}{experiment.robot}, {experiment.time.duration:g} s, seed {experiment.seed}"
     return f"{experiment.title or result.name} ({about})"
+
+
+def render_brief(result: Result, colour: bool = False, width: int = WIDTH) -> str:
+    """One table of what matters most, as text of at most `width` columns."""
+    warning = unfair(result.experiment, result.metrics)
+    head = [TextLine(f"{warning[0].upper()}{warning[1:]}", "bold red")] if warning else []
+    table = brief(result)
+    return terminal_text(
+        [*head, TextLine(title(result), "bold"), table, TextLine(table.caption, "italic")], colour, width
+    )
+
+
+def brief(result: Result) -> Table:
+    """A column per controller; RMS errors of the last window that was reached, motors at their limits, outcome."""
+    windows, end = result.experiment.windows, result.experiment.time.duration
+    start, stop = next(((a, b) for a, b in reversed(windows) if a < end), windows[0])
+    rows = grouped(brief_hand(result), brief_errors(result, f"rms_{start:g}_{stop:g}"), brief_rest(result))
+    controllers = (Column(name, letters=NAME) for name in result.recordings)
+    about = f"Errors: {rms(start, stop, end)}; --details has all of them, peaks, torques and gains."
+    notes = [note for note in notes_of(result) if note.startswith(("*", *ORACLES))]
+    return Table("In short", (Column(text=True, fold=True), *controllers), rows, (*notes, about), gap=0)
+
+
+def brief_hand(result: Result) -> Iterator[Row]:
+    """Errors of the hand, the worst of several."""
+    if not any(result.hand.values()):
+        return
+    every = {name: [errors.numbers() for errors in hands] for name, hands in result.hand.items()}
+    for key in ("position_rms_mm", "orientation_rms_mrad"):
+        values = {c: max((x for v in h if (x := v[key]) is not None), default=math.nan) for c, h in every.items()}
+        if not all(map(math.isnan, values.values())):
+            yield row_of(HAND_ROWS[key][0], *marked(values))
+
+
+def brief_errors(result: Result, key: str) -> Iterator[Row]:
+    """RMS of the base's distance and heading, and of every joint; of many joints that of the worst."""
+    recording = next(iter(result.recordings.values()))
+    if "pose_error" in recording:
+        both = {c: [m[f"pose_error.{label}.{key}"] for label in "xy"] for c, m in result.metrics.items()}
+        yield row_of("base [mm]", *marked({c: 1e3 * math.hypot(*xy) for c, xy in both.items()}))
+        yield row_of(
+            "base heading [mrad]", *marked({c: 1e3 * m[f"pose_error.phi.{key}"] for c, m in result.metrics.items()})
+        )
+    joints = list(zip(recording.labels("e"), column_units(recording, "e"), strict=True)) if "e" in recording else []
+    if len(joints) <= FEW:
+        for label, unit in joints:
+            values = {c: 1e3 * m[f"e.{label}.{key}"] for c, m in result.metrics.items()}
+            yield row_of(f"{label} [{milli(unit)}]", *marked(values))
+        return
+    for unit in dict.fromkeys(unit for _, unit in joints):
+        own = [label for label, other in joints if other == unit]
+        values = {c: max(1e3 * m[f"e.{label}.{key}"] for label in own) for c, m in result.metrics.items()}
+        which = f"worst of {len(own)} joints" if len(own) > 1 else own[0]
+        yield row_of(f"{which} [{milli(unit)}]", *marked(values))
+
+
+def brief_rest(result: Result) -> Iterator[Row]:
+    """Motors above their limits and wheels that slip, where there are some; the delay that is borne; the outcome."""
+    over = [row for row in limited(result) if exceeded(row)]
+    if over:
+        counts = (sum((row["peak"].get(c) or 0.0) > row["limit"] for row in over) for c in result.recordings)
+        yield row_of("motors asked for more than they give", *(Cell(str(n), "bad" if n else "") for n in counts))
+    if "slip" in next(iter(result.recordings.values())):
+        yield row_of("time slipping [s]", *(f"{slipping(run):.3g}" for run in result.recordings.values()))
+    yield from (row_of(row.cells[0].text, *row.cells[2:]) for row in other_rows(result) if row.cells[0].text in KEPT)
 
 
 def tables_of(result: Result) -> Iterator[Table]:

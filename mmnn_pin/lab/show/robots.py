@@ -21,7 +21,7 @@ from ...model.urdf.expansion import EXPANDED
 from ...recording.recording import Recording, recorded_robot
 from ...settings import finite
 from ...shown import shows
-from .table import WIDTH, Cell, Column, Table, TextLine, hanging, row_of, terminal_text
+from .table import WIDTH, Cell, Column, Table, TextLine, alike, hanging, row_of, terminal_text
 
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
 CHECK_SAMPLES = 20  # random states of the property checks
@@ -51,9 +51,10 @@ BARE = re.compile(r"[A-Za-z0-9_-]+")  # keys that TOML takes without quotes
 def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
     """The tables and the findings of what `model.inspection.inspection_of` gives, as text.
 
-    Names are folded to `width` columns; a finding stays one line, so that it can be searched for.
+    Names are folded to `width` columns; a finding stays one line, so that it can be searched for. Several of one kind
+    are told once, with how many there are.
     """
-    findings = "".join(f"\n  {finding['text']}" for finding in content["findings"])
+    findings = "".join(f"\n  {line}" for line in alike(finding["text"] for finding in content["findings"]))
     last = f"findings ({len(content['findings'])}){findings}" if findings else "no findings"
     return f"{understood_text(content, width)}\n\n{last}"
 
