@@ -190,8 +190,11 @@ def as_dataset(recording: Recording, path: Path, part: RecordingPart, force: boo
     """Write a recording as a LeRobot dataset, a folder; errors as in `export`."""
     from .lerobot import write_lerobot
 
+    if part.signals != tuple(recording):
+        why = "an episode has its states and actions"
+        raise ConfigError("a part of a run's signals as a dataset", why=why, fix="leave out --signals", key="--signals")
     try:
-        return write_lerobot(recording, path, part, force)
+        return write_lerobot(recording, path, part.every, force)
     except ModuleNotFoundError as error:
         raise missing(error, DATASET) from error
 

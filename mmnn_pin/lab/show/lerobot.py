@@ -20,7 +20,6 @@ from ...errors import ConfigError
 from ...files import whole_folder
 from ...recording.recording import Recording, as_columns
 from ...signals import Array
-from .export import RecordingPart
 
 VERSION = "v3.0"
 PLACE = "chunk-000/file-000.parquet"
@@ -40,20 +39,17 @@ INDEXED = {  # as pandas has a table of which `task` is the index
 UNITS = "rad, m, rad/s, m/s, N m, N"
 
 
-def write_lerobot(recording: Recording, path: Path, part: RecordingPart, force: bool = False) -> Path:
-    """A dataset of one episode in a folder, whole or not at all.
+def write_lerobot(recording: Recording, path: Path, every: int = 1, force: bool = False) -> Path:
+    """A dataset of one episode of every n-th sample in a folder, whole or not at all.
 
     Raises:
-        ConfigError: Signals are chosen, or the rows per second are no whole number.
+        ConfigError: The rows per second are no whole number.
         RecordingError: The folder cannot be written, or has files of that name.
     """
     import pyarrow
     import pyarrow.parquet
 
-    if part.signals != tuple(recording):
-        why = "an episode has its states and actions"
-        raise ConfigError("a part of a run's signals as a dataset", why=why, fix="leave out --signals", key="--signals")
-    features, rate = features_of(recording, part.every), rate_of(recording, part.every)
+    features, rate = features_of(recording, every), rate_of(recording, every)
     count, task = len(next(iter(features.values()))[1]), str(recording.meta.get("experiment", "")) or "run"
     columns: dict[str, Any] = {
         name: pyarrow.array(list(np.asarray(values, np.float32))) for name, (_, values) in features.items()
