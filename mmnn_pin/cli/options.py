@@ -115,6 +115,12 @@ def experiments(context: click.Context, parameter: click.Parameter, incomplete: 
     return starting((file.stem for file in files if "." not in file.stem), incomplete)
 
 
+def hardware_names(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Profiles of hardware, or a file."""
+    files = (PACKAGE / "lab/experiments/profiles").glob("*.toml")
+    return starting((file.stem for file in files), incomplete)
+
+
 def typed(context: click.Context) -> list[Path]:
     """File of the experiment on the line; click leaves its name in the rest where an option still wants its value."""
     from ..lab.experiments.config import find
@@ -184,6 +190,12 @@ CHANGES = click.option(
     multiple=True,
     shell_complete=keys,
     help="Change a key of the TOML; repeatable.",
+)
+HARDWARE = click.option(
+    "--hardware",
+    metavar="NAME",
+    shell_complete=hardware_names,
+    help="What its motors are: a profile (see `mmnn list`), or a TOML file.  [default: ROBOT.hardware.toml beside it]",
 )
 PACKAGE_DIRS = click.option(
     "--package-dir", "package_dirs", metavar="DIR", multiple=True, help="Where package:// meshes are; repeatable."

@@ -11,7 +11,7 @@ import click
 
 from ..errors import RobotError
 from ..files import require_free
-from .options import FORCE, NO_BROWSER, PATH, PORT, examples, numbers, robots, shared, understanding
+from .options import FORCE, NO_BROWSER, PATH, PORT, examples, numbers, robots, run_command, shared, understanding
 from .output import BAD_INPUT, DONE, FAILED, answer, columns, note, open_page, progress_bar, warn
 
 
@@ -77,6 +77,8 @@ def inspect(
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. The options can also
     stand in NAME.mmnn.toml beside NAME.urdf. Exit code 2 when the robot cannot be used or its base is undecided.
     """
+    from ..lab.experiments.hardware import proposed
+    from ..lab.experiments.hardware_table import beside_urdf
     from ..lab.experiments.track_gains import track_gains
     from ..lab.show.robots import inspection_text, refusal_text, summary
     from ..model.base.overrides import Overrides
@@ -90,6 +92,8 @@ def inspect(
         loaded = load(robot, **overrides)
         content, code = inspection_of(loaded) | ({"track": track_gains(loaded)} if gains else {}), DONE
         content["understood"] = summary(content)
+        own, profile, run = beside_urdf(robot), proposed(loaded), run_command(robot, overrides)
+        content["hardware"] = {"profile": own or profile, "run": run if own else f"{run} --hardware {profile}"}
     except RobotError as error:
         content, code = refusal_of(error, find(robot), Overrides(**overrides)), BAD_INPUT
     for finding in content["findings"]:

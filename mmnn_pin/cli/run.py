@@ -13,7 +13,19 @@ import click
 
 from ..errors import InputError
 from ..files import read_toml
-from .options import CHANGES, PATH, VARIANT, cases, controllers, examples, experiments, robots, shared, understanding
+from .options import (
+    CHANGES,
+    HARDWARE,
+    PATH,
+    VARIANT,
+    cases,
+    controllers,
+    examples,
+    experiments,
+    robots,
+    shared,
+    understanding,
+)
 from .output import (
     DONE,
     FAILED,
@@ -46,6 +58,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
     short_help="Run an experiment and compare its controllers.",
     epilog=examples(
         "mmnn run track --robot my_robot.urdf",
+        "mmnn run track --robot so101 --hardware feetech-sts3215",
         "mmnn run track --robot my_robot.urdf --controller pd_gravity --controller two_layer",
         "mmnn run track --robot my_robot.urdf --wheels left_joint,right_joint --lock head_joint=0.2",
         "mmnn run track --robot my_robot.urdf --set feedback.base=300 --set reference.file=motion.csv",
@@ -59,6 +72,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
 @click.argument("experiment", shell_complete=experiments)
 @VARIANT
 @ROBOT
+@HARDWARE
 @click.option(
     "--controller",
     "controllers",
@@ -91,6 +105,7 @@ def run(
     experiment: str,
     variant: str | None,
     robot: str | None,
+    hardware: str | None,
     controllers: tuple[str, ...],
     cases: tuple[str, ...],
     settings: tuple[str, ...],
@@ -115,7 +130,13 @@ def run(
     from ..lab.experiments.runner import has_hardware
     from ..lab.show.gallery import require_plots
 
-    chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
+    chosen = {
+        "robot": robot,
+        "hardware": hardware,
+        "controllers": list(dict.fromkeys(controllers)) or None,
+        "seed": seed,
+        "plant": plant,
+    }
     changes = [*about_robot(robot, overrides), *settings, *in_toml(**chosen)]
     asked, name = chosen_cases(load_experiment(experiment, changes, variant), cases), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
@@ -126,9 +147,9 @@ def run(
     elsewhere = f"{taken} has runs already: these go to {folder} (--force replaces them)" if folder != taken else ""
     said = bool(controllers) or any(change.startswith("controllers") for change in settings)
     by_name = said or says_controllers(experiment)
-    hardware = bool(asked.cases) or has_hardware(asked)
+    behind = bool(asked.cases) or has_hardware(asked)
     with told_from_where(experiment, variant, asked, changes):
-        compile_if_cold(hardware)
+        compile_if_cold(behind)
         if asked.cases:
             return run_cases(asked, name, folder, force, as_json, elsewhere)
         return run_one(asked, name, folder, force, as_json, elsewhere, by_name, details)
@@ -280,12 +301,13 @@ def about_robot(robot: str | None, overrides: dict[str, Any]) -> list[str]:
 )
 @shared
 def list_(as_json: bool) -> int:
-    """List the bundled experiments with their cases, robots, the controllers and the references.
+    """List the bundled experiments with their cases, robots, hardware, the controllers and the references.
 
     Controllers are listed with what they know and what they learn.
     """
     from ..lab.experiments.config import bundled, variants
     from ..lab.experiments.controllers import CONTROLLERS
+    from ..lab.experiments.hardware_table import profiles
     from ..lab.experiments.references import ARM_PROFILES, BASE_PATHS
     from ..model.robots import bundled as robots
     from ..model.robots import extra
@@ -296,6 +318,7 @@ def list_(as_json: bool) -> int:
         "variants": {name: list(variants(path)) for name, path in bundled().items()},
         "cases": {name: list(table.get("cases", {})) for name, table in files.items()},
         "robots": {name: str(path) for name, path in (robots() | extra()).items()},
+        "hardware": {name: read_toml(path)["title"] for name, path in profiles().items()},
         "controllers": CONTROLLERS,
         "references": {
             part: {name: (kind.__doc__ or "").partition("\n")[0] for name, kind in kinds.items()}
@@ -324,6 +347,7 @@ def list_text(there_is: dict[str, dict[str, Any]], width: int) -> str:
     for name, file in there_is["robots"].items():
         folder = robot_folder(Path(file))
         groups.setdefault(f"robots in {folder}", {})[name] = str(Path(file).relative_to(folder))
+    groups["hardware"] = there_is["hardware"]
     groups["controllers"] = there_is["controllers"]
     groups |= {f"references of the {part}": kinds for part, kinds in there_is["references"].items()}
     lines = {

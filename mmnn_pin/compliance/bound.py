@@ -5,7 +5,7 @@ At the start, about rest, with `d' = nu` for small motions and K_k the arm's kin
     M nu' + B nu = tau,   tau = -J' K J d - J' D J nu - P' K P (nu + N K_k d) - M N K_k nu,   held, late by L
 
 Velocities that take no torque follow what is asked for by their servo, `nu_s' = b (-N K_k d - nu)_s`. The hand is free,
-and on springs in the world from soft to stiff; all must be stable.
+and on damped springs in the world from soft to stiff; all must be stable.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ..errors import ConfigError
 from ..signals import Array
 
 WALLS = (0.0, 1e3, 1e4, 1e5)  # what the hand may touch [N/m]
+YIELDING = 0.005  # its damping over its stiffness [s]
 TOLERANCE = 1e-7
 HALVINGS = 12
 
@@ -137,7 +138,7 @@ def radius(F: Array, asks: Array, M: Array, wall: Array, held: Held) -> float:
         pull = M_inv @ M[np.ix_(e, s)]
         rates[p + e] = -pull @ rates[p + s]
         rates[p + e, :p] -= M_inv @ wall[e]
-        rates[p + e, p:] -= M_inv @ held.friction[e]
+        rates[p + e, p:] -= M_inv @ (held.friction[e] + YIELDING * wall[e])
         B[p + e] = -pull @ B[p + s]
         B[np.ix_(p + e, e)] += M_inv
     whole = expm(np.block([[rates, B], [np.zeros((p, 3 * p))]]) * held.period)

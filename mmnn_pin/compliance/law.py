@@ -160,7 +160,7 @@ def wish(row: Array, at: IntArray, c: Compliance) -> None:
             row[at[ALPHA] + i], row[at[ALPHADOT] + i] = s[i], w.nudot[i]
         s[i] -= w.nu[1, i]
         row[at[Z] + i if i < nb else at[R] + i - nb] = s[i]
-    row[at[STORAGE]] = stored if c.mass.size else hand_torque(row[at[TIME]], c)
+    row[at[STORAGE]] = stored if c.mass.size else hand_torque(row, row[at[TIME]], c)
     for i in range(3):
         row[at[ASKED_FORCE] + i] = w.b[3, i]
 
@@ -299,14 +299,14 @@ def take_out(rows: Array, back: Array, x: Array, c: Compliance, b: Array) -> Non
 
 
 @compiled
-def hand_torque(time: float, c: Compliance) -> float:
+def hand_torque(row: Array, time: float, c: Compliance) -> float:
     """`J' F + P' K P s` into `c.torque`; returns the energy of the springs [J]. `work.s[0]` is s."""
     w, torque = c.work, c.torque
     F, b, error = w.b[3], w.b[4], w.b[1]
     for i in range(6):
         b[i] = w.b[0, i] - w.twist[1, i]
     stored = springs_and_dampers(b, error, c, F)
-    push(time, w.twist[1], c, F)
+    push(row, time, w.twist[1], c, F)
     factor_inertia(c)
     copy_to(w.s[0], torque)
     take_out(w.J, w.X, torque, c, b)  # P s
@@ -355,7 +355,7 @@ def springs_and_dampers(rate: Array, error: Array, c: Compliance, F: Array) -> f
 
 
 @compiled
-def push(time: float, v: Array, c: Compliance, F: Array) -> None:
+def push(row: Array, time: float, v: Array, c: Compliance, F: Array) -> None:
     """Add the force along the direction; of what is followed, turn the direction to the hand's velocity v (6,)."""
     force, state = c.force, c.state
     if force[NEWTONS] <= 0.0 or time < force[START]:
@@ -363,6 +363,12 @@ def push(time: float, v: Array, c: Compliance, F: Array) -> None:
     u = state[DIRECTION : DIRECTION + 3]
     share = min(1.0, (time - force[START]) / force[RISE]) if force[RISE] > 0.0 else 1.0
     value = force[NEWTONS] * share + state[INTEGRAL]
+    if force[GAIN] > 0.0 and c.felt >= 0 and force[FOLLOW] == 0.0:
+        missing = force[NEWTONS] * share
+        for i in range(3):
+            missing += u[i] * row[c.felt + i]
+        grown = state[INTEGRAL] + c.h * force[GAIN] * missing
+        state[INTEGRAL] = min(force[NEWTONS], max(-force[NEWTONS], grown))
     if force[FOLLOW] > 0.0:
         along, speed = 0.0, 0.0
         for i in range(3):
@@ -408,7 +414,7 @@ def admit(row: Array, time: float, c: Compliance) -> float:
     for i in range(3):
         w.b[1, i], w.b[1, 3 + i] = -x[i], -0.5 * x[3 + i]
     stored = springs_and_dampers(b, w.b[1], c, F)
-    push(time, v, c, F)
+    push(row, time, v, c, F)
     for i in range(c.rows):
         felt = row[c.felt + i] if c.felt >= 0 else 0.0
         acceleration = (F[i] + felt) / c.mass[i]

@@ -95,6 +95,17 @@ class Force(Settings, frozen=True):
             raise ConfigError(f"{self.along} is no direction", fix="use (0, 0, -1)", key="force.along")
 
 
+def require_impedance(impedance: Impedance | None, force: Force | None) -> None:
+    """Refuse a force of a hand that is stiff.
+
+    Raises:
+        ConfigError: It is.
+    """
+    if force is not None and impedance is None:
+        fix = "add a table [impedance], empty for its defaults"
+        raise ConfigError("a force of a hand that does not give way", fix=fix, key="force")
+
+
 def require_not_negative(value: Any, key: str) -> None:
     """Refuse numbers that are negative or not finite; None is let pass.
 

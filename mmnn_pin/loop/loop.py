@@ -18,7 +18,7 @@ import numpy as np
 
 from ..actuator import Actuator
 from ..compiled import one_thread
-from ..compliance import Force, Impedance
+from ..compliance import Force, Impedance, require_impedance
 from ..disturbance import Disturbance, payload, touched_frame
 from ..elementary import cos_sin
 from ..errors import ConfigError, RobotError, UnknownName, keyed
@@ -146,6 +146,7 @@ class Loop:
     def __post_init__(self) -> None:
         require_types(self)
         require_seed(self.seed)
+        require_impedance(self.impedance, self.force)
         samples_between(self.weights_interval, self.timing.control_period)
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")

@@ -143,12 +143,9 @@ def task_of(loop: Setup, position: Array, on: Array, state: Array) -> Compliance
         state: What it remembers, written.
 
     Raises:
-        ConfigError: A force without an impedance, an impedance that cannot be.
+        ConfigError: An impedance that cannot be.
     """
     if loop.impedance is None:
-        if loop.force is not None:
-            fix = "add a table [impedance], empty for its defaults"
-            raise ConfigError("a force of a hand that does not give way", fix=fix, key="force")
         return None
     if not isinstance(loop.controller, CompiledController | LearningLaw):
         what, why = f"'{loop.controller.name}' under a compliant hand", "it tells no gain that the hand could replace"

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..actuator import Actuator
-from ..compliance import Force, Impedance
+from ..compliance import Force, Impedance, require_impedance
 from ..disturbance import Disturbance
 from ..kinematic import Kinematic
 from ..model.robot import Robot
@@ -250,6 +250,7 @@ class StepperSetup:
 
     def __post_init__(self) -> None:
         require_gain(self.filtered, "filtered")
+        require_impedance(self.impedance, self.force)
 
     @cached_property
     def layout(self) -> Layout:

@@ -390,21 +390,22 @@ def followable(
         return replace(reference(ends), base=to_steer.base)
 
     given = replace(given, base=to_steer.base)
-    load, rng, half = MotorLoad(robot), np.random.default_rng(0), (upper - lower) / 2
-    bounded, off, room = np.isfinite(half), np.zeros(len(half)), np.where(np.isfinite(half), half, np.pi)
-    centre = np.where(bounded, lower + np.where(bounded, half, 0.0), np.clip(0.0, lower, upper))
+    load, rng = MotorLoad(robot), np.random.default_rng(0)
+    bounded, off = np.isfinite(upper - lower), np.zeros(len(lower))
+    low, high = np.where(bounded, lower, -np.pi), np.where(bounded, upper, np.pi)
+    half, centre = (high - low) / 2, np.where(bounded, low + (high - low) / 2, np.clip(0.0, lower, upper))
 
     def held(tried: Trajectory, enough: float = np.inf) -> Array:
         return load.along(replace(tried, slowness=SLOWEST), duration, enough)
 
     best, static = given, held(given)
-    for _ in range(TRIALS if static.max(initial=0.0) > share and bounded.any() else 0):
-        other = np.where(bounded, rng.uniform(-0.5, 0.5, len(half)) * room, 0.0)
-        tried = steerable((lower + np.maximum(2 * other, 0.0), upper + np.minimum(2 * other, 0.0)))
+    for _ in range(TRIALS if static.max(initial=0.0) > share and half.size else 0):
+        other = rng.uniform(-0.5, 0.5, len(half)) * half
+        tried = steerable((low + np.maximum(2 * other, 0.0), high + np.minimum(2 * other, 0.0)))
         if (load_there := held(tried, static.max(initial=0.0))).max(initial=0.0) < static.max(initial=0.0):
             best, static, off = tried, load_there, other
     for width in NARROWER if static.max(initial=0.0) > share else ():
-        reach = width * (room - np.abs(off))
+        reach = width * (half - np.abs(off))
         tried = steerable((centre + off - reach, centre + off + reach))
         if (load_there := held(tried)).max(initial=0.0) < static.max(initial=0.0):
             best, static = tried, load_there

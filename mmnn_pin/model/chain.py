@@ -405,7 +405,7 @@ class Hands:
 
         def write(rows: Array) -> None:
             k = np.minimum(np.round(rows[:, time.start] / self.period).astype(np.int64), last)
-            rows[:, wanted] = self.wanted[k].reshape(len(rows), -1)
+            rows[:, wanted] = self.wanted[k].reshape(len(rows), self.wanted[0].size)
             rows[:, to] = np.hstack([poses(track(chain, rows[:, position])) for chain in chains])
 
         return write

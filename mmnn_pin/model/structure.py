@@ -357,6 +357,34 @@ class Structure:
             model.jointPlacements[j].translation += (new.radius - old.radius) * parent[2]
         return replace(self, model=model, base=base, template=read_only(motion_map(base, self.rows, self.arm)))
 
+    def with_limits(self, effort: ArrayLike, speed: ArrayLike) -> Self:
+        """A copy with other limits of its motors than the URDF's: who knows the robot knows them.
+
+        Args:
+            effort: Largest torques, one number or (n_u,), 0 for those of the URDF [N m or N].
+            speed: Likewise [rad/s or m/s].
+
+        Raises:
+            ConfigError: A number that is negative or not finite, or not one number per motor.
+        """
+        motors = self.dimensions.motors
+        most, fastest = (
+            one_or_each(limit, motors, "motor", f"{name}_limits", least=0)
+            for limit, name in ((effort, "effort"), (speed, "speed"))
+        )
+        if not (most.any() or fastest.any()):
+            return self
+        model = self.model.copy()
+        speeds = np.array(model.velocityLimit)
+        for name, limit in zip(self.actuator_names, fastest, strict=True):
+            if limit > 0.0 and name in self.rows:
+                speeds[self.rows[name]] = limit
+        model.velocityLimit = speeds
+        efforts = np.where(most > 0.0, most, self.effort_limits)
+        efforts.flags.writeable = False
+        origin = None if self.origin is None else self.origin.with_limits(effort, speed)
+        return replace(self, model=model, effort_limits=efforts, origin=origin)
+
     def with_armature(self, inertia: ArrayLike) -> Self:
         """A copy with the rotors of its arm's motors, seen through their gears; a URDF does not know them.
 

@@ -33,7 +33,7 @@ from ...plant.contact.feet import Contact
 from ...reference import Trajectory
 from ...safety import Safety
 from ...sensing import Sensor
-from ...settings import Settings, Timing, require_gains
+from ...settings import Numbers, Settings, Timing, require_gains
 from ...settings.arguments import faced
 from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
@@ -41,6 +41,7 @@ from ...torque.neural import Inputs, Robust
 from ...touch import Touch
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, Learning, Nominal, RobustOf, new_controller
 from .hand import hand_motion
+from .hardware_table import HardwareTable
 from .laws import resolved
 from .learner_tables import LearnerTables
 from .references import HeldOutReference, ReferenceTables
@@ -130,6 +131,11 @@ class Experiment(LearnerTables, frozen=True):
         variant: Which reading of the experiment this is, where it has several files.
         robot: Bundled name or path.
         overrides: What is said about the robot, as in the file beside its URDF.
+        hardware: The table of its hardware, a profile's name or a file; when the experiment is read, what follows from
+            it becomes its other keys (`lab.experiments.hardware`).
+        effort_limits: Largest torques of its motors in place of the URDF's, one for all or one for each; 0 for the
+            URDF's [N m or N].
+        speed_limits: Likewise [rad/s or m/s].
         masses: Factor on the true robot's inertias, one for all or one per joint with a body (`Robot.with_masses`).
         radii: Factor on the true radii of the drive wheels, one for all or one per wheel's joint: the true robot rolls
             on them, controllers and what is measured by wheels take those of the file (`Robot.with_radii`).
@@ -184,6 +190,9 @@ class Experiment(LearnerTables, frozen=True):
     title: str = ""
     variant: str = ""
     overrides: Overrides = Overrides()
+    hardware: HardwareTable | None = None
+    effort_limits: Numbers = 0.0
+    speed_limits: Numbers = 0.0
     masses: float | dict[str, float] = 1.0
     radii: float | dict[str, float] = 1.0
     controllers: tuple[str, ...] = DEFAULT
@@ -270,7 +279,7 @@ class Experiment(LearnerTables, frozen=True):
             UnknownName: No such body.
             ConfigError: A factor or a coefficient that cannot be.
         """
-        robot, f = robot.with_armature(self.armature), self.friction
+        robot, f = robot.with_limits(self.effort_limits, self.speed_limits).with_armature(self.armature), self.friction
         if self.masses != 1.0:
             with keyed(lambda key: "masses"):
                 robot = robot.with_masses(self.masses)

@@ -45,6 +45,7 @@ class Result(Mapping[str, Recording]):
         metrics: Controller to numbers (see `metrics`).
         notes: What the user should know.
         hand: Controller to what it did at every frame that the reference took along a path.
+        pushes: Controller to numbers of what its hand touched (`pushing_numbers`); empty where it touched nothing.
         plain: A run of plain control that learners are measured by, where none was asked for.
     """
 
@@ -54,6 +55,7 @@ class Result(Mapping[str, Recording]):
     metrics: dict[str, dict[str, float]]
     notes: tuple[str, ...]
     hand: dict[str, list[HandErrors]] = field(default_factory=dict)
+    pushes: dict[str, dict[str, float | None]] = field(default_factory=dict)
     plain: Recording | None = None
 
     def __getitem__(self, controller: str) -> Recording:
@@ -145,6 +147,7 @@ class Result(Mapping[str, Recording]):
             "figure_ranges": self.figure_ranges(),
             **self.largest_errors(),
             **({"hand": {name: told(errors) for name, errors in self.hand.items()}} if any(self.hand.values()) else {}),
+            **({"pushes": self.pushes} if any(self.pushes.values()) else {}),
             "unfair": unfair(self.experiment, self.metrics),
             "notes": [*self.worse.values(), *self.notes, *self.outliers()],
         }

@@ -27,6 +27,8 @@ from .beside_plain import YARDSTICKS, learners
 from .controllers import EFFECTIVE, effective
 from .experiment import Experiment
 from .hand import hand_errors, hand_motion
+from .hardware import lines
+from .pushing import pushing_numbers
 from .result import Result
 
 BEYOND = 0.02  # of a joint's range, past its limits, that is told
@@ -71,7 +73,8 @@ def run_experiment(
     if understood is not None:
         understood(robot)
     runs: dict[str, Recording] = {}
-    notes = [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
+    notes = [] if experiment.hardware is None else [*lines(experiment.hardware)]
+    notes += [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
     notes += [*interface_notes(experiment, robot), *sensor_notes(experiment.sensor, robot)]
     notes += [*weak_notes(robot), *rotor_notes(robot), *knowledge_notes(robot, wanted)]
     duration, gain_of = experiment.time.duration, effective(wanted)
@@ -94,6 +97,7 @@ def run_experiment(
     kept = {controller: runs[controller] for controller in wanted if controller in runs}
     numbers = {controller: metrics(recording, experiment.windows) for controller, recording in kept.items()}
     hand, tables = {}, experiment.reference.hand
+    pushes = {c: pushing_numbers(recording, robot) for c, recording in kept.items()}
     if tables is not None:
         hand = {c: hand_errors(recording, robot) for c, recording in kept.items()}
         notes += hand_notes(experiment, robot)
@@ -101,7 +105,7 @@ def run_experiment(
     plain = None
     if learners(kept) and not any(yardstick in kept for yardstick in YARDSTICKS):
         plain = plain_run(experiment, robot, progress)
-    return Result(experiment, name, kept, numbers, tuple(notes), hand, plain)
+    return Result(experiment, name, kept, numbers, tuple(notes), hand, pushes, plain)
 
 
 def plain_run(experiment: Experiment, robot: Robot, progress: Callable[[str, float], None] | None) -> Recording:

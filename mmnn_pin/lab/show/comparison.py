@@ -46,6 +46,14 @@ HAND_ROWS = {
     "tracking_rms_mm": ("tracking [mm]", "RMS"),
     "model_rms_mm": ("model [mm]", "RMS"),
 }
+PUSH_ROWS = {
+    "force_mean_N": ("force on the surface [N]", "mean"),
+    "force_error_rms_N": ("its error [N]", "RMS"),
+    "door_deg": ("door opened [deg]", "peak"),
+    "open_after_s": ("at 60 deg after [s]", ""),
+    "side_force_peak_N": ("force across its way [N]", "peak"),
+    "pull_peak_N": ("force along its way [N]", "peak"),
+}
 MARKED = ("position_rms_mm", "position_peak_mm", "orientation_rms_mrad")
 ABOUT_SHARES = (
     "better than pd = gain + learning: how much smaller the RMS error is, in % of pd's. gain: from pd to pd at the "
@@ -169,7 +177,7 @@ def comparison(result: Result) -> Table:
     """A column per controller; rows of errors, wheels, torques beyond limits, effort, learned share, gain, outcome."""
     heads = (Column(text=True, fold=True), Column(text=True))
     controllers = (Column(name, letters=NAME) for name in result.recordings)
-    rows = grouped(error_rows(result), wheel_rows(result), torque_rows(result), other_rows(result))
+    rows = grouped(push_rows(result), error_rows(result), wheel_rows(result), torque_rows(result), other_rows(result))
     return Table("Comparison", (*heads, *controllers), rows, notes_of(result), gap=0)
 
 
@@ -202,6 +210,14 @@ def error_rows(result: Result) -> Iterator[Row]:
                 first = f"{TITLES[name]} {label} [{milli(unit)}]" if key == "peak" else ""
                 values = {c: 1e3 * m[f"{name}.{label}.{key}"] for c, m in result.metrics.items()}
                 yield row_of(first, words, *marked(values))
+
+
+def push_rows(result: Result) -> Iterator[Row]:
+    """Forces on a surface, angle and forces of a door; nothing where no hand touched anything."""
+    for key, (about, words) in PUSH_ROWS.items():
+        values = [numbers.get(key) for numbers in result.pushes.values()]
+        if any(key in numbers for numbers in result.pushes.values()):
+            yield row_of(about, words, *("-" if value is None else number(value) for value in values))
 
 
 def rms(start: float, stop: float, end: float) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import shlex
@@ -21,6 +20,7 @@ from ...model.urdf.expansion import EXPANDED
 from ...recording.recording import Recording, recorded_robot
 from ...settings import finite
 from ...shown import shows
+from ..experiments.hardware import UNKNOWN
 from .table import WIDTH, Cell, Column, Table, TextLine, alike, hanging, row_of, terminal_text
 
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
@@ -45,7 +45,6 @@ DOUBTS = {  # what a finding leaves in doubt, by its code
     "arm-doubt": "the arm",
     "arm-passive": "the arm",
 }
-BARE = re.compile(r"[A-Za-z0-9_-]+")  # keys that TOML takes without quotes
 
 
 def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
@@ -130,6 +129,7 @@ def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
         pivots(content["base"]),
         arm(content["arm"]),
         interfaces(content),
+        hardware(content),
         gains(content.get("track")),
     )
     text = "\n".join(
@@ -237,16 +237,15 @@ def interfaces(content: dict[str, Any]) -> Iterator[Table | TextLine]:
     rows = (row_of(*kinds, ", ".join(map(one_line, names))) for kinds, names in groups.items())
     heads = (Column("interface", text=True), Column("offered", text=True), Column("joints", text=True, fold=True))
     yield Table("Interfaces", heads, tuple(rows))
-    yield from as_offered(content["interfaces"])
 
 
-def as_offered(used: Mapping[str, str]) -> Iterator[TextLine]:
-    """The way to run a robot by the interfaces of its URDF, where these are not all efforts; one line to be copied."""
-    keys = {name: name if BARE.fullmatch(name) else json.dumps(name, ensure_ascii=False) for name in used}
-    others = ", ".join(f'{keys[name]}="{kind}"' for name, kind in used.items() if kind != "effort")
-    if others:
-        yield TextLine("mmnn run drives every motor by effort unless it is told otherwise, here as the URDF offers:")
-        yield TextLine(f"  --set {shlex.quote(f'interfaces={{{others}}}')}", whole=True)
+def hardware(content: dict[str, Any]) -> Iterator[TextLine]:
+    """The way to run a robot on its hardware, or one that is assumed: a line to be copied."""
+    if (proposal := content.get("hardware")) is None:
+        return
+    which = "what is slower and coarser than most" if proposal["profile"] == UNKNOWN else proposal["profile"]
+    yield TextLine(f"mmnn run has motors that give any torque unless it is told what they are; here {which}:")
+    yield TextLine(f"  {proposal['run']}", whole=True)
 
 
 def gains(content: dict[str, Any] | None) -> Iterator[Table | TextLine]:
