@@ -39,7 +39,7 @@ from .equations import (
 )
 from .least_squares import WeightedFit, base_parameters, weighted_fit
 from .log import Log, LogFinding
-from .mends import mended, mends_of, require_signals
+from .mends import mended, mends_of, require_signals, told_delays
 from .odometry import Wheels, has_reference, wheel_findings
 from .programme import BLOCKS, Blocks, Consistent, Prior, compressed, consistent_fit
 from .quality import sound
@@ -111,6 +111,18 @@ class Identification(AsText):
         errors = {model: self.errors(model) for model in ("identified", "least_squares", "urdf")}
         seen = (str(one) for one in self.findings if one.grade == "warned")
         return (*seen, *self.beyond, *misfits(self.names, errors, self.follows))
+
+    @property
+    def timing(self) -> dict[str, dict[str, float]]:
+        """Delays and lags of joints, see `ExaminedLog.timing`, of the log that says the most of each."""
+        found: dict[str, dict[str, float]] = {}
+        for one in self.examined:
+            for name, numbers in one.timing.items():
+                known = found.get(name, {})
+                sds = [key for key in numbers if key.endswith("_sd") and numbers[key] < known.get(key, np.inf)]
+                better = {key for sd in sds for key in (sd, sd.removesuffix("_sd"))}
+                found[name] = known | {key: value for key, value in numbers.items() if key in better}
+        return found
 
     @property
     def findings(self) -> list[LogFinding]:
@@ -307,7 +319,8 @@ def examine(
         tell("looking at the logs", i / len(given))
         own = mends_of(log, pairs)
         made = sound(mended(scaled(log, robot, constants), own), robot, [signal for signal, _ in own])
-        found.append(examined(made, robot, None not in constants.values()))
+        seen = examined(made, robot, None not in constants.values())
+        found.append(replace(seen, told=told_delays(own, robot.actuator_names)))
     every, wheels = with_wheels(robot, [one.log for one in found])
     if len(every) > 1:
         every = [log.by_name() for log in every]
@@ -317,6 +330,8 @@ def examine(
 def with_wheels(robot: Robot, logs: list[Log]) -> tuple[list[Log], Wheels | None]:
     """The logs with what their wheels and references say, each by itself and all together; and the wheels."""
     driven = [i for i, log in enumerate(logs) if has_reference(log, robot)]
+    if any(x.grade == "refused" for i in driven for x in logs[i].findings):
+        return logs, None  # first things first
     if len(driven) > 1:
         for i in driven:
             _, seen = wheel_findings(robot, [logs[i]])

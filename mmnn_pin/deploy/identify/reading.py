@@ -174,7 +174,8 @@ def exported(header: Sequence[str]) -> dict[str, int]:
     kinds = {name.partition(".")[0] for name in names}
     if not {"time", "nu_ref", "psi_hat", "motor_torque"} <= kinds:
         return {}
-    taken = TAKEN | {"applied" if "applied" in kinds else "motor_torque": "effort"}
+    torque = {"applied": "effort", "motor_torque": "command"} if "applied" in kinds else {"motor_torque": "effort"}
+    taken = TAKEN | torque
     found = {"time": names.index("time")}
     for i, name in enumerate(names):
         signal, _, label = name.partition(".")
@@ -276,7 +277,7 @@ def found_columns(header: Sequence[str], joints: Sequence[str], columns: Columns
         UnknownName: The user names a column that is not there, or a joint that the robot does not have.
         RecordingError: Two columns for one signal.
     """
-    known = ("time", *BASE, *REFERENCE, *(f"{kind}.{joint}" for kind in WORDS for joint in joints))
+    known = ("time", *BASE, *REFERENCE, *(f"{kind}.{joint}" for kind in (*WORDS, "command") for joint in joints))
     found: dict[str, int] = {}
     for signal, name in spelled_out(columns, joints).items():
         if signal.partition(".")[0] in ("joint", "topic"):
@@ -346,9 +347,9 @@ def from_recording(recording: Recording, robot: Robot) -> Log:
         raise RecordingError(what, fix="record all signals", file=path)
     if len(recording) < 2:
         raise RecordingError("the recording has no rows", fix="name one of a longer run", file=path)
-    torque = "applied" if "applied" in recording else "motor_torque"
+    torque = {"applied": "effort", "motor_torque": "command"} if "applied" in recording else {"motor_torque": "effort"}
     signals = {"time": recording.time}
-    for signal, kind in (TAKEN | {torque: "effort"}).items():
+    for signal, kind in (TAKEN | torque).items():
         if signal in recording:
             table = as_columns(recording[signal])
             signals |= {f"{kind}.{name}": table[:, i] for i, name in enumerate(recording.labels(signal))}
