@@ -48,6 +48,7 @@ from .timing import Delay, effort_delays, recorded_delays
 EXACT = 0.05  # share of an effort's RMS that the rigid body need not explain
 POOR = 0.25  # error of a row above which a damage is looked for
 BETTER = 3.0  # times less than before that the cost is with a damage that is told
+HELPS = 0.7  # times the cost before, under which a damage is kept in sight beside another
 PARTS = 2  # damages at once that are looked for
 SAMPLED = 400  # times of a stretch at which damages are tried
 SHOWN, CALM = 1500, 60.0  # equations, and seconds, that are looked at
@@ -261,15 +262,19 @@ def damages(log: Log, robot: Robot, unknowns: Unknowns, of: Equations) -> Iterat
         except (RecordingError, np.linalg.LinAlgError):
             return np.inf
 
-    before, chosen = judged(()), tuple[tuple[str, str], ...]()
-    start = before
+    start, none = judged(()), tuple[tuple[str, str], ...]()
+    found = [(none, start)]
     for _ in range(PARTS):
+        chosen = found[-1][0]
         tried = {mend: judged((*chosen, *mend)) for mend in hypotheses(short, robot)}
         mend = min(tried, key=lambda one: tried[one])
-        if not tried[mend] < before / BETTER:
+        if not tried[mend] < HELPS * found[-1][1]:
             break
-        chosen, before = (*chosen, *mend), tried[mend]
-    if not chosen:
+        found.append(((*chosen, *mend), tried[mend]))
+    if len(found) > PARTS and found[-1][1] > found[-2][1] / BETTER and found[-2][1] < start / BETTER:
+        found.pop()  # one explains it
+    chosen, least = found[-1]
+    if least > start / BETTER:
         return
     made = mended(short, chosen)
     _, after = cost(sampled(made, unknowns, cutoff), unknowns)
@@ -278,7 +283,7 @@ def damages(log: Log, robot: Robot, unknowns: Unknowns, of: Equations) -> Iterat
     why = f"of the effort of {unknowns.names[worst]} {shares}"
     what = ", ".join(words_of(chosen))
     yield LogFinding(
-        "refused", what, why, "all that is found of these joints", chosen, "", 100 * start / max(before, 1e-9)
+        "refused", what, why, "all that is found of these joints", chosen, "", 100 * start / max(least, 1e-9)
     )
 
 

@@ -16,7 +16,7 @@ exchanged.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -82,7 +82,9 @@ class Wheels:
         if not (self.value > 0).all():
             return 1e4
         away = np.log(self.value / self.urdf) / 0.15
-        return float(20 * np.log(self.relative + 1e-3) + np.minimum(away**2, 200.0).sum() + (self.late[0] / 0.5) ** 2)
+        turned = np.angle(np.exp(1j * self.marker[2]))  # a base that drives ahead, and one that backs, differ by it
+        unlikely = np.minimum(away**2, 200.0).sum() + (self.late[0] / 0.5) ** 2 + turned**2
+        return float(20 * np.log(self.relative + 1e-3) + unlikely)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +169,7 @@ def stretches(log: Log, robot: Robot, most: int) -> list[Stretch]:
 def fitted(drives: Sequence[Stretch], urdf: Array, most: int) -> Wheels:
     """The least squares of the module over some drives."""
     dense = all(map(smooth, drives))
+    drives = drives if dense else [nearest_turn(one, urdf) for one in drives]
     late = lateness(drives) if dense else 0.0
     starts = [start_of(one, urdf, late) for one in drives]
     marker = np.array([0.0, 0.0, starts[0][3] if dense else 0.0])
@@ -214,6 +217,14 @@ def fitted(drives: Sequence[Stretch], urdf: Array, most: int) -> Wheels:
     late_sd = float(np.sqrt(max(covariance[6, 6], 0.0))) if dense else 0.0
     sd = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
     return Wheels(value, sd, urdf, (errors[0], errors[1]), (float(ratio), ratio_sd), (delay, late_sd), mark, relative)
+
+
+def nearest_turn(one: Stretch, numbers: Array) -> Stretch:
+    """A stretch of a few poses, whose headings are those nearest to where the wheels lead by some numbers."""
+    made = driven(one, numbers, one.pose[0], 0.0)
+    pose = one.pose.copy()
+    pose[:, 2] = made[:, 2] + np.angle(np.exp(1j * (one.pose[:, 2] - made[:, 2])))
+    return replace(one, pose=pose)
 
 
 def spread(residual: Array, unknowns: int) -> float:
@@ -304,13 +315,12 @@ def wheel_findings(robot: Robot, logs: Sequence[Log]) -> tuple[Wheels | None, li
         robot: On two sides of wheels.
         logs: Sound ones with a reference, see `has_reference`.
     """
+    still = all(np.ptp(side_angles(log, robot), axis=0).max() * mean_radius(robot) < 0.02 for log in logs)
+    if still and max(np.ptp(np.nan_to_num(log.reference[REFERENCE[0]])) for log in logs) > TRAVELLED:
+        return None, [refusal("the wheels stand still while the reference drives", "wheels", 1e3)]
     try:
         found = wheels_of(robot, logs)
     except RecordingError as error:
-        still = all(np.ptp(side_angles(log, robot)) * mean_radius(robot) < 0.02 for log in logs)
-        drove = max(np.ptp(np.nan_to_num(log.reference[REFERENCE[0]])) for log in logs)
-        if still and drove > TRAVELLED:
-            return None, [refusal("the wheels stand still while the reference drives", "wheels", 1e3)]
         what = "the base stands still" if still else error.what
         return None, [LogFinding("warned", what, error.why, "nothing is said of its wheels")]
     if not list(nonsense(found, robot)):

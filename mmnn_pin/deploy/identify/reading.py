@@ -243,12 +243,18 @@ def read_table(path: Path) -> tuple[list[str], Array, tuple[str, ...]]:
     if not lines or not any(c.isalpha() for c in lines[0]):
         raise RecordingError("no header", fix="name the columns in the first line", file=path, line=1)
     mark = next((c for c in ",;\t" if c in lines[0]), " ")
+    header = [name.strip() for name in next(csv.reader(lines[:1], delimiter=mark, skipinitialspace=True))]
+    try:  # whole, by numpy; anything else is looked at cell by cell
+        table = np.loadtxt(lines[1:], delimiter=None if mark == " " else mark, comments=None, ndmin=2)
+    except ValueError:
+        table = np.zeros((0, 0))
+    if len(table) > 1 and table.shape[1] == len(header):
+        return header, table, ()
     rows = csv.reader(lines, delimiter=mark, skipinitialspace=True)
     try:
         cells = list(rows)
     except csv.Error as error:
         raise RecordingError("not a CSV file", why=str(error), file=path, line=rows.line_num) from None
-    header = [name.strip() for name in cells[0]]
     numbers: list[list[float]] = []
     notes: tuple[str, ...] = ()
     if len(cells) > 2 and len(cells[-1]) < len(header) and not text.endswith("\n"):
