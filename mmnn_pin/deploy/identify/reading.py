@@ -245,7 +245,8 @@ def read_table(path: Path) -> tuple[list[str], Array, tuple[str, ...]]:
     mark = next((c for c in ",;\t" if c in lines[0]), " ")
     header = [name.strip() for name in next(csv.reader(lines[:1], delimiter=mark, skipinitialspace=True))]
     try:  # whole, by numpy; anything else is looked at cell by cell
-        table = np.loadtxt(lines[1:], delimiter=None if mark == " " else mark, comments=None, ndmin=2)
+        body = lines[1:] if len(lines) > 2 else ["none"]
+        table = np.loadtxt(body, delimiter=None if mark == " " else mark, comments=None, ndmin=2)
     except ValueError:
         table = np.zeros((0, 0))
     if len(table) > 1 and table.shape[1] == len(header):
