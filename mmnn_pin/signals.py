@@ -26,8 +26,9 @@ IntArray = NDArray[np.int64]
 # Sizes: "pose" 3 or 0, "twist" 3, 2 or 0, "base" nb, "arm" n, "all" p, "shape" pivots of a base that steers, else 0,
 # "full" coordinates of all joints, "motor" actuators, or a number; on the contact plant "wheel" drive wheels and
 # "floor" 1 with wheels, else 0; those that begin with "rig" where motors, disturbances or a supervisor are simulated,
-# else 0; "lead all" p where Psi_hat leads, else 0; "hand" 7 for every frame that the reference takes along a path:
-# position and quaternion, `HAND`.
+# else 0; "scene": a hand touches something; "task": it is compliant; "lead all" p where Psi_hat leads, else 0; those
+# that begin with "touch" where external torque is observed, else 0, of a "wrench" 6, `WRENCH`; "hand" 7 for every frame
+# that the reference takes along a path: position and quaternion, `HAND`.
 SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("time", "1", "s", ""),
     ("position", "full", "m, rad", "rad or m"),
@@ -66,7 +67,17 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("motor_torque", "motor", "N m", "N m or N"),
     ("applied", "rig motor", "N m", "N m or N"),
     ("disturbance", "rig all", "N, N m", "N m or N"),
+    ("hand_force", "scene 3", "N", ""),
+    ("opening", "scene", "rad", ""),
+    ("asked_force", "task 3", "N", ""),
+    ("storage", "task", "J", ""),
     ("safety", "rig", "", ""),
+    ("external_torque", "touch all", "N, N m", "N m or N"),
+    ("external_band", "touch all", "N, N m", "N m or N"),
+    ("external_wrench", "touch wrench", "N, N, N, N m, N m, N m", ""),
+    ("wrench_seen", "touch wrench", "", ""),
+    ("contact", "touch", "", ""),
+    ("load", "touch", "kg", ""),
     ("energy", "1", "J", ""),
     ("work", "1", "J", ""),
     ("energy_residual", "1", "J", ""),
@@ -80,6 +91,7 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
 INDEX = {name: i for i, (name, *_) in enumerate(SIGNALS)}
 SIDEWAYS = len(SIGNALS) + 1  # behind the offsets of a layout: `Dimensions.sideways`
 ALONG = ("x", "y", "u", "v", "vx", "vy")  # coordinates and velocities of a base along a line; others turn
+WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")  # force and moment that the world exerts on the hand, in the world
 HAND = ("x", "y", "z", "qx", "qy", "qz", "qw")  # columns of a frame, in the world
 EARLY = 5e-10  # half a nanosecond early counts, as times are rounded [s]
 
@@ -131,18 +143,24 @@ class Layout(Dimensions):
         hardware: 1 where motors, disturbances or a supervisor are simulated, else 0.
         lead: 1 where the torque has Psi_hat as of the time in which it acts (`loop.lead`), else 0.
         hands: Number of frames that the reference takes along paths.
+        scene: 1 where a hand touches something (`disturbance.scene`), else 0.
+        task: 1 where the hand is compliant (`compliance`), else 0.
+        touch: 1 where external torque is observed, else 0.
     """
 
     wheels: int = 0
     hardware: int = 0
     lead: int = 0
     hands: int = 0
+    scene: int = 0
+    task: int = 0
+    touch: int = 0
 
     @classmethod
-    def of(cls, dimensions: Dimensions, wheels: int = 0, hardware: int = 0, lead: int = 0, hands: int = 0) -> Layout:
-        """Layout of the rows of a robot with these dimensions."""
+    def of(cls, dimensions: Dimensions, **recorded: int) -> Layout:
+        """Layout of the rows of a robot with these dimensions; what is recorded beside its motion by name."""
         d = dimensions
-        return cls(d.base, d.arm, d.full, d.motors, d.kind, d.sideways, d.shape, wheels, hardware, lead, hands)
+        return cls(d.base, d.arm, d.full, d.motors, d.kind, d.sideways, d.shape, **recorded)
 
     @cached_property
     def offsets(self) -> NDArray[np.int64]:
@@ -151,7 +169,9 @@ class Layout(Dimensions):
         size |= {"twist": self.twist, "shape": self.shape}
         size |= {"motor": self.motors, "wheel": self.wheels, "floor": min(1, self.wheels), "1": 1, "2": 2}
         size |= {"rig": self.hardware, "rig motor": self.hardware * self.motors, "rig all": self.hardware * self.dof}
+        size |= {"scene": self.scene, "scene 3": 3 * self.scene, "task": self.task, "task 3": 3 * self.task}
         size |= {"lead all": self.lead * self.dof, "hand": len(HAND) * self.hands}
+        size |= {"touch": self.touch, "touch all": self.touch * self.dof, "touch wrench": self.touch * 6}
         starts = np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
         return np.append(starts, int(self.sideways))
 
@@ -172,7 +192,7 @@ class Layout(Dimensions):
     def unit(self, name: str) -> str:
         """Unit of a signal on this robot; base and arm parts separated by a semicolon."""
         _, kind, base, arm = SIGNALS[INDEX[name]]
-        if kind in ("all", "rig all", "lead all"):
+        if kind in ("all", "rig all", "lead all", "touch all"):
             return "; ".join(u for u, used in ((base, self.base), (arm, self.arm)) if used)
         return base or arm
 

@@ -233,6 +233,7 @@ MORE = {  # what is needed now and then, from its own module
     "actuator": ("Actuator",),
     "disturbance": ("Payload", "Push"),
     "safety": ("Safety",),
+    "touch": ("Touch",),
     "sensing": ("Sensor",),
     "loop.servo": ("Command",),
     "loop.before_run": ("Bounds", "Start"),

@@ -115,6 +115,12 @@ def experiments(context: click.Context, parameter: click.Parameter, incomplete: 
     return starting((file.stem for file in files if "." not in file.stem), incomplete)
 
 
+def hardware_names(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Profiles of hardware, or a file."""
+    files = (PACKAGE / "lab/experiments/profiles").glob("*.toml")
+    return starting((file.stem for file in files), incomplete)
+
+
 def typed(context: click.Context) -> list[Path]:
     """File of the experiment on the line; click leaves its name in the rest where an option still wants its value."""
     from ..lab.experiments.config import find

@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
@@ -82,6 +82,11 @@ def answer(as_json: bool, content: Callable[[], dict[str, Any]], text: Callable[
 def wrote(files: Iterable[Path]) -> str:
     """The lines that name written files."""
     return "\n".join(f"wrote {file}" for file in files)
+
+
+def wrote_into(folder: Path, files: Sequence[Path]) -> str:
+    """The line that names written files of one folder."""
+    return f"wrote {', '.join(file.name for file in files)} into {folder}"
 
 
 def named(files: dict[str, Path]) -> dict[str, str]:

@@ -11,22 +11,27 @@ import click
 
 from ..errors import RobotError
 from ..files import require_free
-from .options import FORCE, NO_BROWSER, PATH, PORT, examples, robots, shared, understanding
+from .options import FORCE, NO_BROWSER, PATH, PORT, examples, numbers, robots, run_command, shared, understanding
 from .output import BAD_INPUT, DONE, FAILED, answer, columns, note, open_page, progress_bar, warn
 
 
 @click.command(
     short_help="Check the properties of a robot's model, with numbers.",
     epilog=examples(
-        "mmnn check platform_arm", "mmnn check my_robot.urdf --samples 1000 --seed 7", "mmnn check tiago --json"
+        "mmnn check platform_arm",
+        "mmnn check my_robot.urdf --samples 1000 --seed 7",
+        "mmnn check tiago --bound M_max=120 --bound C_b=5      bounds that your own proof assumes",
     ),
 )
 @click.argument("robot", shell_complete=robots)
 @click.option("--samples", type=click.IntRange(1, 1_000_000), default=100, help="Random states.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, help="Their seed.")
+@click.option("--bound", "bounds", multiple=True, metavar="NAME=VALUE", help="M_min, M_max or C_b that must hold.")
 @understanding
 @shared
-def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_json: bool) -> int:
+def check(
+    robot: str, samples: int, seed: int, bounds: tuple[str, ...], overrides: dict[str, Any], as_json: bool
+) -> int:
     """Check that ROBOT's model has the properties that the controllers' proofs assume.
 
     Checked are the mass matrix, properties 1 to 5 of the thesis, A S = 0, passivity, the bounds of M and C, and whether
@@ -41,7 +46,8 @@ def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_jso
 
     loaded = load(robot, **overrides)
     with progress_bar() as show:
-        report = judge(loaded, samples, seed, progress=functools.partial(show, "checking"))
+        own = numbers(bounds, "--bound")
+        report = judge(loaded, samples, seed, bounds=own, progress=functools.partial(show, "checking"))
     answer(as_json, lambda: properties_dict(report), lambda: properties_text(report, columns()))
     return DONE if report.passed else FAILED
 
@@ -71,6 +77,8 @@ def inspect(
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. The options can also
     stand in NAME.mmnn.toml beside NAME.urdf. Exit code 2 when the robot cannot be used or its base is undecided.
     """
+    from ..lab.experiments.hardware import proposed
+    from ..lab.experiments.hardware_table import beside_urdf
     from ..lab.experiments.track_gains import track_gains
     from ..lab.show.robots import inspection_text, refusal_text, summary
     from ..model.base.overrides import Overrides
@@ -84,6 +92,8 @@ def inspect(
         loaded = load(robot, **overrides)
         content, code = inspection_of(loaded) | ({"track": track_gains(loaded)} if gains else {}), DONE
         content["understood"] = summary(content)
+        own, profile, run = beside_urdf(robot), proposed(loaded), run_command(robot, overrides)
+        content["hardware"] = {"profile": own or profile, "run": run if own else f"{run} --hardware {profile}"}
     except RobotError as error:
         content, code = refusal_of(error, find(robot), Overrides(**overrides)), BAD_INPUT
     for finding in content["findings"]:

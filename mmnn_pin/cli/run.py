@@ -13,7 +13,19 @@ import click
 
 from ..errors import InputError
 from ..files import read_toml
-from .options import CHANGES, PATH, VARIANT, cases, controllers, examples, experiments, robots, shared, understanding
+from .options import (
+    CHANGES,
+    PATH,
+    VARIANT,
+    cases,
+    controllers,
+    examples,
+    experiments,
+    hardware_names,
+    robots,
+    shared,
+    understanding,
+)
 from .output import (
     DONE,
     FAILED,
@@ -29,6 +41,7 @@ from .output import (
     say,
     styled,
     wrote,
+    wrote_into,
 )
 
 if TYPE_CHECKING:
@@ -38,6 +51,12 @@ if TYPE_CHECKING:
 ROBOT = click.option(
     "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
 )
+HARDWARE = click.option(
+    "--hardware",
+    metavar="NAME",
+    shell_complete=hardware_names,
+    help="What its motors are: a profile (see `mmnn list`), or a TOML file.  [default: ROBOT.hardware.toml beside it]",
+)
 MOST = 8  # names of cases that a line of `mmnn list` shows
 
 
@@ -45,6 +64,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
     short_help="Run an experiment and compare its controllers.",
     epilog=examples(
         "mmnn run track --robot my_robot.urdf",
+        "mmnn run track --robot so101 --hardware feetech-sts3215",
         "mmnn run track --robot my_robot.urdf --controller pd_gravity --controller two_layer",
         "mmnn run track --robot my_robot.urdf --wheels left_joint,right_joint --lock head_joint=0.2",
         "mmnn run track --robot my_robot.urdf --set feedback.base=300 --set reference.file=motion.csv",
@@ -58,6 +78,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
 @click.argument("experiment", shell_complete=experiments)
 @VARIANT
 @ROBOT
+@HARDWARE
 @click.option(
     "--controller",
     "controllers",
@@ -83,12 +104,14 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
     help="Folder for the files; where it has such files, a numbered one.  [default: runs/EXPERIMENT[-VARIANT]]",
 )
 @click.option("--force", is_flag=True, help="Replace what is already in that folder.")
+@click.option("--details", is_flag=True, help="Print every error, peak, torque and gain, not only what matters most.")
 @understanding
 @shared
 def run(
     experiment: str,
     variant: str | None,
     robot: str | None,
+    hardware: str | None,
     controllers: tuple[str, ...],
     cases: tuple[str, ...],
     settings: tuple[str, ...],
@@ -96,6 +119,7 @@ def run(
     seed: int | None,
     out: Path | None,
     force: bool,
+    details: bool,
     overrides: dict[str, Any],
     as_json: bool,
 ) -> int:
@@ -112,7 +136,13 @@ def run(
     from ..lab.experiments.runner import has_hardware
     from ..lab.show.gallery import require_plots
 
-    chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
+    chosen = {
+        "robot": robot,
+        "hardware": hardware,
+        "controllers": list(dict.fromkeys(controllers)) or None,
+        "seed": seed,
+        "plant": plant,
+    }
     changes = [*about_robot(robot, overrides), *settings, *in_toml(**chosen)]
     asked, name = chosen_cases(load_experiment(experiment, changes, variant), cases), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
@@ -123,12 +153,12 @@ def run(
     elsewhere = f"{taken} has runs already: these go to {folder} (--force replaces them)" if folder != taken else ""
     said = bool(controllers) or any(change.startswith("controllers") for change in settings)
     by_name = said or says_controllers(experiment)
-    hardware = bool(asked.cases) or has_hardware(asked)
+    behind = bool(asked.cases) or has_hardware(asked)
     with told_from_where(experiment, variant, asked, changes):
-        compile_if_cold(hardware)
+        compile_if_cold(behind)
         if asked.cases:
             return run_cases(asked, name, folder, force, as_json, elsewhere)
-        return run_one(asked, name, folder, force, as_json, elsewhere, by_name)
+        return run_one(asked, name, folder, force, as_json, elsewhere, by_name, details)
 
 
 def says_controllers(experiment: str) -> bool:
@@ -202,7 +232,7 @@ def files_of(asked: Experiment) -> list[str]:
 
 
 def run_one(
-    asked: Experiment, name: str, folder: Path, force: bool, as_json: bool, elsewhere: str, by_name: bool
+    asked: Experiment, name: str, folder: Path, force: bool, as_json: bool, elsewhere: str, by_name: bool, details: bool
 ) -> int:
     """Run an experiment, draw and print what came of it; 130 if stopped, 1 if a run did not reach its end, else 0.
 
@@ -214,12 +244,13 @@ def run_one(
         as_json: Print one JSON object.
         elsewhere: Said once it is sure to run; empty for nothing.
         by_name: Whether the user chose the controllers; else those that cannot run are left out.
+        details: Print all tables, notes and files, not what matters most.
     """
     from ..lab.experiments.runner import run_experiment
-    from ..lab.show.comparison import notes, render
+    from ..lab.show.comparison import notes, render, render_brief
     from ..lab.show.gallery import write_pictures
     from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
-    from ..lab.show.table import hanging
+    from ..lab.show.table import alike, hanging
 
     told = None if as_json else tell_robot
     with announced(elsewhere) as progress:
@@ -231,8 +262,12 @@ def run_one(
     def text() -> str:
         remarks = [f"note: {note}" for note in (*worse_somewhere(result), *rivals_left_out(result), *notes(result))]
         files = [recording.path for recording in result.recordings.values() if recording.path]
+        files += list(pictures.values())
         verdict = hanging("", headline(result), columns())
-        return "\n".join([styled(render(result, **look())), "", verdict, *remarks, wrote([*files, *pictures.values()])])
+        if details:
+            return "\n".join([styled(render(result, **look())), "", verdict, *remarks, wrote(files)])
+        table = styled(render_brief(result, **look()))
+        return "\n".join([verdict, "", table, "", *alike(remarks, least=2), wrote_into(folder, files)])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
     if any(recording.outcome.status == "interrupted" for recording in result.recordings.values()):
@@ -272,12 +307,13 @@ def about_robot(robot: str | None, overrides: dict[str, Any]) -> list[str]:
 )
 @shared
 def list_(as_json: bool) -> int:
-    """List the bundled experiments with their cases, robots, the controllers and the references.
+    """List the bundled experiments with their cases, robots, hardware, the controllers and the references.
 
     Controllers are listed with what they know and what they learn.
     """
     from ..lab.experiments.config import bundled, variants
     from ..lab.experiments.controllers import CONTROLLERS
+    from ..lab.experiments.hardware_table import profiles
     from ..lab.experiments.references import ARM_PROFILES, BASE_PATHS
     from ..model.robots import bundled as robots
     from ..model.robots import extra
@@ -288,6 +324,7 @@ def list_(as_json: bool) -> int:
         "variants": {name: list(variants(path)) for name, path in bundled().items()},
         "cases": {name: list(table.get("cases", {})) for name, table in files.items()},
         "robots": {name: str(path) for name, path in (robots() | extra()).items()},
+        "hardware": {name: read_toml(path)["title"] for name, path in profiles().items()},
         "controllers": CONTROLLERS,
         "references": {
             part: {name: (kind.__doc__ or "").partition("\n")[0] for name, kind in kinds.items()}
@@ -316,6 +353,7 @@ def list_text(there_is: dict[str, dict[str, Any]], width: int) -> str:
     for name, file in there_is["robots"].items():
         folder = robot_folder(Path(file))
         groups.setdefault(f"robots in {folder}", {})[name] = str(Path(file).relative_to(folder))
+    groups["hardware"] = there_is["hardware"]
     groups["controllers"] = there_is["controllers"]
     groups |= {f"references of the {part}": kinds for part, kinds in there_is["references"].items()}
     lines = {

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from ..by_address import by_address
 from ..compiled import compiled, internal
 from ..elementary import sin
@@ -14,14 +16,27 @@ from ..signals import EARLY, Array
 ON, SHAPE, FORCE, FREQUENCY, START, END, PUSH = range(7)
 STEP, IMPULSE, SINE, NOISE = range(4)
 SHAPES = {"step": STEP, "impulse": IMPULSE, "sine": SINE, "noise": NOISE}
+NOTHING: Array = np.zeros(0)
 BRAKE = 1e4  # torque or force by which a blocked joint is held [N m or N]
 
 
 @by_address
 class Forces(NamedTuple):
-    """Forces of the world on a robot over one step of the plant, (p,) on nu [N, N m]."""
+    """Forces of the world on a robot over one step of the plant.
+
+    Attributes:
+        force: (p,) on nu [N, N m].
+        position: (nv,) where the robot is; (0,) where nothing asks for it.
+        nu: (p,) how it moves, likewise.
+        by_hand: (p,) what of `force` acts at a frame, `J' F`, likewise.
+        hand: (6,) where that is in the world, and F [m, N], likewise.
+    """
 
     force: Array
+    position: Array = NOTHING
+    nu: Array = NOTHING
+    by_hand: Array = NOTHING
+    hand: Array = NOTHING
 
 
 @by_address

@@ -175,10 +175,7 @@ class CommandFault(Window, frozen=True, kw_only=True, tag="commands"):
     fault: Literal["lost", "nan"]
 
 
-Disturbance = Push | Payload | DeadMotor | BlockedJoint | FrozenEncoder | Messages | CommandFault
-
-
-def require_in_time(disturbances: Sequence[Disturbance], duration: float) -> None:
+def require_in_time(disturbances: Sequence[Any], duration: float) -> None:
     """Refuse what would never happen in a run of this duration [s].
 
     Raises:
@@ -190,7 +187,7 @@ def require_in_time(disturbances: Sequence[Disturbance], duration: float) -> Non
             raise ConfigError(what, why=why, fix="begin earlier, or run longer", key=f"disturbances.{i}.start")
 
 
-def require_long_enough(disturbances: Sequence[Disturbance], step: float) -> None:
+def require_long_enough(disturbances: Sequence[Any], step: float) -> None:
     """Refuse what could fall between two steps of the plant [s].
 
     Raises:
@@ -202,7 +199,7 @@ def require_long_enough(disturbances: Sequence[Disturbance], step: float) -> Non
             raise ConfigError(what, why=why, fix="end later", key=f"disturbances.{i}.end")
 
 
-def of_type(kind: type, disturbances: Sequence[Disturbance]) -> list[tuple[int, Any]]:
+def of_type(kind: type, disturbances: Sequence[Any]) -> list[tuple[int, Any]]:
     """Disturbances of one type with their places in the list."""
     return [(i, one) for i, one in enumerate(disturbances) if isinstance(one, kind)]
 
@@ -218,9 +215,7 @@ def place(name: str, names: Sequence[str], key: str, kind: str = "joint") -> int
     return list(names).index(name)
 
 
-def pushes(
-    disturbances: Sequence[Disturbance], robot: Robot, dt: float, samples: int, rng: np.random.Generator
-) -> Pushes:
+def pushes(disturbances: Sequence[Any], robot: Robot, dt: float, samples: int, rng: np.random.Generator) -> Pushes:
     """The pushes of a run as an effect.
 
     Args:
@@ -243,7 +238,7 @@ def pushes(
     return Pushes(float(dt), np.array(rows, float).reshape(-1, PUSH), gusts)
 
 
-def windows(kind: type, disturbances: Sequence[Disturbance], names: Sequence[str]) -> Array:
+def windows(kind: type, disturbances: Sequence[Any], names: Sequence[str]) -> Array:
     """Joint, start and end of the disturbances of one type, (k, 3); places in the names.
 
     Raises:
@@ -256,7 +251,7 @@ def windows(kind: type, disturbances: Sequence[Disturbance], names: Sequence[str
     return np.array(rows, float).reshape(-1, 3)
 
 
-def payload(disturbances: Sequence[Disturbance]) -> tuple[str, Payload | None]:
+def payload(disturbances: Sequence[Any]) -> tuple[str, Payload | None]:
     """The payload of a run and its key.
 
     Raises:
@@ -268,7 +263,7 @@ def payload(disturbances: Sequence[Disturbance]) -> tuple[str, Payload | None]:
     return (f"disturbances.{found[0][0]}", found[0][1]) if found else ("", None)
 
 
-def lateness(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
+def lateness(disturbances: Sequence[Any], timing: Timing) -> Array:
     """Further delay of every message in measurements, (measurements,), -1 for one that is lost."""
     late = np.zeros(timing.measurements)
     times = np.arange(timing.measurements) * timing.measurement_period
@@ -283,7 +278,7 @@ def lateness(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
     return late
 
 
-def corruption(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
+def corruption(disturbances: Sequence[Any], timing: Timing) -> Array:
     """The number that is added to all numbers of every message, (measurements,)."""
     added = np.zeros(timing.measurements)
     times = np.arange(timing.measurements) * timing.measurement_period
@@ -296,7 +291,7 @@ def corruption(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
     return added
 
 
-def commands(disturbances: Sequence[Disturbance], timing: Timing) -> Array:
+def commands(disturbances: Sequence[Any], timing: Timing) -> Array:
     """The fate of every torque command, (samples,): 0 it arrives, 1 it is lost, 2 it is not a number."""
     fate = np.zeros(timing.samples)
     times = np.arange(timing.samples) * timing.control_period

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..by_address import by_address
 from ..compiled import compiled, copy_to, internal
+from ..compliance import Compliance
 from ..disturbance import block
 from ..errors import ConfigError
 from ..kinematic import Steering
@@ -41,7 +42,21 @@ from ..sensing import exact
 from ..signals import INDEX, Array, IntArray
 from ..torque.controller import ControllerState
 from ..torque.law import Ahead, MotorLimits
-from .hardware import Hardware, World, act, load_at, look, note, push, rotate, sense, shift_energy, turn_motors
+from ..touch import Feeler
+from .hardware import (
+    Hardware,
+    World,
+    act,
+    load_at,
+    look,
+    note,
+    push,
+    rotate,
+    see_world,
+    sense,
+    shift_energy,
+    turn_motors,
+)
 from .machine import Machine, new_machine
 from .plan import Plan
 from .sample import Control, Controls, after_torque, sample
@@ -147,6 +162,10 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
     later: Any,
     split: Split | None,
     steering: Steering | None,
+    task: Compliance | None,
+    touch: Feeler | None,
+    kept: Controls | None,
+    held: Any,
 ) -> int:
     """Control samples first ... last - 1 into the rows; -1, the column of the row that went bad, or `TRIPPED`.
 
@@ -163,6 +182,10 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
         later: Likewise.
         split: Likewise.
         steering: Likewise.
+        task: Likewise.
+        touch: Likewise.
+        kept: Likewise.
+        held: Likewise.
     """
     n, row, at, setpoints = run.numbers, run.controls.row, run.controls.at, run.controls.setpoints
     for k in range(first, last):
@@ -176,7 +199,7 @@ def advance(  # noqa: PLR0913 - parts that are None are not compiled
             measure(k * n.steps // n.per_measurement, time, run, true, hardware)
         sample(
             k, time, setpoints[k], setpoints[max(k - 1, 0)], run.controls, model, hardware, learner, limits, ahead,
-            later, split, steering, None,
+            later, split, steering, task, touch, kept, held, None,
         )  # fmt: skip
         bad = observe(run, body, true, energy)
         if bad >= 0:
@@ -216,6 +239,7 @@ def drive(k: int, time: float, run: CompiledRun, true: Machine, hardware: Hardwa
     """Motors, pushes and blocked joints of sample k over the step at a time [s]: `hardware.tau`, `work.hold`."""
     turn_motors(hardware, true.work.maps)
     rotate(true.nu, hardware.E, hardware.motors.wire.joint)
+    see_world(true.position, true.nu, hardware.world)
     push(k, time, hardware)
     if hardware.split is not None:
         wire = hardware.motors.wire

@@ -22,14 +22,17 @@ from .. import safety
 from ..actuator import Motors, MotorState
 from ..by_address import by_address
 from ..compiled import compiled, copy_to, entry, internal, linked
+from ..compliance import Compliance
 from ..disturbance import Forces
 from ..model.base.rolling import Maps
 from ..safety import Supervisor, SupervisorState
 from ..sensing import Sensors, exact
 from ..sensing.effects import COUNT, RECEIVED, Reading
 from ..signals import EARLY, INDEX, Array, IntArray
+from ..touch import Feeler
 from .servo import Split
 
+HAND_FORCE, OPENING = INDEX["hand_force"], INDEX["opening"]
 APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
 TORQUE, PSI_HAT, POSE, SHAPE = INDEX["torque"], INDEX["psi_hat"], INDEX["pose"], INDEX["shape"]
 PSI_APPLIED, NUDOT_REF = INDEX["psi_applied"], INDEX["nudot_ref"]
@@ -119,12 +122,16 @@ class Totals(NamedTuple):
         states: State of the motors, with the sum of what they gave.
         command: (motors,) torques that reach the motors [N m or N].
         force: (p,) sum of what the world did.
+        hand: (3,) sum of the force at the frame that touches something, (0,) without one.
+        door: (2,) angle and rate of the door, (0,) without one.
     """
 
     imperfect: bool
     states: MotorState
     command: Array
     force: Array
+    hand: Array
+    door: Array
 
 
 @by_address
@@ -182,10 +189,12 @@ class Hardware(NamedTuple):
         E: (p, motors) torque on nu from motor torques.
         tau: (p,) generalized torque of motors and world.
         state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent, commands
-            under way, servo rows and their servos.
+            under way, servo rows and their servos, what feels external torque.
         split: The rows that take a velocity; None where all take effort.
+        touch: What feels external torque; None for nothing.
         places: (motors,) of the motors' joints in the position, negative for a force on the base.
         turning: (motors,) rows of T of the motors' joints where T changes; (0,) elsewhere.
+        task: A compliant hand, for `sample`; None without one.
     """
 
     exact: bool
@@ -197,8 +206,10 @@ class Hardware(NamedTuple):
     tau: Array
     state: Array
     split: Split | None
+    touch: Feeler | None
     places: IntArray
     turning: IntArray
+    task: Compliance | None
 
 
 def pass_through(effects: tuple[Any, ...], wire: Any, k: int, time: float) -> None:
@@ -296,6 +307,7 @@ def send(k: int, time: float, row: Array, at: IntArray, weights: Array, way: Way
         command[j] = entry(way.E_inv, j, tau)
         states.sum[j] = 0.0
     way.totals.force[:] = 0.0
+    way.totals.hand[:] = 0.0
 
 
 @compiled
@@ -364,6 +376,14 @@ def push(k: int, time: float, hardware: Hardware) -> None:
 
 
 @linked
+def see_world(position: Array, nu: Array, world: World) -> None:
+    """Show what a hand touches where the robot is (nv,) and how it moves (p,), before `act`."""
+    if world.wire.position.size:
+        copy_to(position, world.wire.position)
+        copy_to(nu, world.wire.nu)
+
+
+@linked
 def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> None:
     """Generalized torque over one step of the plant, of motors and world, into `hardware.tau`.
 
@@ -387,6 +407,8 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
         for i in range(tau.size):
             tau[i] += world.wire.force[i]
             hardware.way.totals.force[i] += world.wire.force[i]
+        for i in range(hardware.way.totals.hand.size):
+            hardware.way.totals.hand[i] += world.wire.hand[3 + i]
 
 
 @compiled
@@ -413,3 +435,7 @@ def note(steps: int, row: Array, at: IntArray, totals: Totals) -> None:
         row[at[APPLIED] + j] = mean if math.isfinite(mean) else 0.0  # the motion has just left all bounds
     for i in range(at[DISTURBANCE + 1] - at[DISTURBANCE]):
         row[at[DISTURBANCE] + i] = totals.force[i] / steps
+    for i in range(at[HAND_FORCE + 1] - at[HAND_FORCE]):
+        row[at[HAND_FORCE] + i] = totals.hand[i] / steps
+    for i in range(min(totals.door.size, at[OPENING + 1] - at[OPENING])):
+        row[at[OPENING] + i] = totals.door[i]

@@ -112,8 +112,12 @@ def lead_of(
 
 def held(controller: CompiledController) -> CompiledController:
     """The controller with its weights held: asked so, it changes nothing that it remembers."""
-    learns = "learning" in controller.__dataclass_fields__  # type: ignore[attr-defined]
-    return replace(controller, learning=False) if learns else controller  # type: ignore[type-var]
+    return replace(controller, learning=False) if learns(controller) else controller  # type: ignore[type-var]
+
+
+def learns(controller: CompiledController) -> bool:
+    """Whether a controller has weights that may be held."""
+    return "learning" in controller.__dataclass_fields__  # type: ignore[attr-defined]
 
 
 @linked

@@ -18,7 +18,8 @@ import numpy as np
 
 from ..actuator import Actuator
 from ..compiled import one_thread
-from ..disturbance import Disturbance, payload
+from ..compliance import Force, Impedance, require_impedance
+from ..disturbance import Disturbance, payload, touched_frame
 from ..elementary import cos_sin
 from ..errors import ConfigError, RobotError, UnknownName, keyed
 from ..kinematic import Kinematic
@@ -32,9 +33,10 @@ from ..reference.steerable import require_steerable, start_angles
 from ..safety import Safety
 from ..sensing import Sensor
 from ..settings import Timing, given_array, plain
-from ..settings.arguments import checked, require_types
+from ..settings.arguments import checked, faced, require_types
 from ..signals import Array, Dimensions, Layout, Setpoint
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
+from ..touch import Touch
 from .before_run import Bounds, Start, lags, require_first, require_nominal, require_seed, samples_between
 from .compiled import CompiledLoop
 from .controller import state_from, with_findings
@@ -44,10 +46,23 @@ from .lead import delays
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
 from .plan import Plan
+from .reductions import reductions
 from .sampled import delay_margin
 from .servo import Servo
 from .servo_model import linear_servos
-from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
+from .setup import (
+    Sink,
+    Streams,
+    Watching,
+    believed_by,
+    facts_of,
+    freezes,
+    lead_signals,
+    new_context,
+    new_lead,
+    new_streams,
+)
+from .sight import VelocityFilter
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited, timing_for
 
@@ -55,6 +70,7 @@ BLOCK = 250  # most samples that an engine hands over at a time
 PLANTS = ("ideal", "contact")
 
 
+@faced
 @dataclass(frozen=True)
 class Loop:
     """A closed loop, ready to run.
@@ -86,8 +102,11 @@ class Loop:
         servo: The servos behind velocity and position interfaces.
         lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag, see
             `loop.lead`.
+        impedance: How the hand gives way; None for one that is stiff. Gains of the kinematic layer are then unused.
+        force: What the hand pushes with.
         radii: True radii of the drive wheels over the robot's, one factor for all or one per wheel's joint: the plant
             rolls on them, while controller, motors' commands and what is measured by wheels take the robot's.
+        touch: What external torque is felt by, without a sensor of forces; None for nothing.
 
     >>> robot = load("platform_arm")
     >>> path = Trajectory.of(robot, base=Line(speed=0.3), arm={"arm_1_joint": Sine(0.5, period=4.0)})
@@ -120,10 +139,14 @@ class Loop:
     servo: Servo = field(default_factory=Servo)
     lead: bool = False
     radii: float | Mapping[str, float] = 1.0
+    impedance: Impedance | None = None
+    force: Force | None = None
+    touch: Touch | None = None
 
     def __post_init__(self) -> None:
         require_types(self)
         require_seed(self.seed)
+        require_impedance(self.impedance, self.force)
         samples_between(self.weights_interval, self.timing.control_period)
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")
@@ -141,10 +164,13 @@ class Loop:
     def layout(self) -> Layout:
         """Where the signals stand in a row, with those that plant, motors, supervisor and disturbances add."""
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
-        more = self.latency.total > 0.0 or bool(self.interfaces) or self.true is not self.robot
+        task, changed = int(self.impedance is not None), self.true is not self.robot
+        more = bool(task) or self.latency.total > 0.0 or bool(self.interfaces) or changed or self.touch is not None
         hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances) or more)
         hands = 0 if self.trajectory.watched is None else len(self.trajectory.watched.frames)
-        return Layout.of(self.robot.dimensions, wheels, hardware, lead_signals(self), hands)
+        recorded = {"lead": lead_signals(self), "hands": hands, "touch": int(self.touch is not None), "task": task}
+        recorded["scene"] = int(bool(touched_frame(self.disturbances, self.robot)))
+        return Layout.of(self.robot.dimensions, wheels=wheels, hardware=hardware, **recorded)
 
     @checked
     @one_thread
@@ -257,10 +283,13 @@ class Loop:
             block=max(1, min(BLOCK, round(self.weights_interval / self.timing.control_period))),
             latency=self.latency.total,
             lag=self.actuator.lag,
+            sight=VelocityFilter.of(self.sensor, self.timing.measurement_period),
             servo=linear_servos(self.robot, self.interfaces, self.servo, True),
             lead=new_lead(self),
             age=self.latency.caught_up(self.timing),
+            touched=touched_frame(self.disturbances, self.robot),
             steering=self.kinematic.steering_of(self.robot, self.timing.control_period),
+            freezes=freezes(self),
             hitch=self.kinematic.hitch_of(self.robot, self.robot.rows),
         )
 
@@ -301,15 +330,22 @@ class Loop:
         """
         return delay_margin(self.plan())
 
+    def reductions(self) -> list[str]:
+        """Lines on its controller that was reduced because the loop bears no more."""
+        given = LoopToSuit.of(self, self.trajectory, self.timing, self.robot.dimensions)
+        return reductions(self.robot, self.controller, given)
+
     def rehearse(self) -> None:
         """Ask a controller in plain Python at two samples, with a state that is dropped: what fails, fails now.
+
+        Nothing is done where the loop is compiled.
 
         Raises:
             InputError: It fails, or returns something of another shape; what `engine_at` refuses.
         """
         engine = self.engine_at()
-        assert isinstance(engine, OrdinaryLoop)
-        engine.rehearse(min(2, self.timing.samples))
+        if isinstance(engine, OrdinaryLoop):
+            engine.rehearse(min(2, self.timing.samples))
 
     def final(self, engine: Engine) -> dict[str, Array]:
         """Position, nu, and the states of hardware and controller where an engine stands."""

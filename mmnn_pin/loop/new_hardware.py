@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from .. import actuator as motor
 from .. import disturbance, safety
-from ..disturbance import Forces
+from ..actuator import Motors, MotorState
+from ..compliance import Compliance, Held, compliance_of, compliance_size
+from ..disturbance import Forces, Touched
 from ..elementary.matrices import inverse, product, pseudo_inverse, svd
 from ..errors import ConfigError
 from ..kinematic import Steering
-from ..model.robot import Robot
+from ..model.robot import Robot, limits
 from ..model.tree.twin import Twin
 from ..safety import Supervisor
 from ..sensing import FrozenEncoders, Sensor
 from ..settings import given_array
-from ..signals import Array, IntArray
+from ..signals import Array, IntArray, Layout
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
-from .before_run import Start
+from ..touch import Feeler, Sending, new_feeler, new_state, touch_shapes
+from .before_run import Start, viscous_friction
+from .controller import regressor_of
 from .hardware import CommandLine, Expected, Hardware, MotorSide, SentTorque, Totals, Way, World
 from .latency import Transport
 from .lead import leads
-from .servo import Split, interfaces_of, own_velocities, require_no_torque_regressor, split_of, state_size
+from .servo import Split, interfaces_of, laws, own_velocities, require_no_torque_regressor, split_of, state_size
 from .servo_model import servo_slots, servos_of
 from .setup import Setup, believed_by
 from .suited import effective_inertia, postures
@@ -74,7 +79,11 @@ def new_hardware(
     parts = (sensed, at_start, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof), under_way)
     places = layout.dof - own_velocities(robot)
     parts = (*parts, np.zeros(state_size(on, places)), np.zeros((slots, layout.motors)))
-    values, (sensed, kept, guard, held, sent, under_way, rows, ring) = flat(parts)
+    parts = (*parts, np.zeros(disturbance.scene_size(events)), np.zeros(compliance_size(loop.impedance)))
+    parts = (*parts, *touch_state(loop))
+    values, (sensed, kept, guard, held, sent, under_way, rows, ring, seen, yielding, *felt) = flat(parts)
+    frame = disturbance.touched_frame(events, robot)
+    scene = disturbance.scene_of(events, true, timing.plant_step, position, seen, frame)
     states = motor.motor_state(kept)
     motors = loop.actuator.motors(true, timing.plant_step, dead, states)
     if true is not robot:
@@ -106,20 +115,108 @@ def new_hardware(
             lines=(CommandLine(disturbance.commands(events, timing), sent),),
             supervisor=supervisor_of(loop, state, guard, steering, split),
             E_inv=pseudo_inverse(robot.E) if steering is None else steering.E_inv,
-            totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
+            totals=totals_of(motors, states, layout, scene),
             sent=sent,
             shorted=motors.wire.shorted,
             expected=expected_of(loop, sensors.wire.acceleration),
         ),
         motors=motors,
-        world=world_of(loop, gust_rng),
+        world=world_of(loop, gust_rng, scene),
         E=np.array(true.E_at(position), order="C"),
         tau=np.zeros(layout.dof),
         state=values,
         split=split,
+        touch=new_touch(loop, felt, kinds, steering),
         places=motor_rows(robot),
         turning=np.array([true.rows[name] for name in true.actuator_names] if true.steers else [], np.int64),
+        task=task_of(loop, position, on, yielding),
     )
+
+
+def task_of(loop: Setup, position: Array, on: Array, state: Array) -> Compliance | None:
+    """The compliant hand of a loop from a position (nv,) on; None for one that is stiff.
+
+    Args:
+        loop: The closed loop.
+        position: Where it starts.
+        on: (p,) 1 for velocities that take no torque.
+        state: What it remembers, written.
+
+    Raises:
+        ConfigError: An impedance that cannot be.
+    """
+    if loop.impedance is None:
+        return None
+    if not isinstance(loop.controller, CompiledController | LearningLaw):
+        what, why = f"'{loop.controller.name}' under a compliant hand", "it tells no gain that the hand could replace"
+        raise ConfigError(what, why=why, fix="use a controller of this package, or a `LearningLaw`", key="impedance")
+    layout = loop.layout
+    felt = int(layout.where("external_wrench").start) if layout.touch else -1
+    held = Held(
+        gains=stopping_gains(loop),
+        rates=np.concatenate((np.zeros(layout.base), loop.kinematic.arm_gains(layout))),
+        period=loop.timing.control_period,
+        delay=loop.known.total + float(np.max(loop.lags, initial=0.0)),
+        on=on,
+        bandwidth=laws(loop.robot, loop.servo)[0],
+        friction=viscous_friction(loop.robot),
+    )
+    return compliance_of(loop.impedance, loop.force, loop.robot, believed_by(loop), held, position, state, felt)
+
+
+def touch_state(loop: Setup) -> list[Array]:
+    """Room for the state of what feels external torque, nothing where nothing does."""
+    if loop.touch is None:
+        return []
+    motion, timing = regressor_of(described_by(loop)), loop.timing
+    shapes = touch_shapes(motion, loop.robot.dimensions, touch_way(loop), timing.control_period)
+    return [np.zeros(shape) for shape in shapes]
+
+
+def described_by(loop: Setup) -> Robot:
+    """The robot that external torque is measured against: the nominal one, or as its file describes it."""
+    return loop.nominal or loop.robot.described
+
+
+def touch_way(loop: Setup) -> float:
+    """Known time from the command of a torque to the measurement whose velocities show it [s]."""
+    held = max(0.0, loop.timing.measurement_period - loop.timing.control_period)
+    return loop.known.way(loop.timing) + max(0.0, loop.smoothing - held)
+
+
+def new_touch(loop: Setup, parts: list[Array], kinds: tuple[str, ...], steering: Steering | None) -> Feeler | None:
+    """The observer of external torque, with its state in some arrays; None for nothing.
+
+    Raises:
+        ConfigError: A controller without Psi_hat is to be the model; else as of `touch.new_feeler`.
+        UnknownName: No such hand.
+    """
+    touch, robot, timing = loop.touch, loop.robot, loop.timing
+    if touch is None:
+        if loop.safety is not None and loop.safety.contact != "go on":
+            why, fix = "nothing feels contact", "add the table [touch], or --set touch.model=both"
+            raise ConfigError(f"'{loop.safety.contact}' at contact", why=why, fix=fix, key="safety.contact")
+        return None
+    if not leads(loop.controller):
+        if touch.model == "learner":
+            why, fix = f"'{loop.controller.name}' has none", "use touch.model = 'urdf'"
+            raise ConfigError("Psi_hat of the controller as the model", why=why, fix=fix, key="touch.model")
+        touch = msgspec.structs.replace(touch, model="urdf")
+    described = described_by(loop)
+    most = limits(loop.actuator.torque_limit, robot.effort_limits, "motor", "actuator.torque_limit")
+    sending = Sending(
+        period=timing.control_period,
+        every=max(1, round(timing.measurement_period / timing.control_period)),
+        way=touch_way(loop),
+        lag=loop.lags,
+        most=np.array(most, float),
+        E=np.array(robot.E, order="C") if steering is None else steering.E,
+        E_inv=pseudo_inverse(robot.E) if steering is None else steering.E_inv,
+        felt=np.array([kind == "effort" for kind in kinds], float),
+        gains=stopping_gains(loop),
+        gives=loop.safety is not None and loop.safety.contact == "comply",
+    )
+    return new_feeler(touch, described, regressor_of(described), sending, new_state(parts))
 
 
 def motor_rows(robot: Robot) -> IntArray:
@@ -193,7 +290,14 @@ def frozen_encoders(loop: Setup) -> Array:
     return np.array(found, float).reshape(-1, 4)
 
 
-def world_of(loop: Setup, rng: np.random.Generator) -> World:
+def totals_of(motors: Motors, states: MotorState, layout: Layout, scene: Touched | None) -> Totals:
+    """The sums over a control period, of a scene those of its forces, too."""
+    hand = np.zeros(0 if scene is None else 3)
+    door = scene.state[-2:] if scene is not None and scene.door.size else np.zeros(0)
+    return Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof), hand, door)
+
+
+def world_of(loop: Setup, rng: np.random.Generator, scene: Touched | None) -> World:
     """The disturbances from outside in a run.
 
     Raises:
@@ -209,8 +313,14 @@ def world_of(loop: Setup, rng: np.random.Generator) -> World:
         raise ConfigError("a blocked joint", why=why, fix=fix, key="time.integrator")
     _, load = disturbance.payload(loop.disturbances)
     pick, drop = (math.inf, math.inf) if load is None else (float(load.start), float(load.end))
-    forces = Forces(np.zeros(robot.dimensions.dof))
-    return World(len(pushes.table) > 0, forces, (pushes,), blocked, pick, drop, np.zeros(2))
+    d = robot.dimensions
+    forces, effects = Forces(np.zeros(d.dof)), tuple[Any, ...]((pushes,))
+    if scene is not None:
+        forces = forces._replace(
+            position=np.zeros(d.full), nu=np.zeros(d.dof), by_hand=np.zeros(d.dof), hand=np.zeros(6)
+        )
+        effects = (pushes, scene)
+    return World(len(pushes.table) > 0 or scene is not None, forces, effects, blocked, pick, drop, np.zeros(2))
 
 
 def supervisor_of(

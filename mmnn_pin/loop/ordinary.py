@@ -18,7 +18,7 @@ from ..plant.ideal import IdealPlant
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
 from ..signals import Array
-from .hardware import Hardware, act, load_at, look, note, push, sense, shift_energy, turn_motors
+from .hardware import Hardware, act, load_at, look, note, push, see_world, sense, shift_energy, turn_motors
 from .plan import Plan
 from .sample import Control, after_torque
 
@@ -134,12 +134,15 @@ class OrdinaryLoop:
         plant, world = self.plant, hardware.world
         turn_motors(hardware, plant.dynamics.maps)
         plant.motor_speeds(hardware.motors.wire.joint)
+        see_world(plant.position, plant.nu, world)
         push(k, time, hardware)
         if hardware.split is not None:
             wire = hardware.motors.wire
             look(hardware, plant.position)
             plant.respond(hardware.tau, hardware.E, wire.free, wire.answer)
         act(k, time, self.row, self.at, hardware)
+        if isinstance(plant, ContactPlant):
+            plant.hand, plant.by_hand = world.wire.hand, world.wire.by_hand
         block(time, world.blocked, plant.hold)
         plant.step(hardware.tau, world.wire.force)
 
@@ -171,5 +174,5 @@ def plant_of(plan: Plan) -> Plant:
     """The plant that a loop asks for; errors as in `OrdinaryLoop`."""
     timing = plan.timing
     if plan.contact is not None:
-        return ContactPlant(plan.true, timing.plant_step, timing.integrator, plan.contact)
+        return ContactPlant(plan.true, timing.plant_step, timing.integrator, plan.contact, plan.touched)
     return IdealPlant(plan.true, timing.plant_step, timing.integrator)

@@ -15,6 +15,7 @@ from ..signals import Array, Layout
 from ..torque.controller import CompiledController, Context, TorqueController
 from .lead import Lead
 from .servo_model import LinearServos
+from .sight import VelocityFilter
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +39,13 @@ class Plan:
         block: Samples that an engine hands over at a time.
         latency: Known delay between measurement and torque, for the check of the gains [s].
         lag: Time constant of the motors, one number or one per motor, for the same [s].
+        sight: How velocities are made of encoders, for the same; None where they are exact.
         servo: What the servos of velocity interfaces amount to, for the same; None without any.
         lead: How Psi_hat looks ahead to where the torque acts; None where it does not.
         age: By how much measurements are brought up to now [s].
         steering: Of a base that steers; None for others.
+        touched: The frame that touches something; empty where none does.
+        freezes: Whether contact keeps a learner from learning.
         hitch: Of the trailer that follows the reference, as of `Kinematic.hitch_of`; (0,) where the base does.
     """
 
@@ -61,10 +65,13 @@ class Plan:
     block: int = 1
     latency: float = 0.0
     lag: float | tuple[float, ...] = 0.0
+    sight: VelocityFilter | None = None
     servo: LinearServos | None = None
     lead: Lead | None = None
     age: float = 0.0
+    touched: str = ""
     steering: Steering | None = None
+    freezes: bool = False
     hitch: Array = field(default_factory=lambda: np.zeros(0))
 
     @property

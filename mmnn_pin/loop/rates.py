@@ -21,7 +21,7 @@ controller. One of second order, `w^2 / (p + w)^2`, is at low frequencies one of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -30,6 +30,8 @@ import numpy as np
 from ..signals import Array
 from .sampled import HeldLoop
 
+MOST = 4.0  # factor on gains or weights
+LEFT = 0.5, 0.25  # of the margin beyond what has to be left: what higher gains, and what more weight leave
 PART = 0.75  # of the margin of the feedback alone, beyond what is known, that is left
 FASTEST = 20.0  # rates that are tried begin here [1/s]
 SLOWER, STEPS = 0.9, 80  # and are this times the one before, so many of them
@@ -61,11 +63,61 @@ def largest_rate(loops: Sequence[HeldLoop], gains: Array, inertia: Array, h: flo
         margins = (loop.margin(gains + more, h, inside, adds) for loop in loops)
         return all(margin > 0.0 and margin >= enough for margin, enough in zip(margins, least, strict=True))
 
+    return largest(FASTEST, bears)
+
+
+def largest(most: float, bears: Callable[[float], bool]) -> float:
+    """The largest of `most SLOWER^i` that a loop bears, which is what it bears everything below of; 0 for none."""
     low, high = 0, STEPS  # of the exponent: the first one that the loop bears is in between
     while low < high:
         middle = (low + high) // 2
-        low, high = (low, middle) if bears(FASTEST * SLOWER**middle) else (middle + 1, high)
-    return FASTEST * SLOWER**low if low < STEPS else 0.0
+        low, high = (low, middle) if bears(most * SLOWER**middle) else (middle + 1, high)
+    return most * SLOWER**low if low < STEPS else 0.0
+
+
+def borne(loops: Sequence[HeldLoop], gains: Array, h: float, known: float, more: float) -> tuple[float, float, float]:
+    """How fast a learner may answer s over K [1/s], and factors f on the gains and on the weight of an estimate.
+
+    With L the margin that has to be left, what is known and `more` of what is beyond it, or half of that,
+
+        L = known + min(more, (margin(K, M nudot_ref) - known) / 2),
+
+    higher gains (a robust term), or more inertia than there is (an estimate that has run too far), leave a part of the
+    margin beyond it to the answer, which is an integral beside the higher gains:
+
+        margin(f K, M nudot_ref) >= L + LEFT[0] (margin - L),    margin(K, f M nudot_ref) >= L + LEFT[1] (margin - L),
+        margin(f K, M nudot_ref, integral) >= L
+
+    Args:
+        loops: The loop at some places.
+        gains: (p,) K.
+        h: Control period [s].
+        known: Delay that is known [s].
+        more: Delay beyond it that the loop should bear [s].
+    """
+    order, alone = list(loops), {id(loop): max(known, loop.margin(gains, h, True)) for loop in loops}
+    least = {key: known + min(more, 0.5 * (margin - known)) for key, margin in alone.items()}
+
+    def holds(margin: Callable[[HeldLoop], float], left: float) -> bool:
+        for k, loop in enumerate(order):
+            L = least[id(loop)]
+            if margin(loop) < L + left * (alone[id(loop)] - L):
+                order.insert(0, order.pop(k))  # what fails first will again
+                return False
+        return True
+
+    def higher(factor: float) -> bool:
+        return holds(lambda one: one.margin(factor * gains, h, True), LEFT[0])
+
+    def heavier(factor: float) -> bool:
+        return holds(lambda one: replace(one, inside=factor * one.inside).margin(gains, h, True), LEFT[1])
+
+    room = max(1.0, largest(MOST, higher))
+
+    def faster(rate: float) -> bool:
+        return holds(lambda one: one.margin(room * gains, h, True, rate * h * gains), 0.0)
+
+    return largest(1.0 / h, faster), room, max(1.0, largest(MOST, heavier))
 
 
 def with_inertia(loop: HeldLoop, inertia: Array) -> HeldLoop:

@@ -18,6 +18,7 @@ import numpy as np
 from .. import kinematic
 from ..by_address import by_address
 from ..compiled import by_type, compiled, copy_to, entry, internal, linked, plain
+from ..compliance import Compliance, give, wish
 from ..errors import ConfigError, InputError, RobotError
 from ..kinematic import Steering
 from ..model.base.trailers import trailer_pose
@@ -30,10 +31,11 @@ from ..parts import vector, view
 from ..signals import INDEX, Array, IntArray, Measurement, Setpoint, VelocityCommand
 from ..torque import law
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from ..torque.law import Ahead, MotorLimits, Packed, estimate, limit, settle, turn_limits
+from ..torque.law import Ahead, MotorLimits, Packed, doubt, estimate, limit, settle, turn_limits
 from ..torque.learning_law import LearningLaw, Sample, blamed, norms
+from ..touch import Feeler, feel, give_way, is_asked, is_frozen, remember
 from .hardware import Hardware, is_stopped, send
-from .lead import Lead, catch_up, look_ahead, reference_then
+from .lead import Lead, catch_up, held, learns, look_ahead, reference_then
 from .machine import Machine, new_machine
 from .plan import Plan
 from .servo import Split, answered, ask
@@ -90,6 +92,10 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
     later: Any,
     split: Split | None,
     steering: Steering | None,
+    task: Compliance | None,
+    touch: Feeler | None,
+    kept: Controls | None,
+    held: Any,
     own: Torque | None,
 ) -> None:
     """Write everything of a control sample up to the torque into the row, which has the measurement.
@@ -108,6 +114,10 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         later: The learner with its weights held, which is asked there.
         split: The rows that take a velocity, which are the hardware's; None where all take effort.
         steering: Of a base that steers; None for others.
+        task: A compliant hand; None for one that is stiff.
+        touch: What feels external torque; None for nothing.
+        kept: The controls of the law with its weights held, which takes over in contact; None where it goes on.
+        held: The learner with its weights held, likewise.
         own: A controller in plain Python, which is asked in place of the law; None for one of this package.
     """
     row, at, asked = controls.row, controls.at, True
@@ -115,24 +125,100 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         reference_then(controls.setpoints, k, controls.age / controls.h, controls.then)
         catch_up(row, at, setpoint, controls.then, controls.age, steering)
     turn(row, at, limits, steering)
+    frozen = feel_first(row, at, time, touch)
     before_torque(row, at, time, setpoint, controls.gains, controls.K, before, steering)
     if hardware is not None:
         asked = not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
-    if split is not None and asked:
-        ask(row, at, split)
     if asked:
+        bend(row, at, task, split)
         if ahead is not None:
             look_ahead(row, at, before, ahead, steering)
         if own is not None:
-            own.answer(time)
+            own.answer(time, frozen)
         else:
-            law_torque(controls, model, learner, limits, ahead, later)
+            law_or_held(controls, model, learner, limits, ahead, later, kept, held, frozen)
+        bear(row, at, task)
+        yield_to(row, at, touch)
     if split is not None:
         answered(row, at, not asked, split)
     if hardware is not None:
         send(k, time, row, at, controls.state, hardware.way)
+    look_back(controls, learner, limits, asked, touch)
     if learner is not None and asked:
-        settle(row, at, learner, controls.state)
+        settle_or_held(controls, learner, kept, held, frozen)
+
+
+@compiled
+def law_or_held(  # noqa: PLR0913 - parts that are None are not compiled
+    controls: Controls, model: Machine | None, learner: Any, limits: MotorLimits | None, ahead: Ahead | None,
+    later: Any, kept: Controls | None, held: Any, frozen: bool,
+) -> None:  # fmt: skip
+    """`law_torque` of the law, or of the one with its weights held; arguments as of `sample`."""
+    if kept is not None:
+        if frozen:
+            law_torque(kept, model, held, limits, ahead, later)
+        else:
+            law_torque(controls, model, learner, limits, ahead, later)
+    else:
+        law_torque(controls, model, learner, limits, ahead, later)
+
+
+@compiled
+def settle_or_held(controls: Controls, learner: Any, kept: Controls | None, held: Any, frozen: bool) -> None:
+    """`settle` of the learner, or of the one with its weights held; arguments as of `sample`."""
+    if kept is not None:
+        if frozen:
+            settle(controls.row, controls.at, held, controls.state)
+        else:
+            settle(controls.row, controls.at, learner, controls.state)
+    else:
+        settle(controls.row, controls.at, learner, controls.state)
+
+
+@compiled
+def feel_first(row: Array, at: IntArray, time: float, touch: Feeler | None) -> bool:
+    """Feel what the measurement says, into the row; whether a learner is to keep what it knows."""
+    frozen = False
+    if touch is not None:
+        feel(row, at, time, touch)
+        frozen = is_frozen(touch)
+    return frozen
+
+
+@compiled
+def yield_to(row: Array, at: IntArray, touch: Feeler | None) -> None:
+    """Give way to contact where that is asked for."""
+    if touch is not None:
+        give_way(row, at, touch)
+
+
+@compiled
+def look_back(controls: Controls, learner: Any, limits: MotorLimits | None, asked: bool, touch: Feeler | None) -> None:
+    """Tell what feels the torque that was sent, and what the learner knows; arguments as of `sample`."""
+    row, at = controls.row, controls.at
+    if touch is not None:
+        if limits is not None:
+            remember(row, at, limits.asked, asked, touch)
+        else:
+            remember(row, at, view(row, at, PSI_HAT), asked, touch)
+        if learner is not None and asked and is_asked(touch):
+            doubt(learner, controls.state, touch.state.learned)
+
+
+@compiled
+def bend(row: Array, at: IntArray, task: Compliance | None, split: Split | None) -> None:
+    """The velocity that is asked for, as a compliant hand and the rows that take a velocity change it."""
+    if task is not None:
+        wish(row, at, task)
+    if split is not None:
+        ask(row, at, split)
+
+
+@compiled
+def bear(row: Array, at: IntArray, task: Compliance | None) -> None:
+    """The torque of a compliant hand in place of the feedback's."""
+    if task is not None:
+        give(row, at, task)
 
 
 @compiled
@@ -327,7 +413,7 @@ class Torque:
 
     Attributes:
         law: The law of a compiled controller.
-        model, learner, limits, ahead, later: As of `sample`.
+        model, learner, limits, ahead, later, kept, held: As of `sample`.
         compiled: Whether compiled code can ask it.
     """
 
@@ -355,6 +441,8 @@ class Torque:
         values = state.values if isinstance(state, ControllerState) else np.zeros(0)
         nothing = np.zeros(0)
         self.controls = Controls(row, self.at, nothing, nothing, numbers, values, nothing[None], nothing, 0.0, 1.0)
+        self.kept: Controls | None = None
+        self.held: Any = None
         self.compiled = isinstance(controller, CompiledController) and not isinstance(self.model, Unflattened)
         if isinstance(controller, TorqueController):
             self._wire(controller, context)
@@ -371,12 +459,17 @@ class Torque:
             self.sample, self.K = Sample.of(row, context), controller.feedback_gain(layout)
             self.later_sample = self.sample if self.ahead is None else Sample.of(self.ahead.row, context)
 
-    def answer(self, time: float) -> None:
-        """Write psi_hat, robust, effective_gain and torque of this sample, at a time [s], into the row."""
+    def answer(self, time: float, frozen: bool = False) -> None:
+        """Write psi_hat, robust, effective_gain and torque of this sample, at a time [s], into the row.
+
+        Args:
+            time: [s].
+            frozen: Whether what is learned is to be kept.
+        """
         if isinstance(self.controller, TorqueController):
             try:
                 if isinstance(self.controller, LearningLaw):
-                    self._learning_law(time, self.controller)
+                    self._learning_law(time, self.controller, frozen)
                 else:
                     self._python(time, self.controller)
             except InputError:
@@ -385,7 +478,14 @@ class Torque:
                 raise blamed(error, self.controller) from error
             return
         function = law_torque if self.compiled else plain(law_torque)
-        function(self.controls, self.model, self.learner, self.limits, self.ahead, self.later)
+        controls, learner = (self.kept, self.held) if frozen and self.kept else (self.controls, self.learner)
+        function(controls, self.model, learner, self.limits, self.ahead, self.later)
+
+    def hold(self, context: Context, controls: Controls) -> None:
+        """Make the law with its weights held, where the controller has weights, beside controls of the law."""
+        if isinstance(self.controller, CompiledController) and learns(self.controller):
+            law = held(self.controller).law(context)
+            self.kept, self.held = controls._replace(law=law.numbers), law.learner
 
     def keep(self) -> None:
         """Let a learner remember the torque in the row: the one of the law, or what a supervisor made of it."""
@@ -410,7 +510,7 @@ class Torque:
             if self.limits is not None:
                 self._answer(self.torque - self.psi_hat)
 
-    def _learning_law(self, time: float, controller: LearningLaw) -> None:
+    def _learning_law(self, time: float, controller: LearningLaw, frozen: bool) -> None:
         """`tau = K s + Psi_hat` of a law in plain Python, and what it learns."""
         if self.ahead is not None:
             self.later_sample.refresh(time + self.ahead.time)
@@ -422,7 +522,7 @@ class Torque:
         self.gain[:] = self.K
         self.weight_norm[:] = norms(controller.weights(self.state), self.layout)
         self._answer(self.K * self.sample.s)
-        if controller.learning:
+        if controller.learning and not frozen:
             controller.learn(self.sample, self.state)
 
     def _answer(self, feedback: Array) -> None:
@@ -482,6 +582,8 @@ class Control:
             age=plan.age,
             h=plan.timing.control_period,
         )
+        if plan.freezes:
+            torque.hold(plan.context, self.controls)
         self.steering = alike(plan.steering, torque.model)
         self.sample = sample if torque.compiled else plain(sample)
         self.equip(hardware)
@@ -489,9 +591,11 @@ class Control:
     def equip(self, hardware: Hardware | None) -> None:
         """Put a hardware model, or None, behind the controller."""
         torque, own = self.torque, None if self.torque.compiled else self.torque
-        self.hardware, split = hardware, None if hardware is None else hardware.split
+        self.hardware, (split, touch) = hardware, (None, None) if hardware is None else (hardware.split, hardware.touch)
         learned = torque.learner, torque.limits, torque.ahead, torque.later
-        self.blocks = (self.controls, torque.model, hardware, *learned, split, self.steering, own)
+        task = None if hardware is None else hardware.task
+        kept = (None, None) if touch is None else (torque.kept, torque.held)
+        self.blocks = (self.controls, torque.model, hardware, *learned, split, self.steering, task, touch, *kept, own)
 
     def step(self, time: float, setpoint: Array, k: int = 0, before: Array | None = None) -> None:
         """One `sample`; `before` is None for the setpoint itself."""

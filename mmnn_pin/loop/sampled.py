@@ -3,7 +3,8 @@
 The loop is linearised about the reference, with the torque held over a control period h: deviations
 `d = [ex, ey, ephi; e; nu; tau of lagging motors]` obey `d_next = Phi d + Gamma tau`, `tau = F d`, and `Phi + Gamma F`
 must have no eigenvalue beyond the unit circle. F is the feedback `k s`; a controller that adds `M nudot_ref` has also
-the feedback inside it, `M [alphadot; K edot]`, which is judged beside.
+the feedback inside it, `M [alphadot; K edot]`, which is judged beside. Where velocities are made of encoders
+(`VelocityFilter`), the memory of the filter or the observer is part of d, and F sees its rates in place of nu.
 
 **Delay margin.** With a delay L between measurement and torque the loop turns unstable where
 `exp(-j w L) lambda = 1` for an eigenvalue lambda of `H(w) = F (exp(j w h) - Phi)^-1 Gamma`: at a frequency where
@@ -17,7 +18,8 @@ at the nearest minimum of `1/2 (q_ref - q)' k K (q_ref - q) + U(q)`, with the st
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
@@ -33,12 +35,32 @@ from ..torque.model_based import PD, ScheduledPD
 from .before_run import Start, lags, viscous_friction
 from .plan import Plan
 from .servo_model import LinearServos
+from .sight import VelocityFilter
 
 TOLERANCE = 1e-9
 TINY = 1e-5  # deviation by which a slope is taken, and by which what stands upright begins to fall [rad or m]
 WITHOUT_RATES = (Gravity, Integrator)  # their Psi_hat does not answer to nudot_ref, and the errors in it
 LARGEST = 700.0  # exponents up to here have an exponential
 FREQUENCIES, SLOWEST = 160, 0.05  # of the sweep, from this one on [rad/s]
+
+
+class Machinery(NamedTuple):
+    """The parts between torque and motion, and between motion and measurement; none by default.
+
+    Attributes:
+        friction: Viscous friction on nu, (p,) or a matrix (p, p).
+        lag: (p,) time constants of first-order motors [s].
+        servos: Of servo rows, whose gains are 0.
+        sight: How velocities are measured, None for exactly.
+    """
+
+    friction: Array | None = None
+    lag: Array | None = None
+    servos: LinearServos | None = None
+    sight: VelocityFilter | None = None
+
+
+NOTHING = Machinery()
 
 
 @dataclass(frozen=True)
@@ -62,13 +84,7 @@ class SampledLoop:
 
 
 def sampled_loop(
-    M: Array,
-    gains: Array,
-    law: LinearErrors,
-    K: Array,
-    h: float,
-    friction: Array | None = None,
-    servos: LinearServos | None = None,
+    M: Array, gains: Array, law: LinearErrors, K: Array, h: float, machinery: Machinery = NOTHING
 ) -> SampledLoop:
     """Spectral radius of the held PD loop at one mass matrix and law of the base.
 
@@ -78,10 +94,9 @@ def sampled_loop(
         law: The pose error under the law of the base, at a reference velocity.
         K: (n,) gain of the filtered arm error [1/s].
         h: Control period [s].
-        friction: Viscous friction on nu, (p,) or a matrix (p, p); None for none.
-        servos: Of servo rows, whose gains are 0; None for none.
+        machinery: What else is in the loop.
     """
-    held = held_loop(M, law, K, h, friction, servos=servos)
+    held, servos = held_loop(M, law, K, h, machinery), machinery.servos
     if held is None:
         return SampledLoop(np.inf, 2.0 / (h * np.diag(np.linalg.inv(M))))
     radius = float(np.abs(np.linalg.eigvals(held.closed(gains))).max())
@@ -102,6 +117,7 @@ class HeldLoop:
         inside: (p, k): `M nudot_ref` of a deviation, the feedback inside Psi.
         rates: (p, k): `nudot_ref` of a deviation.
         asked: (p, k): velocities that servo rows are asked for in a deviation, 0 on the others.
+        responses: By period, `(z - state)^-1 torque` at the frequencies of a sweep, which no gain changes.
     """
 
     state: Array
@@ -110,6 +126,7 @@ class HeldLoop:
     inside: Array
     rates: Array
     asked: Array
+    responses: dict[float, Array] = field(default_factory=dict)
 
     def closed(self, gains: Array) -> Array:
         """(k, k) with the torque `gains s`, gains (p,)."""
@@ -129,6 +146,10 @@ class HeldLoop:
             closed = np.block([[closed, self.torque], [adds[:, None] * self.errors, np.eye(adds.size)]])
         return float(np.abs(np.linalg.eigvals(closed)).max())
 
+    def response(self, z: Array) -> Array:
+        """`(z - state)^-1 torque` at some z (n, 1, 1), (n, k, p)."""
+        return np.asarray(np.linalg.solve(z * np.eye(len(self.state)) - self.state, self.torque + 0j), complex)
+
     def margin(self, gains: Array, h: float, inside: bool, adds: Array | None = None) -> float:
         """Delay at which the loop turns unstable [s]: 0 where it is already, inf where no delay does it.
 
@@ -140,18 +161,20 @@ class HeldLoop:
         """
         if self.radius(gains, inside, adds) > 1.0 + TOLERANCE:
             return 0.0
-        F, eye = self.feedback(gains, inside) + 0j, np.eye(len(self.state))
+        F = self.feedback(gains, inside) + 0j
         own = np.zeros(self.errors.shape) if adds is None else adds[:, None] * self.errors
 
-        def loops(w: Array) -> Array:
+        def loops(w: Array, responses: Array | None = None) -> Array:
             """Eigenvalues of H at some frequencies, by magnitude, (len(w), p)."""
             z = np.exp(1j * w * h)[:, None, None]
-            H = (F + own / (z - 1.0)) @ np.linalg.solve(z * eye - self.state, self.torque + 0j)
+            H = (F + own / (z - 1.0)) @ (self.response(z) if responses is None else responses)
             found = np.asarray(np.linalg.eigvals(H), complex)
             return np.take_along_axis(found, np.argsort(np.abs(found), axis=1), axis=1)
 
         w = np.geomspace(min(SLOWEST, 0.1 / h), np.pi / h, FREQUENCIES)
-        over = np.abs(loops(w)) > 1.0
+        if h not in self.responses:
+            self.responses[h] = self.response(np.exp(1j * w * h)[:, None, None])
+        over = np.abs(loops(w, self.responses[h])) > 1.0
         at, i = np.nonzero(over[1:] != over[:-1])
         if not at.size:
             return np.inf
@@ -166,21 +189,15 @@ class HeldLoop:
 
 
 def held_loop(
-    M: Array,
-    law: LinearErrors,
-    K: Array,
-    h: float,
-    friction: Array | None = None,
-    lag: Array | None = None,
-    stiffness: Array | None = None,
-    servos: LinearServos | None = None,
+    M: Array, law: LinearErrors, K: Array, h: float, machinery: Machinery = NOTHING, stiffness: Array | None = None
 ) -> HeldLoop | None:
     """The linearised loop over one period, arguments as in `sampled_loop`; None where it moves too fast to compute.
 
-    With `lag` (p,), time constants of first-order motors, their torques are further states where it is not 0 [s];
-    `stiffness` (n, n) is the derivative of gravity by the joints [N m/rad]. `servos` hold velocities: see `behind`.
+    The torques of motors with a lag are further states; `stiffness` (n, n) is the derivative of gravity by the joints
+    [N m/rad]. Servos hold velocities: see `behind`. What velocities are made of: see `seen`.
     """
     p, nb, poses = len(M), len(law.command), len(law.rates)
+    friction, lag, servos, sight = machinery
     n = p - nb
     lagging = np.flatnonzero(lag) if lag is not None else np.zeros(0, int)
     motion = poses + n + p
@@ -209,12 +226,41 @@ def held_loop(
         A[nu, poses : poses + n] += M_inv[:, nb:] @ stiffness
     if servos is not None:
         A, B = behind(servos, A, B, M_inv, nu)
-    size = len(A)
-    held = expm(np.block([[A, B], [np.zeros((p, size + p))]]) * h)
-    state, torque = held[:size, :size], held[:size, size:]
+    state, torque, moved = over_a_period(A, B, nu, h)
+    if sight is not None:
+        state, torque, errors, rates, nu = seen(sight, state, torque, errors, rates, moved, nu, h)
     if servos is None:
-        return HeldLoop(state, torque, errors, M @ rates, rates, np.zeros((p, size)))
+        return HeldLoop(state, torque, errors, M @ rates, rates, np.zeros(errors.shape))
     return asking(servos, state, torque, errors, rates, M, nu, h)
+
+
+def over_a_period(A: Array, B: Array, nu: slice, h: float) -> tuple[Array, Array, Array]:
+    """State and torque of a period, as of `HeldLoop`, and nu on average over it by state and torque, (p, k + p)."""
+    size, p = B.shape
+    whole = np.zeros((size + 2 * p, size + 2 * p))
+    whole[:size, :size], whole[:size, size : size + p], whole[size + p :, nu] = A, B, np.eye(p)
+    held = expm(whole * h)
+    return held[:size, :size], held[:size, size : size + p], held[size + p :, : size + p] / h
+
+
+def seen(
+    sight: VelocityFilter, state: Array, torque: Array, errors: Array, rates: Array, moved: Array, nu: slice, h: float
+) -> tuple[Array, Array, Array, Array, slice]:
+    """The loop with a filter's or an observer's memory as its last states, and where its rates stand in place of nu."""
+    (size, p), (whole, total) = torque.shape, sight.over(h)
+    kept = [1] if sight.beta == 0.0 else [0, 1]
+    A, b = whole[np.ix_(kept, kept)], total[kept, None]
+    remembered = len(kept) * p
+    state = np.block([[state, np.zeros((size, remembered))], [np.kron(b, moved[:, :size]), np.kron(A, np.eye(p))]])
+    torque = np.vstack((torque, np.kron(b, moved[:, size:])))
+    there = slice(len(state) - p, len(state))
+
+    def by_sight(rows: Array) -> Array:
+        found = np.zeros((len(rows), len(state)))
+        found[:, : rows.shape[1]], found[:, there], found[:, nu] = rows, rows[:, nu], 0.0
+        return found
+
+    return state, torque, by_sight(errors), by_sight(rates), there
 
 
 def behind(servos: LinearServos, A: Array, B: Array, M_inv: Array, nu: slice) -> tuple[Array, Array]:
@@ -273,19 +319,23 @@ def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | N
         places: How many.
         share: Of the gains of the feedback, by which a robot sags.
     """
-    robot, dynamics, servo = plan.robot, Dynamics(plan.robot), plan.servo
-    friction, lag, h, found = viscous_friction(robot), lags(robot, plan.lag), slowest(plan), []
+    robot, dynamics, servo, found = plan.robot, Dynamics(plan.robot), plan.servo, []
     for i in np.unique(np.linspace(0, len(plan.setpoints) - 1, places).astype(int)):
         position, _ = Start().state(robot, plan.setpoints[i])
         v_ref = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
-        loop = robot.base.linear_errors(v_ref, plan.gains), plan.K, h, friction, lag
-        found.append(held_loop(dynamics.mass_matrix(position), *loop, servos=servo))
+        loop = robot.base.linear_errors(v_ref, plan.gains), plan.K, slowest(plan), machinery_of(plan)
+        found.append(held_loop(dynamics.mass_matrix(position), *loop))
         if isinstance(plan.controller, PD | ScheduledPD):
             springs = (share * gains_of(plan))[robot.dimensions.base :] * plan.K
             by_torque = np.ones(springs.size) if servo is None else servo.on[robot.dimensions.base :] == 0.0
             if (stiffness := sag(dynamics, position, springs, np.flatnonzero(by_torque))) is not None:
-                found.append(held_loop(dynamics.mass_matrix(position), *loop, stiffness, servo))
+                found.append(held_loop(dynamics.mass_matrix(position), *loop, stiffness))
     return found
+
+
+def machinery_of(plan: Plan) -> Machinery:
+    """The parts between the torques of a plan and its measurements."""
+    return Machinery(viscous_friction(plan.robot), lags(plan.robot, plan.lag), plan.servo, plan.sight)
 
 
 def sag(dynamics: Dynamics, position: Array, springs: Array, free: IntArray) -> Array | None:
@@ -383,10 +433,10 @@ def margin_at(held: HeldLoop | None, gains: Array, h: float, inside: bool) -> fl
 def verdicts(plan: Plan, other: Array | None = None) -> Iterator[SampledLoop]:
     """The sampled PD loop at ten places along the setpoints, with gains (p,) in place of its own."""
     robot, dynamics = plan.robot, Dynamics(plan.robot)
-    friction, h = viscous_friction(robot), slowest(plan)
+    machinery, h = machinery_of(plan), slowest(plan)
     gains = gains_of(plan) if other is None else other
     for i in np.unique(np.linspace(0, len(plan.setpoints) - 1, 10).astype(int)):
         position, _ = Start().state(robot, plan.setpoints[i])
         velocity = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
         law = robot.base.linear_errors(velocity, plan.gains)
-        yield sampled_loop(dynamics.mass_matrix(position), gains, law, plan.K, h, friction, plan.servo)
+        yield sampled_loop(dynamics.mass_matrix(position), gains, law, plan.K, h, machinery)

@@ -15,8 +15,9 @@ from ..actuator import Actuator, Drive, MotorState
 from ..by_address import by_address
 from ..compiled import compiled, internal
 from ..elementary import exp
-from ..elementary.matrices import product, pseudo_inverse, solve
+from ..elementary.matrices import product, pseudo_inverse
 from ..model.base.steered import SteeredBase
+from ..model.checks.properties import random_state
 from ..model.robot import Robot, limits
 from ..model.tree.twin import Twin
 from ..settings import one_or_each
@@ -25,6 +26,7 @@ from .before_run import viscous_friction
 from .servo import EFFORT, POSITION, Servo, Split, interfaces_of, laws, movers, own_velocities
 
 TINY = 1e-9  # damping of a position servo without any [N m s/rad or N s/m]
+PLACES = 20  # at which inertias are looked at
 TUNED = 2.0  # times viscous friction that a servo's gain has beside its bandwidth
 
 
@@ -288,19 +290,23 @@ LAW = ("stiffness", "damping", "integral", "stall", "dead_band", "profile_speed"
 
 
 def servo_motors(robot: Robot, on: Array, bandwidth: Array) -> tuple[Array, Array, Array]:
-    """Which motors have a servo, its gain and its stiffness, (motors,) each, of `VelocityServo`.
+    """Which motors have a servo known by its bandwidth, its Kd and Kp over Kd, (motors,) each, of `Servos`.
+
+    Kd is the bandwidth times the inertia that a motor moves while the others hold theirs, the largest at some postures,
+    and more against friction.
 
     Args:
         robot: The robot.
         on: (p,) which rows are servo rows.
         bandwidth: (p,) of them [1/s].
     """
-    E = np.ascontiguousarray(robot.E_at(robot.rest))
-    M = Twin(robot).mass_matrix(robot.neutral_position())
-    inertia = 1.0 / np.diag(product(E.T, solve(M, E)))  # what a motor alone moves
+    back = pseudo_inverse(np.ascontiguousarray(robot.E_at(robot.rest)))
+    twin, rng, inertia = Twin(robot), np.random.default_rng(0), np.zeros(len(back))
+    for i in range(PLACES):
+        position = robot.neutral_position() if i == 0 else random_state(robot, rng)[0]
+        inertia = np.maximum(inertia, np.diag(product(back, twin.mass_matrix(position), back.T)))
     moves = movers(robot)
     b = np.array([bandwidth[rows].min() for rows in moves.T])
-    back = pseudo_inverse(E)
     damping = np.diag(product(back, viscous_friction(robot), back.T))
     return (on @ moves > 0.0).astype(float), b * inertia + TUNED * damping, 0.25 * b
 

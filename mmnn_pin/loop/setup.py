@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..actuator import Actuator
+from ..compliance import Force, Impedance, require_impedance
 from ..disturbance import Disturbance
 from ..kinematic import Kinematic
 from ..model.robot import Robot
@@ -23,6 +24,7 @@ from ..settings import Numbers, Timing, plain, require_gain
 from ..signals import SIGNALS, Array, Layout
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.learning_law import origin_of
+from ..touch import Touch
 from .before_run import lags, require_nominal
 from .controller import context_of
 from .latency import Latency
@@ -30,6 +32,7 @@ from .lead import Lead, delays, lead_of, leads
 from .plan import Plan
 from .servo import Servo
 from .servo_model import linear_servos
+from .sight import VelocityFilter
 from .suited import postures
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
@@ -101,12 +104,24 @@ class Setup(Protocol):
         """Interface of motors' joints, effort where they are not named."""
 
     @property
+    def impedance(self) -> Impedance | None:
+        """How the hand gives way; None for one that is stiff."""
+
+    @property
+    def force(self) -> Force | None:
+        """The force that the hand pushes with."""
+
+    @property
     def servo(self) -> Servo:
         """The servos of velocity interfaces, as far as they are known."""
 
     @property
     def lead(self) -> bool:
         """Whether Psi_hat leads."""
+
+    @property
+    def touch(self) -> Touch | None:
+        """The observer of external torque; None for nothing."""
 
     @property
     def delays(self) -> Array:
@@ -156,6 +171,11 @@ def lead_signals(setup: Setup) -> int:
     return int(setup.lead and leads(setup.controller))
 
 
+def freezes(setup: Setup) -> bool:
+    """Whether contact keeps the learner of a setup from learning."""
+    return setup.touch is not None and setup.touch.learning != "on"
+
+
 def new_lead(setup: Setup) -> Lead | None:
     """How the controller of a setup looks ahead; None where it does not. Errors as of `lead_of`."""
     if not setup.layout.lead:
@@ -193,6 +213,9 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
     hardware |= {"lag": setup.lags.tolist()} if setup.lags.any() else {}
     hardware |= {"way": way} if (way := setup.known.way(setup.timing)) else {}
     hardware |= {"unseen": unseen_by(setup)}
+    hardware |= {} if setup.impedance is None else {"impedance": plain(setup.impedance)}
+    hardware |= {} if setup.force is None else {"force": plain(setup.force)}
+    hardware |= {} if setup.touch is None else {"touch": plain(setup.touch)}
     hardware |= {} if setup.safety is None else {"safety": plain(setup.safety)}
     hardware |= {"disturbances": plain(setup.disturbances)} if setup.disturbances else {}
     return setup.robot.facts() | own | believed | hardware
@@ -221,14 +244,19 @@ class StepperSetup:
     known: Latency = field(default_factory=Latency)
     lag: Numbers = 0.0
     filtered: float = 0.0
+    impedance: Impedance | None = None
+    force: Force | None = None
+    touch: Touch | None = None
 
     def __post_init__(self) -> None:
         require_gain(self.filtered, "filtered")
+        require_impedance(self.impedance, self.force)
 
     @cached_property
     def layout(self) -> Layout:
         """Where the signals stand in a row."""
-        return Layout.of(self.robot.dimensions, 0, 1, lead_signals(self))
+        recorded = {"touch": int(self.touch is not None), "task": int(self.impedance is not None)}
+        return Layout.of(self.robot.dimensions, hardware=1, lead=lead_signals(self), **recorded)
 
     @property
     def true(self) -> Robot:
@@ -244,6 +272,14 @@ class StepperSetup:
     def lags(self) -> Array:
         """See `Setup.lags`."""
         return lags(self.robot, self.lag)
+
+    @property
+    def sight(self) -> VelocityFilter | None:
+        """How velocities are measured, as far as it is known."""
+        period = self.timing.measurement_period
+        return (
+            VelocityFilter.late(self.filtered, period) if self.sensor.exact else VelocityFilter.of(self.sensor, period)
+        )
 
     @property
     def smoothing(self) -> float:
@@ -272,7 +308,16 @@ def plan_outside(setup: StepperSetup) -> Plan:
     blocks = setup.timing, setup.controller, context, believed, gains, K, bounds, postures(robot)
     steering = setup.kinematic.steering_of(robot, setup.timing.control_period)
     plan, servo = Plan(robot, robot, layout, *blocks), linear_servos(robot, setup.interfaces, setup.servo, False)
-    return replace(plan, latency=setup.known.total, lag=setup.lag, servo=servo, lead=new_lead(setup), steering=steering)
+    return replace(
+        plan,
+        latency=setup.known.total,
+        lag=setup.lag,
+        sight=setup.sight,
+        servo=servo,
+        lead=new_lead(setup),
+        steering=steering,
+        freezes=freezes(setup),
+    )
 
 
 # -- what takes the rows of a run --------------------------------------------------------------------------------------

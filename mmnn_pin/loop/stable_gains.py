@@ -119,8 +119,8 @@ def require_servo_rows(plan: Plan, what: str) -> None:
         if all(holds(replace(plan, gains=f * gains, K=f * K)) for f in (1.0, ROOM)):
             names = plan.robot.base.gain_names
             base = zip(names, np.split(gains, len(names)), strict=True) if names else ()
-            every = (*base, *([("K", K)] if K.size else []))
-            values = Values("kinematic", {name: in_short(as_given(part)) for name, part in every})
+            texts = {name: in_short(tuple(part) if part.size > 1 else float(part[0])) for name, part in base}
+            values = Values("kinematic", texts | ({"K": in_short(as_given(K))} if K.size else {}))
             why = f"the gains of the kinematic layer are too high for servos with a bandwidth of {b} 1/s"
             fix = f"lower them, {values}, or shorten the control or sensor period"
             raise ConfigError(what, why=why, fix=fix, key="kinematic", values=values)

@@ -9,6 +9,7 @@ Time is an argument, never a clock: pacing and messages are the caller's (`examp
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,10 +21,11 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..compliance import Force, Impedance
 from ..elementary import hypot
 from ..elementary.arrays import is_below
 from ..elementary.matrices import product
-from ..errors import ConfigError, UnknownName, keyed
+from ..errors import ConfigError, UnknownName, keyed, printable
 from ..kinematic import Kinematic, see
 from ..model.base.rolling import STEERED, followed, maps_in
 from ..model.base.steered import SteeredBase
@@ -37,20 +39,23 @@ from ..reference.wishes import Motion, Wish
 from ..safety import Safety, accept, has_ended, press, release, remarks, trip_of
 from ..sensing import Sensor, observe
 from ..settings import Numbers, Settings, Timing, require_gain
-from ..settings.arguments import checked, shortly
+from ..settings.arguments import checked, faced, shortly
 from ..signals import Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
+from ..touch import Touch
 from .before_run import require_seed, samples_between
 from .controller import state_from, with_findings
 from .latency import Latency
 from .lead import Past, bring_up
 from .loop import Loop
 from .new_hardware import new_hardware
+from .reductions import reductions
 from .sample import Control
 from .sampled import delay_margin
 from .servo import Command, Servo, Split, interfaces_of, limit_commands, movers, own_velocities
 from .setup import KNOWN, StepperSetup, facts_of, plan_outside
+from .sight import VelocityFilter
 from .stable_gains import require_stable_gains
 from .suited import LoopToSuit, suited
 from .suited_safety import suited_safety
@@ -58,6 +63,7 @@ from .suited_safety import suited_safety
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
 SLOW = 1.5  # times its period that a stepper's samples are apart when it is said
 TINY = 1e-9  # a velocity that is none [m/s, rad/s]
+NAME = r"\w{1,100}"  # of an array
 MOST_TOLD = 20  # trips that a recording tells of
 
 
@@ -78,7 +84,9 @@ class StepperSettings(Settings, frozen=True):
         predict: Whether a measurement moves on with the reference, over its latency at most; None as `Latency` says.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
         lead: Whether Psi_hat leads by half the period, the lag and what of the latency is not predicted (`loop.lead`).
-        filtered: By how much the filter of measured velocities is late (`Sensor.smoothing`), for `adaptive` [s].
+        filtered: Time constant of the filter of measured velocities (`Sensor.smoothing`), which the gains have to bear
+            [s].
+        touch: What external torque is felt by; None for nothing.
         observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
             base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
@@ -89,6 +97,8 @@ class StepperSettings(Settings, frozen=True):
         meta: More facts for the recording.
         state: What a controller has learned, of `snapshot` or of a recording (it is copied); None for a new one.
         weights_interval: Time between two records of the weights [s].
+        impedance: How the hand gives way; None for one that is stiff.
+        hand_force: The force that the hand pushes with.
 
     Raises:
         ConfigError: No supervisor, or numbers out of range.
@@ -111,6 +121,7 @@ class StepperSettings(Settings, frozen=True):
     lag: Numbers = 0.0
     lead: bool = False
     filtered: float = 0.0
+    touch: Touch | None = None
     observer: float = 0.0
     interfaces: Mapping[str, str] = {}
     servo: Servo = Servo()
@@ -120,6 +131,8 @@ class StepperSettings(Settings, frozen=True):
     meta: Mapping[str, Any] = {}
     state: Any = None
     weights_interval: float = 0.1
+    impedance: Impedance | None = None
+    hand_force: Force | None = None
 
     def __post_init__(self) -> None:
         if self.safety is None:
@@ -131,6 +144,7 @@ class StepperSettings(Settings, frozen=True):
             msgspec.structs.force_setattr(self, "lag", tuple(self.lag))
 
 
+@faced
 class Stepper:
     """Kinematic layer, controller and supervisor of a robot, one control sample per call.
 
@@ -154,10 +168,14 @@ class Stepper:
         measured: The last good measurement, views into the row.
         setpoint: The setpoint of the last sample, views.
         command: What the last step returned.
+        external_torque: (p,) torque of the world on the velocities at the last measurement, a view; (0,) without
+            `touch` [N, N m].
+        external_wrench: (6,) force and moment of the world on the hand, in the world's axes, likewise [N, N m].
         state: What the controller has learned.
         time: Of the last sample [s].
         step_time: Wall-clock time that the last step took [s].
         is_late: Whether it has been stepped more slowly than its period says, by far.
+        told: What a recording will tell of it: what its loop does not bear and was reduced, trips, delays.
 
     Raises:
         ConfigError: Gains that are unstable when sampled, numbers out of range, or a state of another controller.
@@ -186,12 +204,16 @@ class Stepper:
         with keyed(lambda key: "observer"):
             sensor = Sensor(velocity="model", bandwidth=settings.observer) if settings.observer else Sensor()
         delay = known.total + known.margin
-        given = LoopToSuit(settings.kinematic, period, delay, settings.lag, late=settings.filtered)
+        sight = VelocityFilter.late(settings.filtered, period) if sensor.exact else VelocityFilter.of(sensor, period)
+        late = 0.0 if sensor.exact else sensor.smoothing(period)
+        given = LoopToSuit(settings.kinematic, period, delay, known.margin, settings.lag, late=late, sight=sight)
         controller = suited(controller, robot, lambda: given)
         setup = StepperSetup(
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
             settings.within_limits, sensor=sensor, known=known, interfaces=dict(settings.interfaces),
             servo=settings.servo, lead=settings.lead, lag=settings.lag, filtered=settings.filtered,
+            impedance=settings.impedance, force=settings.hand_force,
+            touch=settings.touch,
         )  # fmt: skip
         self.period, self.check_gains, self.latency = period, settings.check_gains, known.total
         self.safety, self.limits, layout = safety, settings.limits, setup.layout
@@ -200,6 +222,8 @@ class Stepper:
         self.received = row[layout.where("pose").start : layout.where("shape").stop]  # all of `measured`, in one piece
         self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
         self.torque, self.motor_torque = row[layout.where("torque")], row[layout.where("motor_torque")]
+        self.external_torque = row[layout.where("external_torque")]
+        self.external_wrench = row[layout.where("external_wrench")]
         sizes = [layout.dof] * 3 + [layout.motors] * 3 + [layout.twist]
         self.command = Command._make(np.full(size, np.nan) for size in sizes)
         self.seen = np.zeros(layout.pose + layout.twist + 2 * layout.arm)
@@ -209,6 +233,7 @@ class Stepper:
         self.placed = placed_motors(robot, movers(robot)[self.kinds == "position"].any(axis=0))
         self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()
         self.is_late = False
+        self.told += reductions(robot, controller, given)
         self.every, self.weighed = samples_between(settings.weights_interval, period), -1
         now = self.follower.now
         self.past, self.before = Past.of(known.caught_up(timing), period, now), now.copy()
@@ -242,11 +267,14 @@ class Stepper:
             "latency": loop.latency,
             "lag": loop.actuator.lag,
             "lead": loop.lead,
-            "filtered": loop.smoothing,
+            "filtered": loop.smoothing if loop.sensor.velocity != "model" else 0.0,
+            "touch": loop.touch,
             "interfaces": loop.interfaces,
             "servo": loop.servo,
             "check_gains": loop.check_gains,
             "weights_interval": loop.weights_interval,
+            "impedance": loop.impedance,
+            "hand_force": loop.force,
         } | more
         for name in set(said) - set(StepperSettings.__struct_fields__):
             raise UnknownName("setting of a stepper", name, StepperSettings.__struct_fields__, key=name)
@@ -336,7 +364,7 @@ class Stepper:
         """
         if not self.tripped:
             press(max(self.time, 0.0), self.hardware.way.supervisor)
-            self._tell(why)
+            self._tell(str(why))  # whatever it is: the robot stops
 
     def reset(self) -> None:
         """Go on after a trip: the robot holds where it is measured now; what was learned stays.
@@ -356,6 +384,7 @@ class Stepper:
         self.follower.stand(self.seen)
         self.past.times[:] = -math.inf
 
+    @checked
     def change(
         self,
         controller: CompiledController | TorqueController | None = None,
@@ -371,7 +400,8 @@ class Stepper:
         made = self.setup.controller
         if controller is not None:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
-            given = LoopToSuit(kinematic, self.period, delay, lag, late=self.setup.filtered)
+            sight, late = self.setup.sight, 0.0 if self.setup.sensor.exact else self.setup.smoothing
+            given = LoopToSuit(kinematic, self.period, delay, self.setup.known.margin, lag, late=late, sight=sight)
             made = suited(controller, self.robot, lambda: given)
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         before, self.limits, direction = self.limits, limits or self.limits, self.direction.copy()
@@ -411,6 +441,12 @@ class Stepper:
         return bool(self.hardware.way.supervisor.state.tripped[0])
 
     @property
+    def is_touched(self) -> bool:
+        """Whether there is contact; never without `touch`."""
+        touch = self.hardware.touch
+        return touch is not None and bool(self.row[self.setup.layout.where("contact")][0])
+
+    @property
     def is_over(self) -> bool:
         """Whether the supervisor has stopped the robot and shown its stop for `safety.stop_time`."""
         return bool(has_ended(self.time, self.hardware.way.supervisor.numbers, self.hardware.way.supervisor.state))
@@ -420,6 +456,7 @@ class Stepper:
         """Whether a motion or a joint goal is still under way."""
         return self.follower.is_moving
 
+    @checked
     def finish(
         self, status: Status = "completed", message: str = "", extra: Mapping[str, ArrayLike] | None = None
     ) -> Recording:
@@ -428,9 +465,10 @@ class Stepper:
         Args:
             status: How it ended otherwise.
             message: More about it.
-            extra: More arrays for the recording's `final`.
+            extra: More arrays for the recording's `final`, by names of letters, digits and `_`.
 
         Raises:
+            ConfigError: Another status; a name that `final` cannot have, or has already.
             RecordingError: The file cannot be written; the rows already in it can be read.
         """
         outcome, supervisor = Outcome(status, (self.k + 1) * self.period), self.hardware.way.supervisor
@@ -442,9 +480,15 @@ class Stepper:
         outcome = replace(outcome, message="; ".join(text for text in (outcome.message, *found, message) if text))
         if self.weighed < self.k + 1:
             self._weigh(self.k + 1)
-        final = {"hardware_state": self.hardware.state, **(extra or {})}
+        final = {"hardware_state": self.hardware.state}
         final |= {"controller_state": self.state.values} if isinstance(self.state, ControllerState) else {}
-        return self.recorder.finish(with_findings(outcome, self.setup.controller, self.state), final)
+        for name in extra or {}:
+            if not (isinstance(name, str) and re.fullmatch(NAME, name)) or name in final:
+                raise ConfigError(f"{shortly(name)} is no name for an array", fix="give another", key="finish.extra")
+        outcome = replace(outcome, message=printable(outcome.message))
+        return self.recorder.finish(
+            with_findings(outcome, self.setup.controller, self.state), {**final, **(extra or {})}
+        )
 
     def __enter__(self) -> Self:
         return self

@@ -37,11 +37,12 @@ from ..reference.steerable import fitted
 from ..settings import Numbers, Timing
 from ..signals import Array, Dimensions, Setpoint
 from ..torque.classical import Integrating
-from ..torque.controller import Feedback
+from ..torque.controller import Bears, Feedback
 from ..torque.neural import Neural, Robust
 from .before_run import Start, lags, viscous_friction
-from .rates import Kind, largest_rate
-from .sampled import HeldLoop, held_loop, margin_at
+from .rates import Kind, borne, largest_rate
+from .sampled import HeldLoop, Machinery, held_loop, margin_at
+from .sight import VelocityFilter
 
 MARGIN = 0.003  # delay that default gains bear, beside the delay that is known [s]
 ROOM = 1.2  # times the gains: what a learner adds to them at first
@@ -67,17 +68,21 @@ class LoopToSuit(NamedTuple):
         kinematic: Gains of the kinematic layer.
         period: How long a torque is held [s].
         delay: That the loop has to bear [s].
+        margin: Part of it that nobody knows of, but wants to be borne [s].
         lag: Time constants of the motors [s].
         reference: Setpoints where the robot will be, rows of a `Trajectory.table` as bytes; empty for `postures`.
-        late: By how much the sensors' filter of velocities is known to be late [s].
+        late: By how much an observer on a model is late, to an integral [s].
+        sight: How velocities are made of encoders.
     """
 
     kinematic: Kinematic
     period: float
     delay: float = MARGIN
+    margin: float = MARGIN
     lag: Numbers = 0.0
     reference: bytes = b""
     late: float = 0.0
+    sight: VelocityFilter | None = None
 
     @classmethod
     def of(cls, loop: Any, trajectory: Trajectory, timing: Timing, layout: Dimensions) -> LoopToSuit:
@@ -86,10 +91,14 @@ class LoopToSuit(NamedTuple):
         Raises:
             TrajectoryError: The base cannot follow the trajectory.
         """
-        held, delay = max(timing.control_period, timing.measurement_period), loop.latency.total + loop.latency.margin
-        rows = trajectory.table(np.linspace(0.0, timing.duration, PLACES), layout)
-        late = loop.sensor.smoothing(timing.measurement_period)
-        return cls(loop.kinematic, held, delay, loop.actuator.lag, rows.tobytes(), late)
+        period, latency, sensor = timing.measurement_period, loop.latency, loop.sensor
+        held, delay = max(timing.control_period, period), latency.total + latency.margin + sensor.line(period)
+        rows, sight = (
+            trajectory.table(np.linspace(0.0, timing.duration, PLACES), layout),
+            VelocityFilter.of(sensor, period),
+        )
+        late = 0.0 if sight is not None else sensor.smoothing(period)
+        return cls(loop.kinematic, held, delay, latency.margin, loop.actuator.lag, rows.tobytes(), late, sight)
 
 
 class Fit(NamedTuple):
@@ -109,24 +118,53 @@ def suited(controller: Any, robot: Robot, given: Callable[[], LoopToSuit]) -> An
         robot: Its robot.
         given: The loop around them; asked only where gains are missing.
     """
-    learner, feedback = getattr(controller, "learner", None), getattr(controller, "feedback", None)
+    learner = getattr(controller, "learner", None)
     if isinstance(learner, Neural):
         return replace(controller, learner=suited(learner, robot, given))
     if isinstance(controller, Integrating):
         return with_rate(controller, robot, given)
+    return with_answer(with_gains(controller, robot, given), robot, given)
+
+
+def with_gains(controller: Any, robot: Robot, given: Callable[[], LoopToSuit]) -> Any:
+    """The controller with gains, see `suited`."""
+    feedback = getattr(controller, "feedback", None)
     if not isinstance(feedback, Feedback) or feedback.complete(robot.dimensions):
         return controller
     inertia, share = fit(robot, feedback, given())
     changed: dict[str, Any] = {"feedback": feedback.scaled(robot.dimensions, inertia, share)}
     if getattr(controller, "inertia", inertia) is None:
         changed["inertia"] = tuple(inertia.tolist())
-    if isinstance(controller, Neural) and controller.robust == Robust():
-        changed["robust"] = SCALED.scaled(robot.dimensions, share * inertia)
+    if isinstance(controller, Neural):
+        changed["within_loop"] = True
+        if controller.robust == Robust():
+            changed["robust"] = SCALED.scaled(robot.dimensions, share * inertia)
     if is_dataclass(controller) and not isinstance(controller, type):
         return replace(controller, **changed)
     made = copy(controller)  # a plain class of a user's
     made.feedback = changed["feedback"]
     return made
+
+
+def with_answer(controller: Any, robot: Robot, given: Callable[[], LoopToSuit]) -> Any:
+    """A learner with what its loop bears of it; networks in the thesis's form are left as they are."""
+    asks = "bears" in getattr(controller, "__dataclass_fields__", ()) and controller.bears is None
+    if not asks or not controller.learning or not getattr(controller, "within_loop", True):
+        return controller
+    return replace(controller, bears=bears_of(robot, controller.feedback, given()))
+
+
+@lru_cache(64)
+@one_thread
+def bears_of(robot: Robot, feedback: Feedback, given: LoopToSuit) -> Bears:
+    """The part of a learner that the loop with a complete feedback bears, see `loop.rates.borne`."""
+    gains, seen = feedback.vector(robot.dimensions), places(robot, given)
+    loops = [loop for loop in seen.loops(robot, given, gains, SLOW) if loop is not None]
+    known = given.delay - given.margin + given.late
+    rate, room, factor = borne(loops, gains, given.period, known, given.margin)
+    heaviest = np.max([np.diag(M) for M in seen.masses], axis=0)
+    weight = np.divide(factor * heaviest, gains, out=np.full(gains.size, np.inf), where=gains > 0.0)
+    return Bears(rate, room, tuple(weight.tolist()))
 
 
 def with_rate(controller: Integrating, robot: Robot, given: Callable[[], LoopToSuit]) -> Integrating:
@@ -162,8 +200,8 @@ class Postures(NamedTuple):
         chosen = {*fast.tolist(), *np.argsort([each.min() for each in modes])[:slow].tolist()}
         K, base = given.kinematic.arm_gains(layout), given.kinematic.base_gains(layout)
         laws = {i: robot.base.linear_errors(self.velocities[i], base) for i in chosen}
-        lag = lags(robot, given.lag)
-        return [held_loop(self.masses[i], laws[i], K, given.period, friction, lag) for i in sorted(chosen)]
+        machinery = Machinery(friction, lags(robot, given.lag), None, given.sight)
+        return [held_loop(self.masses[i], laws[i], K, given.period, machinery) for i in sorted(chosen)]
 
 
 @lru_cache(16)
@@ -352,21 +390,22 @@ def followable(
         return replace(reference(ends), base=to_steer.base)
 
     given = replace(given, base=to_steer.base)
-    load, rng, half = MotorLoad(robot), np.random.default_rng(0), (upper - lower) / 2
-    bounded, off, room = np.isfinite(half), np.zeros(len(half)), np.where(np.isfinite(half), half, np.pi)
-    centre = np.where(bounded, lower + np.where(bounded, half, 0.0), np.clip(0.0, lower, upper))
+    load, rng = MotorLoad(robot), np.random.default_rng(0)
+    bounded, off = np.isfinite(upper - lower), np.zeros(len(lower))
+    low, high = np.where(bounded, lower, -np.pi), np.where(bounded, upper, np.pi)
+    half, centre = (high - low) / 2, np.where(bounded, low + (high - low) / 2, np.clip(0.0, lower, upper))
 
     def held(tried: Trajectory, enough: float = np.inf) -> Array:
         return load.along(replace(tried, slowness=SLOWEST), duration, enough)
 
     best, static = given, held(given)
-    for _ in range(TRIALS if static.max(initial=0.0) > share and bounded.any() else 0):
-        other = np.where(bounded, rng.uniform(-0.5, 0.5, len(half)) * room, 0.0)
-        tried = steerable((lower + np.maximum(2 * other, 0.0), upper + np.minimum(2 * other, 0.0)))
+    for _ in range(TRIALS if static.max(initial=0.0) > share and half.size else 0):
+        other = rng.uniform(-0.5, 0.5, len(half)) * half
+        tried = steerable((low + np.maximum(2 * other, 0.0), high + np.minimum(2 * other, 0.0)))
         if (load_there := held(tried, static.max(initial=0.0))).max(initial=0.0) < static.max(initial=0.0):
             best, static, off = tried, load_there, other
     for width in NARROWER if static.max(initial=0.0) > share else ():
-        reach = width * (room - np.abs(off))
+        reach = width * (half - np.abs(off))
         tried = steerable((centre + off - reach, centre + off + reach))
         if (load_there := held(tried)).max(initial=0.0) < static.max(initial=0.0):
             best, static = tried, load_there

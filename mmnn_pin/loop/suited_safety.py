@@ -22,7 +22,7 @@ from ..safety import Safety, steering_motors
 from ..signals import Array, Setpoint
 from .before_run import Start, viscous_friction
 from .plan import Plan
-from .sampled import gains_of, judges, sampled_loop
+from .sampled import gains_of, judges, machinery_of, sampled_loop
 
 OVER = 1.5
 TURN, SLIDE = 10.0, 2.0  # speed of a joint where the URDF states none [rad/s, m/s]
@@ -96,7 +96,7 @@ def loads_of(plan: Plan, speed: Array, acceleration: Array) -> Array:
 @one_thread
 def longest_period(plan: Plan) -> float:
     """`ROOM` times the longest period at which the sampled loop is stable, less what latency takes [s]; inf for any."""
-    robot, dynamics, friction = plan.robot, Dynamics(plan.robot), viscous_friction(plan.robot)
+    robot, dynamics, machinery = plan.robot, Dynamics(plan.robot), machinery_of(plan)
     gains, places = gains_of(plan), []
     for setpoint in plan.setpoints:
         position, _ = Start().state(robot, setpoint)
@@ -106,7 +106,7 @@ def longest_period(plan: Plan) -> float:
 
     def bears(h: float) -> bool:
         for k, (M, law) in enumerate(places):
-            if not sampled_loop(M, gains, law, plan.K, h, friction, plan.servo).stable:
+            if not sampled_loop(M, gains, law, plan.K, h, machinery).stable:
                 places.insert(0, places.pop(k))
                 return False
         return True

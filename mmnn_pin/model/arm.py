@@ -96,7 +96,7 @@ def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
     low = {j.name for j in joints.values() if is_low(rest, j)}  # a base may take these for its own
     known = {*still, *low, *(j.name for j in alike_on_root(rest)), "all"}
     if idle := [name for name in overrides.free if name not in known]:
-        raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
+        raise ConfigError(f"'{idle[0]}' need not be freed", why="it is not locked", fix="leave it out", key="free")
     reasons = {name: still[name] for name in free if name in still and name not in freed}
     reasons |= dict.fromkeys(base.locked, WHY["base"]) | dict.fromkeys(overrides.locks, WHY["user"])
     at = {name: where for name, where in overrides.locks.items() if where is not None}

@@ -25,6 +25,7 @@ from .robot import Robot
 
 REVOLUTE, PRISMATIC = 0, 1
 SIZE = 12  # of a placement: rotation row by row, translation
+PUSHES = 0.05  # of an arm that can push along a direction: motion of the frame per joint [m/rad]
 
 
 class Chain(NamedTuple):
@@ -363,6 +364,23 @@ def track(chain: Chain, positions: Array) -> Array:
     return places
 
 
+def pushing(chain: Chain, position: Array, arm: int) -> Array:
+    """(3,) the first of down, left and ahead of the robot in which the last `arm` velocities move a chain's frame.
+
+    Args:
+        chain: The chain.
+        position: (nv,) where the robot stands.
+        arm: Number of the arm's joints.
+    """
+    p = chain.T.shape[1]
+    J, (c, s) = np.zeros((6, p)), cos_sin(float(position[2])) if chain.frame.size else (1.0, 0.0)
+    move(chain, position, np.zeros(p), np.zeros(SIZE), np.zeros(6), np.zeros(6), J)
+    for direction in ((0.0, 0.0, -1.0), (-s, c, 0.0), (c, s, 0.0)):
+        if float(np.abs(np.array(direction) @ J[:3, p - arm :]).max(initial=0.0)) > PUSHES:
+            return np.array(direction)
+    return np.array([0.0, 0.0, -1.0])
+
+
 # -- watched during a run ----------------------------------------------------------------------------------------------
 
 
@@ -387,7 +405,7 @@ class Hands:
 
         def write(rows: Array) -> None:
             k = np.minimum(np.round(rows[:, time.start] / self.period).astype(np.int64), last)
-            rows[:, wanted] = self.wanted[k].reshape(len(rows), -1)
+            rows[:, wanted] = self.wanted[k].reshape(len(rows), self.wanted[0].size)
             rows[:, to] = np.hstack([poses(track(chain, rows[:, position])) for chain in chains])
 
         return write

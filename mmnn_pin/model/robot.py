@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..elementary.matrices import inverse
 from ..errors import ConfigError, UnknownName
 from ..settings import Numbers, one_or_each
-from ..settings.arguments import checked, checked_but
+from ..settings.arguments import checked, checked_but, faced
 from ..shown import ShownView, shown
 from ..signals import Array
 from .dynamics import Dynamics
@@ -30,6 +30,7 @@ from .structure import Structure, bodies_of
 NAMED = 3  # joints that a line names
 
 
+@faced
 class Robot(Structure):
     """A robot, made by `load`: its model, its base, its arm, and its equations of motion.
 
@@ -39,7 +40,9 @@ class Robot(Structure):
     in the order of `joint_names` [m, m, rad, rad or m]; for a fixed arm the joints alone. Of a base that steers the
     angles of its steering, casters and hitches stand between them. `nu` is the base velocity in the control frame,
     `(v, w)`, or `(vx, vy, w)` of a holonomic base, or of one that steers `[u; steering rates]`, then the joints' rates,
-    in the order of `velocity_names` [m/s, rad/s, rad/s or m/s]. Its attributes are those of `Structure`.
+    in the order of `velocity_names` [m/s, rad/s, rad/s or m/s]. Wheels roll: `A velocity = 0` holds for all velocities
+    of the model, and `velocity = T nu` gives those that do. T is called S in the thesis and in the literature. Its
+    attributes are those of `Structure`.
 
     >>> robot = load("platform_arm")
     >>> robot
@@ -73,7 +76,12 @@ class Robot(Structure):
 
         Args:
             rng: A generator, or the seed of one; None for another q every time.
+
+        Raises:
+            ConfigError: A negative seed.
         """
+        if isinstance(rng, int) and rng < 0:
+            raise ConfigError(f"{rng}", fix="use a seed of 0 or more", key="Robot.random.rng")
         joints, root = self.q_places[self.dimensions.pose :], self.dimensions.pose
         bounded = np.isfinite(self.upper[joints] - self.lower[joints])
         lower = np.append([-1.0, -1.0, -np.pi][:root], np.where(bounded, self.lower[joints], -np.pi))

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..elementary.matrices import product
 from ..errors import ConfigError, RobotError, UnknownName
 from ..settings import one_or_each
-from ..settings.arguments import require_types
+from ..settings.arguments import faced, is_numeric, require_types, shortly
 from ..signals import Array, Dimensions
 from .arm import Arm
 from .base.base import Base
@@ -36,7 +36,10 @@ from .base.steered import SteeredBase, steered_rows
 from .urdf.finding import Finding
 from .urdf.packages import environment
 
+MOST_FACTOR = 1e6  # by which masses and radii are scaled
 
+
+@faced
 @dataclass(frozen=True, eq=False)
 class Structure:
     """Its Pinocchio model, its base, and the maps between its velocities. Arrays are read-only.
@@ -317,11 +320,11 @@ class Structure:
         model = self.model.copy()
         names = dict(zip(bodies_of(model), range(1, model.njoints), strict=True))
         table = factors if isinstance(factors, Mapping) else dict.fromkeys(names, factors)
-        for name, factor in table.items():
+        for name in table:
             if name not in names:
                 raise UnknownName("body", name, names)
-            if not (isinstance(factor, Real) and np.isfinite(factor) and factor > 0) or isinstance(factor, bool):
-                raise ConfigError(f"factor {factor} for the mass at '{name}'", fix="give a finite number > 0")
+        table = {name: factor_of(value, f"the mass at '{name}'") for name, value in table.items()}
+        for name, factor in table.items():
             scale_body(model, names[name], factor)
         masses = {**self.masses, **{name: self.masses.get(name, 1.0) * factor for name, factor in table.items()}}
         return self.changed(model=model, masses=masses)
@@ -341,11 +344,10 @@ class Structure:
         table = dict(factors) if isinstance(factors, Mapping) else dict.fromkeys(wheels, factors)
         if not (wheels or (isinstance(factors, Real) and factors == 1.0)):
             raise ConfigError(f"'{self.name}' has no drive wheels", fix="leave it out", key="radii")
-        for name, factor in table.items():
+        for name in table:
             if name not in wheels:
                 raise UnknownName("drive wheel", name, wheels, key="radii")
-            if not (isinstance(factor, Real) and np.isfinite(factor) and factor > 0) or isinstance(factor, bool):
-                raise ConfigError(f"factor {factor} for '{name}'", fix="give a finite number > 0", key="radii")
+        table = {name: factor_of(value, f"'{name}'", "radii") for name, value in table.items()}
         base, model = self.base.with_radii({name: table.get(name, 1.0) for name in wheels}), self.model.copy()
         data = model.createData()
         pin.forwardKinematics(model, data, self.configuration(self.rest))
@@ -354,6 +356,34 @@ class Structure:
             parent = data.oMi[model.parents[j]].rotation
             model.jointPlacements[j].translation += (new.radius - old.radius) * parent[2]
         return replace(self, model=model, base=base, template=read_only(motion_map(base, self.rows, self.arm)))
+
+    def with_limits(self, effort: ArrayLike, speed: ArrayLike) -> Self:
+        """A copy with other limits of its motors than the URDF's: who knows the robot knows them.
+
+        Args:
+            effort: Largest torques, one number or (n_u,), 0 for those of the URDF [N m or N].
+            speed: Likewise [rad/s or m/s].
+
+        Raises:
+            ConfigError: A number that is negative or not finite, or not one number per motor.
+        """
+        motors = self.dimensions.motors
+        most, fastest = (
+            one_or_each(limit, motors, "motor", f"{name}_limits", least=0)
+            for limit, name in ((effort, "effort"), (speed, "speed"))
+        )
+        if not (most.any() or fastest.any()):
+            return self
+        model = self.model.copy()
+        speeds = np.array(model.velocityLimit)
+        for name, limit in zip(self.actuator_names, fastest, strict=True):
+            if limit > 0.0 and name in self.rows:
+                speeds[self.rows[name]] = limit
+        model.velocityLimit = speeds
+        efforts = np.where(most > 0.0, most, self.effort_limits)
+        efforts.flags.writeable = False
+        origin = None if self.origin is None else self.origin.with_limits(effort, speed)
+        return replace(self, model=model, effort_limits=efforts, origin=origin)
 
     def with_armature(self, inertia: ArrayLike) -> Self:
         """A copy with the rotors of its arm's motors, seen through their gears; a URDF does not know them.
@@ -410,7 +440,7 @@ class Structure:
         damping[at] += one_or_each(viscous, n, "joint", "friction.viscous", least=0)
         level[at] += one_or_each(coulomb, n, "joint", "friction.coulomb", least=0)
         ratio[at] = one_or_each(breakaway, n, "joint", "friction.breakaway", least=1)
-        if not (np.isfinite(stribeck) and stribeck > 0):
+        if not (is_numeric(stribeck) and 0.0 < stribeck < np.inf):
             raise ConfigError(f"{stribeck}", fix="use a finite number > 0", key="friction.stribeck")
         more: dict[str, Any] = {"coulomb": read_only(level), "breakaway": read_only(ratio), "stribeck": float(stribeck)}
         return self.changed(damping=read_only(damping), **more)
@@ -459,6 +489,19 @@ class Structure:
             **({"shape_names": self.base.shape, "wheel_names": self.wheel_names} if self.steers else {}),
             "effort_limits": self.effort_limits.tolist(),
         }
+
+
+def factor_of(value: Any, what: str, key: str | None = None) -> float:
+    """A factor of what a robot weighs or rolls on.
+
+    Raises:
+        ConfigError: It is no number, or one that no robot needs.
+    """
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    if is_number and 1.0 / MOST_FACTOR <= value <= MOST_FACTOR:
+        return float(value)
+    fix = f"give a number from {1.0 / MOST_FACTOR:g} to {MOST_FACTOR:g}"
+    raise ConfigError(f"factor {shortly(value)} for {what}", fix=fix, key=key)
 
 
 def bodies_of(model: pin.Model) -> list[str]:

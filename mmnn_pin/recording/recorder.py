@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import ConfigError, UnknownName
+from ..errors import ConfigError, RecordingError, UnknownName
 from ..settings.arguments import shortly
 from ..signals import SIGNALS, Array, Layout
 from .recording import Outcome, Recording, from_file
@@ -163,7 +163,7 @@ class Recorder:
 
     def _hand_over(self) -> None:
         if not self._store.is_open:
-            raise ValueError("this run is finished")
+            raise RecordingError("this run is finished", why="its file is closed")
         if self._snapshots:
             self._store.weights({name: np.stack([s[name] for s in self._snapshots]) for name in self._weight_shapes})
             self._snapshots = []

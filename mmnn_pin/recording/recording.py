@@ -23,7 +23,7 @@ from ..errors import InputError, RecordingError, UnknownName
 from ..model.base.overrides import Overrides
 from ..model.loading import build
 from ..model.robot import Robot
-from ..settings.arguments import checked
+from ..settings.arguments import checked, faced
 from ..shown import ShownView, shown
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
@@ -57,6 +57,7 @@ class Outcome:
     message: str = ""
 
 
+@faced
 class Recording:
     """The signals of one run by name, each read from the file when it is first asked for.
 

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from ..settings.arguments import shortly, wrong_type
-from ..signals import HAND, SIGNALS, Array
+from ..signals import HAND, SIGNALS, WRENCH, Array
 from .run_file import SignalColumns
 
 KIND = {name: (kind.split()[-1], base, arm) for name, kind, base, arm in SIGNALS}
@@ -94,7 +94,7 @@ def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
 def labels_of(name: str, width: int, meta: Mapping[str, Any]) -> tuple[str, ...]:
     """Labels of the columns of a signal of so many columns, by the facts of its run; empty where these do not tell."""
     velocities, motors = (tuple(meta.get(f"{part}_names", ())) for part in ("velocity", "actuator"))
-    own = {"1": 1, "2": 2, "floor": 1, "rig": 1}.get(KIND[name][0], 0)
+    own = {"1": 1, "2": 2, "floor": 1, "rig": 1, "scene": 1, "task": 1, "touch": 1}.get(KIND[name][0], 0)
     return {
         "pose": ("x", "y", "phi"),
         "all": velocities,
@@ -104,7 +104,9 @@ def labels_of(name: str, width: int, meta: Mapping[str, Any]) -> tuple[str, ...]
         "arm": velocities[-width:],
         "full": tuple(meta.get("position_names", ())),
         "motor": motors,
+        "3": ("x", "y", "z"),
         "wheel": tuple(meta.get("wheel_names", motors))[:width],
+        "wrench": WRENCH,
         "hand": tuple(f"{frame}.{each}" for frame in meta.get("hands", ()) for each in HAND),
     }.get(KIND[name][0], (name,) if own == 1 else tuple(f"{name}[{i}]" for i in range(own)))
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import UnknownName
 from ..model.urdf.reading import parse_xml
+from ..settings.arguments import faced
 from ..signals import Array
 
 
@@ -31,6 +32,7 @@ class Error:
     unit: str
 
 
+@faced
 class Errors(Mapping[str, Error]):
     """Errors by name: `x`, `y`, `phi` of the base in its own frame, then the arm's joints.
 

@@ -15,6 +15,7 @@ from ..compiled import compiled, copy_to
 from ..elementary import cos_sin, nearest_turn
 from ..errors import ConfigError, TrajectoryError
 from ..model.base import kind_of
+from ..settings.arguments import faced
 from ..signals import Array, Dimensions, IntArray, Setpoint
 from .guide import ARM, AT_REST, BASE, NEAR, Guide, roll
 from .trajectory import Trajectory
@@ -27,6 +28,7 @@ BETWEEN = 1.5  # times a stated acceleration: splines bend more between a planne
 STEEPEST = 3.0  # slope of a cubic over that of its chord, up to which it stays between its ends
 
 
+@faced
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Samples of a motion at a period, made ahead: nothing of it is planned while the robot runs.

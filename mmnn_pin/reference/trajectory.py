@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import LENGTH, TrajectoryError, UnknownName
 from ..model.robot import Robot, revolute
-from ..settings.arguments import checked, require_types
+from ..settings.arguments import checked, faced, require_types
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
 from .holonomic import HolonomicPath
 from .joint import Hold, JointProfile, JointTable, Points
@@ -53,6 +53,7 @@ NEARLY = 0.85  # ratio of `difflib` from which two names are taken for one with 
 STANDING = 5.0  # time of an arm's motion where no base says one [s]
 
 
+@faced
 @dataclass(frozen=True, repr=False)
 class Trajectory:
     """A motion of the whole robot over time: a source of setpoints that knows them ahead.

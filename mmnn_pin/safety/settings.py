@@ -32,6 +32,7 @@ from .supervisor import (
     OVER_WHEEL,
     PRESSED,
     TOO_SLOW,
+    TOUCHED,
     Door,
     Supervisor,
     SupervisorNumbers,
@@ -49,7 +50,7 @@ STEERING_JUMP = 0.1  # of a pivot, where jumps are judged [rad]
 # What passed its limit: the signal, words, and the unit, that of a sliding joint where there are two.
 SIGNAL = {OVER_TORQUE: "motor_torque", OFF_PATH: "pose_error", OFF_HEADING: "pose_error", OFF_JOINT: "e"}
 SIGNAL |= {DEAF: "measurement", LOST: "command", BAD_WEIGHTS: "weights", PRESSED: "stop", BLIND: "measurement"}
-SIGNAL |= {OVER_TWIST: "velocity", OVER_WHEEL: "velocity", JUMPED: "q", TOO_SLOW: "time"}
+SIGNAL |= {TOUCHED: "contact", OVER_TWIST: "velocity", OVER_WHEEL: "velocity", JUMPED: "q", TOO_SLOW: "time"}
 WHAT = {OVER_TORQUE: "torque", OVER_SPEED: "speed", OFF_PATH: "position error", OFF_HEADING: "heading error"}
 WHAT |= {OVER_TWIST: "speed", OVER_WHEEL: "speed", TOO_SLOW: "control period", JUMPED: "jump"}
 WHAT |= {OFF_JOINT: "joint error", DEAF: "age of the measurement", LOST: "age of the command"}
@@ -96,6 +97,8 @@ class Safety(Settings, frozen=True):
         jump: Largest change of a joint's measured position between two measurements that its speed does not explain,
             one number or one per joint [rad or m].
         slowest: Longest control period on average over some 10 samples [s].
+        contact: What happens where contact is felt (`touch`): "stop" trips, "comply" gives way, carried by the model
+            and damped, and goes back slowly, "go on" is up to the controller.
         weights: Largest Frobenius norm of every array of weights; larger ones are scaled back at every sample.
         timeout: Age of the measurement or of the command at which it trips [s]. None: 0.5, and before a joint
             may have turned 0.2 rad or slid 0.05 m, or the base moved 0.05 m or turned 0.2 rad, while none came.
@@ -124,6 +127,7 @@ class Safety(Settings, frozen=True):
     joint_error: Literal["none"] | Numbers | None = None
     jump: Literal["none"] | Numbers | None = None
     slowest: Literal["none"] | float | None = None
+    contact: Literal["stop", "comply", "go on"] = "go on"
     weights: float | None = None
     timeout: float | None = None
     ramp: float = 0.25
@@ -173,6 +177,7 @@ class Safety(Settings, frozen=True):
         numbers += [self._calm_rate(robot, gains), period, math.inf if brakes == "none" else self.settle, self.rest]
         numbers += [float(brakes == "base"), FRESH * (arrivals or period), some(self.slowest)]
         numbers += [some(self.speed), some(self.yaw_rate), float(self.timeout is None)]
+        numbers += [float(self.contact == "stop")]
         wheels, turns, none = layout.motors - layout.arm, revolute(robot)[arm], np.full(layout.arm, np.inf)
         urdf, steered = speed_limits(robot), steering_motors(robot)
         turned = limits(self.steering_rate, urdf[wheels - steered : wheels], "steering joint", "safety.steering_rate")
@@ -316,6 +321,8 @@ def trip_of(state: SupervisorState, robot: Robot) -> tuple[float, str, str]:
     code, i, time = int(state.code[0]), int(state.place[0]), float(state.time[0])
     if code == BAD_WEIGHTS:
         return time, f"weights[{i}]", f"tripped at t = {time:g} s: weights are not finite"
+    if code == TOUCHED:
+        return time, SIGNAL[code], f"tripped at t = {time:g} s: contact"
     if code == PRESSED:
         return time, SIGNAL[code], f"stopped from outside at t = {time:g} s"
     names = {OVER_TORQUE: robot.actuator_names, OVER_SPEED: robot.velocity_names, OFF_JOINT: robot.joint_names}

@@ -13,7 +13,7 @@ from ..signals import EARLY, INDEX, SIDEWAYS, Array, IntArray
 POSE, VELOCITY, Q, QDOT, ALPHA = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "alpha"))
 VELOCITY_REF, QDOT_REF = INDEX["velocity_ref"], INDEX["qdot_ref"]
 POSE_ERROR, JOINT_ERROR, STATE = INDEX["pose_error"], INDEX["e"], INDEX["safety"]
-PSI_HAT, TORQUE = INDEX["psi_hat"], INDEX["torque"]
+PSI_HAT, TORQUE, CONTACT = INDEX["psi_hat"], INDEX["torque"], INDEX["contact"]
 
 # What the signal `safety` says of a sample: nothing done, a torque clipped or a value held, stopping under feedback,
 # ramping to zero torque without measurements.
@@ -25,7 +25,7 @@ SILENT, REPEATED, RATE, BEND, BEFORE, KNOWN, TRUSTED = range(7)  # of a supervis
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
-OVER_WHEEL, JUMPED, TOO_SLOW, OVER_TWIST, BLIND = range(10, 15)
+OVER_WHEEL, JUMPED, TOO_SLOW, OVER_TWIST, BLIND, TOUCHED = range(10, 16)
 
 BORNE = 0.3  # of the slowest period: where samples are farther apart the gains of a stop are lowered in proportion
 SAMPLES = 10.0  # over which the control period is averaged, those far back less
@@ -56,6 +56,7 @@ class SupervisorNumbers(NamedTuple):
         twist: Largest speed of a base that steers [m/s].
         yaw_rate: Its largest yaw rate [rad/s].
         limited: 1 where silence is limited by how far velocities may lead, 0 by `timeout` alone.
+        contact: 1 where contact trips.
     """
 
     timeout: float
@@ -75,6 +76,7 @@ class SupervisorNumbers(NamedTuple):
     twist: float
     yaw_rate: float
     limited: float
+    contact: float
 
 
 @by_address
@@ -267,6 +269,7 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
     check_period(time, state, numbers)
     if state.good[0] > 0.0:
         check_motion(row, at, time, supervisor)
+    check_contact(row, at, time, supervisor)
     fine = arrived
     for i in range(tau.size):
         fine = fine and math.isfinite(tau[i])
@@ -394,6 +397,13 @@ def bound(W: Array, most: float, time: float, k: int, state: SupervisorState) ->
     for i in range(W.size):
         W[i] *= scale
     return True
+
+
+@internal
+def check_contact(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
+    """Trip on contact, where that is asked for and something feels it."""
+    if supervisor.numbers.contact > 0.0 and at[CONTACT + 1] > at[CONTACT] and row[at[CONTACT]] > 0.0:
+        trip(time, TOUCHED, 0, 1.0, 0.0, supervisor.state)
 
 
 @internal

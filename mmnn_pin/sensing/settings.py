@@ -115,6 +115,10 @@ class Sensor(Settings, frozen=True):
         poles = {"filtered": 1.0, "observer": 2.0, "model": 1.1}
         return period / 2 if self.velocity == "difference" else poles.get(self.velocity, 0.0) / self.bandwidth
 
+    def line(self, period: float) -> float:
+        """How long a message is under way on the line, at its longest [s]; arguments as of `smoothing`."""
+        return (self.delay + self.jitter) * period
+
     def on(
         self,
         robot: Robot,

@@ -20,7 +20,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 import msgspec
 import numpy as np
 
-from ..errors import ConfigError, UnknownArgument
+from ..errors import ConfigError, MmnnError, UnknownArgument
 
 KINDS = {
     "int": "a whole number",
@@ -78,6 +78,47 @@ def checked_but(*own: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return mark
 
 
+def faced(kind: type[R]) -> type[R]:
+    """A public class whose methods, called with arguments that do not fit, end in an error of this package.
+
+    Arguments are looked at once something was raised: what fits costs nothing. Where all are of their types, and some
+    are numbers, these have a shape or values that the method cannot take.
+    """
+    for name, found in list(vars(kind).items()):
+        function = getattr(found, "__func__", found)
+        if inspect.isfunction(function) and (not name.startswith("_") or name == "__getitem__"):
+            told = guarded(function)
+            setattr(kind, name, told if function is found else type(found)(told))
+    return kind
+
+
+def guarded(function: Callable[P, R]) -> Callable[P, R]:
+    """A method of `faced`."""
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except (MmnnError, OSError):
+            raise
+        except Exception as error:
+            try:
+                given = signature.bind(*args, **kwargs).arguments
+            except TypeError:
+                raise error from None
+            owner = next(iter(given.values()), None)
+            name = f"{getattr(owner, '__name__', type(owner).__name__)}.{function.__name__}"
+            require_fit(function, given, name)
+            kinds = {"self": Any, "cls": Any, **hints(function)}
+            if not any(is_numbers(part) for one in given for part in (kinds[one], *get_args(kinds[one]))):
+                raise
+            why, fix = " ".join(str(error).split()), "give as many finite numbers as it says"
+            raise ConfigError("arguments that do not fit", why=why, fix=fix, key=name) from error
+
+    return call
+
+
 def require_types(made: Any, *own: str) -> None:
     """Hold the fields of a dataclass against their annotations; for its `__post_init__`.
 
@@ -107,8 +148,13 @@ def name_of(owner: Any) -> str:
     return str(owner.__qualname__).removesuffix(".__init__")
 
 
-def require_fit(owner: Any, given: Mapping[str, Any]) -> None:
+def require_fit(owner: Any, given: Mapping[str, Any], called: str = "") -> None:
     """Refuse the first of some arguments that is not of the type that its owner, a function or a class, says.
+
+    Args:
+        owner: It.
+        given: Arguments by name.
+        called: How the owner is called, where that is not as it was defined.
 
     Raises:
         ConfigError: With the value and what to give.
@@ -117,7 +163,7 @@ def require_fit(owner: Any, given: Mapping[str, Any]) -> None:
     for name, value in given.items():
         if name in kinds and not fits(value, kinds[name]):
             what, fix = misfit(value, kinds[name])
-            raise ConfigError(what, fix=fix, key=f"{name_of(owner)}.{name}")
+            raise ConfigError(what, fix=fix, key=f"{called or name_of(owner)}.{name}")
 
 
 def misfit(value: Any, kind: Any) -> tuple[str, str]:
@@ -154,6 +200,8 @@ def fits(value: Any, kind: Any) -> bool:
     test, parts = test_of(kind)
     if test is not None:
         return test(value)
+    if isinstance(value, np.ndarray) and kind in (str, Path):
+        return False
     if isinstance(value, str | bytes) and get_origin(kind) not in (None, Literal):
         return False  # a text is no list
     if get_origin(kind) is tuple and parts[-1] is not ... and isinstance(value, Sequence):
@@ -164,7 +212,8 @@ def fits(value: Any, kind: Any) -> bool:
         return False
     except TypeError:  # of items of several classes
         items = value.values() if isinstance(value, Mapping) else value
-        return isinstance(value, get_origin(kind)) and all(fits(item, parts[-1]) for item in items)
+        of = parts[0] if parts[-1] is ... else parts[-1]
+        return isinstance(value, get_origin(kind)) and all(fits(item, of) for item in items)
     return True
 
 

@@ -72,7 +72,6 @@ POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[name] for name in ("pose", "velocity", "
 NU_REF, NUDOT_REF, Z, R = (INDEX[name] for name in ("nu_ref", "nudot_ref", "z", "r"))
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 TAKEN = 0.01  # how often a sample is taken for the excitation [s]
-MEANT = 0.001  # control period that `slowest_learned` is meant for [s]
 EXCITED = 1e-3  # share of what random motion of unit speed excites, above which a direction counts as excited
 
 
@@ -90,11 +89,8 @@ class AdaptiveSettings(Settings, frozen=True):
         coulomb: Rate of dry friction; gamma_j is `coulomb c_j^2` [1/J].
         rotor: Rate of the rotors' inertias; gamma_j is `rotor c_j^2`. Mostly a link's own inertia says the same: 0.
         leakage: sigma, how fast the estimate is pulled back to its start [1/s].
-        share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut. "delays"
-            is `h / (h + d)` of the known delays d, so that the answers that do not show yet stay below the feedback:
-            answers of every sample are an integral with the rate `share / h`, which bears a delay of `h / share` less
-            the hold h. d is the latency, that which is predicted included, `latency.margin`, the motors' lag, the
-            filter of velocities and what a slow sensor says is held longer.
+        share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut, and so is
+            what the loop does not bear (`loop.rates.borne`).
         modification: "sigma" leaks always, "e" in proportion to |s|.
         bounds: The largest ratio of an estimate to its start, either way.
         heaviest: The largest ratio of an estimate to a body of `mass` and `size`, where it starts from these. Too light
@@ -108,10 +104,10 @@ class AdaptiveSettings(Settings, frozen=True):
         mass: Masses of the prior, (base, every other body) [kg].
         size: Radii of gyration of the prior about each axis, likewise [m].
         slowest: The prior is made lighter where the inertia that a velocity feels of it is more than this times its
-            gain [s]; see `torque.prior`.
+            gain, or than the loop bears [s]; see `torque.prior`.
         slowest_learned: Bound on the weight of a body that starts from the prior: the inertia that a velocity feels of
-            it is at most this times its gain at a control period of 1 ms, in proportion less at longer ones [s]. Held
-            for a control period, the feedback of a heavier one would not be stable.
+            it is at most this times its gain, and at most what the loop bears [s]: the feedback inside nudot_ref of a
+            heavier one would not be stable.
 
     Raises:
         ConfigError: A number that is negative, not finite or 0 where it must not be.
@@ -122,7 +118,7 @@ class AdaptiveSettings(Settings, frozen=True):
     coulomb: float = 10.0
     rotor: float = 0.0
     leakage: float = 0.0
-    share: float | Literal["delays"] = 0.2
+    share: float = 1.0
     modification: Literal["sigma", "e"] = "sigma"
     bounds: float = 100.0
     heaviest: float = 10.0
@@ -268,13 +264,6 @@ def norm(vector: Array) -> float:
 KERNELS[Adaptation] = Kernels(estimate, nothing_to_keep)
 
 
-def share_of(settings: AdaptiveSettings, context: Context) -> float:
-    """Largest answer of a sample to s, as a share of the feedback."""
-    if settings.share != "delays":
-        return float(settings.share)
-    return context.control_period / (context.control_period + context.late)
-
-
 @dataclass(frozen=True, eq=False)
 class Adaptive(ParameterLearner):
     """`tau = Y theta_hat + K s` with `V' = -s' K s`: s goes to zero without leakage, bounds and disturbances.
@@ -309,7 +298,7 @@ class Adaptive(ParameterLearner):
             h=float(context.control_period),
             gamma=every[:first:BODY].copy(),
             least=1.0 / own.bounds,
-            most=self.most(context.control_period),
+            most=self.most(),
             roots=roots,
             inverses=np.array([inverse(C) for C in roots]).reshape(roots.shape),
             rates=every[first:].copy(),
@@ -330,7 +319,7 @@ class Adaptive(ParameterLearner):
             tracking=tracking,
             sigma=float(own.leakage),
             by_error=own.modification == "e",
-            share=share_of(own, context),
+            share=self.answer(context, own.share),
             stride=max(1, round(TAKEN / context.control_period)),
             bodies=bodies,
             gradient=np.zeros(start.size),
@@ -342,7 +331,7 @@ class Adaptive(ParameterLearner):
         """Rates of every number of a body, gamma, and gamma_j of the rest, (k,)."""
         K, own = gains_of(self.regressor, self.feedback), self.settings
         rest = np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scales(self.regressor, K) ** 2
-        return self._tempo * np.concatenate((np.full(self.regressor.inertial, float(own.rate)), rest))
+        return self._tempo * np.concatenate((own.rate * np.repeat(self._haste, BODY), rest))
 
     @cached_property
     def _tempo(self) -> Array:
@@ -405,7 +394,9 @@ class Adaptive(ParameterLearner):
     def _start(self) -> Array:
         """The parameters of `start`, (k,), computed once: a prior looks at many positions."""
         first, own = self.regressor.inertial, self.settings
-        prior = prior_of(self.regressor, gains_of(self.regressor, self.feedback), own.mass, own.size, own.slowest)
+        prior = prior_of(
+            self.regressor, gains_of(self.regressor, self.feedback), own.mass, own.size, self.bearable(own.slowest)
+        )
         if not self.informed or self.nominal is None:
             return prior
         theta = np.maximum(self.nominal, 0.0)
@@ -413,28 +404,33 @@ class Adaptive(ParameterLearner):
         theta[:first] = np.concatenate([vector_of(lifted(P, G)) for P, G in pairs])
         return theta
 
-    def most(self, period: float) -> Array:
-        """Largest ratios of the bodies' estimates to their start at a control period [s], (bodies,)."""
+    def most(self) -> Array:
+        """Largest ratios of the bodies' estimates to their start, (bodies,)."""
         own = self.settings
         if self.informed:
             return np.full(len(self.regressor.bodies), float(own.bounds))
-        share, slowness = self._weight
-        bound = own.slowest_learned * MEANT / period
-        bearable = np.divide(bound, slowness, out=np.full_like(slowness, np.inf), where=slowness > 0)
+        share, felt = self._prior
+        room = self.bearable(own.slowest_learned) * gains_of(self.regressor, self.feedback)
+        bearable = np.divide(room, felt, out=np.full_like(felt, np.inf), where=felt > 0).min(axis=1)
         return np.maximum(1.0, np.minimum(np.minimum(own.bounds, own.heaviest / share), bearable))
 
     @cached_property
-    def _weight(self) -> tuple[Array, Array]:
-        """Of every body of the prior, computed once: by how much it was made lighter, and how slow it makes a velocity.
-
-        The second is the inertia that a velocity feels of it over its gain [s], the largest; (bodies,) each.
-        """
+    def _prior(self) -> tuple[Array, Array]:
+        """Of every body of the prior: by how much it was made lighter (bodies,), and the inertia it is (bodies, p)."""
         own, K = self.settings, gains_of(self.regressor, self.feedback)
         prior = balls(self.regressor, own.mass, own.size)
-        share = lightness(self.regressor, prior, K, own.slowest)
+        share = lightness(self.regressor, prior, K, self.bearable(own.slowest))
         prior[: self.regressor.inertial] *= np.repeat(share, BODY)
-        felt = inertia_of_bodies(self.regressor, prior)
-        return share, np.divide(felt, K, out=np.zeros_like(felt), where=felt > 0).max(axis=1)
+        return share, inertia_of_bodies(self.regressor, prior)
+
+    @cached_property
+    def _haste(self) -> Array:
+        """Factor on gamma with which a body that the loop made lighter takes steps as large, (bodies,)."""
+        own = self.settings
+        if self.informed or self.bears is None:
+            return np.ones(len(self.regressor.bodies))
+        prior, K = balls(self.regressor, own.mass, own.size), gains_of(self.regressor, self.feedback)
+        return np.asarray((lightness(self.regressor, prior, K, own.slowest) / self._prior[0]) ** 2)
 
     def counts(self) -> tuple[int, int, int]:
         """How many parameters are rotors, viscous and dry friction."""

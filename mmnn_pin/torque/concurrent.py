@@ -329,7 +329,7 @@ class CombinationLearner(ParameterLearner):
         if self.informed and self.nominal is not None:
             return np.array(self.nominal)
         own = AdaptiveSettings()
-        return prior_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
+        return prior_of(self.regressor, self._gains, own.mass, own.size, self.bearable(own.slowest))
 
     def theta(self, state: ControllerState) -> Array:
         """The estimate as parameters of the robot, (k0,)."""
@@ -430,7 +430,7 @@ class Concurrent(CombinationLearner):
             every=max(1, round(own.every / h)),
             rate=float(own.rate),
             tracking=float(own.tracking),
-            share=SHARE,
+            share=self.answer(context, SHARE),
             radius=RADIUS * float(np.sqrt(k)),
             growth=float(own.growth),
             lifetime=float(own.lifetime) if own.lifetime else np.inf,

@@ -28,6 +28,20 @@ T = TypeVar("T")
 BANDWIDTHS = 30.0, 60.0  # of a base and of joints whose gains are not given [1/s]
 
 
+class Bears(NamedTuple):
+    """How much a sampled loop bears of a learner, beside its feedback K s and `M nudot_ref` (`loop.rates.borne`).
+
+    Attributes:
+        rate: How fast Psi_hat may answer s, over K [1/s].
+        room: Factor by which the gains may grow.
+        weight: (p,) inertia that a velocity may feel of an estimate, over its gain [s].
+    """
+
+    rate: float
+    room: float
+    weight: tuple[float, ...]
+
+
 @dataclass(frozen=True)
 class Context:
     """The context that a controller is given once before a run.
@@ -336,17 +350,20 @@ class TorqueController(Controller):
 class CompiledController(Controller):
     """A controller of this package: a `Law` and a `ControllerState` for the compiled step.
 
-    Most are a frozen dataclass with these three fields, by which they are made, recorded and made again.
+    Most are a frozen dataclass with the first three fields, by which they are made, recorded and made again; those that
+    learn from s have the fourth.
 
     Attributes:
         feedback: K.
         settings: The table of the learner.
         learning: Off keeps what is learned as it is.
+        bears: What its loop bears of it; a loop or a stepper says it, None where nobody knows the loop.
     """
 
     feedback: Feedback
     settings: Any
     learning: bool
+    bears: Bears | None = None
     __post_init__ = require_types
 
     @classmethod
@@ -361,11 +378,21 @@ class CompiledController(Controller):
         `facts` may be those of an older version, and `told` is of the recorded robot.
         """
         names = ("feedback", "settings", "learning")
-        return cls(**read_facts(cls, facts, *names)) if set(names) <= set(facts) else None
+        return cls(**read_facts(cls, facts, *names, *borne(facts))) if set(names) <= set(facts) else None
 
     def facts(self) -> dict[str, Any]:
         """Gains and settings; enough for `from_facts`."""
-        return {name: plain(getattr(self, name)) for name in ("feedback", "settings", "learning")}
+        own = {name: plain(getattr(self, name)) for name in ("feedback", "settings", "learning")}
+        return own if self.bears is None else own | {"bears": list(self.bears)}
+
+    def answer(self, context: Context, most: float = 1.0) -> float:
+        """Largest answer of a sample to s that the loop bears, as a share of the feedback, at most `most`.
+
+        Answers of every sample are an integral with the rate answer / h. Of a loop that nobody knows it is what an
+        integral alone bears: `h / (h + d)` of all known delays d.
+        """
+        h = context.control_period
+        return min(most, h / (h + context.late) if self.bears is None else h * self.bears.rate)
 
     @property
     def model(self) -> Any:
@@ -407,6 +434,11 @@ class CompiledController(Controller):
     def features(self, law: Law, state: ControllerState) -> Array | None:
         """The features Phi of the last step, `Psi_hat = (Phi W).ravel()`, a view (rows, k); None if not linear."""
         return None
+
+
+def borne(facts: Mapping[str, Any]) -> list[str]:
+    """The field `bears`, where the facts of a recording have it."""
+    return [name for name in facts if name == "bears"]
 
 
 def all_facts(controller: Any) -> dict[str, Any]:

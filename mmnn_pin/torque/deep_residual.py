@@ -42,14 +42,13 @@ from ..elementary import exp, tanh
 from ..parts import Cube, Matrix, layout_of, views
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray
-from .controller import CompiledController, Context, ControllerState, Feedback, Law
+from .controller import Bears, CompiledController, Context, ControllerState, Feedback, Law
 from .law import KERNELS, Kernels, constant_gain, input_of, nothing_to_keep
 from .neural import SEEN, channels
 from .two_layer import hidden_input, require_hidden, shrink
 
 Z, R, PSI_HAT = INDEX["z"], INDEX["r"], INDEX["psi_hat"]
 EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["effective_gain"], INDEX["weight_norm"]
-LATE = 0.5  # fastest answer, over one by all known delays
 
 
 class DeepResidualSettings(Settings, frozen=True):
@@ -295,12 +294,14 @@ class DeepResidual(CompiledController):
         feedback: K.
         settings: Sizes, rates and bounds.
         learning: Off keeps the weights.
+        bears: As of `CompiledController`.
     """
 
     feedback: Feedback = field(default_factory=Feedback)
     settings: DeepResidualSettings = field(default_factory=DeepResidualSettings)
     learning: bool = True
     name: str = "deep_residual"
+    bears: Bears | None = None
 
     within_limits: ClassVar[bool] = True
 
@@ -321,7 +322,7 @@ class DeepResidual(CompiledController):
             h=h,
             rates=np.array([own.rate / own.hidden, own.inner / own.hidden]),
             keep=exp(-own.leakage * h),
-            share=h * min(own.answer, LATE / (h + context.late)),
+            share=self.answer(context, h * own.answer),
             bound=float(own.bound),
             x=np.zeros(inputs.shape[1]),
             s=np.zeros(K.size),

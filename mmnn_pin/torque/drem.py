@@ -61,7 +61,6 @@ Z, R, NU_REF, NUDOT_REF = (INDEX[name] for name in ("z", "r", "nu_ref", "nudot_r
 FAINT = 0.01  # information of a prior of ten times the size, that makes Omega invertible
 OPEN = 0.1  # share of that prior variance which, where it is left of a parameter, leaves it as it is
 BOUND = 10.0  # on every w, in standard deviations of the prior
-LATE = 0.5  # fastest answer to s, over one by all known delays
 
 
 class DremSettings(Settings, frozen=True):
@@ -287,7 +286,7 @@ class Drem(CombinationLearner):
             rate=1.0 - exp(-own.rate * every * h),
             doubt=own.unsure**-4,
             gamma=self.gamma,
-            share=min(SHARE, LATE * h / (h + context.late)),
+            share=self.answer(context, SHARE),
             Phi=np.zeros((p, k)),
             psi0=np.zeros(p),
             gradient=np.zeros(k),

@@ -110,6 +110,15 @@ def times(U: Array, D: Array, g: Array, out: Array) -> None:
         out[j] = t
 
 
+@internal
+def covariance(Phi: Array, U: Array, D: Array, image: Array, S: Array) -> None:
+    """`Phi P Phi'` (p, p) of features (p, k) into S; image (k,) is room to work in."""
+    for i in range(Phi.shape[0]):
+        times(U, D, Phi[i], image)
+        for j in range(Phi.shape[0]):
+            S[i, j] = dot(Phi[j], image, D.size)
+
+
 @compiled
 def variance(U: Array, D: Array, place: int) -> float:
     """P at one place of its diagonal."""

@@ -18,10 +18,10 @@ from ..elementary.normals import standard_normal
 from ..errors import ConfigError
 from ..model.regressor import Regressor
 from ..parts import layout_of
-from ..settings import plain
 from ..settings.arguments import require_types
 from ..signals import Array, Layout
 from .controller import (
+    Bears,
     CompiledController,
     Context,
     ControllerSettings,
@@ -30,6 +30,8 @@ from .controller import (
     Law,
     MachineLimits,
     Told,
+    borne,
+    read_facts,
 )
 from .correction import Corrected, Correction, new_correction
 from .factored import NEGLIGIBLE, factors, left
@@ -49,6 +51,7 @@ from .linear import Linear, Parts
 from .prior import identified, within_prior
 from .random_features import BILINEAR, GENERIC, Movement, Random, at_rest, fill, new_random, paired, size
 
+CORRECTS = 0.5  # part of the fastest answer that the loop bears which a correction takes
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
 SAMPLES = 300  # of random motion
 CONFIRMED = 25.0  # times `Context.unseen` that the low-pass of `kalman_friction` lasts, at least
@@ -63,6 +66,7 @@ class Kalman(CompiledController):
         for `KalmanRegressorSettings` and `KalmanResidualSettings`. theta0: (k0,) parameters of a nominal robot in the
         order of that regressor; for `KalmanResidualSettings`. learning: Off keeps the weights as they are. before:
         Parameters (k,) that it begins with and their covariance (k, k), of which it takes no more than its prior.
+        bears: As of `CompiledController`.
 
     Raises:
         ConfigError: What the settings need is missing, or theta0 is not of the regressor.
@@ -75,6 +79,7 @@ class Kalman(CompiledController):
     theta0: Array | None = None
     learning: bool = True
     before: tuple[Array, Array] | None = None
+    bears: Bears | None = None
 
     within_limits: ClassVar[bool] = True
 
@@ -106,9 +111,9 @@ class Kalman(CompiledController):
         settings: KalmanSettings = msgspec.convert(facts["settings"], SETTINGS[name])
         motion = told.motion if settings.needs_regressor else None
         theta0 = np.array(facts["theta0"]) if "theta0" in facts else None
-        feedback = msgspec.convert(facts["feedback"], Feedback)
+        made = read_facts(cls, facts, "feedback", "learning", *borne(facts))
         before = tuple(np.array(each, float) for each in facts["before"]) if "before" in facts else None
-        return cls(settings, told.machine, feedback, motion, theta0, facts["learning"], before)  # type: ignore[arg-type]
+        return cls(settings, told.machine, regressor=motion, theta0=theta0, before=before, **made)  # type: ignore[arg-type]
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -174,7 +179,7 @@ class Kalman(CompiledController):
             interval=every * h,
             noise=float(own.noise * own.noise),
             answer=own.tracking / (own.prior * own.prior) * (K if m > 1 else np.array([1 / K.max()])),
-            share=SHARE,
+            share=min(SHARE, every * self.answer(context)),
             drift=float(own.drift),
             change=float(own.change) if isinstance(own, KalmanFrictionSettings) else 0.0,
             alarm=float(own.alarm),
@@ -201,7 +206,7 @@ class Kalman(CompiledController):
         if not isinstance(own, KalmanFrictionSettings) or own.correction == 0.0:
             return None
         K, c = self.feedback.vector(context.layout), own.correction
-        c = 0.5 / (context.control_period + context.late) if c == "delays" else c
+        c = CORRECTS * self.answer(context) / context.control_period if c is None else c
         return new_correction(context, K, self.typical(), c, own.leakage, own.desired)
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
@@ -282,7 +287,7 @@ class Kalman(CompiledController):
 
     def facts(self) -> dict[str, Any]:
         """Gains and settings, and what it was told of a nominal robot."""
-        own = {"feedback": plain(self.feedback), "settings": plain(self.settings), "learning": self.learning}
+        own = super().facts()
         labels = {} if self.drawn or self.regressor is None else {"labels": list(self.regressor.labels)}
         before = {} if self.before is None else {"before": [each.tolist() for each in self.before]}
         return own | labels | before | ({} if self.theta0 is None else {"theta0": self.theta0.tolist()})

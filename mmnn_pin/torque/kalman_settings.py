@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 from ..errors import ConfigError
 from ..settings import Settings, require_at_most, require_numbers
@@ -80,8 +80,8 @@ class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
         friction: Standard deviation of what the features say before anything is learned, over K [m/s, rad/s].
         constant: Standard deviation of the constants, likewise.
         change: Part of a constant's prior variance that comes back in a second [1/s].
-        correction: c of `torque.correction`, how fast it answers the tracking error, over K [1/s]; 0 for none. "delays"
-            is `1 / (2 (h + d))` of the known delays d (see `adaptive.share`): alone it would bear twice these.
+        correction: c of `torque.correction`, how fast it answers the tracking error, over K [1/s]; 0 for none, None for
+            half of what the loop bears (`loop.rates.borne`).
         leakage: How fast the correction is forgotten [1/s], just after a change of the robot at a quarter of it; it
             adds `correction / leakage` times K at low frequencies.
         desired: Part of the features that is taken at the reference's motion, the rest at the measured one; 0 to 1.
@@ -94,7 +94,7 @@ class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
     constant: float = 0.03
     change: float = 0.1
     alarm: float = 3.0
-    correction: float | Literal["delays"] = "delays"
+    correction: float | None = None
     leakage: float = 20.0
     desired: float = 0.5
 

@@ -4,8 +4,9 @@
     step(row, at, numbers, state, limits, ahead)
                                             tau = (K + Kz (|Z| + ZB)) s + Psi_hat    (3.39), (3.50),   s = [z; r]
     settle(row, at, learner, state)         the torque that is held from here on, to be looked back at
+    doubt(learner, state, S)                covariance of Psi_hat of the last sample
 
-The ordinary loop, the compiled loop and the batch call these three. They read and write the row of signals `row`, in
+The ordinary loop, the compiled loop and the batch call these. They read and write the row of signals `row`, in
 which signal i begins at `at[i]`; `state` is the controller's flat array. A law is its `LawNumbers`, and what it learns
 with: a named tuple whose type has its code in `KERNELS`, or None. The thesis's networks stand in `step` themselves, so
 that its controllers share one compiled loop.
@@ -29,8 +30,8 @@ from ..elementary import cos_sin
 from ..elementary.matrices import pseudo_inverse
 from ..parts import Matrix, Vector, layout_of, view, views
 from ..signals import INDEX, Array, IntArray
-from .one_layer import ONE_LAYER, one_layer_output, one_layer_update
-from .two_layer import TWO_LAYER, hidden_input, project, two_layer_output, two_layer_update
+from .one_layer import ONE_LAYER, one_layer_answer, one_layer_output, one_layer_update
+from .two_layer import TWO_LAYER, hidden_input, project, two_layer_answer, two_layer_output, two_layer_update
 
 Z, R, PSI_HAT, ROBUST = INDEX["z"], INDEX["r"], INDEX["psi_hat"], INDEX["robust"]
 PSI_APPLIED = INDEX["psi_applied"]
@@ -50,7 +51,8 @@ class LawNumbers(NamedTuple):
         update_first: (1,) 1 for the order of Appendix B: weights move first, with the hidden outputs of the last call.
         adds_model: (1,) 1 where psi_hat holds the Psi of a model, to which the networks add.
         dt: (1,) what rates are multiplied with: 1 for rates per sample, the control period for rates per second.
-        gains: (4, p) or (1, p): K, Kz, and what the networks' s and torque are multiplied with.
+        share: (1,) largest answer of the networks' update to s, as a share of the feedback K s; inf for any.
+        gains: (5, p) or (1, p): K, Kz, what the networks' s and torque are multiplied with, and the largest gain.
         networks: (2, 6) of base and arm: rate of W, rate of V or width, leakage, ZB, bounds on |W| and |V|.
         inputs: (2, nx) scale and offset of the inputs, (2, 0) for inputs as they are; (3, nx) where some are a `COSINE`
             or a `SINE`, others 0.
@@ -61,6 +63,7 @@ class LawNumbers(NamedTuple):
     update_first: Vector
     adds_model: Vector
     dt: Vector
+    share: Vector
     gains: Matrix
     networks: Matrix
     inputs: Matrix
@@ -135,10 +138,11 @@ class Schedule(NamedTuple):
 
 
 class Kernels(NamedTuple):
-    """The compiled code of what a law learns with; arguments as of `estimate`."""
+    """The compiled code of what a law learns with; arguments as of `estimate`, and as of `doubt`, where it has one."""
 
     estimate: Callable[..., None]
     settle: Callable[..., None]
+    doubt: Callable[..., None] | None = None
 
 
 KERNELS: dict[type, Kernels] = {}  # every module of a learner enters its own
@@ -153,12 +157,12 @@ def packed(
 
     Args:
         kind: Which law.
-        gains: (4, p) or (1, p), as in `LawNumbers`.
+        gains: (5, p) or (1, p), as in `LawNumbers`.
         layout: Of `Networks` or `Schedule` in the state; None where the law itself remembers nothing.
         rows: (nx,) where the inputs of networks stand in a row.
         more: Other parts of `LawNumbers`; zeros, or nothing, unless given.
     """
-    absent: dict[str, Any] = dict.fromkeys(("learning", "update_first", "adds_model", "dt"), 0.0)
+    absent: dict[str, Any] = dict.fromkeys(("learning", "update_first", "adds_model", "dt", "share"), 0.0)
     absent |= dict.fromkeys(("networks", "inputs"), np.zeros((2, 0)))
     parts = {name: np.atleast_1d(np.asarray(part, float)) for name, part in (absent | more).items()}
     parts |= {"kind": np.full(1, float(kind)), "gains": gains}
@@ -190,8 +194,26 @@ def settle(row: Array, at: IntArray, learner: Any, state: Array) -> None:
     KERNELS[type(learner)].settle(row, at, learner, state)
 
 
+def doubt(learner: Any, state: Array, S: Array) -> None:
+    """Write the covariance of Psi_hat of the last sample into S (p, p); a negative first entry where nobody knows.
+
+    Args:
+        learner: What the law learns with.
+        state: (size,) the controller's state.
+        S: (p, p) covariance [N, N m], squared.
+    """
+    (KERNELS[type(learner)].doubt or nobody_knows)(learner, state, S)
+
+
 by_type(estimate, "learner", lambda kind: KERNELS[kind].estimate)
 by_type(settle, "learner", lambda kind: KERNELS[kind].settle)
+by_type(doubt, "learner", lambda kind: KERNELS[kind].doubt or nobody_knows)
+
+
+@compiled
+def nobody_knows(learner: Any, state: Array, S: Array) -> None:
+    """`doubt` of a learner without a covariance."""
+    S[0, 0] = -1.0
 
 
 @compiled
@@ -285,12 +307,14 @@ def networks(row: Array, at: IntArray, law: Packed, state: Array) -> None:
         sigma, net, s = (o.sigma1, o.net1, o.s1) if which == 0 else (o.sigma2, o.net2, o.s2)
         for i in range(error.size):
             s[i] = n.gains[2, first + i] * error[i]
-        psi_hat = view(row, at, PSI_HAT)[first : first + error.size]
-        norm = network(n, n.networks[which], NetworkState(W, V, sigma, net, s), o.x, psi_hat)
+        psi_hat, feedback = view(row, at, PSI_HAT)[first : first + error.size], 0.0
+        for i in range(error.size):  # in the units of the network's own s and output
+            feedback += n.gains[0, first + i] * error[i] * error[i] * n.gains[2, first] / n.gains[3, first]
+        norm = network(n, n.networks[which], NetworkState(W, V, sigma, net, s), o.x, psi_hat, feedback)
         row[at[WEIGHT_NORM] + which] = norm
         for i in range(first, first + error.size):
             row[at[PSI_HAT] + i] *= n.gains[3, i]
-            gain[i] = n.gains[0, i] + n.gains[1, i] * (norm + n.networks[which, 3])
+            gain[i] = min(n.gains[0, i] + n.gains[1, i] * (norm + n.networks[which, 3]), n.gains[4, i])
         first += error.size
 
 
@@ -304,32 +328,40 @@ def input_of(value: float, inputs: Array, i: int) -> float:
 
 
 @internal
-def network(n: LawNumbers, rates: Array, o: NetworkState, x: Array, psi_hat: Array) -> float:
+def network(n: LawNumbers, rates: Array, o: NetworkState, x: Array, psi_hat: Array, feedback: float) -> float:
     """Output and update of one network; returns the norm of its weights, taken with the output.
 
-    The torque of a sample uses the weights from before it, unless the update comes first.
+    The torque of a sample uses the weights from before it, unless the update comes first. `feedback` is `s' K s`, in
+    the units of the network, of which the update answers a share at most.
     """
     kind, learning, first = int(n.kind[0]), n.learning[0] == 1.0, n.update_first[0] == 1.0
     if first and learning:
         if kind == TWO_LAYER:
             hidden_input(o.V, x, o.net)
-        update(n, rates, o, x)
+        update(n, rates, o, x, feedback)
     if kind == ONE_LAYER:
         norm = one_layer_output(o.W, o.V, rates[1], x, o.sigma, psi_hat)
     else:
         norm = two_layer_output(o.W, o.V, x, o.net, o.sigma, psi_hat)
     if learning and not first:
-        update(n, rates, o, x)
+        update(n, rates, o, x, feedback)
     return norm
 
 
 @internal
-def update(n: LawNumbers, rates: Array, o: NetworkState, x: Array) -> None:
+def update(n: LawNumbers, rates: Array, o: NetworkState, x: Array, feedback: float) -> None:
     """Update of one network's weights, which end within their bounds; the centres V of a one-layer network stay."""
-    if int(n.kind[0]) == ONE_LAYER:
-        one_layer_update(o.W, o.sigma, o.s, rates[0], rates[2], n.dt[0])
+    dt, one = n.dt[0], int(n.kind[0]) == ONE_LAYER
+    if n.share[0] < math.inf:
+        answer = (
+            one_layer_answer(o.sigma, o.s, rates[0]) if one else two_layer_answer(o.W, x, o.net, o.sigma, o.s, rates)
+        )
+        if dt * answer > n.share[0] * feedback:
+            dt = n.share[0] * feedback / answer
+    if one:
+        one_layer_update(o.W, o.sigma, o.s, rates[0], rates[2], dt)
     else:
-        two_layer_update(o.W, o.V, x, o.net, o.sigma, o.s, rates, n.dt[0])
+        two_layer_update(o.W, o.V, x, o.net, o.sigma, o.s, rates, dt)
         project(o.V, rates[5])
     project(o.W, rates[4])
 

@@ -40,7 +40,7 @@ from ..settings import require_numbers
 from ..signals import INDEX, Array, IntArray
 from .classical import Integral, Integrator, go_on, integral_shapes, integrate, new_integrator
 from .controller import Context, ControllerState, Law
-from .factored import NEGLIGIBLE, dot, measure
+from .factored import NEGLIGIBLE, covariance, dot, measure
 from .feedforward import Feedforward, FeedforwardSettings
 from .filtered import Filter, Filtered, low_pass, new_filter, parts, period, remember
 from .friction_features import FrictionFeatures, columns, desired_rates, follow, friction, shipped
@@ -305,7 +305,14 @@ def predict(a: Learned, o: LearnedParts) -> None:
         drift(a, o, a.carrying[c], a.load * time)
 
 
-KERNELS[Learned] = Kernels(estimate, settle)
+@linked
+def doubt(a: Learned, state: Array, S: Array) -> None:
+    """Covariance of what the estimate says of the last sample, as of `law.doubt`."""
+    o = parts_of(state, a.layout)
+    covariance(a.Phi, o.U, o.D, a.work[0], S)
+
+
+KERNELS[Learned] = Kernels(estimate, settle, doubt)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

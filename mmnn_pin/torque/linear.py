@@ -34,7 +34,7 @@ from ..model.regressor import Massless, measured, regress
 from ..parts import Matrix, Vector, views
 from ..signals import INDEX, Array, IntArray
 from .correction import Corrected, Correction, correct, desired, find_cut, follow_error
-from .factored import add, dot, measure, quadratic, times, variance
+from .factored import add, covariance, dot, measure, quadratic, times, variance
 from .filtered import Filter, Filtered, low_pass, period, remember
 from .friction_features import FrictionFeatures, beside, follow
 from .law import KERNELS, Kernels
@@ -371,4 +371,18 @@ def project(a: Linear, o: Parts) -> None:
                 w[j] = w[j] * (radius / math.sqrt(square)) if math.isfinite(square) else 0.0
 
 
-KERNELS[Linear] = Kernels(estimate, settle)
+@linked
+def doubt(a: Linear, state: Array, S: Array) -> None:
+    """Covariance of what the weights say of the last sample, as of `law.doubt`; columns of W have one for each."""
+    o = parts_of(state, a.layout)
+    if a.Phi.shape[0] == a.gain.size:
+        covariance(a.Phi, o.U, o.D, a.work[0], S)
+        return
+    times(o.U, o.D, a.Phi[0], a.work[0])
+    common = dot(a.Phi[0], a.work[0], o.D.size)
+    for i in range(a.gain.size):
+        S[i, :] = 0.0
+        S[i, i] = a.gain[i] * a.gain[i] * common
+
+
+KERNELS[Linear] = Kernels(estimate, settle, doubt)

@@ -21,6 +21,7 @@ from ..settings import Settings, require_gains
 from ..signals import Array, Dimensions, Layout
 from . import law
 from .controller import (
+    Bears,
     CompiledController,
     Context,
     ControllerSettings,
@@ -168,6 +169,9 @@ class Neural(CompiledController):
             form. The feedback and the robust term are scaled by themselves (`Feedback.scaled`, `Robust.scaled`).
         called: Name in tables and recordings; empty for that of the network.
         adds_model: Whether the Psi of the loop's model is added (`torque.two_layer_residual`).
+        within_loop: Whether updates and robust term are cut to what the loop bears of them, see `torque.law`; the
+            thesis's are not. Gains that a loop chooses for its robot switch it on.
+        bears: As of `CompiledController`.
 
     >>> robot = load("platform_arm")
     >>> path = Trajectory.of(robot, base=Line(speed=0.3))
@@ -188,6 +192,8 @@ class Neural(CompiledController):
     inertia: tuple[float, ...] | None = None
     called: str = ""
     adds_model: bool = False
+    within_loop: bool = False
+    bears: Bears | None = None
 
     @property
     def networks(self) -> Neural:
@@ -222,9 +228,11 @@ class Neural(CompiledController):
         networks = [(*self.network.rates(i, self.leakage), robust.ZB[i], *bounds[i + 1]) for i in range(2)]
         inputs = self.inputs.numbers(layout)
         as_they_are = (inputs[0] == 1.0).all() and not inputs[1:].any()
+        top = np.full(layout.dof, np.inf) if self.bears is None else self.bears.room * self.feedback_gain(layout)
         numbers = law.packed(
             kind=self.network.kind,
-            gains=np.array((self.feedback.vector(layout), Kz, *self.network_scales(layout))),
+            gains=np.array((self.feedback.vector(layout), Kz, *self.network_scales(layout), top)),
+            share=math.inf if self.bears is None else self.answer(context),
             learning=self.learning,
             update_first=self.update == "before_output",
             adds_model=self.adds_model,

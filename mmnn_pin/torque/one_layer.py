@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ..compiled import internal
+from ..compiled import compiled, internal
 from ..elementary import exp
 from ..errors import ConfigError
 from ..settings import Settings, require_gains
@@ -92,6 +92,17 @@ def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Arra
     for j in range(phi.size):
         phi[j] = exp(-phi[j] / (2.0 * width * width))
     return math.sqrt(weighted_sum(W, phi, psi_hat))
+
+
+@compiled
+def one_layer_answer(phi: Array, s: Array, beta: float) -> float:
+    """Answer of an update to s, `s' (Psi_hat_next - Psi_hat) = beta phi'phi s's`, for dt = 1, without leakage."""
+    units, squares = 0.0, 0.0
+    for j in range(phi.size):
+        units += phi[j] * phi[j]
+    for i in range(s.size):
+        squares += s[i] * s[i]
+    return beta * units * squares
 
 
 @internal

@@ -23,7 +23,16 @@ from ..files import read_text
 from ..model.regressor import BODY, Regressor
 from ..settings.arguments import require_types
 from ..signals import Array, Layout
-from .controller import CompiledController, ControllerSettings, ControllerState, Feedback, Told, read_facts
+from .controller import (
+    Bears,
+    CompiledController,
+    ControllerSettings,
+    ControllerState,
+    Feedback,
+    Told,
+    borne,
+    read_facts,
+)
 
 DOUBT = 0.5  # standard deviation of a body, relative, that `mmnn identify` knows nothing of
 GAINS = 500.0, 30.0  # on a base's forward velocity and of an arm for which rates in 1/J are meant [N s/m, N m s]
@@ -43,6 +52,7 @@ class ParameterLearner(CompiledController):
         nominal: (k,) parameters to start from, needed for `initial = "nominal"`.
         learning: Off keeps the estimate as it starts.
         covariance: (k, k) of them, where they are those of a fit (`start`).
+        bears: As of `CompiledController`.
 
     Raises:
         ConfigError: A start from nominal parameters without them, or with others than k finite ones.
@@ -54,6 +64,7 @@ class ParameterLearner(CompiledController):
     nominal: Array | None = None
     learning: bool = True
     covariance: Array | None = None
+    bears: Bears | None = None
 
     within_limits: ClassVar[bool] = True
 
@@ -85,7 +96,7 @@ class ParameterLearner(CompiledController):
             return None
         own = dict(facts.get("settings") or facts["adapting"])
         own["initial"] = own["initial"].replace("guess", "prior")
-        made = read_facts(cls, {**facts, "settings": own}, "feedback", "settings", "learning")
+        made = read_facts(cls, {**facts, "settings": own}, "feedback", "settings", "learning", *borne(facts))
         covariance = np.array(facts["covariance"], float) if "covariance" in facts else None
         given = own["initial"] == "nominal" or covariance is not None
         start = np.array(facts["start"], float) if given else None
@@ -95,6 +106,11 @@ class ParameterLearner(CompiledController):
         """Gains, settings and start, with the names of the parameters."""
         known = {} if self.covariance is None else {"covariance": self.covariance.tolist()}
         return super().facts() | known | {"labels": list(self.regressor.labels), "start": self.start().tolist()}
+
+    def bearable(self, inertia: float) -> Array:
+        """The inertia that a velocity may feel over its gain, at most what the loop bears, (p,) [s]."""
+        most = np.full(self.regressor.massless.nu.size, float(inertia))
+        return most if self.bears is None else np.minimum(most, self.bears.weight)
 
     def start(self) -> Array:
         """The parameters before anything is learned, (k,)."""
@@ -135,7 +151,7 @@ def require_one_start(settings: Any, section: str) -> None:
 
 
 def prior_of(
-    regressor: Regressor, K: Array, mass: tuple[float, float], size: tuple[float, float], slowest: float
+    regressor: Regressor, K: Array, mass: tuple[float, float], size: tuple[float, float], slowest: float | Array
 ) -> Array:
     """Balls at every joint and no friction, (k,).
 
@@ -144,7 +160,7 @@ def prior_of(
         K: (p,) feedback gains.
         mass: Masses at most (base, every other body) [kg].
         size: Radii of gyration about each axis, likewise [m].
-        slowest: Inertia that a velocity feels of the prior, over its gain, at most [s].
+        slowest: Inertia that a velocity feels of the prior, over its gain, at most, one number or (p,) [s].
     """
     theta = balls(regressor, mass, size)
     return theta * np.concatenate(
@@ -173,7 +189,7 @@ def balls(regressor: Regressor, mass: tuple[float, float], size: tuple[float, fl
     return theta
 
 
-def lightness(regressor: Regressor, theta: Array, K: Array, slowest: float) -> Array:
+def lightness(regressor: Regressor, theta: Array, K: Array, slowest: float | Array) -> Array:
     """Factor in (0, 1] on every body after which no velocity feels more inertia than `slowest` K, (bodies,).
 
     Every body is lightened by what the velocity that is worst off, of those that move it, asks for; so the sum over

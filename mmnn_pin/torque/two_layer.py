@@ -167,6 +167,26 @@ def two_layer_update(W: Array, V: Array, x: Array, net: Array, sigma: Array, s: 
             V[i, j] = keep_V * V[i, j] + gain * net[j]
 
 
+@internal
+def two_layer_answer(W: Array, x: Array, net: Array, sigma: Array, s: Array, rates: Array) -> float:
+    """Answer of an update to s, to first order, `s' (Psi_hat_next - Psi_hat)`, for dt = 1 and without leakage.
+
+    `(F sigma' (sigma - sigma' V'x) s's + G x'x |sigma' W s|^2`; arguments as in `two_layer_update`, nothing changes.
+    """
+    outer, inner, inputs, squares = 0.0, 0.0, 0.0, 0.0
+    for i in range(s.size):
+        squares += s[i] * s[i]
+    for i in range(x.size):
+        inputs += x[i] * x[i]
+    for j in range(sigma.size):
+        slope, back = sigma[j] * (1.0 - sigma[j]), 0.0
+        for i in range(s.size):
+            back += W[j, i] * s[i]
+        outer += sigma[j] * (sigma[j] - slope * net[j])
+        inner += slope * back * slope * back
+    return rates[0] * outer * squares + rates[1] * inputs * inner
+
+
 @compiled
 def project(A: Array, radius: float) -> None:
     """A onto the ball |A|_F <= radius, in place; inf leaves it as it is.

@@ -37,6 +37,7 @@ from ..parts import Matrix, Vector, layout_of, views
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
 from .controller import (
+    Bears,
     CompiledController,
     Context,
     ControllerSettings,
@@ -316,6 +317,7 @@ class TwoLayerComposite(CompiledController):
         learning: Off keeps the weights as they are.
         inertia: (p,) effective inertias that the networks are scaled by, as in `Neural`; None for the thesis's form.
         name: Name in tables and recordings.
+        bears: As of `CompiledController`.
     """
 
     feedback: Feedback = field(default_factory=Feedback)
@@ -326,6 +328,7 @@ class TwoLayerComposite(CompiledController):
     learning: bool = True
     inertia: tuple[float, ...] | None = None
     name: str = "two_layer_composite"
+    bears: Bears | None = None
 
     within_limits: ClassVar[bool] = True
 
@@ -359,6 +362,7 @@ class TwoLayerComposite(CompiledController):
             leakage=False,
             inertia=self.inertia,
             called=self.name,
+            bears=self.bears,
         )
 
     def law(self, context: Context) -> Law:

@@ -528,10 +528,28 @@ def test_a_base_on_two_wheels_is_refused() -> None:
         ContactPlant(robot_of(Drive().urdf()), DT)
 
 
-def test_wheels_with_rollers_are_refused() -> None:
+def test_a_base_that_is_pushed_is_refused() -> None:
     this = robot_of(Drive().urdf(), base="differential_drive")
     with pytest.raises(RobotError, match="cannot carry the holonomic base"):
-        feet_of(replace(this, base=HolonomicBase(wheels=this.base.wheels, frame=this.base.frame)))
+        feet_of(replace(this, base=HolonomicBase(frame=this.base.frame)))
+
+
+@pytest.mark.parametrize(("direction", "force"), [(0, 160.0), (1, 160.0), (2, 60.0)])
+def test_wheels_with_rollers_answer_as_they_do_on_the_ideal_plant(direction: int, force: float) -> None:
+    """Inertia and dry friction of the wheels included; the second answer is the reduced dynamics."""
+    this, velocities = load("tiago_pro"), []
+    push = np.zeros(this.dimensions.dof)
+    push[direction] = force
+    soft = ContactPlant(this, DT, "euler", Contact(casters="soft"))
+    for plant in (IdealPlant(this, DT, "implicit_friction"), soft):
+        plant.start(this.neutral_position(), np.zeros(this.dimensions.dof))
+        for _ in range(100):
+            plant.step(push + this.gravity(this.neutral()))
+            plant.refresh()
+        velocities.append(plant.nu[:3].copy())
+    ideal, contact = velocities
+    assert abs(ideal[direction]) > 0.02
+    np.testing.assert_allclose(contact, ideal, atol=0.005 * abs(ideal[direction]))
 
 
 def test_an_inertia_that_no_body_can_have_is_refused() -> None:

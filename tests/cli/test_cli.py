@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -125,7 +126,7 @@ def test_inspect_waits_for_no_compiler_and_says_the_same(call: Call) -> None:
 
 
 def test_run_writes_recordings_and_plot_and_prints_a_table(call: Call) -> None:
-    code, out, _ = call("run", "chapter4", *SHORT)
+    code, out, _ = call("run", "chapter4", *SHORT, "--details")
     assert code == 0
     folder = Path("runs/chapter4")
     pictures = {f"{name}.png" for name in load_experiment("chapter4").plots}
@@ -188,8 +189,20 @@ def test_robot_option_runs_another_robot(call: Call) -> None:
 
 @pytest.mark.usefixtures("undrawn")
 def test_table_of_a_fixed_arm_has_no_base_rows(call: Call) -> None:
-    code, out, _ = call("run", "chapter4", *SHORT, *ARM)
-    assert code == 0 and "joint arm_1_joint [mrad]" in out and "pose" not in out
+    for details, row in ((["--details"], "joint arm_1_joint [mrad]"), ([], " arm_1_joint [mrad]")):
+        code, out, _ = call("run", "chapter4", *SHORT, *ARM, *details)
+        assert code == 0 and row in out and "pose" not in out and "base [mm]" not in out
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_run_is_told_in_forty_lines_with_verdict_table_and_files(call: Call) -> None:
+    code, out, _ = call("run", "chapter4", *SHORT)
+    lines = out.splitlines()
+    assert code == 0 and len(lines) <= 40 and lines[-1].endswith("into runs/chapter4")
+    [row] = [line for line in lines if line.startswith(" arm_1_joint")]
+    fair = [name for name in ALL if name != "computed_torque"]
+    least = min(np.sqrt(np.mean(Recording.open(f"runs/chapter4/{name}.h5")["e"][:, 0] ** 2)) for name in fair)
+    assert float(re.search(r"([0-9.e-]+) \*", row)[1]) == pytest.approx(1e3 * least, rel=0.01)  # type: ignore[index]
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -216,11 +229,11 @@ def test_a_second_run_gets_a_numbered_folder_and_leaves_the_first_as_it_was(call
     assert call(*command)[0] == 0
     before = {file: file.read_bytes() for file in files_here() if file.is_file()}
     code, out, _ = call(*command)
-    assert code == 0 and f"wrote {second}/pd.h5" in out
+    assert code == 0 and f"wrote pd.h5, errors.png into {second}\n" in out
     assert sorted(map(str, Path("runs").iterdir())) == [first, second]
     code, out, err = call(*command, "--out", second)
     told = f"{second} has runs already: these go to {second}-2 (--force replaces them)"
-    assert code == 0 and f"wrote {second}-2/pd.h5" in out and told in err
+    assert code == 0 and f"into {second}-2\n" in out and told in err
     assert {file: file.read_bytes() for file in before} == before
     assert call("run", "chapter4", "--controller", "pd", "--set", "time.duration=0.03", "--force")[0] == 0
     assert len(Recording.open(f"{first}/pd.h5")) == 15 and len(list(Path("runs").iterdir())) == 3
@@ -260,7 +273,7 @@ def test_a_named_folder_is_used_unless_it_has_such_files(call: Call) -> None:
     assert Path("out/errors.png").read_text() == "mine" and len(list(Path("out").iterdir())) == 1
     assert Path("out-2/pd.h5").is_file()
     _, out, err = call("run", "chapter4", *SHORT, "--controller", "pid", "--set", "plots=[]", "--out", "out-2")
-    assert "wrote out-2/pid.h5" in out and "has runs" not in err  # beside those that are there
+    assert "into out-2\n" in out and "has runs" not in err  # beside those that are there
     assert call("run", "chapter4", *SHORT, "--controller", "pid", "--out", "out-2", "--force")[0] == 0
     assert not Path("out-2-2").exists() and not Path("out-3").exists()
 

@@ -115,5 +115,5 @@ def test_windows_in_the_table_are_those_that_a_run_reaches(
 ) -> None:
     capsys.readouterr()
     short = [*SHORT[2:], "--set", f"time.duration={seconds}", "--out", str(tmp_path / "out")]
-    assert main(["run", "track", *short, "--set", "windows=[[0, 2], [2, 10]]"]) == 0
+    assert main(["run", "track", *short, "--set", "windows=[[0, 2], [2, 10]]", "--details"]) == 0
     assert set(re.findall(r"RMS [\d.]+-[\d.]+ s", capsys.readouterr().out)) == there

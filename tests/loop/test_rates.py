@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from mmnn_pin import Feedback, load, load_experiment, torque
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.loop import rates, sampled
-from mmnn_pin.loop.rates import FASTEST, PART, largest_rate, with_inertia
-from mmnn_pin.loop.suited import LoopToSuit, fit, rate_of
+from mmnn_pin.loop.rates import FASTEST, LEFT, PART, borne, largest_rate, with_inertia
+from mmnn_pin.loop.suited import LoopToSuit, bears_of, fit, rate_of
 from mmnn_pin.model.base.base import Fixed
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import Context
@@ -24,7 +24,7 @@ OBSERVERS = {"time_delay": torque.TimeDelay, "extended_state": torque.ExtendedSt
 
 
 def joint(mass, h, lag=None):
-    held = sampled.held_loop(np.array([[mass]]), STILL, np.array([k]), h, None, lag)
+    held = sampled.held_loop(np.array([[mass]]), STILL, np.array([k]), h, sampled.Machinery(lag=lag))
     assert held is not None
     return held
 
@@ -151,3 +151,51 @@ def test_a_rate_that_is_given_is_taken_and_none_is_0_where_nothing_is_borne():
     loop, gain = joint(MASS, 0.01), np.array([1.9 * MASS / 0.01])  # barely stable
     assert largest_rate([loop], gain, np.array([MASS]), 0.01, 1.0, "observer") == 0.0
     assert rates.FASTEST * rates.SLOWER**rates.STEPS < 0.01
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.floats(20.0, 90.0), st.floats(0.001, 0.02), st.integers(0, 3), st.sampled_from([0.002, 0.01]))
+def test_what_a_loop_bears_of_a_learner_it_bears_when_it_is_delayed(bandwidth, lag, late, h):
+    """Eigenvalues with lag, delay and all that a learner may do at once; not much more of it is borne."""
+    loop, gain, known, more = joint(MASS, h, np.array([lag])), np.array([bandwidth * MASS]), late * h, h
+    alone = loop.margin(gain, h, True)
+    rate, room, factor = borne([loop], gain, h, known, more)
+    if alone <= known + 1e-9:
+        assert rate == 0.0
+        return
+
+    def stable(gains, inside, rate, periods):
+        """The loop with its last torques and an integral as further states."""
+        F, n = gains[:, None] * loop.errors + inside * loop.inside, len(loop.state)
+        A = np.zeros((n + periods + 1, n + periods + 1))
+        A[:n, :n] = loop.state
+        if periods:
+            A[:n, n], A[n : n + periods - 1, n + 1 : n + periods] = loop.torque[:, 0], np.eye(periods - 1)
+            A[n + periods - 1, :n], A[n + periods - 1, -1] = F[0], 1.0
+        else:
+            A[:n, :n] += loop.torque @ F
+            A[:n, -1] = loop.torque[:, 0]
+        A[-1, :n], A[-1, -1] = rate * h * gain[0] * loop.errors[0], 1.0
+        return np.abs(np.linalg.eigvals(A)).max() <= 1.0 + 1e-9
+
+    assert stable(room * gain, 1.0, rate, late)
+    assert stable(gain, factor, 0.0, late)
+    beyond = int(np.ceil((alone + h) / h))  # a delay that the feedback alone does not bear
+    assert not stable(gain, 1.0, rate, beyond)
+    least = known + min(more, 0.5 * (alone - known))
+    if 0.0 < rate < 0.9 / h:
+        assert loop.margin(room * gain, h, True, 1.3 * rate * h * gain) < least
+    if room > 1.0:
+        assert loop.margin(1.3 * room * gain, h, True) < least + LEFT[0] * (alone - least) or room > 3.0
+
+
+def test_a_lag_and_a_delay_together_cost_more_than_each():
+    """10 ms of lag or 5 ms of latency alone leave a learner quick, both leave it a fraction."""
+    robot, given = load("platform_arm"), LoopToSuit(Kinematic(kx=3.0, ky=16.0, kth=8.0, K=7.0), 1e-3)
+    feedback = Feedback((900.0, 100.0), (5.0, 1.5))
+    late = given.delay + 0.005
+    alone, lag, delay, both = (
+        bears_of(robot, feedback, one).rate
+        for one in (given, given._replace(lag=0.01), given._replace(delay=late), given._replace(lag=0.01, delay=late))
+    )
+    assert both < 0.7 * min(lag, delay) < max(lag, delay) < alone, (alone, lag, delay, both)

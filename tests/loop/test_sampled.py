@@ -22,7 +22,8 @@ from mmnn_pin.loop import sampled
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.loop.sampled import HeldLoop, SampledLoop, sampled_loop
+from mmnn_pin.loop.sampled import HeldLoop, Machinery, SampledLoop, sampled_loop
+from mmnn_pin.loop.sight import VelocityFilter
 from mmnn_pin.loop.stable_gains import require_stable
 from mmnn_pin.loop.stepper import Stepper, StepperSettings
 from mmnn_pin.loop.suited import LoopToSuit, suited
@@ -31,6 +32,7 @@ from mmnn_pin.model.base.base import Fixed, LinearErrors
 from mmnn_pin.model.base.differential import DifferentialDrive
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.reference import Hold, Line, Trajectory
+from mmnn_pin.sensing import Sensor
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.controller import Feedback
@@ -74,8 +76,9 @@ def held_loop(
 
 def judged(loop: dict[str, Array | float]) -> dict[str, Any]:
     """The same with the law of the base in the place of its reference and gains."""
-    rest = {name: value for name, value in loop.items() if name not in ("v_ref", "base_gains")}
+    rest = {name: value for name, value in loop.items() if name not in ("v_ref", "base_gains", "friction")}
     base = DifferentialDrive if np.size(loop["v_ref"]) else Fixed
+    rest |= {"machinery": Machinery(np.asarray(loop["friction"]))}  # type: ignore[dict-item]
     return rest | {"law": base.linear_errors(np.asarray(loop["v_ref"]), np.asarray(loop["base_gains"]))}
 
 
@@ -139,8 +142,10 @@ def test_friction_makes_a_held_mass_decay() -> None:
     M, h, k, D = 2.0, 0.05, 90.0, 3.0
     decay = np.exp(-h * D / M)
     radius = {
-        friction: sampled_loop(np.array([[M]]), np.array([k]), STILL, np.zeros(1), h, friction_vector).radius
-        for friction, friction_vector in ((True, np.array([D])), (False, None))
+        friction is not None: sampled_loop(
+            np.array([[M]]), np.array([k]), STILL, np.zeros(1), h, Machinery(friction)
+        ).radius
+        for friction in (np.array([D]), None)
     }
     assert radius[True] == pytest.approx(abs(decay - k * (1 - decay) / D))
     assert radius[False] == pytest.approx(abs(1 - h * k / M))
@@ -288,9 +293,11 @@ def test_margin_of_one_joint_is_the_phase_margin_of_the_textbook(mass: float, ba
     assert held.margin(np.array([mass * bandwidth]), h, False) == pytest.approx(np.arctan2(w, K) / w - h / 2, rel=1e-3)
 
 
-def loop_of_one(mass: float, K: float, h: float, lag: Array | None = None) -> HeldLoop:
+def loop_of_one(
+    mass: float, K: float, h: float, lag: Array | None = None, sight: VelocityFilter | None = None
+) -> HeldLoop:
     """One joint."""
-    held = sampled.held_loop(np.array([[mass]]), STILL, np.array([K]), h, None, lag)
+    held = sampled.held_loop(np.array([[mass]]), STILL, np.array([K]), h, Machinery(None, lag, None, sight))
     assert held is not None
     return held
 
@@ -323,6 +330,77 @@ def test_a_lagging_motor_costs_margin() -> None:
         found = loop_of_one(mass, 0.0, h, np.array([lag])).margin(gain, h, False)
         w = np.sqrt((np.sqrt(1 + 4 * (20.0 * lag) ** 2) - 1) / 2) / lag
         assert found == pytest.approx((np.pi / 2 - np.arctan(w * lag)) / w - h / 2, rel=1e-3)
+
+
+class Measured:
+    """A joint whose motor lags, its torque some periods late, its rate made of the encoder: written step by step."""
+
+    def __init__(self, sensor: Sensor, h: float, parts: int, lag: float, periods: int) -> None:
+        self.sensor, self.h, self.parts, self.lag, self.periods = sensor, h, parts, lag, periods
+        A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / lag]])  # q, nu, torque over the mass
+        held = cont2discrete((A, np.array([[0.0], [0.0], [1.0 / lag]]), np.eye(3), np.zeros((3, 1))), h / parts, "zoh")
+        self.Phi, self.Gamma = held[0], held[1][:, 0]
+
+    def next(self, x: Array, bandwidth: float, K: float, inside: bool) -> Array:
+        """`[q, nu, torque, reading, tracked angle, rate, torques under way]` of the next control sample."""
+        q, reading, tracked, rate, T = x[:3], x[3], x[4], x[5], self.h / self.parts
+        asked = -bandwidth * (K * q[0] + rate) - (K * rate if inside else 0.0)
+        acts = x[6] if self.periods else asked
+        for _ in range(self.parts):
+            q = self.Phi @ q + self.Gamma * acts
+            moved, reading = q[0] - reading, q[0]
+            wc = self.sensor.bandwidth
+            if self.sensor.velocity == "observer":
+                pole = np.exp(-wc * T)
+                off = reading - (tracked + T * rate)
+                tracked += T * rate + (1.0 - pole**2) * off
+                rate += (1.0 - pole) ** 2 / T * off
+            else:
+                alpha = wc * T / (1.0 + wc * T) if self.sensor.velocity == "filtered" else 1.0
+                tracked, rate = 0.0, rate + alpha * (moved / T - rate)
+        return np.concatenate((q, [reading, tracked, rate], x[7:], [asked] if self.periods else []))
+
+    def radius(self, bandwidth: float, K: float, inside: bool) -> float:
+        """Spectral radius of that map."""
+        columns = np.eye(6 + self.periods)
+        return float(
+            np.abs(np.linalg.eigvals(np.stack([self.next(x, bandwidth, K, inside) for x in columns], 1))).max()
+        )
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.sampled_from(["filtered", "observer", "difference"]),
+    st.floats(30.0, 400.0),
+    st.floats(5.0, 60.0),
+    st.floats(0.001, 0.02),
+    st.integers(1, 3),
+    st.integers(0, 3),
+    st.booleans(),
+)
+def test_what_velocities_are_made_of_is_in_the_loop(  # type: ignore[no-untyped-def]
+    kind, wc, bandwidth, lag, parts, periods, inside
+) -> None:
+    """Against the filter's or observer's own steps, several of them in a control period, beside a lag and a delay."""
+    h, K, mass = 0.006, 6.0, 0.7
+    sensor = Sensor(velocity=kind, bandwidth=wc)
+    held = loop_of_one(mass, K, h, np.array([lag]), VelocityFilter.of(sensor, h / parts))
+    gains, joint = np.array([mass * bandwidth]), Measured(sensor, h, parts, lag, periods)
+    if parts == 1:
+        assert held.radius(gains, inside) == pytest.approx(
+            Measured(sensor, h, 1, lag, 0).radius(bandwidth, K, inside), abs=1e-6
+        )
+        margin = held.margin(gains, h, inside)
+        if periods and abs(margin / (periods * h) - 1) > 0.01:
+            assert (joint.radius(bandwidth, K, inside) <= 1 + 1e-7) == (margin > periods * h)
+    elif not periods:  # the mean velocity of the period stands for those of its parts
+        assert held.radius(gains, inside) == pytest.approx(joint.radius(bandwidth, K, inside), abs=0.03)
+
+
+def test_exact_velocities_and_an_observer_on_a_model_are_no_part_of_the_loop() -> None:
+    assert VelocityFilter.of(Sensor(), 0.01) is None and VelocityFilter.of(Sensor(velocity="model"), 0.01) is None
+    assert VelocityFilter.late(0.0, 0.01) is None
+    assert VelocityFilter.late(0.02, 0.001) == VelocityFilter.of(Sensor(velocity="filtered", bandwidth=50.0), 0.001)
 
 
 def late(share: float, latency: Latency, controller: type = PD) -> Loop:
@@ -406,8 +484,6 @@ def test_an_arm_sags_until_its_springs_hold_it_and_gravity_is_stiff_there(a: flo
 def test_the_stiffness_of_gravity_moves_the_eigenvalues_of_a_pendulum() -> None:
     """`M q'' = -G q`: without a torque it swings at `sqrt(G / M)`."""
     mass, G, h = 2.0, 50.0, 0.01
-    held = sampled.held_loop(
-        np.array([[mass]]), STILL, np.array([1.0]), h, None, None, np.array([[G]])
-    )  # fmt: skip
+    held = sampled.held_loop(np.array([[mass]]), STILL, np.array([1.0]), h, stiffness=np.array([[G]]))
     assert held is not None
     assert np.abs(np.angle(np.linalg.eigvals(held.state))) == pytest.approx(np.sqrt(G / mass) * h, rel=1e-9)

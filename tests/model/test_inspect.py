@@ -99,15 +99,14 @@ TAGS = """<ros2_control name="c" type="system">
 <joint name="elbow"><command_interface name="position"/><command_interface name="effort"/></joint></ros2_control>"""
 
 
-def test_it_tells_how_a_run_drives_motors_and_how_to_drive_them_as_the_urdf_offers(call):
+def test_it_tells_how_to_run_a_robot_on_its_hardware_and_the_line_works_as_it_stands(call):
     file = written(Drive().urdf(ARM + TAGS))
     out = call("inspect", file)[1]
-    assert "mmnn run drives every motor by effort unless it is told otherwise" in out
-    said = next(line for line in out.splitlines() if line.startswith("  --set")).strip()
-    options = ("run", "track", "--robot", file, "--controller", "pd", "--set", "time.duration=0.02")
-    options += ("--set", "plots=[]")
-    code, out, err = call(*options, *shlex.split(said))
-    assert code == 0 and "note: driven left, right by velocity; all others by effort" in out, err
+    said = next(line for line in out.splitlines() if line.startswith("  mmnn run track")).split(maxsplit=1)[1]
+    options = ("--controller", "pd", "--set", "time.duration=0.1", "--set", "plots=[]")
+    code, out, err = call(*shlex.split(said), *options)
+    assert said.endswith("--hardware unknown") and code == 0, err
+    assert "note: driven left, right by velocity; elbow by position" in out
     track = load_experiment("track", [f'robot="{file}"'])
     unoffered = "driven by effort, which the URDF does not offer: left, right (see mmnn inspect)"
     assert interface_notes(track, track.load_robot()) == [unoffered]

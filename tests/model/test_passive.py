@@ -134,7 +134,7 @@ def test_every_wheel_of_a_holonomic_base_needs_a_motor():
 
 
 def test_a_joint_that_has_a_motor_cannot_be_freed():
-    with pytest.raises(ConfigError, match="'left_joint_0' is freed, and moves anyhow"):
+    with pytest.raises(ConfigError, match="'left_joint_0' need not be freed"):
         robot(transmission("left_joint_0"), free=("left_joint_0",))
 
 

@@ -13,6 +13,7 @@ from steered import robot_of as steered_robot
 from test_holonomic import mecanum
 
 from mmnn_pin import load
+from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.model.checks.nonholonomy import bracket, involutive_closure, nonholonomy
 from mmnn_pin.model.checks.properties import PROPERTIES, CheckReport, check, worse
 from mmnn_pin.model.checks.residuals import (
@@ -53,8 +54,8 @@ def test_every_property_holds(name):
     assert not failed(report)
     assert 0 < report.bounds.M_min <= report.bounds.M_max and report.bounds.C_b > 0
     missing = {
-        "two_axis_arm": {"property_4", "property_5", "reduced_rate_world"},
-        "fixed": {"property_4", "property_5", "reduced_rate_world"},
+        "two_axis_arm": {"skew_symmetry_cross", "skew_symmetry_base", "reduced_rate_world"},
+        "fixed": {"skew_symmetry_cross", "skew_symmetry_base", "reduced_rate_world"},
         "mecanum": {"reduced_rate_world"},
     }.get(name, set()) - ({"reduced_rate_world"} if "reduced_rate_world" in report.properties else set())
     assert set(report.properties) == set(PROPERTIES) - missing
@@ -78,7 +79,7 @@ def test_one_tolerance_sees_a_small_fault_in_any_mass(mobile, factor):
             return super().coriolis(q, v) * (1 + 1e-4)
 
     robot = mobile.with_masses(factor)
-    assert "property_2" in failed(check(robot, 2, terms=Faulty(robot)))
+    assert "skew_symmetry" in failed(check(robot, 2, terms=Faulty(robot)))
 
 
 class Asymmetric(FullTerms):
@@ -150,13 +151,13 @@ class NoGravity(FullTerms):
 
 BROKEN = {
     Asymmetric: {"symmetric"},
-    Indefinite: {"positive_definite", "property_3"},
-    Singular: {"positive_definite", "property_3"},
-    Quadratic: {"property_1", "property_2"},
-    NotChristoffel: {"property_2", "property_3", "reduced_rate"},
-    OtherCross: {"property_2", "property_4", "reduced_rate"},
-    OtherBase: {"property_2", "property_3", "property_5", "reduced_rate"},
-    NoCoriolis: {"property_5", "reduced_rate", "passive"},
+    Indefinite: {"positive_definite", "skew_symmetry_blocks"},
+    Singular: {"positive_definite", "skew_symmetry_blocks"},
+    Quadratic: {"coriolis_linear", "skew_symmetry"},
+    NotChristoffel: {"skew_symmetry", "skew_symmetry_blocks", "reduced_rate"},
+    OtherCross: {"skew_symmetry", "skew_symmetry_cross", "reduced_rate"},
+    OtherBase: {"skew_symmetry", "skew_symmetry_blocks", "skew_symmetry_base", "reduced_rate"},
+    NoCoriolis: {"skew_symmetry_base", "reduced_rate", "passive"},
     Antifriction: {"passive"},
     NoGravity: {"passive"},
 }
@@ -174,7 +175,7 @@ def test_what_only_one_check_can_see(mobile):
     assert failed(check(mobile, samples=3, terms=Antifriction(mobile))) == {"passive"}
     assert failed(check(mobile, samples=3, terms=NoGravity(mobile))) == {"passive"}
     cross = failed(check(mobile, samples=3, terms=OtherCross(mobile)))
-    assert not cross & {"property_3", "property_5"}
+    assert not cross & {"skew_symmetry_blocks", "skew_symmetry_base"}
 
 
 def test_a_forgotten_sdot_is_seen(mobile):
@@ -203,7 +204,7 @@ def test_nan_never_passes(mobile):
         def coriolis(self, q: Array, v: Array) -> Array:
             return np.nan * super().coriolis(q, v)
 
-    assert {"property_1", "property_2", "passive"} <= failed(check(mobile, samples=2, terms=Nan(mobile)))
+    assert {"coriolis_linear", "skew_symmetry", "passive"} <= failed(check(mobile, samples=2, terms=Nan(mobile)))
     assert np.isnan(worse(np.nan, 1.0, False)) and np.isnan(worse(1.0, np.nan, True))
     assert worse(None, 3.0, True) == 3.0 and worse(1.0, 2.0, False) == 2.0 and worse(1.0, 2.0, True) == 1.0
 
@@ -318,7 +319,7 @@ class Askew(FullTerms):
 
 
 @pytest.mark.parametrize(
-    ("terms", "found"), [(Frozen, {"reduced_rate", "property_5", "passive"}), (Askew, {"constraint"})]
+    ("terms", "found"), [(Frozen, {"reduced_rate", "skew_symmetry_base", "passive"}), (Askew, {"constraint"})]
 )
 def test_a_wrong_map_of_a_base_that_steers_is_seen(terms, found):
     robot = steered_robot(LAYOUTS["truck"]())
@@ -330,3 +331,14 @@ def test_the_posture_of_a_car_is_reached_by_brackets():
     found = nonholonomy(steered_robot(LAYOUTS["car"]()))
     assert found.pose is not None and found.pose.growth == (2, 3, 4) and found.pose.coordinates == 4
     assert found.with_wheels is None and found.verdict.endswith("every posture can be reached")
+
+
+def test_bounds_of_ones_own_hold_or_fail_with_the_number_found() -> None:
+    robot = load("platform_arm")
+    found = check(robot, 5).bounds
+    report = check(robot, 5, bounds={"M_max": 1.01 * found.M_max, "C_b": 0.99 * found.C_b, "M_min": 0.99 * found.M_min})
+    assert failed(report) == {"C_b"} and report.properties["C_b"].worst == found.C_b
+    with pytest.raises(UnknownName, match="did you mean 'M_max'"):
+        check(robot, 1, bounds={"M_mx": 1.0})
+    with pytest.raises(ConfigError, match="M_max: error: 0 is no bound: give a positive number"):
+        check(robot, 1, bounds={"M_max": 0.0})

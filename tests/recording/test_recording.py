@@ -63,14 +63,8 @@ def test_what_goes_in_comes_out(where, tmp_path):
     outcome = Outcome("diverged", 1.3, "nu[1]", "nu[1] is not finite")
     rec = recorder.finish(outcome, {"nu": np.arange(4.0), "level": 3.0})
 
-    others = (
-        "wheel",
-        "floor",
-        "rig",
-        "lead",
-        "hand",
-        "shape",
-    )  # of the contact plant, of a rig, of a torque that leads, of paths, of bases that steer
+    # Of the contact plant, of a rig, of a torque that leads, of touch, of paths, of bases that steer.
+    others = ("wheel", "floor", "rig", "lead", "touch", "scene", "task", "hand", "shape")
     names = tuple(name for name, kind, *_ in SIGNALS if kind.split()[0] not in others)
     for name in names:
         expected = rows[:, LAYOUT.where(name)]
@@ -389,7 +383,7 @@ def test_wrong_use_is_told(tmp_path):
     with pytest.raises(ValueError, match="shapes"):
         recorder.weights(1.0, {"W": np.zeros(4)})
     rec = recorder.finish(DONE)
-    with pytest.raises(ValueError, match="finished"):
+    with pytest.raises(RecordingError, match="this run is finished"):
         recorder.finish(DONE)
     with pytest.raises(UnknownName, match="psi_hatt") as raised:
         rec["psi_hatt"]

@@ -25,7 +25,7 @@ from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Layout
-from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings, Estimate, adapt, share_of
+from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings, Estimate, adapt
 from mmnn_pin.torque.controller import Context, Feedback
 from mmnn_pin.torque.prior import DOUBT
 from mmnn_pin.torque.pseudo_inertia import (
@@ -241,14 +241,14 @@ def test_the_estimate_stays_physical_and_bounded_whatever_comes(seed, size):
 def test_no_body_is_believed_to_be_heavier_than_ten_of_the_priors_however_light_that_was_made():
     """Under strong gains the prior stays as it is; servo-sized gains make it lighter, and it may grow as much more."""
     strong = Adaptive(REGRESSOR, Feedback(1e4, 1e4))
-    np.testing.assert_allclose(strong.most(0.001), 10.0)
+    np.testing.assert_allclose(strong.most(), 10.0)
     weak = Adaptive(REGRESSOR, Feedback(20.0, 0.5))
-    assert (weak.most(0.001) > 10.0).any() and weak.most(0.001).max() <= 100.0
+    assert (weak.most() > 10.0).any() and weak.most().max() <= 100.0
     for i, body in enumerate(REGRESSOR.bodies):
         mass = weak.start()[10 * i]
-        assert weak.most(0.001)[i] == pytest.approx(min(100.0, 10.0 * (30.0 if body == "root" else 2.0) / mass))
+        assert weak.most()[i] == pytest.approx(min(100.0, 10.0 * (30.0 if body == "root" else 2.0) / mass))
     told = Adaptive(REGRESSOR, Feedback(20.0, 0.5), AdaptiveSettings(initial="nominal"), strong.start())
-    np.testing.assert_array_equal(told.most(0.001), 100.0)
+    np.testing.assert_array_equal(told.most(), 100.0)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.01])
@@ -533,10 +533,10 @@ LATE = st.floats(0.0, 0.05)
 @settings(max_examples=40, deadline=None)
 def test_answers_that_do_not_show_yet_stay_below_the_feedback(period, way, unseen, lags):
     context = Context(Layout.of(ROBOT.dimensions), period, 1, lag=np.array(lags), way=way, unseen=unseen)
-    share = share_of(AdaptiveSettings(share="delays"), context)
+    share = Adaptive(REGRESSOR).answer(context)
     under_way = 1 + (way + unseen + max(lags)) / period  # samples until an answer shows
     assert share * under_way == pytest.approx(1.0) and 0 < share <= 1
-    assert share_of(AdaptiveSettings(share=0.3), context) == 0.3
+    assert Adaptive(REGRESSOR).answer(context, 0.3) == min(share, 0.3)
 
 
 @pytest.mark.parametrize(
@@ -553,8 +553,6 @@ def test_on_a_robot_the_share_is_that_of_the_simulation(said):
     share = loop.controller.law(loop.context()).learner.share
     with Stepper.of(loop, safety=Safety(), check_gains=False) as stepper:
         assert stepper.control.torque.learner.share == share
-    with Stepper.of(loop, safety=Safety(), check_gains=False, observer=80.0, latency=0.0) as own:
-        assert own.control.torque.learner.share == pytest.approx(0.001 / (0.001 + 0.003 + 1.1 / 80.0))
 
 
 def test_a_filter_is_not_late_by_less_than_nothing():
@@ -582,7 +580,7 @@ def test_an_answer_of_that_share_bears_the_delay_that_it_counts_with(late, bandw
         return np.abs(np.linalg.eigvals(A)).max()
 
     context = Context(Layout.of(ROBOT.dimensions), 0.001, 1, way=0.001 * late)
-    share = share_of(AdaptiveSettings(share="delays"), context)
+    share = Adaptive(REGRESSOR).answer(context)
     assert radius(0.9 * share) < 1.0 < radius(1.1 * share)
 
 
@@ -623,30 +621,45 @@ def test_an_integral_is_stable_up_to_the_rate_that_the_velocities_filter_permits
     assert Sensor(velocity="difference").smoothing(1e-3) == 5e-4 and Sensor().smoothing(1e-3) == 0.0
 
 
-def test_a_share_is_a_number_or_that_of_the_delays():
-    assert share_of(AdaptiveSettings(share="delays"), Context(Layout.of(ROBOT.dimensions), 0.001, 1)) == 1.0
+def rate_of(*overrides):
+    experiment = load_experiment("track", ["time.duration=0.01", *overrides])
+    robot = experiment.load_robot()
+    loop = experiment.loop(robot, experiment.controller("adaptive", robot=robot))
+    learner = loop.controller.law(loop.context()).learner
+    assert learner.share == min(1.0, loop.timing.control_period * loop.controller.bears.rate)
+    return loop.controller.bears.rate
 
-    def share(*overrides):
-        experiment = load_experiment("track", ["time.duration=0.01", *overrides])
+
+def test_a_share_counts_with_all_that_is_in_the_loop_together():
+    """Of gains that are given: those that suit the loop would be lower with all of it."""
+    given = "feedback.base=[900.0,100.0]", "feedback.arm=[8.0,2.0]"
+    alone = rate_of(*given)
+    lag, late = "actuator.lag=0.006", "latency.command=0.004"
+    seen, slow = "sensor={velocity='filtered',bandwidth=100}", "time.sensor_period=0.004"
+    singles = [rate_of(*given, one) for one in (lag, late, seen, slow)]
+    assert all(one < 0.9 * alone for one in singles), (alone, singles)
+    assert rate_of(*given, lag, late) < 0.9 * min(singles[:2])
+    assert rate_of(*given, lag, late, seen) < 0.9 * rate_of(*given, lag, late)
+
+
+def test_a_share_that_is_given_is_cut_to_what_the_loop_bears():
+    for share, found in ((0.01, 0.01), (1.0, None)):
+        experiment = load_experiment("track", [f"adaptive.share={share}", "actuator.lag=0.01"])
         robot = experiment.load_robot()
         loop = experiment.loop(robot, experiment.controller("adaptive", robot=robot))
-        return share_of(loop.controller.settings, loop.context())
-
-    assert share() == pytest.approx(1 / 4)  # 1 ms of 1 and the margin of 3
-    assert share("actuator.lag=0.003", "latency.sensing=0.001") == pytest.approx(1 / 8)  # 1 + 1 + 3 + 3
-    assert share("actuator.lag=0.003", "latency.margin=0.0") == pytest.approx(1 / 4)
-    # What is predicted of a measurement is the reference's motion, not what a torque did meanwhile.
-    assert share("latency.sensing=0.006", "latency.predict=true") == pytest.approx(1 / 10)
-    assert share("sensor.velocity=filtered", "sensor.bandwidth=50") == pytest.approx(1 / 24)  # 20 ms
-    assert share("time.sensor_period=0.004") == pytest.approx(1 / 7)  # held for 3 ms longer
+        borne = loop.timing.control_period * loop.controller.bears.rate
+        assert loop.controller.law(loop.context()).learner.share == (found or borne) and borne < 1.0
 
 
 @pytest.mark.parametrize("predict", [False, True])
 def test_a_real_robots_share_counts_with_its_latency(predict):
     calm = Feedback((100.0, 100.0), (5.0, 5.0))
-    controller = Adaptive(REGRESSOR, calm, AdaptiveSettings(share="delays"))
-    stepper = Stepper(ROBOT, controller, StepperSettings(period=0.002, latency=0.004, predict=predict))
-    assert share_of(controller.settings, stepper.setup.context()) == pytest.approx(2 / 9)  # 2 + 4 + 3
+    rates = []
+    for latency in (0.0, 0.004):
+        settings = StepperSettings(period=0.002, latency=latency, predict=predict)
+        with Stepper(ROBOT, Adaptive(REGRESSOR, calm), settings) as stepper:
+            rates.append(stepper.control.torque.learner.share)
+    assert 0.0 < rates[1] < 0.9 * rates[0]
 
 
 def test_a_share_that_is_no_number_is_refused():

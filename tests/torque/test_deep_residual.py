@@ -116,8 +116,8 @@ def test_a_samples_answer_stays_below_its_share_of_the_feedback(size):
 
 
 def test_known_delays_slow_it_down():
-    assert bench(answer=1e9)[0].share == pytest.approx(0.5)
-    assert bench(answer=1e9, late=4e-3)[0].share == pytest.approx(0.1)
+    assert bench(answer=1e9)[0].share == pytest.approx(1.0)
+    assert bench(answer=1e9, late=4e-3)[0].share == pytest.approx(0.2)
     assert bench(answer=20.0, late=4e-3)[0].share == pytest.approx(0.02)
 
 

@@ -15,6 +15,7 @@ from mmnn_pin import load_experiment
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.torque.concurrent import SHARE
 from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.drem import BOUND, FAINT, OPEN, Mixed, estimate, extend, follow, mix
 from mmnn_pin.torque.history import HALF, Stack, consider, estimate_of, scratch, shapes
@@ -197,8 +198,13 @@ def test_no_parameter_passes_its_bound():
 def test_known_delays_slow_its_answer_down():
     loop = loop_of()
     context = replace(loop.context(), way=0.02, unseen=0.0, lag=None)
-    h = context.control_period
-    assert loop.controller.law(context).learner.share == pytest.approx(0.5 * h / (h + 0.02))
+    h, slow = context.control_period, loop.controller.bears._replace(rate=3.0)
+    for controller, share in (
+        (loop.controller, min(SHARE, h * loop.controller.bears.rate)),
+        (replace(loop.controller, bears=slow), 3.0 * h),
+        (replace(loop.controller, bears=None), h / (h + 0.02)),  # of a loop that nobody knows
+    ):
+        assert controller.law(context).learner.share == pytest.approx(share)
 
 
 @pytest.mark.compiled

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -15,7 +17,7 @@ from robots import fixed_arm, mobile_arm, place, robot_of
 from mmnn_pin import load_experiment
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings
-from mmnn_pin.torque.controller import Feedback
+from mmnn_pin.torque.controller import Bears, Feedback
 from mmnn_pin.torque.prior import balls, prior_of, sizes_of, tempo
 from mmnn_pin.torque.random_features import BILINEAR, GENERIC, paired, terms
 
@@ -133,12 +135,15 @@ def test_no_body_is_believed_to_be_heavier_than_the_held_feedback_bears(name):
     layout, rng = robot.dimensions, np.random.default_rng(3)
     K = 10.0 ** rng.uniform(-2, 1, layout.dof)
     gains = Feedback(tuple(K[: layout.base].tolist()) or None, tuple(K[layout.base :].tolist()))
-    learner = Adaptive(known, gains, AdaptiveSettings(slowest=0.1, slowest_learned=2.0))
-    for period in (0.001, 0.004):
-        most = learner.most(period)
-        assert (most >= 1.0).all()
-        assert (most < Adaptive(known, gains, AdaptiveSettings(slowest=0.1)).most(period)).any()
+    free = Adaptive(known, gains, AdaptiveSettings(slowest=0.1))
+    weight = rng.uniform(0.05, 1.0, layout.dof)
+    for learner, bound in (
+        (replace(free, settings=AdaptiveSettings(slowest=0.1, slowest_learned=0.5)), np.full(layout.dof, 0.5)),
+        (replace(free, bears=Bears(10.0, 1.0, tuple(weight.tolist()))), weight),
+    ):
+        most = learner.most()
+        assert (most >= 1.0).all() and (most < free.most()).any()
         for b, ratio in enumerate(most):
             theta = np.zeros(known.inertial)
             theta[10 * b : 10 * b + 10] = ratio * learner.start()[10 * b : 10 * b + 10]
-            assert (heaviest(robot, known.bodies, theta) < 1.1 * 2.0 * 0.001 / period * K).all()
+            assert (heaviest(robot, known.bodies, theta) < 1.1 * bound * K).all()

@@ -15,8 +15,8 @@ from scipy.spatial.distance import cdist
 from scipy.special import expit
 
 from mmnn_pin.signals import Array
-from mmnn_pin.torque.one_layer import one_layer_output, one_layer_update
-from mmnn_pin.torque.two_layer import numerical_rank, project, two_layer_output, two_layer_update
+from mmnn_pin.torque.one_layer import one_layer_answer, one_layer_output, one_layer_update
+from mmnn_pin.torque.two_layer import numerical_rank, project, two_layer_answer, two_layer_output, two_layer_update
 
 patient = settings(deadline=None)  # the first call may compile
 seeds = st.integers(0, 2**31)
@@ -387,3 +387,22 @@ def test_one_layer_update_cancels_in_its_lyapunov_function(seed: int) -> None:
     one_layer_update(W, phi, n.s, beta, 0.0, dt)
     rate = (np.sum((ideal - W) ** 2) - np.sum((ideal - n.W) ** 2)) / (2 * beta * dt)
     assert rate + n.s @ (ideal - n.W).T @ phi == pytest.approx(0, abs=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_an_update_answers_is_the_slope_of_the_output_against_the_step(seed: int) -> None:
+    """`s' (Psi_hat_next - Psi_hat) / dt` for a small dt, from the updates and outputs themselves; both networks."""
+    rng = np.random.default_rng(seed)
+    h, nx, m, dt, rates = 7, 5, 3, 1e-7, np.array([0.6, 0.3, 0.0])
+    W, V, x, s = rng.normal(size=(h, m)), rng.normal(size=(nx, h)), rng.normal(size=nx), rng.normal(size=m)
+    net, sigma, before, after = np.zeros(h), np.zeros(h), np.zeros(m), np.zeros(m)
+    two_layer_output(W, V, x, net, sigma, before)
+    answer = two_layer_answer(W, x, net, sigma, s, rates)
+    two_layer_update(W, V, x, net, sigma, s, rates, dt)
+    two_layer_output(W, V, x, net, sigma, after)
+    assert answer == pytest.approx(s @ (after - before) / dt, rel=1e-5)
+    one_layer_output(W, V, 2.0, x, sigma, before)
+    answer = one_layer_answer(sigma, s, 0.6)
+    one_layer_update(W, sigma, s, 0.6, 0.0, dt)
+    one_layer_output(W, V, 2.0, x, sigma, after)
+    assert answer == pytest.approx(s @ (after - before) / dt, rel=1e-6)

@@ -25,6 +25,7 @@ from ...reference.guide import ARM, BASE, SAMPLE, VELOCITY, Guide, advance, brak
 from ...safety import Supervisor, accept, has_ended, press, release
 from ...signals import Array, IntArray
 from ...torque.law import Ahead, MotorLimits
+from ...touch import Feeler
 
 # What a sample can be asked: to go on, a full sample, a base velocity, to brake and stand.
 GO_ON, FOLLOW_SAMPLE, FOLLOW_VELOCITY, STAND = range(4)
@@ -55,6 +56,9 @@ class Board(NamedTuple):
         motor_torque: (motors,) the same in the row.
         before: (w,) the setpoint of the sample before, from which Psi_hat leads.
         split: The rows that take a velocity; None where all take effort.
+        touch: What feels external torque; None for nothing.
+        kept: The controls of the law with its weights held, for contact; None where it goes on.
+        held: The learner with its weights held, likewise.
         steering: Of a base that steers; None for others.
         seen: (m,) the measurement as the reference has it: pose, twist, q, qdot; of others than steer `received`.
         motor_velocity: (motors,) commanded velocities [rad/s or m/s].
@@ -81,6 +85,9 @@ class Board(NamedTuple):
     motor_torque: Array
     before: Array
     split: Split | None
+    touch: Feeler | None
+    kept: Controls | None
+    held: Any
     steering: Steering | None
     seen: Array
     motor_velocity: Array
@@ -120,6 +127,9 @@ def board_of(stepper: Stepper) -> Board:
         motor_torque=stepper.motor_torque,
         before=stepper.before,
         split=hardware.split,
+        touch=hardware.touch,
+        kept=None if hardware.touch is None else torque.kept,
+        held=None if hardware.touch is None else torque.held,
         steering=stepper.control.steering,
         seen=stepper.received if stepper.control.steering is None else stepper.seen,
         motor_velocity=np.zeros(stepper.setup.layout.motors),
@@ -155,7 +165,7 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
         copy_to(b.guide.now, b.before)
     sample(
         0, time, b.guide.now, b.before, b.control, b.model, b.hardware, b.learner, b.limits, b.ahead, b.later, b.split,
-        b.steering, None,
+        b.steering, None, b.touch, b.kept, b.held, None,
     )  # fmt: skip
     copy_to(b.guide.now, b.before)
     copy_to(b.command, b.motor_torque)

@@ -41,8 +41,8 @@ DEFAULTS: Mapping[str, Any] = {  # kinematic gains and learners, those of `mmnn 
     "two_layer": {
         "hidden": 22, "F": [0.2, 0.5], "G": [0.2, 0.5], "kappa": 0.05, "initial": "random", "v_range": 0.5,
     },
-    "adaptive": {"rate": 20.0, "share": "delays", "slowest": 0.3, "slowest_learned": 4.0},
-    "learning": {"rates": "per_sample", "within_limits": True},
+    "adaptive": {"rate": 20.0, "slowest": 0.3},
+    "learning": {"rates": "per_sample", "within_loop": True, "within_limits": True},
 }  # fmt: skip
 LABEL = re.compile(r"[A-Za-z_][\w. -]*")
 Controllers = Iterable[str | Controller] | Mapping[str, str | Controller]

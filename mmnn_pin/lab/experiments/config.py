@@ -6,6 +6,7 @@ Finds the file and what it starts from, applies overrides, and names the key pat
 from __future__ import annotations
 
 import glob
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -20,10 +21,13 @@ from ...disturbance import Disturbance
 from ...errors import ConfigError, InputError, RecordingError, UnknownKey, UnknownName, keyed
 from ...files import parsed_toml, read_toml
 from ...model.base.overrides import Overrides
+from ...model.loading import load_with
 from ...recording.recording import Recording
 from ...settings.arguments import checked, unknown_key, wrong_type
 from .controllers import new_name, renamed
 from .experiment import Experiment
+from .hardware import COARSEST, Fitted, borne, require_strength
+from .hardware_table import beside_urdf, read_hardware
 from .origins import of_override
 from .references import as_long_as_its_file
 
@@ -70,11 +74,63 @@ def load_as(kind: type[E], name_or_path: str | Path, overrides: Iterable[str], v
     try:
         require_overrides(table.get("overrides", {}))
         require_disturbances(table.get("disturbances"))
+        if given := table.get("hardware") or beside_urdf(str(table.get("robot", ""))):
+            table["hardware"] = given
+            return on_hardware(table, own if path.parent != FOLDER else {}, texts, kind)
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
-        raise of_override(config_error(error, path, table, kind), texts) from error
+        raise of_override(config_error(error, users_own(path), table, kind), texts) from error
     except InputError as error:
-        raise of_override(error.but(file=error.file or path), texts) from None
+        raise of_override(error.but(file=error.file or users_own(path)), texts) from None
+
+
+def users_own(path: Path) -> Path | None:
+    """The file of an experiment where it is the user's to change; None for one that comes with the package."""
+    return None if path.parent == FOLDER else path
+
+
+def on_hardware(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[str], kind: type[E]) -> E:
+    """An experiment with all that follows from its table of hardware, on top of what it starts from.
+
+    Args:
+        table: The experiment, with its hardware; changed.
+        own: What a user's file says itself: it counts more.
+        texts: Overrides, which count most.
+        kind: Of experiment.
+
+    Raises:
+        InputError: Hardware that cannot be, a robot that cannot, motors too weak for the motion.
+    """
+    hardware = read_hardware(table["hardware"], merged)
+    robot = load_with(table["robot"], msgspec.convert(table.get("overrides", {}), Overrides))
+    fitted = Fitted(hardware, robot)
+    said = merged({}, {key: value for key, value in own.items() if key != "hardware"})
+    for text in texts:
+        override(said, text)
+
+    def under(settings: Mapping[str, Any]) -> None:
+        kept = {key: said[key] for key in settings if key in said}
+        table.update(merged({key: table.get(key, {}) for key in settings}, merged(settings, kept)))
+
+    table["hardware"] = msgspec.to_builtins(hardware)
+    under(fitted.settings())
+    times, stated = table.setdefault("time", {}), said.get("time", {})
+    period = times.get("control_period")
+    if hardware.rate is not None and period:
+        if "plant_step" not in stated:
+            times["plant_step"] = period / math.ceil(period / COARSEST - 1e-9)
+        if "duration" in times:
+            times["duration"] = round(times["duration"] / period) * period
+    experiment = msgspec.convert(table, kind)
+    true = experiment.made_true(robot)
+    require_strength(fitted, experiment, true)
+    notes = fitted.notes()
+    if gains := borne(experiment, true):
+        under({"kinematic": gains})
+        told = ", ".join(f"{name} = {value}" for name, value in gains.items())
+        notes += (f"kinematic gains that the whole loop on this hardware bears: {told}",)
+    table["hardware"] |= {"notes": notes}
+    return msgspec.convert(table, kind)
 
 
 def recorded_experiment(recording: Recording) -> Experiment | None:

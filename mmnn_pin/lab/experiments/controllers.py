@@ -109,6 +109,8 @@ class Learning(Settings, frozen=True):
         projection: Bound on |W|_F in units (what the feedback answers to 0.1 m/s or rad/s) and on |V|_F of every
             network: larger ones are scaled back onto it. Without it 100 for `two_layer_residual` and none for the
             thesis's networks; `two_layer_composite` has a bound of its own.
+        within_loop: Whether updates and robust term of the thesis's networks are cut to what the loop bears of them, as
+            those of the other learners are.
         within_limits: Whether robust term and Psi_hat get only what the feedback leaves of every motor's limit, for all
             controllers. Without it they do for all learners but the thesis's networks.
 
@@ -122,6 +124,7 @@ class Learning(Settings, frozen=True):
     leakage: bool = True
     robust_term: bool = True
     projection: float | None = None
+    within_loop: bool = False
     within_limits: bool | None = None
 
     def __post_init__(self) -> None:
@@ -267,6 +270,8 @@ def new_controller(
     feedback, robust, inertia = scaled(experiment, name, robot)
     if name in experiment.laws:
         return own_controller(name, experiment.laws[name], feedback, switches.learning)
+    if name not in ENTRIES:
+        raise UnknownName("controller", name, (*experiment.laws, *ENTRIES), key="controller")
     entry = ENTRIES[name]
     tables = [attrgetter(ENTRIES[other].key)(experiment) for other in entry.beside]
     own = attrgetter(entry.key)(experiment) if entry.settings else None
@@ -284,6 +289,7 @@ def new_controller(
             "leakage": switches.leakage,
             "update": switches.update,
             "projection": switches.projection,
+            "within_loop": switches.within_loop,
         },
         gains=gains,
     )

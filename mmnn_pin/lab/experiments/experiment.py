@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from ...actuator import Actuator
+from ...compliance import Force, Impedance
 from ...disturbance import Disturbance, require_in_time
 from ...errors import ConfigError, InputError, UnknownName, keyed
 from ...kinematic import Kinematic
@@ -32,12 +33,15 @@ from ...plant.contact.feet import Contact
 from ...reference import Trajectory
 from ...safety import Safety
 from ...sensing import Sensor
-from ...settings import Settings, Timing, require_gains
+from ...settings import Numbers, Settings, Timing, require_gains
+from ...settings.arguments import faced
 from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ...torque.neural import Inputs, Robust
+from ...touch import Touch
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, Learning, Nominal, RobustOf, new_controller
 from .hand import hand_motion
+from .hardware_table import HardwareTable
 from .laws import resolved
 from .learner_tables import LearnerTables
 from .references import HeldOutReference, ReferenceTables
@@ -116,6 +120,7 @@ class Tolerance(Settings, frozen=True):
         require_gains(self, "tolerance")
 
 
+@faced
 class Experiment(LearnerTables, frozen=True):
     """Everything that defines an experiment; see the bundled TOML files for commented examples.
 
@@ -126,6 +131,11 @@ class Experiment(LearnerTables, frozen=True):
         variant: Which reading of the experiment this is, where it has several files.
         robot: Bundled name or path.
         overrides: What is said about the robot, as in the file beside its URDF.
+        hardware: The table of its hardware, a profile's name or a file; when the experiment is read, what follows from
+            it becomes its other keys (`lab.experiments.hardware`).
+        effort_limits: Largest torques of its motors in place of the URDF's, one for all or one for each; 0 for the
+            URDF's [N m or N].
+        speed_limits: Likewise [rad/s or m/s].
         masses: Factor on the true robot's inertias, one for all or one per joint with a body (`Robot.with_masses`).
         radii: Factor on the true radii of the drive wheels, one for all or one per wheel's joint: the true robot rolls
             on them, controllers and what is measured by wheels take those of the file (`Robot.with_radii`).
@@ -159,7 +169,10 @@ class Experiment(LearnerTables, frozen=True):
             named.
         servo: The servos behind velocity and position interfaces.
         lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag.
+        touch: What external torque is felt by; without the table nothing is.
         disturbances: What happens to the robot during a run.
+        impedance: How the hand gives way; without the table it is stiff.
+        force: What the hand pushes with.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
         cases: Changes of this experiment, name to case; with them it runs once in each, with a verdict on every run.
@@ -177,6 +190,9 @@ class Experiment(LearnerTables, frozen=True):
     title: str = ""
     variant: str = ""
     overrides: Overrides = Overrides()
+    hardware: HardwareTable | None = None
+    effort_limits: Numbers = 0.0
+    speed_limits: Numbers = 0.0
     masses: float | dict[str, float] = 1.0
     radii: float | dict[str, float] = 1.0
     controllers: tuple[str, ...] = DEFAULT
@@ -205,7 +221,10 @@ class Experiment(LearnerTables, frozen=True):
     interfaces: dict[str, str] = msgspec.field(default_factory=dict)
     servo: Servo = Servo()
     lead: bool = False
+    touch: Touch | None = None
     disturbances: tuple[Disturbance, ...] = ()
+    impedance: Impedance | None = None
+    force: Force | None = None
     plant: str = "ideal"
     contact: Contact = Contact()
     cases: dict[str, Case] = msgspec.field(default_factory=dict)
@@ -260,7 +279,7 @@ class Experiment(LearnerTables, frozen=True):
             UnknownName: No such body.
             ConfigError: A factor or a coefficient that cannot be.
         """
-        robot, f = robot.with_armature(self.armature), self.friction
+        robot, f = robot.with_limits(self.effort_limits, self.speed_limits).with_armature(self.armature), self.friction
         if self.masses != 1.0:
             with keyed(lambda key: "masses"):
                 robot = robot.with_masses(self.masses)
@@ -294,6 +313,8 @@ class Experiment(LearnerTables, frozen=True):
 
     def held_out_of(self, robot: Robot, name: str) -> Trajectory:
         """A held-out trajectory for a robot; errors as in `trajectory`, with the keys of `held_out`."""
+        if name not in self.held_out:
+            raise UnknownName("held-out trajectory", name, self.held_out, key="held_out")
         given = self.held_out[name]
         tables = ReferenceTables(given.base, given.heading, given.arm, given.share)
         try:
@@ -361,7 +382,10 @@ class Experiment(LearnerTables, frozen=True):
             interfaces=self.interfaces,
             servo=self.servo,
             lead=self.lead,
+            touch=self.touch,
             radii=self.radii,
+            impedance=self.impedance,
+            force=self.force,
         )
 
     def setting(self, values: Mapping[str, str]) -> str:

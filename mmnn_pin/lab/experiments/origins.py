@@ -8,7 +8,7 @@ from typing import TypeGuard
 
 from ...errors import InputError, UnknownKey, UnknownName
 
-OPTIONS = ("robot", "overrides", "controllers", "seed", "plant")  # keys that options of their own set, too
+OPTIONS = ("robot", "hardware", "overrides", "controllers", "seed", "plant")  # keys that options of their own set, too
 PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[A-Za-z0-9_-]+)"""
 PATH = rf"{PART}(?:\s*\.\s*{PART})*"
 HEADER = re.compile(rf"^\s*\[\[?\s*({PATH})\s*\]\]?")

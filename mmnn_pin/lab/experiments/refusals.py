@@ -12,7 +12,7 @@ from ...errors import LENGTH, ConfigError, InputError, UnknownName
 from ...files import read_text, read_toml
 from ...model.loading import load_with
 from ...model.robot import Robot
-from .config import beside, find, find_variant
+from .config import beside, find, find_variant, users_own
 from .experiment import Experiment
 from .origins import line_of, of_override
 
@@ -105,7 +105,7 @@ def located(error: InputError, name_or_path: str, overrides: Iterable[str], vari
         variant: Likewise.
 
     Returns:
-        The error with its file and line, or its option, where the key is found.
+        The error with its file and line, or its option, where the key is found in what is the user's to change.
     """
     texts = tuple(overrides)
     if error.file is not None or not error.key or error.key.startswith("-"):
@@ -116,7 +116,7 @@ def located(error: InputError, name_or_path: str, overrides: Iterable[str], vari
         return error  # by an option
     path = find(name_or_path)
     for file in ancestry(path if variant is None else find_variant(path, variant)):
-        if line := line_of(read_text(file), error.key):
+        if users_own(file) and (line := line_of(read_text(file), error.key)):
             return error.but(file=file, line=line)
     return error
 

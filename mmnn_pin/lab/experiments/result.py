@@ -12,20 +12,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ...errors import UnknownName
 from ...recording.recording import Recording, as_columns
 from ...settings import finite
+from ...settings.arguments import faced
 from ...shown import ShownPage, ShownPicture, ShownTable, shown
+from .beside_plain import worse_than_plain
 from .controllers import LEARNERS, effective
 from .experiment import Experiment
 from .hand import HandErrors
 from .outliers import outliers
 from .thesis import beside_the_thesis, figure_ranges
 
+WORSE = "worse than plain control"  # outcome of a learner's run that was completed, and should not have been
 
+
+@faced
 @dataclass(frozen=True, repr=False)
 class Result(Mapping[str, Recording]):
     """The result of an experiment: its recordings by controller, tables and figures of them.
@@ -39,6 +45,8 @@ class Result(Mapping[str, Recording]):
         metrics: Controller to numbers (see `metrics`).
         notes: What the user should know.
         hand: Controller to what it did at every frame that the reference took along a path.
+        pushes: Controller to numbers of what its hand touched (`pushing_numbers`); empty where it touched nothing.
+        plain: A run of plain control that learners are measured by, where none was asked for.
     """
 
     experiment: Experiment
@@ -47,6 +55,8 @@ class Result(Mapping[str, Recording]):
     metrics: dict[str, dict[str, float]]
     notes: tuple[str, ...]
     hand: dict[str, list[HandErrors]] = field(default_factory=dict)
+    pushes: dict[str, dict[str, float | None]] = field(default_factory=dict)
+    plain: Recording | None = None
 
     def __getitem__(self, controller: str) -> Recording:
         if controller not in self.recordings:
@@ -121,7 +131,7 @@ class Result(Mapping[str, Recording]):
         runs = {
             name: {
                 "file": str(recording.path) if recording.path else None,
-                "outcome": recording.outcome.status,
+                "outcome": WORSE if name in self.worse else recording.outcome.status,
                 "message": recording.outcome.message,
                 "metrics": {key: finite(value) for key, value in self.metrics[name].items()},
             }
@@ -137,11 +147,17 @@ class Result(Mapping[str, Recording]):
             "figure_ranges": self.figure_ranges(),
             **self.largest_errors(),
             **({"hand": {name: told(errors) for name, errors in self.hand.items()}} if any(self.hand.values()) else {}),
+            **({"pushes": self.pushes} if any(self.pushes.values()) else {}),
             "unfair": unfair(self.experiment, self.metrics),
-            "notes": [*self.notes, *self.outliers()],
+            "notes": [*self.worse.values(), *self.notes, *self.outliers()],
         }
         about = {"experiment": self.name, "variant": self.experiment.variant, "robot": self.experiment.robot}
         return about | {"runs": runs, "comparison": comparison}
+
+    @cached_property
+    def worse(self) -> dict[str, str]:
+        """Learner to why it is worse than plain control, for those that are."""
+        return worse_than_plain(self.recordings, self.plain)
 
     def outliers(self) -> list[str]:
         """Runs that throw a joint about, or shake a motor, as no other run does: a sentence each."""

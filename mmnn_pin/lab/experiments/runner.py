@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -21,9 +21,14 @@ from ...sensing import Sensor
 from ...settings import finite
 from ...settings.arguments import checked
 from ...torque.controller import TorqueController
+from ...torque.entries import CONTROLLERS as ENTRIES
+from ...torque.entries import DESCRIBED, NOMINAL, PARAMETERS
+from .beside_plain import YARDSTICKS, learners
 from .controllers import EFFECTIVE, effective
 from .experiment import Experiment
 from .hand import hand_errors, hand_motion
+from .hardware import lines
+from .pushing import pushing_numbers
 from .result import Result
 
 BEYOND = 0.02  # of a joint's range, past its limits, that is told
@@ -68,18 +73,19 @@ def run_experiment(
     if understood is not None:
         understood(robot)
     runs: dict[str, Recording] = {}
-    notes = [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
+    notes = [] if experiment.hardware is None else [*lines(experiment.hardware)]
+    notes += [*left_out, *window_notes(experiment), *reference_notes(experiment, robot)]
     notes += [*interface_notes(experiment, robot), *sensor_notes(experiment.sensor, robot)]
-    notes += [*weak_notes(robot), *rotor_notes(robot)]
-    duration, learners = experiment.time.duration, effective(wanted)
+    notes += [*weak_notes(robot), *rotor_notes(robot), *knowledge_notes(robot, wanted)]
+    duration, gain_of = experiment.time.duration, effective(wanted)
     for controller in in_order(wanted):
-        learner = runs.get(learners.get(controller, ""))
+        learner = runs.get(gain_of.get(controller, ""))
         if learner is not None and not len(learner):
-            notes.append(f"{controller} was not run: {learners[controller]} ended before its first sample")
+            notes.append(f"{controller} was not run: {gain_of[controller]} ended before its first sample")
             continue
         gains = None if learner is None else as_columns(learner["effective_gain"])
         loop = experiment.loop(robot, experiment.controller(controller, gains, robot))
-        notes += [note for note in loop.controller.notes if note not in notes]
+        notes += [note for note in (*loop.controller.notes, *loop.reductions()) if note not in notes]
         runs[controller] = loop.run(
             files.get(controller),
             force=force,
@@ -91,11 +97,22 @@ def run_experiment(
     kept = {controller: runs[controller] for controller in wanted if controller in runs}
     numbers = {controller: metrics(recording, experiment.windows) for controller, recording in kept.items()}
     hand, tables = {}, experiment.reference.hand
+    pushes = {c: pushing_numbers(recording, robot) for c, recording in kept.items()}
     if tables is not None:
         hand = {c: hand_errors(recording, robot) for c, recording in kept.items()}
         notes += hand_notes(experiment, robot)
     notes += [*margin_notes(experiment, kept), *limit_notes(robot, kept)]
-    return Result(experiment, name, kept, numbers, tuple(notes), hand)
+    plain = None
+    if learners(kept) and not any(yardstick in kept for yardstick in YARDSTICKS):
+        plain = plain_run(experiment, robot, progress)
+    return Result(experiment, name, kept, numbers, tuple(notes), hand, pushes, plain)
+
+
+def plain_run(experiment: Experiment, robot: Robot, progress: Callable[[str, float], None] | None) -> Recording:
+    """A run of plain control in memory, that learners are measured by."""
+    if progress is not None:
+        progress(YARDSTICKS[0], 0.0)
+    return experiment.loop(robot, experiment.controller(YARDSTICKS[0], robot=robot)).run()
 
 
 def without_unable(experiment: Experiment, robot: Robot) -> tuple[Experiment, list[str]]:
@@ -115,6 +132,21 @@ def without_unable(experiment: Experiment, robot: Robot) -> tuple[Experiment, li
     why = "they go" if len(unable) > 1 else "it goes"
     note = f"{', '.join(unable)} left out: {why} by the torque of every joint, which velocity interfaces do not tell"
     return msgspec.structs.replace(experiment, controllers=able), [note]
+
+
+def knowledge_notes(robot: Robot, controllers: Iterable[str]) -> list[str]:
+    """A note on which controllers know what of a robot whose masses are not those of its file."""
+    if all(factor == 1.0 for factor in robot.masses.values()):
+        return []
+    known = {name: ENTRIES[name] for name in controllers if name in ENTRIES}
+    groups = {
+        "those of the file": [name for name, entry in known.items() if DESCRIBED in entry.told],
+        "the true ones": [name for name, entry in known.items() if entry.oracle],
+        "these times nominal.masses": [n for n, entry in known.items() if {NOMINAL, PARAMETERS} & {*entry.told}],
+    }
+    knows = [f"{', '.join(names)} know {what}" for what, names in groups.items() if names]
+    rest = len(known) - sum(map(len, groups.values()))
+    return [f"masses are not those of the file: {'; '.join([*knows, *['the others none'] * bool(rest)])}"]
 
 
 def interface_notes(experiment: Experiment, robot: Robot) -> list[str]:
@@ -187,7 +219,8 @@ def limit_notes(robot: Robot, runs: Mapping[str, Recording]) -> list[str]:
 def margin_notes(experiment: Experiment, runs: Mapping[str, Recording]) -> list[str]:
     """A note on controllers that bear less delay beside their latency than the experiment wants."""
     margins = {name: run.meta["delay_margin"] for name, run in runs.items()}
-    least = experiment.latency.margin + experiment.latency.total
+    line = experiment.sensor.line(experiment.time.measurement_period)
+    least = experiment.latency.margin + experiment.latency.total + line
     short = {name: m for name, m in margins.items() if m is not None and m < least}
     if not short:
         return []

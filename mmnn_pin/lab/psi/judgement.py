@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import Any, ClassVar, TypeVar
 from weakref import WeakKeyDictionary
 
-from ...errors import InputError
+from ...errors import InputError, UnknownName
 from ...recording.recording import Recording
-from ...settings.arguments import checked
+from ...settings.arguments import checked, faced
 from ...shown import AsText, shown
 from .psi import WINDOWS, ProgressCallback, Psi, psi_of
 from .subject import Subject
@@ -18,6 +18,7 @@ J = TypeVar("J", bound="Judgement")
 KEPT: WeakKeyDictionary[Recording, Judgement] = WeakKeyDictionary()
 
 
+@faced
 class Judgement(AsText):
     """Whether a run learned Psi. A part is computed once, when it is first asked for, and may raise an `InputError`.
 
@@ -60,7 +61,13 @@ class Judgement(AsText):
         return self.missing
 
     def has(self, part: str) -> bool:
-        """Whether a part can be had; computes it."""
+        """Whether a part can be had; computes it.
+
+        Raises:
+            UnknownName: There is no such part.
+        """
+        if part not in self.PARTS:
+            raise UnknownName("part", part, self.PARTS)
         return self._try(part) is None
 
     def require_any(self) -> None:

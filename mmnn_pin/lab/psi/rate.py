@@ -20,7 +20,7 @@ from scipy.special import expit
 
 from ...errors import RecordingError
 from ...loop.before_run import viscous_friction
-from ...loop.sampled import HeldLoop, held_loop
+from ...loop.sampled import HeldLoop, Machinery, held_loop
 from ...settings import finite
 from ...signals import Array
 from ...torque.controller import ControllerState
@@ -126,7 +126,7 @@ def judged(
         subject.robot.base.linear_errors(row[where("velocity_ref")], subject.kinematic.base_gains(layout)),
         subject.kinematic.arm_gains(layout),
         subject.timing.control_period,
-        viscous_friction(subject.robot),
+        Machinery(viscous_friction(subject.robot)),
     )
     share = np.diag(L) / np.maximum(gain, 1e-300)
     if held is None:

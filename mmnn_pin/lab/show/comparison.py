@@ -24,6 +24,8 @@ from .curves import column_units, milli
 from .table import WIDTH, Cell, CellKind, Column, Row, Table, TextLine, grouped, number, row_of, terminal_text
 
 CASES_WIDTH = 120
+FEW = 8  # joints that a short table has a row for
+KEPT = ("delay margin [ms]", "outcome")
 NAME = 9  # letters of a controller's name on a line
 TITLES = {"pose_error": "pose", "z": "velocity", "e": "joint"}
 ABOUT = (
@@ -43,6 +45,14 @@ HAND_ROWS = {
     "kinematic_rms_mm": ("of it kinematic [mm]", "RMS"),
     "tracking_rms_mm": ("tracking [mm]", "RMS"),
     "model_rms_mm": ("model [mm]", "RMS"),
+}
+PUSH_ROWS = {
+    "force_mean_N": ("force on the surface [N]", "mean"),
+    "force_error_rms_N": ("its error [N]", "RMS"),
+    "door_deg": ("door opened [deg]", "peak"),
+    "open_after_s": ("at 60 deg after [s]", ""),
+    "side_force_peak_N": ("force across its way [N]", "peak"),
+    "pull_peak_N": ("force along its way [N]", "peak"),
 }
 MARKED = ("position_rms_mm", "position_peak_mm", "orientation_rms_mrad")
 ABOUT_SHARES = (
@@ -84,6 +94,71 @@ def title(result: Result) -> str:
     return f"{experiment.title or result.name} ({about})"
 
 
+def render_brief(result: Result, colour: bool = False, width: int = WIDTH) -> str:
+    """One table of what matters most, as text of at most `width` columns."""
+    warning = unfair(result.experiment, result.metrics)
+    head = [TextLine(f"{warning[0].upper()}{warning[1:]}", "bold red")] if warning else []
+    table = brief(result)
+    return terminal_text(
+        [*head, TextLine(title(result), "bold"), table, TextLine(table.caption, "italic")], colour, width
+    )
+
+
+def brief(result: Result) -> Table:
+    """A column per controller; RMS errors of the last window that was reached, motors at their limits, outcome."""
+    windows, end = result.experiment.windows, result.experiment.time.duration
+    start, stop = next(((a, b) for a, b in reversed(windows) if a < end), windows[0])
+    rows = grouped(brief_hand(result), brief_errors(result, f"rms_{start:g}_{stop:g}"), brief_rest(result))
+    controllers = (Column(name, letters=NAME) for name in result.recordings)
+    about = f"Errors: {rms(start, stop, end)}; --details has all of them, peaks, torques and gains."
+    notes = [note for note in notes_of(result) if note.startswith(("*", *ORACLES))]
+    return Table("In short", (Column(text=True, fold=True), *controllers), rows, (*notes, about), gap=0)
+
+
+def brief_hand(result: Result) -> Iterator[Row]:
+    """Errors of the hand, the worst of several."""
+    if not any(result.hand.values()):
+        return
+    every = {name: [errors.numbers() for errors in hands] for name, hands in result.hand.items()}
+    for key in ("position_rms_mm", "orientation_rms_mrad"):
+        values = {c: max((x for v in h if (x := v[key]) is not None), default=math.nan) for c, h in every.items()}
+        if not all(map(math.isnan, values.values())):
+            yield row_of(HAND_ROWS[key][0], *marked(values))
+
+
+def brief_errors(result: Result, key: str) -> Iterator[Row]:
+    """RMS of the base's distance and heading, and of every joint; of many joints that of the worst."""
+    recording = next(iter(result.recordings.values()))
+    if "pose_error" in recording:
+        both = {c: [m[f"pose_error.{label}.{key}"] for label in "xy"] for c, m in result.metrics.items()}
+        yield row_of("base [mm]", *marked({c: 1e3 * math.hypot(*xy) for c, xy in both.items()}))
+        yield row_of(
+            "base heading [mrad]", *marked({c: 1e3 * m[f"pose_error.phi.{key}"] for c, m in result.metrics.items()})
+        )
+    joints = list(zip(recording.labels("e"), column_units(recording, "e"), strict=True)) if "e" in recording else []
+    if len(joints) <= FEW:
+        for label, unit in joints:
+            values = {c: 1e3 * m[f"e.{label}.{key}"] for c, m in result.metrics.items()}
+            yield row_of(f"{label} [{milli(unit)}]", *marked(values))
+        return
+    for unit in dict.fromkeys(unit for _, unit in joints):
+        own = [label for label, other in joints if other == unit]
+        values = {c: max(1e3 * m[f"e.{label}.{key}"] for label in own) for c, m in result.metrics.items()}
+        which = f"worst of {len(own)} joints" if len(own) > 1 else own[0]
+        yield row_of(f"{which} [{milli(unit)}]", *marked(values))
+
+
+def brief_rest(result: Result) -> Iterator[Row]:
+    """Motors above their limits and wheels that slip, where there are some; the delay that is borne; the outcome."""
+    over = [row for row in limited(result) if exceeded(row)]
+    if over:
+        counts = (sum((row["peak"].get(c) or 0.0) > row["limit"] for row in over) for c in result.recordings)
+        yield row_of("motors asked for more than they give", *(Cell(str(n), "bad" if n else "") for n in counts))
+    if "slip" in next(iter(result.recordings.values())):
+        yield row_of("time slipping [s]", *(f"{slipping(run):.3g}" for run in result.recordings.values()))
+    yield from (row_of(row.cells[0].text, *row.cells[2:]) for row in other_rows(result) if row.cells[0].text in KEPT)
+
+
 def tables_of(result: Result) -> Iterator[Table]:
     """The comparison; gain or learning; the thesis's errors and figures. Those that the result has something for."""
     if any(result.hand.values()):
@@ -102,7 +177,7 @@ def comparison(result: Result) -> Table:
     """A column per controller; rows of errors, wheels, torques beyond limits, effort, learned share, gain, outcome."""
     heads = (Column(text=True, fold=True), Column(text=True))
     controllers = (Column(name, letters=NAME) for name in result.recordings)
-    rows = grouped(error_rows(result), wheel_rows(result), torque_rows(result), other_rows(result))
+    rows = grouped(push_rows(result), error_rows(result), wheel_rows(result), torque_rows(result), other_rows(result))
     return Table("Comparison", (*heads, *controllers), rows, notes_of(result), gap=0)
 
 
@@ -135,6 +210,14 @@ def error_rows(result: Result) -> Iterator[Row]:
                 first = f"{TITLES[name]} {label} [{milli(unit)}]" if key == "peak" else ""
                 values = {c: 1e3 * m[f"{name}.{label}.{key}"] for c, m in result.metrics.items()}
                 yield row_of(first, words, *marked(values))
+
+
+def push_rows(result: Result) -> Iterator[Row]:
+    """Forces on a surface, angle and forces of a door; nothing where no hand touched anything."""
+    for key, (about, words) in PUSH_ROWS.items():
+        values = [numbers.get(key) for numbers in result.pushes.values()]
+        if any(key in numbers for numbers in result.pushes.values()):
+            yield row_of(about, words, *("-" if value is None else number(value) for value in values))
 
 
 def rms(start: float, stop: float, end: float) -> str:
@@ -200,7 +283,7 @@ def other_rows(result: Result) -> Iterator[Row]:
         yield row_of("mean effective gain", part, *(number(gain) if gain else "-" for gain in gains))
     if any("delay_margin" in run.meta for run in result.recordings.values()):
         yield row_of("delay margin [ms]", "", *(margin_cell(run) for run in result.recordings.values()))
-    yield row_of("outcome", "", *map(outcome_cell, result.recordings.values()))
+    yield row_of("outcome", "", *(outcome_cell(run, name in result.worse) for name, run in result.recordings.items()))
 
 
 def margin_cell(recording: Recording) -> str:
@@ -209,9 +292,11 @@ def margin_cell(recording: Recording) -> str:
     return "-" if margin is None else f"{1e3 * margin:.3g}"
 
 
-def outcome_cell(recording: Recording) -> Cell:
-    """The end of a run; bad unless it was completed."""
+def outcome_cell(recording: Recording, worse: bool = False) -> Cell:
+    """The end of a run; bad unless it was completed and is not worse than plain control."""
     status = recording.outcome.status
+    if worse:
+        return Cell("worse\nthan plain\ncontrol", "bad")
     if status == "completed":
         return Cell("done", "good")
     return Cell(f"{status}\nat {recording.outcome.time:.3g} s", "bad")
@@ -221,7 +306,7 @@ def notes(result: Result) -> list[str]:
     """Notes for the user: ends of runs, runs that stand out, notes on the settings."""
     messages = {name: recording.outcome.message for name, recording in result.recordings.items()}
     ends = [text if text.startswith(name) else f"{name}: {text}" for name, text in messages.items() if text]
-    return [*ends, *result.outliers(), *result.notes]
+    return [*result.worse.values(), *ends, *result.outliers(), *result.notes]
 
 
 def hand_table(result: Result) -> Table:

@@ -143,6 +143,18 @@ def hand(recordings: Recordings) -> Iterator[Panel]:
         yield Panel("of the reference itself", "mm", kinematic)
 
 
+@chart("force", "Forces", "Of the world on the hand, and what a compliant hand asks for; the door that it holds.")
+def force(recordings: Recordings) -> Iterator[Panel]:
+    """Forces at the hand in the world's axes, the energy of its springs, and the angle of a door."""
+    for name, about in (("hand_force", "on the hand"), ("asked_force", "asked of it")):
+        for panel in signal_panels(recordings, name):
+            yield replace(panel, title=f"force {about}, {panel.label}")
+    opened = {n: r for n, r in recordings.items() if "opening" in r and np.any(r["opening"])}
+    if opened:
+        angles = {n: (r.time, np.degrees(np.ravel(r["opening"]))) for n, r in opened.items()}
+        yield Panel("door", "deg", angles)
+
+
 @chart(
     "torque",
     "Torques",
@@ -188,6 +200,14 @@ def gains(recordings: Recordings) -> Iterator[Panel]:
     on_base = base_labels(recordings)
     for panel in signal_panels(recordings, "effective_gain"):
         yield replace(panel, group="base" if panel.label in on_base else "arm", step=True)
+
+
+@chart("touch", "Touch", "What the motors say of the world that pushes, and whether that is a contact.")
+def touch(recordings: Recordings) -> Iterator[Panel]:
+    """External torque on every velocity, the wrench of the hand, and contact."""
+    for signal, words in (("external_torque", "on"), ("external_wrench", "hand"), ("contact", "")):
+        for panel in signal_panels(recordings, signal):
+            yield replace(panel, title=f"{words} {panel.label}".strip(), group=words)
 
 
 @chart("weights", "Norms of the weights", "Frobenius norm of all weights of a network.")

@@ -138,8 +138,8 @@ def bodies_table(report: dict[str, Any]) -> Table:
         rows.append(row_of(name, *(Cell(text, kind) for text in (*texts, f"{100 * body['known']:.0f}"))))
     note = (
         "Intervals of 95 %. A single mass is seldom visible in torques: where little is known it is the URDF's, and "
-        "the interval that of a URDF trusted within 50 %. Known: of the body's best known number, how much of the "
-        "doubt the motion took away."
+        "the interval that of a URDF trusted within 50 %. Known: by how much the motion narrowed the interval of the "
+        "body's best determined number."
     )
     whole = report["total"]
     total = f"Together {whole['mass']:.4g} ± {1.96 * whole['mass_sd']:.2g} kg, in the URDF {whole['urdf_mass']:.4g} kg."

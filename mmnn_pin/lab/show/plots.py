@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-STACKED = ("hand", "weights", "residuals")  # charts whose panels stand above each other, without more
+STACKED = ("hand", "force", "touch", "weights", "residuals")  # charts whose panels stand above each other, without more
 PANELS_PER_COLUMN = 4
 LEARNERS_BESIDE = 5
 NOTE_ROOM = 0.2  # share of an axes' height that is free above the curves for a note

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import shlex
@@ -15,13 +14,14 @@ import numpy as np
 
 from ...model.arm import WHY
 from ...model.checks.nonholonomy import RANK_TOLERANCE
-from ...model.checks.properties import CheckReport, check
+from ...model.checks.properties import BOUNDS, CheckReport, check
 from ...model.inspection import inspection_of
 from ...model.urdf.expansion import EXPANDED
 from ...recording.recording import Recording, recorded_robot
 from ...settings import finite
 from ...shown import shows
-from .table import WIDTH, Cell, Column, Table, TextLine, hanging, row_of, terminal_text
+from ..experiments.hardware import UNKNOWN
+from .table import WIDTH, Cell, Column, Table, TextLine, alike, hanging, row_of, terminal_text
 
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
 CHECK_SAMPLES = 20  # random states of the property checks
@@ -45,15 +45,15 @@ DOUBTS = {  # what a finding leaves in doubt, by its code
     "arm-doubt": "the arm",
     "arm-passive": "the arm",
 }
-BARE = re.compile(r"[A-Za-z0-9_-]+")  # keys that TOML takes without quotes
 
 
 def inspection_text(content: dict[str, Any], width: int = WIDTH) -> str:
     """The tables and the findings of what `model.inspection.inspection_of` gives, as text.
 
-    Names are folded to `width` columns; a finding stays one line, so that it can be searched for.
+    Names are folded to `width` columns; a finding stays one line, so that it can be searched for. Several of one kind
+    are told once, with how many there are.
     """
-    findings = "".join(f"\n  {finding['text']}" for finding in content["findings"])
+    findings = "".join(f"\n  {line}" for line in alike(finding["text"] for finding in content["findings"]))
     last = f"findings ({len(content['findings'])}){findings}" if findings else "no findings"
     return f"{understood_text(content, width)}\n\n{last}"
 
@@ -129,6 +129,7 @@ def understood_text(content: dict[str, Any], width: int = WIDTH) -> str:
         pivots(content["base"]),
         arm(content["arm"]),
         interfaces(content),
+        hardware(content),
         gains(content.get("track")),
     )
     text = "\n".join(
@@ -236,16 +237,15 @@ def interfaces(content: dict[str, Any]) -> Iterator[Table | TextLine]:
     rows = (row_of(*kinds, ", ".join(map(one_line, names))) for kinds, names in groups.items())
     heads = (Column("interface", text=True), Column("offered", text=True), Column("joints", text=True, fold=True))
     yield Table("Interfaces", heads, tuple(rows))
-    yield from as_offered(content["interfaces"])
 
 
-def as_offered(used: Mapping[str, str]) -> Iterator[TextLine]:
-    """The way to run a robot by the interfaces of its URDF, where these are not all efforts; one line to be copied."""
-    keys = {name: name if BARE.fullmatch(name) else json.dumps(name, ensure_ascii=False) for name in used}
-    others = ", ".join(f'{keys[name]}="{kind}"' for name, kind in used.items() if kind != "effort")
-    if others:
-        yield TextLine("mmnn run drives every motor by effort unless it is told otherwise, here as the URDF offers:")
-        yield TextLine(f"  --set {shlex.quote(f'interfaces={{{others}}}')}", whole=True)
+def hardware(content: dict[str, Any]) -> Iterator[TextLine]:
+    """The way to run a robot on its hardware, or one that is assumed: a line to be copied."""
+    if (proposal := content.get("hardware")) is None:
+        return
+    which = "what is slower and coarser than most" if proposal["profile"] == UNKNOWN else proposal["profile"]
+    yield TextLine(f"mmnn run has motors that give any torque unless it is told what they are; here {which}:")
+    yield TextLine(f"  {proposal['run']}", whole=True)
 
 
 def gains(content: dict[str, Any] | None) -> Iterator[Table | TextLine]:
@@ -346,8 +346,8 @@ def properties_text(report: CheckReport, columns: int = WIDTH) -> str:
     rows = []
     for name, p in report.properties.items():
         verdict = Cell("ok") if p.passed else Cell("FAIL", "bad")
-        allowed = f"{'>' if p.at_least else '<='} {p.tolerance:.0e}"
-        rows.append(row_of(name, f"{p.worst:.1e}", allowed, verdict, p.means))
+        worst, limit = (f"{x:.4g}" if name in BOUNDS else f"{x:.{n}e}" for x, n in ((p.worst, 1), (p.tolerance, 0)))
+        rows.append(row_of(name, worst, f"{'>' if p.at_least else '<='} {limit}", verdict, p.means))
     rows += [row_of(name, "", "", "skipped", why) for name, why in report.skipped.items()]
     heads = (Column("property", text=True), Column("worst"), Column("allowed"))
     table = Table("Properties", (*heads, Column(text=True), Column("means", text=True, fold=True)), tuple(rows))

@@ -12,7 +12,7 @@ from ..study.choice import gains_of, levels
 from ..study.factors import is_number
 from ..study.intervals import rate
 from ..study.results import Results
-from ..study.verdict import Share, bins_of, levels_of, share_of
+from ..study.verdict import MAP_BINS, Share, bins_of, levels_of, share_of
 from .figure import Look, add_legend, axes_grid, figure, log_ticks, new_figure, plain, styles_of_controllers
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 SHOWN = {"rad": "mrad", "m": "mm", "m/s": "mm/s", "rad/s": "mrad/s"}  # in thousandths
 SHORT: Look = {"marker": "o", "markersize": 8, "fillstyle": "none", "linestyle": "none", "zorder": 5}
-MAP_BINS = 6
 DECADE = 8.0  # spread from which an axis is logarithmic
 TICKS = 8  # values of a factor that all stand on its axis, at most
 SHORTEST = 6  # letters that each of these may have

@@ -73,6 +73,11 @@ class Row:
     ends: bool = False
 
 
+NAMED = re.compile(r"'[^']*'")
+SPECIFIC = re.compile(r"'[^']*'|[-+0-9.e]*[0-9][-+0-9.e]*")  # names and numbers in a line
+MOST_NAMED = 8  # names of further lines of a kind
+
+
 @dataclass(frozen=True)
 class Table:
     """A table.
@@ -160,6 +165,27 @@ def safe(table: Table) -> Table:
     cells = ([replace(cell, text=printable(cell.text, "\n")) for cell in row.cells] for row in table.rows)
     rows = (replace(row, cells=tuple(own)) for row, own in zip(table.rows, cells, strict=True))
     return replace(table, columns=tuple(heads), rows=tuple(rows))
+
+
+def alike(lines: Iterable[str], least: int = 3) -> list[str]:
+    """Lines, those that differ only in names, numbers and places as one with how many there are.
+
+    Args:
+        lines: The lines, of which a kind stands where its first one did.
+        least: How many there must be of a kind.
+    """
+    kinds = dict[str, list[str]]()
+    for line in lines:
+        kinds.setdefault(SPECIFIC.sub("", line), []).append(line)
+    found = []
+    for kind in kinds.values():
+        if len(kind) < least:
+            found += kind
+            continue
+        names = list(dict.fromkeys(name for line in kind[1:] for name in NAMED.findall(line)))
+        of = f": {', '.join(names[:MOST_NAMED])}{', ...' * (len(names) > MOST_NAMED)}" if names else ""
+        found.append(f"{kind[0]} (and {len(kind) - 1} more like it{of})")
+    return found
 
 
 def hanging(head: str, text: str, width: int) -> str:

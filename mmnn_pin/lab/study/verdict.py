@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from .intervals import Interval, Mask, differ, percent, rate
 from .results import Results
 
 BINS = 8
+MAP_BINS = 6  # of a factor, in maps of the rate of successes and in what is said of them
 CHANCE = 0.05  # two rates differ where chance alone would do so less often than this
 SLICE = 0.06  # share of the box that a peel takes
 SMALLEST = 0.08  # share of the runs that a box must hold
@@ -126,8 +128,10 @@ class Cut:
             values = " or ".join(map(str, self.levels))
         elif self.low is None:
             values = f"up to {self.high:.3g}"
+        elif self.high is None:
+            values = f"from {self.low:.3g}"
         else:
-            values = f"from {self.low:.3g}" if self.high is None else f"{self.low:.3g} to {self.high:.3g}"
+            values = f"{self.low:.3g}" if self.low == self.high else f"{self.low:.3g} to {self.high:.3g}"
         return f"{self.factor} {values} {unit}".rstrip()
 
     def holds(self, values: Sequence[Any]) -> Mask:
@@ -323,11 +327,49 @@ def sentences(results: Results, found: Verdict) -> list[str]:
     return [*lines, describe_region(results, found)]
 
 
+@dataclass(frozen=True)
+class MapCell:
+    """Runs within bins of some factors, as maps show them.
+
+    Attributes:
+        cuts: The bins.
+        runs: How many runs.
+        success: Their rate of successes.
+    """
+
+    cuts: tuple[Cut, ...]
+    runs: int
+    success: Interval
+
+
+def best_cell(results: Results, controller: str, count: int, wanted: float) -> MapCell:
+    """The cell of `count` factors that has most runs of those with the wanted rate of successes, else the best rate."""
+    success, draws = results.succeeded(controller), results.draws(controller)
+    values = {name: results.values(controller, name) for name in results.factors}
+    bins = {name: bins_of(values[name], factor.numeric, MAP_BINS) for name, factor in results.factors.items()}
+    found = list[MapCell]()
+    for names in combinations(results.factors, count):
+        for places in sorted(set(zip(*(bins[name].tolist() for name in names), strict=True))):
+            inside = np.logical_and.reduce([bins[name] == place for name, place in zip(names, places, strict=True)])
+            kept = {name: [value for value, is_in in zip(values[name], inside, strict=True) if is_in] for name in names}
+            cuts = tuple(bin_of(name, results.factors[name].numeric, kept[name]) for name in names)
+            found.append(MapCell(cuts, int(inside.sum()), rate(success[inside], draws[inside])))
+    enough = [cell for cell in found if cell.success.value >= wanted]
+    if enough:
+        return max(enough, key=lambda cell: (cell.runs, cell.success.value))
+    return max(found, key=lambda cell: (cell.success.value, cell.runs))
+
+
+def bin_of(name: str, numeric: bool, kept: Sequence[Any]) -> Cut:
+    """The bin of a factor that just holds some values."""
+    return Cut(name, min(kept), max(kept)) if numeric else Cut(name, levels=(kept[0],))
+
+
 def describe_region(results: Results, found: Verdict) -> str:
     """Within which uncertainty, in words."""
     wanted = f"{100 * found.wanted:g} %"
     if found.region is None:
-        return f"No range of the factors was found in which it succeeds in {wanted} of the runs."
+        return describe_cells(results, found)
     where = found.region
     checked = f"{percent(where.success)} of the runs that were kept apart to check it"
     if not where.cuts:
@@ -336,3 +378,20 @@ def describe_region(results: Results, found: Verdict) -> str:
     units = {n: f.unit or "times the experiment's" * f.relative for n, f in results.factors.items()}
     cuts = ", ".join(cut.describe(units[cut.factor]) for cut in where.cuts)
     return f"Within {cuts} ({100 * where.share:.0f} % of all draws) it succeeds in {checked} ({wanted} were asked)."
+
+
+def describe_cells(results: Results, found: Verdict) -> str:
+    """Where it succeeds most, by the bins of the maps, where no region could be found and checked on other runs."""
+    assert found.controller is not None
+    units = {n: f.unit or "times the experiment's" * f.relative for n, f in results.factors.items()}
+    for count, what in ((1, "one factor"), (2, "two factors")):
+        if len(results.factors) < count:
+            continue
+        cell = best_cell(results, found.controller, count, found.wanted)
+        where = " and ".join(cut.describe(units[cut.factor]) for cut in cell.cuts)
+        if cell.success.value >= found.wanted:
+            few = "too few to find a range and check it on runs kept apart"
+            return f"Within {where} it succeeds in {percent(cell.success)} of {cell.runs} runs, {few}."
+        best = f"the best, {where}, has {percent(cell.success)} of {cell.runs} runs"
+        told = f"No value or range of {what}, as the maps show them, reaches {100 * found.wanted:g} %: {best}."
+    return told

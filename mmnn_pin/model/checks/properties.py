@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...errors import ConfigError, RobotError
+from ...errors import ConfigError, RobotError, UnknownName
 from ...settings.arguments import checked
 from ...shown import AsText, shown
 from ...signals import Array
@@ -74,11 +74,15 @@ class Property:
 PROPERTIES: dict[str, tuple[float, bool, str]] = {
     "symmetric": (EXACT, False, "M = M'"),
     "positive_definite": (DEFINITE, True, "least eigenvalue of M > 0, M with ones on its diagonal"),
-    "property_1": (EXACT, False, "||C|| <= C_b ||qdot||: C is linear in the velocity"),
-    "property_2": (TOLERANCE, False, "Mdot = C + C': Mdot - 2C is skew"),
-    "property_3": (TOLERANCE, False, "the same for the blocks M_v of the base and M_r of the arm"),
-    "property_4": (TOLERANCE, False, "Mdot_rv = C_rv + C_vr', M_vr = M_rv'"),
-    "property_5": (TOLERANCE, False, "Mbardot_v - 2 Cbar_v is skew"),
+    "coriolis_linear": (EXACT, False, "property 1: ||C|| <= C_b ||qdot||: C is linear in the velocity"),
+    "skew_symmetry": (TOLERANCE, False, "property 2: Mdot = C + C': Mdot - 2C is skew"),
+    "skew_symmetry_blocks": (
+        TOLERANCE,
+        False,
+        "property 3: the same for the blocks M_v of the base and M_r of the arm",
+    ),
+    "skew_symmetry_cross": (TOLERANCE, False, "property 4: Mdot_rv = C_rv + C_vr', M_vr = M_rv'"),
+    "skew_symmetry_base": (TOLERANCE, False, "property 5: Mbardot_v - 2 Cbar_v is skew"),
     "reduced_rate": (TOLERANCE, False, "Mbardot - 2 Cbar is skew along motions"),
     "reduced_rate_world": (TOLERANCE, False, "the same in world coordinates, Cbar with S' M Sdot"),
     "constraint": (EXACT, False, "A S = 0: no motion that the wheels forbid"),
@@ -86,6 +90,13 @@ PROPERTIES: dict[str, tuple[float, bool, str]] = {
     "full_rank": (EXACT, True, "least singular value of S > 0, S with columns of unit length"),
     "passive": (TOLERANCE, False, "energy gained = work of the torques - loss by friction >= 0"),
     "forward_kinematics": (EXACT, False, "yourdfpy places every link where Pinocchio does"),
+}
+
+
+BOUNDS = {  # name: (whether the bound found must be above one's own, meaning)
+    "M_min": (True, "least eigenvalue of Mbar found, at least your bound"),
+    "M_max": (False, "largest eigenvalue of Mbar found, at most your bound"),
+    "C_b": (False, "largest ||Cbar|| / ||nu|| found, at most your bound"),
 }
 
 
@@ -148,6 +159,7 @@ def check(
     samples: int = 100,
     seed: int = 0,
     *,
+    bounds: Mapping[str, float] | None = None,
     terms: FullTerms | None = None,
     world: WorldFrame | None = None,
     progress: Callable[[float], None] | None = None,
@@ -158,12 +170,14 @@ def check(
         robot: The robot.
         samples: Number of states.
         seed: Their seed.
+        bounds: Bounds of your own that must hold, as a proof has them: `M_min`, `M_max`, `C_b`, see `ModelBounds`.
         terms: The matrices to judge; None for Pinocchio's.
         world: The world-frame form to judge; None for ours (bases with two sides only).
         progress: Called now and then with the fraction done.
 
     Raises:
-        ConfigError: Fewer than one state.
+        ConfigError: Fewer than one state, or a bound that is no positive number.
+        UnknownName: A bound of another name.
 
     >>> report = check(load("platform_arm"), samples=3)
     >>> report.passed
@@ -173,6 +187,7 @@ def check(
     """
     if samples < 1:
         raise ConfigError(f"{samples} states", fix="give at least 1", key="samples")
+    own = required_bounds(bounds or {})
     terms, kinematics, skipped = terms or FullTerms(robot), None, {}
     if world is None and robot.base.two_sided:
         world = WorldFrame(robot)
@@ -202,8 +217,24 @@ def check(
             progress((k + 1) / samples)
     properties = {name: Property(found[name], *PROPERTIES[name]) for name in PROPERTIES if name in found}
     low, high, coriolis = np.array(ranges).T
-    bounds = ModelBounds(float(low.min()), float(high.max()), float(coriolis.max()))
-    return CheckReport(robot.name, samples, seed, properties, bounds, nonholonomy(robot, rng), skipped, notes_of(robot))
+    met = ModelBounds(float(low.min()), float(high.max()), float(coriolis.max()))
+    properties |= {name: Property(getattr(met, name), value, *BOUNDS[name]) for name, value in own.items()}
+    return CheckReport(robot.name, samples, seed, properties, met, nonholonomy(robot, rng), skipped, notes_of(robot))
+
+
+def required_bounds(bounds: Mapping[str, float]) -> Mapping[str, float]:
+    """Bounds that somebody gives, if they are some.
+
+    Raises:
+        ConfigError: One is no positive number.
+        UnknownName: One has another name.
+    """
+    for name, value in bounds.items():
+        if name not in BOUNDS:
+            raise UnknownName("bound", name, BOUNDS, key="bounds")
+        if not 0 < value < np.inf:
+            raise ConfigError(f"{value:g} is no bound", fix="give a positive number", key=name)
+    return bounds
 
 
 def notes_of(robot: Robot) -> tuple[str, ...]:
@@ -270,12 +301,12 @@ def residuals_at(terms: FullTerms, position: Array, v: Array, nu: Array) -> dict
     numbers = {
         "symmetric": asymmetry(M),
         "positive_definite": smallest_eigenvalue(M[np.ix_(carried, carried)]),
-        "property_1": nonlinearity(lambda v: terms.coriolis(q, v), v, M, speed),
-        "property_2": skewness(M, Mdot, C, speed),
-        "property_3": max(block_residual(M, Mdot, C, speed, part) for part in (base, arm)),
+        "coriolis_linear": nonlinearity(lambda v: terms.coriolis(q, v), v, M, speed),
+        "skew_symmetry": skewness(M, Mdot, C, speed),
+        "skew_symmetry_blocks": max(block_residual(M, Mdot, C, speed, part) for part in (base, arm)),
     }
     if base.size and arm.size:
-        numbers["property_4"] = cross_residual(M, Mdot, C, speed, base, arm)
+        numbers["skew_symmetry_cross"] = cross_residual(M, Mdot, C, speed, base, arm)
     moving = terms.T @ nu
     speed = fastest(moving)
     Mbar, Cbar = terms.reduced_mass(q), terms.reduced_coriolis(q, nu)
@@ -283,7 +314,7 @@ def residuals_at(terms: FullTerms, position: Array, v: Array, nu: Array) -> dict
     numbers["reduced_rate"] = skewness(Mbar, rate, Cbar, speed)
     nb = robot.dimensions.base
     if nb:
-        numbers["property_5"] = block_residual(Mbar, rate, Cbar, speed, np.arange(nb))
+        numbers["skew_symmetry_base"] = block_residual(Mbar, rate, Cbar, speed, np.arange(nb))
     return numbers
 
 

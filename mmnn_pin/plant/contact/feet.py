@@ -128,7 +128,7 @@ def feet_of(robot: Robot) -> Feet:
     """The feet of a mobile robot; none of a fixed arm.
 
     Raises:
-        RobotError: A base whose wheels have rollers or do not turn, or one that stands on its two wheels alone.
+        RobotError: A base without wheels, whose wheels do not turn, or one that stands on its two wheels alone.
     """
     if not robot.dimensions.base:
         return Feet((), ())
@@ -142,12 +142,12 @@ def feet_of(robot: Robot) -> Feet:
 
 
 def require_wheels(robot: Robot) -> None:
-    """Refuse a base that does not stand on plain wheels that turn.
+    """Refuse a base that does not stand on wheels that turn.
 
     Raises:
         RobotError: It does not.
     """
-    why = "" if robot.base.two_sided else "it has plain wheels only, neither rollers nor a base that is pushed"
+    why = "" if robot.base.wheels else "it has wheels only, no base that is pushed"
     if isinstance(robot.base, SteeredBase):
         carrying = {wheel.pivot for wheel in robot.base.wheels}
         stiff = [pivot.joint for k, pivot in enumerate(robot.base.pivots) if k not in carrying]
@@ -155,6 +155,11 @@ def require_wheels(robot: Robot) -> None:
     if why:
         what = f"the contact plant cannot carry the {robot.base.kind} base of '{robot.name}'"
         raise RobotError(what, why=why, fix="use the ideal plant", file=robot.path)
+
+
+def on_rollers(robot: Robot) -> bool:
+    """Whether a base stands on wheels with rollers: they only hold it up, its forces act on its frame."""
+    return robot.base.sideways and not robot.steers and robot.dimensions.base > 0
 
 
 def at_origin(robot: Robot) -> Array:

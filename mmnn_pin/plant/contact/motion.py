@@ -15,7 +15,7 @@ import numpy as np
 
 from ...elementary import arrays, atan2, cos, cos_sin, hypot, sin
 from ...model.base.steered import SteeredBase
-from ...model.reduction import COULOMB_SPEED
+from ...model.reduction import COULOMB_SPEED, friction
 from ...model.robot import Robot
 from ...signals import Array
 from .pivots import Pivots
@@ -149,7 +149,23 @@ class ContactFriction:
         self.held = False
         self.has_coulomb, self.has_breakaway = self.dry[:, :2].any(axis=0).tolist()
         self.on_base = bool(self.base.any())
+        self.robot, self.rolling, self.rows = robot, np.zeros((0, 0)), np.zeros(0, int)
         model.dof_damping[at] = self.damping
+
+    def roll(self, T: Array, rows: Array) -> None:
+        """Take the friction of wheels with rollers for the base's: of joints in these rows of all, T (wheels, p)."""
+        self.rolling, self.rows, self.on_base = T, rows, True
+
+    def resistance(self, motion: BaseMotion) -> Array:
+        """(nb,) friction of the base at its velocity [N, N m]."""
+        found = self.base * motion.nu
+        if self.rows.size:
+            robot, nb = self.robot, motion.nu.size
+            T, F = np.ascontiguousarray(self.rolling[:, :nb]), np.zeros(nb)
+            v = T @ motion.nu
+            friction(T, v, motion.nu, robot.damping[self.rows], robot.dry[self.rows], np.zeros(nb), F)
+            found = found + F
+        return found
 
     def apply(self, data: Any, motion: BaseMotion | None, hold: Array) -> None:
         """Write damping, and add the force on the base, for the next step; hold (k,) is friction of blocked joints."""
@@ -163,11 +179,11 @@ class ContactFriction:
             ratio = arrays.tanh(v / COULOMB_SPEED) / np.where(slow, 1.0, v)
             self.model.dof_damping[self.at] = self.damping + level * np.where(slow, 1 / COULOMB_SPEED, ratio)
         if self.on_base and self.on is not None and motion is not None:
-            self.on.push(data, motion, -self.base * motion.nu)
+            self.on.push(data, motion, -self.resistance(motion))
 
     def power(self, data: Any, motion: BaseMotion | None) -> float:
         """Power that friction takes at this velocity [W]."""
         lost = float(self.model.dof_damping[self.at] @ data.qvel[self.at] ** 2)
         if self.on_base and motion is not None:
-            lost += float(sum(self.base * motion.nu**2))
+            lost += float(sum(self.resistance(motion) * motion.nu))
         return lost

@@ -19,7 +19,7 @@ from ...model.tree.twin import terms_of
 from ...signals import Array, Layout
 from .. import NO_PUSH
 from ..integrators import PlantJoints, PlantTerms, plant_joints, plant_terms, respond
-from .feet import Contact, feet_of
+from .feet import Contact, feet_of, on_rollers
 from .motion import BaseMotion, ContactFriction, FreeBase, tilt
 from .steps import Steps
 from .tree import NO_FRICTION, compile_tree, engine
@@ -86,6 +86,8 @@ def sliding_rows(robot: Robot) -> tuple[Array, Array]:
     """Two (wheels, nv) maps from all velocities to each contact point's over the floor: along the wheel and across."""
     base, names = robot.base, robot.full_velocity_names
     along, across = np.zeros((2, len(base.wheels), len(names)))
+    if on_rollers(robot):
+        return along, across  # they slide as they please
     for i, wheel in enumerate(base.wheels):
         along[i, :3], across[i, :3] = wheel.grip @ base.to_control, base.to_control[1] + wheel.x * base.to_control[2]
         along[i, names.index(wheel.joint)] = -wheel.sign * wheel.radius
@@ -100,6 +102,7 @@ class ContactPlant:
         dt: Step of the plant [s]; the engine takes as many equal ones as `contact.step` asks for.
         method: "rk4", or MuJoCo's Euler with implicit friction, of first order, for any other.
         contact: The floor.
+        touching: Frame at which `hand` acts; empty for none.
 
     Attributes:
         y: (nv + p + 1,) position, nu, and the work of motors and friction since the start; contacts take the rest of
@@ -107,6 +110,9 @@ class ContactPlant:
         position: View of the position in y.
         nu: View of nu in y.
         hold: (nv,) friction of joints that are blocked [N m or N].
+        hand: (6,) where a force acts on the frame in the world, and that force, written by the loop [m, N]; (0,) for
+            none.
+        by_hand: (p,) what that is on nu, which is part of what is pushed.
         residual: (1,) `|A velocity|` (2.6), or (0,) without wheels [m/s].
         speed: (wheels,) speed of every wheel's contact point over the floor [m/s].
         traction: (wheels,) largest `|ft| / (mu N)` since the last `observe`, 0 in the air.
@@ -118,8 +124,11 @@ class ContactPlant:
         RobotError: A robot that this plant cannot carry.
     """
 
-    def __init__(self, robot: Robot, dt: float, method: str = "rk4", contact: Contact | None = None) -> None:
+    def __init__(
+        self, robot: Robot, dt: float, method: str = "rk4", contact: Contact | None = None, touching: str = ""
+    ) -> None:
         self.robot, self.contact, self.mj, self.method = robot, contact or Contact(), engine(), method
+        self.touching, self.on_rollers = touching, on_rollers(robot)
         self.mj.set_mju_user_warning(lambda text: None)  # it would print, and write a file
         self.steps = math.ceil(dt / self.contact.step - 1e-9)
         self.feet, self.h = feet_of(robot), dt / self.steps
@@ -132,7 +141,7 @@ class ContactPlant:
         self.motion: BaseMotion | None = None
         self._index()
         self._take_model()
-        self.hold = np.zeros(nv)
+        self.hold, self.hand, self.by_hand = np.zeros(nv), NO_PUSH, NO_PUSH
         self.residual, self.speed, self.traction = np.zeros(min(1, wheels)), np.zeros(wheels), np.zeros(wheels)
         if not robot.steers:
             self.to_motors, (self.along, self.across) = pseudo_inverse(robot.E), sliding_rows(robot)
@@ -152,6 +161,8 @@ class ContactPlant:
         wheels = range(len(self.feet.wheels))
         self.pairs = [model.pair(f"wheel {i}").id for i in wheels]
         self.wheel_of = {model.geom(f"wheel {i}").id: i for i in wheels}
+        if self.on_rollers:
+            self.wheel_of = {}  # nothing of theirs grips
         self._wrench = np.zeros(6)
 
     def _take_model(self) -> None:
@@ -162,6 +173,27 @@ class ContactPlant:
         self.pivots = None if self.base is None else self.base.pivots
         self.friction = ContactFriction(robot, self.moving, self.at_v, model, self.base)
         self.engine = Steps(model, frozenset(self.wheel_of), self.method, self.pivots)
+        self.body_touching = self._body_touching()
+        if self.on_rollers:
+            self._take_rollers()
+
+    def _body_touching(self) -> int:
+        """Id of the body on which `hand` acts; the world without one."""
+        robot = self.robot
+        if not self.touching:
+            return 0
+        joint = robot.model.frames[robot.model.getFrameId(self.touching)].parentJoint
+        return int(self.model.body(f"{robot.model.names[joint]} body").id)
+
+    def _take_rollers(self) -> None:
+        """Wheels with rollers: the floor does not turn them, so what they weigh, and their friction, is the base's."""
+        robot, model = self.robot, self.model
+        rows = np.array([robot.rows[wheel.joint] for wheel in robot.base.wheels])
+        turning = np.array([model.dof_M0[model.joint(wheel.joint).dofadr[0]] for wheel in robot.base.wheels])
+        T = robot.T[rows, :3]
+        model.dof_armature[:2] = np.mean(turning @ T[:, :2] ** 2)
+        model.dof_armature[5] = turning @ T[:, 2] ** 2
+        self.friction.roll(np.ascontiguousarray(robot.T[rows]), rows)
 
     def start(self, position: Array, nu: Array) -> None:
         """Put the robot level on the floor at a position (nv,), rolling with nu (p,), no work done.
@@ -202,6 +234,9 @@ class ContactPlant:
     def motor_speeds(self, speeds: Array) -> None:
         """Speed of every motor's joint, (motors,) [rad/s or m/s]."""
         speeds[:] = self.data.qvel[self.motor_v]
+        if self.on_rollers:
+            wheels, nb = speeds.size - self.robot.dimensions.arm, self.robot.dimensions.base
+            speeds[:wheels] = self.robot.E[:nb, :wheels].T @ self.nu[:nb]
 
     def respond(self, tau: Array, E: Array, free: Array, answer: Array) -> None:
         """See `integrators.respond`; by our model, whose wheels roll: a wheel that slips is lighter."""
@@ -218,6 +253,11 @@ class ContactPlant:
         pushes = bool(pushed.any())
         own = tau - pushed if pushes else tau
         data.ctrl[:] = self.to_motors @ own if self.pivots is None else self.pivots.drive(own)
+        if self.on_rollers:
+            nb, wheels = self.robot.dimensions.base, len(self.robot.base.wheels)
+            data.ctrl[:wheels] = 0.0
+            pushed = np.concatenate((tau[:nb], pushed[nb:] if pushes else np.zeros(tau.size - nb)))
+            pushes = True
         for _ in range(self.steps):
             turned = data.qpos[self.motor_q]
             if self.contact.patches and self.motion is not None:
@@ -241,6 +281,10 @@ class ContactPlant:
             self.pivots.couple()
         data.qfrc_applied[:] = 0.0
         self.friction.apply(data, motion, self.hold[self.moving])
+        if pushed.size and self.hand.size:
+            pushed = pushed - self.by_hand
+            point, force = self.hand[:3], self.hand[3:]
+            self.mj.mj_applyFT(self.model, data, force, np.zeros(3), point, self.body_touching, data.qfrc_applied)
         if pushed.size:
             data.qfrc_applied[self.arm_v] += pushed[nb:]
             if self.base is not None and motion is not None:
@@ -285,7 +329,7 @@ class ContactPlant:
             along, across = self.pivots.sliding(self.data, self.motion.velocity)
             self.residual[0], self.speed[:] = np.linalg.norm((along, across)), arrays.hypot(along, across)
         elif self.base is not None:
-            self.residual[0] = np.linalg.norm(self.robot.A @ self.velocity)
+            self.residual[0] = 0.0 if self.on_rollers else np.linalg.norm(self.robot.A @ self.velocity)
             self.speed[:] = arrays.hypot(self.along @ self.velocity, self.across @ self.velocity)
         self.slip.take(self.speed)
 

@@ -16,7 +16,7 @@ from ...errors import ConfigError, RobotError
 from ...model.base.rolling import FOLLOWER, ROLES
 from ...model.base.steered import SteeredBase
 from ...model.robot import Robot
-from .feet import Contact, Feet, Foot, at_origin, turning_axis
+from .feet import Contact, Feet, Foot, at_origin, on_rollers, turning_axis
 
 SOFT_CASTER = ((0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0))  # solref, solimp: MuJoCo's defaults
 RIGID_IMPEDANCE = (0.99, 0.99, 0.001, 0.5, 2.0)
@@ -57,7 +57,7 @@ def compile_tree(robot: Robot, feet: Feet, contact: Contact, dt: float) -> Any:
     bodies = add_bodies(mj, spec, robot)
     add_motors(mj, spec, robot)
     add_ties(mj, spec, robot)
-    add_contacts(mj, spec, bodies, feet, robot.base.floor, contact, dt)
+    add_contacts(mj, spec, bodies, feet, robot, contact, dt)
     try:
         return spec.compile()
     except ValueError as error:
@@ -145,13 +145,15 @@ def tie_of(joint: str) -> str:
     return f"{joint} follows"
 
 
-def add_contacts(mj: Any, spec: Any, bodies: list[Any], feet: Feet, height: float, contact: Contact, dt: float) -> None:
+def add_contacts(mj: Any, spec: Any, bodies: list[Any], feet: Feet, robot: Robot, contact: Contact, dt: float) -> None:
     """The floor and one pair per foot, named `wheel 0`, ..., `caster 0`, ..."""
     rigid = (2 * dt, 1.0), RIGID_IMPEDANCE
     stiffness = {"wheel": rigid, "caster": rigid if contact.casters == "rigid" else SOFT_CASTER}
     if feet.wheels:
         plane = mj.mjtGeom.mjGEOM_PLANE
-        spec.worldbody.add_geom(name="floor", type=plane, size=[0, 0, 1], pos=[0, 0, height], contype=0, conaffinity=0)
+        spec.worldbody.add_geom(
+            name="floor", type=plane, size=[0, 0, 1], pos=[0, 0, robot.base.floor], contype=0, conaffinity=0
+        )
     named: list[tuple[str, int, Foot]] = [("wheel", i, foot) for i, foot in enumerate(feet.wheels)]
     named += [("caster", i, foot) for i, foot in enumerate(feet.casters)]
     for kind, i, foot in named:
@@ -160,7 +162,8 @@ def add_contacts(mj: Any, spec: Any, bodies: list[Any], feet: Feet, height: floa
         bodies[foot.joint].add_geom(
             name=name, type=sphere, size=[foot.radius, 0, 0], pos=foot.centre, contype=0, conaffinity=0
         )
-        pair = spec.add_pair(name=name, geomname1="floor", geomname2=name, condim=3 if kind == "wheel" else 1)
+        grips = kind == "wheel" and not on_rollers(robot)
+        pair = spec.add_pair(name=name, geomname1="floor", geomname2=name, condim=3 if grips else 1)
         pair.solref, pair.solimp = stiffness[kind]
         mu = max(NO_FRICTION, contact.friction)
         pair.friction = [mu, mu, NO_FRICTION, NO_FRICTION, NO_FRICTION]

@@ -203,3 +203,14 @@ def test_friction_is_added_to_the_urdfs_damping_as_the_keys_say(robot, tmp_path,
     for key in ("friction.base", "friction.arm", "friction.coulomb"):
         assert main(["docs", key]) == 0
         assert "added to" in capsys.readouterr().out
+
+
+def test_who_knows_what_of_changed_masses_is_said() -> None:
+    robot = load("platform_arm")
+    path = Trajectory.of(robot, base=Line(speed=0.3))
+    names = ["pd", "feedforward", "adaptive", "computed_torque"]
+    told = compare(robot.with_masses(1.2), path, names, duration=0.1).notes
+    [note] = [note for note in told if note.startswith("masses are not those of the file")]
+    assert "feedforward know those of the file; computed_torque know the true ones" in note
+    assert "adaptive know these times nominal.masses; the others none" in note
+    assert not any("masses are not" in note for note in compare(robot, path, ["pd"], duration=0.1).notes)

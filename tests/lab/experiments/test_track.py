@@ -20,7 +20,7 @@ from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.references import Swing
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show import comparison as table
-from mmnn_pin.loop.sampled import SampledLoop, sampled_loop
+from mmnn_pin.loop.sampled import Machinery, SampledLoop, sampled_loop
 from mmnn_pin.loop.suited import effective_inertia
 from mmnn_pin.model.base.base import Fixed
 from mmnn_pin.model.dynamics import Dynamics
@@ -173,7 +173,7 @@ def test_sampled_loop_knows_the_friction_of_joints():
     m, d, h, still = 4e-6, 1.0, 1e-3, Fixed.linear_errors(np.zeros(0), np.zeros(0))
 
     def verdict(gain: float) -> SampledLoop:
-        return sampled_loop(np.array([[m]]), np.array([gain]), still, np.zeros(1), h, np.array([[d]]))
+        return sampled_loop(np.array([[m]]), np.array([gain]), still, np.zeros(1), h, Machinery(np.array([[d]])))
 
     limit, phi = verdict(0.1).gain_limits[0], np.exp(-d * h / m)
     assert limit == pytest.approx((1 + phi) / ((1 - phi) / d))

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 from study_files import SHORT, planned, run_here
@@ -257,6 +257,30 @@ def test_a_region_that_the_runs_kept_apart_do_not_confirm_is_said_to_be_none() -
     assert found.region is not None and not found.region.cuts
     poor = replace(found, region=replace(found.region, success=rate(np.arange(20) < 1)))
     assert sentences(results, poor)[-1].endswith("succeed, fewer than the 95 % that were asked.")
+
+
+@given(st.integers(0, 10**6), st.integers(8, 60), st.floats(0.05, 0.95))
+@settings(max_examples=60, deadline=None)
+def test_what_is_said_of_ranges_holds_in_the_map_beside_it(seed: int, count: int, share: float) -> None:
+    """Read from the sentence and from the picture's numbers; neither shares code with the other."""
+    rng = np.random.default_rng(seed)
+    columns = {"x": rng.choice([1.0, 2.0, 3.0], count), "y": rng.choice([10.0, 20.0], count)}
+    good = (rng.random(count) < share) | ((columns["x"] == 2.0) & (rng.random(count) < 0.9))
+    results = made({"pd": good}, {"pd": np.ones(count)}, columns)
+    found = verdict(results)
+    if found.region is not None or found.controller is None:
+        return
+    told = sentences(results, found)[-1]
+    cuts = {name: float(value) for name, value in re.findall(r"\b([xy]) ([0-9.]+)", told)}
+    inside = np.logical_and.reduce([np.ones(count, bool), *(columns[name] == value for name, value in cuts.items())])
+    assert f"{100 * good[inside].mean():.1f} % [" in told and f"of {inside.sum()} runs" in told and cuts
+    cells = [int(text.get_text()) for text in plots.success_maps(results).axes[0].texts]
+    singles = [good[columns[name] == value].mean() for name in columns for value in set(columns[name])]
+    if told.startswith("Within"):
+        assert good[inside].mean() >= 0.95 and (len(cuts) == 1 or max(singles) < 0.95)
+    else:
+        assert max(cells) < 95 and max(singles) < 0.95
+    assert max(cells) < 95 or told.startswith("Within")
 
 
 def test_where_nothing_succeeds_nothing_is_recommended() -> None:

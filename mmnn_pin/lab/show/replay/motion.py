@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....errors import RecordingError
+from ....model.chain import chain_of, hands_of, track
 from ....model.robot import Robot
 from ....model.urdf.document import Document, Joint
 from ....plant.contact.plant import SLIPPING
@@ -27,6 +28,7 @@ from ....recording.recording import (
 from ....recording.tracking import prismatic_joints
 from ....safety import RAMPING, STEPPED_IN, STOPPING
 from ....signals import HAND, Array, IntArray
+from ...experiments.pushing import handle_way, surface_normal
 from ..files import Blob
 
 IncidentKind = Literal["stop", "slip", "limit"]
@@ -173,6 +175,7 @@ def packed(recording: Recording, robot: Robot, rows: IntArray, blob: Blob) -> di
         "position": blob.add(position, "f4"),
         "reference": None if reference is None else blob.add(reference, "f4"),
         "hands": list(hands(recording, rows, blob)),
+        "touch": touched(recording, robot, rows, blob),
     }
 
 
@@ -185,6 +188,27 @@ def hands(recording: Recording, rows: IntArray, blob: Blob) -> Iterator[dict[str
         true, wished = (table[:, len(HAND) * i : len(HAND) * (i + 1)] for table in tables)
         if drawable(true).all() and drawable(wished).all():
             yield {"name": name, "pose": blob.add(true, "f4"), "wanted": blob.add(wished, "f4")}
+
+
+def touched(recording: Recording, robot: Robot, rows: IntArray, blob: Blob) -> dict[str, Any] | None:
+    """The things that a hand touches: where (k, 3) with which force (k, 3), surfaces, a door; None without any."""
+    things = [one for one in recording.meta.get("disturbances", ()) if one.get("type") in ("surface", "door")]
+    if not things or "hand_force" not in recording:
+        return None
+    chain = chain_of(robot, things[0]["frame"] or hands_of(robot)[0])
+    places = track(chain, recorded_position(recording, robot)[rows])[:, 9:]
+    start = track(chain, recorded_position(recording, robot)[:1])[0, 9:]
+    found: dict[str, Any] = {"surfaces": [], "door": None}
+    for one in things:
+        if one["type"] == "surface":
+            normal = surface_normal(one, recording, robot)
+            point = start - one["gap"] * normal if one["at"] is None else np.array(one["at"])
+            found["surfaces"].append({"point": point.tolist(), "normal": normal.tolist()})
+        else:
+            arm = handle_way(recording, one)[1][rows]
+            x, y = start[:2] - arm[0, :2]
+            found["door"] = {"hinge": [float(x), float(y), float(start[2])], "handle": blob.add(arm[:, :2], "f4")}
+    return found | {"forces": blob.add(np.hstack((places, recording["hand_force"][rows])), "f4")}
 
 
 # -- events ------------------------------------------------------------------------------------------------------------

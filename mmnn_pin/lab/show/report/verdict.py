@@ -169,7 +169,8 @@ def points(result: Result) -> Iterator[str]:
     for name, recording in result.recordings.items():
         if controller_of(name, recording) in ORACLES and len(judged) and math.isfinite(scores[name]):
             left = percent(scores[name] / scores[judged[0]])
-            yield f"{name} knows the true model; its errors are {left} of those of {judged[0]}: more cannot be learned."
+            own = f"its errors are {left} of those of {judged[0]}"
+            yield f"{name} knows the true model: {own}. No learner can do better than that."
     for name, recording in result.recordings.items():
         if (kind := controller_of(name, recording)) in (*LEARNERS, "adaptive"):
             shares = {part: percent(result.metrics[name][f"learned_share.{part}"]) for part in halves(recording)}

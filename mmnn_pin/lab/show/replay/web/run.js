@@ -32,6 +32,7 @@ class RunView {
     }
     this.hands = (run.hands ?? []).map((hand) => ({ ...hand, axes: axesOf(THREE, 1), wish: axesOf(THREE, 0.35) }));
     for (const { axes, wish } of this.hands) for (const each of [wish, axes]) this.add("frames", each);
+    if (run.touch) this.touch = new TouchView(THREE, run.touch, robot.frame[3], this.group);
   }
 
   /** The path and the traces of the tips, driven and wanted. */
@@ -125,6 +126,7 @@ class RunView {
       this.place(axes, pose, low, high, share);
       this.place(wish, wanted, low, high, share);
     }
+    if (this.touch) this.touch.set(low, high, share);
     const seen = share < 1 ? low : high;
     for (const band of this.growing) {
       const ends = band.userData.ends;
@@ -145,6 +147,52 @@ class RunView {
       }
     }
     return here;
+  }
+}
+
+/** What a hand touches, and the force on the hand as an arrow of 1 cm for a newton. */
+class TouchView {
+  constructor(THREE, touch, floor, group) {
+    Object.assign(this, { THREE, touch, floor });
+    const red = { color: flat(THREE, 0xd8372c), depthTest: false, transparent: true };
+    const look = new THREE.MeshLambertMaterial({ color: flat(THREE, 0xb08a5a), transparent: true, opacity: 0.55 });
+    this.arrow = new THREE.Group();
+    this.shaft = new THREE.Mesh(new THREE.CylinderGeometry(0.012, 0.012, 1, 12), new THREE.MeshBasicMaterial(red));
+    this.head = new THREE.Mesh(new THREE.ConeGeometry(0.032, 0.07, 16), new THREE.MeshBasicMaterial(red));
+    this.arrow.add(this.shaft, this.head);
+    for (const each of [this.shaft, this.head]) each.renderOrder = 6;
+    group.add(this.arrow);
+    const up = new THREE.Vector3(0, 0, 1);
+    for (const { point, normal } of touch.surfaces) {
+      const slab = new THREE.Mesh(new THREE.BoxGeometry(1.6, 1.0, 0.03), look);
+      const facing = new THREE.Vector3(...normal);
+      slab.quaternion.setFromUnitVectors(up, facing);
+      slab.position.set(point[0] + 0.3, point[1], point[2] - floor).addScaledVector(facing, -0.015);
+      slab.receiveShadow = true;
+      group.add(slab);
+    }
+    if (touch.door) {
+      const [x, y] = touch.door.handle, width = Math.hypot(x, y) + 0.08, height = touch.door.hinge[2] - floor;
+      const panel = new THREE.Mesh(new THREE.BoxGeometry(width, 0.035, height + 0.9), look);
+      panel.position.set(width / 2, 0, (0.9 - height) / 2);
+      panel.castShadow = true;
+      this.door = new THREE.Group();
+      this.door.add(panel);
+      this.door.position.set(touch.door.hinge[0], touch.door.hinge[1], height);
+      group.add(this.door);
+    }
+  }
+
+  set(low, high, share) {
+    const { forces, door } = this.touch, at = [0, 1, 2, 3, 4, 5].map((i) => forces[6 * low + i] + share * (forces[6 * high + i] - forces[6 * low + i]));
+    const force = new this.THREE.Vector3(...at.slice(3)), length = 0.01 * force.length();
+    this.arrow.visible = length > 0.005;
+    this.arrow.position.set(at[0], at[1], at[2] - this.floor);
+    this.arrow.quaternion.setFromUnitVectors(new this.THREE.Vector3(0, 1, 0), force.normalize());
+    this.shaft.scale.y = Math.max(length, 1e-6);
+    this.shaft.position.y = length / 2;
+    this.head.position.y = length + 0.03;
+    if (this.door) this.door.rotation.z = Math.atan2(door.handle[2 * low + 1], door.handle[2 * low]);
   }
 }
 

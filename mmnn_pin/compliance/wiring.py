@@ -1,0 +1,157 @@
+"""A compliant hand of one robot, made from its settings."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..elementary.matrices import inverse, length, product
+from ..errors import ConfigError, keyed
+from ..model.base.steered import SteeredBase
+from ..model.chain import SIZE, chain_of, hands_of, move, pushing
+from ..model.robot import Robot
+from ..model.tree.body import body_of, evaluate, new_work
+from ..signals import Array
+from .bound import Held, bound_of
+from .law import DIRECTION, FORCE, STATE, Compliance, HandScratch
+from .settings import Force, Impedance
+
+LEAST_STIFFNESS, LEAST_ROTATION = 100.0, 5.0  # by which an axis without a spring is damped [N/m, N m/rad]
+
+
+def compliance_size(impedance: Impedance | None) -> int:
+    """How many numbers a compliant hand remembers, 0 without one."""
+    return 0 if impedance is None else STATE
+
+
+def hand_of(impedance: Impedance, robot: Robot) -> str:
+    """The frame of a compliant hand.
+
+    Raises:
+        ConfigError: A robot without an arm, or a frame that no joint of the arm moves.
+    """
+    frame = impedance.frame or hands_of(robot)[0]
+    if robot.model.existFrame(frame):
+        joint = robot.model.frames[robot.model.getFrameId(frame)].parentJoint
+        arm = {robot.model.getJointId(name) for name in robot.joint_names}
+        if not arm & {*robot.model.supports[joint]}:
+            why, fix = "no joint of the arm moves it", f"name one that does, such as '{hands_of(robot)[0]}'"
+            raise ConfigError(f"'{frame}' stands still on '{robot.name}'", why=why, fix=fix, key="impedance.frame")
+    return frame
+
+
+def compliance_of(
+    impedance: Impedance,
+    force: Force | None,
+    robot: Robot,
+    believed: Robot,
+    held: Held,
+    position: Array,
+    state: Array,
+    felt: int = -1,
+) -> Compliance:
+    """A compliant hand of a robot.
+
+    Args:
+        impedance: What it resists with.
+        force: What it pushes with; None for nothing.
+        robot: The robot, as the controller takes it.
+        believed: Whose inertias the posture goes by.
+        held: The loop around it: gains, period, delay, servos.
+        position: (nv,) where it starts, where damping ratios hold and the bound is taken.
+        state: (`compliance_size`,) what it remembers, written.
+        felt: Place of the signal `external_torque` in a row, -1 without it.
+
+    Raises:
+        ConfigError: No such hand, not one number per axis or joint, or a stiffness beyond the bound.
+        RobotError: A base that steers, a frame that cannot be led, or a joint that cannot be flattened.
+    """
+    if isinstance(robot.base, SteeredBase):
+        what, fix = f"a compliant hand on the {robot.base.kind} base of '{robot.name}'", "use another base"
+        raise ConfigError(what, why="its wheels have to turn before they give way", fix=fix, key="impedance")
+    with keyed(lambda key: "impedance.frame"):
+        chain = chain_of(robot, hand_of(impedance, robot))
+    d = robot.dimensions
+    J, place = np.zeros((6, d.dof)), np.zeros(SIZE)
+    move(chain, position, np.zeros(d.dof), place, np.zeros(6), np.zeros(6), J)
+    body = body_of(believed)
+    inertia = new_work(body)
+    evaluate(body, inertia, position, np.zeros(d.dof))
+    M = inertia.M.copy()
+    springs = np.concatenate([np.broadcast_to(each, 3) for each in (impedance.stiffness, impedance.rotation)])
+    rows = 6 if springs[3:].any() else 3
+    masses = hand_masses(M, J, place if impedance.axes == "hand" else None)
+    numbers = np.zeros(FORCE)
+    if force is not None:
+        along = pushing(chain, position, d.arm) if force.along is None else np.array(force.along) / length(force.along)
+        numbers[:] = (
+            force.newtons, force.start, force.rise, force.gain, float(force.follow), force.speed, force.far,
+            force.turning,
+        )  # fmt: skip
+        state[DIRECTION : DIRECTION + 3] = along
+    admits = bool(np.any(held.on[d.base :]))
+    if admits and felt < 0:
+        why, fix = "the arm takes no torques, and nothing tells what it feels", "drive the arm by effort"
+        raise ConfigError(f"a compliant hand of '{robot.name}'", why=why, fix=fix, key="impedance")
+    made = Compliance(
+        chain=chain,
+        offset=robot.arm_map()[0],
+        columns=robot.arm_map()[1],
+        rows=rows,
+        by_hand=float(impedance.axes == "hand"),
+        springs=springs.astype(float),
+        dampers=dampers(impedance, springs, masses),
+        limit=impedance.limit,
+        station=impedance.station,
+        weights=weights_of(J[:3], d.base, impedance.share),
+        still=held.gains.copy(),
+        force=numbers,
+        mass=(masses if impedance.mass is None else impedance.mass * masses / masses[0]) if admits else np.zeros(0),
+        felt=felt,
+        h=held.period,
+        body=body,
+        inertia=inertia,
+        torque=np.zeros(d.dof),
+        state=state,
+        work=HandScratch(
+            place=np.zeros((2, SIZE)),
+            twist=np.zeros((2, 6)),
+            bias=np.zeros((2, 6)),
+            position=np.zeros(d.full),
+            nu=np.zeros((2, d.dof)),
+            nudot=np.zeros(d.dof),
+            J=J,
+            A=np.zeros((2, rows, rows)),
+            X=np.zeros((rows, d.dof)),
+            L=np.zeros((d.dof, d.dof)),
+            b=np.zeros((5, 6)),
+            s=np.zeros((1, d.dof)),
+        ),
+    )
+    bound_of(made, M, held).require(impedance)
+    return made
+
+
+def weights_of(J: Array, base: int, share: float) -> Array:
+    """(p,) W: along J (3, p) the first `base` velocities take a share of the hand's motion, the others the rest."""
+    W, own = np.ones(J.shape[1]), float(np.sum(J[:, base:] ** 2))
+    if base:
+        W[:base] = share / (1.0 - share) * own / float(np.sum(J[:, :base] ** 2))
+    return W
+
+
+def hand_masses(M: Array, J: Array, place: Array | None) -> Array:
+    """(6,) what the hand weighs along and about every axis, of the world or of its own placement [kg, kg m^2]."""
+    R = np.eye(3) if place is None else place[:9].reshape(3, 3)
+    own = np.vstack((product(R.T, J[:3]), product(R.T, J[3:])))
+    answers = np.diag(product(own, inverse(M), own.T))
+    return 1.0 / np.maximum(answers, 1e-3)
+
+
+def dampers(impedance: Impedance, springs: Array, masses: Array) -> Array:
+    """(6,) what is given, else `2 ratio sqrt(k m)`; an axis without a spring as one with the least."""
+    least = np.repeat((LEAST_STIFFNESS, LEAST_ROTATION), 3)
+    found = 2.0 * impedance.ratio * np.sqrt(np.maximum(springs, least) * np.minimum(masses, 50.0))
+    for half, given in ((0, impedance.damping), (3, impedance.rotation_damping)):
+        if given is not None:
+            found[half : half + 3] = given
+    return np.asarray(found, float)

@@ -1,0 +1,223 @@
+"""The table of a robot's hardware: what stands behind its joints and its base.
+
+It is `[hardware]` in an experiment, `ROBOT.hardware.toml` beside a URDF, or a profile that comes with the package
+(`profiles/`), which `--hardware NAME` takes and `profile = "NAME"` starts from. `hardware` has what follows from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from ...errors import ConfigError, InputError, UnknownKey, UnknownName
+from ...files import read_toml
+from ...model.robots import find
+from ...settings import Settings, require_numbers
+from ...settings.arguments import unknown_key, wrong_type
+
+PROFILES = Path(__file__).parent / "profiles"
+GROUPS = ("arm", "slides", "wheels", "steering")
+
+
+class JointHardware(Settings, frozen=True):
+    """Hardware of a joint, or of a group of joints; what is None is not known. All numbers are at the joint.
+
+    Args:
+        interface: What is sent: "effort", "velocity", "position"; "current" or "pwm" for an effort in these units;
+            "offered" for what the URDF's `ros2_control` tags offer, a position for joints, a velocity for wheels first.
+        bandwidth: Of the servo [1/s]; of a position servo with a stiffness that over its damping.
+        stiffness: Kp of a position servo [N m/rad or N/m], see `loop.servo.Servo`, like those that follow.
+        damping: Kd of it, back-EMF included [N m s/rad or N s/m].
+        integral: Ki of it [N m/(rad s) or N/(m s)].
+        stall: Torque at rest with all voltage [N m or N].
+        dead_band: Error that is none [rad or m].
+        profile_speed: Of its own profile [rad/s or m/s].
+        profile_acceleration: Likewise [rad/s^2 or m/s^2].
+        rate: Of its own loop [1/s].
+        torque: Largest one, in place of the URDF's [N m or N].
+        speed: Likewise [rad/s or m/s].
+        lag: Of a motor that takes efforts, its current loop [s].
+        encoder: Step of the encoder [rad or m].
+        backlash: Of the gear, from flank to flank [rad or m].
+        rotor: Inertia of the rotor seen through the gear [kg m^2 or kg].
+        friction: Viscous, where the URDF states less [N m s/rad or N s/m].
+        coulomb: Dry, likewise [N m or N].
+        torque_constant: Torque per current or, for "pwm", at full duty [N m/A or N m].
+
+    Raises:
+        ConfigError: A number that is negative or not finite.
+    """
+
+    interface: Literal["effort", "velocity", "position", "current", "pwm", "offered"] | None = None
+    bandwidth: float | None = None
+    stiffness: float | None = None
+    damping: float | None = None
+    integral: float | None = None
+    stall: float | None = None
+    dead_band: float | None = None
+    profile_speed: float | None = None
+    profile_acceleration: float | None = None
+    rate: float | None = None
+    torque: float | None = None
+    speed: float | None = None
+    lag: float | None = None
+    encoder: float | None = None
+    backlash: float | None = None
+    rotor: float | None = None
+    friction: float | None = None
+    coulomb: float | None = None
+    torque_constant: float | None = None
+
+    def __post_init__(self) -> None:
+        require_numbers(self, "", ("bandwidth", "stiffness", "rate", "torque", "speed", "torque_constant"))
+
+
+class BaseHardware(Settings, frozen=True):
+    """Hardware of a base.
+
+    Args:
+        odometry: Where its pose comes from: "wheels", integrated from their encoders, or "true".
+        rate: How often it is told [1/s]; what it is older by counts as delay.
+        delay: Of it [s].
+        lag: Time constant of its velocity, where wheels' `bandwidth` does not say [s].
+    """
+
+    odometry: Literal["wheels", "true"] = "true"
+    rate: float | None = None
+    delay: float = 0.0
+    lag: float | None = None
+
+    def __post_init__(self) -> None:
+        require_numbers(self, "base", ("rate", "lag"))
+
+
+class HardwareTable(Settings, frozen=True):
+    """Hardware of a robot: groups of its joints, and single ones.
+
+    Args:
+        profile: Name of a profile or a file to start from.
+        title: One line.
+        robots: Regular expression of names of robots, or of their folders, which have it.
+        sources: Where the numbers come from.
+        rate: Control samples per second, "experiment" for its own [1/s].
+        delay: From a measurement to servos or motors [s].
+        jitter: Largest further delay of a command [s].
+        velocity: Where measured velocities come from, as `Sensor.velocity`.
+        filter: Their bandwidth [rad/s].
+        arm: Joints of the arm that turn.
+        slides: Those that slide; of the arm's numbers they take interface, bandwidth and rate.
+        wheels: Wheels that drive.
+        steering: Joints that steer, and the arm's numbers for none.
+        joints: Single joints, by name or pattern (`*`), more than their group.
+        base: The base.
+        notes: What reading it has found.
+    """
+
+    profile: str = ""
+    title: str = ""
+    robots: str = ""
+    sources: tuple[str, ...] = ()
+    rate: float | None = None
+    delay: float = 0.0
+    jitter: float = 0.0
+    velocity: Literal["true", "difference", "filtered", "observer", "model"] = "true"
+    filter: float = 100.0
+    arm: JointHardware = JointHardware()
+    slides: JointHardware = JointHardware()
+    wheels: JointHardware = JointHardware()
+    steering: JointHardware = JointHardware()
+    joints: dict[str, JointHardware] = msgspec.field(default_factory=dict)
+    base: BaseHardware = BaseHardware()
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.rate is not None and not 1.0 <= self.rate <= 1e4:
+            raise ConfigError(f"{self.rate:g} control samples per second", fix="use 1 to 10000", key="rate")
+        if not (0.0 <= self.delay <= 1.0 and 0.0 <= self.jitter <= 1.0):
+            fix = "give seconds from 0 to 1"
+            raise ConfigError(f"{self.delay:g} and {self.jitter:g} s", fix=fix, key="delay")
+
+
+def profiles() -> dict[str, Path]:
+    """The profiles that come with the package, name to file."""
+    return {path.stem: path for path in sorted(PROFILES.glob("*.toml"))}
+
+
+def beside_urdf(robot: str) -> str | None:
+    """The table that lies beside a robot's URDF; None where there is none."""
+    try:
+        path = find(robot)
+    except InputError:
+        return None
+    file = path.parent / f"{path.name.partition('.')[0]}.hardware.toml"
+    return str(file) if file.is_file() else None
+
+
+def read_hardware(given: str | Mapping[str, Any], merge: Callable[..., dict[str, Any]]) -> HardwareTable:
+    """A table of hardware on top of the profile that it starts from.
+
+    Args:
+        given: Name of a profile, a file, or a table.
+        merge: Two tables into one, the second counts more.
+
+    Raises:
+        UnknownName: No such profile or key.
+        ConfigError: A file that cannot be read, a value that cannot be.
+    """
+    table, file = completed(given, merge, ())
+    kinds = dict.fromkeys(GROUPS, JointHardware) | {"base": BaseHardware}
+    for name, value in table.items():
+        if name in kinds:
+            converted(value, kinds[name], file, f"{name}.")
+        elif name == "joints" and isinstance(value, Mapping):
+            for joint, item in value.items():
+                converted(item, JointHardware, file, f"joints.{joint}.")
+    made: HardwareTable = converted(table, HardwareTable, file, "")
+    return made
+
+
+def completed(
+    given: str | Mapping[str, Any], merge: Callable[..., dict[str, Any]], before: tuple[Path, ...]
+) -> tuple[dict[str, Any], Path | None]:
+    """The whole table of `read_hardware`, and the file that it stands in; None for none."""
+    file: Path | None = None
+    if isinstance(given, str):
+        file = profiles().get(given, Path(given))
+        if given not in profiles() and (not file.suffix or not file.is_file()):
+            if file.suffix:
+                raise ConfigError("no such file", fix=f"or name one of: {', '.join(profiles())}", file=file)
+            raise UnknownName("hardware", given, profiles(), key="hardware")
+        if file in before:
+            raise ConfigError("starts from itself", fix="name another profile", file=file, key="profile")
+        given = read_toml(file)
+    start = given.get("profile")
+    if not isinstance(start, str) or not start:
+        return dict(given), file
+    if file is not None and (file.parent / start).is_file():
+        start = str(file.parent / start)
+    try:
+        inner, _ = completed(start, merge, (*before, *([] if file is None else [file])))
+    except UnknownName as error:
+        raise error.but(file=file, key="profile" if file else "hardware.profile") from None
+    return merge(inner, given), file
+
+
+def converted(value: Any, kind: type[Settings], file: Path | None, prefix: str) -> Any:
+    """One table as settings of a kind; errors name its file, or its key within an experiment."""
+    front = prefix if file is not None else f"hardware.{prefix}"
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        message, _, where = str(error).partition(" - at ")
+        key = (front + where.strip("`").removeprefix("$").removeprefix(".")).rstrip(".") or None
+        if (unknown := unknown_key(error)) is not None:
+            fix = f"there is: {', '.join(kind.__struct_fields__)}"
+            raise UnknownKey(unknown, fix=fix, file=file, key=key) from None
+        what, fix = wrong_type(message)
+        raise ConfigError(what, fix=fix, file=file, key=key) from None
+    except ConfigError as error:
+        own = (error.key or "").removeprefix(".").removeprefix("base.")
+        raise error.but(file=file, key=f"{front}{own}".rstrip(".")) from None

@@ -1,0 +1,287 @@
+"""A compliant hand: its law against plain numpy and Pinocchio, its springs against their energy, what it refuses."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from mmnn_pin import load
+from mmnn_pin.compliance import Force, Held, Impedance, bound_of, compliance_of, compliance_size, give, wish
+from mmnn_pin.compliance.bound import radius
+from mmnn_pin.compliance.law import admit, displacement, springs_and_dampers
+from mmnn_pin.disturbance import Forces, HingedDoor, Surface, scene_of, scene_size, touched_frame
+from mmnn_pin.errors import ConfigError, InputError
+from mmnn_pin.loop.loop import Loop
+from mmnn_pin.model.chain import SIZE, hands_of, move
+from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.reference import Hold, Line, Trajectory
+from mmnn_pin.settings import Timing
+from mmnn_pin.signals import Layout
+from mmnn_pin.torque.controller import Feedback
+from mmnn_pin.torque.model_based import ComputedTorque
+
+RNG = np.random.default_rng(5)
+ROBOT = load("platform_arm")
+H, DEFAULT = 0.001, Impedance()
+
+
+def held(robot, delay=0.0, gain=5.0, period=H):
+    p = robot.dimensions.dof
+    M = Dynamics(robot).mass_matrix(robot.neutral_position())
+    rates = np.concatenate((np.zeros(robot.dimensions.base), np.full(robot.dimensions.arm, 3.0)))
+    return Held(gain * np.diag(M), rates, period, delay, np.zeros(p), np.full(p, 30.0), np.zeros((p, p)))
+
+
+def made(robot=ROBOT, impedance=DEFAULT, force=None, position=None, **more):
+    position = position_of(robot, np.zeros(robot.dimensions.pose), None) if position is None else position
+    state = np.zeros(compliance_size(impedance))
+    return compliance_of(impedance, force, robot, robot, more.pop("held", held(robot)), position, state, **more)
+
+
+def position_of(robot, pose, q):
+    position = robot.neutral_position()
+    if robot.dimensions.base:
+        position[:3] = pose
+    position[robot.arm_index] = np.linspace(0.4, 0.9, robot.dimensions.arm) if q is None else q
+    return robot.follow(position)
+
+
+class Row:
+    """A row of one sample with random setpoint and measurement, and what it should give by numpy and Pinocchio."""
+
+    def __init__(self, robot, impedance):
+        d = robot.dimensions
+        self.robot, self.layout = robot, Layout.of(d, hardware=1, task=1)
+        row = self.row = self.layout.new_row()
+        n, rng = d.arm, RNG
+        self.pose_ref, self.pose = rng.normal(0.0, 0.1, (2, d.pose))
+        self.q_ref = np.linspace(0.4, 0.9, n) + rng.normal(0.0, 0.05, n)
+        self.q, self.nu = self.q_ref + rng.normal(0.0, 0.1, n), rng.normal(0.0, 0.2, d.dof)
+        self.nu_kin, self.nudot_kin, self.gain = rng.normal(0.0, 0.2, d.dof), rng.normal(size=d.dof), 5.0
+        for name, value in (
+            ("pose_ref", self.pose_ref), ("pose", self.pose), ("q_ref", self.q_ref), ("q", self.q),
+            ("velocity", self.nu[: d.base]), ("qdot", self.nu[d.base :]), ("nu_ref", self.nu_kin),
+            ("nudot_ref", self.nudot_kin), ("torque", np.ones(d.dof)), ("effective_gain", np.full(d.dof, self.gain)),
+        ):  # fmt: skip
+            row[self.layout.where(name)] = value
+        self.compliance = made(robot, impedance, position=position_of(robot, self.pose_ref, self.q_ref))
+
+    def __getitem__(self, name):
+        return self.row[self.layout.where(name)]
+
+    def run(self):
+        wish(self.row, self.layout.offsets, self.compliance)
+        give(self.row, self.layout.offsets, self.compliance)
+
+    def frame(self, pose, q):
+        """Placement and Jacobian (6, p) of the hand by Pinocchio, in the world's axes."""
+        robot, position = self.robot, position_of(self.robot, pose, q)
+        data, name = robot.model.createData(), hands_of(robot)[0]
+        configuration = robot.configuration(position)
+        pin.computeJointJacobians(robot.model, data, configuration)
+        pin.updateFramePlacements(robot.model, data)
+        k = robot.model.getFrameId(name)
+        J = pin.getFrameJacobian(robot.model, data, k, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        return data.oMf[k], J @ robot.T, Dynamics(robot).mass_matrix(position)
+
+
+@pytest.mark.parametrize("rotation", [0.0, 8.0])
+def test_the_law_is_that_of_numpy_and_pinocchio(rotation):
+    """On an arm of six joints and on a mobile one; a fresh computation from Jacobians that Pinocchio gives."""
+    for name in ("platform_arm", "ur5"):
+        robot = load(name)
+        if name == "platform_arm" and rotation:
+            continue  # four velocities cannot have six stiffnesses
+        k = np.array([200.0, 300.0, 400.0])
+        one = Row(robot, Impedance(stiffness=tuple(k), rotation=rotation, damping=20.0, rotation_damping=1.0))
+        c, rows = one.compliance, 6 if rotation else 3
+        one.run()
+        wanted, _, _ = one.frame(one.pose_ref, one.q_ref)
+        there, J, M = one.frame(one.pose, one.q)
+        Jt, W = J[:rows], np.diag(c.weights)
+        A = Jt @ W @ Jt.T
+        A += 1e-6 * np.trace(A) * np.eye(rows)
+        nu_ref = one.nu_kin - W @ Jt.T @ np.linalg.solve(A, Jt @ one.nu_kin)
+        np.testing.assert_allclose(one["nu_ref"], nu_ref, atol=1e-9)
+        s = nu_ref - one.nu
+        v, F = J @ one.nu, np.zeros(6)
+        F[:3] = np.clip(k * (wanted.translation - there.translation), -60, 60) - 20.0 * v[:3]
+        if rotation:
+            e = pin.Quaternion(wanted.rotation @ there.rotation.T)
+            F[3:] = 2 * rotation * e.w * np.array([e.x, e.y, e.z]) - v[3:]
+        X = np.linalg.solve(M, Jt.T)
+        B = Jt @ X
+        P = np.eye(len(M)) - X @ np.linalg.solve(B + 1e-6 * np.trace(B) * np.eye(rows), Jt)
+        torque = 1.0 + J.T @ F + P.T @ (c.still * (P @ s)) - one.gain * s
+        np.testing.assert_allclose(one["torque"], torque, atol=1e-6, rtol=1e-6)
+        np.testing.assert_allclose(one["asked_force"], F[:3], atol=1e-8)
+
+
+@pytest.mark.parametrize("axes", ["world", "hand"])
+def test_springs_are_gradients_of_their_energy(axes):
+    """Central differences of the energy along random twists of the hand."""
+    c = made(load("ur5"), Impedance(stiffness=(100.0, 300.0, 900.0), rotation=(3.0, 5.0, 9.0), axes=axes, limit=15.0))
+    robot_chain, J = c.chain, np.zeros((6, 6))
+    wanted, q = np.zeros(SIZE), RNG.normal(0.0, 1.0, 6)
+    move(robot_chain, q + RNG.normal(0.0, 0.3, 6), np.zeros(6), wanted, np.zeros(6), np.zeros(6), J)
+    c.work.place[0] = wanted
+
+    def energy(q):
+        place, error, F = np.zeros(SIZE), np.zeros(6), np.zeros(6)
+        move(robot_chain, q, np.zeros(6), place, np.zeros(6), np.zeros(6), J)
+        displacement(wanted, place, error)
+        return springs_and_dampers(np.zeros(6), error, c, F), F
+
+    _, F = energy(q)
+    torque = J.T @ F
+    for i in range(6):
+        step = 1e-6 * np.eye(6)[i]
+        slope = (energy(q + step)[0] - energy(q - step)[0]) / 2e-6
+        assert torque[i] == pytest.approx(-slope, abs=1e-6 * (1 + abs(slope)))
+
+
+def still(impedance, *disturbances, force=None, seconds=3.0, **more):
+    """A loop of the true model around a robot at rest."""
+    arm = {"arm_1_joint": Hold(0.4), "arm_2_joint": Hold(1.4)}
+    trajectory = Trajectory.of(ROBOT, base=Line(speed=0.0), arm=arm)
+    timing = Timing(duration=seconds, control_period=0.002, plant_step=0.001)
+    return Loop(
+        ROBOT, trajectory, ComputedTorque(Feedback(base=15.0, arm=30.0, scaling="inertia")), timing=timing,
+        impedance=impedance, force=force, disturbances=disturbances, **more,
+    )  # fmt: skip
+
+
+def test_a_hand_has_the_stiffness_that_was_asked_and_its_force_that_of_the_setpoint():
+    """The world's spring begins 3 cm behind the hand: at rest K x = k (d - x)."""
+    spring = Surface(normal=(0.0, -1.0, 0.0), gap=-0.03, stiffness=600.0, damping=60.0, friction=0.0)
+    run = still(Impedance(stiffness=300.0), spring).run()
+    force, asked = run["hand_force"][-1], run["asked_force"][-1]
+    moved = -force[1] / 300.0
+    assert moved == pytest.approx(0.03 * 600.0 / 900.0, rel=0.01)
+    np.testing.assert_allclose(asked[:2], -force[:2], atol=0.05)
+    assert run["storage"][-1] == pytest.approx(0.5 * 300.0 * moved**2, rel=0.03)
+
+    pushed = still(Impedance(stiffness=300.0), replace_gap(spring, 0.01), force=Force(newtons=12.0, start=0.2)).run()
+    assert pushed["hand_force"][-1, 1] == pytest.approx(-12.0, rel=0.01)
+
+
+def replace_gap(surface, gap):
+    return Surface(normal=surface.normal, gap=gap, stiffness=surface.stiffness, damping=60.0, friction=0.0)
+
+
+def test_random_contacts_get_no_energy_from_a_hand_at_rest():
+    """Energy that the world took beyond what it gave stays below what integration leaves."""
+    rng = np.random.default_rng(3)
+    surfaces = [
+        Surface(
+            normal=(0.0, -1.0, 0.0), gap=float(rng.uniform(-0.03, 0.0)), stiffness=float(10 ** rng.uniform(2.5, 3.7)),
+            damping=0.0, friction=0.0, start=float(t), end=float(t + 0.3),
+        )
+        for t in rng.uniform(0.1, 2.2, 5)
+    ]  # fmt: skip
+    run = still(Impedance(stiffness=300.0), *surfaces).run()
+    power = np.sum(run["disturbance"] * run["nu"], axis=1)
+    taken = -np.cumsum(power) * 0.002
+    assert np.ptp(power) > 0.1
+    assert taken.max() < 0.02
+
+
+def test_a_door_about_an_unknown_hinge_is_opened_along_its_way():
+    force = Force(along=(-1.0, 0.0, 0.0), newtons=40.0, start=0.1, follow=True, speed=0.2, far=0.8)
+    door = HingedDoor(hinge=(0.0, -0.6), friction=1.0)
+    run = still(Impedance(stiffness=100.0, station=0.0), door, force=force, seconds=6.0).run()
+    assert math.degrees(run["opening"].max()) > 60.0
+    angle = np.ravel(run["opening"])
+    way = np.stack((-np.cos(angle), -np.sin(angle)), axis=1)
+    sideways = run["hand_force"][:, :2] - np.sum(run["hand_force"][:, :2] * way, axis=1)[:, None] * way
+    assert np.linalg.norm(sideways, axis=1)[angle < math.radians(60)].max() < 15.0
+
+
+def test_the_bound_is_where_the_sampled_loop_turns_unstable():
+    """A mass on a held, late spring and damper: its own eigenvalues by numpy, without our blocks."""
+    h, m, K, D, late = 0.01, 2.0, 400.0, 10.0, 1
+    one = Held(np.zeros(1), np.zeros(1), h, late * h, np.zeros(1), np.ones(1), np.zeros((1, 1)))
+    found = radius(np.array([[K, D]]), np.zeros((1, 1)), np.array([[m]]), np.zeros((1, 1)), one)
+    closed = np.array([[1.0, h, h * h / 2 / m], [0.0, 1.0, h / m], [-K, -D, 0.0]])
+    assert found == pytest.approx(np.abs(np.linalg.eigvals(closed)).max(), rel=1e-12)
+    c = made()
+    M = Dynamics(ROBOT).mass_matrix(position_of(ROBOT, np.zeros(3), None))
+    slow = bound_of(c, M, held(ROBOT, 0.02)).factor
+    fast = bound_of(c, M, held(ROBOT, 0.002)).factor
+    assert 0.0 < slow < fast
+
+
+def test_an_admittance_moves_its_mass_by_what_is_felt():
+    robot = load("ur5")
+    one = held(robot)._replace(on=np.ones(6))
+    c = made(robot, Impedance(stiffness=200.0, damping=40.0, mass=2.0), held=one, felt=0)
+    layout = Layout.of(robot.dimensions, hardware=1, task=1)
+    row = layout.new_row()
+    row[:6] = [3.0, 0.0, 0.0, 0.0, 0.0, 0.0]  # the wrench that is felt stands first
+    x = v = 0.0
+    for k in range(3000):
+        admit(row, 0.001 * k, c)
+        v += H * (3.0 - 200.0 * x - 40.0 * v) / c.mass[0]
+        x += H * v
+    assert c.state[5] == pytest.approx(x, rel=1e-9)
+    assert x == pytest.approx(3.0 / 200.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda: Impedance(stiffness=-1.0), "negative"),
+        (lambda: Impedance(share=1.0), "between 0 and 1"),
+        (lambda: Impedance(limit=0.0), "> 0"),
+        (lambda: Force(along=(0.0, 0.0, 0.0)), "no direction"),
+        (lambda: Force(newtons=math.inf), "not finite"),
+        (lambda: made(impedance=Impedance(frame="nowhere")), "nowhere"),
+        (lambda: made(impedance=Impedance(frame="base_link")), "stands still"),
+        (lambda: made(load("car_arm")), "has to|have to turn"),
+        (lambda: made(held=held(ROBOT)._replace(on=np.ones(4))), "feels"),
+        (lambda: made(impedance=Impedance(stiffness=1e9)), "the bound is"),
+        (lambda: made(impedance=Impedance(damping=1e6)), "unstable|bound"),
+        (lambda: Surface(normal=(0.0, 0.0, 0.0)), "no direction"),
+        (lambda: Surface(stiffness=0.0), "> 0"),
+        (lambda: HingedDoor(hinge=(0.0, 0.01)), "0.05"),
+        (lambda: touched_frame((HingedDoor(), HingedDoor()), ROBOT), "second door"),
+        (lambda: touched_frame((Surface(frame="arm_tip"), Surface(frame="base_link")), ROBOT), "beside"),
+        (
+            lambda: still(Impedance(), force=None, seconds=0.1).__class__ and Loop.run(still(None, force=Force())),
+            "force",
+        ),
+    ],
+)
+def test_bad_input_is_one_line(change, words):
+    with pytest.raises(InputError, match=words) as caught:
+        change()
+    assert "\n" not in str(caught.value)
+
+
+def test_the_bound_that_is_printed_can_be_used():
+    with pytest.raises(ConfigError) as caught:
+        made(impedance=Impedance(stiffness=1e9))
+    most = float(str(caught.value.fix).split()[-1])
+    made(impedance=Impedance(stiffness=most))
+
+
+def test_the_forces_of_a_surface_and_of_a_door_are_their_closed_forms():
+    position = position_of(ROBOT, np.array([0.2, 0.1, 0.3]), None)
+    nu = np.array([0.1, 0.2, -0.3, 0.4])
+    surface = Surface(normal=(0.0, -2.0, 0.0), gap=-0.01, stiffness=1e3, damping=0.0, friction=0.0)
+    events = (surface, HingedDoor(hinge=(0.0, -0.5), grip=100.0, grip_damping=7.0, friction=0.0, damping=0.0))
+    state = np.zeros(scene_size(events))
+    scene = scene_of(events, ROBOT, 0.01, position, state, touched_frame(events, ROBOT))
+    wire = Forces(np.zeros(4), position, nu, np.zeros(4), np.zeros(6))
+    scene.act(wire, 0, 0.0)
+    v = scene.J[:3] @ nu
+    expected = np.array([0.0, -10.0, 0.0]) - 7.0 * v
+    np.testing.assert_allclose(wire.hand[3:], expected, atol=1e-9)
+    np.testing.assert_allclose(wire.force, scene.J[:3].T @ expected, atol=1e-9)
+    c, s = math.cos(0.3), math.sin(0.3)
+    arm = np.array([-s * 0.5, c * 0.5])  # from the hinge to the handle
+    pull = 7.0 * v[:2]
+    assert state[-1] == pytest.approx(0.01 * (arm[0] * pull[1] - arm[1] * pull[0]) / 4.0)

@@ -1,0 +1,194 @@
+"""The table of hardware: profiles, what follows from them by hand, who counts more, and every robot on some of them."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from mmnn_pin import Stepper, load, load_experiment
+from mmnn_pin.errors import ConfigError, InputError, UnknownName
+from mmnn_pin.files import read_toml
+from mmnn_pin.lab.experiments.config import merged
+from mmnn_pin.lab.experiments.hardware import Fitted, lines, proposed
+from mmnn_pin.lab.experiments.hardware_table import HardwareTable, JointHardware, profiles, read_hardware
+from mmnn_pin.lab.experiments.runner import require_runnable, run_experiment
+from mmnn_pin.model.robots import bundled, extra, robot_data
+from mmnn_pin.safety import Safety
+
+needs_data = pytest.mark.skipif(robot_data() is None, reason="example-robot-data is not installed")
+ONE = ["controllers=['computed_torque']", "plots=[]"]
+ROBOTS = {**bundled(), **extra()}
+NAMES = {
+    "so100": "feetech-sts3215", "so101": "feetech-sts3215", "panda": "franka", "ur5": "ur-e", "ur10_limited": "ur-e",
+    "tiago_dual": "tiago", "tiago_pro": "tiago", "kinova": "unknown", "platform_arm": "unknown", "baxter": "unknown",
+}  # fmt: skip
+
+
+def on(robot, hardware, *more):
+    said = [] if hardware is None else [f'hardware="{hardware}"']
+    return load_experiment("track", [f'robot="{robot}"', *said, *ONE, *more])
+
+
+# -- profiles ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", profiles())
+def test_a_profile_has_a_source_for_what_it_says_and_says_what_is_assumed(name):
+    table = read_hardware(name, merged)
+    assert table.title and table.sources and not table.notes and not table.profile
+    guessed = [source for source in table.sources if source.startswith("assumed: ")]
+    assert guessed or name == "ideal"
+    said = read_toml(profiles()[name])
+    assert set(said) - {"title", "sources", "robots"} <= set(HardwareTable.__struct_fields__)
+
+
+def test_numbers_of_the_servos_follow_from_their_data_sheets():
+    """Kt / R of BAM and the P gains of LeRobot and Robotis, once more."""
+    kt, R, volt = 1.2116, 2.6762, 7.4
+    feetech = read_hardware("feetech-sts3215", merged).arm
+    assert feetech.stall == pytest.approx(kt * volt / R, rel=2e-3)
+    assert feetech.damping == pytest.approx(kt**2 / R, rel=2e-3)
+    assert feetech.torque == pytest.approx(19.5 * 9.81e-2, rel=2e-3)
+    assert feetech.speed == pytest.approx(math.radians(60) / 0.192, rel=2e-3)
+    xm430 = read_hardware("dynamixel-xm430", merged).arm
+    duty = 800 / 128 / 885 * 4096 / math.tau  # per radian
+    assert xm430.stiffness == pytest.approx(duty * 4.1, rel=5e-3)
+    assert xm430.damping == pytest.approx(4.1 / (46 * math.tau / 60), rel=5e-3)
+    assert feetech.encoder == xm430.encoder == pytest.approx(math.tau / 4096, rel=1e-3)
+
+
+@needs_data
+def test_a_robot_is_proposed_the_hardware_of_its_name():
+    assert {name: proposed(load(name)) for name in NAMES} == NAMES
+
+
+# -- what follows ------------------------------------------------------------------------------------------------------
+
+
+@needs_data
+def test_what_follows_from_a_profile_is_what_one_would_write_by_hand():
+    found = Fitted(read_hardware("feetech-sts3215", merged), load("so101")).settings()
+    joints = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
+    servo = {"bandwidth": pytest.approx(17.8 / 0.6081), "stiffness": 17.8, "damping": 0.549, "stall": 3.35}
+    assert found == {
+        "interfaces": dict.fromkeys(joints, "position"),
+        "servo": servo | {"dead_band": 0.0008, "period": 0.001},
+        "actuator": {"torque_limit": "urdf"},
+        "effort_limits": 1.91,
+        "speed_limits": 5.45,
+        "armature": 0.0284,
+        "friction": {"arm": 0.0591, "coulomb": 0.0524},
+        "sensor": {"resolution": 0.001534, "velocity": "filtered", "bandwidth": 40.0},
+        "latency": {"command": 0.01, "jitter": 0.0},
+        "time": {"control_period": 0.02, "plant_step": 0.001},
+    }
+
+
+def test_groups_patterns_and_single_joints_find_their_motors():
+    robot = load("platform_arm")
+    left, right, first, second = robot.actuator_names
+    table = HardwareTable(
+        arm=JointHardware(interface="position", stiffness=20.0, damping=1.0, encoder=0.01),
+        wheels=JointHardware(interface="velocity", bandwidth=8.0, encoder=0.02),
+        joints={second: JointHardware(interface="current", lag=0.002), "arm_*": JointHardware(torque=9.0)},
+    )
+    found = Fitted(table, robot).settings()
+    assert found["interfaces"] == {left: "velocity", right: "velocity", first: "position"}
+    assert found["servo"]["bandwidth"] == [8.0, 8.0, 20.0, 30.0]  # nothing is known of the last one
+    assert found["servo"]["stiffness"] == [0.0, 0.0, 20.0, 20.0]
+    assert found["actuator"]["lag"] == [0.0, 0.0, 0.0, 0.002] and found["effort_limits"] == [0.0, 0.0, 9.0, 9.0]
+    assert found["sensor"] == {"resolution": 0.01, "wheel_resolution": 0.02}
+    with pytest.raises(UnknownName, match="elbow"):
+        Fitted(HardwareTable(joints={"elbow": JointHardware()}), robot)
+
+
+def test_casters_whose_motors_drive_the_base_are_driven_alike():
+    kinds = Fitted(read_hardware("unknown", merged), load("casters_arm")).settings()["interfaces"]
+    assert {kind for name, kind in kinds.items() if not name.startswith("arm")} == {"velocity"}
+
+
+@needs_data
+def test_a_joint_that_slides_has_no_servo_per_radian():
+    robot = load("tiago_no_hand")
+    fitted = Fitted(read_hardware("feetech-sts3215", merged), robot)
+    lift = fitted.motors[robot.actuator_names.index("torso_lift_joint")]
+    assert lift == JointHardware(interface="position", rate=1000.0)
+
+
+def test_who_says_more_counts_more_and_messages_name_the_users_own_file(tmp_path):
+    urdf, own = tmp_path / "mine.urdf", tmp_path / "mine.toml"
+    urdf.write_text(ROBOTS["platform_arm"].read_text())
+    beside = tmp_path / "mine.hardware.toml"
+    beside.write_text('profile = "unknown"\nrate = 40\n[arm]\nbandwidth = 25.0\n')
+    found = on(urdf, None)
+    assert found.time.control_period == 1 / 40 and found.servo.bandwidth == (10.0, 10.0, 25.0, 25.0)
+    own.write_text('experiment = "track"\nrobot = "mine.urdf"\n[servo]\ngain = 0.1\n[time]\ncontrol_period = 0.01\n')
+    read = load_experiment(own, [*ONE, "servo.bandwidth=12"])
+    assert (read.servo.gain, read.servo.bandwidth, read.time.control_period) == (0.1, 12.0, 0.01)
+    assert on(urdf, "ideal").interfaces == {}
+    beside.write_text("[arm]\nstifness = 3.0\n")
+    with pytest.raises(InputError, match=rf"{re.escape(str(beside))}.*arm.*stifness"):
+        on(urdf, None)
+    beside.write_text("[arm]\nencoder = -1.0\n")
+    with pytest.raises(ConfigError, match=rf"{re.escape(str(beside))}:?\d*:? ?arm.encoder: error: -1"):
+        on(urdf, None)
+    beside.write_text('profile = "mine.hardware.toml"\n')
+    with pytest.raises(ConfigError, match="starts from itself"):
+        on(urdf, None)
+    for hardware, text in (("feetech", "hardware"), ("no.toml", "no such file")):
+        with pytest.raises(InputError, match=text) as error:
+            on("platform_arm", hardware)
+        assert "site-packages" not in str(error.value) and "experiments/track.toml" not in str(error.value)
+
+
+def test_a_table_within_an_experiment_names_its_own_keys():
+    with pytest.raises(ConfigError, match=r"hardware\.arm\.torque: error: 0"):
+        load_experiment("track", ['hardware={profile="unknown", arm={torque=0}}'])
+
+
+@needs_data
+def test_hardware_that_is_too_weak_is_refused_and_the_way_out_works():
+    with pytest.raises(ConfigError, match="too weak for z1") as refused:
+        on("z1", "feetech-sts3215")
+    hardware = re.search(r"--hardware (\S+)", refused.value.fix)[1]
+    found = on("z1", hardware)
+    require_runnable(found, found.load_robot())
+
+
+# -- robots on hardware ------------------------------------------------------------------------------------------------
+
+PAIRS = [
+    ("so100", "feetech-sts3215"), ("two_dofs", "dynamixel-xm430"), ("panda", "unknown"), ("panda", "franka"),
+    ("tricycle_arm", "unknown"), ("platform_arm", "tiago"),
+    ("ur3", "ur-e"), ("tracked_arm", "kinova-gen3"), ("double_pendulum", "lekiwi"), ("finger_edu", "turtlebot3"),
+]  # fmt: skip
+
+
+@needs_data
+@pytest.mark.parametrize(("robot", "hardware"), PAIRS)
+def test_a_robot_on_hardware_may_run(robot, hardware):
+    """All of `mmnn list` on all profiles: `python -m research.studies.hardware`."""
+    found = on(robot, hardware)
+    require_runnable(found, found.load_robot())
+    assert next(lines(found.hardware)).startswith("hardware: ")
+
+
+@needs_data
+@pytest.mark.compiled
+def test_an_arm_of_hobby_servos_errs_as_these_do_and_a_stepper_has_the_same_settings():
+    found = on("so101", "feetech-sts3215", "time.duration=3")
+    robot = found.load_robot()
+    run = run_experiment(found, "track").recordings["computed_torque"]
+    errors = np.abs(run["q"] - run["q_ref"])
+    assert run.outcome.status == "completed" and 1e-3 < errors.max() < math.radians(5.0)
+    assert np.abs(run["applied"]).max() <= 1.91
+    # what it sags by at first is what a stiffness of 17.8 N m/rad gives way to the weight
+    weight = np.abs(robot.gravity(run["q"][0])).max()
+    assert errors[:25].max() == pytest.approx(weight / 17.8, rel=0.5)
+    loop = found.loop(robot, "computed_torque")
+    with Stepper.of(loop, safety=Safety(torque="urdf")) as stepper:
+        assert stepper.period == 0.02 and stepper.setup.servo == found.servo and stepper.latency == 0.01
+        assert stepper.setup.interfaces == found.interfaces and set(stepper.kinds) == {"position"}

@@ -1,0 +1,231 @@
+"""External torque: the formulas against Pinocchio and differences, what is felt of pushes, and how often in vain."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from builders import loop, thesis_robot
+from numba import config
+from robots import feedback, mobile_arm
+from scipy.stats import chi2
+
+from mmnn_pin import PD, Feedback, Stepper, Timing, Trajectory, load
+from mmnn_pin.actuator import Actuator
+from mmnn_pin.disturbance import Push
+from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.loop.batch import simulate_many
+from mmnn_pin.loop.latency import Latency
+from mmnn_pin.loop.new_hardware import new_hardware
+from mmnn_pin.model.reduction import position_rate
+from mmnn_pin.model.tree.twin import Twin
+from mmnn_pin.safety import Safety
+from mmnn_pin.signals import Measurement, Setpoint
+from mmnn_pin.torque.model_based import ComputedTorque
+from mmnn_pin.touch import Touch, feel
+from mmnn_pin.touch.observer import COUNT, TIME, find_wrench
+
+SOFT = Feedback(100.0, (5.0, 1.0))
+SLOW = bool(config.DISABLE_JIT)
+ROBOTS = {
+    "thesis": thesis_robot,
+    "mobile": lambda: mobile_arm(4),
+    "car": lambda: load("car_arm"),
+    "fixed": lambda: load("two_axis_arm"),
+}
+
+
+def touching(controller=None, *, robot=None, touch=None, duration=0.6, **more):
+    """A loop that feels external torque."""
+    robot = robot or thesis_robot()
+    more = {"nominal": robot} | more
+    return loop(controller or ComputedTorque(SOFT), robot=robot, touch=touch or Touch(), duration=duration, **more)
+
+
+def observer_of(made):
+    """The observer of a loop, a row for it, and where signals stand in that."""
+    plan = made.plan()
+    at_rest = made.robot.neutral_position(), np.zeros(made.robot.dimensions.dof)
+    hardware = new_hardware(made, at_rest, made.state_from(), None, plan.steering)
+    return hardware.touch, plan.layout.new_row(), plan.layout
+
+
+def somewhere(made, seed=1):
+    """The observer of a loop after a first measurement of a random state, and its row."""
+    observer, row, layout = observer_of(made)
+    rng = np.random.default_rng(seed)
+    for name in ("pose", "velocity", "q", "qdot"):
+        part = row[layout.where(name)]
+        part[:] = rng.uniform(-1.0, 1.0, part.size)
+    row[layout.where("shape")] = 0.3
+    feel(row, layout.offsets, 0.0, observer)
+    return observer, row, layout
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def felt(request):
+    robot = ROBOTS[request.param]()
+    return robot, somewhere(touching(PD(), robot=robot, trajectory=Trajectory.of(robot)))[0]
+
+
+def test_momentum_and_bias_are_those_of_the_reduced_dynamics(felt):
+    """`C' nu = Mdot nu - C nu`, with Mdot by differences along the motion, on bases that roll, steer or stand."""
+    robot, observer = felt
+    d, twin, step = robot.dimensions, Twin(robot), 1e-6
+    position, nu, rate = observer.position, observer.nu, np.zeros(robot.dimensions.full)
+
+    def mass(place):
+        twin.refresh(place, nu)
+        return twin.M.copy()
+
+    twin.refresh(position, nu)
+    eta = twin.maps.eta if d.shape else np.zeros(0)
+    position_rate(position, nu, twin.v.copy(), d.base, d.sideways, eta, rate)
+    Mdot = (mass(position + step * rate) - mass(position - step * rate)) / (2 * step)
+    twin.refresh(position, nu)
+    np.testing.assert_allclose(observer.state.momentum, twin.M @ nu, atol=1e-12)
+    scale = np.abs(twin.h).max()
+    np.testing.assert_allclose(observer.state.bias, Mdot @ nu - twin.h, atol=1e-7 * scale)
+
+
+def test_jacobian_of_the_hand_is_pinocchios(felt):
+    robot, observer = felt
+    at, place = robot.configuration(observer.position), robot.model.getFrameId(robot.hands[0])
+    full = pin.computeFrameJacobian(robot.model, robot.model.createData(), at, place, pin.LOCAL_WORLD_ALIGNED)
+    np.testing.assert_allclose(observer.J, full @ robot.T_at(observer.position), atol=1e-12)
+
+
+def test_the_wrench_is_least_squares_in_the_band_and_says_what_no_joint_feels():
+    """Dense linear algebra by numpy; the planar robot feels two forces and a moment."""
+    observer, row, layout = somewhere(touching(PD()))
+    observer.state.residual[:] = wanted = observer.J.T @ np.array([20.0, -10.0, 0.0, 0.0, 0.0, 3.0])
+    seen, wrench = row[layout.where("wrench_seen")], row[layout.where("external_wrench")]
+    row[layout.where("external_torque")] = wanted
+    find_wrench(row, layout.offsets, observer)
+    S, J = observer.S, observer.J
+    prior = np.diag([1e-6] * 3 + [1 / 9e4] * 3)
+    information = J @ np.linalg.solve(S, J.T)
+    expected = np.linalg.solve(information + prior, J @ np.linalg.solve(S, wanted))
+    np.testing.assert_allclose(wrench, expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(seen, np.diag(np.linalg.solve(information + prior, information)), atol=1e-9)
+    assert np.all(seen[[2, 3, 4]] < 1e-9) and np.all(seen[[0, 1, 5]] > 0.5)
+
+
+@pytest.mark.parametrize("name", ["plain", "latency", "lag", "supervised", "heading"])
+def test_a_push_is_felt_with_the_time_constant_of_the_observer(name):
+    """`r = force (1 - exp(-bandwidth t))`, whatever the robot does and however the torque comes to its motors."""
+    force, start, made = 3.0, 0.1, touching(duration=0.1 + (0.02 if SLOW else 0.1))
+    more = {
+        "plain": {},
+        "latency": {"latency": Latency(command=0.004)},
+        "lag": {"actuator": Actuator(lag=0.01), "timing": Timing(duration=made.timing.duration, plant_step=1e-4)},
+        "supervised": {"safety": Safety(torque=(20.0, 20.0, 0.3, 0.3), torque_time=9.0)},
+        "heading": {},
+    }[name]
+    on = "w" if name == "heading" else "arm_2_joint"
+    start = 0.02 if SLOW else start
+    run = replace(made, disturbances=(Push(on=on, force=force, start=start),), check_gains=False, **more).run()
+    i = list(made.robot.velocity_names).index(on)
+    t = run["time"]
+    expected = np.zeros((len(t), made.layout.dof))
+    expected[:, i] = np.where(t > start, force * (1.0 - np.exp(-50.0 * (t - start))), 0.0)
+    np.testing.assert_allclose(run["external_torque"], expected, atol=0.02 * force)
+    if name == "supervised":
+        assert (run["safety"] == 1.0).any()  # the torques were clipped indeed
+
+
+@pytest.mark.skipif(SLOW, reason="hundreds of runs")
+def test_the_threshold_is_a_rate_of_false_alarms():
+    """Robots with masses as wrong as the settings say feel contact in about as many samples as these ask for."""
+    robot, rate = load("two_axis_arm"), 0.1
+    rng, loops = np.random.default_rng(7), []
+    controller = ComputedTorque(feedback(robot, 0.002))
+    touch = Touch(false_alarms=rate, masses=0.1, friction=0.0, torque=0.0, unknown=1e-4, clear=0.0)
+    for _ in range(300):
+        true = robot.with_masses({name: 1.0 + 0.1 * float(rng.standard_normal()) for name in robot.joint_names})
+        loops.append(touching(controller, robot=true, touch=touch, duration=0.3, nominal=robot, check_gains=False))
+    runs = simulate_many(loops, keep=True, workers=2)
+    seen = [one.recording for one in runs]  # a last body that is too heavy is felt as a load
+    felt = np.mean([np.maximum(one["contact"], one["load"] > 0.0)[75:].mean() for one in seen])
+    assert abs(felt - rate) < 3.0 * np.sqrt(rate * (1.0 - rate) / len(runs)), felt
+
+
+def test_alarms_are_a_quantile_of_chi_squared():
+    assert observer_of(touching(touch=Touch(false_alarms=0.01)))[0].numbers.threshold == pytest.approx(
+        chi2.isf(0.01, 4)
+    )
+
+
+def test_both_engines_and_a_stepper_feel_the_same():
+    push = Push(on="arm_1_joint", force=30.0, start=0.05, end=0.12)
+    made = touching(duration=0.02 if SLOW else 0.2, disturbances=(push,))
+    runs = [replace(made, engine=engine).run() for engine in ("compiled", "ordinary")]
+    for signal in ("external_torque", "external_band", "external_wrench", "wrench_seen", "contact"):
+        np.testing.assert_array_equal(runs[0][signal], runs[1][signal])
+
+
+def test_a_stepper_tells_what_it_feels():
+    """Fed with a run's measurements it sends its torques and feels its pushes."""
+    made = touching(duration=0.02 if SLOW else 0.2, safety=Safety(), disturbances=(Push(on="arm_1_joint", force=9.0),))
+    run, layout = made.run(), made.layout
+    with Stepper.of(made) as stepper:
+        for k, time in enumerate(run["time"]):
+            seen = Measurement(*(run[name][k] for name in ("pose", "velocity", "q", "qdot")))
+            asked = Setpoint(
+                *(run[f"{name}_ref"][k] for name in ("pose", "velocity", "acceleration", "q", "qdot", "qddot"))
+            )
+            stepper.step(time, seen, asked)
+            np.testing.assert_allclose(stepper.external_torque, run["external_torque"][k], atol=1e-6)
+        assert stepper.is_touched == bool(run["contact"][-1]) and stepper.external_wrench.shape == (6,)
+    assert layout.touch == 1
+
+
+def test_a_run_resumes_with_what_was_felt():
+    whole = touching(duration=0.02 if SLOW else 0.2, disturbances=(Push(on="arm_1_joint", force=9.0),))
+    half = 0.01 if SLOW else 0.1
+    begun = replace(whole, timing=Timing(duration=half)).run()
+    resumed = whole.run(
+        state=begun.final.get("state"),
+        plant_state=(begun.final["position"], begun.final["nu"]),
+        hardware_state=begun.final["hardware_state"],
+        first=round(half / whole.timing.control_period),
+    )
+    straight = whole.run()
+    np.testing.assert_array_equal(resumed["external_torque"], straight["external_torque"][-len(resumed["time"]) :])
+
+
+def test_a_measurement_that_is_none_begins_anew():
+    observer, row, layout = somewhere(touching(PD()))
+    row[layout.where("q")] = np.nan
+    feel(row, layout.offsets, 0.002, observer)
+    assert observer.state.clock[COUNT] == 0.0
+    row[layout.where("q")] = 0.1
+    feel(row, layout.offsets, 0.004, observer)
+    assert (
+        observer.state.clock[COUNT] == 1.0 and not observer.state.residual.any() and observer.state.clock[TIME] == 0.004
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"bandwidth": -1.0}, "touch.bandwidth"),
+        ({"false_alarms": 1.5}, "share below 1"),
+        ({"masses": float("nan")}, "touch.masses"),
+    ],
+)
+def test_numbers_out_of_range_are_one_line(given, words):
+    with pytest.raises(ConfigError, match=words):
+        Touch(**given)
+
+
+def test_a_hand_that_cannot_feel_is_one_line():
+    with pytest.raises(UnknownName, match="link or joint 'paw'"):
+        touching(touch=Touch(hand="paw")).run()
+    robot = load("two_axis_arm")
+    with pytest.raises(ConfigError, match="stands still"):
+        loop(PD(Feedback(0.0, 1.0)), robot=robot, touch=Touch(hand=robot.model.frames[1].name)).run()
+    with pytest.raises(ConfigError, match="Psi_hat of the controller"):
+        touching(PD(), touch=Touch(model="learner")).run()
