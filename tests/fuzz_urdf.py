@@ -185,25 +185,21 @@ def mutant(seed: int, xacro: bool = False) -> bytes:
 
 def verdict(data: bytes, file: Path) -> str:
     """`refused`, `finite`, or what went wrong: an exception that is no refusal, or a model that is not finite."""
-    import pinocchio as pin
-
     from mmnn_pin.errors import InputError
     from mmnn_pin.model import load
+    from mmnn_pin.model.dynamics import Dynamics
 
     file.write_bytes(data)
     try:
-        model = load(file).model
+        robot = load(file)
     except InputError as error:
         return "refused" if str(error).strip() else "a refusal without words"
     except Exception as error:
         return f"{type(error).__name__}: {error}"
-    work, rng = model.createData(), np.random.default_rng(1)
-    q = pin.integrate(model, pin.neutral(model), rng.uniform(-1, 1, model.nv))
-    velocity = rng.uniform(-1, 1, model.nv)
-    acceleration = pin.aba(model, work, q, velocity, np.zeros(model.nv))
-    M = pin.crba(model, work, q)
-    M = np.triu(M) + np.triu(M, 1).T
-    tau = pin.rnea(model, work, q, velocity, acceleration)  # what the acceleration needs: nothing
+    rng, dynamics = np.random.default_rng(1), Dynamics(robot)  # of what moves: a locked body may have no mass
+    position, nu = robot.position(robot.random(1)), rng.uniform(-1, 1, robot.dimensions.dof)
+    M, acceleration = dynamics.mass_matrix(position).copy(), dynamics.acceleration(position, nu, np.zeros(nu.size))
+    tau = dynamics.psi(position, nu, nu, acceleration)  # what the acceleration needs: nothing
     finite = all(np.isfinite(x).all() for x in (acceleration, M, tau))
     return "finite" if finite and np.linalg.eigvalsh(M).min(initial=1.0) > 0 else "not finite, or M is singular"
 

@@ -156,6 +156,16 @@ def test_a_tag_of_a_hundred_thousand_attributes_is_refused_soon(encoding: str) -
     assert [(one.line, one.code) for one in findings] == [(3, "too-many")]
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_a_hundred_thousand_namespaces_are_refused_soon(encoding: str) -> None:
+    many = " ".join(f'xmlns:n{i}="u{i}"' for i in range(100_000))
+    text = f'<?xml version="1.0" encoding="{encoding}"?>\n<robot name="x">\n<link name="a" {many}/></robot>'
+    begun = time.process_time()
+    document, findings = audit_data(text.encode(encoding), "x.urdf")
+    assert time.process_time() - begun < 3.0 and document is None
+    assert [one.code for one in findings] == ["too-many"]
+
+
 # -- what a recording names --------------------------------------------------------------------------------------------
 
 

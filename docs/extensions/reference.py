@@ -12,7 +12,6 @@ from typing import Any, Literal, Union, get_args, get_origin
 
 import click
 import msgspec
-import signal_meanings
 from sphinx.application import Sphinx
 
 import mmnn_pin
@@ -279,6 +278,7 @@ def more_page() -> Iterator[str]:
 
 def signals_page() -> Iterator[str]:
     """The signals of a recording."""
+    from mmnn_pin.cli.signal_meanings import MEANINGS
     from mmnn_pin.signals import SIGNALS
 
     sizes = {
@@ -309,7 +309,7 @@ def signals_page() -> Iterator[str]:
     yield table(
         ("signal", "size", "unit", "meaning"),
         [
-            (f"`{name}`", sizes.get(size, size), "; ".join(filter(None, (base, arm))), signal_meanings.MEANINGS[name])
+            (f"`{name}`", sizes.get(size, size), "; ".join(filter(None, (base, arm))), MEANINGS[name])
             for name, size, base, arm in SIGNALS
         ],
     )

@@ -121,17 +121,48 @@ def tables_in(kind: Any) -> list[type[msgspec.Struct]]:
 
 
 def public(name: str) -> str:
-    """The signature and the docstring of a public name; empty for one that there is not."""
+    """The signature and the docstring of a public name of any module, or of a method; empty for one that there is not.
+
+    `Loop`, `mmnn_pin.loop.loop.Loop`, `Loop.run`; where several modules have one of that name, all are shown.
+    """
+    path, _, last = name.removeprefix("mmnn_pin.").rpartition(".")
+    things = defined(last, path)
+    if not things and path and not last.startswith("_"):
+        module, _, owner = path.rpartition(".")
+        things = [getattr(thing, last) for thing in defined(owner, module) if hasattr(thing, last)]
+    return "\n\n".join(described(name, thing) for thing in things)
+
+
+def defined(name: str, module: str = "") -> list[Any]:
+    """Classes and functions of a public name, of a module or of any."""
+    import importlib
+
     import mmnn_pin
 
-    if name not in mmnn_pin.__all__ or name.startswith("_"):
-        return ""
-    thing = getattr(mmnn_pin, name)
+    if not re.fullmatch(r"[A-Za-z]\w*", name):
+        return []
+    if not module and name in mmnn_pin.__all__:
+        return [getattr(mmnn_pin, name)]
+    found, stated = [], re.compile(rf"^(?:class|def) {name}\b", re.M)
+    for file in sorted(PACKAGE.rglob("*.py")):
+        parts = file.relative_to(PACKAGE).with_suffix("").parts
+        dotted = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        if (not module or dotted == module or dotted.startswith(f"{module}.")) and stated.search(
+            file.read_text("utf-8")
+        ):
+            found.append(getattr(importlib.import_module(f"mmnn_pin.{dotted}"), name))
+    return found
+
+
+def described(name: str, thing: Any) -> str:
+    """A name with its signature, where it is from, and its docstring."""
     try:
         signature = str(inspect.signature(thing))
     except (TypeError, ValueError):
         signature = ""
-    return f"{name}{signature}\n\n{inspect.getdoc(thing) or ''}"
+    text = inspect.getdoc(thing.fget if isinstance(thing, property) else thing) or ""
+    where = getattr(thing, "__module__", None)
+    return f"{name}{signature}\n" + (f"of {where}\n" if where else "") + f"\n{text}"
 
 
 def python_names() -> dict[str, str]:
@@ -155,12 +186,66 @@ def controllers() -> dict[str, str]:
     return {name: entry.about for name, entry in CONTROLLERS.items()}
 
 
-def experiment_keys() -> dict[str, str]:
-    """Keys of an experiment."""
-    from ..lab.experiments.experiment import Experiment
+def keys_of_kind(kind: Any) -> dict[str, str]:
+    """Keys of a kind of file."""
+    said = meanings(kind)
+    return {f.encode_name: said.get(f.encode_name, first_line(f.type)) for f in msgspec.structs.fields(kind)}
 
-    said = meanings(Experiment)
-    return {f.encode_name: said.get(f.encode_name, first_line(f.type)) for f in msgspec.structs.fields(Experiment)}
+
+def kinds() -> dict[str, Any]:
+    """The files that a user writes, by name, with what reads them."""
+    from ..deploy.ros2.settings import Node
+    from ..lab.experiments.experiment import Experiment
+    from ..lab.study.settings import StudySettings
+    from ..model.base.overrides import Overrides
+
+    return {"experiment": Experiment, "study": StudySettings, "robot": Overrides, "ros2": Node}
+
+
+def schema(name: str) -> dict[str, Any]:
+    """The JSON schema of a kind of file, with meanings; no key is required, for a file may start from another one."""
+    kind = kinds()[name]
+    found = msgspec.json.schema(kind)
+    without_defaults(found)
+    for part in every_struct(kind, {}).values():
+        table = found["$defs"].get(part.__name__, {})
+        table.pop("required", None)
+        for key, text in meanings(part).items():
+            if key in table.get("properties", {}):
+                table["properties"][key]["description"] = text
+    if name == "experiment":
+        own = {"type": "string", "description": "Another experiment, on top of which this file says what differs."}
+        found["$defs"][kind.__name__]["properties"]["experiment"] = own
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": f"mmnn_pin: {name}", **found}
+
+
+def without_defaults(part: Any) -> None:
+    """Take the defaults out of a schema: JSON has no inf."""
+    if isinstance(part, dict):
+        if not isinstance(part.get("default"), dict):  # a key of that name is a table
+            part.pop("default", None)
+        for inner in part.values():
+            without_defaults(inner)
+    elif isinstance(part, list):
+        for inner in part:
+            without_defaults(inner)
+
+
+def every_struct(kind: Any, found: dict[str, Any]) -> dict[str, Any]:
+    """A struct and all that its fields hold, by name."""
+    for one in tables_in(kind):
+        if one.__name__ not in found:
+            found[one.__name__] = one
+            for field in msgspec.structs.fields(one):
+                every_struct(field.type, found)
+    return found
+
+
+def signals() -> dict[str, str]:
+    """Signals of a recording, with what each means."""
+    from .signal_meanings import MEANINGS
+
+    return MEANINGS
 
 
 def paths() -> dict[str, str]:
@@ -175,7 +260,17 @@ LISTED: dict[str, tuple[str, Callable[[], dict[str, str]]]] = {
     "reference/commands": ("Commands: `mmnn NAME --help` prints one of them", commands),
     "reference/controllers": ("Controllers", controllers),
     "reference/paths": ("Paths and profiles: `mmnn docs KEY` prints those of one key", paths),
-    "reference/experiment-keys": ("Keys of an experiment: `mmnn docs KEY` prints one of them", experiment_keys),
+    "reference/experiment-keys": (
+        "Keys of an experiment: `mmnn docs KEY` prints one of them",
+        lambda: keys_of_kind(kinds()["experiment"]),
+    ),
+    "reference/study-keys": ("Keys of a study", lambda: keys_of_kind(kinds()["study"])),
+    "reference/robot-keys": (
+        "Keys of NAME.mmnn.toml, options and arguments of load",
+        lambda: keys_of_kind(kinds()["robot"]),
+    ),
+    "reference/ros2-keys": ("Parameters of the ROS 2 node", lambda: keys_of_kind(kinds()["ros2"])),
+    "reference/signals": ("Signals of a recording", signals),
 }
 
 
@@ -202,15 +297,23 @@ def names(context: click.Context, parameter: click.Parameter, incomplete: str) -
         "mmnn docs latency.margin",
         "mmnn docs actuator                  a table: its keys, defaults and meanings",
         "mmnn docs Trajectory                a name of Python; mmnn docs reference/python lists them",
+        "mmnn docs Stepper.step              a method; names of any module are found",
+        "mmnn docs --schema experiment > experiment.schema.json     for completion of keys in an editor",
     ),
 )
 @click.argument("page", required=False, shell_complete=names)
+@click.option(
+    "--schema", "file", type=click.Choice(["experiment", "study", "robot", "ros2"]), help="JSON schema of a file."
+)
 @shared
-def docs(page: str | None, as_json: bool) -> int:
+def docs(page: str | None, file: str | None, as_json: bool) -> int:
     """Print a page of the documentation, a key of an experiment with its subkeys, or a name of Python.
 
     Without PAGE it lists all pages.
     """
+    if file is not None:
+        answer(True, lambda: schema(file), str)
+        return DONE
     there = pages()
     if page is None:
         found = {name: title(file) for name, file in there.items()} | {name: one[0] for name, one in LISTED.items()}
@@ -221,6 +324,6 @@ def docs(page: str | None, as_json: bool) -> int:
         text = there[name].read_text("utf-8")
     elif not (text := listed(name) if name in LISTED else meaning(page) or public(page)):
         beside = siblings(page)
-        raise UnknownName("key" if beside else "page, key or name", page, beside or [*there, *LISTED])
+        raise UnknownName("key" if beside else "page, key or name", page, beside or [*LISTED, *there])
     answer(as_json, lambda: {"page": page, "text": text}, lambda: text.rstrip())
     return DONE

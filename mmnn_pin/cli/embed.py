@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import ConfigError, UnknownName
-from .options import CHANGES, PATH, VARIANT, controllers, examples, experiments, shared, understanding
+from .options import CHANGES, HARDWARE, PATH, VARIANT, controllers, examples, experiments, shared, understanding
 from .output import DONE, FAILED, answer
 from .run import ROBOT, about_robot, in_toml, told_from_where
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 @click.argument("experiment", shell_complete=experiments)
 @VARIANT
 @ROBOT
+@HARDWARE
 @click.option(
     "--controller", metavar="NAME", required=True, shell_complete=controllers, help="The controller, see `mmnn list`."
 )
@@ -62,6 +63,7 @@ def embed(
     experiment: str,
     variant: str | None,
     robot: str | None,
+    hardware: str | None,
     controller: str,
     out: Path,
     force: bool,
@@ -89,7 +91,11 @@ def embed(
     from ..lab.experiments.config import load_experiment
 
     within = limits_of(limits)
-    changes = [*about_robot(robot, overrides), *settings, *in_toml(robot=robot, controllers=[controller])]
+    changes = [
+        *about_robot(robot, overrides),
+        *settings,
+        *in_toml(robot=robot, hardware=hardware, controllers=[controller]),
+    ]
     found = load_experiment(experiment, changes, variant)
     with told_from_where(experiment, variant, found, changes):
         loaded = found.load_robot()

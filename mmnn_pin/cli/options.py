@@ -191,6 +191,12 @@ CHANGES = click.option(
     shell_complete=keys,
     help="Change a key of the TOML; repeatable.",
 )
+HARDWARE = click.option(
+    "--hardware",
+    metavar="NAME",
+    shell_complete=hardware_names,
+    help="What its motors are: a profile (see `mmnn list`), or a TOML file.  [default: ROBOT.hardware.toml beside it]",
+)
 PACKAGE_DIRS = click.option(
     "--package-dir", "package_dirs", metavar="DIR", multiple=True, help="Where package:// meshes are; repeatable."
 )

@@ -15,13 +15,13 @@ from ..errors import InputError
 from ..files import read_toml
 from .options import (
     CHANGES,
+    HARDWARE,
     PATH,
     VARIANT,
     cases,
     controllers,
     examples,
     experiments,
-    hardware_names,
     robots,
     shared,
     understanding,
@@ -50,12 +50,6 @@ if TYPE_CHECKING:
 
 ROBOT = click.option(
     "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
-)
-HARDWARE = click.option(
-    "--hardware",
-    metavar="NAME",
-    shell_complete=hardware_names,
-    help="What its motors are: a profile (see `mmnn list`), or a TOML file.  [default: ROBOT.hardware.toml beside it]",
 )
 MOST = 8  # names of cases that a line of `mmnn list` shows
 

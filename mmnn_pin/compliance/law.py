@@ -100,6 +100,7 @@ class Compliance(NamedTuple):
         station: How much of the kinematic layer's feedback the base keeps.
         weights: (p,) W.
         still: (p,) K.
+        most: Largest stiffness that delay and period bear [N/m].
         force: (FORCE,) numbers of a force.
         mass: (6,) of an admittance [kg, kg m^2]; (0,) of an impedance.
         felt: Place of the signal `external_wrench` in a row, -1 without it.
@@ -121,6 +122,7 @@ class Compliance(NamedTuple):
     station: float
     weights: Array
     still: Array
+    most: float
     force: Array
     mass: Array
     felt: int

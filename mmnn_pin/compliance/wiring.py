@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..elementary.matrices import inverse, length, product
 from ..errors import ConfigError, keyed
@@ -13,7 +14,7 @@ from ..model.tree.body import body_of, evaluate, new_work
 from ..signals import Array
 from .bound import Held, bound_of
 from .law import DIRECTION, FORCE, STATE, Compliance, HandScratch
-from .settings import Force, Impedance
+from .settings import Force, Impedance, require_not_negative
 
 LEAST_STIFFNESS, LEAST_ROTATION = 100.0, 5.0  # by which an axis without a spring is damped [N/m, N m/rad]
 
@@ -104,6 +105,7 @@ def compliance_of(
         station=impedance.station,
         weights=weights_of(J[:3], d.base, impedance.share),
         still=held.gains.copy(),
+        most=np.inf,
         force=numbers,
         mass=(masses if impedance.mass is None else impedance.mass * masses / masses[0]) if admits else np.zeros(0),
         felt=felt,
@@ -127,8 +129,27 @@ def compliance_of(
             s=np.zeros((1, d.dof)),
         ),
     )
-    bound_of(made, M, held).require(impedance)
-    return made
+    bound = bound_of(made, M, held)
+    bound.require(impedance)
+    return made._replace(most=bound.factor * max(LEAST_STIFFNESS, float(np.max(springs[:3]))))
+
+
+def soften(c: Compliance, stiffness: ArrayLike, damping: ArrayLike | None) -> None:
+    """Give a compliant hand another stiffness in place; arguments as of `Stepper.comply`.
+
+    Raises:
+        ConfigError: Numbers that are negative or not finite, or a stiffness beyond the bound.
+    """
+    require_not_negative(stiffness, "stiffness")
+    require_not_negative(damping, "damping")
+    wanted = np.broadcast_to(np.asarray(stiffness, float), 3)
+    if wanted.max() > c.most:
+        why = f"delay and period bear {c.most:.4g} N/m"
+        raise ConfigError(f"{wanted.max():g} N/m", why=why, fix=f"use at most {0.98 * c.most:.4g}", key="stiffness")
+    if damping is None:
+        now, then = (np.maximum(each, LEAST_STIFFNESS) for each in (c.springs[:3], wanted))
+        damping = c.dampers[:3] * np.sqrt(then / now)
+    c.springs[:3], c.dampers[:3] = wanted, damping
 
 
 def weights_of(J: Array, base: int, share: float) -> Array:

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..compliance import Force, Impedance
+from ..compliance import Force, Impedance, soften
 from ..elementary import hypot
 from ..elementary.arrays import is_below
 from ..elementary.matrices import product
@@ -515,6 +515,20 @@ class Stepper:
             limit_commands(hardware.split, limits[0], limits[1], self.latency)
         control = Control(plan, self.row, state, hardware)
         self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan
+
+    def comply(self, stiffness: ArrayLike, damping: ArrayLike | None = None) -> None:
+        """Change the stiffness of a compliant hand from now on.
+
+        Args:
+            stiffness: Of its position, one number or one per axis [N/m].
+            damping: Likewise [N s/m]; None keeps the damping ratio.
+
+        Raises:
+            ConfigError: The hand is stiff, numbers that are negative or not finite, or beyond the bound.
+        """
+        if self.hardware.task is None:
+            raise ConfigError("the hand is stiff", fix="give StepperSettings(impedance=Impedance())", key="impedance")
+        soften(self.hardware.task, stiffness, damping)
 
     def _command(self) -> None:
         """Fill the command from the row and from the servo rows."""

@@ -77,10 +77,12 @@ def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
         UnknownName: A joint or link that the robot does not have.
         ConfigError: A lock on a drive wheel or outside the limits, a joint freed that is not locked, a tip that no
             joint carries, or an arm of two where there are not two.
+        RobotError: A joint that mimics a wheel.
     """
     joints, slaves = rest.document.joints, slaves_of(rest.document)
     moving = [joint.name for joint in joints.values() if joint.moves and joint.name not in base.joints]
     require_free(rest, base, slaves, overrides)
+    require_not_rolling(rest.document, base, {name: slaves[name] for name in moving if name in slaves})
     ours = [name for name in moving if name not in slaves and name not in base.locked]
     free = [name for name in ours if name not in overrides.locks]
     freed = {*ours} if "all" in overrides.free else {*overrides.free}
@@ -158,6 +160,20 @@ def require_free(rest: AtRest, base: Base, slaves: Iterable[str], overrides: Ove
         if at is not None and not names[name].lower <= at <= names[name].upper:
             fix = f"give a position within [{names[name].lower:g}, {names[name].upper:g}]"
             raise ConfigError(f"'{name}' cannot be locked at {at:g}", fix=fix, key="lock")
+
+
+def require_not_rolling(document: Document, base: Base, slaves: dict[str, Slave]) -> None:
+    """Refuse joints beside the base's that a `<mimic>` turns with a wheel: they would go round as the robot drives.
+
+    Raises:
+        RobotError: The first of them.
+    """
+    wheels = {wheel.joint for wheel in base.wheels}
+    for name, slave in slaves.items():
+        if slave.master in wheels and name not in base.locked:
+            what, line = f"joint '{name}' mimics the wheel '{slave.master}'", document.joints[name].line
+            fix = "take out its <mimic>, or make it fixed"
+            raise RobotError(what, why="it would turn as the robot drives", fix=fix, file=document.path, line=line)
 
 
 def leading_to(rest: AtRest, tip: str, free: Iterable[str], slaves: dict[str, Slave]) -> set[str]:

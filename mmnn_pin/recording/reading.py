@@ -268,6 +268,12 @@ class Examined:
         lengths = {len(table) for table in found.values()} if group == "weights" else set()
         if len(lengths) > 1 and self.file.attrs["complete"]:
             self.damage[group] = "its arrays have different lengths"
+        elif group == "weights" and "time" in found and self.file.attrs["complete"]:
+            try:
+                problem = time_problem(found["time"][:].ravel())
+            except OSError as error:
+                problem = reason(error)
+            self.damage |= {group: f"its time: {problem}"} if problem else {}
         return found
 
     def some(self, group: str, names: Iterable[str]) -> dict[str, h5py.Dataset]:

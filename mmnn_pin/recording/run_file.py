@@ -139,6 +139,8 @@ class RunFile:
         Raises:
             RecordingError: The disk is full or gone; the file is closed and holds the rows of the last flush.
         """
+        if not len(rows):
+            return
         chunks = -(-(self.rows + len(rows)) // self._chunk_rows) - -(-self.rows // self._chunk_rows)
         signals = np.ascontiguousarray(rows).view(self._row)[:, 0]  # numpy copies a signal's numbers of a row at once
         with self._closing_on_failure():
@@ -254,10 +256,19 @@ def endless_heap(path: Path) -> bool:
     first 2 of 16 bytes and its size in the last 8; of number 0, the free room, the size counts the 16 bytes (HDF5 File
     Format Specification, III.E). HDF5 does not leave an object that takes no room.
 
+    A file is looked at again when it has changed.
+
     Raises:
         OSError: The file cannot be read.
     """
-    start, left = 0, path.stat().st_size + PIECE  # what bounds the work: heaps do not overlap
+    now = path.stat()
+    return endless_in(path, now.st_ino, now.st_mtime_ns, now.st_size)
+
+
+@lru_cache(maxsize=256)
+def endless_in(path: Path, inode: int, changed: int, size: int) -> bool:
+    """See `endless_heap`; of a file as it was when it last changed."""
+    start, left = 0, size + PIECE  # what bounds the work: heaps do not overlap
     with opened(path) as file:
         while piece := os.pread(file.fileno(), PIECE, start):
             for found in re.finditer(HEAP, piece):

@@ -156,6 +156,9 @@ class Trajectory:
         """
         path = Waypoints(tuple(tuple(map(float, p)) for p in base), speed, radius) if base is not None else None  # type: ignore[misc]
         require_positive(**{} if duration is None else {"duration": duration})
+        if times is not None and arm is None:
+            why, fix = "they are those of the arm's positions", "give arm=, too, or a duration"
+            raise TrajectoryError("times without positions", why=why, fix=fix, key="times")
         joints = {} if arm is None else positions_of(robot, arm)
         if joints:
             count = len(next(iter(joints.values())))

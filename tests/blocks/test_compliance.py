@@ -9,19 +9,21 @@ import pinocchio as pin
 import pytest
 
 from mmnn_pin import load
-from mmnn_pin.compliance import Force, Held, Impedance, bound_of, compliance_of, compliance_size, give, wish
+from mmnn_pin.compliance import Force, Held, Impedance, bound_of, compliance_of, compliance_size, give, soften, wish
 from mmnn_pin.compliance.bound import radius
 from mmnn_pin.compliance.law import admit, displacement, springs_and_dampers
 from mmnn_pin.disturbance import Forces, HingedDoor, Surface, scene_of, scene_size, touched_frame
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.loop.loop import Loop
+from mmnn_pin.loop.stepper import Stepper, StepperSettings
 from mmnn_pin.model.chain import SIZE, hands_of, move
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.reference import Hold, Line, Trajectory
+from mmnn_pin.safety import Safety
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import Feedback
-from mmnn_pin.torque.model_based import ComputedTorque
+from mmnn_pin.torque.model_based import PD, ComputedTorque
 
 RNG = np.random.default_rng(5)
 ROBOT = load("platform_arm")
@@ -266,6 +268,22 @@ def test_the_bound_that_is_printed_can_be_used():
         made(impedance=Impedance(stiffness=1e9))
     most = float(str(caught.value.fix).split()[-1])
     made(impedance=Impedance(stiffness=most))
+
+
+def test_a_stiffness_is_changed_on_the_way_within_the_bound():
+    c = made(impedance=Impedance(stiffness=400.0))
+    before = c.dampers.copy()
+    soften(c, 100.0, None)
+    np.testing.assert_allclose(c.springs[:3], 100.0)
+    np.testing.assert_allclose(c.dampers[:3], before[:3] / 2)
+    soften(c, (50.0, 60.0, 70.0), 9.0)
+    np.testing.assert_allclose((*c.springs[:3], *c.dampers[:3]), (50.0, 60.0, 70.0, 9.0, 9.0, 9.0))
+    for wrong, words in ((-1.0, "negative"), (2 * c.most, "bear")):
+        with pytest.raises(ConfigError, match=words):
+            soften(c, wrong, None)
+    stiff = Stepper(ROBOT, PD(), StepperSettings(safety=Safety(torque="urdf")))
+    with stiff, pytest.raises(ConfigError, match="the hand is stiff"):
+        stiff.comply(100.0)
 
 
 def test_the_forces_of_a_surface_and_of_a_door_are_their_closed_forms():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import re
+import tomllib
 from importlib import import_module
 from pathlib import Path
 
@@ -68,9 +69,11 @@ def test_every_key_is_printed_and_a_table_lists_its_subkeys_with_defaults(
     assert text.startswith(f"{key}: ") and len(text) > len(key) + 8
     (field,) = (f for f in msgspec.structs.fields(Experiment) if f.encode_name == key)
     for table in docs.tables_in(field.type):
+        tag = table.__struct_config__.tag
+        part = text.partition(f'type = "{tag}"')[2].partition("\n\n")[0] if tag else text
         made = table() if not any(f.required for f in msgspec.structs.fields(table)) else None
         for inner in msgspec.structs.fields(table):
-            line = re.search(rf"^  {inner.encode_name} +.*(?:\n {{5,}}.*)*", text, re.M)
+            line = re.search(rf"^  {inner.encode_name} +.*(?:\n {{5,}}.*)*", part, re.M)
             assert line, inner.encode_name
             default = re.search(r"\[(?:default: (.*)|required|a table)\]$", " ".join(line[0].split()))
             assert default, line[0]
@@ -118,3 +121,43 @@ def test_a_key_that_is_misspelt_is_told_with_its_neighbours(capsys: pytest.Captu
     assert main(["docs", "latency.margn"]) == 2
     assert "unknown key 'latency.margn': did you mean 'latency.margin'? there is: latency." in capsys.readouterr().err
     assert main(["docs", "nothing.such"]) == 2 and "how-to/robots" in capsys.readouterr().err
+
+
+LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
+
+
+def test_pages_that_pages_link_to_are_in_a_clone() -> None:
+    written = {f"{name}.md" for name in docs.LISTED} | {"reference/python-more.md"}  # by a build of the site, not here
+    dead = [
+        f"{page.relative_to(ROOT)}: {target}"
+        for page in [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/**/*.md")]
+        if "/".join(page.parts[-2:]) not in written
+        for target in LINK.findall(page.read_text("utf-8"))
+        if "://" not in target and not target.startswith("mailto:")
+        if not (place := (page.parent / target).resolve()).exists() or "/".join(place.parts[-2:]) in written
+    ]
+    assert dead == []
+
+
+@pytest.mark.parametrize("name", ["Timed", "Overrides", "Stepper.step", "Robot.view", "reference.timed.Smoothed"])
+def test_any_public_name_is_printed_with_its_docstring(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    out = printed(capsys, name)
+    assert out.startswith(f"{name}(") and "\nof mmnn_pin." in out and len(out.splitlines()) > 3
+
+
+def test_schemas_take_the_files_that_are_there_and_refuse_others(capsys: pytest.CaptureFixture[str]) -> None:
+    """Judged by jsonschema, which shares no code with what reads the files."""
+    jsonschema = pytest.importorskip("jsonschema")
+    assert main(["docs", "--schema", "experiment"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    judge = jsonschema.Draft202012Validator(schema)
+    files = [*(ROOT / "mmnn_pin/lab/experiments").glob("*.toml"), ROOT / "examples/udp/task.toml"]
+    for file in files:
+        assert [error.message for error in judge.iter_errors(tomllib.loads(file.read_text("utf-8")))] == [], file
+    for wrong in ({"sede": 1}, {"feedback": {"arm": "fast"}}, {"time": {"duraton": 3.0}}):
+        assert list(judge.iter_errors(wrong)), wrong
+    told = schema["$defs"]["Experiment"]["properties"]
+    assert told["seed"]["description"] and told["experiment"]["description"]
+    for kind in ("study", "robot", "ros2"):
+        assert main(["docs", "--schema", kind]) == 0
+        jsonschema.Draft202012Validator.check_schema(json.loads(capsys.readouterr().out))

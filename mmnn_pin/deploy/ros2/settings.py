@@ -236,6 +236,7 @@ class Node(Settings, frozen=True):
         commands: What is sent, to all motors, by the names of the robot's controllers.
         controller: Name of a controller, see `mmnn list`.
         experiment: Experiment with gains, learners and the supervisor's limits, name or file.
+        hardware: What its motors are, a profile or a file, see `mmnn list`; empty for the table beside the URDF.
         set: Its keys that are changed, tables in tables.
         learning: Whether the controller learns; live.
         rate: Control samples per second.
@@ -264,6 +265,7 @@ class Node(Settings, frozen=True):
     commands: dict[str, Output] = msgspec.field(default_factory=dict)
     controller: str = "pd"
     experiment: str = "track"
+    hardware: str = ""
     set: dict[str, Any] = msgspec.field(default_factory=dict)
     learning: bool = True
     rate: float = 200.0
@@ -303,8 +305,8 @@ class Node(Settings, frozen=True):
     @property
     def changes(self) -> list[str]:
         """The changes of the experiment as `key.path=value` texts, values as in TOML."""
-        learning = [("learning.learning", self.learning)]
-        return [f"{key}={msgspec.json.encode(value).decode()}" for key, value in leaves(self.set) + learning]
+        own = [("learning.learning", self.learning), *([("hardware", self.hardware)] if self.hardware else [])]
+        return [f"{key}={msgspec.json.encode(value).decode()}" for key, value in leaves(self.set) + own]
 
 
 def settings_of(parameters: Mapping[str, Any]) -> Node:

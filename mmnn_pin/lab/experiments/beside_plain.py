@@ -84,7 +84,8 @@ def compared(run: Recording, plain: Recording) -> list[str]:
         reasons.append(f"its effort is {times(effort / max(usual, 1e-12))} as large")
     motors = run.labels("motor_torque")
     shaken, calm = shaking(run), shaking(plain)
-    far = np.where((shaken[0] > SHAKEN * shaken[1]), shaken[0] / np.maximum(calm[0], 1e-3 * shaken[1]), 0.0)
+    least = np.maximum(np.maximum(calm[0], 1e-3 * shaken[1]), 1e-12)
+    far = np.where((shaken[0] > SHAKEN * shaken[1]), shaken[0] / least, 0.0)
     if far.size and far.max() > FAR:
         reasons.append(f"it shakes {motors[int(far.argmax())]}, {times(float(far.max()))} as much")
     return reasons

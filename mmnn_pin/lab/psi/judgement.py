@@ -7,8 +7,9 @@ from functools import cached_property
 from typing import Any, ClassVar, TypeVar
 from weakref import WeakKeyDictionary
 
-from ...errors import InputError, UnknownName
+from ...errors import ConfigError, InputError, UnknownName
 from ...recording.recording import Recording
+from ...settings import require_gain
 from ...settings.arguments import checked, faced
 from ...shown import AsText, shown
 from .psi import WINDOWS, ProgressCallback, Psi, psi_of
@@ -42,6 +43,9 @@ class Judgement(AsText):
         windows: int = WINDOWS,
         progress: ProgressCallback | None = None,
     ) -> None:
+        require_gain(payload or 0.0, "payload")
+        if windows < 1:
+            raise ConfigError(f"{windows}", fix="use at least one", key="windows")
         self.subject, self.payload, self.windows = Subject.of(recording), payload, windows
         self.progress = progress
 

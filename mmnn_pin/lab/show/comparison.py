@@ -108,7 +108,8 @@ def brief(result: Result) -> Table:
     """A column per controller; RMS errors of the last window that was reached, motors at their limits, outcome."""
     windows, end = result.experiment.windows, result.experiment.time.duration
     start, stop = next(((a, b) for a, b in reversed(windows) if a < end), windows[0])
-    rows = grouped(brief_hand(result), brief_errors(result, f"rms_{start:g}_{stop:g}"), brief_rest(result))
+    errors = brief_errors(result, f"rms_{start:g}_{stop:g}")
+    rows = grouped(push_rows(result, brief=True), brief_hand(result), errors, brief_rest(result))
     controllers = (Column(name, letters=NAME) for name in result.recordings)
     about = f"Errors: {rms(start, stop, end)}; --details has all of them, peaks, torques and gains."
     notes = [note for note in notes_of(result) if note.startswith(("*", *ORACLES))]
@@ -212,12 +213,13 @@ def error_rows(result: Result) -> Iterator[Row]:
                 yield row_of(first, words, *marked(values))
 
 
-def push_rows(result: Result) -> Iterator[Row]:
-    """Forces on a surface, angle and forces of a door; nothing where no hand touched anything."""
+def push_rows(result: Result, brief: bool = False) -> Iterator[Row]:
+    """Forces on a surface, angle and forces of a door; nothing where none is; `brief` in one column."""
     for key, (about, words) in PUSH_ROWS.items():
         values = [numbers.get(key) for numbers in result.pushes.values()]
         if any(key in numbers for numbers in result.pushes.values()):
-            yield row_of(about, words, *("-" if value is None else number(value) for value in values))
+            heads = (f"{about} {words}".strip(),) if brief else (about, words)
+            yield row_of(*heads, *("-" if value is None else number(value) for value in values))
 
 
 def rms(start: float, stop: float, end: float) -> str:

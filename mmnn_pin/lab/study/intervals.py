@@ -14,9 +14,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its parts are slow to import, and come when they are used
 from numpy.typing import NDArray
-from scipy.stats import binom, binomtest, norm
-from scipy.stats import t as student
 
 from ...signals import Array, IntArray
 
@@ -48,7 +47,7 @@ def rate(success: Mask, draws: IntArray | None = None) -> Interval:
     n = len(success)
     if not n:
         return Interval(math.nan, 0.0, 1.0)
-    p, z2 = float(np.mean(success)), float(norm.ppf((1 + LEVEL) / 2)) ** 2
+    p, z2 = float(np.mean(success)), float(scipy.stats.norm.ppf((1 + LEVEL) / 2)) ** 2
     worth = independent(np.asarray(success, float), draws)
     middle, half = p + z2 / (2 * worth), math.sqrt(z2 * p * (1 - p) / worth + (z2 / (2 * worth)) ** 2)
     low, high = ((middle + side * half) / (1 + z2 / worth) for side in (-1.0, 1.0))
@@ -69,7 +68,7 @@ def quantile(values: Array, q: float, draws: IntArray | None = None) -> Interval
     ordered = np.sort(values)
     value = float(np.quantile(ordered, q, method="inverted_cdf"))
     worth = math.floor(independent(np.asarray(values <= value, float), draws))
-    low, high = (int(binom.ppf(p, worth, q)) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    low, high = (int(scipy.stats.binom.ppf(p, worth, q)) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
     low, high = low * n // worth, -(-(high + 1) * n // worth) - 1  # ranks of as many runs as there are, outwards
     return Interval(
         value, float(ordered[low - 1]) if low > 0 else -math.inf, float(ordered[high]) if high < n else math.inf
@@ -92,7 +91,7 @@ def independent(hit: Array, draws: IntArray | None) -> float:
         return least
     sums = np.bincount(np.unique(draws, return_inverse=True)[1], hit - hit.mean())
     effect = groups / (groups - 1) * float((sums**2).sum()) / spread
-    few, many = (float(student.ppf((1 + LEVEL) / 2, one - 1)) for one in (groups, n))
+    few, many = (float(scipy.stats.t.ppf((1 + LEVEL) / 2, one - 1)) for one in (groups, n))
     return float(np.clip(n / max(effect, 1.0) * (many / few) ** 2, least, n))
 
 
@@ -108,7 +107,7 @@ def differ(one: Mask, other: Mask, draws: IntArray | None = None) -> float:
     if draws is not None and len(draws):
         more = np.bincount(np.unique(draws, return_inverse=True)[1], more)
     wins, losses = int((more > 0).sum()), int((more < 0).sum())
-    return float(binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
+    return float(scipy.stats.binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
 
 
 def percent(interval: Interval) -> str:

@@ -14,8 +14,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.stats import f as f_distribution
-from scipy.stats import rankdata, spearmanr
+import scipy
 
 from ...signals import Array, IntArray
 from .factors import Factor
@@ -59,12 +58,12 @@ def share_of(values: Sequence[Any], result: Array, ordered: bool, groups: IntArr
         groups: (n,) number of the group of every run, of runs with one value that are not independent of each other;
             None where all are.
     """
-    ranks = rankdata(np.where(np.isnan(result), np.inf, result))
+    ranks = scipy.stats.rankdata(np.where(np.isnan(result), np.inf, result))
     bins = bins_of(values, ordered)
     n, k = len(ranks), int(bins.max(initial=-1)) + 1
     total = float(((ranks - ranks.mean()) ** 2).sum()) if n else 0.0
     varies = bool(n) and ordered and np.ptp(np.asarray(values, float)) > 0 and np.ptp(ranks) > 0
-    direction = float(spearmanr(np.asarray(values, float), ranks).statistic) if varies else np.nan
+    direction = float(scipy.stats.spearmanr(np.asarray(values, float), ranks).statistic) if varies else np.nan
     if k < 2 or n <= k or total == 0:
         return Share(0.0, direction if total else np.nan, 1.0)
     counts = np.bincount(bins, minlength=k)
@@ -76,7 +75,7 @@ def share_of(values: Sequence[Any], result: Array, ordered: bool, groups: IntArr
         return Share(0.0, direction, 1.0)
     noise = float((sums**2 / np.bincount(alone)).sum()) / free  # of a bin's mean, times its runs
     ratio = between / (k - 1) / noise if noise > 0 else np.inf
-    p = float(f_distribution.sf(ratio, k - 1, free))
+    p = float(scipy.stats.f.sf(ratio, k - 1, free))
     return Share(max(0.0, (between - (k - 1) * noise) / total), direction, p)
 
 
@@ -92,7 +91,7 @@ def bins_of(values: Sequence[Any], ordered: bool, most: int = BINS) -> IntArray:
     if not ordered or len(levels) <= most:
         place = {repr(level): i for i, level in enumerate(levels)}
         return np.array([place[repr(value)] for value in values], np.int64)
-    order = np.asarray(rankdata(np.asarray(values, float), method="min"), np.int64) - 1
+    order = np.asarray(scipy.stats.rankdata(np.asarray(values, float), method="min"), np.int64) - 1
     raw = order * most // len(values)
     return np.asarray(np.unique(raw, return_inverse=True)[1], np.int64)
 

@@ -53,6 +53,7 @@ SCHEMA: dict[str, tuple[str, str]] = {
     "color": ("", "rgba"),
     "texture": ("", "filename"),
 }
+MOST_LIMIT = 1e9  # no motor has an effort or a speed beyond [N m, rad/s]
 KNOWN = {tag: (frozenset(children.split()), frozenset(keys.split())) for tag, (children, keys) in SCHEMA.items()}
 # What may stand once in an element.
 ONCE = {
@@ -589,6 +590,12 @@ def bad_limit(joint: etree._Element, kind: str) -> Iterator[Finding]:
             limit.set(key, "0")  # Pinocchio's parser refuses a negative one
             why = "taken as no limit, which it is in SDF"
             yield finding("limit-negative", limit, f"{key} is negative", why, "give its magnitude, or delete it")
+        elif number(limit, key, 0.0) > MOST_LIMIT:
+            what, fix = f"{key} limit is {number(limit, key, 0.0):g}", "state the largest of the motor, or delete it"
+            limit.set(key, "0")
+            yield finding("limit-huge", limit, what, "taken as no limit", fix)
+    if kind != "fixed" and limit.get("velocity") is not None and number(limit, "velocity", 0.0) == 0:
+        yield finding("zero-velocity", limit, "velocity limit is 0", "assumed: no limit", "state the largest speed")
     if powerless:
         why = "assumed: no limit, a motor of 0 could not move it"
         yield finding("zero-effort", limit, "effort limit is 0", why, "state the largest torque or force")

@@ -243,6 +243,9 @@ def parse_xml(data: bytes) -> tuple[etree._Element | None, list[Finding]]:
         return None, [
             finding("too-many", 1, f"has more than {TAGS:,} tags", "no robot needs them", "simplify it", of="")
         ]
+    if data.replace(b"\0", b"").count(b"xmlns") > ATTRIBUTES:  # in UTF-16, too
+        what = f"declares more than {ATTRIBUTES} namespaces"
+        return None, [finding("too-many", 1, what, "no robot needs them", "simplify it", of="")]
     root, findings = parsed(data)
     if root is not None and (found := root.xpath(CROWDED)):
         what = f"has more than {ATTRIBUTES} attributes"

@@ -9,14 +9,20 @@ import numpy as np
 import pytest
 
 from mmnn_pin import Stepper, load, load_experiment
+from mmnn_pin.cli.ros2 import asked
+from mmnn_pin.deploy.ros2.settings import settings_of
+from mmnn_pin.deploy.ros2.wiring import interfaces
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.files import read_toml
 from mmnn_pin.lab.experiments.config import merged
 from mmnn_pin.lab.experiments.hardware import Fitted, lines, proposed
 from mmnn_pin.lab.experiments.hardware_table import HardwareTable, JointHardware, profiles, read_hardware
 from mmnn_pin.lab.experiments.runner import require_runnable, run_experiment
+from mmnn_pin.loop.suited import MotorLoad
+from mmnn_pin.model.robot import speed_limits
 from mmnn_pin.model.robots import bundled, extra, robot_data
 from mmnn_pin.safety import Safety
+from mmnn_pin.signals import Setpoint
 
 needs_data = pytest.mark.skipif(robot_data() is None, reason="example-robot-data is not installed")
 ONE = ["controllers=['computed_torque']", "plots=[]"]
@@ -105,6 +111,17 @@ def test_groups_patterns_and_single_joints_find_their_motors():
         Fitted(HardwareTable(joints={"elbow": JointHardware()}), robot)
 
 
+def test_limits_of_a_table_stand_in_place_of_the_urdfs_for_everybody():
+    robot = load("platform_arm")
+    changed = robot.with_armature(0.01).with_limits((0.0, 0.0, 3.0, 0.0), 2.0)
+    assert changed.effort_limits.tolist() == [*robot.effort_limits[:2], 3.0, robot.effort_limits[3]]
+    assert speed_limits(changed).tolist() == [2.0] * 4
+    assert changed.described.effort_limits.tolist() == changed.effort_limits.tolist()
+    assert robot.with_limits(0.0, 0.0) is robot
+    with pytest.raises(ConfigError, match="effort_limits"):
+        robot.with_limits((1.0, 2.0), 0.0)
+
+
 def test_casters_whose_motors_drive_the_base_are_driven_alike():
     kinds = Fitted(read_hardware("unknown", merged), load("casters_arm")).settings()["interfaces"]
     assert {kind for name, kind in kinds.items() if not name.startswith("arm")} == {"velocity"}
@@ -158,6 +175,23 @@ def test_hardware_that_is_too_weak_is_refused_and_the_way_out_works():
     require_runnable(found, found.load_robot())
 
 
+ROD = """<robot name="rod"><link name="stand"/><link name="rod"><inertial><origin xyz="0.5 0 0"/><mass value="1"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="turn" type="continuous"><parent link="stand"/><child link="rod"/><axis xyz="0 1 0"/>
+<limit effort="4" velocity="5"/></joint></robot>"""
+
+
+def test_a_joint_without_limits_that_cannot_hold_its_load_swings_where_it_can(tmp_path):
+    file = tmp_path / "rod.urdf"
+    file.write_text(ROD)  # level it weighs 4.9 N m
+    experiment = load_experiment("track", [f'robot="{file}"', *ONE])
+    robot = experiment.load_robot()
+    motion = experiment.trajectory_of(robot)
+    assert MotorLoad(robot).along(motion, 10.0)[0].max() < 0.95
+    level = Setpoint.side_by_side(motion.table(np.zeros(1), robot.dimensions), robot.dimensions).q[0, 0]
+    assert abs(math.cos(level)) < 0.8
+
+
 # -- robots on hardware ------------------------------------------------------------------------------------------------
 
 PAIRS = [
@@ -192,3 +226,13 @@ def test_an_arm_of_hobby_servos_errs_as_these_do_and_a_stepper_has_the_same_sett
     with Stepper.of(loop, safety=Safety(torque="urdf")) as stepper:
         assert stepper.period == 0.02 and stepper.setup.servo == found.servo and stepper.latency == 0.01
         assert stepper.setup.interfaces == found.interfaces and set(stepper.kinds) == {"position"}
+
+
+@needs_data
+def test_ros_2_takes_it_by_a_parameter():
+    joints = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"]
+    given = {"robot": "so101", "hardware": "feetech-sts3215", "rate": 50.0, "controller": "pd"}
+    given |= {"commands.arm.joints": joints, "commands.arm.interface": "position"}
+    experiment, robot = asked(settings_of(given))
+    assert experiment.latency.command == 0.01 and experiment.servo.stiffness == 17.8
+    assert interfaces(robot, settings_of(given)) == dict(experiment.interfaces)

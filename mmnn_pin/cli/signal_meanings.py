@@ -1,4 +1,4 @@
-"""What every signal of a recording means; a signal without a line here stops the build of the site."""
+"""Meanings of the signals of a recording; a signal without a line here stops the build of the site."""
 
 MEANINGS = {
     "time": "time of the control sample",
