@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 RUNS = click.argument("runs", nargs=-1, required=True, metavar="RUN...", type=PATH)
 ONE_RUN = click.argument("run", metavar="RUN", type=PATH)
 LARGE = 50_000_000  # bytes of an exported file from which it is told how to have less
-TO = ("csv", "npz", "parquet", "mcap")
+TO = ("csv", "npz", "parquet", "mcap", "lerobot")
 
 
 def whats(of: str = "runs") -> tuple[str, ...]:
@@ -352,6 +352,7 @@ def report(
         "mmnn export runs/track/pd.h5 --to csv --rate 100 --signals pose,q,torque        a small table",
         "mmnn export runs/chapter4/two_layer.h5 --to mcap --out two_layer.mcap     for Foxglove, PlotJuggler",
         "mmnn export runs/chapter4 --to parquet --out tables                       every recording of a folder",
+        "mmnn export runs/track/pd.h5 --to lerobot --rate 50                       a LeRobot dataset, a folder",
         "mmnn export runs/robustness --to csv                                      the rows of a study",
     ),
 )
@@ -371,10 +372,12 @@ def export(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Write recordings as tables (csv, npz, parquet) or as MCAP. RUN is a recording, or a folder with recordings.
+    """Write recordings as tables (csv, npz, parquet), as MCAP or as LeRobot datasets (v3.0, folders).
+
+    RUN is a recording, or a folder with recordings.
 
     RUN may also be one study, its folder or its results.jsonl: its rows are written as csv or parquet.
-    MCAP holds joint states, transforms, odometry and all signals as messages of ROS 2. Parquet and MCAP need
+    MCAP holds joint states, transforms, odometry and all signals as messages of ROS 2. Parquet, LeRobot and MCAP need
     `pip install 'mmnn_pin[export]'`.
     """
     from ..lab.show.export import RecordingPart, export_study
@@ -399,7 +402,7 @@ def export(
             RecordingPart.of(recording, chosen, rate)
         for run, recording in recordings.items():
             write(recording, files[run], to, force=force, signals=chosen, rate=rate)
-    large = [file for file in files.values() if file.stat().st_size > LARGE]
+    large = [file for file in files.values() if file.is_file() and file.stat().st_size > LARGE]
     sizes = ", ".join(f"{file.stat().st_size / 1e6:.0f} MB" for file in large)
     note = f"\nnote: {sizes}; --rate 100 and --signals q,torque make smaller tables" if large and to != "mcap" else ""
     answer(

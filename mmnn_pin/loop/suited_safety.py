@@ -5,6 +5,7 @@
 - A joint is lost `REACH` off its reference, plus what its load needs: under a feedback k s it hangs `load / (k K)`
   below, by a servo it is late by the latency.
 - A jump is more than `JUMP` beyond what the speed explains.
+- A learner shakes a motor with `SHAKEN` of its limit.
 - A control period is too long where the sampled loop is unstable by far.
 """
 
@@ -29,6 +30,7 @@ TURN, SLIDE = 10.0, 2.0  # speed of a joint where the URDF states none [rad/s, m
 REACH, REACH_SLIDE = 0.2, 0.1  # [rad, m]
 JUMP, JUMP_SLIDE = 0.1, 0.05  # [rad, m]
 AWAY, TURNED = 0.3, 0.5  # of a base from its reference [m, rad]
+SHAKEN = 0.15  # RMS of what is learned, faster than 10 Hz, over a motor's limit
 LONGEST = 64.0  # times the control period that is tried
 ROOM = 1.25  # times the longest stable period that is borne: joints have friction that no URDF states
 HALVINGS = 7
@@ -51,6 +53,7 @@ def suited_safety(given: Safety, plan: Plan, references: Array, limited: bool = 
         "joint_speed": tuple((OVER * fastest).tolist()),
         "wheel_speed": over(urdf[: wheels - steering_motors(robot)]),
         "steering_rate": over(urdf[wheels - steering_motors(robot) : wheels]),
+        "shaking": SHAKEN,
         "jump": tuple(np.where(turns, JUMP, JUMP_SLIDE).tolist()),
     }
     if robot.dimensions.base and limited:

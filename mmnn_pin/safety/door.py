@@ -88,6 +88,9 @@ def release(time: float, supervisor: Supervisor) -> bool:
         q, j = place_of(i, door.message, door), door.sense.shape[1] - door.joints.shape[1] + i
         if door.sense[OFFSET, j] != 0.0:
             door.message[q] = between_ends(door.message[q] - door.sense[OFFSET, j], i, door)
+    for k in range(supervisor.shake.shape[0]):
+        for j in range(supervisor.shake.shape[1]):
+            supervisor.shake[k, j] = 0.0
     for part in (supervisor.above, supervisor.integral, supervisor.stale):
         part[:] = 0.0
     for i in range(door.sense.shape[1]):

@@ -7,7 +7,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from ..elementary import hypot
+from ..elementary import exp, hypot
 from ..elementary.matrices import inverse, pseudo_inverse
 from ..errors import ConfigError
 from ..model.base.rolling import Maps
@@ -31,6 +31,7 @@ from .supervisor import (
     OVER_TWIST,
     OVER_WHEEL,
     PRESSED,
+    SHAKING,
     TOO_SLOW,
     TOUCHED,
     Door,
@@ -40,6 +41,12 @@ from .supervisor import (
 )
 
 MAY_BE_ZERO = ("torque_time", "stop_time", "settle", "hold_rate", "ramp")
+SHAKES, NYQUIST, LASTS = (
+    10.0,
+    0.125,
+    1.0,
+)  # of shaking: from what frequency on [Hz], at most that part of samples; for how long [s]
+LARGEST = 1e100  # torque of a motor without a limit
 FRESH = 5.5  # measurements that fail to come before a stop does without
 FASTEST, FASTEST_SLIDE = 10.0, 2.0  # speed that explains a joint's motion where no limit is known [rad/s, m/s]
 BASE_CONTRADICTION = 0.05  # of pose and velocities of the base in a stop, on a robot [m, rad]
@@ -50,13 +57,36 @@ STEERING_JUMP = 0.1  # of a pivot, where jumps are judged [rad]
 # What passed its limit: the signal, words, and the unit, that of a sliding joint where there are two.
 SIGNAL = {OVER_TORQUE: "motor_torque", OFF_PATH: "pose_error", OFF_HEADING: "pose_error", OFF_JOINT: "e"}
 SIGNAL |= {DEAF: "measurement", LOST: "command", BAD_WEIGHTS: "weights", PRESSED: "stop", BLIND: "measurement"}
-SIGNAL |= {TOUCHED: "contact", OVER_TWIST: "velocity", OVER_WHEEL: "velocity", JUMPED: "q", TOO_SLOW: "time"}
+SIGNAL |= {
+    SHAKING: "motor_torque",
+    TOUCHED: "contact",
+    OVER_TWIST: "velocity",
+    OVER_WHEEL: "velocity",
+    JUMPED: "q",
+    TOO_SLOW: "time",
+}
 WHAT = {OVER_TORQUE: "torque", OVER_SPEED: "speed", OFF_PATH: "position error", OFF_HEADING: "heading error"}
 WHAT |= {OVER_TWIST: "speed", OVER_WHEEL: "speed", TOO_SLOW: "control period", JUMPED: "jump"}
 WHAT |= {OFF_JOINT: "joint error", DEAF: "age of the measurement", LOST: "age of the command"}
 UNIT = {OVER_TORQUE: " N m", OVER_SPEED: " rad/s", OFF_PATH: " m", OFF_HEADING: " rad", OFF_JOINT: " rad"}
-UNIT |= {DEAF: " s", LOST: " s", OVER_TWIST: " rad/s", OVER_WHEEL: " rad/s", JUMPED: " rad", TOO_SLOW: " s"}
-SLIDING = {OVER_TWIST: " m/s", OVER_TORQUE: " N", OVER_SPEED: " m/s", OFF_JOINT: " m", OVER_WHEEL: " m/s", JUMPED: " m"}
+UNIT |= {
+    SHAKING: " N m",
+    DEAF: " s",
+    LOST: " s",
+    OVER_TWIST: " rad/s",
+    OVER_WHEEL: " rad/s",
+    JUMPED: " rad",
+    TOO_SLOW: " s",
+}
+SLIDING = {
+    SHAKING: " N",
+    OVER_TWIST: " m/s",
+    OVER_TORQUE: " N",
+    OVER_SPEED: " m/s",
+    OFF_JOINT: " m",
+    OVER_WHEEL: " m/s",
+    JUMPED: " m",
+}
 UNIT[BLIND], SLIDING[BLIND] = " rad", " m"
 
 
@@ -97,6 +127,8 @@ class Safety(Settings, frozen=True):
         jump: Largest change of a joint's measured position between two measurements that its speed does not explain,
             one number or one per joint [rad or m].
         slowest: Longest control period on average over some 10 samples [s].
+        shaking: Largest RMS over a second of the part of what is learned, Psi_hat and robust term, that is faster than
+            10 Hz, as a share of a motor's limit: of `torque`, else of the URDF's. A learner beyond it shakes the motor.
         contact: What happens where contact is felt (`touch`): "stop" trips, "comply" gives way, carried by the model
             and damped, and goes back slowly, "go on" is up to the controller.
         weights: Largest Frobenius norm of every array of weights; larger ones are scaled back at every sample.
@@ -127,6 +159,7 @@ class Safety(Settings, frozen=True):
     joint_error: Literal["none"] | Numbers | None = None
     jump: Literal["none"] | Numbers | None = None
     slowest: Literal["none"] | float | None = None
+    shaking: Literal["none"] | float | None = None
     contact: Literal["stop", "comply", "go on"] = "go on"
     weights: float | None = None
     timeout: float | None = None
@@ -177,6 +210,7 @@ class Safety(Settings, frozen=True):
         numbers += [self._calm_rate(robot, gains), period, math.inf if brakes == "none" else self.settle, self.rest]
         numbers += [float(brakes == "base"), FRESH * (arrivals or period), some(self.slowest)]
         numbers += [some(self.speed), some(self.yaw_rate), float(self.timeout is None)]
+        numbers += [1.0 - exp(-math.tau * min(SHAKES * period, NYQUIST)), 1.0 - exp(-period / LASTS)]
         numbers += [float(self.contact == "stop")]
         wheels, turns, none = layout.motors - layout.arm, revolute(robot)[arm], np.full(layout.arm, np.inf)
         urdf, steered = speed_limits(robot), steering_motors(robot)
@@ -199,7 +233,9 @@ class Safety(Settings, frozen=True):
         fixed = [np.array(array, float, order="C") for array in arrays]
         standing, maps = standing_of(robot, steering)
         places = np.zeros((0, 2), np.int64) if weights is None else weights
-        unseen = [reach_of(robot), mobility(robot), np.zeros(layout.dof) if asked is None else asked]
+        strength = np.where(np.isfinite(torque), torque, robot.effort_limits)
+        shaken = np.minimum(some(self.shaking), LARGEST) * np.where(np.isfinite(strength), strength, LARGEST)
+        unseen = [reach_of(robot), mobility(robot), np.zeros(layout.dof) if asked is None else asked, shaken]
         *state, sense = views(new_state(layout) if values is None else values, layout)
         state[1].every[0] = state[1].every[0] or arrivals or period
         door = Door(measured, np.array(rows, float), state[2], state[1], sense, layout.sideways, *maps)
@@ -286,13 +322,13 @@ def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
     zeros = SupervisorNumbers(*[0.0] * len(SupervisorNumbers._fields))
     door = Door(none, none, state[2], state[1], sense, False, nothing, none, np.zeros(0, np.int64), 0.0)
     numbers: list[Any] = [False, zeros, *[nothing] * 6, door, none, none]
-    return Supervisor._make([*numbers, np.zeros((0, 2), np.int64), nothing, none, nothing, *state])
+    return Supervisor._make([*numbers, np.zeros((0, 2), np.int64), nothing, none, nothing, nothing, *state])
 
 
 def new_state(layout: Dimensions, start: float = 0.0) -> Array:
     """State of a supervisor before its first measurement at a time [s]."""
     message = layout.pose + layout.base + 2 * layout.arm + layout.shape
-    values = np.zeros(MARKS + message + 13 * layout.dof + layout.motors + 2 * layout.arm + 4 * layout.shape)
+    values = np.zeros(MARKS + message + 13 * layout.dof + 4 * layout.motors + 2 * layout.arm + 4 * layout.shape)
     state = marks_of(values)
     state.heard[0] = state.commanded[0] = start
     state.blind[0] = -1.0
@@ -302,8 +338,9 @@ def new_state(layout: Dimensions, start: float = 0.0) -> Array:
 def views(values: Array, layout: Dimensions) -> list[Any]:
     """A supervisor's state and views of its parts, in the order of `Supervisor`, and the sense of its door."""
     message, p, n = layout.pose + layout.base + 2 * layout.arm + layout.shape, layout.dof, layout.arm
-    _, *parts, sight, sense = np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n, p, 7 * p]))
-    return [values, marks_of(values), *parts, sight.reshape(7, -1), sense.reshape(4, -1)]
+    m = layout.motors
+    _, *parts, sight, shake, sense = np.split(values, np.cumsum([MARKS, message, p, m, n, n, p, 7 * p, 3 * m]))
+    return [values, marks_of(values), *parts, sight.reshape(7, -1), shake.reshape(3, -1), sense.reshape(4, -1)]
 
 
 def marks_of(values: Array) -> SupervisorState:
@@ -326,7 +363,12 @@ def trip_of(state: SupervisorState, robot: Robot) -> tuple[float, str, str]:
     if code == PRESSED:
         return time, SIGNAL[code], f"stopped from outside at t = {time:g} s"
     names = {OVER_TORQUE: robot.actuator_names, OVER_SPEED: robot.velocity_names, OFF_JOINT: robot.joint_names}
-    names |= {OVER_WHEEL: robot.actuator_names, JUMPED: (*robot.joint_names, *robot.base.shape), OVER_TWIST: ("v", "w")}
+    names |= {
+        SHAKING: robot.actuator_names,
+        OVER_WHEEL: robot.actuator_names,
+        JUMPED: (*robot.joint_names, *robot.base.shape),
+        OVER_TWIST: ("v", "w"),
+    }
     names |= {BLIND: robot.velocity_names}
     name = names[code][i] if code in names else ""
     unit = SLIDING[code] if name and slides(robot, name) else UNIT[code]
@@ -340,6 +382,9 @@ def trip_of(state: SupervisorState, robot: Robot) -> tuple[float, str, str]:
     if code == BLIND:
         what = f"no new measurement says where {name} is, which may have gone {value:.3g}{unit}"
         return time, SIGNAL[code], f"tripped at t = {time:g} s: {what}"
+    if code == SHAKING:
+        what = f"what is learned shakes {name} with {value:.3g}{unit} RMS, over its limit of {limit:.4g}{unit}"
+        return time, f"{SIGNAL[code]}[{i}]", f"tripped at t = {time:g} s: {what}"
     of, over = f" of {name}" if name else "", f"{value - limit:.3g}{unit} over its limit of {limit:.4g}{unit}"
     signal = f"{SIGNAL[code]}[{i}]" if code in SIGNAL else f"velocity[{i}]" if i < nb else f"qdot[{i - nb}]"
     return time, signal, f"tripped at t = {time:g} s: {WHAT[code]}{of} {value:.4g}{unit}, {over}"

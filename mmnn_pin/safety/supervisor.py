@@ -14,6 +14,7 @@ POSE, VELOCITY, Q, QDOT, ALPHA = (INDEX[name] for name in ("pose", "velocity", "
 VELOCITY_REF, QDOT_REF = INDEX["velocity_ref"], INDEX["qdot_ref"]
 POSE_ERROR, JOINT_ERROR, STATE = INDEX["pose_error"], INDEX["e"], INDEX["safety"]
 PSI_HAT, TORQUE, CONTACT = INDEX["psi_hat"], INDEX["torque"], INDEX["contact"]
+PSI_APPLIED, ROBUST = INDEX["psi_applied"], INDEX["robust"]
 
 # What the signal `safety` says of a sample: nothing done, a torque clipped or a value held, stopping under feedback,
 # ramping to zero torque without measurements.
@@ -21,11 +22,12 @@ RUNNING, STEPPED_IN, STOPPING, RAMPING = 0.0, 1.0, 2.0, 3.0
 TURN, LOWER, UPPER, EXPLAINS, JUMP, IS_FREE = range(6)  # of a door's joints
 CONTRADICTION, MOST = range(2)  # of its rows
 DRIFT, LEAST, WITHOUT, OFFSET = range(4)  # of its sense
+SLOWER, SLOW, POWER = range(3)  # of what shakes
 SILENT, REPEATED, RATE, BEND, BEFORE, KNOWN, TRUSTED = range(7)  # of a supervisor's sight
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
-OVER_WHEEL, JUMPED, TOO_SLOW, OVER_TWIST, BLIND, TOUCHED = range(10, 16)
+OVER_WHEEL, JUMPED, TOO_SLOW, OVER_TWIST, BLIND, TOUCHED, SHAKING = range(10, 17)
 
 BORNE = 0.3  # of the slowest period: where samples are farther apart the gains of a stop are lowered in proportion
 SAMPLES = 10.0  # over which the control period is averaged, those far back less
@@ -56,6 +58,8 @@ class SupervisorNumbers(NamedTuple):
         twist: Largest speed of a base that steers [m/s].
         yaw_rate: Its largest yaw rate [rad/s].
         limited: 1 where silence is limited by how far velocities may lead, 0 by `timeout` alone.
+        quick: Share of a difference that the low-passes of `check_shaking` take in a sample.
+        fresher: Likewise the average of its squares.
         contact: 1 where contact trips.
     """
 
@@ -76,6 +80,8 @@ class SupervisorNumbers(NamedTuple):
     twist: float
     yaw_rate: float
     limited: float
+    quick: float
+    fresher: float
     contact: float
 
 
@@ -186,6 +192,7 @@ class Supervisor(NamedTuple):
         reach: (p,) how far velocities may lead while no measurement says so; inf for any way [m, rad].
         mobility: (p, p) largest |M^-1| of some postures.
         asked: (p,) velocities that servos are asked for, of their rows.
+        shaken: (motors,) largest RMS of the fast part of the torque that is learned [N m or N].
         values: State: all of the following.
         state: Single numbers.
         message: The last good measurement: pose, velocity, q, qdot, shape.
@@ -197,6 +204,8 @@ class Supervisor(NamedTuple):
         sight: (7, p) how far velocities may have led in silence, and while measurements repeat; their bound in silence,
             their average acceleration, and what they were; torque that was sent before the last measurement, and by the
             last that differed.
+        shake: (3, motors) torque that is learned behind a low-pass, what is faster behind another, and the average of
+            the squares of what is faster still.
     """
 
     on: bool
@@ -214,6 +223,7 @@ class Supervisor(NamedTuple):
     reach: Array
     mobility: Array
     asked: Array
+    shaken: Array
     values: Array
     state: SupervisorState
     message: Array
@@ -223,6 +233,7 @@ class Supervisor(NamedTuple):
     integral: Array
     stale: Array
     sight: Array
+    shake: Array
 
 
 @linked
@@ -284,6 +295,7 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
             copy_to(supervisor.last, tau)
         if state.good[0] == 0.0:
             tau[:] = 0.0
+        check_shaking(row, at, time, supervisor)
         if time - state.heard[0] > numbers.timeout + EARLY:
             trip(time, DEAF, 0, time - state.heard[0], numbers.timeout, state)
         elif time - state.commanded[0] > numbers.timeout + EARLY:
@@ -295,6 +307,29 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
     if clipped and row[at[STATE]] == RUNNING:
         row[at[STATE]] = STEPPED_IN
     copy_to(tau, supervisor.last)
+
+
+@internal
+def check_shaking(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
+    """Trip where what is learned shakes a motor: the RMS of its torque's fast part is beyond its limit.
+
+    Psi_hat as it is sent and the robust term count, behind two high-passes; what the first sample has is no step.
+    """
+    shake, state, numbers = supervisor.shake, supervisor.state, supervisor.numbers
+    p, psi = at[TORQUE + 1] - at[TORQUE], at[PSI_APPLIED] if at[PSI_APPLIED + 1] > at[PSI_APPLIED] else at[PSI_HAT]
+    for j in range(shake.shape[1]):
+        u = 0.0
+        for i in range(p):
+            u += supervisor.E_inv[j, i] * (row[psi + i] + row[at[ROBUST] + i])
+        if shake[SLOWER, j] == 0.0 and shake[POWER, j] == 0.0:
+            shake[SLOWER, j] = u
+        shake[SLOWER, j] += numbers.quick * (u - shake[SLOWER, j])
+        faster = u - shake[SLOWER, j]
+        shake[SLOW, j] += numbers.quick * (faster - shake[SLOW, j])
+        fast = faster - shake[SLOW, j]
+        shake[POWER, j] += numbers.fresher * (fast * fast - shake[POWER, j])
+        if shake[POWER, j] > supervisor.shaken[j] * supervisor.shaken[j]:
+            trip(time, SHAKING, j, math.sqrt(shake[POWER, j]), supervisor.shaken[j], state)
 
 
 @internal

@@ -180,6 +180,54 @@ def test_a_joint_that_is_off_its_reference_trips():
 # --- Weights ----------------------------------------------------------------------------------------------------------
 
 
+class Told(TorqueController):
+    """A feedback that holds the arm, and beside it a Psi_hat of one motor that is told, which is not sent."""
+
+    def __init__(self, psi):
+        self.psi = psi
+
+    def step(self, time, reference, measurement, command, state):
+        s = np.concatenate((command.z, command.r))
+        return np.array([200.0, 50.0, 3.0, 1.0]) * s, np.array([0.0, 0.0, self.psi(time), 0.0])
+
+
+def shaken_at(psi, duration=0.4, **own):
+    """When a Psi_hat of the arm's first motor trips, and the run's outcome."""
+    safety = Safety(shaking=0.1, timeout=0.02, ramp=0.02, stop_time=0.01, **own)
+    run = run_of(safety, duration, controller=Told(psi))
+    return (run.outcome.time if run.outcome.status == "tripped" else math.inf), run.outcome
+
+
+def test_what_is_learned_trips_when_it_shakes_a_motor():
+    """A ring of 40 Hz at half the limit: its square is A^2 / 2 of which a second's average has `1 - exp(-t)`."""
+    A, limit, f = 100.0, 0.1 * 200.0, 40.0
+    time, outcome = shaken_at(lambda t: A * math.sin(math.tau * f * t))
+    a = 1.0 - math.exp(-math.tau * 10.0 * H)
+    z = np.exp(2j * np.pi * f * H)
+    passed = abs((1.0 - a) * (z - 1.0) / (z - 1.0 + a)) ** 2  # both high-passes
+    expected = -math.log(1.0 - 2.0 * (limit / (A * passed)) ** 2)
+    assert time == pytest.approx(expected, abs=0.5 / f + 0.02)
+    assert outcome.signal == "motor_torque[2]"
+    assert "what is learned shakes arm_1_joint" in outcome.message and "over its limit of 20 N m" in outcome.message
+
+
+def test_what_is_learned_may_be_large_slow_and_begin_at_once():
+    assert shaken_at(lambda t: 200.0 * math.cos(math.tau * t))[0] == math.inf  # 1 Hz, all of the limit
+    assert shaken_at(lambda t: 0.0 if t < 0.2 else 150.0)[0] == math.inf  # a payload
+    assert shaken_at(lambda t: 150.0)[0] == math.inf
+    assert shaken_at(lambda t: 12.0 * math.sin(math.tau * 40.0 * t), torque=(10.0, 10.0, 10.0, 10.0))[0] < 0.4
+
+
+def test_on_a_robot_a_learner_that_shakes_trips_unless_it_is_told_not_to():
+    from mmnn_pin import Stepper
+
+    loop = loop_of(None)
+    for given, most in ((Safety(), 0.15 * ROBOT.effort_limits), (Safety(shaking="none"), None)):
+        with Stepper.of(loop, safety=given, check_gains=False) as stepper:
+            shaken = stepper.hardware.way.supervisor.shaken
+            assert (shaken > 1e90).all() if most is None else np.allclose(shaken, most)
+
+
 def test_weights_are_projected_onto_their_bound_at_every_sample():
     controller = Neural(TwoLayer(), Feedback(200.0, 3.0), robust=None)
     free = run_of(Safety(), controller=controller, weights_interval=H)

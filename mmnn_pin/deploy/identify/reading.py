@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +61,8 @@ def read_logs(
     """The motions of some files; tables with the same times and different signals are one motion.
 
     Args:
-        paths: CSV files, bags (rosbag2 with sqlite3 or MCAP, or their folder; ROS 1), recordings of this package.
+        paths: CSV files, bags (rosbag2 with sqlite3 or MCAP, or their folder; ROS 1), LeRobot datasets (a folder),
+            recordings of this package.
         robot: Whose joints are looked for.
         columns: Signal to header: `position.JOINT = HEADER`, with `{joint}` in both for all joints; `joint.JOINT =
             NAME` for what a bag calls a joint; `topic.joints`, `topic.odometry`, `topic.reference` for its topics.
@@ -75,6 +78,8 @@ def read_logs(
             raise RecordingError("no such file", fix="name a CSV file, a bag or a recording", file=path)
         if path.suffix == ".h5":
             logs.append(from_recording(Recording.open(path), robot))
+        elif (path / DATASET).is_file():
+            logs += read_dataset(path, robot, columns)
         elif path.suffix in BAGS or path.is_dir():
             logs.append(read_bag(path, robot, columns))
         else:
@@ -326,6 +331,60 @@ def meant(header: str, joints: Sequence[str]) -> str:
     words = re.split(r"[^a-z]+", plain.replace(joint.lower(), " ", 1))
     kinds = [kind for kind, synonyms in WORDS.items() if set(words) & set(synonyms)]
     return f"{kinds[0]}.{joint}" if len(kinds) == 1 else ""
+
+
+# -- LeRobot datasets --------------------------------------------------------------------------------------------------
+
+DATASET = "meta/info.json"  # in the folder of one
+
+
+def read_dataset(folder: Path, robot: Robot, columns: Columns) -> list[Log]:
+    """The episodes of a LeRobot dataset (v2 and v3): what its observations say, by the names of their columns.
+
+    Names such as `JOINT.pos` are found as headers of a CSV file are; an action is what was wanted, not measured. Of a
+    base they are `x.vel`, `y.vel` and `theta.vel`.
+
+    Raises:
+        RecordingError: It cannot be read, or has no rows.
+    """
+    try:
+        import pyarrow.parquet
+    except ModuleNotFoundError:
+        what, fix = "a LeRobot dataset", "pip install 'mmnn_pin[export]'"
+        raise RecordingError(what, why="the package pyarrow is not installed", fix=fix, file=folder) from None
+    try:
+        features = json.loads(read_bytes(folder / DATASET))["features"]
+        files = sorted((folder / "data").rglob("*.parquet"))
+        table = pyarrow.concat_tables([pyarrow.parquet.read_table(file) for file in files])
+        time, episode = (table[name].to_numpy() for name in ("timestamp", "episode_index"))
+        named = {
+            name: (list(names_of(features[name])), np.array(table[name].to_pylist(), float).reshape(len(time), -1))
+            for name in table.column_names
+            if name.startswith("observation.") and features.get(name, {}).get("dtype", "").startswith("float")
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        why = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise RecordingError("no LeRobot dataset that can be read", why=why, file=folder) from None
+    header, tables = ["time"], [np.asarray(time, float)[:, None]]
+    for names, values in named.values():
+        if len(names) == values.shape[1]:
+            header += [OF_BASE.get(name, name) for name in names]
+            tables.append(values)
+    joints = [*robot.joint_names, *(n for n in robot.full_velocity_names if n not in robot.joint_names)]
+    where, whole = found_columns(header, joints, columns, folder / DATASET), np.hstack(tables)
+    return [
+        from_signals(f"{folder}, episode {i}", {signal: whole[episode == i, k] for signal, k in where.items()})
+        for i in np.unique(episode)
+    ]
+
+
+OF_BASE = {"x.vel": "base.v", "y.vel": "base.vy", "theta.vel": "base.w"}
+
+
+def names_of(feature: Mapping[str, Any]) -> Sequence[str]:
+    """Names of a feature's columns: a list, or lists by a word."""
+    names = feature.get("names") or []
+    return [one for part in names.values() for one in part] if isinstance(names, dict) else names
 
 
 # -- recordings of this package ----------------------------------------------------------------------------------------

@@ -149,6 +149,8 @@ FORMATS: Mapping[str, Callable[[Recording, Path, RecordingPart], None]] = {
     "mcap": write_mcap,
 }
 
+DATASET = "lerobot"  # a folder
+
 
 def export(
     recording: Recording,
@@ -163,8 +165,8 @@ def export(
 
     Args:
         recording: The run.
-        path: The file.
-        to: One of `FORMATS`; by default what the file's name ends in.
+        path: The file, of a dataset its folder.
+        to: One of `FORMATS`, or `DATASET`; by default what the file's name ends in.
         force: Replace an existing file.
         signals: Those that a table has beside the time; none for all.
         rate: Rows per second that a table has at most, samples of the run [Hz]; None for all.
@@ -177,9 +179,30 @@ def export(
     """
     path, part = Path(path), RecordingPart.of(recording, signals, rate)
     to = to or path.suffix[1:].lower()
+    if to == DATASET:
+        return as_dataset(recording, path, part, force)
     if to not in FORMATS:
-        raise UnknownName("format", to, FORMATS)
+        raise UnknownName("format", to, (*FORMATS, DATASET))
     return written(lambda file: FORMATS[to](recording, file, part), path, to, force)
+
+
+def as_dataset(recording: Recording, path: Path, part: RecordingPart, force: bool) -> Path:
+    """Write a recording as a LeRobot dataset, a folder; errors as in `export`."""
+    from .lerobot import write_lerobot
+
+    if part.signals != tuple(recording):
+        why = "an episode has its states and actions"
+        raise ConfigError("a part of a run's signals as a dataset", why=why, fix="leave out --signals", key="--signals")
+    try:
+        return write_lerobot(recording, path, part.every, force)
+    except ModuleNotFoundError as error:
+        raise missing(error, DATASET) from error
+
+
+def missing(error: ModuleNotFoundError, to: str) -> RecordingError:
+    """The error of a package that a format needs."""
+    why = f"the package {(error.name or '').partition('.')[0]} is not installed"
+    return RecordingError(f"cannot export to {to}", why=why, fix="pip install 'mmnn_pin[export]'")
 
 
 def written(write: Callable[[Path], None], path: Path, to: str, force: bool) -> Path:
@@ -188,8 +211,7 @@ def written(write: Callable[[Path], None], path: Path, to: str, force: bool) -> 
         try:
             write(part)
         except ModuleNotFoundError as error:
-            why = f"the package {(error.name or '').partition('.')[0]} is not installed"
-            raise RecordingError(f"cannot export to {to}", why=why, fix="pip install 'mmnn_pin[export]'") from error
+            raise missing(error, to) from error
     return path
 
 
