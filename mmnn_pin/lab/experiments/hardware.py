@@ -21,7 +21,7 @@ from ...actuator.settings import heaviest
 from ...errors import ConfigError, UnknownName
 from ...files import read_toml
 from ...kinematic import Kinematic
-from ...loop.servo import POSITION, VELOCITY, movers, own_velocities
+from ...loop.servo import POSITION, VELOCITY, Command, movers, own_velocities
 from ...loop.stable_gains import SHARES, holds, two_digits
 from ...loop.suited import MotorLoad
 from ...model.base.steered import SteeredBase
@@ -36,6 +36,7 @@ ROOM = 1.25  # times the gains of the kinematic layer that are taken, the loop b
 JUDGED = "computed_torque"  # the controller whose loop is: none has more feedback inside
 UNKNOWN = "unknown"  # the profile for what has no other
 PLAIN_BANDWIDTH = 30.0  # of a servo of which nothing is said [1/s]
+UNITS = ("current", "pwm")  # interfaces that are efforts in other units
 OFFERS = {"arm": POSITION, "slides": POSITION, "wheels": VELOCITY, "steering": POSITION}  # of "offered"
 PER_TURN = ("stiffness", "damping", "integral", "stall", "dead_band", "profile_speed", "profile_acceleration")
 
@@ -53,6 +54,7 @@ class Fitted:
 
     Raises:
         UnknownName: A single joint that the robot does not have.
+        ConfigError: Currents or duties whose torque is not known.
     """
 
     def __init__(self, hardware: HardwareTable, robot: Robot) -> None:
@@ -78,6 +80,9 @@ class Fitted:
         if said.get("interface") == "offered":
             there = offered[name]
             said["interface"] = OFFERS[group] if OFFERS[group] in there or not there else there[0]
+        if said.get("interface") in UNITS and "torque_constant" not in said:
+            what, why = f"'{name}' takes a {said['interface']}", "how much torque that makes is not known"
+            raise ConfigError(what, why=why, fix="give torque_constant, too", key=f"hardware.joints.{name}")
         return JointHardware(**said)
 
     def of(self, name: str, rows: slice = slice(None), unsaid: float = 0.0) -> Array:
@@ -129,6 +134,19 @@ class Fitted:
             found |= {"armature": short(rotors)} if rotors.any() else {}
             found |= self._friction()
         return found | self._sensing() | self._times()
+
+    def sent(self, command: Command) -> dict[str, float]:
+        """A command as a driver sends it, by joint: in the unit of its interface.
+
+        Args:
+            command: Of a `Stepper`, whose interfaces are those of this table.
+        """
+        values = {POSITION: command.motor_position, VELOCITY: command.motor_velocity}
+        found = dict[str, float]()
+        for j, (name, motor) in enumerate(zip(self.robot.actuator_names, self.motors, strict=True)):
+            value = float(values.get(motor.interface or "", command.motor_effort)[j])
+            found[name] = value / (motor.torque_constant or 1.0) if motor.interface in UNITS else value
+        return found
 
     def _gaps(self) -> Array:
         """Backlash of every motor that can be simulated: of rotors that are lighter than what they drive."""

@@ -9,15 +9,16 @@ in plain Python is rebuilt only where its class is handed over.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
+from ...compiled import compiled, copy_to
 from ...errors import RecordingError
 from ...kinematic import Kinematic
 from ...loop.controller import context_of
-from ...loop.sample import Torque, turn
+from ...loop.sample import Torque, law_torque, settle, turn
 from ...model.base.overrides import Overrides
 from ...model.robot import Robot
 from ...model.robots import bundled, extra
@@ -25,7 +26,7 @@ from ...recording.reading import AGAIN
 from ...recording.recording import Recording
 from ...recording.run_file import encode
 from ...settings.arguments import shortly
-from ...signals import Array, Layout
+from ...signals import Array, IntArray, Layout
 from ...torque.controller import Context, ControllerState, Feedback
 from ...torque.entries import CONTROLLERS
 from ...torque.learning_law import LearningLaw
@@ -96,6 +97,12 @@ class LearnerStepper:
         self.torque.keep()
         return self.psi_hat
 
+    def walk(self, rows: Array, every: int, found: Array) -> None:
+        """Step over rows (N, width), and write what is known at every so many of them into `found`; compiled."""
+        t = self.torque
+        views = Walked(self.row, self.row[self._torque], self._torque.start, self._sent, self.psi_hat, self.known)
+        walk(rows, every, found, views, t.at, t.limits, self._steering, t.controls, t.model, t.learner)
+
     @property
     def known(self) -> Array:
         """Psi_hat of the last step as the weights say it, before the motors' limits take of it, (p,), a view."""
@@ -108,6 +115,47 @@ class LearnerStepper:
         return None if found is None else np.array(np.atleast_2d(found), float)
 
 
+class Walked(NamedTuple):
+    """Arrays of a `LearnerStepper`, for `walk`."""
+
+    row: Array
+    torque: Array
+    start: int
+    sent: Array
+    psi_hat: Array
+    known: Array
+
+
+@compiled
+def walk(  # noqa: PLR0913 - what `sample.law_torque` takes
+    rows: Array,
+    every: int,
+    found: Array,
+    views: Walked,
+    at: IntArray,
+    limits: Any,
+    steering: Any,
+    controls: Any,
+    model: Any,
+    learner: Any,
+) -> None:
+    """Do as `LearnerStepper.step` for all rows."""
+    end = views.start + views.torque.size
+    for n in range(rows.shape[0]):
+        copy_to(rows[n], views.row)
+        for i in range(views.psi_hat.size):
+            views.psi_hat[i] = 0.0
+        copy_to(views.sent, views.torque)
+        turn(views.row, at, limits, steering)
+        law_torque(controls, model, learner, limits, None, None)
+        copy_to(rows[n, views.start : end], views.sent)
+        copy_to(views.sent, views.torque)
+        if learner is not None:
+            settle(views.row, at, learner, controls.state)
+        if n % every == 0:
+            copy_to(views.known, found[n // every])
+
+
 def frozen_psi_hat(learner: Learner, state: ControllerState, rows: Array, every: int = 1) -> Array:
     """Psi_hat of the weights of a state, held fixed, along rows (N, width): of every so many of them, (k, p) [N, N m].
 
@@ -115,6 +163,9 @@ def frozen_psi_hat(learner: Learner, state: ControllerState, rows: Array, every:
     """
     stepper = LearnerStepper(learner, state.snapshot(), learning=False)
     found = np.zeros((-(-len(rows) // every), learner.context.layout.dof))
+    if stepper.torque.compiled:
+        stepper.walk(np.ascontiguousarray(rows), every, found)
+        return found
     for n, row in enumerate(rows):
         stepper.step(row)
         if n % every == 0:

@@ -13,12 +13,12 @@ from proofs import KINDS, PERIOD, SLOW, learner, loop_of, robot_of_kind, subject
 from scipy.spatial.distance import cdist
 from scipy.special import expit
 
-from mmnn_pin import load, load_experiment
+from mmnn_pin import Line, Trajectory, compare, load, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.psi import held_out as held
 from mmnn_pin.lab.psi.excitation import effective_rank, excitation
 from mmnn_pin.lab.psi.held_out import held_out, loaded, recorded_under_computed_torque, tip, usual_payload
-from mmnn_pin.lab.psi.learner import seen
+from mmnn_pin.lab.psi.learner import LearnerStepper, frozen_psi_hat, seen
 from mmnn_pin.lab.psi.psi import error_in, fvu, fvu_in, psi_along, psi_of, shares, sizes, windows, worst
 from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.model.dynamics import Dynamics
@@ -296,3 +296,18 @@ def test_a_config_may_name_its_own() -> None:
     with pytest.raises(Exception, match="held_out") as caught:
         broken.held_out_of(robot, "ring")
     assert caught.value.key == "held_out.ring.base.type"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("controller", ["two_layer", "adaptive", "learned"])
+def test_frozen_weights_walked_compiled_are_those_stepped_row_by_row(controller: str) -> None:
+    runs = compare(load("platform_arm"), Trajectory.of(load("platform_arm"), Line(0.3)), [controller], duration=0.6)
+    subject = Subject.of(runs[controller])
+    assert subject.learner is not None
+    stepper = LearnerStepper(subject.learner, subject.learner.end.snapshot(), learning=False)
+    expected = []
+    for n, row in enumerate(subject.rows):
+        stepper.step(row)
+        expected += [stepper.known.copy()] * (n % 3 == 0)
+    found = frozen_psi_hat(subject.learner, subject.learner.end, subject.rows, 3)
+    np.testing.assert_array_equal(found, np.array(expected))
+    assert found.any()
