@@ -177,11 +177,12 @@ def test_a_table_within_an_experiment_names_its_own_keys():
 
 
 @needs_data
-def test_hardware_that_is_too_weak_is_refused_and_the_way_out_works():
-    with pytest.raises(ConfigError, match="too weak for z1") as refused:
-        on("z1", "feetech-sts3215")
+@pytest.mark.parametrize(("robot", "text"), [("z1", "too weak for z1"), ("platform_arm", "too slow or too soft for")])
+def test_hardware_that_cannot_is_refused_and_the_way_out_works(robot, text):
+    with pytest.raises(ConfigError, match=text) as refused:
+        on(robot, "feetech-sts3215")
     hardware = re.search(r"--hardware (\S+)", refused.value.fix)[1]
-    found = on("z1", hardware)
+    found = on(robot, hardware)
     require_runnable(found, found.load_robot())
 
 
