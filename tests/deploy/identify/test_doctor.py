@@ -19,7 +19,7 @@ from scipy.signal import lfilter
 from test_identification import csv_of
 from test_odometry import TRUE, drive
 
-from mmnn_pin import PD, Loop, Sine, Timing, Trajectory, identify, load
+from mmnn_pin import PD, Loop, Sine, Timing, Trajectory, identify, load, load_experiment
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify.doctor import require_no_contradiction
@@ -195,6 +195,9 @@ def test_the_delays_of_a_loop_come_out_of_its_recording(arm: Robot, tmp_path: Pa
     assert abs(table["delay"] - 0.006) < 1e-3 and abs(table["filter"] / 60.0 - 1) < 0.1
     assert abs(table["joints"][ONE]["lag"] - 0.012) < 1e-3
     assert tomllib.loads(files["toml"].read_text())["timing"][ONE] == pytest.approx(found.timing[ONE])
+    again = load_experiment("track", [f"robot='{files['urdf']}'"])  # its run has the robot's own loop
+    assert again.latency.command == table["delay"] and again.sensor.bandwidth == table["filter"]
+    assert np.abs(np.array(again.actuator.lag) - 0.012).max() < 1e-3 and again.sensor.velocity == "filtered"
 
 
 def test_commands_that_were_recorded_as_efforts_give_delay_and_lag(arm: Robot, truth: Robot) -> None:
