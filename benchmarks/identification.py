@@ -41,11 +41,11 @@ from mmnn_pin.deploy.identify.equations import (
     still_speeds,
 )
 from mmnn_pin.deploy.identify.excitation import RATE, ExcitationLimits, ExcitationSearch, ExcitingMotion, excite
-from mmnn_pin.deploy.identify.identification import MODELS, Identification, following, friction_alone, scaled
+from mmnn_pin.deploy.identify.identification import MODELS, Identification, scaled
 from mmnn_pin.deploy.identify.least_squares import base_parameters, weighted_fit
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.payload import doubts, numbers_of, payload
-from mmnn_pin.deploy.identify.programme import Prior, compressed, consistent_fit
+from mmnn_pin.deploy.identify.programme import Blocks, Prior, compressed, consistent_fit
 from mmnn_pin.deploy.identify.reading import read_logs
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
@@ -255,13 +255,14 @@ def coverage(robot: Robot, draws: int, noise: float = 0.2, seed: int = 1) -> dic
     base, prior = base_parameters(unknowns, every, every), Prior.of(unknowns, rows)
     C, size = base.combination, noise * np.column_stack(list(log.effort.values())).std(axis=0)
     found: dict[str, list[Array]] = {name: [] for name in ("value", "sd", "consistent", "consistent_sd")}
-    weight = following(rows, unknowns, prior, friction_alone(rows, unknowns))[2]
+    blocks = Blocks.of(rows, prior)
     for n, one in enumerate(noises(log, rows, size, seed, draws)):
         noisy = replace(rows, y=rows.y + one)
         fit = weighted_fit(noisy, base)
         found["value"].append(fit.value)
         found["sd"].append(fit.sd)
         if n % 10 == 0:
+            weight, _ = blocks.chosen(every, fit.deviation, prior.strength)
             consistent = consistent_fit(*compressed(noisy, prior, every, fit.deviation), prior, weight, fit.inflation)
             found["consistent"].append(C @ consistent.theta)
             found["consistent_sd"].append(np.sqrt(np.diag(C @ consistent.covariance @ C.T)))

@@ -32,7 +32,7 @@ from .latency import Transport
 from .lead import leads
 from .servo import Split, interfaces_of, laws, own_velocities, require_no_torque_regressor, split_of, state_size
 from .servo_model import servo_slots, servos_of
-from .setup import Setup, believed_by
+from .setup import Setup, believed_by, freezes
 from .suited import effective_inertia, postures
 
 STOP_BANDWIDTH = 20.0  # of a stop under a controller whose gains are not known [1/s]
@@ -80,7 +80,7 @@ def new_hardware(
     places = layout.dof - own_velocities(robot)
     parts = (*parts, np.zeros(state_size(on, places)), np.zeros((slots, layout.motors)))
     parts = (*parts, np.zeros(disturbance.scene_size(events)), np.zeros(compliance_size(loop.impedance)))
-    parts = (*parts, *touch_state(loop))
+    parts = (*parts, *touch_state(loop, state))
     values, (sensed, kept, guard, held, sent, under_way, rows, ring, seen, yielding, *felt) = flat(parts)
     frame = disturbance.touched_frame(events, robot)
     scene = disturbance.scene_of(events, true, timing.plant_step, position, seen, frame)
@@ -164,12 +164,13 @@ def task_of(loop: Setup, position: Array, on: Array, state: Array) -> Compliance
     return compliance_of(loop.impedance, loop.force, loop.robot, believed_by(loop), held, position, state, felt)
 
 
-def touch_state(loop: Setup) -> list[Array]:
+def touch_state(loop: Setup, state: ControllerState | object) -> list[Array]:
     """Room for the state of what feels external torque, nothing where nothing does."""
     if loop.touch is None:
         return []
     motion, timing = regressor_of(described_by(loop)), loop.timing
-    shapes = touch_shapes(motion, loop.robot.dimensions, touch_way(loop), timing.control_period)
+    saved = state.values.size if isinstance(state, ControllerState) and freezes(loop) else 0
+    shapes = touch_shapes(motion, loop.robot.dimensions, touch_way(loop), timing.control_period, saved)
     return [np.zeros(shape) for shape in shapes]
 
 

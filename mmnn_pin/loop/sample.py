@@ -33,7 +33,7 @@ from ..torque import law
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from ..torque.law import Ahead, MotorLimits, Packed, doubt, estimate, limit, settle, turn_limits
 from ..torque.learning_law import LearningLaw, Sample, blamed, norms
-from ..touch import Feeler, feel, give_way, is_asked, is_frozen, remember
+from ..touch import Feeler, feel, give_way, go_back, is_asked, is_frozen, remember
 from .hardware import Hardware, is_stopped, send
 from .lead import Lead, catch_up, held, learns, look_ahead, reference_then
 from .machine import Machine, new_machine
@@ -125,7 +125,7 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         reference_then(controls.setpoints, k, controls.age / controls.h, controls.then)
         catch_up(row, at, setpoint, controls.then, controls.age, steering)
     turn(row, at, limits, steering)
-    frozen = feel_first(row, at, time, touch)
+    frozen = feel_first(row, at, time, controls.state, touch)
     before_torque(row, at, time, setpoint, controls.gains, controls.K, before, steering)
     if hardware is not None:
         asked = not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
@@ -176,11 +176,12 @@ def settle_or_held(controls: Controls, learner: Any, kept: Controls | None, held
 
 
 @compiled
-def feel_first(row: Array, at: IntArray, time: float, touch: Feeler | None) -> bool:
+def feel_first(row: Array, at: IntArray, time: float, state: Array, touch: Feeler | None) -> bool:
     """Feel what the measurement says, into the row; whether a learner is to keep what it knows."""
     frozen = False
     if touch is not None:
         feel(row, at, time, touch)
+        go_back(state, touch)
         frozen = is_frozen(touch)
     return frozen
 

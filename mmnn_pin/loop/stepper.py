@@ -441,6 +441,12 @@ class Stepper:
         return bool(self.hardware.way.supervisor.state.tripped[0])
 
     @property
+    def hand(self) -> str:
+        """Frame of the hand at which `external_wrench` is told; empty without `touch`."""
+        touch = self.setup.touch
+        return "" if touch is None else touch.hand or self.robot.hands[0]
+
+    @property
     def is_touched(self) -> bool:
         """Whether there is contact; never without `touch`."""
         touch = self.hardware.touch

@@ -265,7 +265,7 @@ def divide(whole: float, period: float, name: str) -> int:
 
 def round_period(whole: float, period: float) -> float:
     """A period near one that does not divide a whole, which does: one of few digits, where there is one near enough."""
-    unit = 10.0 ** np.floor(np.log10(period))
+    unit = float(f"1e{format(period, 'e').partition('e')[2]}")  # of its first digit
     for digits in range(3):
         step = unit / 10**digits
         near = (round(period / step) + np.arange(-5, 6)) * step

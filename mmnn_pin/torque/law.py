@@ -137,12 +137,18 @@ class Schedule(NamedTuple):
     gains: Matrix
 
 
+@compiled
+def nobody_knows(learner: Any, state: Array, S: Array) -> None:
+    """`doubt` of a learner without a covariance."""
+    S[0, 0] = -1.0
+
+
 class Kernels(NamedTuple):
-    """The compiled code of what a law learns with; arguments as of `estimate`, and as of `doubt`, where it has one."""
+    """The compiled code of what a law learns with; arguments as of `estimate`, and as of `doubt`."""
 
     estimate: Callable[..., None]
     settle: Callable[..., None]
-    doubt: Callable[..., None] | None = None
+    doubt: Callable[..., None] = nobody_knows
 
 
 KERNELS: dict[type, Kernels] = {}  # every module of a learner enters its own
@@ -202,18 +208,12 @@ def doubt(learner: Any, state: Array, S: Array) -> None:
         state: (size,) the controller's state.
         S: (p, p) covariance [N, N m], squared.
     """
-    (KERNELS[type(learner)].doubt or nobody_knows)(learner, state, S)
+    KERNELS[type(learner)].doubt(learner, state, S)
 
 
 by_type(estimate, "learner", lambda kind: KERNELS[kind].estimate)
 by_type(settle, "learner", lambda kind: KERNELS[kind].settle)
-by_type(doubt, "learner", lambda kind: KERNELS[kind].doubt or nobody_knows)
-
-
-@compiled
-def nobody_knows(learner: Any, state: Array, S: Array) -> None:
-    """`doubt` of a learner without a covariance."""
-    S[0, 0] = -1.0
+by_type(doubt, "learner", lambda kind: KERNELS[kind].doubt)
 
 
 @compiled

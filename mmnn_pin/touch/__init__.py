@@ -4,5 +4,5 @@
 """
 
 from .new_observer import Sending, new_feeler, new_state, touch_shapes
-from .observer import Feeler, feel, give_way, is_asked, is_frozen, remember
+from .observer import Feeler, feel, give_way, go_back, is_asked, is_frozen, remember
 from .settings import Touch

@@ -51,7 +51,9 @@ class Sending(NamedTuple):
     gives: bool = False
 
 
-def touch_shapes(regressor: Regressor, layout: Dimensions, way: float, period: float) -> tuple[tuple[int, ...], ...]:
+def touch_shapes(
+    regressor: Regressor, layout: Dimensions, way: float, period: float, saved: int
+) -> tuple[tuple[int, ...], ...]:
     """Shapes of the parts of a `TouchState`.
 
     Args:
@@ -59,11 +61,13 @@ def touch_shapes(regressor: Regressor, layout: Dimensions, way: float, period: f
         layout: Its sizes.
         way: As of `Sending` [s].
         period: Control period [s].
+        saved: Size of what a learner knows, 0 where it is not to go back.
     """
     p, groups = layout.dof, len(groups_of(regressor)) - 1
     vectors = ((p,),) * 5
     load = (LOAD, p), (LOAD,), (LOAD + 1, LOAD + 1)
-    return (9,), *vectors, (2, p), (p,), (groups, p), *load, (p, p), (p, p), (1 + math.ceil(way / period), p), (p,)
+    sent = (1 + math.ceil(way / period), p), (p,)
+    return (12,), *vectors, (2, p), (p,), (groups, p), *load, (p, p), (p, p), (2, saved), *sent
 
 
 def new_state(parts: list[Array]) -> TouchState:
@@ -107,6 +111,7 @@ def new_feeler(touch: Touch, robot: Robot, regressor: Regressor, sending: Sendin
         late=float(sending.way / h),
         torque=float(touch.torque),
         clear=float(touch.clear),
+        settle=float(touch.settle),
         freezes=LEARNING[touch.learning],
         gives=int(sending.gives),
         yields=float(touch.yields),

@@ -28,6 +28,9 @@ first moment, `pi = (m, mc)`, behind the same filter; gravity is in Y. From the 
 fitted to what is felt, and where it leaves less than `MISFIT` of it, with `m > 0` and within reach, a load is carried:
 it is taken out of what is felt, and learned. A push straight down on an arm that stands is a load, too.
 
+**What was learned of a contact before it was felt** is forgotten: where one begins a learner's state goes back to a
+copy that is `REWIND` to twice as old.
+
 **The wrench** w of the hand with Jacobian J, `r = J' w`, is the least squares in the metric S with almost no prior,
 `(J S^-1 J' + W^-1)^-1 J S^-1 r`. Of an axis that no joint feels it is 0; `wrench_seen` says which part of every axis is
 felt: the diagonal of `(J S^-1 J' + W^-1)^-1 J S^-1 J'`.
@@ -45,7 +48,7 @@ from ..model.reduction import as_measured, put_shape, solve, substitute
 from ..model.regressor import Massless, measured, regress
 from ..model.tree.body import Body, Work, evaluate
 from ..model.tree.dynamics import psi_again
-from ..model.tree.motion import AT, BASE, LINK, Triple, add, cross, dot, get
+from ..model.tree.motion import AT, BASE, LINK, ZERO, Triple, add, cross, dot, get
 from ..model.tree.twin import psi_of
 from ..parts import view
 from ..signals import INDEX, Array, IntArray
@@ -62,7 +65,8 @@ AVERAGED = 1.0  # time over which noise is averaged [s]
 SELDOM = 5  # samples from one covariance of a learner to the next
 SETTLES = 5.0  # time constants of the observer before it is believed
 FORCE, MOMENT = 1e3, 3e2  # prior of the wrench [N, N m]
-TIME, COUNT, ELAPSED, WAIT, CLEAR, FELT, TOUCHED, SINCE, GIVES = range(9)  # of a state's clock
+TIME, COUNT, ELAPSED, WAIT, CLEAR, FELT, TOUCHED, SINCE, GIVES, BEGUN, AGE, WAITS = range(12)  # of a state's clock
+REWIND = 0.3  # time between two copies of what a learner knows; the older one is taken where contact begins [s]
 LOAD = 4  # parameters of a load: mass and first moment
 DECIDES = 0.25  # time in which a load is told from a contact [s]
 RISES = 3.0  # time constants of the observer after which what is felt is fitted
@@ -86,6 +90,7 @@ class TouchNumbers(NamedTuple):
         late: How many periods ago was asked for what acts, a part of one included.
         torque: Standard deviation of the motors' torque, relative.
         clear: How long nothing is to be felt before a contact is over [s].
+        settle: How long a learner then waits [s].
         freezes: `ON`, `FROZEN` or `DEADZONE`, see `Touch.learning`.
         gives: 1 where the robot gives way to contact.
         yields: Share of the feedback gains that damps it then.
@@ -100,6 +105,7 @@ class TouchNumbers(NamedTuple):
     late: float
     torque: float
     clear: float
+    settle: float
     freezes: int
     gives: int
     yields: float
@@ -111,10 +117,11 @@ class TouchState(NamedTuple):
     """State of the observer.
 
     Attributes:
-        clock: (9,) time of the last sample [s], samples that have followed one another, time since the last
+        clock: (12,) time of the last sample [s], samples that have followed one another, time since the last
             measurement [s], time until the observer is believed [s], how long nothing was felt [s], 1 where something
             is felt in this sample, 1 while there is contact, how long something has been felt [s], 1 while a robot
-            gives way.
+            gives way, 1 where contact begins with this sample, age of the last copy of what is learned [s], 1
+            while a learner waits for the robot to be back.
         momentum: (p,) at the last measurement.
         bias: (p,) `C' nu - gravity - friction` there.
         last: (p,) nu there.
@@ -128,6 +135,7 @@ class TouchState(NamedTuple):
         fit: (5, 5) information about it since something is felt: of the load, its other side, and the squares.
         noise: (p, p) covariance of what r does from one measurement to the next, halved.
         learned: (p, p) covariance of Psi_hat; its first entry is negative where nobody knows.
+        saved: (2, size) the controller's state of a moment ago, and of the moment before; (2, 0) where it is not kept.
         held: (m, p) torque that is held since the last sample, and those before it that are under way.
         driven: (p,) torque that the motors give.
     """
@@ -146,6 +154,7 @@ class TouchState(NamedTuple):
     fit: Array
     noise: Array
     learned: Array
+    saved: Array
     held: Array
     driven: Array
 
@@ -223,7 +232,28 @@ class Feeler(NamedTuple):
 def is_frozen(touch: Feeler) -> bool:
     """Whether a learner is to keep what it knows."""
     freezes, clock = touch.numbers.freezes, touch.state.clock
-    return (freezes == FROZEN and clock[TOUCHED] > 0.0) or (freezes == DEADZONE and clock[FELT] > 0.0)
+    return (freezes == FROZEN and clock[WAITS] > 0.0) or (freezes == DEADZONE and clock[FELT] > 0.0)
+
+
+@compiled
+def go_back(learned: Array, a: Feeler) -> None:
+    """Copy what a learner knows (size,) now and then, and take an old copy where contact begins."""
+    s = a.state
+    old, older = s.saved[0], s.saved[1]
+    if older.size == 0:
+        return
+    if s.clock[BEGUN] > 0.0:
+        copy_to(older, learned)
+        s.clock[BEGUN] = 0.0
+    elif s.clock[COUNT] <= 1.0:
+        copy_to(learned, old)
+        copy_to(learned, older)
+    elif s.clock[TOUCHED] == 0.0:
+        s.clock[AGE] += a.numbers.h
+        if s.clock[AGE] >= REWIND:
+            copy_to(old, older)
+            copy_to(learned, old)
+            s.clock[AGE] = 0.0
 
 
 @compiled
@@ -283,7 +313,7 @@ def begin(a: Feeler) -> None:
     """Nothing is felt, and nothing known of the noise."""
     s = a.state
     s.clock[COUNT], s.clock[WAIT] = 1.0, SETTLES / a.numbers.bandwidth
-    for i in range(CLEAR, GIVES + 1):
+    for i in range(CLEAR, WAITS + 1):
         s.clock[i] = 0.0
     s.load[:] = 0.0
     for k in range(LOAD):
@@ -394,12 +424,12 @@ def judge(row: Array, at: IntArray, a: Feeler) -> None:
             s.load[:] = 0.0
     s.clock[WAIT] = max(0.0, s.clock[WAIT] - s.clock[ELAPSED])
     felt = square_of(external, a) > n.threshold and s.clock[WAIT] == 0.0
-    follow_contact(felt, s, n.clear)
+    follow_contact(felt, s, n.clear, n.settle)
     if s.clock[TOUCHED] > 0.0 and a.column >= 0:
         if s.clock[SINCE] * n.bandwidth > RISES:
             fit_load(raw, band, a)
         if s.clock[SINCE] > DECIDES and is_load(a):
-            s.clock[TOUCHED] = s.clock[FELT] = s.clock[SINCE] = 0.0
+            s.clock[TOUCHED] = s.clock[FELT] = s.clock[SINCE] = s.clock[WAITS] = 0.0
             copy_to(raw, external)
             carry(external, a)
             square_of(external, a)
@@ -416,13 +446,16 @@ def square_of(external: Array, a: Feeler) -> float:
 
 
 @compiled
-def follow_contact(felt: bool, s: TouchState, clear: float) -> None:
+def follow_contact(felt: bool, s: TouchState, clear: float, settle: float) -> None:
     """Contact begins with the sample that feels something, and ends when nothing has been felt for long enough."""
     h = s.clock[ELAPSED]
     s.clock[FELT] = 1.0 if felt else 0.0
     s.clock[CLEAR] = 0.0 if felt else s.clock[CLEAR] + h
+    if s.clock[CLEAR] >= clear + settle:
+        s.clock[WAITS] = 0.0
     if felt and s.clock[TOUCHED] == 0.0:
-        s.clock[TOUCHED], s.clock[SINCE] = 1.0, 0.0
+        s.clock[WAITS] = 1.0
+        s.clock[TOUCHED], s.clock[SINCE], s.clock[BEGUN] = 1.0, 0.0, 1.0
         for k in range(LOAD + 1):
             s.fit[k, :] = 0.0
     elif not felt and s.clock[CLEAR] >= clear:
@@ -564,10 +597,10 @@ def jacobian(a: Feeler) -> None:
     c, s = 1.0, 0.0
     if a.moving:
         c, s = cos_sin(a.position[2] - a.body.tree.frame[2])
-    axes = ((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0))
     for m in range(3):
-        pull(b, axes[m], cross(lever, axes[m]), a, a.J[m])
-        pull(b, (0.0, 0.0, 0.0), axes[m], a, a.J[3 + m])
+        axis = (c, -s, 0.0) if m == 0 else ((s, c, 0.0) if m == 1 else (0.0, 0.0, 1.0))
+        pull(b, axis, cross(lever, axis), a, a.J[m])
+        pull(b, ZERO, axis, a, a.J[3 + m])
     for m in range(6):
         for i in range(a.felt.size):
             a.J[m, i] *= a.felt[i]
@@ -576,14 +609,14 @@ def jacobian(a: Feeler) -> None:
 @internal
 def pull(b: int, force: Triple, moment: Triple, a: Feeler, out: Array) -> None:
     """The torques on nu, (p,), of a force and a moment about the origin of body b."""
-    links, scratch, i = a.body.tree.links, a.work.scratch, b
+    links, scratch, i, there = a.body.tree.links, a.work.scratch, b, add(moment, ZERO)
     out[:] = 0.0
     while i > BASE.w:
-        feel_at(i, force, moment, a, out)
-        moment = add(moment, cross(get(scratch, i, AT.lever), force))
+        feel_at(i, force, there, a, out)
+        there = add(there, cross(get(scratch, i, AT.lever), force))
         i = int(links[i, LINK.parent])
     for i in range(BASE.w + 1):
-        feel_at(i, force, moment, a, out)
+        feel_at(i, force, there, a, out)
 
 
 @internal

@@ -7,7 +7,7 @@ from typing import Literal
 from ..errors import ConfigError
 from ..settings import Settings, require_numbers
 
-MAY_BE_ZERO = ("masses", "friction", "torque", "clear", "yields")
+MAY_BE_ZERO = ("masses", "friction", "torque", "clear", "settle", "yields")
 
 
 class Touch(Settings, frozen=True):
@@ -28,9 +28,10 @@ class Touch(Settings, frozen=True):
         torque: The same of the torque that motors give.
         unknown: Standard deviation of what no model states, over the feedback gains [m/s, rad/s].
         clear: How long nothing is to be felt before a contact is over [s].
+        settle: How long a frozen learner waits after that, until the robot is back on its way [s].
         yields: Share of the feedback that damps a robot which gives way (`safety.contact = "comply"`).
         back: Largest velocity at which it goes back then [m/s, rad/s].
-        learning: What a learner does meanwhile: "frozen" until the contact is over, "deadzone" in samples that feel
+        learning: What a learner does meanwhile: "frozen" until `settle` after it, "deadzone" in samples that feel
             one, "on" as ever.
 
     Raises:
@@ -49,6 +50,7 @@ class Touch(Settings, frozen=True):
     torque: float = 0.03
     unknown: float = 0.02
     clear: float = 0.2
+    settle: float = 1.0
     yields: float = 0.1
     back: float = 0.2
     learning: Literal["frozen", "deadzone", "on"] = "frozen"

@@ -54,7 +54,7 @@ class Export:
     def remembered(self) -> list[Root]:
         """Members that a checksum covers: without integers and room to work in."""
         lasting = {id(root) for root in self.program.pieces.values()}
-        first = ("row", "guide_now", "guide_aim", "guide_wanted")
+        first = ("row", "guide_now", "guide_aim", "guide_wanted", "learned")
         return [m for m in self.members if m.kind == "real" and (m.name in first or id(m) in lasting)]
 
     @property
@@ -100,7 +100,7 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     learned = stepper.state
     if getattr(learned, "values", None) is not None and learned.values.size:
         sizes = {name: int(np.prod(shape)) for name, shape in learned.shapes.items()}
-        program.memory(learned.values, "learned", sizes)
+        program.memory(learned.values, "learned", None if goes_back(stepper) else sizes)
         program.dropped |= {"gram"} if not diagnostics else set()
     program.memory(stepper.hardware.state, "hardware", parts_of(stepper))
     whole = Static(b, "board")
@@ -119,6 +119,12 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     return Export(stepper, program, title)
 
 
+def goes_back(stepper: Stepper) -> bool:
+    """Whether contact takes back all that was learned, so that it is one member."""
+    touch = stepper.hardware.touch
+    return touch is not None and touch.state.saved.size > 0
+
+
 def parts_of(stepper: Stepper) -> dict[str, int]:
     """The members that the state of supervisor, motors and servos is split into, in the order of its memory."""
     hardware = stepper.hardware
@@ -128,6 +134,8 @@ def parts_of(stepper: Stepper) -> dict[str, int]:
     }
     named |= {f"supervisor_is_{name}": part for name, part in supervisor.state._asdict().items()}
     named |= {"motor_states": hardware.motors.states.values, "sent": hardware.way.sent}
+    if hardware.touch is not None:
+        named |= {f"touch_{name}": part for name, part in hardware.touch.state._asdict().items()}
     if hardware.split is not None:
         named |= {f"servo_{name}": part for name, part in hardware.split._asdict().items()}
     whole, found = hardware.state, list[tuple[int, str, int]]()

@@ -37,6 +37,7 @@ from .odometry import Wheels
 from .programme import thickened
 from .report import inertia_of, links_of, report_of
 
+HARDWARE = b"# The loop of the robot as its log has it: delays and lags [s].\n"
 CHANGED = 1e-9  # relative change of a body below which its links stay as they are
 
 
@@ -189,17 +190,31 @@ def toml_of(of: Identification) -> bytes:
     head = (
         "# Beside the URDF: rotor inertias [kg m^2 or kg], constant efforts (offset) [N m or N], Stribeck friction.\n"
     )
-    return head.encode() + as_toml(about | beyond_urdf(of))
+    return head.encode() + as_toml(about | beyond_urdf(of) | {"timing": of.timing})
 
 
-def as_toml(table: Mapping[str, Any]) -> bytes:
+def hardware_of(of: Identification) -> dict[str, Any]:
+    """The table of hardware (`ROBOT.hardware.toml`) that the delays and lags make; empty where none was seen.
+
+    The delay is the mean of all motors', the filter's bandwidth one over the mean lag of the rates: one for all joints.
+    """
+    found, timing = dict[str, Any](), of.timing
+    if delays := [one["command_delay"] for one in timing.values() if "command_delay" in one]:
+        found["delay"] = float(np.mean(delays))
+    if filters := [one["velocity_lag"] for one in timing.values() if one.get("velocity_lag", 0.0) > 0]:
+        found |= {"velocity": "filtered", "filter": float(1 / np.mean(filters))}
+    lags = {joint: {"lag": one["motor_lag"]} for joint, one in timing.items() if one.get("motor_lag", 0.0) > 0}
+    return found | ({"joints": lags} if lags else {})
+
+
+def as_toml(table: Mapping[str, Any], path: tuple[str, ...] = ()) -> bytes:
     """A table, whose values may be tables, as TOML."""
     plain = [(key, value) for key, value in table.items() if not isinstance(value, Mapping)]
-    lines = [f"{quoted(key)} = {in_toml(value)}" for key, value in plain]
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            lines += [f"[{quoted(key)}]", *(f"{quoted(name)} = {in_toml(item)}" for name, item in value.items())]
-    return ("\n".join(lines) + "\n").encode()
+    lines = [f"[{'.'.join(map(quoted, path))}]"] if path and plain else []
+    lines += [f"{quoted(key)} = {in_toml(value)}" for key, value in plain]
+    text = "\n".join(lines) + "\n" if lines or not path else ""
+    inner = (as_toml(value, (*path, key)) for key, value in table.items() if isinstance(value, Mapping))
+    return text.encode() + b"".join(inner)
 
 
 def in_toml(value: Any) -> str:
@@ -249,7 +264,7 @@ def write(of: Identification, out: str | Path, force: bool = False) -> dict[str,
         force: Replace existing files.
 
     Returns:
-        `urdf`, `toml`, `json`, `curves`, and `overrides` where the robot needs them.
+        `urdf`, `toml`, `json`, `curves`, `overrides`, and `hardware` where delays or lags were seen.
 
     Raises:
         RecordingError: A file exists, cannot be written, or the written URDF does not load as the robot that it
@@ -257,6 +272,8 @@ def write(of: Identification, out: str | Path, force: bool = False) -> dict[str,
     """
     files = files_of(of.robot, Path(out))
     require_free(files, of.robot, force)
+    if not hardware_of(of):
+        del files["hardware"]
     urdf = files["urdf"]
     said, curves = said_of(of), curves_of(of)
     with whole_folder(urdf.parent, "file", force) as folder:
@@ -265,6 +282,8 @@ def write(of: Identification, out: str | Path, force: bool = False) -> dict[str,
         parts["overrides"].write_bytes(as_toml(said.stated()))
         require_same(of, parts["urdf"], said)
         parts["toml"].write_bytes(toml_of(of))
+        if "hardware" in parts:
+            parts["hardware"].write_bytes(HARDWARE + as_toml(hardware_of(of)))
         report = report_of(of) | {"file": str(urdf)}
         parts["json"].write_text(json.dumps(report, allow_nan=False, indent=1), "utf-8")
         np.savez_compressed(parts["curves"], **curves)
@@ -275,6 +294,7 @@ def files_of(robot: Robot, out: Path) -> dict[str, Path]:
     """The files that are written for a robot: `urdf`, `toml`, `json`, `curves`, `overrides`."""
     urdf = out if out.suffix == ".urdf" else out / f"{robot.path.stem}.urdf"
     names = {"toml": "identified.toml", "json": "identified.json", "curves": "identified.npz", "overrides": "mmnn.toml"}
+    names["hardware"] = "hardware.toml"
     return {"urdf": urdf} | {kind: Path(f"{urdf.with_suffix('')}.{name}") for kind, name in names.items()}
 
 

@@ -14,29 +14,47 @@ sign, a unit, two joints exchanged, in positions or efforts, or two of these. On
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.optimize import lsq_linear
 
 from ...errors import RecordingError
 from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...signals import Array
-from .equations import Bools, Equations, Unknowns, chosen_cutoff, equations, measured_rows, still_speeds
+from .equations import (
+    Bools,
+    Equations,
+    Unknowns,
+    chosen_cutoff,
+    coordinates,
+    efforts,
+    equations,
+    evenly,
+    low_pass,
+    measured_rows,
+    still_speeds,
+    stretches_of,
+)
 from .log import Log, LogFinding, revolves, worst_first
 from .mends import Mend, mended, words_of
 from .programme import PLACES, Prior
-from .timing import Delay, effort_delays, rate_delays
+from .timing import Delay, effort_delays, recorded_delays
 
 EXACT = 0.05  # share of an effort's RMS that the rigid body need not explain
 POOR = 0.25  # error of a row above which a damage is looked for
 BETTER = 3.0  # times less than before that the cost is with a damage that is told
+HELPS = 0.7  # times the cost before, under which a damage is kept in sight beside another
 PARTS = 2  # damages at once that are looked for
+SAMPLED = 400  # times of a stretch at which damages are tried
 SHOWN, CALM = 1500, 60.0  # equations, and seconds, that are looked at
 DIAGONAL = np.array([i == j for i, j in PLACES])
+PERIODS = 0.2  # of the log's rows under which a delay is none
+SEEN = 0.95  # error with a delay over that without, above which none is told
 LATE = 0.75  # error with a delay over that without, from which the delay is refused
 
 
@@ -49,12 +67,40 @@ class ExaminedLog:
         efforts: Delay of every row's effort; None where none is seen.
         rates: Delay of every recorded rate.
         names: Of the rows.
+        motors: Delay of every recorded effort behind its command.
+        told: By how much the user mended efforts that were late, and the lag of their motors, by joint [s].
     """
 
     log: Log
     efforts: tuple[Delay | None, ...]
     rates: dict[str, Delay]
     names: tuple[str, ...]
+    motors: dict[str, Delay]
+    told: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def timing(self) -> dict[str, dict[str, float]]:
+        """Command delay, motor lag, delay and lag of a joint's rate, with standard deviations [s]; what is clear.
+
+        Delay and lag of a motor are those of its effort behind its command where both are recorded, else those with
+        which an effort that is a command acts, as the user mended it.
+        """
+        found: dict[str, dict[str, float]] = {}
+        rows = dict(zip(self.names, self.efforts, strict=True))
+        for name, (late, after) in self.told.items():
+            one = rows.get(name)
+            sd = one.sd if one else 0.0
+            if late <= 0:
+                found[name] = {"command_delay": -late, "command_delay_sd": sd, "motor_lag": after, "motor_lag_sd": sd}
+        for joints, delay, lag in (
+            (self.motors, "command_delay", "motor_lag"),
+            (self.rates, "velocity_delay", "velocity_lag"),
+        ):
+            for name, x in joints.items():
+                if x.clear and x.error < LATE * x.error_before:
+                    numbers = {delay: x.value, f"{delay}_sd": x.sd, lag: x.lag, f"{lag}_sd": x.lag_sd}
+                    found[name] = found.get(name, {}) | numbers
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -64,6 +110,8 @@ class ExaminedLog:
             "notes": list(self.log.notes),
             "efforts": {name: None if one is None else one.to_dict() for name, one in pairs},
             "rates": {name: one.to_dict() for name, one in self.rates.items()},
+            "motors": {name: one.to_dict() for name, one in self.motors.items()},
+            "timing": self.timing,
         }
 
 
@@ -80,13 +128,13 @@ def examined(log: Log, robot: Robot, torques: bool = True) -> ExaminedLog:
         cutoff = chosen_cutoff([log], robot)
         of = equations(log, unknowns, cutoff, still_speeds([log], unknowns, cutoff))
     except RecordingError:  # the fit says so
-        return ExaminedLog(log, (), {}, ())
-    efforts = tuple(effort_delays(log, unknowns, of))
-    rates = dict(rate_delays(log, cutoff))
+        return ExaminedLog(log, (), {}, (), {})
+    delays = tuple(effort_delays(log, unknowns, of))
+    rates, motors = recorded_delays(log, cutoff)
     found = [*(damages(log, robot, unknowns, of) if torques else ()), *late_rates(rates)]
     if not any(one.grade == "refused" for one in found):
-        found += late_efforts(efforts, unknowns, of)
-    return ExaminedLog(log.with_findings(*found), efforts, rates, unknowns.names)
+        found += late_efforts(delays, unknowns, of, float(np.median(np.diff(log.time))))
+    return ExaminedLog(log.with_findings(*found), delays, rates, unknowns.names, motors)
 
 
 def require_no_contradiction(logs: Sequence[Log]) -> None:
@@ -120,7 +168,7 @@ def late_rates(rates: dict[str, Delay]) -> Iterator[LogFinding]:
         yield LogFinding("mended", what, "", f"{changes}; what a drive filters is a result")
 
 
-def late_efforts(delays: Sequence[Delay | None], unknowns: Unknowns, of: Equations) -> list[LogFinding]:
+def late_efforts(delays: Sequence[Delay | None], unknowns: Unknowns, of: Equations, period: float) -> list[LogFinding]:
     """The finding of efforts that are recorded at another time than the motion that they make: all rows, or some."""
     rows = [i for i, one in enumerate(delays) if one is not None and one.sd < 0.05 and abs(one.value) < 0.29]
     if not rows:
@@ -133,7 +181,7 @@ def late_efforts(delays: Sequence[Delay | None], unknowns: Unknowns, of: Equatio
     for i, value in zip(rows, values, strict=True):
         one = delays[i]
         assert one is not None
-        if abs(value) <= 3 * one.sd or one.error > 0.97 * one.error_before:
+        if abs(value) <= max(3 * one.sd, PERIODS * period) or one.error > SEEN * one.error_before:
             continue
         grade = "refused" if one.error < LATE * one.error_before else "warned"
         found.append((i, one, grade))
@@ -210,30 +258,57 @@ def damages(log: Log, robot: Robot, unknowns: Unknowns, of: Equations) -> Iterat
     def judged(mend: Mend) -> float:
         try:
             made = mended(short, mend)
-            seen = equations(made, unknowns, cutoff, still_speeds([made], unknowns, cutoff))
-            return cost(seen, unknowns, np.asarray(errors > 0))[0]
+            return cost(sampled(made, unknowns, cutoff), unknowns, np.asarray(errors > 0))[0]
         except (RecordingError, np.linalg.LinAlgError):
             return np.inf
 
-    before, chosen = judged(()), tuple[tuple[str, str], ...]()
-    start = before
+    start, none = judged(()), tuple[tuple[str, str], ...]()
+    found = [(none, start)]
     for _ in range(PARTS):
+        chosen = found[-1][0]
         tried = {mend: judged((*chosen, *mend)) for mend in hypotheses(short, robot)}
         mend = min(tried, key=lambda one: tried[one])
-        if not tried[mend] < before / BETTER:
+        if not tried[mend] < HELPS * found[-1][1]:
             break
-        chosen, before = (*chosen, *mend), tried[mend]
-    if not chosen:
+        found.append(((*chosen, *mend), tried[mend]))
+    if len(found) > PARTS and found[-1][1] > found[-2][1] / BETTER and found[-2][1] < start / BETTER:
+        found.pop()  # one explains it
+    chosen, least = found[-1]
+    if least > start / BETTER:
         return
     made = mended(short, chosen)
-    _, after = cost(equations(made, unknowns, cutoff, still_speeds([made], unknowns, cutoff)), unknowns)
+    _, after = cost(sampled(made, unknowns, cutoff), unknowns)
     worst = int(np.argmax(errors))
     shares = f"{100 * errors[worst]:.0f} % is unexplained, with this mended {100 * after[worst]:.0f} %"
     why = f"of the effort of {unknowns.names[worst]} {shares}"
     what = ", ".join(words_of(chosen))
     yield LogFinding(
-        "refused", what, why, "all that is found of these joints", chosen, "", 100 * start / max(before, 1e-9)
+        "refused", what, why, "all that is found of these joints", chosen, "", 100 * start / max(least, 1e-9)
     )
+
+
+def sampled(log: Log, unknowns: Unknowns, cutoff: float) -> Equations:
+    """Equations at some times of a log, whose regressor is not filtered: far cheaper, and exact enough to choose by.
+
+    Raises:
+        RecordingError: No stretch without gaps is long enough.
+    """
+    parts = []
+    for part in stretches_of(log, cutoff):
+        period = float(np.median(np.diff(part.time)))
+        time = np.arange(part.time[0], part.time[-1], period)
+        x, tau = coordinates(part, unknowns.robot)[0], efforts(part, unknowns.robot, unknowns.rows)[0]
+        x, tau = (low_pass(evenly(part.time, one, time), cutoff, 1 / period) for one in (x, tau))
+        spline, inside = make_interp_spline(time, x, 5), np.arange(len(time) // 20, len(time) - len(time) // 20)
+        at = inside[:: max(1, len(time) // SAMPLED)]
+        nu, nudot = spline(time[at], 1), spline(time[at], 2)
+        Y = unknowns.matrix(x[at, unknowns.robot.dimensions.base :], nu, nudot)
+        speed = nu[:, list(unknowns.rows)]
+        use = np.abs(speed) > 0.1 * np.abs(speed).max(axis=0)
+        parts.append(Equations(time[at], Y, tau[at], use, speed, np.zeros(len(at), dtype=np.int64), cutoff))
+    if not parts:
+        raise RecordingError("too short a motion", file=log.name)
+    return Equations.stacked(parts)
 
 
 def shortened(log: Log) -> Log:

@@ -257,7 +257,7 @@ def chosen_cutoff(logs: Sequence[Log], robot: Robot) -> float:
     Noise of the positions, white, is taken from the upper half of their spectra and does not count.
     """
     found, rates = [], []
-    for log in logs:
+    for log in map(longest, logs):
         x, _ = coordinates(log, robot)
         rate = 1.0 / float(np.median(np.diff(log.time)))
         rates.append(rate)
@@ -276,6 +276,11 @@ def chosen_cutoff(logs: Sequence[Log], robot: Robot) -> float:
     return float(min(wanted, MOST, 0.3 * min(rates)))
 
 
+def longest(log: Log) -> Log:
+    """The longest part of a log without gaps."""
+    return log.rows(max(spans(log.time), key=lambda one: one.stop - one.start))
+
+
 def low_pass(x: Array, cutoff: float, rate: float) -> Array:
     """Low-pass without phase along the first axis, with the ends mirrored."""
     sos = signal.butter(ORDER, cutoff, fs=rate, output="sos")
@@ -286,7 +291,7 @@ def low_pass(x: Array, cutoff: float, rate: float) -> Array:
 def still_speeds(logs: Sequence[Log], unknowns: Unknowns, cutoff: float) -> Array:
     """Speed of every joint of the regressor below which it counts as still, (joints,)."""
     fastest = np.zeros(len(unknowns.joint_rows))
-    for log in logs:
+    for log in map(longest, logs):
         x, _ = coordinates(log, unknowns.robot)
         rate = 1.0 / float(np.median(np.diff(log.time)))
         v = low_pass(np.gradient(x, log.time, axis=0), cutoff, rate) @ unknowns.joint_rows.T

@@ -39,7 +39,7 @@ from .equations import (
 )
 from .least_squares import WeightedFit, base_parameters, weighted_fit
 from .log import Log, LogFinding
-from .mends import mended, mends_of, require_signals
+from .mends import mended, mends_of, require_signals, told_delays
 from .odometry import Wheels, has_reference, wheel_findings
 from .programme import BLOCKS, Blocks, Consistent, Prior, compressed, consistent_fit
 from .quality import sound
@@ -47,6 +47,7 @@ from .reading import MotionSource, logs_of
 from .rotors import RotorChoice, rotors_of
 
 HELD_OUT = 1 / 3  # of each log
+FIXED = 1e8  # strength of the prior of what may not leave it
 FEWEST = 40  # equations of a joint
 WORSE = 1.03  # error over that of friction alone from which a joint does not follow the rigid body
 POOR = 0.6  # error from which nothing is explained
@@ -111,6 +112,18 @@ class Identification(AsText):
         errors = {model: self.errors(model) for model in ("identified", "least_squares", "urdf")}
         seen = (str(one) for one in self.findings if one.grade == "warned")
         return (*seen, *self.beyond, *misfits(self.names, errors, self.follows))
+
+    @property
+    def timing(self) -> dict[str, dict[str, float]]:
+        """Delays and lags of joints, see `ExaminedLog.timing`, of the log that says the most of each."""
+        found: dict[str, dict[str, float]] = {}
+        for one in self.examined:
+            for name, numbers in one.timing.items():
+                known = found.get(name, {})
+                sds = [key for key in numbers if key.endswith("_sd") and numbers[key] < known.get(key, np.inf)]
+                better = {key for sd in sds for key in (sd, sd.removesuffix("_sd"))}
+                found[name] = known | {key: value for key, value in numbers.items() if key in better}
+        return found
 
     @property
     def findings(self) -> list[LogFinding]:
@@ -307,7 +320,8 @@ def examine(
         tell("looking at the logs", i / len(given))
         own = mends_of(log, pairs)
         made = sound(mended(scaled(log, robot, constants), own), robot, [signal for signal, _ in own])
-        found.append(examined(made, robot, None not in constants.values()))
+        seen = examined(made, robot, None not in constants.values())
+        found.append(replace(seen, told=told_delays(own, robot.actuator_names)))
     every, wheels = with_wheels(robot, [one.log for one in found])
     if len(every) > 1:
         every = [log.by_name() for log in every]
@@ -317,6 +331,8 @@ def examine(
 def with_wheels(robot: Robot, logs: list[Log]) -> tuple[list[Log], Wheels | None]:
     """The logs with what their wheels and references say, each by itself and all together; and the wheels."""
     driven = [i for i, log in enumerate(logs) if has_reference(log, robot)]
+    if any(x.grade == "refused" for i in driven for x in logs[i].findings):
+        return logs, None  # first things first
     if len(driven) > 1:
         for i in driven:
             _, seen = wheel_findings(robot, [logs[i]])
@@ -342,15 +358,17 @@ def fitted(
 ) -> Identification:
     """The fit to some equations, judged on others; see `identify`."""
     prior, friction = Prior.of(unknowns, training), friction_alone(training, unknowns)
-    follows, why, chosen = following(training, unknowns, prior, friction, tell)
+    follows, why = following(training, unknowns, prior, friction, tell)
     moves = np.ptp(np.concatenate([coordinates(log, robot)[0] for log in logs]), axis=0) > 1e-3
     used = training.only(follows)
     tell("fitting base parameters", 0.0)
     fit = weighted_fit(used, base_parameters(unknowns, follows, moves))
-    chosen = chosen if weight is None else weight
     tell("fitting all parameters", 0.0)
     R, z = compressed(used, prior, follows, fit.deviation)
     allowed, about = rotors_of(R, z, prior, fit.inflation, rotors)
+    strength, chosen = np.where(allowed, prior.strength, FIXED), weight
+    if chosen is None:
+        chosen, _ = Blocks.of(training, prior).chosen(follows, fit.deviation, strength)
     consistent = consistent_fit(R, z, prior, chosen, fit.inflation, allowed)
     notes = missing_notes(logs, robot)
     return Identification(
@@ -445,8 +463,8 @@ def friction_columns(unknowns: Unknowns, i: int) -> Array:
 
 def following(
     training: Equations, unknowns: Unknowns, prior: Prior, friction: Array, tell: Callable[[str, float], None]
-) -> tuple[Bools, dict[str, str], float]:
-    """Rows that the rigid body explains better than friction alone, why the others do not, and the prior's weight.
+) -> tuple[Bools, dict[str, str]]:
+    """Rows that the rigid body explains better than friction alone, and why the others do not.
 
     Raises:
         RecordingError: No row is left.
@@ -467,14 +485,14 @@ def following(
     while True:
         for part in range(3):
             tell("looking for joints that follow the rigid body", part / 3)
-            chosen, errors = blocks.chosen(follows, deviation, prior.strength)
+            _, errors = blocks.chosen(follows, deviation, prior.strength)
             deviation = np.where(follows, np.sqrt(np.maximum(errors / np.maximum(counts, 1), 1e-18)), deviation)
         size = np.maximum(blocks.square.sum(axis=0), 1e-300)
         ours, theirs = np.sqrt(errors / size), np.sqrt(alone / size)
         badness = np.where(follows, np.maximum(ours / np.maximum(theirs, 1e-12) / WORSE, ours / POOR), 0.0)
         worst = int(np.argmax(badness))
         if badness[worst] <= 1:
-            return follows, why, chosen
+            return follows, why
         follows[worst] = False
         why[unknowns.names[worst]] = (
             f"its effort does not follow the rigid body: error {100 * ours[worst]:.0f} %, {100 * theirs[worst]:.0f} % "

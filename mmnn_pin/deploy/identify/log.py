@@ -1,7 +1,7 @@
 """A recorded motion: time, joints, efforts, base; from arrays, or by `reading` and `bag` from files.
 
-Names of signals: `time`, `position.JOINT`, `velocity.JOINT`, `effort.JOINT`, `base.x` to `base.w` (odometry), and
-`reference.x`, `reference.y`, `reference.phi` (a reference pose, such as that of a motion capture system).
+Names of signals: `time`, `position.JOINT`, `velocity.JOINT`, `effort.JOINT`, `command.JOINT`, `base.x` to `base.w`
+(odometry), and `reference.x`, `reference.y`, `reference.phi` (a reference pose, as of a motion capture system).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...errors import RecordingError
 from ...model.robot import Robot
@@ -80,6 +80,7 @@ class Log:
         position: (N,) of every measured joint [rad or m].
         velocity: Likewise [rad/s or m/s]; it is only compared with the positions, where there are some.
         effort: Likewise, of every measured motor [N m or N, or its current].
+        command: Likewise, the effort that was asked of it; only its delay and lag are found.
         base: (N,) of `base.x` and so on, see `BASE` [m, rad, m/s, rad/s].
         reference: (N,) of `reference.x` and so on [m, rad].
         effort_delay: How much later than its time an effort acts [s].
@@ -92,6 +93,7 @@ class Log:
     position: dict[str, Array]
     velocity: dict[str, Array] = field(default_factory=dict)
     effort: dict[str, Array] = field(default_factory=dict)
+    command: dict[str, Array] = field(default_factory=dict)
     base: dict[str, Array] = field(default_factory=dict)
     reference: dict[str, Array] = field(default_factory=dict)
     effort_delay: float = 0.0
@@ -136,6 +138,7 @@ class Log:
         found = {f"position.{name}": values for name, values in self.position.items()}
         found |= {f"velocity.{name}": values for name, values in self.velocity.items()}
         found |= {f"effort.{name}": values for name, values in self.effort.items()}
+        found |= {f"command.{name}": values for name, values in self.command.items()}
         return found | self.base | self.reference
 
     def with_signals(self, signals: Mapping[str, Array], time: Array | None = None, *notes: str) -> Log:
@@ -153,7 +156,7 @@ class Log:
         named = (replace(x, mends=tuple((f"{stem}:{a}", b) for a, b in x.mends)) for x in self.findings)
         return replace(self, findings=tuple(named))
 
-    def rows(self, keep: Array | slice, *notes: str) -> Log:
+    def rows(self, keep: NDArray[np.int64] | NDArray[np.bool_] | slice, *notes: str) -> Log:
         """Some rows of it, and more notes."""
         return self.with_signals({name: values[keep] for name, values in self.signals.items()}, self.time[keep], *notes)
 
@@ -165,7 +168,7 @@ def from_signals(name: str, signals: Mapping[str, Array]) -> Log:
         RecordingError: Signals of another length than the time's, or with a number that nothing measures.
     """
     time = np.asarray(signals["time"], float)
-    parts: dict[str, Any] = {key: {} for key in ("position", "velocity", "effort", "base", "reference")}
+    parts: dict[str, Any] = {key: {} for key in ("position", "velocity", "effort", "command", "base", "reference")}
     for signal, values in signals.items():
         if np.shape(values) != time.shape or time.ndim != 1:
             what = f"{signal} has shape {np.shape(values)}, the time {time.shape}"

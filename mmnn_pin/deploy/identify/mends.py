@@ -84,6 +84,19 @@ def mends_of(log: Log, mends: Mend) -> Mend:
     return tuple(found)
 
 
+def told_delays(mends: Mend, motors: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """By how much efforts of motors were told to be late, and the lags of these [s]."""
+    found: dict[str, tuple[float, float]] = {}
+    for pattern, how in mends:
+        word = how.partition(":")[0]
+        for name in motors if word in ("late", "lag") and ":" in how else ():
+            if fnmatchcase(f"effort.{name}", pattern):
+                late, lag = found.get(name, (0.0, 0.0))
+                x = number_of(how)
+                found[name] = (late + x, lag) if word == "late" else (late, lag + x)
+    return found
+
+
 def require_signals(logs: Sequence[Log], mends: Mend) -> None:
     """Refuse a mend that no log has a signal for.
 

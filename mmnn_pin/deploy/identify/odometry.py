@@ -16,7 +16,7 @@ exchanged.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -31,7 +31,8 @@ from .times import spans
 from .timing import least_of
 
 NAMES = ("radius_left", "radius_right", "track")
-ROWS = 2000  # of a log at most
+ROWS, QUICK = 1500, 200  # of a log at most; where damages are tried
+SHORT, LONG = 12, 60  # evaluations of a fit
 TURNED = 1.0  # heading that has to change for a track to be seen [rad]
 TRAVELLED = 0.5  # way that has to be driven for radii to be seen [m]
 TAPE = np.array([5e-3, 5e-3, 1e-2])  # standard deviation of a pose that is one of a few [m, m, rad]
@@ -81,7 +82,9 @@ class Wheels:
         if not (self.value > 0).all():
             return 1e4
         away = np.log(self.value / self.urdf) / 0.15
-        return float(20 * np.log(self.relative + 1e-3) + np.minimum(away**2, 200.0).sum() + (self.late[0] / 0.5) ** 2)
+        turned = np.angle(np.exp(1j * self.marker[2]))  # a base that drives ahead, and one that backs, differ by it
+        unlikely = np.minimum(away**2, 200.0).sum() + (self.late[0] / 0.5) ** 2 + turned**2
+        return float(20 * np.log(self.relative + 1e-3) + unlikely)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,20 +111,25 @@ def has_reference(log: Log, robot: Robot) -> bool:
     return robot.base.two_sided and angles and all(name in log.reference for name in REFERENCE)
 
 
-def wheels_of(robot: Robot, logs: Sequence[Log]) -> Wheels:
+def wheels_of(robot: Robot, logs: Sequence[Log], rows: int = ROWS) -> Wheels:
     """Radii and track that lead the wheels' angles along the reference.
+
+    Args:
+        robot: On two sides of wheels.
+        logs: With a reference.
+        rows: Of a stretch of the reference that are looked at, at most.
 
     Raises:
         RecordingError: The base hardly drives or turns.
     """
-    drives = [one for log in logs for one in stretches(log, robot)]
+    drives = [one for log in logs for one in stretches(log, robot, rows)]
     way = sum(float(np.linalg.norm(np.diff(one.pose[:, :2], axis=0), axis=1).sum()) for one in drives if smooth(one))
     way = max(way, sum(float(np.abs(np.diff(one.angles.mean(axis=1))).sum()) * mean_radius(robot) for one in drives))
-    if not drives or way < TRAVELLED or max(turned(one, robot) for one in drives) < TURNED:
+    if not drives or way < TRAVELLED or sum(turned(one, robot) for one in drives) < TURNED:
         why = f"it drives {way:.2g} m; radii and track need {TRAVELLED:g} m and {TURNED:g} rad"
         raise RecordingError("too small a drive for wheels", why=why, fix="drive an eight", file=logs[0].name)
     radius = np.array([np.mean([w.radius for w in robot.base.wheels if (w.y > 0) == left]) for left in (True, False)])
-    return fitted(drives, np.array([*radius, robot.base.track]))
+    return fitted(drives, np.array([*radius, robot.base.track]), SHORT if rows < ROWS else LONG)
 
 
 def mean_radius(robot: Robot) -> float:
@@ -140,7 +148,7 @@ def turned(one: Stretch, robot: Robot) -> float:
     return float(max(np.ptp(one.pose[:, 2]), by_wheels))
 
 
-def stretches(log: Log, robot: Robot) -> list[Stretch]:
+def stretches(log: Log, robot: Robot, most: int) -> list[Stretch]:
     """The drives of a log between its gaps, thinned."""
     angles, found = side_angles(log, robot), []
     pose = np.column_stack([log.reference[name] for name in REFERENCE])
@@ -150,7 +158,7 @@ def stretches(log: Log, robot: Robot) -> list[Stretch]:
         seen = rows[known[rows]]
         if len(rows) < 10 or len(seen) < 2:
             continue
-        rows, few = rows[:: max(1, len(rows) // ROWS)], seen[:: max(1, len(seen) // ROWS)]
+        rows, few = rows[:: max(1, len(rows) // (2 * most))], seen[:: max(1, len(seen) // most)]
         few = few if len(few) >= FEW else seen
         where = pose[few].copy()
         where[:, 2] = unwrapped(where[:, 2])
@@ -158,9 +166,10 @@ def stretches(log: Log, robot: Robot) -> list[Stretch]:
     return found
 
 
-def fitted(drives: Sequence[Stretch], urdf: Array) -> Wheels:
+def fitted(drives: Sequence[Stretch], urdf: Array, most: int) -> Wheels:
     """The least squares of the module over some drives."""
     dense = all(map(smooth, drives))
+    drives = drives if dense else [nearest_turn(one, urdf) for one in drives]
     late = lateness(drives) if dense else 0.0
     starts = [start_of(one, urdf, late) for one in drives]
     marker = np.array([0.0, 0.0, starts[0][3] if dense else 0.0])
@@ -181,12 +190,14 @@ def fitted(drives: Sequence[Stretch], urdf: Array) -> Wheels:
 
     first = np.concatenate((urdf, [*marker, late] if dense else [], *(one[:3] for one in starts)))
     size = np.concatenate((urdf, [0.1, 0.1, 0.1, 0.1] if dense else [], np.ones(3 * len(drives))))
-    solution = least_squares(lambda x: left(x, weight).ravel(), first, x_scale=size, max_nfev=200)
-    if dense:  # heading and place by their own scatter
+    solution = least_squares(lambda x: left(x, weight).ravel(), first, x_scale=size, max_nfev=most)
+    if dense and most > SHORT:  # heading and place by their own scatter
         rms = np.sqrt((left(solution.x, np.ones(3)) ** 2).mean(axis=0))
         weight = 1.0 / np.maximum([np.hypot(*rms[:2]) / np.sqrt(2)] * 2 + [rms[2]], 1e-9)
-        solution = least_squares(lambda x: left(x, weight).ravel(), solution.x, x_scale=size, max_nfev=200)
-    before = least_squares(lambda x: left(np.concatenate((urdf, x)), weight).ravel(), first[3:], max_nfev=100)
+        solution = least_squares(lambda x: left(x, weight).ravel(), solution.x, x_scale=size, max_nfev=most)
+    before = first[3:]
+    if most > SHORT:
+        before = least_squares(lambda x: left(np.concatenate((urdf, x)), weight).ravel(), before, max_nfev=most).x
     noise = np.mean(solution.fun**2) * correlated(solution.fun) if dense else max(1.0, spread(solution.fun, len(first)))
     covariance = np.linalg.pinv(solution.jac.T @ solution.jac) * noise
     rows = left(solution.x, np.ones(3))
@@ -197,15 +208,23 @@ def fitted(drives: Sequence[Stretch], urdf: Array) -> Wheels:
     relative = float(np.sqrt((rows[:, :2] ** 2).mean()) / extent[0] + np.sqrt((rows[:, 2] ** 2).mean()) / turn)
     errors = [
         float(np.sqrt(((left(x, np.ones(3))[:, :2]) ** 2).mean() * 2))
-        for x in (solution.x, np.concatenate((urdf, before.x)))
+        for x in (solution.x, np.concatenate((urdf, before)))
     ]
     value, mark, delay, _ = unpacked(solution.x)
     ratio = value[1] / value[0]
     lever = np.array([-ratio / value[0], 1 / value[0]])
     ratio_sd = float(np.sqrt(max(lever @ covariance[:2, :2] @ lever, 0.0)))
-    late_sd = float(np.sqrt(covariance[6, 6])) if dense else 0.0
+    late_sd = float(np.sqrt(max(covariance[6, 6], 0.0))) if dense else 0.0
     sd = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0))
     return Wheels(value, sd, urdf, (errors[0], errors[1]), (float(ratio), ratio_sd), (delay, late_sd), mark, relative)
+
+
+def nearest_turn(one: Stretch, numbers: Array) -> Stretch:
+    """A stretch of a few poses, whose headings are those nearest to where the wheels lead by some numbers."""
+    made = driven(one, numbers, one.pose[0], 0.0)
+    pose = one.pose.copy()
+    pose[:, 2] = made[:, 2] + np.angle(np.exp(1j * (one.pose[:, 2] - made[:, 2])))
+    return replace(one, pose=pose)
 
 
 def spread(residual: Array, unknowns: int) -> float:
@@ -296,18 +315,17 @@ def wheel_findings(robot: Robot, logs: Sequence[Log]) -> tuple[Wheels | None, li
         robot: On two sides of wheels.
         logs: Sound ones with a reference, see `has_reference`.
     """
+    still = all(np.ptp(side_angles(log, robot), axis=0).max() * mean_radius(robot) < 0.02 for log in logs)
+    if still and max(np.ptp(np.nan_to_num(log.reference[REFERENCE[0]])) for log in logs) > TRAVELLED:
+        return None, [refusal("the wheels stand still while the reference drives", "wheels", 1e3)]
     try:
         found = wheels_of(robot, logs)
     except RecordingError as error:
-        still = all(np.ptp(side_angles(log, robot)) * mean_radius(robot) < 0.02 for log in logs)
-        drove = max(np.ptp(np.nan_to_num(log.reference[REFERENCE[0]])) for log in logs)
-        if still and drove > TRAVELLED:
-            return None, [refusal("the wheels stand still while the reference drives", "wheels", 1e3)]
         what = "the base stands still" if still else error.what
         return None, [LogFinding("warned", what, error.why, "nothing is said of its wheels")]
     if not list(nonsense(found, robot)):
         return found, list(odd(found, logs))
-    mends = explained(robot, logs, found)
+    mends = explained(robot, logs)
     if mends is None:
         whats = "; ".join(nonsense(found, robot))
         return None, [refusal(whats, "radii and track", 50.0)]
@@ -363,15 +381,15 @@ def odd(found: Wheels, logs: Sequence[Log]) -> Iterator[LogFinding]:
         yield LogFinding("mended", what, "", "taken out")
 
 
-def explained(robot: Robot, logs: Sequence[Log], found: Wheels) -> Mend | None:
+def explained(robot: Robot, logs: Sequence[Log]) -> Mend | None:
     """Mends, one or two at once, with which the wheels make sense; None where there are none."""
     chosen: Mend = ()
-    before = found.cost
+    before = wheels_of(robot, logs, QUICK).cost
     for _ in range(3):
         costs: dict[Mend, float] = {}
         for mend in damages_of(robot, logs):
             try:
-                costs[mend] = wheels_of(robot, [mended(log, (*chosen, *mend)) for log in logs]).cost
+                costs[mend] = wheels_of(robot, [mended(log, (*chosen, *mend)) for log in logs], QUICK).cost
             except (RecordingError, ValueError, np.linalg.LinAlgError):
                 continue
         best = min(costs, key=lambda one: costs[one], default=())

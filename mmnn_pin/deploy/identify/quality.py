@@ -29,7 +29,7 @@ SATURATED = 0.02  # share of rows at one extreme
 CLEAR, OPPOSITE = 0.5, 0.8  # correlation from which a comparison counts; from which a signal is another one's negative
 HOLED = 0.5  # share of a signal's rows without a number from which it is left out
 TURNS = (2 * np.pi, 360.0, 1.0, 2.0, 400.0, 6400.0, *(2.0**bits for bits in range(7, 33)))  # periods of encoders
-HELD = 0.7  # share of values held for one number of rows from which they are stairs
+HELD = 0.9  # share of changes that come at every so many rows from which a signal is held in between
 TOO_FAST, TOO_FAR = 2.5, 1.5  # times a joint's limits of speed and position that no radians are
 
 
@@ -183,11 +183,10 @@ def held_rows(values: Array) -> int:
     at = np.flatnonzero(np.diff(values)) + 1
     if len(at) < 20 or len(at) > 0.6 * len(values):
         return 0
-    length, size = np.diff(at), np.abs(np.diff(values))[at - 1]
-    fast = length[size[:-1] >= np.median(size)]
-    rows = int(np.median(fast))
-    varied = float(np.percentile(size, 90)) > 2.0 * float(np.percentile(size, 10)) > 0
-    return rows if rows >= 2 and varied and (fast == rows).mean() > HELD else 0
+    for rows in range(min(50, len(values) // 20), 1, -1):
+        if len(at) > 0.3 * len(values) / rows and np.bincount(at % rows).max() > HELD * len(at):
+            return rows
+    return 0
 
 
 def beyond_positions(log: Log, robot: Robot, told: Collection[str]) -> Iterator[LogFinding]:
@@ -240,7 +239,7 @@ def rates_against_positions(log: Log, robot: Robot) -> Iterator[LogFinding]:
     if swapped:
         mends = tuple((f"velocity.{theirs}", f"velocity.{own}") for own, theirs in swapped)
         what = ", ".join(f"velocity.{own} is the rate of position.{theirs}" for own, theirs in swapped)
-        fix = "or the positions are exchanged: --mend with position in place of velocity"
+        fix = "the same with position in place of velocity, if these are exchanged"
         yield LogFinding("refused", what, "by their likeness", "which joint is which", mends, fix, 20.0)
     for i, name in enumerate(names):
         if best[i] == i:

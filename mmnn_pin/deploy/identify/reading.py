@@ -24,11 +24,12 @@ from .log import BASE, REFERENCE, Columns, Log, from_signals, revolves
 WORDS = {
     "position": ("position", "positions", "pos", "q", "angle"),
     "velocity": ("velocity", "velocities", "vel", "dq", "qd", "qdot", "speed"),
-    "effort": ("effort", "efforts", "torque", "torques", "tau", "eff", "current", "force"),
+    "effort": ("effort", "efforts", "torque", "torques", "tau", "eff", "current", "force", "load"),
 }
 TIMES = ("time", "t", "timestamp", "stamp", "sec", "seconds")
 UNITS = {"s", "sec", "secs", "seconds", "ms", "us", "ns"}  # that may follow
 PLAIN = {"joint", "joints", "j", "axis", "motor", "link", "actual", "measured", "meas", "state", "raw", "filtered"}
+PLAIN |= {"states", "field", "data", "msg", "observation", "values"}
 TAKEN = {"q": "position", "qdot": "velocity", "velocity": "base"}  # of a recording, beside its torque
 BAGS = (".db3", ".mcap", ".bag")
 
@@ -124,13 +125,14 @@ def require_joints(log: Log, robot: Robot) -> None:
     """
     names = [*robot.joint_names, *(wheel.joint for wheel in robot.base.wheels)]
     for kind, there, wanted in (("position", log.position, names), ("effort", log.effort, robot.actuator_names)):
+        guesses = [note for note in log.notes if note.startswith("not taken") and f"{kind}." in note]
         moves = kind == "position" and {"base.v", "base.vx", "base.w"} & set(log.base)
         if not set(there) & set(wanted) and not moves:
             why = f"it has {kind}s of {', '.join(there)}" if there else f"it has no {kind}s at all"
             raise RecordingError(
                 f"no {kind} of a joint of {robot.name} that moves",
                 why=why,
-                fix=f"its joints are {', '.join(wanted)}; map names with --columns",
+                fix="; ".join((f"its joints are {', '.join(wanted)}; map names with --columns", *guesses)),
                 file=log.name,
             )
 
@@ -151,7 +153,9 @@ def read_csv(path: Path, robot: Robot, columns: Columns, rate: float | None = No
     joints = [*robot.joint_names, *(n for n in robot.full_velocity_names if n not in robot.joint_names)]
     ours = {} if columns else exported(header)
     where = ours or found_columns(header, joints, columns, path)
-    counted, notes = ({}, ()) if ours else numbered(header, robot.joint_names, where, path)
+    wheels = {wheel.joint for wheel in robot.base.wheels}
+    moving = [n for n in robot.full_velocity_names if n in wheels or n in robot.joint_names]
+    counted, notes = ({}, ()) if ours else numbered(header, (robot.joint_names, moving), where, path)
     where = counted | where
     if "time" not in where:
         if rate is None:
@@ -179,7 +183,8 @@ def exported(header: Sequence[str]) -> dict[str, int]:
     kinds = {name.partition(".")[0] for name in names}
     if not {"time", "nu_ref", "psi_hat", "motor_torque"} <= kinds:
         return {}
-    taken = TAKEN | {"applied" if "applied" in kinds else "motor_torque": "effort"}
+    torque = {"applied": "effort", "motor_torque": "command"} if "applied" in kinds else {"motor_torque": "effort"}
+    taken = TAKEN | torque
     found = {"time": names.index("time")}
     for i, name in enumerate(names):
         signal, _, label = name.partition(".")
@@ -189,12 +194,13 @@ def exported(header: Sequence[str]) -> dict[str, int]:
 
 
 def numbered(
-    header: Sequence[str], joints: Sequence[str], found: Mapping[str, int], path: Path
+    header: Sequence[str], orders: Sequence[Sequence[str]], found: Mapping[str, int], path: Path
 ) -> tuple[dict[str, int], tuple[str, ...]]:
     """Columns that number the joints, such as `q_1` to `q_7` or `tau_J[0]` to `tau_J[6]`, and what that is taken for.
 
-    A set of as many columns as joints, numbered from 0 or 1, is of the joints in the URDF's order, for a kind of signal
-    of which no column has a joint's name. Other words in a header (`q_d`, `target_q`, `leg_1_q`) say that it is none.
+    A set of as many columns as joints, of the arm or with the wheels, numbered from 0 or 1, is of these in the URDF's
+    order, for a kind of signal of which no column has a joint's name. Other words in a header (`q_d`, `target_q`,
+    `leg_1_q`) say that it is none; then the note says how to take it.
 
     Raises:
         RecordingError: Two sets of one kind.
@@ -209,10 +215,14 @@ def numbered(
     notes: list[str] = []
     for kind, synonyms in WORDS.items():
         known = {*PLAIN, *synonyms}
-        if any(f"{kind}.{joint}" in found for joint in joints):
+        if any(f"{kind}.{joint}" in found for joint in orders[0]):
             continue
+        joints = orders[0]
         of_kind = [one for words, one in sets.items() if set(words) & set(synonyms) and not set(words) - known]
         whole = [one for one in of_kind if is_count(one, len(joints))]
+        if not whole:
+            joints = orders[-1]
+            whole = [one for one in of_kind if is_count(one, len(joints))]
         if len(whole) > 1:
             names = " and ".join(f"'{header[min(one.values())]}'" for one in whole)
             fix = f"choose with --columns '{kind}.{{joint}}=NAME{{number}}', counted from 1, or {{index}}, from 0"
@@ -223,7 +233,21 @@ def numbered(
             notes.append(
                 f"{header[order[0]]} to {header[order[-1]]} are taken for {kind}s of {joints[0]} to {joints[-1]}"
             )
+        unlike = [one for words, one in sets.items() if set(words) - known and is_count(one, len(orders[0]))]
+        if not whole and len(guess := [one for one in unlike if kind_of(header[min(one.values())]) == kind]) == 1:
+            first = min(guess[0])
+            name = re.sub(rf"{first}(?!.*\d)", "{number}" if first else "{index}", header[guess[0][first]])
+            notes.append(
+                f"not taken: {header[guess[0][first]]} ...; if they are {kind}s: --columns '{kind}.{{joint}}={name}'"
+            )
     return made, tuple(notes)
+
+
+def kind_of(header: str) -> str:
+    """The kind of signal of which a header has a word; empty for none, or several."""
+    words = set(re.findall(r"[a-z]+", header.lower()))
+    kinds = [kind for kind, synonyms in WORDS.items() if words & set(synonyms)]
+    return kinds[0] if len(kinds) == 1 else ""
 
 
 def is_count(numbers: Mapping[int, int], size: int) -> bool:
@@ -247,12 +271,19 @@ def read_table(path: Path) -> tuple[list[str], Array, tuple[str, ...]]:
     if not lines or not any(c.isalpha() for c in lines[0]):
         raise RecordingError("no header", fix="name the columns in the first line", file=path, line=1)
     mark = next((c for c in ",;\t" if c in lines[0]), " ")
+    header = [name.strip() for name in next(csv.reader(lines[:1], delimiter=mark, skipinitialspace=True))]
+    try:  # whole, by numpy; anything else is looked at cell by cell
+        body = lines[1:] if len(lines) > 2 else ["none"]
+        table = np.loadtxt(body, delimiter=None if mark == " " else mark, comments=None, ndmin=2)
+    except ValueError:
+        table = np.zeros((0, 0))
+    if len(table) > 1 and table.shape[1] == len(header):
+        return header, table, ()
     rows = csv.reader(lines, delimiter=mark, skipinitialspace=True)
     try:
         cells = list(rows)
     except csv.Error as error:
         raise RecordingError("not a CSV file", why=str(error), file=path, line=rows.line_num) from None
-    header = [name.strip() for name in cells[0]]
     numbers: list[list[float]] = []
     notes: tuple[str, ...] = ()
     if len(cells) > 2 and len(cells[-1]) < len(header) and not text.endswith("\n"):
@@ -281,7 +312,7 @@ def found_columns(header: Sequence[str], joints: Sequence[str], columns: Columns
         UnknownName: The user names a column that is not there, or a joint that the robot does not have.
         RecordingError: Two columns for one signal.
     """
-    known = ("time", *BASE, *REFERENCE, *(f"{kind}.{joint}" for kind in WORDS for joint in joints))
+    known = ("time", *BASE, *REFERENCE, *(f"{kind}.{joint}" for kind in (*WORDS, "command") for joint in joints))
     found: dict[str, int] = {}
     for signal, name in spelled_out(columns, joints).items():
         if signal.partition(".")[0] in ("joint", "topic"):
@@ -405,9 +436,9 @@ def from_recording(recording: Recording, robot: Robot) -> Log:
         raise RecordingError(what, fix="record all signals", file=path)
     if len(recording) < 2:
         raise RecordingError("the recording has no rows", fix="name one of a longer run", file=path)
-    torque = "applied" if "applied" in recording else "motor_torque"
+    torque = {"applied": "effort", "motor_torque": "command"} if "applied" in recording else {"motor_torque": "effort"}
     signals = {"time": recording.time}
-    for signal, kind in (TAKEN | {torque: "effort"}).items():
+    for signal, kind in (TAKEN | torque).items():
         if signal in recording:
             table = as_columns(recording[signal])
             signals |= {f"{kind}.{name}": table[:, i] for i, name in enumerate(recording.labels(signal))}

@@ -93,6 +93,8 @@ def report_of(of: Identification) -> dict[str, Any]:
         "total": total_of(of),
         "friction": friction_of(of),
         "rotors": of.rotors,
+        "timing": of.timing,
+        "findings": [one.to_dict() for one in of.findings],
         "wheels": None if of.wheels is None else of.wheels.to_dict(),
         "not_identified": not_identified(of),
         "labels": list(labels),
@@ -100,7 +102,11 @@ def report_of(of: Identification) -> dict[str, Any]:
         "covariance": of.consistent.covariance.tolist(),
         "regressor_size": regressor.size,
         "warnings": list(of.warnings),
-        "notes": [*(f"{log.name}: {note}" for log in of.logs for note in log.notes), *of.notes],
+        "notes": [
+            *(f"{log.name}: {note}" for log in of.logs for note in log.notes),
+            *(str(one) for one in of.findings if one.grade == "mended"),
+            *of.notes,
+        ],
     }
 
 

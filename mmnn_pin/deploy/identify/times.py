@@ -89,12 +89,13 @@ def rolled_on(log: Log) -> Log:
         return log
     period = float(np.median(step[step > 0]))
     turns = period - step[back]
-    if back.size > max(1, len(time) // MANY):
+    turn = round_number(float(np.median(turns)), 0.5 * period)
+    rolls = bool(turn) and bool(np.abs(turns - turn).max() < GAP * period)
+    if not rolls and back.size > max(1, len(time) // MANY):
         why = f"{time[back[0] + 1]:.6g} after {time[back[0]]:.6g}"
         what = f"the time goes back {back.size} times, first at row {back[0] + 2}"
         raise RecordingError(what, why=why, fix="sort the rows by their time", file=log.name)
-    turn = round_number(float(np.median(turns)), GAP * period)
-    if turn and np.abs(turns - turn).max() < GAP * period:
+    if rolls:
         added = np.concatenate(([0.0], np.cumsum(np.where(step < 0, turn, 0.0))))
         what = f"the time rolls over {back.size} times, after {turn:.10g} of its units"
         found = LogFinding("mended", what, "the next row follows by one period", "rows go on")
@@ -110,7 +111,7 @@ def round_number(turn: float, tolerance: float) -> float:
     powers = [2.0**bits for bits in range(8, 65)]
     known = [power * unit for power in powers for unit in UNITS.values()]
     known += [span / unit for span in ROUND for unit in UNITS.values()]
-    near = [one for one in known if abs(one - turn) <= tolerance and one > 8 * tolerance]
+    near = [one for one in known if abs(one - turn) <= tolerance and one > 4 * tolerance]
     return min(near, key=lambda one: abs(one - turn), default=0.0)
 
 

@@ -11,7 +11,7 @@ rate of a joint is compared in the same way with the derivative of its position.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,6 +29,7 @@ LONGEST, COARSE, FINEST = 0.3, 31, 5e-5  # [s] that is looked at, steps of it, [
 LAGS = tuple(float(x) for x in np.geomspace(1e-3, 0.5, 14))  # [s] that are tried
 RANKED = 1e-6  # part of a column, of its length, under which it says what others say
 UNSEEN = 0.1  # [s] standard deviation of a delay that says nothing
+SAMPLED = 0.25  # periods: least standard deviation of a delay between signals that are sampled and held
 PARTS = 5  # of a motion, one left out at a time
 MOST = 4000  # equations that are looked at
 LAGGING = 25.0  # times the residual variance that a lag has to explain before it is believed
@@ -228,7 +229,7 @@ def curve_of(log: Log, unknowns: Unknowns, cutoff: float) -> Callable[[Array, fl
         if lag not in made:
             smooth = low_pass(low_pass(lagged(tau, lag, period), cutoff, 1 / period), cutoff, 1 / period)
             made[lag] = make_interp_spline(time, smooth, 3)
-        return np.asarray(made[lag](np.clip(when, time[0], time[-1])))
+        return np.asarray(made[lag](np.clip(when - log.effort_delay, time[0], time[-1])))
 
     return at
 
@@ -243,33 +244,56 @@ def basis(X: Array) -> Array:
     return np.asarray(Q[:, np.abs(np.diag(R)) > RANKED * abs(R[0, 0])])
 
 
-def rate_delays(log: Log, cutoff: float) -> Iterator[tuple[str, Delay]]:
-    """Delay and lag of every recorded rate behind the derivative of its position."""
+def recorded_delays(log: Log, cutoff: float) -> tuple[dict[str, Delay], dict[str, Delay]]:
+    """Delays and lags of recorded rates behind the derivatives of their positions, and of efforts behind commands."""
     period = float(np.median(np.diff(log.time)))
     parts = [part for part in stretches_of(log, cutoff) if len(part.time) > 50]
+    rates, motors = dict[str, Delay](), dict[str, Delay]()
     if not parts:
-        return
+        return rates, motors
     part = max(parts, key=lambda one: len(one.time))
     time = np.arange(part.time[0], part.time[-1], period)
     cutoff = min(3 * cutoff, 0.3 / period)
-    keep = slice(None, None, max(1, len(time) // MOST))
     for name, measured in part.velocity.items():
-        if name not in part.position:
-            continue
-        both = evenly(part.time, np.column_stack((part.position[name], measured)), time)
-        rate = make_interp_spline(time, low_pass(both[:, 0], cutoff, 1 / period), 5)(time, 1)
-        y = low_pass(both[:, 1], cutoff, 1 / period)
-        if not np.ptp(rate) > 1e-3:
-            continue
-        made: dict[float, Any] = {}
+        if name in part.position:
+            q = low_pass(evenly(part.time, part.position[name][:, None], time), cutoff, 1 / period)[:, 0]
+            one = follower_delay(time, make_interp_spline(time, q, 5)(time, 1), measured, part.time, cutoff)
+            rates |= {} if one is None else {name: one}
+    for name, command in part.command.items():
+        if name in part.effort:
+            u = low_pass(evenly(part.time, command[:, None], time), cutoff, 1 / period)[:, 0]
+            one = follower_delay(time, u, part.effort[name], part.time, cutoff)
+            motors |= {} if one is None else {name: one}
+    return rates, motors
 
-        def curve(when: Array, lag: float, rate: Array = rate, made: dict[float, Any] = made) -> Array:
-            if lag not in made:
-                made[lag] = make_interp_spline(time, lagged(rate, lag, period), 3)
-            return np.asarray(made[lag](np.clip(when, time[0], time[-1])))
 
-        X = np.column_stack((y, np.ones(len(y))))[keep]
-        inside = (time[keep] > time[0] + LONGEST) & (time[keep] < time[-1] - LONGEST)
-        one = delay_of(basis(X[inside]), curve, time[keep][inside], lags=True) if inside.sum() > 50 else None
-        if one is not None:
-            yield name, one
+def follower_delay(time: Array, first: Array, measured: Array, at: Array, cutoff: float) -> Delay | None:
+    """Delay and lag of a signal behind another one.
+
+    Args:
+        time: (N,) even times [s].
+        first: (N,) the other one, low-passed.
+        measured: (M,) the signal at its own times.
+        at: (M,) these [s].
+        cutoff: Of the low-pass [Hz].
+    """
+    period, made = float(time[1] - time[0]), dict[float, Any]()
+    y = low_pass(evenly(at, measured[:, None], time), cutoff, 1 / period)[:, 0]
+    if not np.ptp(first) > 1e-3 or not np.ptp(y) > 1e-3:
+        return None
+
+    def curve(when: Array, lag: float) -> Array:
+        if lag not in made:
+            made[lag] = make_interp_spline(time, lagged(first, lag, period), 3)
+        return np.asarray(made[lag](np.clip(when, time[0], time[-1])))
+
+    keep = np.flatnonzero((time > time[0] + LONGEST) & (time < time[-1] - LONGEST))[:: max(1, len(time) // MOST)]
+    X = np.column_stack((y, np.ones(len(y))))[keep]
+    found = delay_of(basis(X), curve, time[keep], lags=True) if len(keep) > 50 else None
+    if found is not None and found.lag:  # a lag takes noise away, too: it has to explain more than one on both sides
+        both = lagged(np.column_stack((y, np.ones(len(y)))), found.lag, period)[keep]
+        smoothed = curve(time[keep], found.lag)
+        if np.linalg.norm(residual_of(basis(both), smoothed)) < 2 * found.error * np.linalg.norm(smoothed):
+            found = delay_of(basis(X), curve, time[keep])
+    least = SAMPLED * period
+    return found and replace(found, sd=max(found.sd, least), lag_sd=max(found.lag_sd, least) * bool(found.lag))

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node as RosNode
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -35,7 +36,7 @@ from ...signals import Array
 from ...torque.controller import CompiledController, TorqueController
 from .asking import Asking
 from .inlets import Inlet, Outlet
-from .outputs import Commands, diagnostics, stamp_of
+from .outputs import Commands, diagnostics, stamp_of, wrench_of
 from .planned import PlannedArm, RobotSituation
 from .sensing import Clock, Sensing, Tree
 from .settings import Node
@@ -123,6 +124,8 @@ class Bridge:
         self.asking = Asking(node, arm, settings, self.tree)
         self._listen()
         self.health = Outlet(node, "/diagnostics", DiagnosticArray, depth=4) if settings.diagnostics else None
+        touches = self.stepper.external_wrench.size > 0
+        self.felt = Outlet(node, "~/external_wrench", WrenchStamped) if touches else None
         self.before = {inlet.name: 0 for inlet in self.inlets}
         self.leave, self.hurry, self.is_running = "", False, False
         self.late: list[Array] = []
@@ -162,6 +165,9 @@ class Bridge:
             found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), what))
         if (health := self.health) is not None:
             found.append(GraphRow("publishes", health.name, type_of(health.kind), quality_of(health.publisher), ""))
+        if (felt := self.felt) is not None:
+            what = "of the world on the hand, without a sensor"
+            found.append(GraphRow("publishes", felt.name, type_of(felt.kind), quality_of(felt.publisher), what))
         return found
 
     # -- before --------------------------------------------------------------------------------------------------------
@@ -341,6 +347,8 @@ class Bridge:
             self.sample(time, asked)
             if stopped:  # it was active before: activating it again is a reset
                 stopped = not self._is_reset()
+            if self.felt is not None:
+                self.felt.send(wrench_of(self.stepper, stamp_of(self.clock.by_ros)))
             self._answer()
             self.stepper.record()
             asked = ()
@@ -407,7 +415,7 @@ class Bridge:
         for inlet in self.inlets:
             self.node.destroy_subscription(inlet.subscription)
         outlets = [outlet for _, outlet, _ in self.commands.outlets]
-        for one in [*outlets, *([] if self.health is None else [self.health])]:
+        for one in [*outlets, *(one for one in (self.health, self.felt) if one is not None)]:
             self.node.destroy_publisher(one.publisher)
 
     # -- what is wrong -------------------------------------------------------------------------------------------------

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Twist, TwistStamped
+from geometry_msgs.msg import Twist, TwistStamped, WrenchStamped
 from rclpy.node import Node as RosNode
 from std_msgs.msg import Float64MultiArray, Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from ...elementary.matrices import product
 from ...errors import ConfigError
 from ...loop.servo import Command
 from ...loop.stepper import Stepper
@@ -148,6 +149,17 @@ def message_of(output: Output, values: list[float], stamp: Time, soon: Duration)
         point = JointTrajectoryPoint(positions=values, time_from_start=soon)
         return JointTrajectory(joint_names=list(output.joints), points=[point])
     return Float64MultiArray(data=values)
+
+
+def wrench_of(stepper: Stepper, stamp: Time) -> WrenchStamped:
+    """Force and moment of the world on the hand at the last measurement, in the hand's frame."""
+    seen, hand = stepper.measured, stepper.hand
+    R = stepper.robot.placement(hand, np.concatenate((seen.pose, seen.shape, seen.q)))[:3, :3]
+    force, moment = (product(R.T, part).tolist() for part in np.split(stepper.external_wrench, 2))
+    message = WrenchStamped(header=Header(stamp=stamp, frame_id=hand))
+    message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = force
+    message.wrench.torque.x, message.wrench.torque.y, message.wrench.torque.z = moment
+    return message
 
 
 def stamp_of(time: float) -> Time:

@@ -21,7 +21,7 @@ from ...actuator.settings import heaviest
 from ...errors import ConfigError, UnknownName
 from ...files import read_toml
 from ...kinematic import Kinematic
-from ...loop.servo import POSITION, VELOCITY, movers, own_velocities
+from ...loop.servo import POSITION, VELOCITY, Command, movers, own_velocities
 from ...loop.stable_gains import SHARES, holds, two_digits
 from ...loop.suited import MotorLoad
 from ...model.base.steered import SteeredBase
@@ -36,6 +36,8 @@ ROOM = 1.25  # times the gains of the kinematic layer that are taken, the loop b
 JUDGED = "computed_torque"  # the controller whose loop is: none has more feedback inside
 UNKNOWN = "unknown"  # the profile for what has no other
 PLAIN_BANDWIDTH = 30.0  # of a servo of which nothing is said [1/s]
+OTHER = "name hardware that it has; --hardware unknown takes the torques of its URDF"
+UNITS = ("current", "pwm")  # interfaces that are efforts in other units
 OFFERS = {"arm": POSITION, "slides": POSITION, "wheels": VELOCITY, "steering": POSITION}  # of "offered"
 PER_TURN = ("stiffness", "damping", "integral", "stall", "dead_band", "profile_speed", "profile_acceleration")
 
@@ -53,6 +55,7 @@ class Fitted:
 
     Raises:
         UnknownName: A single joint that the robot does not have.
+        ConfigError: Currents or duties whose torque is not known.
     """
 
     def __init__(self, hardware: HardwareTable, robot: Robot) -> None:
@@ -78,6 +81,9 @@ class Fitted:
         if said.get("interface") == "offered":
             there = offered[name]
             said["interface"] = OFFERS[group] if OFFERS[group] in there or not there else there[0]
+        if said.get("interface") in UNITS and "torque_constant" not in said:
+            what, why = f"'{name}' takes a {said['interface']}", "how much torque that makes is not known"
+            raise ConfigError(what, why=why, fix="give torque_constant, too", key=f"hardware.joints.{name}")
         return JointHardware(**said)
 
     def of(self, name: str, rows: slice = slice(None), unsaid: float = 0.0) -> Array:
@@ -129,6 +135,19 @@ class Fitted:
             found |= {"armature": short(rotors)} if rotors.any() else {}
             found |= self._friction()
         return found | self._sensing() | self._times()
+
+    def sent(self, command: Command) -> dict[str, float]:
+        """A command as a driver sends it, by joint: in the unit of its interface.
+
+        Args:
+            command: Of a `Stepper`, whose interfaces are those of this table.
+        """
+        values = {POSITION: command.motor_position, VELOCITY: command.motor_velocity}
+        found = dict[str, float]()
+        for j, (name, motor) in enumerate(zip(self.robot.actuator_names, self.motors, strict=True)):
+            value = float(values.get(motor.interface or "", command.motor_effort)[j])
+            found[name] = value / (motor.torque_constant or 1.0) if motor.interface in UNITS else value
+        return found
 
     def _gaps(self) -> Array:
         """Backlash of every motor that can be simulated: of rotors that are lighter than what they drive."""
@@ -222,10 +241,16 @@ def require_strength(fitted: Fitted, experiment: Experiment, robot: Robot) -> No
         return
     j = int(np.argmax(load))
     name, most = robot.actuator_names[j], robot.effort_limits[j]
-    own = fitted.hardware.profile or fitted.hardware.title or "hardware"
-    why = f"{name} needs {load[j] * most:.3g} N m or N, it gives {most:.3g}"
-    fix = "name hardware that it has; --hardware unknown takes the torques of its URDF"
-    raise ConfigError(f"{own} is too weak for {robot.name}", why=why, fix=fix, key="--hardware")
+    what, why = (
+        f"{name_of(fitted.hardware)} is too weak",
+        f"{name} needs {load[j] * most:.3g} N m or N, it gives {most:.3g}",
+    )
+    raise ConfigError(f"{what} for {robot.name}", why=why, fix=OTHER, key="--hardware")
+
+
+def name_of(hardware: HardwareTable) -> str:
+    """A few words for a table."""
+    return hardware.title or hardware.profile or "a table of hardware"
 
 
 def borne(experiment: Experiment, robot: Robot) -> dict[str, Any]:
@@ -234,6 +259,9 @@ def borne(experiment: Experiment, robot: Robot) -> dict[str, Any]:
     Args:
         experiment: With all that follows from the hardware.
         robot: Its robot.
+
+    Raises:
+        ConfigError: It bears none.
     """
     whole, names = experiment.loop(robot, JUDGED).plan(), robot.base.gain_names
     alike = whole.servo is not None and bool(whole.servo.on.all())  # no feedback is to suit these gains
@@ -259,7 +287,10 @@ def borne(experiment: Experiment, robot: Robot) -> dict[str, Any]:
         middle = (low + high) // 2
         low, high = (low, middle) if bears(SHARES[middle], SHARES[middle]) else (middle + 1, high)
     if low == len(SHARES):
-        return {}
+        assert experiment.hardware is not None
+        what = f"{name_of(experiment.hardware)} is too slow or too soft for {robot.name}"
+        why = "the whole loop is unstable with any gains of the kinematic layer"
+        raise ConfigError(what, why=why, fix=OTHER, key="--hardware")
     share = float(SHARES[low])
     apart = [(1.0, share), (share, 1.0)] if whole.gains.size and whole.K.size else []
     return with_shares(*next((pair for pair in apart if bears(*pair)), (share, share)))
@@ -284,5 +315,5 @@ def lines(hardware: HardwareTable) -> Iterator[str]:
     """Notes of a run on its hardware."""
     rate = "" if hardware.rate is None else f", {hardware.rate:g} control samples per second"
     late = f", {1e3 * hardware.delay:g} ms late" if hardware.delay else ""
-    yield f"hardware: {hardware.title or hardware.profile or 'a table'}{rate}{late}"
+    yield f"hardware: {name_of(hardware)}{rate}{late}"
     yield from hardware.notes

@@ -67,7 +67,7 @@ def check_text(report: dict[str, Any]) -> str:
 
 def delay_lines(log: dict[str, Any]) -> Iterator[str]:
     """Delays of a log's efforts and rates, with bands of 95 %."""
-    for kind, what in (("efforts", "efforts are late by"), ("rates", "velocities are late by")):
+    for kind, what in (("efforts", "efforts are late by"), ("motors", "efforts follow commands by")):
         said = [f"{name} {delay_text(one)}" for name, one in log[kind].items() if one is not None]
         if said:
             yield f"{what} {', '.join(said)} ms"

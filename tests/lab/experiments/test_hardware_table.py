@@ -18,6 +18,7 @@ from mmnn_pin.lab.experiments.config import merged
 from mmnn_pin.lab.experiments.hardware import Fitted, lines, proposed
 from mmnn_pin.lab.experiments.hardware_table import HardwareTable, JointHardware, profiles, read_hardware
 from mmnn_pin.lab.experiments.runner import require_runnable, run_experiment
+from mmnn_pin.loop.servo import Command
 from mmnn_pin.loop.suited import MotorLoad
 from mmnn_pin.model.robot import speed_limits
 from mmnn_pin.model.robots import bundled, extra, robot_data
@@ -99,14 +100,23 @@ def test_groups_patterns_and_single_joints_find_their_motors():
     table = HardwareTable(
         arm=JointHardware(interface="position", stiffness=20.0, damping=1.0, encoder=0.01),
         wheels=JointHardware(interface="velocity", bandwidth=8.0, encoder=0.02),
-        joints={second: JointHardware(interface="current", lag=0.002), "arm_*": JointHardware(torque=9.0)},
+        joints={
+            second: JointHardware(interface="current", torque_constant=0.2, lag=0.002),
+            "arm_*": JointHardware(torque=9.0),
+        },
     )
-    found = Fitted(table, robot).settings()
+    fitted = Fitted(table, robot)
+    found = fitted.settings()
+    four = np.arange(4.0)
+    sent = fitted.sent(Command(four, four, four, four, four + 10.0, four + 20.0, four[:2]))
+    assert sent == {left: 10.0, right: 11.0, first: 22.0, second: 3.0 / 0.2}
     assert found["interfaces"] == {left: "velocity", right: "velocity", first: "position"}
     assert found["servo"]["bandwidth"] == [8.0, 8.0, 20.0, 30.0]  # nothing is known of the last one
     assert found["servo"]["stiffness"] == [0.0, 0.0, 20.0, 20.0]
     assert found["actuator"]["lag"] == [0.0, 0.0, 0.0, 0.002] and found["effort_limits"] == [0.0, 0.0, 9.0, 9.0]
     assert found["sensor"] == {"resolution": 0.01, "wheel_resolution": 0.02}
+    with pytest.raises(ConfigError, match="'arm_1_joint' takes a pwm: how much torque"):
+        Fitted(HardwareTable(arm=JointHardware(interface="pwm")), robot)
     with pytest.raises(UnknownName, match="elbow"):
         Fitted(HardwareTable(joints={"elbow": JointHardware()}), robot)
 
@@ -167,11 +177,12 @@ def test_a_table_within_an_experiment_names_its_own_keys():
 
 
 @needs_data
-def test_hardware_that_is_too_weak_is_refused_and_the_way_out_works():
-    with pytest.raises(ConfigError, match="too weak for z1") as refused:
-        on("z1", "feetech-sts3215")
+@pytest.mark.parametrize(("robot", "text"), [("z1", "too weak for z1"), ("platform_arm", "too slow or too soft for")])
+def test_hardware_that_cannot_is_refused_and_the_way_out_works(robot, text):
+    with pytest.raises(ConfigError, match=text) as refused:
+        on(robot, "feetech-sts3215")
     hardware = re.search(r"--hardware (\S+)", refused.value.fix)[1]
-    found = on("z1", hardware)
+    found = on(robot, hardware)
     require_runnable(found, found.load_robot())
 
 
