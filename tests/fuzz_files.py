@@ -711,7 +711,8 @@ def verdict(command: list[str], folder: Path) -> str:
         "an error without words": code == 2 and "error: " not in told,
         "a traceback": "Traceback" in told,
         "a program of the file was run": (folder / "ran").exists(),
-        "a secret was read": any("/secret/" in name for name in READ),
+        # The robot's own file is compared with what the recording has of it: SECURITY.md.
+        "a secret was read": any("/secret/" in name and not name.endswith("/x.urdf") for name in READ),
         f"written outside: {beyond[:3]}": beyond or listed(folder) != before,
     }
     if "--json" in command:

@@ -7,9 +7,10 @@ import json
 import pkgutil
 import random
 from collections.abc import Iterator
-from contextlib import nullcontext, redirect_stdout, suppress
+from contextlib import ExitStack, nullcontext, redirect_stdout, suppress
 from http.client import HTTPConnection
 from io import StringIO
+from socket import create_connection
 from typing import Any
 
 import pytest
@@ -213,3 +214,26 @@ def test_a_state_that_is_no_text_is_one_line(tmp_path, capsys):
     (tmp_path / "state.json").write_bytes(b'{"\x89": 1}')
     assert main(["model", "platform_arm", "--at", str(tmp_path / "state.json")]) == 2
     assert "state.json: error: not valid JSON" in capsys.readouterr().err
+
+
+def answer_to(place: tuple[str, int], request: bytes) -> bytes:
+    """The first bytes of what a server says to a request; nothing where it hangs up on one that is too long."""
+    with create_connection(place, timeout=10) as socket, suppress(ConnectionError):
+        socket.sendall(request)
+        return socket.recv(100)
+    return b""
+
+
+def test_requests_that_never_end_hold_nobody_up_and_odd_ones_get_nothing():
+    host = b" HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+    odd = {b"GET /../../etc/passwd" + host: b"404", b"GET /%2e%2e/%2e%2e/etc/passwd" + host: b"404"}
+    odd |= {b"GET /" + b"a" * 200_000 + host: b"414", b"GET /" + host + b"A: b\r\n" * 5_000: b"431"}
+    odd |= {b"POST /" + host + b"Content-Length: 10000000000\r\n": b"501", b"\x00\xff\r\n": b"Error resp"}
+    with ReplayPage("<p>mine</p>").served(0) as url, ExitStack() as slow:
+        name, port = url.removeprefix("http://").rstrip("/").split(":")
+        for _ in range(100):
+            slow.enter_context(create_connection((name, int(port)), timeout=10)).sendall(b"GET /" + host)
+        for request, status in odd.items():
+            answer = answer_to((name, int(port)), request + b"\r\n")
+            assert status in answer or (not answer and len(request) > 10_000)
+        assert b"200 OK" in answer_to((name, int(port)), b"GET /" + host + b"\r\n")

@@ -148,7 +148,8 @@ def force(recordings: Recordings) -> Iterator[Panel]:
     """Forces at the hand in the world's axes, the energy of its springs, and the angle of a door."""
     for name, about in (("hand_force", "on the hand"), ("asked_force", "asked of it")):
         for panel in signal_panels(recordings, name):
-            yield replace(panel, title=f"force {about}, {panel.label}")
+            title = f"{about}, {panel.label}"
+            yield replace(panel, title=title, label=title)
     opened = {n: r for n, r in recordings.items() if "opening" in r and np.any(r["opening"])}
     if opened:
         angles = {n: (r.time, np.degrees(np.ravel(r["opening"]))) for n, r in opened.items()}

@@ -11,6 +11,7 @@ import hashlib
 import json
 import math
 import shlex
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -45,6 +46,7 @@ from .store import AGAIN, ROOM
 from .worker import loop_of
 
 NAME = "tune.sqlite"
+DATABASE = {"sqlalchemy", "sqlite3", "optuna"}  # packages whose errors are those of a database
 FRESH = 7919  # added to the seed of the draws for those that judge the result
 LOST = 1e12  # value of gains with which too many runs did not complete, times 1 + the share of those
 REFUSED = 1e15  # value of gains that break a constraint, times 1 + the share of runs that do
@@ -422,15 +424,21 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
         raise
     except Exception as error:  # SQLAlchemy's, which comes with Optuna; whatever a damaged database leads to
         inner = error.__cause__ or error
-        if trials is not None and type(inner).__module__.partition(".")[0] not in ("sqlalchemy", "sqlite3", "optuna"):
+        if trials is not None and not DATABASE & {type(inner).__module__.partition(".")[0], raised_in(inner)}:
             raise
-        why = str(getattr(inner, "orig", None) or inner).partition("\n")[0][:200]
+        why = str(getattr(inner, "orig", None) or error).partition("\n")[0][:200]
         fix = ROOM if "full" in why or "disk I/O" in why else ""
         raise StudyError("the database cannot be used", why=why, fix=fix, file=file) from error
     finally:
         if storage is not None:
             storage.remove_session()
             storage.engine.dispose()
+
+
+def raised_in(error: BaseException) -> str:
+    """The package whose code raised an error: SQLAlchemy's are also Python's own, such as a LookupError."""
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    return str(frames[-1].f_globals.get("__name__", "")).partition(".")[0] if frames else ""
 
 
 def require_sound(optuna: ModuleType, trials: Any, study: StudyFile, file: Path) -> None:

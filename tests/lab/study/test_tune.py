@@ -181,6 +181,17 @@ def test_a_study_without_tune_and_a_machine_without_optuna_are_told(tmp_path: Pa
     assert "pip install 'mmnn_pin[tune]'" in capsys.readouterr().err
 
 
+def test_a_state_that_no_trial_has_ends_the_search_in_one_line(tmp_path: Path, capsys) -> None:
+    """SQLAlchemy's own LookupError, and none of ours."""
+    file, more = written(tmp_path, TUNE), ("--set", "tune.trials=1", "--set", "tune.check=0")
+    tuned(file, *more, capsys=capsys)
+    with closing(sqlite3.connect(tmp_path / NAME)) as db, db:
+        db.execute("UPDATE trials SET state = '3'")
+    assert main(["tune", str(file), "--out", str(tmp_path), "--workers", "1", *more]) == 2
+    said = capsys.readouterr().err
+    assert "the database cannot be used: '3' is not among" in said and "internal error" not in said
+
+
 def test_a_database_that_keeps_nothing_ends_the_search_in_one_line(tmp_path: Path, capsys) -> None:
     """Its study has another number than its trials are filed under: a damaged row."""
     file, more = written(tmp_path, TUNE), ("--set", "tune.trials=1", "--set", "tune.check=0")
