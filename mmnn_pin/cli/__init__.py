@@ -132,10 +132,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
+    open_closed()
     if arguments is None and given[:1] == ["inspect"]:  # a process of its own, over before a compiler has begun
         os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
     with heard():
         return ended(given)
+
+
+def open_closed() -> None:
+    """Let what is printed go nowhere where somebody has closed standard output or error."""
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            if nowhere != number:
+                os.dup2(nowhere, number)
+                os.close(nowhere)
+            setattr(sys, name, os.fdopen(number, "w", closefd=False))
 
 
 def ended(given: Sequence[str]) -> int:

@@ -47,6 +47,10 @@ def require_stable_gains(plan: Plan) -> None:
             what = f"the sampled loop is unstable: spectral radius {verdict.radius:.7g} > 1, commands held for {h:g} s"
             require_servo_rows(plan, what)
             cure = cured(plan, np.min([each.gain_limits for each in found], axis=0))
+            if cure is None and (delay := known_delay(plan)) > 0.0:
+                what = f"the loop does not bear a latency of {1e3 * delay:.3g} ms"
+                why = f"no gains were found that do (spectral radius {verdict.radius:.4g} > 1)"
+                raise ConfigError(what, why=why, fix="shorten the latency", key="latency")
             require_stable(verdict, gains_of(plan), plan.robot.velocity_names, h, cure)
     if known_delay(plan) > 0.0:
         require_margin(plan)

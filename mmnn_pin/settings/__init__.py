@@ -19,7 +19,8 @@ from .arguments import is_numeric, require_fit, require_known, shortly
 
 LARGEST = 1e12  # of a number that is squared somewhere
 Numbers = float | tuple[float, ...]  # one for all, or one for each; see `one_or_each`
-MOST_PERIODS = 1e9  # in one another
+MOST_PERIODS = 1e8  # in one another; a run keeps some 100 bytes of its reference for each
+TIDY_WITHIN = 0.15  # how far a period that is advised may be from the one that was given, where a round one is there
 
 
 class Typed(msgspec.StructMeta):
@@ -249,13 +250,27 @@ def divide(whole: float, period: float, name: str) -> int:
         ConfigError: It is not a whole number of them, or more than can be handled.
     """
     if whole / period > MOST_PERIODS:
-        raise ConfigError(f"{whole} s hold more than {MOST_PERIODS:.0e} periods of {period} s", key=f"time.{name}")
+        what = f"{whole:g} s hold more than {MOST_PERIODS:.0e} periods of {period:g} s"
+        raise ConfigError(what, fix="shorten the run, or lengthen the period", key=f"time.{name}")
     count = round(whole / period)
     if count < 1 or abs(count * period - whole) > 1e-9 * whole:
         raise ConfigError(
             f"{period} s does not divide {whole} s",
             why=f"{whole} / {period} = {whole / period:.6g}",
-            fix=f"for example {whole / max(1, count):.12g}",
+            fix=f"for example {round_period(whole, period):.12g}",
             key=f"time.{name}",
         )
     return count
+
+
+def round_period(whole: float, period: float) -> float:
+    """A period near one that does not divide a whole, which does: one of few digits, where there is one near enough."""
+    unit = float(f"1e{format(period, 'e').partition('e')[2]}")  # of its first digit
+    for digits in range(3):
+        step = unit / 10**digits
+        near = (round(period / step) + np.arange(-5, 6)) * step
+        fits = [one for one in near if one > 0 and abs(round(whole / one) * one - whole) <= 1e-9 * whole]
+        fits = [one for one in fits if abs(one - period) <= TIDY_WITHIN * period]
+        if fits:
+            return float(min(fits, key=lambda one: abs(one - period)))
+    return whole / max(1, round(whole / period))

@@ -100,7 +100,7 @@ def guarded(function: Callable[P, R]) -> Callable[P, R]:
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         try:
             return function(*args, **kwargs)
-        except (MmnnError, OSError):
+        except (MmnnError, OSError, MemoryError):
             raise
         except Exception as error:
             try:

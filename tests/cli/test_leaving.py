@@ -114,3 +114,13 @@ def test_a_node_that_ctrl_c_stops_ends_with_130(
     monkeypatch.setitem(sys.modules, "mmnn_pin.deploy.ros2.node", of_rclpy)
     monkeypatch.setattr(graph_side, "node", of_rclpy, raising=False)
     assert main(["ros2", str(ROOT / "examples" / "robot" / "robot.yaml")]) == code
+
+
+@pytest.mark.parametrize("closed", ["1", "2", "12"])
+def test_closed_streams_are_no_error(closed: str) -> None:
+    code = "from mmnn_pin.cli import main; raise SystemExit(main())"
+    redirects = " ".join(f"{number}>&-" for number in closed)
+    for robot, expected in (("platform_arm", 0), ("nonesuch", 2)):
+        line = f"{sys.executable} -c '{code}' inspect {robot} {redirects}"
+        done = subprocess.run(["bash", "-c", line], capture_output=True, text=True)
+        assert done.returncode == expected and "internal error" not in done.stdout + done.stderr

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import strategies as st
 
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.settings import Timing, divide
+from mmnn_pin.settings import Timing, divide, round_period
 
 
 @pytest.mark.parametrize(
@@ -65,3 +65,12 @@ def test_periods_that_do_not_fit_are_refused(given: dict[str, Any], key: str) ->
     with pytest.raises(ConfigError) as refused:
         Timing(**given)
     assert refused.value.key == f"time.{key}"
+
+
+@hypothesis.given(st.floats(1e-4, 0.1), st.sampled_from([1.0, 2.5, 10.0, 30.0]))
+def test_the_period_that_is_advised_divides_and_is_near(period: float, whole: float) -> None:
+    advised = round_period(whole, period)
+    assert abs(round(whole / advised) * advised - whole) <= 1e-9 * whole
+    assert 0.5 <= advised / period <= 2.0
+    if whole == 10.0 and abs(period - 0.0007) < 1e-9:
+        assert advised == 0.0008

@@ -1,4 +1,4 @@
-"""Which joints have a rotor, and which efforts a constant: those whose motion asks for one.
+"""Which joints have a rotor, and whether a base has a constant force: those whose motion asks for one.
 
 Mass belongs in links before it belongs in motors, and a URDF holds neither. With x the coordinates of `Prior`, R and z
 the weighted equations and f how many of them say as much as one,
@@ -39,7 +39,8 @@ def rotors_of(R: Array, z: Array, prior: Prior, inflation: float, choice: RotorC
         choice: `"no"` rotor beyond the URDF's, one in every joint, or `"auto"`.
     """
     unknowns, allowed = prior.unknowns, np.ones(prior.B.shape[1], bool)
-    rotors, constants = (unknowns.columns(kind).tolist() for kind in ("rotor", "offset"))
+    rotors, free = unknowns.columns("rotor").tolist(), unknowns.robot.velocity_names[: unknowns.robot.dimensions.base]
+    constants = [int(i) for i in unknowns.columns("offset") if unknowns.labels[i].rpartition(".")[0] in free]
     allowed[constants] = False
     allowed[rotors] = choice == "yes"
     left = [*constants, *(rotors if choice == "auto" else ())]
