@@ -19,8 +19,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.optimize import lsq_linear
+import scipy
 
 from ...errors import RecordingError
 from ...model.regressor import Regressor
@@ -299,7 +298,10 @@ def sampled(log: Log, unknowns: Unknowns, cutoff: float) -> Equations:
         time = np.arange(part.time[0], part.time[-1], period)
         x, tau = coordinates(part, unknowns.robot)[0], efforts(part, unknowns.robot, unknowns.rows)[0]
         x, tau = (low_pass(evenly(part.time, one, time), cutoff, 1 / period) for one in (x, tau))
-        spline, inside = make_interp_spline(time, x, 5), np.arange(len(time) // 20, len(time) - len(time) // 20)
+        spline, inside = (
+            scipy.interpolate.make_interp_spline(time, x, 5),
+            np.arange(len(time) // 20, len(time) - len(time) // 20),
+        )
         at = inside[:: max(1, len(time) // SAMPLED)]
         nu, nudot = spline(time[at], 1), spline(time[at], 2)
         Y = unknowns.matrix(x[at, unknowns.robot.dimensions.base :], nu, nudot)
@@ -368,7 +370,9 @@ def cost(of: Equations, unknowns: Unknowns, needed: Bools | None = None) -> tupl
     lower = np.concatenate((np.tile(np.where(DIAGONAL, -0.98, -np.inf), prior.bodies), prior.positive))
     lower = np.minimum(lower, -1e-9)
     A, b = np.vstack((R[:, :m], np.diag(strength))), np.concatenate((R[:, m], np.zeros(m)))
-    x = lsq_linear(A, b, (lower, np.full(m, np.inf)), method="bvls" if m < 30 else "trf", lsmr_tol=None).x
+    x = scipy.optimize.lsq_linear(
+        A, b, (lower, np.full(m, np.inf)), method="bvls" if m < 30 else "trf", lsmr_tol=None
+    ).x
     theta = prior.theta(x)
     for i, part, one in zip(rows, parts, right, strict=True):
         errors[i] = np.sqrt(((one - part @ theta) ** 2).sum() / (one**2).sum())

@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
-from scipy.interpolate import make_interp_spline
 
 from ...errors import RecordingError, RobotError
 from ...model.reduction import COULOMB_SPEED
@@ -264,7 +263,7 @@ def chosen_cutoff(logs: Sequence[Log], robot: Robot) -> float:
         for column in x.T:
             if np.ptp(column) < 1e-3:
                 continue
-            f, power = signal.welch(np.diff(column) * rate, rate, nperseg=min(len(column) - 1, round(20 * rate)))
+            f, power = scipy.signal.welch(np.diff(column) * rate, rate, nperseg=min(len(column) - 1, round(20 * rate)))
             of_noise = np.median(power[len(f) // 2 :] / (4 * np.sin(np.pi * f[len(f) // 2 :] / rate) ** 2 + 1e-12))
             noise = of_noise * 4 * np.sin(np.pi * f / rate) ** 2
             loud = power > 10 * noise
@@ -283,9 +282,9 @@ def longest(log: Log) -> Log:
 
 def low_pass(x: Array, cutoff: float, rate: float) -> Array:
     """Low-pass without phase along the first axis, with the ends mirrored."""
-    sos = signal.butter(ORDER, cutoff, fs=rate, output="sos")
+    sos = scipy.signal.butter(ORDER, cutoff, fs=rate, output="sos")
     pad = min(len(x) - 1, math.ceil(2 * rate / cutoff))
-    return np.asarray(signal.sosfiltfilt(sos, x, axis=0, padlen=pad))
+    return np.asarray(scipy.signal.sosfiltfilt(sos, x, axis=0, padlen=pad))
 
 
 def still_speeds(logs: Sequence[Log], unknowns: Unknowns, cutoff: float) -> Array:
@@ -335,7 +334,7 @@ def of_stretch(log: Log, unknowns: Unknowns, cutoff: float, still: Array) -> Equ
     tau = low_pass(evenly(log.time + log.effort_delay, tau, time), cutoff, rate)
     cut = evenly(log.time + log.effort_delay, full.astype(float), time)
     stride = max(1, int(rate / (FINE * cutoff)))
-    fine, spline = time[::stride], make_interp_spline(time, x, 5)
+    fine, spline = time[::stride], scipy.interpolate.make_interp_spline(time, x, 5)
     nu, nudot = spline(fine, 1), spline(fine, 2)
     dry = low_pass(unknowns.rubbing(spline(time, 1)), cutoff, rate)[::stride]
     Y = unknowns.matrix(x[::stride, robot.dimensions.base :], nu, nudot, dry)
@@ -362,5 +361,5 @@ def evenly(time: Array, values: Array, even: Array) -> Array:
     if len(time) == len(even) and np.abs(time - even).max() < 1e-6 * (time[1] - time[0]):
         return values
     if values.dtype == float and len(time) > 4:
-        return np.asarray(make_interp_spline(time, values, 3)(np.clip(even, time[0], time[-1])))
+        return np.asarray(scipy.interpolate.make_interp_spline(time, values, 3)(np.clip(even, time[0], time[-1])))
     return np.column_stack([np.interp(even, time, column) for column in values.T])

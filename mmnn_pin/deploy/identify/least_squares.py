@@ -17,10 +17,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import eigh, qr
-from scipy.signal import oaconvolve
 
 from ...signals import Array
 from .equations import ORDER, Bools, Equations, Unknowns
@@ -85,7 +83,7 @@ def base_parameters(unknowns: Unknowns, rows: Bools, moves: Bools, samples: int 
     Y = unknowns.matrix(q, nu, nudot)[:, rows].reshape(-1, unknowns.size)
     size = np.linalg.norm(Y, axis=0)
     active = np.flatnonzero(size > RANK * size.max(initial=0.0))
-    R, pivot = qr(Y[:, active] / size[active], mode="r", pivoting=True)
+    R, pivot = scipy.linalg.qr(Y[:, active] / size[active], mode="r", pivoting=True)
     rank = int(np.sum(np.abs(np.diag(R)) > DISTINCT * abs(R[0, 0])))
     relation = np.linalg.solve(R[:rank, :rank], R[:rank, rank:])
     lead, rest = active[pivot[:rank]], active[pivot[rank:]]
@@ -187,7 +185,9 @@ def inverted(A: Array) -> tuple[Array, Bools, float]:
     diagonal = np.diag(A)
     there = diagonal > 0
     scale = np.where(there, 1 / np.sqrt(np.where(there, diagonal, 1.0)), 0.0)
-    values, vectors = eigh(A * np.outer(scale, scale) + np.diag(~there))  # by RRR: numpy's divides, and may not end
+    values, vectors = scipy.linalg.eigh(
+        A * np.outer(scale, scale) + np.diag(~there)
+    )  # by RRR: numpy's divides, and may not end
     kept = values > UNSEEN * values[-1]
     inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
     seen = there & ((vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6)
@@ -242,7 +242,7 @@ def toeplitz(covariance: Array, Z: Array, run: NDArray[np.int64]) -> Array:
     """`R Z` with R_ts = covariance[|t - s|] within a run, (M, b)."""
     kernel, out = np.concatenate((covariance[:0:-1], covariance))[:, None], np.empty_like(Z)
     for part in stretches(run):
-        out[part] = oaconvolve(Z[part], kernel, "full", axes=0)[
+        out[part] = scipy.signal.oaconvolve(Z[part], kernel, "full", axes=0)[
             len(covariance) - 1 : len(covariance) - 1 + len(Z[part])
         ]
     return out
@@ -272,9 +272,9 @@ def products(a: Array, b: Array, use: Bools, run: NDArray[np.int64], lags: int) 
 
 def correlated(a: Array, b: Array, lags: int) -> Array:
     """Sum of `a_t' b_t+l` of columns (n, c), for every lag, (lags,)."""
-    size = next_fast_len(len(a) + lags, True)
-    spectrum = (np.conj(rfft(a, size, axis=0)) * rfft(b, size, axis=0)).sum(axis=1)
-    return np.asarray(irfft(spectrum, size)[:lags])
+    size = scipy.fft.next_fast_len(len(a) + lags, True)
+    spectrum = (np.conj(scipy.fft.rfft(a, size, axis=0)) * scipy.fft.rfft(b, size, axis=0)).sum(axis=1)
+    return np.asarray(scipy.fft.irfft(spectrum, size)[:lags])
 
 
 def expected(

@@ -21,7 +21,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from ...errors import InputError, UnknownName
 from ...signals import Array
@@ -160,7 +160,7 @@ def lagged(values: Array, lag: float, period: float) -> Array:
         return values
     a = float(np.exp(-period / lag))
     start = a * values[:1] if values.ndim > 1 else np.array([a * values[0]])
-    return np.asarray(lfilter([1 - a], [1, -a], values, axis=0, zi=start)[0])
+    return np.asarray(scipy.signal.lfilter([1 - a], [1, -a], values, axis=0, zi=start)[0])
 
 
 def without_seam(values: Array, period: float) -> Array:

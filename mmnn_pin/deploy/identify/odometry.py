@@ -19,7 +19,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from ...elementary.arrays import unwrapped
 from ...errors import RecordingError
@@ -190,14 +190,18 @@ def fitted(drives: Sequence[Stretch], urdf: Array, most: int) -> Wheels:
 
     first = np.concatenate((urdf, [*marker, late] if dense else [], *(one[:3] for one in starts)))
     size = np.concatenate((urdf, [0.1, 0.1, 0.1, 0.1] if dense else [], np.ones(3 * len(drives))))
-    solution = least_squares(lambda x: left(x, weight).ravel(), first, x_scale=size, max_nfev=most)
+    solution = scipy.optimize.least_squares(lambda x: left(x, weight).ravel(), first, x_scale=size, max_nfev=most)
     if dense and most > SHORT:  # heading and place by their own scatter
         rms = np.sqrt((left(solution.x, np.ones(3)) ** 2).mean(axis=0))
         weight = 1.0 / np.maximum([np.hypot(*rms[:2]) / np.sqrt(2)] * 2 + [rms[2]], 1e-9)
-        solution = least_squares(lambda x: left(x, weight).ravel(), solution.x, x_scale=size, max_nfev=most)
+        solution = scipy.optimize.least_squares(
+            lambda x: left(x, weight).ravel(), solution.x, x_scale=size, max_nfev=most
+        )
     before = first[3:]
     if most > SHORT:
-        before = least_squares(lambda x: left(np.concatenate((urdf, x)), weight).ravel(), before, max_nfev=most).x
+        before = scipy.optimize.least_squares(
+            lambda x: left(np.concatenate((urdf, x)), weight).ravel(), before, max_nfev=most
+        ).x
     noise = np.mean(solution.fun**2) * correlated(solution.fun) if dense else max(1.0, spread(solution.fun, len(first)))
     covariance = np.linalg.pinv(solution.jac.T @ solution.jac) * noise
     rows = left(solution.x, np.ones(3))

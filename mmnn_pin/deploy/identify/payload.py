@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import eigh
+import scipy
 
 from ...errors import RecordingError, UnknownName
 from ...model.regressor import Regressor
@@ -301,7 +301,7 @@ class LoadSums:
             if abs(p[0] - before) <= SETTLED * abs(before):
                 break
         size = 1 / np.sqrt(np.diag(total) + sure + 1e-300)
-        values = eigh((total + np.diag(sure)) * np.outer(size, size), eigvals_only=True)
+        values = scipy.linalg.eigh((total + np.diag(sure)) * np.outer(size, size), eigvals_only=True)
         volume = np.log(np.maximum(values, 1e-12)).sum() - 2 * np.log(size).sum() - np.log(sure[sure > 0]).sum()
         noise = (self.count * np.log(variance) + square / variance).sum() / self.spread
         return Posterior(full, T, sure, inverse, np.sqrt(variance), float(-0.5 * (noise + value**2 @ sure + volume)))

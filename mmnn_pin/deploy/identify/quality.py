@@ -11,9 +11,8 @@ from collections.abc import Collection, Iterator
 from fnmatch import fnmatchcase
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
-from scipy.optimize import linear_sum_assignment
 
 from ...elementary.arrays import unwrapped
 from ...errors import RecordingError
@@ -137,7 +136,7 @@ def jumps_of(x: Array) -> tuple[NDArray[np.int64], Array]:
     step = np.diff(x)
     if len(step) < 10:
         return np.zeros(0, np.int64), np.zeros(0)
-    off = step - median_filter(step, 5, mode="nearest")
+    off = step - scipy.ndimage.median_filter(step, 5, mode="nearest")
     usual = max(3.0 * float(np.percentile(np.abs(step), 75)), 30.0 * float(np.median(np.abs(off))), 1e-9)
     rows = np.flatnonzero((np.abs(off) > usual) & (np.abs(off) > 0.02 * np.ptp(x)))
     return rows + 1, off[rows]
@@ -234,7 +233,7 @@ def rates_against_positions(log: Log, robot: Robot) -> Iterator[LogFinding]:
         return
     A, B = np.array([smooth[n] for n in names]), np.array([given[n] for n in names])
     like = np.array([[likeness(a, b, every * period) for a in A] for b in B])
-    best = linear_sum_assignment(-np.abs(like))[1]
+    best = scipy.optimize.linear_sum_assignment(-np.abs(like))[1]
     swapped = [(names[i], names[j]) for i, j in enumerate(best) if i != j and abs(like[i, j]) > abs(like[i, i]) + 0.3]
     if swapped:
         mends = tuple((f"velocity.{theirs}", f"velocity.{own}") for own, theirs in swapped)
@@ -300,7 +299,7 @@ def despiked(log: Log, robot: Robot) -> Log:
         kind, _, name = signal.partition(".")
         if kind not in ("position", "effort") or name not in robot.full_velocity_names:
             continue
-        middle = median_filter(values, 5, mode="nearest")
+        middle = scipy.ndimage.median_filter(values, 5, mode="nearest")
         off = np.abs(values - middle)
         spread = 1.4826 * float(np.median(off[off > 0])) if (off > 0).any() else 0.0
         steep = 3 * np.median(np.abs(np.diff(values)))  # a fast motion is no spike

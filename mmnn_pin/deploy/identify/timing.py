@@ -16,9 +16,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
-from scipy.linalg import qr
 
 from ...signals import Array
 from .equations import Equations, Unknowns, efforts, evenly, low_pass, stretches_of
@@ -228,7 +227,7 @@ def curve_of(log: Log, unknowns: Unknowns, cutoff: float) -> Callable[[Array, fl
     def at(when: Array, lag: float) -> Array:
         if lag not in made:
             smooth = low_pass(low_pass(lagged(tau, lag, period), cutoff, 1 / period), cutoff, 1 / period)
-            made[lag] = make_interp_spline(time, smooth, 3)
+            made[lag] = scipy.interpolate.make_interp_spline(time, smooth, 3)
         return np.asarray(made[lag](np.clip(when - log.effort_delay, time[0], time[-1])))
 
     return at
@@ -240,7 +239,7 @@ def basis(X: Array) -> Array:
     used = np.flatnonzero(size > 1e-9 * size.max(initial=0.0))
     if not used.size or len(X) < 2:
         return np.zeros((len(X), 0))
-    Q, R, _ = qr(X[:, used] / size[used], mode="economic", pivoting=True)
+    Q, R, _ = scipy.linalg.qr(X[:, used] / size[used], mode="economic", pivoting=True)
     return np.asarray(Q[:, np.abs(np.diag(R)) > RANKED * abs(R[0, 0])])
 
 
@@ -257,7 +256,9 @@ def recorded_delays(log: Log, cutoff: float) -> tuple[dict[str, Delay], dict[str
     for name, measured in part.velocity.items():
         if name in part.position:
             q = low_pass(evenly(part.time, part.position[name][:, None], time), cutoff, 1 / period)[:, 0]
-            one = follower_delay(time, make_interp_spline(time, q, 5)(time, 1), measured, part.time, cutoff)
+            one = follower_delay(
+                time, scipy.interpolate.make_interp_spline(time, q, 5)(time, 1), measured, part.time, cutoff
+            )
             rates |= {} if one is None else {name: one}
     for name, command in part.command.items():
         if name in part.effort:
@@ -284,7 +285,7 @@ def follower_delay(time: Array, first: Array, measured: Array, at: Array, cutoff
 
     def curve(when: Array, lag: float) -> Array:
         if lag not in made:
-            made[lag] = make_interp_spline(time, lagged(first, lag, period), 3)
+            made[lag] = scipy.interpolate.make_interp_spline(time, lagged(first, lag, period), 3)
         return np.asarray(made[lag](np.clip(when, time[0], time[-1])))
 
     keep = np.flatnonzero((time > time[0] + LONGEST) & (time < time[-1] - LONGEST))[:: max(1, len(time) // MOST)]
