@@ -166,13 +166,10 @@ def law_or_held(  # noqa: PLR0913 - parts that are None are not compiled
 @compiled
 def settle_or_held(controls: Controls, learner: Any, kept: Controls | None, held: Any, frozen: bool) -> None:
     """`settle` of the learner, or of the one with its weights held; arguments as of `sample`."""
-    if kept is not None:
-        if frozen:
-            settle(controls.row, controls.at, held, controls.state)
-        else:
-            settle(controls.row, controls.at, learner, controls.state)
-    else:
+    if not frozen or kept is None:
         settle(controls.row, controls.at, learner, controls.state)
+    elif held is not None:  # one that only learns by it has none
+        settle(controls.row, controls.at, held, controls.state)
 
 
 @compiled
