@@ -108,11 +108,16 @@ def brief(result: Result) -> Table:
     """A column per controller; RMS errors of the last window that was reached, motors at their limits, outcome."""
     windows, end = result.experiment.windows, result.experiment.time.duration
     start, stop = next(((a, b) for a, b in reversed(windows) if a < end), windows[0])
-    errors = brief_errors(result, f"rms_{start:g}_{stop:g}")
-    rows = grouped(push_rows(result, brief=True), brief_hand(result), errors, brief_rest(result))
+    force = result.experiment.force
+    if force is not None and force.follow:  # the hand goes where it is let: the reference is no measure
+        rows = grouped(push_rows(result, brief=True), brief_rest(result))
+        notes, about = [], "--details has errors against a reference that stands, peaks, torques and gains."
+    else:
+        errors = brief_errors(result, f"rms_{start:g}_{stop:g}")
+        rows = grouped(push_rows(result, brief=True), brief_hand(result), errors, brief_rest(result))
+        notes = [note for note in notes_of(result) if note.startswith(("*", *ORACLES))]
+        about = f"Errors: {rms(start, stop, end)}; --details has all of them, peaks, torques and gains."
     controllers = (Column(name, letters=NAME) for name in result.recordings)
-    about = f"Errors: {rms(start, stop, end)}; --details has all of them, peaks, torques and gains."
-    notes = [note for note in notes_of(result) if note.startswith(("*", *ORACLES))]
     return Table("In short", (Column(text=True, fold=True), *controllers), rows, (*notes, about), gap=0)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from mmnn_pin.lab.experiments.pushing import OPEN
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show.comparison import render, render_brief
 from mmnn_pin.lab.show.replay import page
+from mmnn_pin.lab.show.report.verdict import headline
 from mmnn_pin.model.chain import chain_of, track
 from mmnn_pin.recording.recording import recorded_position, recorded_robot
 
@@ -40,6 +43,17 @@ def test_a_door_is_judged_by_the_way_that_its_handle_takes(door):
     assert angle > 5.0
     assert angle < OPEN
     assert numbers["open_after_s"] is None
+
+
+def test_the_verdict_is_of_what_the_hand_was_to_do(door):
+    assert headline(door).startswith("The door is opened by none; computed_torque comes farthest, ")
+    assert "base [mm]" not in render_brief(door)  # the reference of a hand that follows is no measure
+    wide = {"side_force_peak_N": 4.0, "open_after_s": 3.0, "door_deg": 66.0}
+    pushes = {"computed_torque": wide, "pd": wide | {"side_force_peak_N": 9.5}}
+    told = headline(replace(door, pushes=pushes | {"pid": wide | {"open_after_s": None}}))
+    assert told == "The door is opened by computed_torque and pd; pd has the least force across: 9.50 N."
+    wiped = {"pd": {"force_error_rms_N": 0.31}, "pid": {"force_error_rms_N": 0.2}}
+    assert headline(replace(door, pushes=wiped)) == "pid holds the force best: 0.200 N of RMS error."
 
 
 def test_table_and_replay_show_it(door):

@@ -52,8 +52,17 @@ def verdict(result: Result) -> ReportVerdict:
     return ReportVerdict(headline(result), tuple(points(result)), tuple(warnings(result)))
 
 
+# A number of runs that push, one that is there only where it was reached, and the sentence.
+PUSHED = (
+    ("side_force_peak_N", "open_after_s", "The door is opened by {who}; {best} has the least force across: {least} N."),
+    ("force_error_rms_N", "", "{best} holds the force best: {least} N of RMS error."),
+)
+
+
 def headline(result: Result) -> str:
     """The controller that tracks best, and by how much; of a single run, how well it tracks."""
+    if any(result.pushes.values()) and (told := pushed(result)):
+        return told
     scores, judged = ranking(result)
     if len(judged) < 2:
         return alone(result, next(iter([*judged, *result.recordings])))
@@ -70,6 +79,26 @@ def headline(result: Result) -> str:
     but = f"; but {far[0]} errs {shown(far[1])} times as much as in the others" if far else ""
     told = f"{errors.rstrip(',')}{but}{without}"
     return f"{best} tracks best of {len(judged)}: in {when(result)} its RMS errors are on average {told}."
+
+
+def pushed(result: Result) -> str:
+    """What was asked of a hand that pushes: how well the force is held, how far a door came."""
+    sentences = []
+    for key, reached, words in PUSHED:
+        found = {name: value for name, numbers in result.pushes.items() if (value := numbers.get(key)) is not None}
+        if found and reached:
+            able = {name: v for name, v in found.items() if (result.pushes[name].get(reached)) is not None}
+            if not able:
+                far = {name: numbers.get("door_deg") or 0.0 for name, numbers in result.pushes.items()}
+                best = max(far, key=lambda name: far[name])
+                sentences.append(f"The door is opened by none; {best} comes farthest, {far[best]:.3g} degrees.")
+                continue
+            found = able
+        if found:
+            fair = [name for name in found if name not in ORACLES] or [*found]
+            best = min(fair, key=lambda name: found[name])
+            sentences.append(words.format(who=listed(list(found)), best=best, least=number(found[best])))
+    return " ".join(sentences)
 
 
 def smaller(ratio: float, name: str) -> str:
