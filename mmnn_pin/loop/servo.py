@@ -436,8 +436,8 @@ def within_reach(sent: float, q: float, j: int, split: Split) -> float:
 def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
     """No torque on s, and its errors back in the row; where the controller was not asked the commands brake, too.
 
-    A stop goes by no measurement here: it begins with what the reference did, whatever feedback had made of that. Base
-    and arm come to rest along the line on which they move.
+    A stop moves by no measurement here: it begins with what the reference did, whatever feedback had made of that. Base
+    and arm come to rest along the line on which they move, but a position goes no farther out of reach.
     """
     nb = at[Z + 1] - at[Z]
     count_on(row[at[TIME]], split)
@@ -464,7 +464,11 @@ def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
         if split.clock[STATE] == 0.0:
             split.place[j] = q
         sent, most = split.place[j] + h * split.command[i], h * split.speed[i]
-        sent = min(max(sent, split.ends[0, j]), split.ends[1, j]) if stopped else within_reach(sent, q, j, split)
+        if stopped:  # a measurement holds it where it would get out of reach, and never moves it
+            sent = min(max(sent, min(q - split.ahead[j], split.place[j])), max(q + split.ahead[j], split.place[j]))
+            sent = min(max(sent, split.ends[0, j]), split.ends[1, j])
+        else:
+            sent = within_reach(sent, q, j, split)
         split.place[j] = min(max(sent, split.place[j] - most), split.place[j] + most)
     split.clock[STATE] = STOPS if stopped else 1.0
 
