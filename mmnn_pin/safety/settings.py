@@ -129,6 +129,7 @@ class Safety(Settings, frozen=True):
         slowest: Longest control period on average over some 10 samples [s].
         shaking: Largest RMS over a second of the part of what is learned, Psi_hat and robust term, that is faster than
             10 Hz, as a share of a motor's limit: of `torque`, else of the URDF's. A learner beyond it shakes the motor.
+            Psi of a model alone is not learned.
         contact: What happens where contact is felt (`touch`): "stop" trips, "comply" gives way, carried by the model
             and damped, and goes back slowly, "go on" is up to the controller.
         weights: Largest Frobenius norm of every array of weights; larger ones are scaled back at every sample.

@@ -313,7 +313,8 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
 def check_shaking(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     """Trip where what is learned shakes a motor: the RMS of its torque's fast part is beyond its limit.
 
-    Psi_hat as it is sent and the robust term count, behind two high-passes; what the first sample has is no step.
+    Psi_hat as it is sent and the robust term count, behind two high-passes; what the first sample has is no step, and a
+    step larger than a motor's torque limit counts as that.
     """
     shake, state, numbers = supervisor.shake, supervisor.state, supervisor.numbers
     p, psi = at[TORQUE + 1] - at[TORQUE], at[PSI_APPLIED] if at[PSI_APPLIED + 1] > at[PSI_APPLIED] else at[PSI_HAT]
@@ -323,8 +324,10 @@ def check_shaking(row: Array, at: IntArray, time: float, supervisor: Supervisor)
             u += supervisor.E_inv[j, i] * (row[psi + i] + row[at[ROBUST] + i])
         if shake[SLOWER, j] == 0.0 and shake[POWER, j] == 0.0:
             shake[SLOWER, j] = u
-        shake[SLOWER, j] += numbers.quick * (u - shake[SLOWER, j])
-        faster = u - shake[SLOWER, j]
+        most = supervisor.torque[j]
+        step = min(max(u - shake[SLOWER, j], -most), most)
+        shake[SLOWER, j] += numbers.quick * step
+        faster = (1.0 - numbers.quick) * step
         shake[SLOW, j] += numbers.quick * (faster - shake[SLOW, j])
         fast = faster - shake[SLOW, j]
         shake[POWER, j] += numbers.fresher * (fast * fast - shake[POWER, j])

@@ -215,17 +215,25 @@ def test_what_is_learned_may_be_large_slow_and_begin_at_once():
     assert shaken_at(lambda t: 200.0 * math.cos(math.tau * t))[0] == math.inf  # 1 Hz, all of the limit
     assert shaken_at(lambda t: 0.0 if t < 0.2 else 150.0)[0] == math.inf  # a payload
     assert shaken_at(lambda t: 150.0)[0] == math.inf
+    for pulse in (1500.0, 150.0):  # of two samples, of which the motor gets no more than it has
+        assert shaken_at(lambda t, u=pulse: u if 0.2 <= t < 0.2 + 2 * H else 0.0, torque="urdf")[0] == math.inf
     assert shaken_at(lambda t: 12.0 * math.sin(math.tau * 40.0 * t), torque=(10.0, 10.0, 10.0, 10.0))[0] < 0.4
 
 
-def test_on_a_robot_a_learner_that_shakes_trips_unless_it_is_told_not_to():
+def test_on_a_robot_a_learner_that_shakes_trips_unless_it_is_told_not_to_and_a_model_never():
     from mmnn_pin import Stepper
+    from mmnn_pin.torque.model_based import ComputedTorque
 
-    loop = loop_of(None)
-    for given, most in ((Safety(), 0.15 * ROBOT.effort_limits), (Safety(shaking="none"), None)):
-        with Stepper.of(loop, safety=given, check_gains=False) as stepper:
+    learner, model = Neural(TwoLayer(), Feedback(200.0, 3.0), robust=None), ComputedTorque(Feedback(200.0, 3.0))
+    told_not_to, most = Safety(shaking="none"), 0.15 * ROBOT.effort_limits
+    for controller, given, shakes in (
+        (learner, Safety(), True),
+        (learner, told_not_to, False),
+        (model, Safety(), False),
+    ):
+        with Stepper.of(loop_of(None, controller=controller), safety=given, check_gains=False) as stepper:
             shaken = stepper.hardware.way.supervisor.shaken
-            assert (shaken > 1e90).all() if most is None else np.allclose(shaken, most)
+            assert np.allclose(shaken, most) if shakes else (shaken > 1e90).all()
 
 
 def test_weights_are_projected_onto_their_bound_at_every_sample():
