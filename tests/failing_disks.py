@@ -52,6 +52,7 @@ COMMANDS = {
     "study": "study short.toml --workers 1 --out {out}",
     "one row of a study": "study short.toml --row 1 --out {out}",
     "tune": "tune tuning.toml --workers 1 --out {out}",
+    "inspect": "inspect two_axis_arm --picture {out}/a.png",
     "judge": "judge run.h5 --plots {out}",
     "identify": "identify log.csv --robot two_axis_arm --even-if-worse --out {out}",
     "excite": "excite two_axis_arm --duration 10 --seconds 0 --out {out}/a.csv",

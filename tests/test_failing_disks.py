@@ -54,7 +54,7 @@ def may_give_up() -> bool:
     return subprocess.run(["setpriv", "--bounding-set=-dac_override", "true"], capture_output=True).returncode == 0
 
 
-PLACES = ("--out", "--html", "--plots", "--example")  # options of commands that write
+PLACES = ("--out", "--html", "--plots", "--example", "--picture")  # options of commands that write
 ELSEWHERE = {"ros2": "tests/deploy/ros2/test_node.py"}  # needs rclpy: tried there
 
 

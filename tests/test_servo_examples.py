@@ -1,4 +1,4 @@
-"""The examples of robots with servos against buses that speak as theirs do: units, ticks, packets, at 30 Hz."""
+"""examples/lekiwi.py and turtlebot3.py against buses that speak as theirs do: units, ticks, packets, at 30 Hz."""
 
 from __future__ import annotations
 

@@ -615,7 +615,7 @@ def test_experiments_run_on_it_unchanged(experiment: str, tmp_path, capsys) -> N
 @pytest.mark.skipif(PLAIN, reason="slow in plain Python")
 def test_slip_shows_what_the_patch_does_to_the_controllers(tmp_path, capsys) -> None:
     assert main(["run", "slip", "--out", str(tmp_path), "--set", "time.duration=1.5", "--controller", "one_layer",
-                 "--controller", "pd"]) == 0  # fmt: skip
+                 "--controller", "pd", "--details"]) == 0  # fmt: skip
     printed = capsys.readouterr().out
     rows = [line.split() for line in printed.splitlines()]
     slip = next(row for row in rows if row[:3] == ["slip", "[mm/s]", "wheel_left_joint"])

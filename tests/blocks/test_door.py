@@ -28,7 +28,7 @@ class Entrance:
 
     def __init__(self, safety=Safety(jump=0.1), robot=ROBOT):  # noqa: B008
         d = robot.dimensions
-        self.layout = Layout.of(d, 0, 1)
+        self.layout = Layout.of(d, wheels=0, hardware=1)
         self.supervisor = safety.supervisor(robot, 0.002, np.ones(d.dof), np.ones(d.arm), values=new_state(d))
         self.row = self.layout.new_row()
         self.received = self.row[self.layout.where("pose").start : self.layout.where("qdot").stop]

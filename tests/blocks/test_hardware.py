@@ -21,6 +21,7 @@ from mmnn_pin.actuator import Actuator
 from mmnn_pin.disturbance import BlockedJoint, CommandFault, DeadMotor, FrozenEncoder, Messages, Payload, Push
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.hardware_table import HardwareTable
 from mmnn_pin.lab.show.plots import torque_figure
 from mmnn_pin.lab.show.replay.motion import events_of
 from mmnn_pin.loop.batch import simulate_many
@@ -309,12 +310,17 @@ def test_the_tables_and_commands_of_the_page_load():
     page = (ROOT / "docs/how-to/hardware.md").read_text()
     blocks = re.findall(r"```toml\n(.*?)```", page, re.S)
     plain = msgspec.to_builtins(load_experiment("chapter4"))
-    for block in blocks:
-        experiment = msgspec.convert(plain | tomllib.loads(block), Experiment)
+    tables = [tomllib.loads(block) for block in blocks]
+    own = [table for table in tables if "profile" in table]  # a file of hardware beside a robot
+    assert msgspec.convert(own[0], HardwareTable).rate == 30.0 and len(own) == 1
+    for table in tables:
+        if table in own:
+            continue
+        experiment = msgspec.convert(plain | table, Experiment)
         experiment.loop(ROBOT, experiment.controller("pd")).engine_at()
     text = page.replace("\\\n", " ")
     commands = re.findall(r"mmnn run chapter4 ((?:--set (?:'[^']*'|[^\s`']+)\s*)+)", text)
-    assert len(blocks) == 2 and len(commands) == 6
+    assert len(blocks) == 3 and len(commands) == 6
     for command in commands:
         words = [word for word in shlex.split(command) if word != "--set"]
         experiment = load_experiment("chapter4", words)

@@ -254,7 +254,7 @@ def test_a_signal_to_keep_that_does_not_exist_is_refused():
 
 @pytest.mark.usefixtures("nothing_runs")
 def test_more_memory_than_the_machine_has_is_refused_with_both_numbers():
-    endless = replace(BASIC, timing=Timing(duration=1e6))
+    endless = replace(BASIC, timing=Timing(duration=1e5))
     with pytest.raises(ConfigError, match=r"need \d[\d.e+]* GiB, \d[\d.e+]* GiB are free"):
         simulate_many([endless] * 100, keep=True)
 

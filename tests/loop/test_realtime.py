@@ -36,6 +36,7 @@ PATIENT = [
         "safety.wheel_speed=none",
         "safety.jump=none",
         "safety.slowest=none",
+        "safety.shaking=none",
         "safety.torque_time=60",
         "safety.weights=1e9",
     )

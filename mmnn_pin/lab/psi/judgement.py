@@ -70,7 +70,7 @@ class Judgement(AsText):
         Raises:
             UnknownName: There is no such part.
         """
-        if part not in self.PARTS:
+        if not isinstance(getattr(type(self), part, None), cached_property):
             raise UnknownName("part", part, self.PARTS)
         return self._try(part) is None
 

@@ -268,7 +268,15 @@ def test_the_one_layer_network_meets_what_it_was_calibrated_on(result: Result) -
 
 
 def test_the_command_prints_the_four_numbers_beside_the_thesis_s(capsys: Any, tmp_path: Any) -> None:
-    options = ["--set", "time.duration=0.05", "--set", "plots=['figure-5.5']", "--set", "windows=[[0.0, 0.05]]"]
+    options = [
+        "--set",
+        "time.duration=0.05",
+        "--set",
+        "plots=['figure-5.5']",
+        "--set",
+        "windows=[[0.0, 0.05]]",
+        "--details",
+    ]
     assert main(["run", "chapter5", *options, "--out", str(tmp_path / "a")]) == 0
     text = capsys.readouterr().out
     assert all(number in text for number in ("1.7789", "1.7463", "1.6394", "1.6091", "0.922", "0.921"))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from places import ROOT
 
+from mmnn_pin import load
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.pushing import OPEN
 from mmnn_pin.lab.experiments.runner import run_experiment
@@ -74,3 +78,13 @@ def test_a_surface_is_judged_by_the_force_on_it():
     assert numbers["force_mean_N"] == pytest.approx(kept.mean())
     assert numbers["force_error_rms_N"] == pytest.approx(np.sqrt(np.mean((kept - 20.0) ** 2)))
     assert numbers["force_error_rms_N"] < 2.0
+
+
+def test_the_example_on_a_base_makes_a_robot_with_two_wheels(tmp_path):
+    """examples/on_a_base.py, whose robots the page of contact has numbers of."""
+    file = tmp_path / "arm_on_base.urdf"
+    subprocess.run([sys.executable, ROOT / "examples/on_a_base.py", "two_axis_arm", str(file)], check=True)
+    robot = load(file)
+    assert robot.base.kind == "differential_drive"
+    assert robot.wheel_names == ("wheel_left_joint", "wheel_right_joint")
+    assert robot.dimensions.arm == 2

@@ -199,7 +199,7 @@ def test_track_runs_by_default_on_platform_arm(capsys, tmp_path):
     found = run_track(capsys, tmp_path / "runs")
     assert found["robot"] == "platform_arm" and set(found["runs"]) == CONTROLLERS
     require_torques(found, 4)
-    code = main(["run", "track", "--out", str(tmp_path / "more"), "--set", "time.duration=0.02"])
+    code = main(["run", "track", "--out", str(tmp_path / "more"), "--set", "time.duration=0.02", "--details"])
     out = capsys.readouterr().out
     assert code == 0 and "peak torque arm_1_joint" in out and "of 200" in out
 
