@@ -230,6 +230,9 @@ def test_what_is_asked_in_flight_is_done_as_by_the_stepper(tmp_path):
         loop.robot.dimensions,
     )
     sources = [tmp_path / "c" / f"{name}.c" for name in ("controller", "robot_law", "mmnn_math")]
+    size = f'#include "controller.h"\ntypedef char as_told[sizeof(mmnn_controller) == {made.ram_bytes} ? 1 : -1];\n'
+    (tmp_path / "c" / "size.c").write_text(size)
+    sources.append(tmp_path / "c" / "size.c")
     subprocess.run(["gcc", *STRICT, "-O2", "-shared", "-fPIC", *sources, "-o", tmp_path / "lib.so"], check=True)
     c, memory = ctypes.CDLL(str(tmp_path / "lib.so")), ctypes.create_string_buffer(made.ram_bytes)
     c.mmnn_motor_torque.restype = c.mmnn_motor_velocity.restype = ctypes.POINTER(ctypes.c_double)

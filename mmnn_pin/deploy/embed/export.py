@@ -21,7 +21,7 @@ from ...safety import Safety
 from ...settings.arguments import checked
 from ...torque.controller import CompiledController
 from .board import Fresh
-from .files import Export, files_of, plain, readme, selftest, starts, translated
+from .files import Export, files_of, plain, readme, room, selftest, starts, translated
 from .golden import answers, usual_events
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off", "-O2")
@@ -213,7 +213,7 @@ def ram_bytes(export: Export) -> int:
     size, ends = 0, 8 if export.program.real == "double" else 4
     for member in export.members:
         one = width(export, member.kind)
-        size = -(-size // one) * one + member.data.size * one
+        size = -(-size // one) * one + room(member) * one
     return -(-size // ends) * ends
 
 

@@ -253,6 +253,11 @@ def starts(export: Export) -> list[Root]:
     return found
 
 
+def room(member: Root) -> int:
+    """Numbers that a member takes in the struct: C has no empty arrays."""
+    return max(member.data.size, 1)
+
+
 def initial(export: Export) -> str:
     """The lines that give a controller its first values, after all bytes were set to zero."""
     lines, tables = list[str](), {t.name for t in starts(export)}
@@ -313,7 +318,7 @@ def facts(export: Export) -> dict[str, Any]:
         "asked": asked,
         "signals": [(name.upper(), at.start, f"{at.stop - at.start} {unit(name)}".strip()) for name, at in here],
         "width": layout.width,
-        "members": [(program.c_type(m.kind), m.name, max(m.data.size, 1)) for m in export.members],
+        "members": [(program.c_type(m.kind), m.name, room(m)) for m in export.members],
         "remembered": [(m.name, m.data.size) for m in export.remembered],
     }
 
