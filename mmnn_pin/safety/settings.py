@@ -46,7 +46,6 @@ SHAKES, NYQUIST, LASTS = (
     0.125,
     1.0,
 )  # of shaking: from what frequency on [Hz], at most that part of samples; for how long [s]
-LARGEST = 1e100  # torque of a motor without a limit
 FRESH = 5.5  # measurements that fail to come before a stop does without
 FASTEST, FASTEST_SLIDE = 10.0, 2.0  # speed that explains a joint's motion where no limit is known [rad/s, m/s]
 BASE_CONTRADICTION = 0.05  # of pose and velocities of the base in a stop, on a robot [m, rad]
@@ -235,7 +234,8 @@ class Safety(Settings, frozen=True):
         standing, maps = standing_of(robot, steering)
         places = np.zeros((0, 2), np.int64) if weights is None else weights
         strength = np.where(np.isfinite(torque), torque, robot.effort_limits)
-        shaken = np.minimum(some(self.shaking), LARGEST) * np.where(np.isfinite(strength), strength, LARGEST)
+        share = some(self.shaking)
+        shaken = share * strength if math.isfinite(share) else np.full(strength.size, math.inf)
         unseen = [reach_of(robot), mobility(robot), np.zeros(layout.dof) if asked is None else asked, shaken]
         *state, sense = views(new_state(layout) if values is None else values, layout)
         state[1].every[0] = state[1].every[0] or arrivals or period
