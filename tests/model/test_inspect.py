@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shlex
 from pathlib import Path
 
@@ -121,7 +122,8 @@ def test_the_first_lines_say_what_was_understood_and_a_run_says_them_too(call):
     assert json.loads(call("inspect", file, "--json")[1])["understood"] == said
     options = ("--robot", file, "--controller", "pd", "--set", "time.duration=0.02", "--set", "plots=[]")
     code, out, err = call("run", "track", *options)
-    assert code == 0 and not err and out.splitlines()[:3] == [*said, ""]
+    told = [line for line in err.splitlines() if not re.match(r"compiling|pd: ", line)]  # progress, where it is slow
+    assert code == 0 and not told and out.splitlines()[:3] == [*said, ""]
     assert json.loads(call("run", "track", *options, "--force", "--json")[1])["experiment"]
     turned = call("inspect", file, "--forward", "-x", "--lock", "elbow")[1].splitlines()
     assert turned[0].endswith("left right, right left, radius 0.1 m, track 0.5 m, forward -x")

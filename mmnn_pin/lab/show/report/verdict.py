@@ -82,7 +82,7 @@ def headline(result: Result) -> str:
 
 
 def pushed(result: Result) -> str:
-    """What was asked of a hand that pushes: how well the force is held, how far a door came."""
+    """Sentences on a hand that pushes: how well the force is held, how far a door came."""
     sentences = []
     for key, reached, words in PUSHED:
         found = {name: value for name, numbers in result.pushes.items() if (value := numbers.get(key)) is not None}
