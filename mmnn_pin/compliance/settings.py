@@ -72,7 +72,7 @@ class Force(Settings, frozen=True):
         follow: Whether the hand goes along with `speed`, turning `along` to where it can move.
         speed: Of that [m/s].
         far: How far it goes [m].
-        turning: How fast the direction turns to the hand's motion, and to the wrench where one is felt [1/s].
+        turning: How fast the direction turns to the hand's motion [1/s].
 
     Raises:
         ConfigError: A number out of range, or no direction.

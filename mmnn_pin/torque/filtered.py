@@ -33,6 +33,7 @@ import numpy as np
 
 from ..compiled import compiled, copy_to, internal
 from ..elementary import exp
+from ..elementary.arrays import is_below
 from ..errors import ConfigError
 from ..parts import Matrix, Vector
 from ..signals import INDEX, Array, IntArray
@@ -169,15 +170,6 @@ def remember(row: Array, at: IntArray, seen: Filtered) -> None:
     copy_to(row[at[TORQUE] : at[TORQUE + 1]], seen.held[0])
 
 
-@compiled
-def is_usable(values: Array) -> bool:
-    """Whether all are numbers of a size that can be."""
-    usable = True
-    for i in range(values.size):
-        usable = usable and abs(values[i]) < LARGEST
-    return usable
-
-
 @internal
 def period(row: Array, at: IntArray, f: Filter, seen: Filtered) -> bool:
     """Take a sample in; the means over the period that ends with it into f.q, f.nu, f.nudot, f.shape and f.torque.
@@ -197,8 +189,8 @@ def period(row: Array, at: IntArray, f: Filter, seen: Filtered) -> bool:
     last, smooth = seen.states[0], seen.states[1]
     time = row[at[TIME]]
     follows = clock[1] > 0.0 and abs(time - clock[0] - f.h) < 0.5 * f.h
-    usable = is_usable(row[at[VELOCITY] : at[SHAPE + 1]])
-    follows = follows and usable and is_usable(held) and is_usable(older)
+    usable = is_below(row[at[VELOCITY] : at[SHAPE + 1]], LARGEST)
+    follows = follows and usable and is_below(held, LARGEST) and is_below(older, LARGEST)
     clock[0] = time
     clock[1] = clock[1] + 1.0 if follows else 1.0 if usable else 0.0
     for i in range(f.pose.size):

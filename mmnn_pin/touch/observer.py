@@ -44,6 +44,7 @@ from typing import NamedTuple
 from ..by_address import by_address
 from ..compiled import compiled, copy_to, entry, internal, linked
 from ..elementary import cos_sin, exp, tanh
+from ..elementary.arrays import is_below
 from ..model.reduction import as_measured, put_shape, solve, substitute
 from ..model.regressor import Massless, measured, regress
 from ..model.tree.body import Body, Work, evaluate
@@ -276,7 +277,7 @@ def feel(row: Array, at: IntArray, time: float, a: Feeler) -> None:
     period = time - s.clock[TIME]
     follows = s.clock[COUNT] > 0.0 and 0.0 < period < GAP * n.h
     s.clock[TIME] = time
-    if not is_usable(row[at[VELOCITY] : at[SHAPE + 1]]):
+    if not is_below(row[at[VELOCITY] : at[SHAPE + 1]], LARGEST):
         s.clock[COUNT], s.clock[TOUCHED] = 0.0, 0.0
         return
     if follows:
@@ -297,15 +298,6 @@ def feel(row: Array, at: IntArray, time: float, a: Feeler) -> None:
     judge(row, at, a)
     s.clock[ELAPSED] = 0.0
     find_wrench(row, at, a)
-
-
-@compiled
-def is_usable(values: Array) -> bool:
-    """Whether all are numbers of a size that can be."""
-    usable = True
-    for i in range(values.size):
-        usable = usable and abs(values[i]) < LARGEST
-    return usable
 
 
 @internal
