@@ -219,6 +219,7 @@ def new_touch(loop: Setup, parts: list[Array], kinds: tuple[str, ...], steering:
         felt=np.array([kind == "effort" for kind in kinds], float),
         gains=stopping_gains(loop),
         gives=loop.safety is not None and loop.safety.contact == "comply",
+        eases=loop.impedance is None,
     )
     return new_feeler(touch, described, regressor_of(described), sending, new_state(parts))
 
