@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -115,7 +116,10 @@ def drive(
     text: str = SETTINGS,
     meanwhile: Callable[[subprocess.Popen[str]], None] = lambda node: None,
 ) -> Drive:
-    """Drive the robot of `robot_node.py` through its faults, with changed parameters, and do something meanwhile."""
+    """Drive the robot of `robot_node.py` through its faults, with changed parameters, and do something meanwhile.
+
+    The node is stopped by Ctrl-C when the planner has ended, the robot when the node has.
+    """
     settings = folder / "robot.yaml"
     settings.write_text(text)
     robot = start(
@@ -126,14 +130,18 @@ def drive(
     remapped = ["-r", "diff_drive_controller/odom:=odom"]
     node = mmnn(distribution, domain, settings, *own, "--ros-args", *remapped, *options)
     others = [start(distribution, domain, planner)] if planner else []
+    plans = []
     try:
         meanwhile(node)
+        for one in others:
+            plans.append(one.communicate(timeout=300)[0])
+            node.send_signal(signal.SIGINT)
         out, err = node.communicate(timeout=300)
+        robot.send_signal(signal.SIGTERM)
         told, _ = robot.communicate(timeout=60) if robot_domain is None and node.returncode != 2 else ("", "")
     finally:
         for one in (node, robot, *others):
             one.kill()
-    plans = [one.communicate()[0] for one in others]
     last = told.strip().splitlines()[-1:] or ["{}"]
     made = Drive(node.returncode, out + err, json.loads(last[0]))
     made.robot |= {"planner": json.loads(plans[0])} if plans and plans[0] else {}

@@ -45,6 +45,7 @@ def main():
     told["stop"], told["stopped"] = ask(stop), wait(True)
     time.sleep(1.0)
     told["again"], told["runs again"] = ask(reset), wait(False)
+    time.sleep(1.5)
     print(json.dumps(told), flush=True)
     os._exit(0)  # rclpy's destructors are not what is tested
 
