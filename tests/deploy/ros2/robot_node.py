@@ -36,7 +36,7 @@ class Robot:
         self.node, self.faults, self.t = node, faults, 0.0
         self.pose, self.v, self.q, self.qdot = [0.0, 0.0, 0.0], [0.0, 0.0], [0.2, -0.3], [0.0, 0.0]
         self.asked, self.effort, self.heard, self.counts = [0.0, 0.0], [0.0, 0.0], -math.inf, {"twist": 0, "effort": 0}
-        self.log, self.told, self.place, self.waited = [], 0, None, []
+        self.log, self.told, self.place, self.waited, self.commands = [], 0, None, [], []
         node.create_subscription(TwistStamped, "/diff_drive_controller/cmd_vel", self.on_twist, 10)
         node.create_subscription(Float64MultiArray, "/effort_controller/commands", self.on_effort, 10)
         node.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
@@ -60,6 +60,8 @@ class Robot:
 
     def on_twist(self, message):
         self.asked, self.heard = [message.twist.linear.x, message.twist.angular.z], self.t
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        self.commands.append([time.monotonic(), stamp, *self.asked])
         self.counts["twist"] += 1
 
     def on_effort(self, message):
@@ -203,8 +205,11 @@ def main():
     start, limit, told = time.monotonic(), time.monotonic() + 240.0, []
     signal.signal(signal.SIGTERM, lambda *_: told.append(time.monotonic() + 0.1))
     while time.monotonic() < min([limit, *told]):
-        for _ in range(4):
+        for _ in range(40):  # all that waits, however late it is
+            before = robot.told, *robot.counts.values()
             rclpy.spin_once(node, timeout_sec=0.0)
+            if before == (robot.told, *robot.counts.values()):
+                break
         if robot.counts["effort"] and begun == math.inf:
             begun, robot.faults = robot.t, {name: at + robot.t for name, at in faults.items()}
             limit = time.monotonic() + seconds
@@ -226,6 +231,7 @@ def main():
                 "asked_arm": asked,
                 "rows": rows[::8],
                 "waited": robot.waited[:1],
+                "commands": robot.commands,
             }
         ),
         flush=True,
