@@ -11,7 +11,9 @@ import os
 import re
 import signal
 import subprocess
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -135,13 +137,19 @@ def drive(
     remapped = ["-r", "diff_drive_controller/odom:=odom"]
     node = mmnn(distribution, domain, settings, *own, "--ros-args", *remapped, *options)
     others = [start(distribution, domain, planner)] if planner else []
-    plans = []
+    plans, pool = list[str](), ThreadPoolExecutor(1)
+    lines = pool.submit(node.communicate, timeout=300)  # a pipe that nobody reads stops who writes
     try:
         meanwhile(node)
         for one in others:
-            plans.append(one.communicate(timeout=300)[0])
+            while one.poll() is None and node.poll() is None:
+                time.sleep(0.05)
             node.send_signal(signal.SIGINT)
-        out, err = node.communicate(timeout=300)
+            if one.poll() is not None:
+                plan, complaint = one.communicate()
+                assert plan, complaint
+                plans.append(plan)
+        out, err = lines.result()
         robot.send_signal(signal.SIGTERM)
         told, _ = robot.communicate(timeout=60) if robot_domain is None and node.returncode != 2 else ("", "")
     finally:
@@ -149,5 +157,5 @@ def drive(
             one.kill()
     last = told.strip().splitlines()[-1:] or ["{}"]
     made = Drive(node.returncode, out + err, json.loads(last[0]))
-    made.robot |= {"planner": json.loads(plans[0])} if plans and plans[0] else {}
+    made.robot |= {"planner": json.loads(plans[0])} if plans else {}
     return made
