@@ -158,7 +158,8 @@ def interface_notes(experiment: Experiment, robot: Robot) -> list[str]:
     unoffered = [name for name in others if offered[name] and EFFORT not in offered[name]]
     found = [f"driven {'; '.join(driven)}" + ("; all others by effort" if others else "")] if driven else []
     if unoffered:
-        found.append(f"driven by effort, which the URDF does not offer: {', '.join(unoffered)} (see mmnn inspect)")
+        many = f"{unoffered[0]} and {len(unoffered) - 1} more" if len(unoffered) > 1 else unoffered[0]
+        found.append(f"the URDF offers no torque at {many}, this run uses it; --hardware unknown drives each as offered")
     return found
 
 
