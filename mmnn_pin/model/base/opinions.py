@@ -110,7 +110,8 @@ def stated_notes(rest: AtRest, base: Base, name: str, blind: Sequence[str], over
     if lengths and not known and all(apart(one.value, used) for _, one in lengths):
         file, one = lengths[0]
         text = f"{file.name} states a {name} of {one.value:.4g} m, the geometry has {used:.4g} m"
-        fix = f"--controllers {min(str(file), os.path.relpath(file), key=len)} where it is this robot's, --{name} {one.value:.6g} to use it"
+        path = min(str(file), os.path.relpath(file), key=len)
+        fix = f"--controllers {path} where it is this robot's, --{name} {one.value:.6g} to use it"
         yield note(rest, "base-stated", first, text, TAKEN, fix)
 
 

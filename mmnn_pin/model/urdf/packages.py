@@ -136,8 +136,8 @@ def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> Me
 
     `package://NAME/...`, `model://NAME/...` and `$(find NAME)/...` are looked for in the package. Other names start
     from the URDF's folder; they may stay inside its package (the folder with a `package.xml`, else the one above
-    `urdf/` or `robots/`, else the URDF's own), inside a package folder, or inside another package. An absolute name from
-    another machine, `/home/THEM/ws/src/NAME/meshes/...`, is looked for in the package NAME that is seen from here.
+    `urdf/` or `robots/`, else the URDF's own), inside a package folder, or inside another package. An absolute name
+    from another machine, `/home/THEM/ws/src/NAME/meshes/...`, is looked for in the package NAME that is seen here.
 
     Args:
         name: The file name as the URDF states it.
