@@ -375,14 +375,9 @@ def require_no_torque_regressor(controller: CompiledController | TorqueControlle
         ConfigError: It does.
     """
     if needs_torques(controller, context):
-<<<<<<< HEAD
         some = context.hidden is not None and not context.hidden.all()
-        why = "it goes by the torque of every velocity, and a servo of which no stiffness is known tells none"
+        why = "it needs the torque of every joint, and a servo of which no stiffness is known does not tell it"
         fix = f"use {'learned, feedforward, ' * some}pd, pd_gravity, computed_torque, two_layer, one_layer or adaptive"
-=======
-        why = "it needs the torque of every joint, and what takes velocities or positions does not tell it"
-        fix = "use pd, pd_gravity, computed_torque, two_layer, one_layer or adaptive"
->>>>>>> main
         raise ConfigError(f"{controller.name} on a velocity interface", why=why, fix=fix, key="interfaces")
 
 

@@ -10,12 +10,8 @@ import msgspec
 import numpy as np
 
 from ...errors import RecordingError
-<<<<<<< HEAD
 from ...loop.servo import EFFORT, hidden_torques, needs_torques
-=======
-from ...loop.servo import EFFORT, interfaces_of, needs_torques
 from ...loop.suited import tightest
->>>>>>> main
 from ...model.inspection import interfaces_of as offered_by
 from ...model.robot import Robot, lacking_rotors
 from ...recording.metrics import metrics
