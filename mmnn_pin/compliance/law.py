@@ -48,9 +48,10 @@ ASKED_FORCE, STORAGE = INDEX["asked_force"], INDEX["storage"]
 CREEPING = 0.01  # speed from which on a direction turns to the hand's motion [m/s]
 PULL, RAMP = 200.0, 400.0  # of a followed speed: force per error [N s/m], and per error and second [N/m]
 FOLLOWS = 8.0  # how fast the hand follows its admittance [1/s]
+CARRIES = 4.0  # how fast a hand takes on what its springs carry before a force begins [1/s]
 # Numbers of a force, and what a compliance remembers.
 NEWTONS, START, RISE, GAIN, FOLLOW, SPEED, FAR, TURNING, FORCE = 0, 1, 2, 3, 4, 5, 6, 7, 8
-INTEGRAL, GONE, DIRECTION, MOVED, MOVING, STATE = 0, 1, 2, 5, 11, 17
+INTEGRAL, GONE, DIRECTION, MOVED, MOVING, CARRIED, FREE, STATE = 0, 1, 2, 5, 11, 17, 20, 23
 
 
 class HandScratch(NamedTuple):
@@ -103,11 +104,12 @@ class Compliance(NamedTuple):
         most: Largest stiffness that delay and period bear [N/m].
         force: (FORCE,) numbers of a force.
         mass: (6,) of an admittance [kg, kg m^2]; (0,) of an impedance.
-        felt: Place of the signal `external_wrench` in a row, -1 without it.
+        felt: Place of the signal `external_wrench` in a row, -1 without it; `wrench_seen` is the next.
         h: Control period [s].
         body, inertia: The robot that is believed in, and room to evaluate it, for M.
         torque: (p,) `J' F + P' K P s`, written.
-        state: Integral of the force, way gone, direction (3,), x_c (6,) and its rate (6,).
+        state: Integral of the force, way gone, direction (3,), x_c (6,) and its rate (6,), force that is carried (3,),
+            and what is felt of a free hand (3,).
         work: HandScratch.
     """
 
@@ -161,7 +163,11 @@ def wish(row: Array, at: IntArray, c: Compliance) -> None:
         if i < nb:
             row[at[ALPHA] + i], row[at[ALPHADOT] + i] = s[i], w.nudot[i]
         s[i] -= w.nu[1, i]
-        row[at[Z] + i if i < nb else at[R] + i - nb] = s[i]
+    copy_to(s, w.nudot)
+    if pushes(row[at[TIME]], c):
+        spare(w.nudot, c, b)
+    for i in range(s.size):
+        row[at[Z] + i if i < nb else at[R] + i - nb] = w.nudot[i]
     row[at[STORAGE]] = stored if c.mass.size else hand_torque(row, row[at[TIME]], c)
     for i in range(3):
         row[at[ASKED_FORCE] + i] = w.b[3, i]
@@ -221,9 +227,41 @@ def displacement(wanted: Array, place: Array, error: Array) -> None:
 
 
 @compiled
+def pushes(time: float, c: Compliance) -> bool:
+    """Whether the hand pushes with a force by now."""
+    return c.force[NEWTONS] > 0.0 and time >= c.force[START]
+
+
+@compiled
+def spare(s: Array, c: Compliance, b: Array) -> None:
+    """Take out of the error s (p,) how fast the hand goes where its force decides: nobody is to learn to stop it."""
+    along = 0.0
+    for i in range(c.rows):
+        b[i] = 0.0
+        for j in range(s.size):
+            b[i] -= c.work.J[i, j] * s[j]
+        along += c.state[DIRECTION + i] * b[i] if i < 3 else 0.0
+    for i in range(c.rows):
+        kept = i < 3 and c.force[FOLLOW] > 0.0
+        b[i] = b[i] if kept else (along * c.state[DIRECTION + i] if i < 3 else 0.0)
+    lift(b, c, s)
+
+
+@compiled
+def carry(row: Array, time: float, c: Compliance, F: Array) -> None:
+    """Add what the springs carried before a force begins, and nothing touched the hand: by that the model is wrong."""
+    carried, free = c.state[CARRIED : CARRIED + 3], c.state[FREE : FREE + 3]
+    for i in range(3 if c.force[NEWTONS] > 0.0 else 0):
+        if time < c.force[START]:
+            carried[i] = min(c.limit, max(-c.limit, carried[i] + c.h * CARRIES * F[i]))
+            free[i] += c.h * CARRIES * (row[c.felt + i] - free[i]) if c.felt >= 0 else 0.0
+        F[i] += carried[i]
+
+
+@compiled
 def leave_to_force(time: float, c: Compliance) -> None:
     """Ask nothing along the direction of a force, which decides there, or nothing at all of a hand that follows."""
-    if c.force[NEWTONS] <= 0.0 or time < c.force[START]:
+    if not pushes(time, c):
         return
     for k in range(3):
         x, along = c.work.b[k], 0.0
@@ -308,6 +346,7 @@ def hand_torque(row: Array, time: float, c: Compliance) -> float:
     for i in range(6):
         b[i] = w.b[0, i] - w.twist[1, i]
     stored = springs_and_dampers(b, error, c, F)
+    carry(row, time, c, F)
     push(row, time, w.twist[1], c, F)
     factor_inertia(c)
     copy_to(w.s[0], torque)
@@ -360,15 +399,16 @@ def springs_and_dampers(rate: Array, error: Array, c: Compliance, F: Array) -> f
 def push(row: Array, time: float, v: Array, c: Compliance, F: Array) -> None:
     """Add the force along the direction; of what is followed, turn the direction to the hand's velocity v (6,)."""
     force, state = c.force, c.state
-    if force[NEWTONS] <= 0.0 or time < force[START]:
+    if not pushes(time, c):
         return
     u = state[DIRECTION : DIRECTION + 3]
     share = min(1.0, (time - force[START]) / force[RISE]) if force[RISE] > 0.0 else 1.0
     value = force[NEWTONS] * share + state[INTEGRAL]
     if force[GAIN] > 0.0 and c.felt >= 0 and force[FOLLOW] == 0.0:
-        missing = force[NEWTONS] * share
+        missing = 0.0
         for i in range(3):
-            missing += u[i] * row[c.felt + i]
+            seen = u[i] * u[i] * row[c.felt + 6 + i]
+            missing += seen * force[NEWTONS] * share + u[i] * (row[c.felt + i] - state[FREE + i])
         grown = state[INTEGRAL] + c.h * force[GAIN] * missing
         state[INTEGRAL] = min(force[NEWTONS], max(-force[NEWTONS], grown))
     if force[FOLLOW] > 0.0:
