@@ -328,7 +328,7 @@ def require_no_torque_regressor(controller: CompiledController | TorqueControlle
         ConfigError: It does.
     """
     if needs_torques(controller, context):
-        why = "it goes by the torque of every velocity, and on a velocity interface there is none to know"
+        why = "it needs the torque of every joint, and what takes velocities or positions does not tell it"
         fix = "use pd, pd_gravity, computed_torque, two_layer, one_layer or adaptive"
         raise ConfigError(f"{controller.name} on a velocity interface", why=why, fix=fix, key="interfaces")
 

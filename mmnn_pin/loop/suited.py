@@ -359,6 +359,18 @@ class MotorLoad:
         return found
 
 
+def tightest(robot: Robot, trajectory: Trajectory, duration: float, share: float) -> str:
+    """The limit of which a motion at its own pace takes most, in words; empty where it takes no more than a share."""
+    load = MotorLoad(robot).along(replace(trajectory, slowness=1.0), duration)
+    if load.max(initial=0.0) <= share:
+        return ""
+    kind, motor = np.unravel_index(int(load.argmax()), load.shape)
+    limit = (robot.effort_limits, speed_limits(robot))[kind][motor]
+    name = robot.actuator_names[motor]
+    slides = robot.model.joints[robot.model.getJointId(name)].shortname().startswith("JointModelP")
+    return f"{name} has at most {limit:.3g} {(('N m', 'N'), ('rad/s', 'm/s'))[kind][slides]}"
+
+
 def over(value: Array, limit: Array) -> Array:
     """|value| over its limit, 0 where nothing is asked for."""
     return np.divide(np.abs(value), limit, out=np.zeros_like(value), where=value != 0)
