@@ -238,6 +238,20 @@ class Clocks(Settings, frozen=True):
         require_positive(self, "jump")
 
 
+class Published(Settings, frozen=True):
+    """What the node tells of the robot, as `joint_trajectory_controller` and `diff_drive_controller` do.
+
+    Args:
+        state: How often `~/controller_state` is told; 0 for never [1/s].
+        odometry: How often `~/odom` is told, out of what is measured; 0 for never [1/s].
+        tf: Whether `/tf` has the frame of the base in the odometry's.
+    """
+
+    state: float = 50.0
+    odometry: float = 0.0
+    tf: bool = False
+
+
 class Node(Settings, frozen=True):
     """All parameters.
 
@@ -267,6 +281,7 @@ class Node(Settings, frozen=True):
         action: Motions that are asked for by the action.
         path: Paths of the base that are asked for.
         diagnostics: How often the node tells of itself; 0 for never [1/s].
+        publish: What it tells of the robot.
 
     Raises:
         ConfigError: A number that is not positive, no robot, no commands.
@@ -296,6 +311,7 @@ class Node(Settings, frozen=True):
     action: Action = Action()
     path: PlannedPath = PlannedPath()
     diagnostics: float = 10.0
+    publish: Published = Published()
 
     def __post_init__(self) -> None:
         if not (self.robot and self.commands):
