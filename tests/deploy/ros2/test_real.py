@@ -234,7 +234,7 @@ LED = SETTINGS.replace("    set:", "    controller: pd\n    set:\n      impedanc
 
 
 def test_a_hand_goes_where_messages_lead_it_and_is_as_stiff_as_they_say(tmp_path: Path, domain: int) -> None:
-    """A place, then 1 s at 5 cm/s to the left; what the robot itself saw, by Pinocchio."""
+    """A place, then 1 s at 5 cm/s to the left, by what the node recorded; placements are Pinocchio's."""
     run = drive(tmp_path, "kilted", domain, "hand", "no_joystick", "no_plan", seconds=5.0, text=LED)
     assert run.code == 0 and np.isnan(run.trip), run.lines
     robot, kept = load("platform_arm"), Recording.open(tmp_path / "run.h5")
@@ -250,5 +250,4 @@ def test_a_hand_goes_where_messages_lead_it_and_is_as_stiff_as_they_say(tmp_path
     for time in (2.9, 9.0):  # the robot of the other process has other inertias, and its base lags
         assert np.linalg.norm(hand(time, "") - hand(time)) < 0.06, (hand(time, ""), hand(time))
     assert "1e+09 N/m: use at most" in run.lines and "2 numbers: send 1, 3 or 6" in run.lines, run.lines
-    kept = Recording.read(tmp_path / "run.h5")
     assert np.abs(kept["asked_force"]).max() > 0.0
