@@ -236,7 +236,7 @@ class Bridge:
             follower.share, self.asking.share = self.asking.share, None
         asked = self.asking.poll(self.clock, now, self.stepper.tripped)
         if self.hand is not None and (led := self.hand.poll(self.clock)):
-            self.asking.give_way("the hand is led")
+            self.asking.give_way("the hand is led", (BASE, ARM))
             asked = (*asked, *led)
         measurement = self.sensing.measurement(self.stepper.direction)
         measured = min(self.sensing.when, time) if measurement is not None else None
