@@ -262,7 +262,7 @@ class Clocks(Settings, frozen=True):
 
 
 class Published(Settings, frozen=True):
-    """What the node tells of the robot, as `joint_trajectory_controller` and `diff_drive_controller` do.
+    """Topics of the robot's state, as `joint_trajectory_controller` and `diff_drive_controller` have them.
 
     Args:
         state: How often `~/controller_state` is told; 0 for never [1/s].
@@ -305,7 +305,7 @@ class Node(Settings, frozen=True):
         path: Paths of the base that are asked for.
         hand: Places and velocities of the hand that are asked for, and its stiffness.
         diagnostics: How often the node tells of itself; 0 for never [1/s].
-        publish: What it tells of the robot.
+        publish: Topics of the robot's state.
 
     Raises:
         ConfigError: A number that is not positive, no robot, no commands.

@@ -1,4 +1,4 @@
-"""What the node tells of the robot beside its commands: the controller's state, the odometry, the frame of the base.
+"""Topics beside the commands: the controller's state, the odometry, the frame of the base.
 
 The state is that of `joint_trajectory_controller`, odometry and frame those of `diff_drive_controller`, out of what the
 node measured; the control loop hands a copy over, and messages are made beside it.
@@ -72,7 +72,7 @@ class Telling:
             yield Outlet(node, "/tf", TFMessage), rate, lambda *now: TFMessage(transforms=[self._frame(*now)])
 
     def due(self, time: float, now: RobotSituation, by_ros: float) -> Iterator[Callable[[], None]]:
-        """What is to be told at a time [s], each to be called beside the loop."""
+        """Messages that are due at a time [s], each to be made and sent beside the loop."""
         for i, (outlet, rate, make) in enumerate(self.outlets):
             if time - self.told[i] >= (1.0 - 1e-6) / rate:
                 self.told[i] = max(self.told[i] + 1.0 / rate, time - 1.0 / rate)
