@@ -46,8 +46,8 @@ GO_ON, FOLLOW_SAMPLE, FOLLOW_VELOCITY, STAND, FOLLOW_JOINTS, FOLLOW_BOTH = range
 # What a step answers: done; a time not after the last one; a setpoint that is not finite or does not exist.
 DONE, BAD_TIME, BAD_SETPOINT = range(3)
 SHAPE = INDEX["shape"]
-LAST, RENEWED, STANDS, STEPPED, PAUSED = 0, 1, 3, 4, 5  # of the clock
-CLOCK = 6
+LAST, RENEWED, STANDS, PAUSED = 0, 1, 3, 4  # of the clock
+CLOCK = 5
 
 
 class Board(NamedTuple):
@@ -63,8 +63,8 @@ class Board(NamedTuple):
         model, hardware, learner, limits, ahead, later: As of `loop.sample.sample`.
         guide: What makes the reference.
         supervisor: The supervisor.
-        clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, has stepped,
-            waits in a pause.
+        clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, waits in a
+            pause.
         losses: (1,) how often a setpoint was not renewed.
         timeout: Age of a setpoint that has to be renewed at which it holds [s].
         command: (motors,) torques that reach the motors.
@@ -184,8 +184,8 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
         clock[STANDS] = 1.0
     if clock[PAUSED] == 0.0:
         follow(b, time, wish)
-    advance(b.seen, time - clock[LAST] if clock[STEPPED] > 0.0 else 0.0, b.guide)
-    if clock[STEPPED] == 0.0:
+    advance(b.seen, time - clock[LAST] if clock[LAST] > -math.inf else 0.0, b.guide)
+    if clock[LAST] == -math.inf:
         copy_to(b.guide.now, b.before)
     sample(
         0, time, b.guide.now, b.before, b.control, b.model, b.hardware, b.learner, b.limits, b.ahead, b.later, b.split,
@@ -194,7 +194,7 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
     copy_to(b.guide.now, b.before)
     copy_to(b.command, b.motor_torque)
     command_servos(b)
-    clock[LAST], clock[STEPPED] = time, 1.0
+    clock[LAST] = time
     return DONE
 
 
