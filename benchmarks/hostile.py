@@ -1,0 +1,297 @@
+"""What is not ours, tried at random; every campaign prints its line of SECURITY.md's table.
+
+    python benchmarks/hostile.py kills [--times 12] [--seed 0] [--only study ...]    processes that are killed
+    python benchmarks/hostile.py cluster                                           a Dask cluster that dies by parts
+
+Files and options at random are tests/fuzz_files.py, tests/fuzz_urdf.py and tests/random_options.py; disks are
+tests/failing_disks.py. Exit code 1 where something was lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import json
+import math
+import os
+import random
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
+
+from study_files import SHORT  # noqa: E402
+
+from mmnn_pin import Recording  # noqa: E402
+
+MARK = "MMNN_HOSTILE"  # a variable that all processes of one try have
+SIGNALS = {signal.SIGKILL: {-9}, signal.SIGTERM: {-15}, signal.SIGINT: {130}}  # and the exit codes that they end with
+STUDY = SHORT.replace("points = 4", "points = 8").replace("0.04", "0.3")
+TUNING = """
+experiment = "chapter4"
+controllers = ["pd"]
+[set]
+time.duration = 0.3
+windows = [[0.0, 0.1], [0.1, 0.3]]
+[sampling]
+points = 8
+[factors]
+"masses" = { uniform = [0.5, 1.5] }
+[tune]
+controller = "pd"
+objective = "e.*.peak"
+trials = 8
+check = 4
+[tune.gains]
+"feedback.arm" = { log_uniform = [5.0, 60.0] }
+"""
+PROGRAM = "import sys\nfrom mmnn_pin.cli import main\nsys.exit(main())\n"
+PASSING = (".part", ".lock", "-journal")  # files that a killed process may leave beside its own
+
+
+@dataclass(frozen=True)
+class Job:
+    """A command that is killed.
+
+    Attributes:
+        words: Of the command; `{here}` is a folder of the try.
+        results: What a folder has, as numbers that can be compared: name to content. A file that cannot be read raises.
+        grows: Whether what is there is a part of what will be; else a file is there whole, or is not.
+        again: Words that the same command needs to go on.
+    """
+
+    words: str
+    results: Callable[[Path], dict[str, Any]]
+    grows: bool = True
+    again: str = ""
+
+    def command(self, here: Path, again: bool = False) -> list[str]:
+        """The program with its words."""
+        words = (self.words + (f" {self.again}" if again else "")).format(here=here).split()
+        if words[0] == "judge":
+            return [sys.executable, "-m", "research.judge", *words[1:]]
+        return [sys.executable, str(here.parent / "mmnn"), *words]
+
+
+def whole_lines(file: Path) -> list[dict[str, Any]]:
+    """Lines of JSON, what is left of the last one left out."""
+    return [json.loads(line) for line in file.read_bytes().rpartition(b"\n")[0].splitlines()] if file.exists() else []
+
+
+def rows_of_study(here: Path) -> dict[str, Any]:
+    """Runs of a study by number, with what does not depend on when they were made."""
+    passing = ("seconds", "host", "finished")
+    rows = [line for line in whole_lines(here / "out" / "results.jsonl") if "id" in line]
+    return {str(row["id"]): repr({k: v for k, v in row.items() if k not in passing}) for row in rows}
+
+
+def rows_of_judge(here: Path) -> dict[str, Any]:
+    """Rows of the judge by what they are of."""
+    key = ("robot", "family", "draw", "plant", "controller")
+    rows = whole_lines(here / "out" / "results.jsonl")
+    return {repr([row[k] for k in key]): repr({k: v for k, v in row.items() if k != "seconds"}) for row in rows}
+
+
+def trials_of(here: Path) -> dict[str, Any]:
+    """Completed trials of a search, in order: gains and value."""
+    if not (file := here / "out" / "tune.sqlite").exists():
+        return {}
+    base = sqlite3.connect(file)  # it rolls back what a kill left half done
+    try:
+        if not base.execute("SELECT name FROM sqlite_master WHERE name = 'trial_values'").fetchall():
+            return {}
+        assert base.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
+        found = base.execute(
+            "SELECT value, param_value FROM trials JOIN trial_values USING (trial_id) JOIN trial_params"
+            " USING (trial_id) WHERE state = 'COMPLETE' ORDER BY number"
+        ).fetchall()
+    finally:
+        base.close()
+    return {str(k): row for k, row in enumerate(found)}
+
+
+def signals_of(here: Path) -> dict[str, Any]:
+    """Signals of a recording, as far as they go, and pictures."""
+    found: dict[str, Any] = {}
+    for file in sorted((here / "out").glob("[!.]*")) if (here / "out").is_dir() else []:
+        if file.suffix == ".h5":
+            with Recording.open(file) as run:
+                found[file.name] = {name: np.array(run[name]) for name in run.signals if len(run)}
+        elif file.suffix == ".png":
+            data = file.read_bytes()
+            assert data.startswith(b"\x89PNG") and data.endswith(b"IEND\xaeB`\x82"), f"{file} is half written"
+            found[file.name] = "a picture"
+    return found
+
+
+def texts_of(here: Path) -> dict[str, Any]:
+    """Texts of a folder, without its own name."""
+    files = sorted((here / "out").glob("[!.]*")) if (here / "out").is_dir() else []
+    return {file.name: file.read_text().replace(str(here), "") for file in files if file.suffix in (".json", ".urdf")}
+
+
+JOBS = {
+    "run": Job("run track --controller two_layer --set time.duration=6 --out {here}/out", signals_of, again="--force"),
+    "study": Job("study {here}/study.toml --workers 2 --out {here}/out", rows_of_study),
+    "tune": Job("tune {here}/tuning.toml --workers 2 --out {here}/out", trials_of),
+    "judge": Job("judge {here}/out --robots platform_arm --controllers pid --draws 4 --workers 2", rows_of_judge),
+    "identify": Job(
+        "identify {here}/log.csv --robot two_axis_arm --even-if-worse --out {here}/out",
+        texts_of, grows=False, again="--force",
+    ),
+}  # fmt: skip
+
+
+def is_part(some: Any, whole: Any) -> bool:
+    """Whether results are the first of others."""
+    if isinstance(some, dict):
+        return isinstance(whole, dict) and all(key in whole and is_part(some[key], whole[key]) for key in some)
+    if isinstance(some, np.ndarray):
+        return len(some) <= len(whole) and bool(np.array_equal(some, whole[: len(some)], equal_nan=True))
+    return bool(some == whole)
+
+
+def alive(mark: str) -> list[int]:
+    """Processes with a mark among their variables."""
+    found, word = [], f"{MARK}={mark}".encode()
+    for place in Path("/proc").glob("[0-9]*"):
+        try:
+            if word in (place / "environ").read_bytes().split(b"\0"):
+                found.append(int(place.name))
+        except OSError:
+            continue
+    return found
+
+
+def are_gone(mark: str, patience: float = 3.0) -> bool:
+    """Whether all processes of a try are over soon; those that are not are ended."""
+    until = time.monotonic() + patience
+    while (left := alive(mark)) and time.monotonic() < until:
+        time.sleep(0.1)
+    for number in left:
+        os.kill(number, signal.SIGKILL)
+    return not left
+
+
+def prepared(folder: Path) -> Path:
+    """A folder with what the commands read."""
+    from sound_files import motion
+
+    folder.mkdir(parents=True)
+    (folder / "study.toml").write_text(STUDY)
+    (folder / "tuning.toml").write_text(TUNING)
+    motion(folder / "log.csv")
+    (folder.parent / "mmnn").write_text(PROGRAM)
+    return folder
+
+
+def started(command: list[str], mark: str) -> subprocess.Popen[str]:
+    """A command, begun, with a mark."""
+    variables = os.environ | {"PYTHONPATH": str(ROOT), MARK: mark}
+    return subprocess.Popen(command, cwd=ROOT, env=variables, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def ended(command: list[str], mark: str, after: float = math.inf, number: int = 0) -> tuple[int, str, bool]:
+    """Exit code of a command, what it said, and whether it was hit by a signal before it was over."""
+    process = started(command, mark)
+    try:
+        said = process.communicate(timeout=None if after == math.inf else after)
+        return process.returncode, said[1], False
+    except subprocess.TimeoutExpired:
+        process.send_signal(number)
+        said = process.communicate(timeout=120)
+        return process.returncode, said[1], True
+
+
+def killed(job: Job, here: Path, whole: dict[str, Any], after: float, number: int) -> list[str]:
+    """Kill a command in a folder and look at what is left there: what is wrong with it."""
+    mark, before = f"{os.getpid()}.{time.monotonic_ns()}", job.results(here)
+    code, said, hit = ended(job.command(here, bool(before)), mark, after, number)
+    wrong = [] if are_gone(mark) else ["processes were left"]
+    if code and not (hit and code in SIGNALS[signal.Signals(number)]):
+        wrong.append(f"exit code {code}: {said[-300:]}")
+    if number == signal.SIGINT and hit and ("Traceback" in said or "internal error" in said):
+        wrong.append(f"not one line: {said[-300:]}")
+    try:
+        after_it = job.results(here)
+    except Exception as error:
+        return [*wrong, f"half written: {type(error).__name__}: {error}"]
+    if not is_part(after_it, whole):
+        wrong.append("what is there is not what would be")
+    if job.grows and not job.again and not is_part(before, after_it):
+        wrong.append("something is lost")
+    left = [file.name for file in here.rglob(".*") if file.name.endswith(PASSING) and not file.name.endswith(".lock")]
+    if number == signal.SIGINT and left:
+        wrong.append(f"left {left}")
+    return wrong
+
+
+def tried(name: str, times: int, seed: int, folder: Path) -> tuple[int, list[str]]:
+    """Kill a command, three times in each folder, then let it come to its end: how often, and what was wrong."""
+    job, rng = JOBS[name], random.Random(f"{name} {seed}")
+    sound = prepared(folder / "sound")
+    for _ in range(2):  # the first may compile
+        shutil.rmtree(sound / "out", ignore_errors=True)
+        began = time.monotonic()
+        code, said, _ = ended(job.command(sound), "sound")
+        lasts = time.monotonic() - began
+        assert code == 0, said
+    whole, wrong, done = job.results(sound), list[str](), 0
+    assert whole
+    while done < times:
+        shutil.rmtree(here := folder / "here", ignore_errors=True)
+        shutil.copytree(sound, here, ignore=shutil.ignore_patterns("out"))
+        for _ in range(min(3, times - done)):
+            number, after = rng.choice(list(SIGNALS)), rng.uniform(0.0, lasts)
+            found = killed(job, here, whole, after, number)
+            wrong += [f"{name}, {signal.Signals(number).name} after {after:.2f} s: {one}" for one in found]
+            done += 1
+        code, said, _ = ended(job.command(here, (here / "out").exists()), "last")
+        if code or not (is_part(whole, job.results(here)) and is_part(job.results(here), whole)):
+            wrong.append(f"{name}: it does not come to the same end, exit code {code}: {said[-300:]}")
+    return done, wrong
+
+
+def kills(options: argparse.Namespace) -> list[str]:
+    """Commands that are killed at random times."""
+    wrong, counts = list[str](), collections.Counter[str]()
+    for name in options.only or JOBS:
+        with tempfile.TemporaryDirectory() as scratch:
+            counts[name], found = tried(name, options.times, options.seed, Path(scratch))
+        wrong += found
+        print(f"{name}: {counts[name]} kills, {len(found)} wrong", file=sys.stderr, flush=True)
+    said = ", ".join(f"{count} of `{name}`" for name, count in counts.items())
+    print(f"{counts.total()} kills (SIGKILL, SIGTERM, SIGINT): {said}: {len(wrong)} wrong")
+    return wrong
+
+
+CAMPAIGNS = {"kills": kills}
+
+
+def main() -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("campaign", choices=CAMPAIGNS)
+    parser.add_argument("--times", type=int, default=12, help="of each kind (12)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+")
+    options = parser.parse_args()
+    wrong = CAMPAIGNS[options.campaign](options)
+    print(*wrong, sep="\n")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
