@@ -11,18 +11,20 @@ from __future__ import annotations
 
 import argparse
 import collections
+import contextlib
 import json
 import math
 import os
 import random
 import shutil
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,7 +59,7 @@ check = 4
 [tune.gains]
 "feedback.arm" = { log_uniform = [5.0, 60.0] }
 """
-PROGRAM = "import sys\nfrom mmnn_pin.cli import main\nsys.exit(main())\n"
+PROGRAM = "import sys\nfrom mmnn_pin.cli import main\nif __name__ == '__main__':\n    sys.exit(main())\n"
 PASSING = (".part", ".lock", "-journal")  # files that a killed process may leave beside its own
 
 
@@ -277,7 +279,119 @@ def kills(options: argparse.Namespace) -> list[str]:
     return wrong
 
 
-CAMPAIGNS = {"kills": kills}
+# -- servers -----------------------------------------------------------------------------------------------------------
+
+LOCAL = "Host: 127.0.0.1\r\n"
+FOREIGN = [
+    "Host: evil.example",
+    "Host: 127.0.0.1.evil.example",
+    "Host: localhost.evil.example:80",
+    "Host: ",
+    "Host: [::1",
+]
+FOREIGN += [
+    f"{LOCAL}Origin: {who}" for who in ("http://evil.example", "null", "file://", "http://127.0.0.1.evil.example")
+]
+SECRETS = [
+    "../" * 8 + "etc/passwd",
+    "%2e%2e/" * 8 + "etc/passwd",
+    "..%2f" * 8 + "etc/passwd",
+    "//etc/passwd",
+    "..\\..\\etc",
+]
+SLOW, OPEN = 200, 5.0  # connections that never end their request; patience [s]
+
+
+def answer_to(place: tuple[str, int], request: bytes) -> bytes:
+    """What an answer begins with; empty where the server hangs up or waits for more."""
+    with socket.create_connection(place, timeout=OPEN) as line, contextlib.suppress(ConnectionError, TimeoutError):
+        line.sendall(request)
+        found = b""
+        while b"\r\n\r\n" not in found and (more := line.recv(500)):
+            found += more
+        return found
+    return b""
+
+
+def refusals(paths: Sequence[str]) -> Iterator[tuple[bytes, tuple[str, ...]]]:
+    """Requests that no page of ours makes, and the states that answer them; "" for a connection that is closed."""
+    for path in paths:
+        for head in FOREIGN:
+            yield f"GET {path} HTTP/1.1\r\n{head}\r\n\r\n".encode(), ("403", "400", "405")
+        for method in ("POST", "PUT", "DELETE", "OPTIONS", "TRACE"):
+            yield f"{method} {path} HTTP/1.1\r\n{LOCAL}Content-Length: 0\r\n\r\n".encode(), ("501", "405", "400", "403")
+        yield (
+            f"POST {path} HTTP/1.1\r\n{LOCAL}Content-Length: {10**12}\r\n\r\n".encode(),
+            ("501", "405", "400", "413", ""),
+        )
+        yield f"GET {path}{'?' * 10**6} HTTP/1.1\r\n{LOCAL}\r\n".encode(), ("414", "400", "431", "")
+        yield f"GET {path} HTTP/1.1\r\n{LOCAL}{'A: b' * 10**5}\r\n\r\n".encode(), ("400", "431", "")
+        yield (
+            f"GET {path} HTTP/1.1\r\n{LOCAL}{chr(13).join(['A: b', chr(10)]) * 20_000}\r\n".encode(),
+            ("400", "431", ""),
+        )
+        for secret in SECRETS:
+            for place in (path.rstrip("/") + "/" + secret, "/" + secret, "/static/" + secret):
+                yield f"GET {place} HTTP/1.1\r\n{LOCAL}\r\n".encode(), ("404", "403", "400")
+    yield b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc", ("400", "")
+    yield b"\0" * 10**6, ("400", "414", "")
+
+
+def besieged(url: str, paths: Sequence[str], rng: random.Random) -> tuple[int, list[str]]:
+    """Ask a server what it must refuse, beside requests that never end: how often, and what was wrong."""
+    name, _, port = url.removeprefix("http://").partition("/")[0].partition(":")
+    place, wrong, count = (name, int(port)), list[str](), 0
+    asked = list(refusals(paths))
+    with contextlib.ExitStack() as slow:
+        for _ in range(SLOW):
+            line = slow.enter_context(socket.create_connection(place, timeout=OPEN))
+            line.sendall(f"GET {paths[0]} HTTP/1.1\r\n{LOCAL}".encode()[: rng.randrange(1, 40)])
+        for request, states in asked:
+            said, count = answer_to(place, request), count + 1
+            state = said.split(b" ")[1:2]
+            found = state[0].decode(errors="replace") if state and said.startswith(b"HTTP") else ""
+            if b"root:" in said or (found not in states and not (not found and len(request) > 60_000)):
+                wrong.append(f"{url}: {request[:80]!r}: {said[:60]!r}")
+        began = time.monotonic()
+        if b"200 OK" not in answer_to(place, f"GET {paths[0]} HTTP/1.1\r\n{LOCAL}\r\n".encode()):
+            wrong.append(f"{url}: its own page is not answered any more")
+        if time.monotonic() - began > 5:
+            wrong.append(f"{url}: its own page took {time.monotonic() - began:.1f} s")
+    return count + SLOW, wrong
+
+
+def servers(options: argparse.Namespace) -> list[str]:
+    """The servers of `replay`, of `replay --live` and of `view`."""
+    import resource
+
+    from mmnn_pin import PD, Stepper, load
+    from mmnn_pin.lab.show.live import LiveView
+    from mmnn_pin.lab.show.replay.page import ReplayPage
+
+    wrong, counts, rng = list[str](), collections.Counter[str](), random.Random(options.seed)
+    robot, before = load("platform_arm"), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with (
+        ReplayPage("<p>mine</p>").served(0) as page,
+        Stepper(robot, PD()) as stepper,
+        LiveView(stepper, port=0) as live,
+        robot.view(port=0) as shown,
+    ):
+        places = {
+            "replay": (page, ["/"]),
+            "live": (live.url, ["/", "/live"]),
+            "view": (shown.url, ["/view", "/static/"]),
+        }
+        for name, (url, paths) in places.items():
+            counts[name], found = besieged(url, paths, rng)
+            wrong += found
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+    wrong += [f"{grown:.0f} MB more memory"] if grown > 300 else []
+    said = ", ".join(f"{count} to `{name}`" for name, count in counts.items())
+    print(f"{counts.total()} requests ({said}): {len(wrong)} wrong, {grown:.0f} MB more memory")
+    return wrong
+
+
+CAMPAIGNS = {"kills": kills, "servers": servers}
 
 
 def main() -> int:
