@@ -12,10 +12,12 @@ from __future__ import annotations
 import argparse
 import collections
 import contextlib
+import io
 import json
 import math
 import os
 import random
+import re
 import shutil
 import signal
 import socket
@@ -28,15 +30,19 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
+from fuzz_files import places  # noqa: E402
 from study_files import SHORT  # noqa: E402
 
 from mmnn_pin import Recording  # noqa: E402
+from mmnn_pin.errors import InputError  # noqa: E402
+from mmnn_pin.recording.recording import recorded_robot  # noqa: E402
 
 MARK = "MMNN_HOSTILE"  # a variable that all processes of one try have
 SIGNALS = {signal.SIGKILL: {-9}, signal.SIGTERM: {-15}, signal.SIGINT: {130}}  # and the exit codes that they end with
@@ -129,8 +135,8 @@ def signals_of(here: Path) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for file in sorted((here / "out").glob("[!.]*")) if (here / "out").is_dir() else []:
         if file.suffix == ".h5":
-            with Recording.open(file) as run:
-                found[file.name] = {name: np.array(run[name]) for name in run.signals if len(run)}
+            run = Recording.open(file)
+            found[file.name] = {name: np.array(run[name]) for name in run.names if len(run)}
         elif file.suffix == ".png":
             data = file.read_bytes()
             assert data.startswith(b"\x89PNG") and data.endswith(b"IEND\xaeB`\x82"), f"{file} is half written"
@@ -391,7 +397,174 @@ def servers(options: argparse.Namespace) -> list[str]:
     return wrong
 
 
-CAMPAIGNS = {"kills": kills, "servers": servers}
+# -- pages -------------------------------------------------------------------------------------------------------------
+
+RUNS = "</script></style><script>window.ran=1;alert(1)</script><img src=x onerror=alert(2)>"  # and a way out of quotes
+QUOTED = "\"'`>" + RUNS + "{{7*7}}<svg onload=alert(4)>"
+
+
+def ours(words: str, file: Path) -> bool:
+    """Whether a command takes a file and writes its page."""
+    from mmnn_pin.cli import main as command
+
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        return command([*words.split(), "--html", str(file), "--force"]) == 0
+
+
+def named_so(tree: Any, takes: Callable[[], bool]) -> int:
+    """Put what would run into every text of a tree of JSON that is still taken so: how many."""
+    count = 0
+    for here, key in places(tree):
+        if isinstance(here.get(key) if isinstance(here, dict) else here[key], str):
+            before, here[key] = here[key], QUOTED + here[key]
+            if takes():
+                count += 1
+            else:
+                here[key] = before
+    for here, key in [(here, key) for here, key in places(tree) if isinstance(here, dict)]:
+        if key in here:  # names of its own
+            here[QUOTED + key] = here.pop(key)
+            if takes():
+                count += 1
+            else:
+                here[key] = here.pop(QUOTED + key)
+    return count
+
+
+def study_so(folder: Path) -> int:
+    """A study whose texts would run."""
+    from mmnn_pin.lab.study.results import load_results
+
+    file = folder / "db" / "results.jsonl"
+    lines = [json.loads(line) for line in file.read_text().splitlines()]
+
+    def takes() -> bool:
+        file.write_text("".join(json.dumps(line) + "\n" for line in lines))
+        try:
+            load_results(file)
+        except InputError:
+            return False
+        return True
+
+    return named_so([lines[0], lines[1]], takes) + int(takes()) - 1
+
+
+def identified_so(folder: Path) -> int:
+    """What was identified, whose texts would run."""
+    (file,) = (folder / "identified").glob("*.json")
+    tree = json.loads(file.read_text())
+
+    def takes() -> bool:
+        file.write_text(json.dumps(tree))
+        return ours(f"report {folder / 'identified'}", folder / "try.html")
+
+    return named_so(tree, takes) + int(takes()) - 1
+
+
+def recording_so(folder: Path) -> int:
+    """A recording whose robot, names and facts would run."""
+    import h5py
+
+    file, count = folder / "run.h5", 0
+    with h5py.File(file, "r+") as run:
+        names = [str(name) for name in run.attrs["actuator_names"]]
+        urdf = run["urdf"].asstr()[()]
+        for name in [*names, *re.findall(r'<link name="(\w+)"', urdf), *re.findall(r'robot name="(\w+)"', urdf)]:
+            urdf, count = urdf.replace(f'"{name}"', f'"{escape(QUOTED, {chr(34): "&quot;"})}{name}"'), count + 1
+        del run["urdf"]
+        run["urdf"] = urdf
+        holders = ["/", *(f"signals/{name}" for name in run["signals"])]
+        texts = [
+            (holder, key) for holder in holders for key, value in run[holder].attrs.items() if isinstance(value, str)
+        ]
+        lists = [
+            (holder, key)
+            for holder in holders
+            for key in ("actuator_names", "velocity_names", "position_names", "labels")
+        ]
+        for holder, key in lists:
+            if key in run[holder].attrs:
+                run[holder].attrs[key] = [QUOTED + one if one in names else one for one in run[holder].attrs[key]]
+    for holder, key in texts:
+        before = written(file, holder, key, lambda value: QUOTED + value)
+        try:
+            if Recording.open(file).damage:
+                raise InputError("damaged")
+            count += 1
+        except InputError:
+            written(file, holder, key, lambda _, value=before: value)
+    return count
+
+
+def written(file: Path, holder: str, key: str, new: Callable[[str], str]) -> str:
+    """Change a text of a recording: what it was."""
+    import h5py
+
+    with h5py.File(file, "r+") as run:
+        before = str(run[holder].attrs[key])
+        run[holder].attrs[key] = new(before)
+    return before
+
+
+def pages(options: argparse.Namespace) -> list[str]:
+    """Pages of files in which every name is a script, opened in Chromium."""
+    from browser import browser
+    from sound_files import sound_files
+
+    from mmnn_pin import PD, Stepper
+    from mmnn_pin.lab.show.live import LiveView
+
+    wrong, count = list[str](), 0
+    with tempfile.TemporaryDirectory() as scratch, contextlib.ExitStack() as held:
+        folder = sound_files(Path(scratch) / "sound", ("pd",), tuned=False)
+        os.replace(folder / "run_pd.h5", folder / "run.h5")
+        put = {"study": study_so(folder), "identified": identified_so(folder), "recording": recording_so(folder)}
+        own = folder / f"{RUNS.replace('/', '_')}.h5"
+        shutil.copy(folder / "run.h5", own)
+        urls = {}
+        for name, words in {
+            "study": f"report {folder / 'db'}",
+            "identified": f"report {folder / 'identified'}",
+            "replay": f"replay {folder / 'run.h5'}",
+            "report": f"report {folder / 'run.h5'}",
+        }.items():
+            if ours(words, file := folder / f"{name}.html"):
+                urls[name] = file.as_uri()
+            else:
+                wrong.append(f"no page of {name}")
+        robot = recorded_robot(Recording.open(folder / "run.h5"))
+        urls["view"] = held.enter_context(robot.view(port=0)).url
+        stepper = held.enter_context(Stepper(robot, PD()))
+        urls["live"] = held.enter_context(LiveView(stepper, port=0)).url
+        with browser() as chromium:
+            for name, url in urls.items():
+                wrong += [f"{name}: {what}" for what in looked_at(chromium, url)]
+                count += 1
+    said = ", ".join(f"{number} texts of a {name}" for name, number in put.items())
+    print(f"{count} pages with a script in every name that is taken ({said}): {len(wrong)} wrong")
+    return wrong
+
+
+def looked_at(chromium: Any, url: str) -> list[str]:
+    """What a page does that it must not: dialogs, scripts of names, requests elsewhere, elements of names."""
+    page, found = chromium.new_page(), list[str]()
+    own = url.partition("/view")[0] if url.startswith("http") else url
+    page.on("dialog", lambda dialog: (found.append(f"dialog {dialog.message}"), dialog.dismiss()))
+    page.on("pageerror", lambda error: found.append(str(error)))
+    page.on(
+        "request",
+        lambda sent: None if sent.url.startswith((own, "data:", "blob:", "about:")) else found.append(sent.url),
+    )
+    page.goto(url)
+    page.wait_for_timeout(3000)
+    for frame in page.frames:
+        if frame.evaluate("window.ran === 1 || document.querySelectorAll('img[src=x], svg[onload]').length > 0"):
+            found.append("a name was run, or made an element")
+    page.close()
+    return found
+
+
+CAMPAIGNS = {"kills": kills, "servers": servers, "pages": pages}
 
 
 def main() -> int:

@@ -20,14 +20,13 @@ from collections.abc import Sequence
 from functools import cache
 from multiprocessing import Pool
 from pathlib import Path
-from signal import SIG_IGN, SIGINT, signal
 from typing import Any
 
-from mmnn_pin.children import end_with
 from mmnn_pin.compiled.folders import imports_of, text_of
 from mmnn_pin.errors import InputError
 from mmnn_pin.files import locked
 from mmnn_pin.lab.show.table import Column, Table, number, row_of, terminal_text
+from mmnn_pin.lab.study.pools import begin
 from mmnn_pin.torque.entries import CONTROLLERS
 
 from .draws import draw_of, on_contact, preregistered
@@ -114,12 +113,6 @@ def missing(rows: Sequence[Row], wanted: Sequence[Wanted]) -> list[Wanted]:
     done = {key_of(row) for row in rows}
     found = [(*one[:4], tuple(key[4] for key in keys_of(one) if key not in done)) for one in wanted]
     return [one for one in found if one[4]]
-
-
-def begin(parent: int) -> None:
-    """In a new process: Ctrl-C is the parent's, and it ends with its parent."""
-    end_with(parent)
-    signal(SIGINT, SIG_IGN)
 
 
 def run_missing(todo: Sequence[Wanted], file: Path, workers: int) -> None:
