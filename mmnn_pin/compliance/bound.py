@@ -6,23 +6,37 @@ At the start, about rest, with `d' = nu` for small motions and K_k the arm's kin
 
 Velocities that take no torque follow what is asked for by their servo, `nu_s' = b (-N K_k d - nu)_s`. The hand is free,
 and on damped springs in the world from soft to stiff; all must be stable.
+
+Beside that the hand must give no energy, which asks more of it: J P' = 0 and J N = 0 make it alone what moves it, with
+`Lambda = (J M^-1 J')^-1`, and held for h, late by L its impedance is
+
+    j w Lambda + (K_x / (j w) + D) exp(-j w l),    l = L + h / 2,    of real part D cos(w l) - K_x sin(w l) / w
+
+which falls with w. It must not be negative up to the w at which the lightest direction bounces off a wall of `BOUNCES`.
+The bound is the stiffness with that, a factor of `RESERVE` below where it turns unstable: nearer to that contacts that
+come and go find the little that a held torque gives.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
 
+from ..elementary import cos_sin
 from ..errors import ConfigError
 from ..signals import Array
 
 WALLS = (0.0, 1e3, 1e4, 1e5)  # what the hand may touch [N/m]
 YIELDING = 0.005  # its damping over its stiffness [s]
+BOUNCES = 1e4  # stiffest wall off which the hand may bounce and be given no energy [N/m]
+RESERVE = 4.0  # of the stiffness
 TOLERANCE = 1e-7
-HALVINGS = 12
+HALVINGS, LEAST, MOST = 12, 1e-12, 1e3  # of a search, and between which factors
+SHARE = 0.97  # of the bound, what is printed
 
 
 class Held(NamedTuple):
@@ -51,40 +65,68 @@ class Bound(NamedTuple):
     """Result of `bound_of`.
 
     Attributes:
-        factor: Largest factor on all stiffnesses, their damping with its root, that is stable; 0 where none is.
+        factor: Largest factor on all stiffnesses, with the damping that belongs to it, that is borne; 0 for none.
+        damping: Where that is 0, the largest one on all damping of a hand without springs; 0 for none.
+        margin: Delay from which on any damping drives the hand [s].
         held: The loop.
     """
 
     factor: float
+    damping: float
+    margin: float
     held: Held
 
     def require(self, impedance: Any) -> None:
-        """Refuse a stiffness beyond the bound.
+        """Refuse a stiffness or a damping beyond the bound.
 
         Raises:
             ConfigError: With the bound.
         """
         if self.factor >= 1.0:
             return
-        largest = float(np.max(impedance.stiffness))
-        late = 1e3 * self.held.delay
-        why = f"with {late:.3g} ms of delay and a period of {1e3 * self.held.period:.3g} ms "
-        if self.factor <= 0.0:
-            fix = "give less damping, lower feedback gains, or a shorter period"
-            raise ConfigError("the compliant hand", why=f"{why}its damping alone is unstable", fix=fix, key="impedance")
-        most = math.floor(0.98 * self.factor * largest)
-        texts = [f"at most {most}"] + (["rotation in proportion"] if np.any(impedance.rotation) else [])
-        raise ConfigError(
-            f"{largest:g} N/m",
-            why=f"{why}the bound is {self.factor * largest:.4g} N/m",
-            fix=f"use {', '.join(texts)}",
-            key="impedance.stiffness",
-        )
+        why = f"with {1e3 * self.held.delay:.3g} ms of delay and a period of {1e3 * self.held.period:.3g} ms "
+        if self.factor > 0.0:
+            largest = float(np.max(impedance.stiffness))
+            fix = ", ".join([f"use at most {rounded(self.factor * largest):g}", *also(impedance)])
+            why += f"the bound is {self.factor * largest:.4g} N/m"
+            raise ConfigError(f"{largest:g} N/m", why=why, fix=fix, key="impedance.stiffness")
+        if self.held.delay >= self.margin:
+            why = f"from {1e3 * self.margin:.3g} ms on its damper drives what bounces off {BOUNCES / 1e3:g} kN/m"
+            fix = f"shorten latency and actuator.lag to {1e3 * rounded(0.7 * max(self.margin, 1e-6)):g} ms together"
+            what = f"a compliant hand with {1e3 * self.held.delay:.3g} ms of delay"
+            raise ConfigError(what, why=why, fix=fix, key="impedance")
+        name = "ratio" if impedance.damping is None else "damping"
+        given = float(np.max(getattr(impedance, name)))
+        if self.damping <= 0.0:
+            fix = "lower feedback.base and feedback.arm, or time.control_period"
+            raise ConfigError("a compliant hand", why=why + "its posture is unstable", fix=fix, key="impedance")
+        fix = ", ".join([f"use at most {rounded(self.damping * given):g}", *also(impedance)])
+        what, bound = f"a {'damping ratio' if name == 'ratio' else name} of {given:g}", self.damping * given
+        raise ConfigError(what, why=f"{why}the bound is {bound:.4g}", fix=fix, key=f"impedance.{name}")
 
 
-def bound_of(c: Any, M: Array, held: Held) -> Bound:
-    """The bound of a compliance where `c.work.J` has its Jacobian, with the mass matrix M (p, p) there."""
-    J, p = c.work.J[: c.rows], len(M)
+def rounded(bound: float) -> float:
+    """A little less than a bound, in three digits."""
+    return float(f"{SHARE * bound:.2e}")
+
+
+def also(impedance: Any) -> list[str]:
+    """Names of the numbers that have to change beside the largest one on the position."""
+    each = [name for name in ("stiffness", "damping") if np.size(getattr(impedance, name)) > 1]
+    turned = np.any(impedance.rotation) or np.any(impedance.rotation_damping)
+    return [f"{what} in proportion" for what in (["other axes"] if each else []) + (["rotation"] if turned else [])]
+
+
+def bound_of(c: Any, M: Array, held: Held, damping: Callable[[float], Array]) -> Bound:
+    """The bound of a compliance where `c.work.J` has its Jacobian.
+
+    Args:
+        c: The compliance.
+        M: (p, p) mass matrix there.
+        held: The loop.
+        damping: (6,) of a factor on all stiffnesses.
+    """
+    J, p = c.work.J[0, : c.rows], len(M)
     W = np.diag(c.weights)
     A = J @ W @ J.T
     A += 1e-6 * np.trace(A) * np.eye(len(A))
@@ -93,27 +135,47 @@ def bound_of(c: Any, M: Array, held: Held) -> Bound:
     A = J @ X
     P = np.eye(p) - X @ np.linalg.solve(A + 1e-6 * np.trace(A) * np.eye(len(A)), J)
     still, rates = P.T @ np.diag(c.still) @ P, np.diag(held.rates)
-    springs, dampers = J.T @ np.diag(c.springs[: c.rows]) @ J, J.T @ np.diag(c.dampers[: c.rows]) @ J
     asks = N @ rates
+    free = np.flatnonzero(held.on == 0.0)
+    light = J[:3, free] @ np.linalg.solve(M[np.ix_(free, free)], J[:3, free].T)
+    w = math.sqrt(BOUNCES * max(float(np.linalg.eigvalsh(light)[-1]), 1e-9))
+    late = held.delay + 0.5 * held.period
 
-    def stable(factor: float) -> bool:
-        F = np.hstack((factor * springs + still @ asks, math.sqrt(factor) * dampers + still + M @ asks))
+    def takes(springs: Array, dampers: Array) -> bool:
+        cosine, sine = cos_sin(min(w * late, math.pi))
+        real = dampers * cosine - springs * sine / w
+        return bool(np.all(real[: c.rows] >= 0.0))
+
+    def stable(factor: float, share: float = 1.0) -> bool:
+        if not takes(factor * c.springs, share * damping(factor)):
+            return False
+        springs = factor * J.T @ np.diag(c.springs[: c.rows]) @ J
+        dampers = share * J.T @ np.diag(damping(factor)[: c.rows]) @ J
+        F = np.hstack((springs + still @ asks, dampers + still + M @ asks))
         return all(radius(F, asks, M, wall * J[:3].T @ J[:3], held) <= 1.0 + TOLERANCE for wall in WALLS)
 
+    margin = 0.5 * math.pi / w - 0.5 * held.period
+    if factor := largest(stable):
+        return Bound(factor / RESERVE, 1.0, margin, held)
+    return Bound(0.0, largest(lambda share: stable(LEAST, share)) / RESERVE, margin, held)
+
+
+def largest(stable: Callable[[float], bool]) -> float:
+    """The largest number up to which something is stable, from 1 on upwards or downwards; 0 for none."""
     if stable(1.0):
         low, high = 1.0, 2.0
-        while high < 1e3 and stable(high):
+        while high < MOST and stable(high):
             low, high = high, 2.0 * high
     else:
         low, high = 0.5, 1.0
-        while low > 1e-3 and not stable(low):
+        while low > LEAST and not stable(low):
             low, high = 0.5 * low, low
-        if low <= 1e-3:
-            return Bound(0.0, held)
+        if low <= LEAST:
+            return 0.0
     for _ in range(HALVINGS):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if stable(middle) else (low, middle)
-    return Bound(low, held)
+    return low
 
 
 def radius(F: Array, asks: Array, M: Array, wall: Array, held: Held) -> float:

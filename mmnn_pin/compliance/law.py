@@ -5,7 +5,8 @@ is that of its setpoint, base and arm sharing the difference by the weights W:
 
     nu_ref := nu_ref + J# (x_d' - J nu_ref),    J# = W J' (J W J')^-1,    N = I - J# J,    s = nu_ref - nu
 
-What the kinematic layer asks of posture and base thus remains where it does not move the hand. Torques are
+What the kinematic layer asks of posture and base thus remains where it does not move the hand. nudot_ref is the rate of
+that, J# included, over a `MOMENT` of the motion. J has T(theta) in it where the base steers. Torques are
 
     tau = Psi_hat + J' F + P' K P s,    F = K_x x~ + D (x_d' - J nu) + n f,    P = I - M^-1 J' (J M^-1 J')^-1 J
 
@@ -16,7 +17,8 @@ rest and forces at the hand `J s = -v` and
     V = s' M s / 2 + U(x~),    dV/dt = -s' P' K P s - v' D v + v' f_ext
 
 as M' - 2 C is skew: the Coriolis terms of the reduced system belong to Psi. The posture, which is an aim for P s and no
-spring, takes nothing from the hand. At rest s = 0, F = -f_ext: the hand has exactly its stiffness.
+spring, takes nothing from the hand. At rest s = 0, F = -f_ext: the hand has exactly its stiffness. V is the signal
+`storage`; `injected` is what it gained beyond the work of the world on the hand: what controller and setpoint put in.
 
 Where joints of the arm take no torque the hand is an admittance. What is felt moves a mass, `m x_c'' = F(x_c) + f`, and
 the hand follows `x_d + x_c` as any reference.
@@ -29,9 +31,9 @@ from typing import NamedTuple
 
 from ..by_address import by_address
 from ..compiled import compiled, copy_to, linked
-from ..elementary import cos_sin
-from ..model.chain import Chain, move
-from ..model.reduction import as_measured, solve, substitute
+from ..model.chain import move
+from ..model.reduction import as_measured, position_rate, put_shape, quadratic, solve, substitute
+from ..model.tip import Tip, move_tip
 from ..model.tree.body import Body, Work, evaluate
 from ..parts import view
 from ..signals import INDEX, Array, IntArray
@@ -40,41 +42,42 @@ TIME, POSE_REF, VELOCITY_REF, ACCELERATION_REF = (
     INDEX[n] for n in ("time", "pose_ref", "velocity_ref", "acceleration_ref")
 )
 Q_REF, QDOT_REF, QDDOT_REF = INDEX["q_ref"], INDEX["qdot_ref"], INDEX["qddot_ref"]
-POSE, VELOCITY, Q, QDOT, POSE_ERROR = (INDEX[n] for n in ("pose", "velocity", "q", "qdot", "pose_error"))
+POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[n] for n in ("pose", "velocity", "q", "qdot", "shape"))
 ALPHA, ALPHADOT, Z, R, NU_REF, NUDOT_REF = (INDEX[n] for n in ("alpha", "alphadot", "z", "r", "nu_ref", "nudot_ref"))
 TORQUE, EFFECTIVE_GAIN = INDEX["torque"], INDEX["effective_gain"]
-ASKED_FORCE, STORAGE = INDEX["asked_force"], INDEX["storage"]
+ASKED_FORCE, STORAGE, INJECTED = INDEX["asked_force"], INDEX["storage"], INDEX["injected"]
 
 CREEPING = 0.01  # speed from which on a direction turns to the hand's motion [m/s]
 PULL, RAMP = 200.0, 400.0  # of a followed speed: force per error [N s/m], and per error and second [N/m]
 FOLLOWS = 8.0  # how fast the hand follows its admittance [1/s]
+MOMENT = 1e-4  # over which the rate of what is asked for is taken [s]
 # Numbers of a force, and what a compliance remembers.
 NEWTONS, START, RISE, GAIN, FOLLOW, SPEED, FAR, TURNING, FORCE = 0, 1, 2, 3, 4, 5, 6, 7, 8
-INTEGRAL, GONE, DIRECTION, MOVED, MOVING, STATE = 0, 1, 2, 5, 11, 17
+INTEGRAL, GONE, DIRECTION, MOVED, MOVING, BEGUN, AT_FIRST, STATE = 0, 1, 2, 5, 11, 17, 18, 19
 
 
 class HandScratch(NamedTuple):
-    """Room to work in, of the setpoint and of the measurement.
+    """Room to work in: of the setpoint, of the measurement, and a moment after that.
 
     Attributes:
-        place: (2, 12) of the hand.
-        twist: (2, 6) likewise.
-        bias: (2, 6) likewise; of the setpoint its acceleration.
-        position: (nv,).
-        nu: (2, p).
-        nudot: (p,).
-        J: (6, p).
+        place, twist, bias: (3, 12), (3, 6), (3, 6) of the hand; the setpoint's bias is its acceleration.
+        position, rate: (nv,).
+        led: (m,) twist and arm rates of the setpoint.
+        nu, nudot: (p,).
+        J: (2, 6, p) of the measurement, and a moment later.
         A: (2, rows, rows) `J W J'` and its factor, then `J M^-1 J'` and its factor.
         X: (rows, p) `J M^-1`.
         L: (p, p) factor of M.
         b: (5, 6) asked velocity, displacement, asked acceleration, F, and one more.
-        s: (3, p).
+        s: (2, p) s, and what is asked a moment later.
     """
 
     place: Array
     twist: Array
     bias: Array
     position: Array
+    rate: Array
+    led: Array
     nu: Array
     nudot: Array
     J: Array
@@ -90,14 +93,14 @@ class Compliance(NamedTuple):
     """A compliant hand of one robot.
 
     Attributes:
-        chain: From the world to the hand.
+        tip: The hand.
         offset, columns: Of `Robot.arm_map`.
         rows: Of the task: 3, or 6 where the orientation has a stiffness.
         by_hand: 1 where axes are those of the hand, else 0.
         springs: (6,) stiffness [N/m, N m/rad].
         dampers: (6,) [N s/m, N m s].
         limit: Largest force of a spring [N].
-        station: How much of the kinematic layer's feedback the base keeps.
+        station: How much of the kinematic layer's gains the base keeps.
         weights: (p,) W.
         still: (p,) K.
         most: Largest stiffness that delay and period bear [N/m].
@@ -107,11 +110,11 @@ class Compliance(NamedTuple):
         h: Control period [s].
         body, inertia: The robot that is believed in, and room to evaluate it, for M.
         torque: (p,) `J' F + P' K P s`, written.
-        state: Integral of the force, way gone, direction (3,), x_c (6,) and its rate (6,).
+        state: Integral of the force, way gone, direction (3,), x_c (6,), its rate (6,), 1 once V is known, and V then.
         work: HandScratch.
     """
 
-    chain: Chain
+    tip: Tip
     offset: Array
     columns: Array
     rows: int
@@ -139,65 +142,57 @@ def wish(row: Array, at: IntArray, c: Compliance) -> None:
     """Bend the velocity that is asked for, in the row, and find the torque of the hand, `c.torque`."""
     w = c.work
     see(row, at, c)
-    asked, error, rate, b, s = w.b[0], w.b[1], w.b[2], w.b[4], w.s[0]
+    asked, error, rate, b, s, later = w.b[0], w.b[1], w.b[2], w.b[4], w.s[0], w.s[1]
     copy_to(w.twist[0], asked)
     copy_to(w.bias[0], rate)
     displacement(w.place[0], w.place[1], error)
     leave_to_force(row[at[TIME]], c)
     stored = admit(row, row[at[TIME]], c) if c.mass.size else 0.0
-    factor(c)
-    copy_to(view(row, at, NU_REF), s)
-    copy_to(view(row, at, NUDOT_REF), w.nudot)
-    give_way(row, at, c, s, w.nudot)
-    toward(asked, s, c, b)
-    lift(b, c, s)
-    for i in range(c.rows):
-        rate[i] -= w.bias[1, i]
-    toward(rate, w.nudot, c, b)
-    lift(b, c, w.nudot)
+    for i in range(s.size):
+        s[i] = row[at[NU_REF] + i]
+        later[i] = s[i] + MOMENT * row[at[NUDOT_REF] + i]
+    share(asked, w.J[0], s, c, b)
+    for i in range(6):
+        asked[i] += MOMENT * rate[i]
+    share(asked, w.J[1], later, c, b)
+    for i in range(6):
+        asked[i] -= MOMENT * rate[i]
     nb = at[Z + 1] - at[Z]
     for i in range(s.size):
-        row[at[NU_REF] + i], row[at[NUDOT_REF] + i] = s[i], w.nudot[i]
+        row[at[NU_REF] + i], row[at[NUDOT_REF] + i] = s[i], (later[i] - s[i]) / MOMENT
         if i < nb:
-            row[at[ALPHA] + i], row[at[ALPHADOT] + i] = s[i], w.nudot[i]
-        s[i] -= w.nu[1, i]
+            row[at[ALPHA] + i], row[at[ALPHADOT] + i] = s[i], row[at[NUDOT_REF] + i]
+        s[i] -= w.nu[i]
         row[at[Z] + i if i < nb else at[R] + i - nb] = s[i]
-    row[at[STORAGE]] = stored if c.mass.size else hand_torque(row, row[at[TIME]], c)
+    if not c.mass.size:
+        stored = hand_torque(row, row[at[TIME]], c) + 0.5 * quadratic(c.inertia.M, s)
+    if c.state[BEGUN] == 0.0:
+        c.state[BEGUN], c.state[AT_FIRST] = 1.0, stored
+    row[at[STORAGE]], row[at[INJECTED]] = stored, stored - c.state[AT_FIRST]
     for i in range(3):
         row[at[ASKED_FORCE] + i] = w.b[3, i]
 
 
 @compiled
 def see(row: Array, at: IntArray, c: Compliance) -> None:
-    """Where the hand is and how it moves, as the setpoint has it (bias 0: its acceleration), and as it is measured."""
-    w, nb = c.work, at[Z + 1] - at[Z]
+    """Where the hand is and how it moves: of the setpoint, as measured, and a moment later as it moves now."""
+    w, tip, twist = c.work, c.tip, at[VELOCITY_REF + 1] - at[VELOCITY_REF]
     pose, v, a = view(row, at, POSE_REF), view(row, at, VELOCITY_REF), view(row, at, ACCELERATION_REF)
     q_ref, qdot_ref, qddot_ref = view(row, at, Q_REF), view(row, at, QDOT_REF), view(row, at, QDDOT_REF)
-    as_measured(c.offset, c.columns, pose, v, q_ref, qdot_ref, w.position, w.nu[0])
-    move(c.chain, w.position, w.nu[0], w.place[0], w.twist[0], w.bias[0], w.J)
+    as_measured(c.offset, c.columns, pose, v, q_ref, qdot_ref, w.position, w.led)
+    move(tip.chain, w.position, w.led, w.place[0], w.twist[0], w.bias[0], tip.J)
     for i in range(6):
-        for j in range(w.nudot.size):
-            w.bias[0, i] += w.J[i, j] * (a[j] if j < nb else qddot_ref[j - nb])
+        for j in range(w.led.size):
+            w.bias[0, i] += tip.J[i, j] * (a[j] if j < twist else qddot_ref[j - twist])
     pose, velocity, q, qdot = view(row, at, POSE), view(row, at, VELOCITY), view(row, at, Q), view(row, at, QDOT)
-    as_measured(c.offset, c.columns, pose, velocity, q, qdot, w.position, w.nu[1])
-    move(c.chain, w.position, w.nu[1], w.place[1], w.twist[1], w.bias[1], w.J)
-    if not c.mass.size:
-        evaluate(c.body, c.inertia, w.position, w.nu[1])
-
-
-@compiled
-def give_way(row: Array, at: IntArray, c: Compliance, nu: Array, nudot: Array) -> None:
-    """Leave a share of the base's feedback out of what the kinematic layer asks for, where it does not station it."""
-    nb = at[Z + 1] - at[Z]
-    v, a = view(row, at, VELOCITY_REF), view(row, at, ACCELERATION_REF)
-    cosine, sine = (1.0, 0.0) if nb < 3 else cos_sin(row[at[POSE_ERROR] + 2])
-    for i in range(nb):
-        own, rate = v[i], a[i]
-        if nb == 3 and i < 2:
-            own = cosine * v[0] - sine * v[1] if i == 0 else sine * v[0] + cosine * v[1]
-            rate = cosine * a[0] - sine * a[1] if i == 0 else sine * a[0] + cosine * a[1]
-        nu[i] = own + c.station * (nu[i] - own)
-        nudot[i] = rate + c.station * (nudot[i] - rate)
+    as_measured(c.offset, c.columns, pose, velocity, q, qdot, w.position, w.nu)
+    put_shape(c.body.shape, view(row, at, SHAPE), w.position)
+    evaluate(c.body, c.inertia, w.position, w.nu)
+    move_tip(tip, w.position, w.nu, w.place[1], w.twist[1], w.bias[1], w.J[0])
+    position_rate(w.position, w.nu, c.inertia.v, c.body.base, c.body.sideways, c.inertia.maps.eta, w.rate)
+    for i in range(w.rate.size):
+        w.position[i] += MOMENT * w.rate[i]
+    move_tip(tip, w.position, w.nu, w.place[2], w.twist[2], w.bias[2], w.J[1])
 
 
 @compiled
@@ -234,53 +229,41 @@ def leave_to_force(time: float, c: Compliance) -> None:
 
 
 @compiled
-def toward(twist: Array, nu: Array, c: Compliance, b: Array) -> None:
-    """`b = twist - J nu` in the task's rows."""
-    for i in range(c.rows):
+def share(twist: Array, J: Array, nu: Array, c: Compliance, b: Array) -> None:
+    """`nu += W J' (J W J')^-1 (twist - J nu)` in the task's rows, regularized where the hand cannot move."""
+    A, total, m = c.work.A[0], 0.0, c.rows
+    for i in range(m):
         b[i] = twist[i]
         for j in range(nu.size):
-            b[i] -= c.work.J[i, j] * nu[j]
-
-
-@compiled
-def factor(c: Compliance) -> None:
-    """`A = J W J'` of the task's rows, regularized where the hand cannot move."""
-    A, J, total = c.work.A[0], c.work.J, 0.0
-    for i in range(c.rows):
-        for k in range(c.rows):
+            b[i] -= J[i, j] * nu[j]
+        for k in range(m):
             A[i, k] = 0.0
-            for j in range(J.shape[1]):
+            for j in range(nu.size):
                 A[i, k] += J[i, j] * c.weights[j] * J[k, j]
         total += A[i, i]
-    for i in range(c.rows):
+    for i in range(m):
         A[i, i] += 1e-6 * total
-
-
-@compiled
-def lift(twist: Array, c: Compliance, nu: Array) -> None:
-    """`nu += W J' A^-1 twist`: the velocity of least weight that moves the hand so."""
-    w, m = c.work, c.rows
-    solve(w.A[0], twist[:m], w.A[1], twist[:m])
+    solve(A, b[:m], c.work.A[1], b[:m])
     for j in range(nu.size):
         for i in range(m):
-            nu[j] += c.weights[j] * w.J[i, j] * twist[i]
+            nu[j] += c.weights[j] * J[i, j] * b[i]
 
 
 @compiled
 def factor_inertia(c: Compliance) -> None:
     """`X = J M^-1` and `J M^-1 J'`, regularized likewise."""
-    w, A, total = c.work, c.work.A[0], 0.0
+    w, A, J, total = c.work, c.work.A[0], c.work.J[0], 0.0
     for i in range(c.rows):
         if i == 0:
-            solve(c.inertia.M, w.J[0], w.L, w.X[0])
+            solve(c.inertia.M, J[0], w.L, w.X[0])
         else:
-            copy_to(w.J[i], w.X[i])
+            copy_to(J[i], w.X[i])
             substitute(w.L, w.X[i])
     for i in range(c.rows):
         for k in range(c.rows):
             A[i, k] = 0.0
-            for j in range(w.J.shape[1]):
-                A[i, k] += w.J[i, j] * w.X[k, j]
+            for j in range(J.shape[1]):
+                A[i, k] += J[i, j] * w.X[k, j]
         total += A[i, i]
     for i in range(c.rows):
         A[i, i] += 1e-6 * total
@@ -311,13 +294,13 @@ def hand_torque(row: Array, time: float, c: Compliance) -> float:
     push(row, time, w.twist[1], c, F)
     factor_inertia(c)
     copy_to(w.s[0], torque)
-    take_out(w.J, w.X, torque, c, b)  # P s
+    take_out(w.J[0], w.X, torque, c, b)  # P s
     for j in range(torque.size):
         torque[j] *= c.still[j]
-    take_out(w.X, w.J, torque, c, b)  # P' K P s
+    take_out(w.X, w.J[0], torque, c, b)  # P' K P s
     for j in range(torque.size):
         for i in range(6):
-            torque[j] += w.J[i, j] * F[i]
+            torque[j] += w.J[0, i, j] * F[i]
     return stored
 
 

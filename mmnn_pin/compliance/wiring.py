@@ -7,9 +7,9 @@ from numpy.typing import ArrayLike
 
 from ..elementary.matrices import inverse, length, product
 from ..errors import ConfigError, keyed
-from ..model.base.steered import SteeredBase
-from ..model.chain import SIZE, chain_of, hands_of, move, pushing
+from ..model.chain import SIZE, hands_of, pushing
 from ..model.robot import Robot
+from ..model.tip import jacobian_at, tip_of
 from ..model.tree.body import body_of, evaluate, new_work
 from ..signals import Array
 from .bound import Held, bound_of
@@ -64,16 +64,12 @@ def compliance_of(
 
     Raises:
         ConfigError: No such hand, not one number per axis or joint, or a stiffness beyond the bound.
-        RobotError: A base that steers, a frame that cannot be led, or a joint that cannot be flattened.
+        RobotError: A frame that cannot be led, or a joint that cannot be flattened.
     """
-    if isinstance(robot.base, SteeredBase):
-        what, fix = f"a compliant hand on the {robot.base.kind} base of '{robot.name}'", "use another base"
-        raise ConfigError(what, why="its wheels have to turn before they give way", fix=fix, key="impedance")
     with keyed(lambda key: "impedance.frame"):
-        chain = chain_of(robot, hand_of(impedance, robot))
+        tip = tip_of(robot, hand_of(impedance, robot))
     d = robot.dimensions
-    J, place = np.zeros((6, d.dof)), np.zeros(SIZE)
-    move(chain, position, np.zeros(d.dof), place, np.zeros(6), np.zeros(6), J)
+    place, J = jacobian_at(tip, position)
     body = body_of(believed)
     inertia = new_work(body)
     evaluate(body, inertia, position, np.zeros(d.dof))
@@ -83,7 +79,9 @@ def compliance_of(
     masses = hand_masses(M, J, place if impedance.axes == "hand" else None)
     numbers = np.zeros(FORCE)
     if force is not None:
-        along = pushing(chain, position, d.arm) if force.along is None else np.array(force.along) / length(force.along)
+        along = (
+            pushing(tip.chain, position, d.arm) if force.along is None else np.array(force.along) / length(force.along)
+        )
         numbers[:] = (
             force.newtons, force.start, force.rise, force.gain, float(force.follow), force.speed, force.far,
             force.turning,
@@ -94,7 +92,7 @@ def compliance_of(
         why, fix = "the arm takes no torques, and nothing tells what it feels", "drive the arm by effort"
         raise ConfigError(f"a compliant hand of '{robot.name}'", why=why, fix=fix, key="impedance")
     made = Compliance(
-        chain=chain,
+        tip=tip,
         offset=robot.arm_map()[0],
         columns=robot.arm_map()[1],
         rows=rows,
@@ -115,21 +113,23 @@ def compliance_of(
         torque=np.zeros(d.dof),
         state=state,
         work=HandScratch(
-            place=np.zeros((2, SIZE)),
-            twist=np.zeros((2, 6)),
-            bias=np.zeros((2, 6)),
+            place=np.zeros((3, SIZE)),
+            twist=np.zeros((3, 6)),
+            bias=np.zeros((3, 6)),
             position=np.zeros(d.full),
-            nu=np.zeros((2, d.dof)),
+            rate=np.zeros(d.full),
+            led=np.zeros(tip.nu.size),
+            nu=np.zeros(d.dof),
             nudot=np.zeros(d.dof),
-            J=J,
+            J=np.stack((J, J)),
             A=np.zeros((2, rows, rows)),
             X=np.zeros((rows, d.dof)),
             L=np.zeros((d.dof, d.dof)),
             b=np.zeros((5, 6)),
-            s=np.zeros((1, d.dof)),
+            s=np.zeros((2, d.dof)),
         ),
     )
-    bound = bound_of(made, M, held)
+    bound = bound_of(made, M, held, lambda factor: dampers(impedance, factor * springs, masses))
     bound.require(impedance)
     return made._replace(most=bound.factor * max(LEAST_STIFFNESS, float(np.max(springs[:3]))))
 

@@ -6,7 +6,7 @@ nu: they are the `f` of `M nudot + C nu + gravity + friction = tau + f`, and the
 """
 
 from .effects import BRAKE, Forces, Pushes, block
-from .scene import HingedDoor, Surface, Touched, scene_of, scene_size, touched_frame
+from .scene import WORK, HingedDoor, Surface, Touched, scene_of, scene_size, touched_frame
 from .settings import (
     BlockedJoint,
     CommandFault,

@@ -30,6 +30,7 @@ class Forces(NamedTuple):
         nu: (p,) how it moves, likewise.
         by_hand: (p,) what of `force` acts at a frame, `J' F`, likewise.
         hand: (6,) where that is in the world, and F [m, N], likewise.
+        n: (3,) direction of u of a base that steers, likewise.
     """
 
     force: Array
@@ -37,6 +38,7 @@ class Forces(NamedTuple):
     nu: Array = NOTHING
     by_hand: Array = NOTHING
     hand: Array = NOTHING
+    n: Array = NOTHING
 
 
 @by_address

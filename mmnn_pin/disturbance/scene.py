@@ -17,11 +17,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import compiled, internal
+from ..compiled import compiled, copy_to, internal
 from ..elementary import cos_sin, tanh
 from ..errors import ConfigError
-from ..model.chain import SIZE, Chain, chain_of, hands_of, move, pushing, track
+from ..model.chain import SIZE, hands_of, pushing, track
 from ..model.robot import Robot
+from ..model.tip import Tip, move_tip, tip_of
 from ..signals import EARLY, Array
 from .effects import Forces
 from .settings import Window, of_type
@@ -34,6 +35,7 @@ TURNING = 0.02  # rate over which friction of a hinge grows to its value [rad/s]
 NORMAL, STIFFNESS, DAMPING, FRICTION, START, END, SURFACE = 0, 3, 4, 5, 6, 7, 8
 REACH, SENSE, INERTIA, GRIP, GRIP_DAMPING, TORQUE, HINGE_DAMPING, ON, OFF, DOOR = 0, 2, 3, 4, 5, 6, 7, 8, 9, 10
 ANGLE, RATE = 0, 1
+POINT, LAST, WORK, DONE = 0, 3, 6, 7  # of what a scene remembers of the frame: where it was, the force, its work
 
 
 class Surface(Window, frozen=True, kw_only=True, tag="surface"):
@@ -137,32 +139,35 @@ class Touched(NamedTuple):
 
     Attributes:
         dt: Step of the plant [s].
-        chain: From the world to the frame.
+        tip: The frame.
         place, twist, bias: Of the frame, written.
         J: (6, p) its Jacobian, written.
         surfaces: (k, SURFACE).
         door: (DOOR,), or (0,) without one.
-        state: Places (k, 3) of the surfaces and hinge (3,), flat, then the angle of the door and its rate: the
-            hardware's.
+        done: (DONE,) where the frame was a step ago and the force there, and the work since the start [J].
+        state: Places (k, 3) of the surfaces and hinge (3,), flat, then the angle of the door and its rate.
     """
 
     dt: float
-    chain: Chain
+    tip: Tip
     place: Array
     twist: Array
     bias: Array
     J: Array
     surfaces: Array
     door: Array
+    done: Array
     state: Array
 
     @internal
     def act(self, wire: Forces, k: int, time: float) -> None:
         """Add the force of the step that begins at a time; the door moves on by it."""
-        move(self.chain, wire.position, wire.nu, self.place, self.twist, self.bias, self.J)
-        hand = wire.hand
+        copy_to(wire.n, self.tip.maps.n)
+        move_tip(self.tip, wire.position, wire.nu, self.place, self.twist, self.bias, self.J)
+        hand, done = wire.hand, self.done
         for i in range(3):
             hand[i], hand[3 + i] = self.place[9 + i], 0.0
+            done[WORK] += done[LAST + i] * (hand[i] - done[POINT + i])
         for i in range(self.surfaces.shape[0]):
             if in_time(self.surfaces[i, START], self.surfaces[i, END], time):
                 press(self.surfaces[i], self.state[3 * i : 3 * i + 3], self.twist, hand)
@@ -173,6 +178,8 @@ class Touched(NamedTuple):
             for i in range(3):
                 wire.by_hand[j] += self.J[i, j] * hand[3 + i]
             wire.force[j] += wire.by_hand[j]
+        copy_to(hand[:3], done[POINT : POINT + 3])
+        copy_to(hand[3:], done[LAST : LAST + 3])
 
 
 @compiled
@@ -247,7 +254,7 @@ def touched_frame(disturbances: Sequence[Any], robot: Robot) -> str:
 def scene_size(disturbances: Sequence[Any]) -> int:
     """How many numbers a scene remembers, 0 without one."""
     found = touching(disturbances)
-    return 3 * len(found) + 2 * any(isinstance(one, HingedDoor) for _, one in found)
+    return 3 * len(found) + 2 * any(isinstance(one, HingedDoor) for _, one in found) + (DONE if found else 0)
 
 
 def scene_of(
@@ -266,13 +273,13 @@ def scene_of(
     if not frame:
         return None
     found = [one for _, one in touching(disturbances)]
-    chain, p = chain_of(robot, frame), robot.dimensions.dof
-    hand = track(chain, position[None])[0, 9:]
+    tip, p, done, state = tip_of(robot, frame), robot.dimensions.dof, state[:DONE], state[DONE:]
+    hand = track(tip.chain, position[None])[0, 9:]
     c, s = cos_sin(float(position[2])) if robot.dimensions.base else (1.0, 0.0)
     rows, door = [], np.zeros(0)
     for i, one in enumerate(found):
         if isinstance(one, Surface):
-            normal = -pushing(chain, position, robot.dimensions.arm) if one.normal is None else np.array(one.normal)
+            normal = -pushing(tip.chain, position, robot.dimensions.arm) if one.normal is None else np.array(one.normal)
             normal = normal / math.sqrt(float(np.sum(np.square(normal))))
             state[3 * i : 3 * i + 3] = hand - one.gap * normal if one.at is None else one.at
             rows.append((*normal, one.stiffness, one.damping, one.friction, one.start, one.end))
@@ -285,6 +292,6 @@ def scene_of(
             numbers = one.inertia, one.grip, one.grip_damping, one.friction, one.damping, one.start, one.end
             door = np.array([*-to_hinge[:2], sense, *numbers])
     return Touched(
-        float(dt), chain, np.zeros(SIZE), np.zeros(6), np.zeros(6), np.zeros((6, p)),
-        np.array(rows, float).reshape(-1, SURFACE), door, state,
+        float(dt), tip, np.zeros(SIZE), np.zeros(6), np.zeros(6), np.zeros((6, p)),
+        np.array(rows, float).reshape(-1, SURFACE), door, done, state,
     )  # fmt: skip

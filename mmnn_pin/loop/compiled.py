@@ -239,7 +239,7 @@ def drive(k: int, time: float, run: CompiledRun, true: Machine, hardware: Hardwa
     """Motors, pushes and blocked joints of sample k over the step at a time [s]: `hardware.tau`, `work.hold`."""
     turn_motors(hardware, true.work.maps)
     rotate(true.nu, hardware.E, hardware.motors.wire.joint)
-    see_world(true.position, true.nu, hardware.world)
+    see_world(true.position, true.nu, true.work.maps, hardware.world)
     push(k, time, hardware)
     if hardware.split is not None:
         wire = hardware.motors.wire

@@ -32,7 +32,8 @@ from ..signals import EARLY, INDEX, Array, IntArray
 from ..touch import Feeler
 from .servo import Split
 
-HAND_FORCE, OPENING = INDEX["hand_force"], INDEX["opening"]
+HAND_FORCE, HAND_WORK, OPENING = INDEX["hand_force"], INDEX["hand_work"], INDEX["opening"]
+INJECTED = INDEX["injected"]
 APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
 TORQUE, PSI_HAT, POSE, SHAPE = INDEX["torque"], INDEX["psi_hat"], INDEX["pose"], INDEX["shape"]
 PSI_APPLIED, NUDOT_REF = INDEX["psi_applied"], INDEX["nudot_ref"]
@@ -123,6 +124,8 @@ class Totals(NamedTuple):
         command: (motors,) torques that reach the motors [N m or N].
         force: (p,) sum of what the world did.
         hand: (3,) sum of the force at the frame that touches something, (0,) without one.
+        work: (2,) work of that force up to the period's beginning [J], and how many steps it has had.
+        done: (1,) its work up to now, (0,) without such a frame [J].
         door: (2,) angle and rate of the door, (0,) without one.
     """
 
@@ -131,6 +134,8 @@ class Totals(NamedTuple):
     command: Array
     force: Array
     hand: Array
+    work: Array
+    done: Array
     door: Array
 
 
@@ -308,6 +313,7 @@ def send(k: int, time: float, row: Array, at: IntArray, weights: Array, way: Way
         states.sum[j] = 0.0
     way.totals.force[:] = 0.0
     way.totals.hand[:] = 0.0
+    way.totals.work[:] = 0.0
 
 
 @compiled
@@ -376,11 +382,12 @@ def push(k: int, time: float, hardware: Hardware) -> None:
 
 
 @linked
-def see_world(position: Array, nu: Array, world: World) -> None:
-    """Show what a hand touches where the robot is (nv,) and how it moves (p,), before `act`."""
+def see_world(position: Array, nu: Array, maps: Maps, world: World) -> None:
+    """Show what a hand touches where the robot is (nv,), how it moves (p,), and by which maps, before `act`."""
     if world.wire.position.size:
         copy_to(position, world.wire.position)
         copy_to(nu, world.wire.nu)
+        copy_to(maps.n, world.wire.n)
 
 
 @linked
@@ -407,8 +414,12 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
         for i in range(tau.size):
             tau[i] += world.wire.force[i]
             hardware.way.totals.force[i] += world.wire.force[i]
-        for i in range(hardware.way.totals.hand.size):
-            hardware.way.totals.hand[i] += world.wire.hand[3 + i]
+        totals = hardware.way.totals
+        if totals.done.size and totals.work[1] == 0.0:
+            totals.work[0] = totals.done[0]
+        totals.work[1] += 1.0
+        for i in range(totals.hand.size):
+            totals.hand[i] += world.wire.hand[3 + i]
 
 
 @compiled
@@ -437,5 +448,9 @@ def note(steps: int, row: Array, at: IntArray, totals: Totals) -> None:
         row[at[DISTURBANCE] + i] = totals.force[i] / steps
     for i in range(at[HAND_FORCE + 1] - at[HAND_FORCE]):
         row[at[HAND_FORCE] + i] = totals.hand[i] / steps
+    for i in range(min(totals.done.size, at[HAND_WORK + 1] - at[HAND_WORK])):
+        row[at[HAND_WORK] + i] = totals.work[0]
+    for i in range(at[INJECTED + 1] - at[INJECTED]):
+        row[at[INJECTED] + i] -= totals.work[0]
     for i in range(min(totals.door.size, at[OPENING + 1] - at[OPENING])):
         row[at[OPENING] + i] = totals.door[i]

@@ -150,6 +150,9 @@ def task_of(loop: Setup, position: Array, on: Array, state: Array) -> Compliance
     if not isinstance(loop.controller, CompiledController | LearningLaw):
         what, why = f"'{loop.controller.name}' under a compliant hand", "it tells no gain that the hand could replace"
         raise ConfigError(what, why=why, fix="use a controller of this package, or a `LearningLaw`", key="impedance")
+    if loop.kinematic.guide == "trailer":
+        what, why = "a compliant hand behind a guided trailer", "its setpoint is told from the base"
+        raise ConfigError(what, why=why, fix='use kinematic.guide = "base"', key="kinematic.guide")
     layout = loop.layout
     felt = int(layout.where("external_wrench").start) if layout.touch else -1
     held = Held(
@@ -216,6 +219,7 @@ def new_touch(loop: Setup, parts: list[Array], kinds: tuple[str, ...], steering:
         felt=np.array([kind == "effort" for kind in kinds], float),
         gains=stopping_gains(loop),
         gives=loop.safety is not None and loop.safety.contact == "comply",
+        eases=loop.impedance is None,
     )
     return new_feeler(touch, described, regressor_of(described), sending, new_state(parts))
 
@@ -293,9 +297,10 @@ def frozen_encoders(loop: Setup) -> Array:
 
 def totals_of(motors: Motors, states: MotorState, layout: Layout, scene: Touched | None) -> Totals:
     """The sums over a control period, of a scene those of its forces, too."""
-    hand = np.zeros(0 if scene is None else 3)
+    hand, work = np.zeros(0 if scene is None else 3), np.zeros(2)
+    done = np.zeros(0) if scene is None else scene.done[disturbance.WORK :]
     door = scene.state[-2:] if scene is not None and scene.door.size else np.zeros(0)
-    return Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof), hand, door)
+    return Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof), hand, work, done, door)
 
 
 def world_of(loop: Setup, rng: np.random.Generator, scene: Touched | None) -> World:
@@ -318,7 +323,7 @@ def world_of(loop: Setup, rng: np.random.Generator, scene: Touched | None) -> Wo
     forces, effects = Forces(np.zeros(d.dof)), tuple[Any, ...]((pushes,))
     if scene is not None:
         forces = forces._replace(
-            position=np.zeros(d.full), nu=np.zeros(d.dof), by_hand=np.zeros(d.dof), hand=np.zeros(6)
+            position=np.zeros(d.full), nu=np.zeros(d.dof), by_hand=np.zeros(d.dof), hand=np.zeros(6), n=np.zeros(3)
         )
         effects = (pushes, scene)
     return World(len(pushes.table) > 0 or scene is not None, forces, effects, blocked, pick, drop, np.zeros(2))

@@ -134,7 +134,7 @@ class OrdinaryLoop:
         plant, world = self.plant, hardware.world
         turn_motors(hardware, plant.dynamics.maps)
         plant.motor_speeds(hardware.motors.wire.joint)
-        see_world(plant.position, plant.nu, world)
+        see_world(plant.position, plant.nu, plant.dynamics.maps, world)
         push(k, time, hardware)
         if hardware.split is not None:
             wire = hardware.motors.wire

@@ -557,6 +557,15 @@ def alike(steering: Steering | None, model: Any) -> Steering | None:
     return steering._replace(maps=steering.maps._replace(n=maps.n))
 
 
+def counting(task: Compliance | None, steering: Steering | None) -> Compliance | None:
+    """A compliant hand that counts u of a base that steers as its steering does."""
+    if task is None or steering is None:
+        return task
+    tip, inertia, n = task.tip, task.inertia, steering.maps.n
+    maps = tip.maps._replace(n=n), inertia.maps._replace(n=n)
+    return task._replace(tip=tip._replace(maps=maps[0]), inertia=inertia._replace(maps=maps[1]))
+
+
 class Control:
     """Kinematic layer, controller and supervisor wired to one row.
 
@@ -572,8 +581,9 @@ class Control:
 
     def __init__(self, plan: Plan, row: Array, state: Any, hardware: Hardware | None) -> None:
         self.torque = torque = Torque(plan.controller, plan.context, row, plan.believed, state, plan.lead)
+        task = None if hardware is None else hardware.task
         self.controls = torque.controls._replace(
-            gains=plan.gains,
+            gains=plan.gains if task is None else task.station * plan.gains,
             K=plan.K,
             setpoints=plan.setpoints,
             then=plan.setpoints[0].copy(),
@@ -591,7 +601,7 @@ class Control:
         torque, own = self.torque, None if self.torque.compiled else self.torque
         self.hardware, (split, touch) = hardware, (None, None) if hardware is None else (hardware.split, hardware.touch)
         learned = torque.learner, torque.limits, torque.ahead, torque.later
-        task = None if hardware is None else hardware.task
+        task = None if hardware is None else counting(hardware.task, self.steering)
         kept = (None, None) if touch is None else (torque.kept, torque.held)
         self.blocks = (self.controls, torque.model, hardware, *learned, split, self.steering, task, touch, *kept, own)
 

@@ -38,7 +38,7 @@ from .suited import postures
 # What only a simulated plant knows; a recording from outside does not have these signals.
 UNKNOWN = (
     "position", "nu", "true_pose_error", "true_z", "true_e", "psi", "applied", "disturbance",
-    "energy", "work", "energy_residual",
+    "injected", "energy", "work", "energy_residual",
 )  # fmt: skip
 KNOWN = [name for name, *_ in SIGNALS if name not in UNKNOWN]
 Streams = tuple[np.random.Generator, np.random.Generator, np.random.Generator]

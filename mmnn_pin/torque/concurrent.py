@@ -23,7 +23,7 @@ import math
 from abc import abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -182,36 +182,50 @@ def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
         state: The controller's state, see `Recalled`.
     """
     p, k = a.Phi.shape
-    o, f, nb = recalled_of(state, a.layout), a.filter, p - a.filter.q.size
+    o = recalled_of(state, a.layout)
     w, seen = o.w, o.filtered
+    respond(row, at, a, w)
+    if not a.learning:
+        return
+    answer(row, at, a, w, o.stack.P)
+    if not has_equation(row, at, a, o.samples, seen):
+        return
+    for i in range(p):
+        a.y[i] = a.precision[i] * seen.Y_f[i]
+        for j in range(k):
+            a.Phi[i, j] = a.precision[i] * seen.Phi_f[i, j]
+    consider(o.stack, a.scratch, a.Phi, a.y, row[at[TIME]], a.growth, a.lifetime, a.floor)
+    estimate_of(o.stack, a.target)
+    into_ball(a.target, a.radius)
+    share = 1.0 - exp(-a.rate * a.every * a.h)
+    for j in range(k):
+        w[j] += share * (a.target[j] - w[j])
+
+
+@internal
+def respond(row: Array, at: IntArray, a: Any, w: Array) -> None:
+    """Psi_hat, gain and |w| of one sample, for a learner with `known`, `basis`, `theta0`, `gain`, `Phi` and `psi0`."""
     nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
     velocity, qdot = row[at[VELOCITY] : at[Q]], row[at[QDOT] : at[QDOT + 1]]
     pose, q, shape = row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], row[at[SHAPE] : at[SHAPE + 1]]
     features(a.known, a.basis, a.theta0, Movement(pose, q, velocity, qdot, nu_ref, nudot_ref, shape), a.Phi, a.psi0)
     say(row, at, a.gain, a.Phi, a.psi0, w)
-    if not a.learning:
-        return
-    answer(row, at, a, w, o.stack.P)
-    now = int(o.samples[0]) % a.every == 0
-    o.samples[0] += 1.0
+
+
+@internal
+def has_equation(row: Array, at: IntArray, a: Any, samples: Array, seen: Filtered) -> bool:
+    """Take the last period into the filter of torque and features; whether an equation is due that it gives."""
+    f, now = a.filter, int(samples[0]) % a.every == 0
+    samples[0] += 1.0
     if not period(row, at, f, seen):
-        return
+        return False
+    nb = a.gain.size - f.q.size
     movement = Movement(f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot, f.shape)
     features(a.known, a.basis, a.theta0, movement, a.Phi, a.psi0)
-    for i in range(p):
+    for i in range(a.gain.size):
         f.torque[i] -= a.psi0[i]
     low_pass(f, a.Phi, seen)
-    if now:
-        for i in range(p):
-            a.y[i] = a.precision[i] * seen.Y_f[i]
-            for j in range(k):
-                a.Phi[i, j] = a.precision[i] * seen.Phi_f[i, j]
-        consider(o.stack, a.scratch, a.Phi, a.y, row[at[TIME]], a.growth, a.lifetime, a.floor)
-        estimate_of(o.stack, a.target)
-        into_ball(a.target, a.radius)
-        share = 1.0 - exp(-a.rate * a.every * a.h)
-        for j in range(k):
-            w[j] += share * (a.target[j] - w[j])
+    return now
 
 
 @internal

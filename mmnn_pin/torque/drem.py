@@ -48,16 +48,14 @@ from ..model.regressor import Massless
 from ..parts import Matrix, Vector, layout_of, views
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
-from .concurrent import SHARE, CombinationLearner, features, say
+from .concurrent import SHARE, CombinationLearner, has_equation, respond
 from .controller import Context, ControllerState, Law
-from .filtered import Filter, Filtered, low_pass, new_filter, parts, period, remember
+from .filtered import Filter, Filtered, new_filter, parts, remember
 from .history import inverse
 from .law import KERNELS, Kernels, constant_gain
 from .prior import require_one_start
-from .random_features import Movement
 
-POSE, VELOCITY, Q, QDOT, SHAPE = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "shape"))
-Z, R, NU_REF, NUDOT_REF = (INDEX[name] for name in ("z", "r", "nu_ref", "nudot_ref"))
+Z, R = (INDEX[name] for name in ("z", "r"))
 FAINT = 0.01  # information of a prior of ten times the size, that makes Omega invertible
 OPEN = 0.1  # share of that prior variance which, where it is left of a parameter, leaves it as it is
 BOUND = 10.0  # on every w, in standard deviations of the prior
@@ -173,25 +171,12 @@ mixed_of = views(Mixed)
 @linked
 def estimate(row: Array, at: IntArray, a: Mixing, state: Array) -> None:
     """Psi_hat and gain of one sample, then the update of w and of the integrals; arguments as of `law.estimate`."""
-    o, f, nb = mixed_of(state, a.layout), a.filter, a.gain.size - a.filter.q.size
-    nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
-    velocity, qdot = row[at[VELOCITY] : at[Q]], row[at[QDOT] : at[QDOT + 1]]
-    pose, q, shape = row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], row[at[SHAPE] : at[SHAPE + 1]]
-    features(a.known, a.basis, a.theta0, Movement(pose, q, velocity, qdot, nu_ref, nudot_ref, shape), a.Phi, a.psi0)
-    say(row, at, a.gain, a.Phi, a.psi0, o.w)
+    o = mixed_of(state, a.layout)
+    respond(row, at, a, o.w)
     if not a.learning:
         return
     follow(row, at, a, o.w)
-    now = int(o.samples[0]) % a.every == 0
-    o.samples[0] += 1.0
-    if not period(row, at, f, o.filtered):
-        return
-    movement = Movement(f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot, f.shape)
-    features(a.known, a.basis, a.theta0, movement, a.Phi, a.psi0)
-    for i in range(a.gain.size):
-        f.torque[i] -= a.psi0[i]
-    low_pass(f, a.Phi, o.filtered)
-    if now:
+    if has_equation(row, at, a, o.samples, o.filtered):
         extend(a, o)
         mix(a, o)
 

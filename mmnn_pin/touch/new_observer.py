@@ -37,6 +37,7 @@ class Sending(NamedTuple):
         felt: (p,) 1 where a torque is sent, 0 where a servo holds a velocity.
         gains: (p,) feedback on the velocities, by which small torques are measured.
         gives: Whether the robot gives way to contact.
+        eases: Whether its feedback is eased back after that.
     """
 
     period: float
@@ -49,6 +50,7 @@ class Sending(NamedTuple):
     felt: Array
     gains: Array
     gives: bool = False
+    eases: bool = True
 
 
 def touch_shapes(
@@ -64,10 +66,10 @@ def touch_shapes(
         saved: Size of what a learner knows, 0 where it is not to go back.
     """
     p, groups = layout.dof, len(groups_of(regressor)) - 1
-    vectors = ((p,),) * 5
+    vectors = ((p,),) * 6
     load = (LOAD, p), (LOAD,), (LOAD + 1, LOAD + 1)
     sent = (1 + math.ceil(way / period), p), (p,)
-    return (12,), *vectors, (2, p), (p,), (groups, p), *load, (p, p), (p, p), (2, saved), *sent
+    return (13,), *vectors, (2, p), (p,), (groups, p), *load, (p, p), (p, p), (2, saved), *sent
 
 
 def new_state(parts: list[Array]) -> TouchState:
@@ -114,6 +116,7 @@ def new_feeler(touch: Touch, robot: Robot, regressor: Regressor, sending: Sendin
         settle=float(touch.settle),
         freezes=LEARNING[touch.learning],
         gives=int(sending.gives),
+        eases=int(sending.eases),
         yields=float(touch.yields),
         back=float(touch.back),
     )

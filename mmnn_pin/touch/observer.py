@@ -66,7 +66,7 @@ AVERAGED = 1.0  # time over which noise is averaged [s]
 SELDOM = 5  # samples from one covariance of a learner to the next
 SETTLES = 5.0  # time constants of the observer before it is believed
 FORCE, MOMENT = 1e3, 3e2  # prior of the wrench [N, N m]
-TIME, COUNT, ELAPSED, WAIT, CLEAR, FELT, TOUCHED, SINCE, GIVES, BEGUN, AGE, WAITS = range(12)  # of a state's clock
+TIME, COUNT, ELAPSED, WAIT, CLEAR, FELT, TOUCHED, SINCE, GIVES, BEGUN, AGE, WAITS, EASED = range(13)  # of a clock
 REWIND = 0.3  # time between two copies of what a learner knows; the older one is taken where contact begins [s]
 LOAD = 4  # parameters of a load: mass and first moment
 DECIDES = 0.25  # time in which a load is told from a contact [s]
@@ -75,6 +75,7 @@ FORGETS = 0.3  # time over which what is felt is fitted [s]
 MISFIT = 0.1  # share of the squares that a load may leave
 REACH = 0.5  # how far from its joint a load may be [m]
 UNSURE = 0.2  # standard deviation of a load's share of r
+GONE = 0.01  # share of what a robot stood against that is nothing
 CERTAIN = 1e-9  # of the information about a load, relative, below which it is none
 
 
@@ -94,6 +95,7 @@ class TouchNumbers(NamedTuple):
         settle: How long a learner then waits [s].
         freezes: `ON`, `FROZEN` or `DEADZONE`, see `Touch.learning`.
         gives: 1 where the robot gives way to contact.
+        eases: 1 where the feedback is eased back after it.
         yields: Share of the feedback gains that damps it then.
         back: Largest velocity at which it goes back [m/s, rad/s].
     """
@@ -109,6 +111,7 @@ class TouchNumbers(NamedTuple):
     settle: float
     freezes: int
     gives: int
+    eases: int
     yields: float
     back: float
 
@@ -118,15 +121,16 @@ class TouchState(NamedTuple):
     """State of the observer.
 
     Attributes:
-        clock: (12,) time of the last sample [s], samples that have followed one another, time since the last
+        clock: (13,) time of the last sample [s], samples that have followed one another, time since the last
             measurement [s], time until the observer is believed [s], how long nothing was felt [s], 1 where something
             is felt in this sample, 1 while there is contact, how long something has been felt [s], 1 while a robot
             gives way, 1 where contact begins with this sample, age of the last copy of what is learned [s], 1
-            while a learner waits for the robot to be back.
+            while a learner waits for the robot to be back, share of `stood` that still stands.
         momentum: (p,) at the last measurement.
         bias: (p,) `C' nu - gravity - friction` there.
         last: (p,) nu there.
         impulse: (p,) of the motors since then [N s, N m s].
+        stood: (p,) torque of the world that the robot has lately stood against.
         residual: (p,) r with the model of the file [N, N m].
         beyond: (2, p) `Psi_hat - Psi` of the last sample, and behind the filter.
         weight: (p,) gravity and friction of the model.
@@ -146,6 +150,7 @@ class TouchState(NamedTuple):
     bias: Array
     last: Array
     impulse: Array
+    stood: Array
     residual: Array
     beyond: Array
     weight: Array
@@ -305,7 +310,7 @@ def begin(a: Feeler) -> None:
     """Nothing is felt, and nothing known of the noise."""
     s = a.state
     s.clock[COUNT], s.clock[WAIT] = 1.0, SETTLES / a.numbers.bandwidth
-    for i in range(CLEAR, WAITS + 1):
+    for i in range(CLEAR, EASED + 1):
         s.clock[i] = 0.0
     s.load[:] = 0.0
     for k in range(LOAD):
@@ -417,6 +422,7 @@ def judge(row: Array, at: IntArray, a: Feeler) -> None:
     s.clock[WAIT] = max(0.0, s.clock[WAIT] - s.clock[ELAPSED])
     felt = square_of(external, a) > n.threshold and s.clock[WAIT] == 0.0
     follow_contact(felt, s, n.clear, n.settle)
+    keep_standing(external, s, n.clear, n.settle)
     if s.clock[TOUCHED] > 0.0 and a.column >= 0:
         if s.clock[SINCE] * n.bandwidth > RISES:
             fit_load(raw, band, a)
@@ -453,6 +459,20 @@ def follow_contact(felt: bool, s: TouchState, clear: float, settle: float) -> No
     elif not felt and s.clock[CLEAR] >= clear:
         s.clock[TOUCHED] = 0.0
     s.clock[SINCE] += h
+
+
+@compiled
+def keep_standing(external: Array, s: TouchState, clear: float, settle: float) -> None:
+    """Average what a robot stands against while something is felt; after that its share falls, with half of settle."""
+    h = s.clock[ELAPSED]
+    if s.clock[FELT] > 0.0:
+        if s.clock[SINCE] <= h:
+            s.stood[:] = 0.0
+        for i in range(external.size):
+            s.stood[i] += min(1.0, h / max(clear, h)) * (external[i] - s.stood[i])
+        s.clock[EASED] = 1.0
+    else:
+        s.clock[EASED] = s.clock[EASED] * exp(-2.0 * h / max(settle, h)) if s.clock[EASED] > GONE else 0.0
 
 
 @compiled
@@ -660,6 +680,9 @@ def give_way(row: Array, at: IntArray, a: Feeler) -> None:
     the robot follows nu_ref, which leads it back to its reference, no faster than `back`, `tau = weight + K (nu_ref' -
     nu)`; where nu_ref is slower the controller goes on.
 
+    A robot that does not give way stands against the world by its feedback, which throws it where the world lets go:
+    `tau += share (stood - r)` takes the place of what pushed and is no more, and fades.
+
     Args:
         row: (width,) row of signals with the controller's torque.
         at: Offsets of the signals.
@@ -667,6 +690,9 @@ def give_way(row: Array, at: IntArray, a: Feeler) -> None:
     """
     n, s, tau, nu_ref = a.numbers, a.state, view(row, at, TORQUE), view(row, at, NU_REF)
     if n.gives == 0:
+        share = s.clock[EASED] if n.eases > 0 and s.clock[FELT] == 0.0 else 0.0
+        for i in range(tau.size if share > 0.0 else 0):
+            tau[i] += a.felt[i] * share * (s.stood[i] - row[at[EXTERNAL] + i])
         return
     touched, slow = s.clock[TOUCHED] > 0.0, True
     for i in range(tau.size):

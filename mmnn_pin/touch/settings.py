@@ -28,7 +28,8 @@ class Touch(Settings, frozen=True):
         torque: The same of the torque that motors give.
         unknown: Standard deviation of what no model states, over the feedback gains [m/s, rad/s].
         clear: How long nothing is to be felt before a contact is over [s].
-        settle: How long a frozen learner waits after that, until the robot is back on its way [s].
+        settle: How long a frozen learner waits after that, until the robot is back on its way; what pushed it is let
+            go with half of it [s].
         yields: Share of the feedback that damps a robot which gives way (`safety.contact = "comply"`).
         back: Largest velocity at which it goes back then [m/s, rad/s].
         learning: What a learner does meanwhile: "frozen" until `settle` after it, "deadzone" in samples that feel
@@ -50,7 +51,7 @@ class Touch(Settings, frozen=True):
     torque: float = 0.03
     unknown: float = 0.02
     clear: float = 0.2
-    settle: float = 1.0
+    settle: float = 1.5
     yields: float = 0.1
     back: float = 0.2
     learning: Literal["frozen", "deadzone", "on"] = "frozen"

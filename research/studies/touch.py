@@ -1,6 +1,7 @@
 """What contact does to learners, how fast it is felt, and how often a load is taken for one.
 
-    python -m research.studies.touch learners [NAME ...]    5 s against a wall, then free: how far the hand is thrown
+    python -m research.studies.touch learners [robot=ROBOT] [NAME ...]    5 s against a wall, then free: how far the
+                                                                          hand is thrown
     python -m research.studies.touch reaction               time until contact is felt and largest force, on both plants
     python -m research.studies.touch loads                  loads taken for contacts and contacts for loads
 
@@ -30,7 +31,8 @@ from mmnn_pin.touch import Touch
 
 ROBOT = "panda"
 DEEP = 0.03  # of the reference behind the wall [m]
-MEETS, FREE, END = 2.0, 7.0, 8.5  # when the hand meets the wall, when that is gone, end of the run [s]
+MEETS, FREE, END = 2.0, 7.0, 10.0  # when the hand meets the wall, when that is gone, end of the run [s]
+NEAR = 1.6  # time after the release in which learners wait, by default [s]
 WALLS = {"rigid": (1e5, 200.0), "person-like": (2.5e4, 100.0), "soft": (2e3, 20.0)}  # [N/m], [N s/m]
 SPEEDS = (0.1, 0.25, 0.5)  # of the hand [m/s]
 SAME = ("two_layer_zero", "two_layer_random", "pd_effective", "pd_effective_one_layer")  # the laws of others
@@ -59,9 +61,9 @@ def pressing(robot: Robot, by: float, duration: float, begin: float) -> tuple[Tr
     return Trajectory.of(robot, arm=arm), places[1] - places[0]
 
 
-def against_a_wall(name: str, touch: Touch | None) -> Loop:
+def against_a_wall(name: str, touch: Touch | None, of: str = ROBOT) -> Loop:
     """A controller whose hand is pressed against a stiff wall that goes away."""
-    experiment = load_experiment("track", [f"robot={ROBOT}", f"time.duration={END}"])
+    experiment = load_experiment("track", [f"robot={of}", f"time.duration={END}"])
     robot = experiment.load_robot()
     trajectory, way = pressing(robot, 0.10, 1.5, 0.5)
     normal = tuple((-way / np.linalg.norm(way)).tolist())
@@ -71,12 +73,18 @@ def against_a_wall(name: str, touch: Touch | None) -> Loop:
 
 
 def thrown(loop: Loop) -> tuple[float, float, float, float]:
-    """How far the release moves the hand [m], the force just before [N], samples that felt, status 0 when complete."""
+    """How far the release moves the hand [m], the force just before [N], samples that felt, status 0 when complete.
+
+    In any direction for `NEAR`, then along the wall's normal alone: what a learner learns once it is free, such as the
+    arm's weight, is no throw.
+    """
     run, h = loop.run(), loop.timing.control_period
     if run.outcome.status != "completed":
         return np.nan, np.nan, np.nan, 1.0
     places, free = hand_along(loop.robot, run["position"]), round(FREE / h)
-    far = np.linalg.norm(places[free:] - places[free - 1], axis=1).max()
+    gone, wall = places[free:] - places[free - 1], loop.disturbances[0]
+    assert isinstance(wall, Surface) and wall.normal is not None
+    far = max(np.linalg.norm(gone[: round(NEAR / h)], axis=1).max(), np.abs(gone @ np.array(wall.normal)).max())
     force = float(np.linalg.norm(run["hand_force"][free - 20 : free - 1], axis=1).mean())
     felt = float(run["contact"][round(MEETS / h) : free].mean()) if "contact" in run else 0.0
     return float(far), force, felt, 0.0
@@ -84,14 +92,16 @@ def thrown(loop: Loop) -> tuple[float, float, float, float]:
 
 def learners(names: list[str]) -> Iterator[str]:
     """A line per controller: how far the hand goes over the way of the right model, as it was and with touch."""
-    right, force, *_ = thrown(against_a_wall("computed_torque", None))
+    of = next((name.removeprefix("robot=") for name in names if name.startswith("robot=")), ROBOT)
+    names = [name for name in names if "=" not in name]
+    right, force, *_ = thrown(against_a_wall("computed_torque", None, of))
     yield f"{'':22s} as ever            frozen             dead zone"
     yield f"{'':22s} force N  thrown    force N  thrown    force N  thrown   felt"
     yield f"{'computed_torque':22s} {force:7.1f}  {1e3 * right:5.1f} mm = 1"
     for name in names or [each for each in CONTROLLERS if each not in (*SAME, "computed_torque")]:
         cells, felt = [], 0.0
         for touch in (None, Touch(), Touch(learning="deadzone")):
-            far, force, share, _ = thrown(against_a_wall(name, touch))
+            far, force, share, _ = thrown(against_a_wall(name, touch, of))
             cells.append(f"{force:7.1f}  {far / right:6.2f}")
             felt = share if touch == Touch() else felt
         yield f"{name:22s} {'    '.join(cells)}   {felt:4.0%}"

@@ -7,7 +7,7 @@ import pytest
 from mmnn_pin.touch import Touch
 from research.studies.touch import against_a_wall, thrown
 
-LEARNERS = ("learned", "feedforward", "adaptive", "adaptive_composite", "concurrent", "drem", "two_layer")
+LEARNERS = ("feedforward", "adaptive", "drem", "kalman_bilinear", "two_layer", "deep_residual", "super_twisting", "pid")
 
 
 @pytest.fixture(scope="module")

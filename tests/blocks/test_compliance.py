@@ -7,17 +7,22 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mmnn_pin import load
 from mmnn_pin.compliance import Force, Held, Impedance, bound_of, compliance_of, compliance_size, give, soften, wish
 from mmnn_pin.compliance.bound import radius
 from mmnn_pin.compliance.law import admit, displacement, springs_and_dampers
 from mmnn_pin.disturbance import Forces, HingedDoor, Surface, scene_of, scene_size, touched_frame
+from mmnn_pin.disturbance.scene import DONE
 from mmnn_pin.errors import ConfigError, InputError
+from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.stepper import Stepper, StepperSettings
-from mmnn_pin.model.chain import SIZE, hands_of, move
+from mmnn_pin.model.chain import SIZE, chain_of, hands_of, move, track
 from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.tip import move_tip, tip_of
 from mmnn_pin.reference import Hold, Line, Trajectory
 from mmnn_pin.safety import Safety
 from mmnn_pin.settings import Timing
@@ -48,7 +53,20 @@ def position_of(robot, pose, q):
     if robot.dimensions.base:
         position[:3] = pose
     position[robot.arm_index] = np.linspace(0.4, 0.9, robot.dimensions.arm) if q is None else q
+    position[robot.shape_index] = 0.3
     return robot.follow(position)
+
+
+def moved(robot, position, nu, step):
+    """Where a robot is a step [s] later, by its maps."""
+    v, (c, s), eta = robot.T_at(position) @ nu, (np.cos(position[2]), np.sin(position[2])), np.zeros(3)
+    eta[robot.base.columns] = nu[: len(robot.base.columns)]
+    if robot.steers:
+        eta = robot.maps_at(position, nu).eta
+    rate = v.copy()
+    if robot.dimensions.base:
+        rate[:3] = c * eta[0] - s * eta[1], s * eta[0] + c * eta[1], eta[2]
+    return position + step * rate
 
 
 class Row:
@@ -69,6 +87,8 @@ class Row:
             ("nudot_ref", self.nudot_kin), ("torque", np.ones(d.dof)), ("effective_gain", np.full(d.dof, self.gain)),
         ):  # fmt: skip
             row[self.layout.where(name)] = value
+        self.position = position_of(robot, self.pose, self.q)
+        row[self.layout.where("shape")] = self.position[robot.shape_index]
         self.compliance = made(robot, impedance, position=position_of(robot, self.pose_ref, self.q_ref))
 
     def __getitem__(self, name):
@@ -78,36 +98,43 @@ class Row:
         wish(self.row, self.layout.offsets, self.compliance)
         give(self.row, self.layout.offsets, self.compliance)
 
-    def frame(self, pose, q):
-        """Placement and Jacobian (6, p) of the hand by Pinocchio, in the world's axes."""
-        robot, position = self.robot, position_of(self.robot, pose, q)
+    def frame(self, position):
+        """Placement and Jacobian (6, p) of the hand by Pinocchio, in the world's axes, and the mass matrix."""
+        robot = self.robot
         data, name = robot.model.createData(), hands_of(robot)[0]
         configuration = robot.configuration(position)
         pin.computeJointJacobians(robot.model, data, configuration)
         pin.updateFramePlacements(robot.model, data)
         k = robot.model.getFrameId(name)
         J = pin.getFrameJacobian(robot.model, data, k, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        return data.oMf[k], J @ robot.T, Dynamics(robot).mass_matrix(position)
+        return data.oMf[k], J @ robot.T_at(position), Dynamics(robot).mass_matrix(position)
+
+    def shared(self, step, rows):
+        """The velocity that is asked for, a step [s] later on the motion."""
+        J, W = self.frame(moved(self.robot, self.position, self.nu, step))[1][:rows], np.diag(self.compliance.weights)
+        A, kin = J @ W @ J.T, self.nu_kin + step * self.nudot_kin
+        return kin - W @ J.T @ np.linalg.solve(A + 1e-6 * np.trace(A) * np.eye(rows), J @ kin)
 
 
-@pytest.mark.parametrize("rotation", [0.0, 8.0])
-def test_the_law_is_that_of_numpy_and_pinocchio(rotation):
-    """On an arm of six joints and on a mobile one; a fresh computation from Jacobians that Pinocchio gives."""
-    for name in ("platform_arm", "ur5"):
-        robot = load(name)
-        if name == "platform_arm" and rotation:
-            continue  # four velocities cannot have six stiffnesses
+STEERED = [load("car_arm"), load("casters_arm")]
+
+
+@pytest.mark.parametrize(("name", "rotation"), [("platform_arm", 0.0), ("ur5", 0.0), ("ur5", 8.0), ("car_arm", 0.0)])
+def test_the_law_is_that_of_numpy_and_pinocchio(name, rotation):
+    """A fixed arm, and two on bases; a fresh computation from Jacobians that Pinocchio gives, through T(theta)."""
+    for robot in STEERED if name == "car_arm" else [load(name)]:
         k = np.array([200.0, 300.0, 400.0])
         one = Row(robot, Impedance(stiffness=tuple(k), rotation=rotation, damping=20.0, rotation_damping=1.0))
         c, rows = one.compliance, 6 if rotation else 3
         one.run()
-        wanted, _, _ = one.frame(one.pose_ref, one.q_ref)
-        there, J, M = one.frame(one.pose, one.q)
-        Jt, W = J[:rows], np.diag(c.weights)
-        A = Jt @ W @ Jt.T
-        A += 1e-6 * np.trace(A) * np.eye(rows)
-        nu_ref = one.nu_kin - W @ Jt.T @ np.linalg.solve(A, Jt @ one.nu_kin)
+        wanted, _, _ = one.frame(position_of(robot, one.pose_ref, one.q_ref))
+        there, J, M = one.frame(one.position)
+        Jt = J[:rows]
+
+        nu_ref = one.shared(0.0, rows)
         np.testing.assert_allclose(one["nu_ref"], nu_ref, atol=1e-9)
+        rate = (one.shared(1e-5, rows) - one.shared(-1e-5, rows)) / 2e-5
+        np.testing.assert_allclose(one["nudot_ref"], rate, atol=2e-4 * (1.0 + np.abs(rate).max()))
         s = nu_ref - one.nu
         v, F = J @ one.nu, np.zeros(6)
         F[:3] = np.clip(k * (wanted.translation - there.translation), -60, 60) - 20.0 * v[:3]
@@ -120,13 +147,42 @@ def test_the_law_is_that_of_numpy_and_pinocchio(rotation):
         torque = 1.0 + J.T @ F + P.T @ (c.still * (P @ s)) - one.gain * s
         np.testing.assert_allclose(one["torque"], torque, atol=1e-6, rtol=1e-6)
         np.testing.assert_allclose(one["asked_force"], F[:3], atol=1e-8)
+        x = wanted.translation - there.translation
+        stored = np.sum(np.where(np.abs(k * x) < 60, 0.5 * k * x * x, 60 * np.abs(x) - 1800 / k)) + 0.5 * s @ M @ s
+        if not rotation:
+            assert one["storage"][0] == pytest.approx(stored, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["car_arm", "casters_arm", "swerve_arm"])
+def test_a_hand_on_a_base_that_steers_moves_as_differences_of_its_place_say(name):
+    """Twist and acceleration, of places by Pinocchio along a motion, against `move_tip`."""
+    robot, rng = load(name), np.random.default_rng(4)
+    tip, p = tip_of(robot, hands_of(robot)[0]), robot.dimensions.dof
+    nu, start = rng.normal(0.0, 0.3, p), position_of(robot, rng.normal(0.0, 0.3, 3), None)
+    place, twist, bias, J = np.zeros(SIZE), np.zeros(6), np.zeros(6), np.zeros((6, p))
+
+    def where(position):
+        data = robot.model.createData()
+        pin.framesForwardKinematics(robot.model, data, robot.configuration(position))
+        return data.oMf[robot.model.getFrameId(hands_of(robot)[0])].translation
+
+    def twist_at(position):
+        move_tip(tip, position, nu, place, twist, bias, J)
+        return twist.copy()
+
+    h, ahead, back = 1e-6, moved(robot, start, nu, 1e-6), moved(robot, start, nu, -1e-6)
+    later, before = twist_at(ahead), twist_at(back)
+    now = twist_at(start)
+    np.testing.assert_allclose(now[:3], (where(ahead) - where(back)) / (2 * h), atol=1e-7)
+    np.testing.assert_allclose(J @ nu, now, atol=1e-12)
+    np.testing.assert_allclose(bias, (later - before) / (2 * h), atol=1e-6)
 
 
 @pytest.mark.parametrize("axes", ["world", "hand"])
 def test_springs_are_gradients_of_their_energy(axes):
     """Central differences of the energy along random twists of the hand."""
     c = made(load("ur5"), Impedance(stiffness=(100.0, 300.0, 900.0), rotation=(3.0, 5.0, 9.0), axes=axes, limit=15.0))
-    robot_chain, J = c.chain, np.zeros((6, 6))
+    robot_chain, J = c.tip.chain, np.zeros((6, 6))
     wanted, q = np.zeros(SIZE), RNG.normal(0.0, 1.0, 6)
     move(robot_chain, q + RNG.normal(0.0, 0.3, 6), np.zeros(6), wanted, np.zeros(6), np.zeros(6), J)
     c.work.place[0] = wanted
@@ -145,13 +201,15 @@ def test_springs_are_gradients_of_their_energy(axes):
         assert torque[i] == pytest.approx(-slope, abs=1e-6 * (1 + abs(slope)))
 
 
-def still(impedance, *disturbances, force=None, seconds=3.0, **more):
+def still(impedance, *disturbances, force=None, seconds=3.0, robot=ROBOT, **more):
     """A loop of the true model around a robot at rest."""
-    arm = {"arm_1_joint": Hold(0.4), "arm_2_joint": Hold(1.4)}
-    trajectory = Trajectory.of(ROBOT, base=Line(speed=0.0), arm=arm)
-    timing = Timing(duration=seconds, control_period=0.002, plant_step=0.001)
+    places = (0.4, 1.4) if robot is ROBOT else np.linspace(0.4, 1.2, robot.dimensions.arm)
+    arm = {name: Hold(float(q)) for name, q in zip(robot.joint_names, places, strict=True)}
+    base = {"base": Line(speed=0.0)} if robot.dimensions.base else {}
+    trajectory = Trajectory.of(robot, **base, arm=arm)
+    timing = Timing(duration=seconds, control_period=0.001, plant_step=0.001)
     return Loop(
-        ROBOT, trajectory, ComputedTorque(Feedback(base=15.0, arm=30.0, scaling="inertia")), timing=timing,
+        robot, trajectory, ComputedTorque(Feedback(base=15.0, arm=30.0, scaling="inertia")), timing=timing,
         impedance=impedance, force=force, disturbances=disturbances, **more,
     )  # fmt: skip
 
@@ -174,21 +232,58 @@ def replace_gap(surface, gap):
     return Surface(normal=surface.normal, gap=gap, stiffness=surface.stiffness, damping=60.0, friction=0.0)
 
 
-def test_random_contacts_get_no_energy_from_a_hand_at_rest():
-    """Energy that the world took beyond what it gave stays below what integration leaves."""
-    rng = np.random.default_rng(3)
-    surfaces = [
-        Surface(
-            normal=(0.0, -1.0, 0.0), gap=float(rng.uniform(-0.03, 0.0)), stiffness=float(10 ** rng.uniform(2.5, 3.7)),
-            damping=0.0, friction=0.0, start=float(t), end=float(t + 0.3),
-        )
-        for t in rng.uniform(0.1, 2.2, 5)
-    ]  # fmt: skip
-    run = still(Impedance(stiffness=300.0), *surfaces).run()
-    power = np.sum(run["disturbance"] * run["nu"], axis=1)
-    taken = -np.cumsum(power) * 0.002
-    assert np.ptp(power) > 0.1
-    assert taken.max() < 0.02
+BASES = {
+    "fixed": load("ur5"),
+    "differential": ROBOT,
+    "holonomic": load("platform_arm", base="holonomic"),
+    "steered": load("car_arm").without_friction(),  # that of its light arm, compensated, is too steep for 1 ms
+}
+SURE = 0.5  # time in which torques that were late at the start, and gravity with them, are over [s]
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("kind", BASES)
+@settings(max_examples=6, derandomize=True)
+@given(st.data())
+def test_random_contacts_get_no_energy_from_a_hand_on_any_base_up_to_the_margin(kind, data):
+    """Held and late, a torque gives a little: of what goes to and fro 2 % overall, 5 % between any two times."""
+    robot, seed = BASES[kind], data.draw(st.integers(0, 10**6))
+    delay, share = data.draw(st.sampled_from([0.0, 0.002, 0.005])), data.draw(st.sampled_from([0.0, 1.0]))
+    rng, most = np.random.default_rng(seed), bearable(robot, delay)
+    surfaces = []
+    for t in rng.uniform(SURE, 2.0, 5):  # of half a joule at most where they appear
+        k = float(10 ** rng.uniform(2.5, 4.0))
+        gap = -float(rng.uniform(-0.01, min(0.03, 1.0 / math.sqrt(k))))
+        ends = {"start": float(t), "end": float(t + rng.uniform(0.1, 0.4))}
+        surfaces.append(Surface(gap=gap, stiffness=k, damping=0.0, friction=0.0, **ends))
+    impedance = Impedance(stiffness=min(300.0, most) if share == 0.0 else most)
+    run = still(impedance, *surfaces, robot=robot, seconds=2.3, latency=Latency(command=delay)).run()
+    begun = run.time > SURE - 0.01
+    injected, work = np.ravel(run["injected"])[begun], np.ravel(run["hand_work"])[begun]
+    injected -= injected[0]
+    assert injected.max() < 0.02 * np.ptp(work) + 1e-6
+    assert (injected - np.minimum.accumulate(injected)).max() < 0.05 * np.ptp(work) + 1e-6
+    places = track(chain_of(robot, hands_of(robot)[0]), run["position"])[:, 9:]
+    done = np.cumsum(np.sum(run["hand_force"][:-1] * np.diff(places, axis=0), axis=1))
+    np.testing.assert_allclose(np.ravel(run["hand_work"])[1:], done, atol=1e-9)
+
+
+def bearable(robot, delay):
+    """The stiffness that is printed as the largest."""
+    with pytest.raises(ConfigError) as caught:
+        still(Impedance(stiffness=1e9), robot=robot, seconds=0.1, latency=Latency(command=delay)).run()
+    return float(str(caught.value.fix).split()[-1])
+
+
+@pytest.mark.compiled
+def test_a_hand_on_a_base_that_steers_has_the_stiffness_that_was_asked():
+    """A spring of 500 N/m that begins 4 cm behind the hand; the base rolls with it, its wheels half turned."""
+    spring = Surface(normal=(-1.0, 0.0, 0.0), gap=-0.04, stiffness=500.0, damping=50.0, friction=0.0)
+    run = still(Impedance(stiffness=300.0), spring, robot=BASES["steered"], seconds=5.0).run()
+    force = float(-run["hand_force"][-1, 0])
+    assert force / (0.04 - force / 500.0) == pytest.approx(300.0, rel=0.01)
+    assert abs(run["pose"][-1, 0]) > 1e-3
+    assert run["injected"].max() < 1e-5
 
 
 def test_a_door_about_an_unknown_hinge_is_opened_along_its_way():
@@ -211,8 +306,10 @@ def test_the_bound_is_where_the_sampled_loop_turns_unstable():
     assert found == pytest.approx(np.abs(np.linalg.eigvals(closed)).max(), rel=1e-12)
     c = made()
     M = Dynamics(ROBOT).mass_matrix(position_of(ROBOT, np.zeros(3), None))
-    slow = bound_of(c, M, held(ROBOT, 0.02)).factor
-    fast = bound_of(c, M, held(ROBOT, 0.002)).factor
+    slow, fast = (
+        bound_of(c, M, held(ROBOT, delay), lambda factor: math.sqrt(factor) * c.dampers).factor
+        for delay in (0.008, 0.002)
+    )
     assert 0.0 < slow < fast
 
 
@@ -242,7 +339,6 @@ def test_an_admittance_moves_its_mass_by_what_is_felt():
         (lambda: Force(newtons=math.inf), "not finite"),
         (lambda: made(impedance=Impedance(frame="nowhere")), "nowhere"),
         (lambda: made(impedance=Impedance(frame="base_link")), "stands still"),
-        (lambda: made(load("car_arm")), "has to|have to turn"),
         (lambda: made(held=held(ROBOT)._replace(on=np.ones(4))), "feels"),
         (lambda: made(impedance=Impedance(stiffness=1e9)), "the bound is"),
         (lambda: made(impedance=Impedance(damping=1e6)), "unstable|bound"),
@@ -263,11 +359,43 @@ def test_bad_input_is_one_line(change, words):
     assert "\n" not in str(caught.value)
 
 
-def test_the_bound_that_is_printed_can_be_used():
-    with pytest.raises(ConfigError) as caught:
-        made(impedance=Impedance(stiffness=1e9))
-    most = float(str(caught.value.fix).split()[-1])
-    made(impedance=Impedance(stiffness=most))
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"stiffness": 1e9},
+        {"stiffness": (1e9, 10.0, 10.0)},
+        {"stiffness": 1e9, "damping": 20.0},
+        {"damping": 1e6},
+        {"stiffness": 1e9, "damping": 1e6},
+        {"ratio": 1e4},
+        {"stiffness": 0.0, "ratio": 1e4},
+        {"stiffness": 1e9, "rotation": 1e7},
+    ],
+)
+@pytest.mark.parametrize("delay", [0.0, 0.01, 0.03])
+def test_what_is_printed_against_too_much_can_be_used(wrong, delay):
+    """Follow every fix to the letter: it ends in a hand that is taken, after three at most."""
+    robot, tried = load("ur5") if "rotation" in wrong else ROBOT, dict(wrong)
+    for _ in range(4):
+        try:
+            made(robot, Impedance(**tried), held=held(robot, delay))
+        except ConfigError as error:
+            if error.key == "impedance":  # shorten ... to 9.1 ms together
+                delay = 1e-3 * float(error.fix.split()[5])
+                continue
+            name, number = error.key.split(".")[1], float(error.fix.split()[3].strip(","))
+            assert "at most" in error.fix
+            assert number > 0.0
+            before = tried.get(name, getattr(DEFAULT, name))
+            share = number / np.max(before)
+            tried[name] = tuple(np.array(before) * share) if np.size(before) > 1 else number
+            if "rotation" in error.fix:
+                tried |= {"rotation": share * tried["rotation"]}
+        else:
+            break
+    else:
+        pytest.fail(f"refused again and again: {tried}")
+    assert tried != wrong
 
 
 def test_a_stiffness_is_changed_on_the_way_within_the_bound():
@@ -293,8 +421,9 @@ def test_the_forces_of_a_surface_and_of_a_door_are_their_closed_forms():
     events = (surface, HingedDoor(hinge=(0.0, -0.5), grip=100.0, grip_damping=7.0, friction=0.0, damping=0.0))
     state = np.zeros(scene_size(events))
     scene = scene_of(events, ROBOT, 0.01, position, state, touched_frame(events, ROBOT))
-    wire = Forces(np.zeros(4), position, nu, np.zeros(4), np.zeros(6))
+    wire = Forces(np.zeros(4), position, nu, np.zeros(4), np.zeros(6), np.zeros(3))
     scene.act(wire, 0, 0.0)
+    np.testing.assert_array_equal(state[:DONE], (*wire.hand, 0.0))
     v = scene.J[:3] @ nu
     expected = np.array([0.0, -10.0, 0.0]) - 7.0 * v
     np.testing.assert_allclose(wire.hand[3:], expected, atol=1e-9)

@@ -117,7 +117,10 @@ def test_a_macro_that_uses_what_is_not_there_can_be_left_out(tmp_path):
     cam = '<xacro:macro name="cam"><link name="${MISSING}"/></xacro:macro>'
     cam += '<xacro:macro name="all"><xacro:cam/></xacro:macro>'
     file = xacro(tmp_path, f'<xacro:include filename="$(find cams)/gone.xacro"/>{cam}<xacro:all/>{ROBOT}')
-    with pytest.raises(RobotError, match=r"'MISSING' is not defined.*--package-dir, or leave it out: --without cam$"):
+    with pytest.raises(
+        RobotError,
+        match=r"'MISSING' is not defined, in macro 'cam' in 'all': .*--package-dir, or leave it out: --without cam$",
+    ):
         load(file)
     assert load(file, without=("cam",)).base.kind == "differential_drive"
 
@@ -137,7 +140,10 @@ def test_a_file_that_was_missed_is_seen_once_it_is_there(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('<xacro:macro name="a" params="x"><link name="${x}"/></xacro:macro><xacro:a/>', "give x where the macro is"),
+        (
+            '<xacro:macro name="a" params="x"><link name="${x}"/></xacro:macro><xacro:a/>',
+            "in macro 'a': give x where the macro is",
+        ),
         ('<xacro:if value="maybe"/>', "write true or false there"),
         ('<link name="$(env NO_SUCH_NAME)"/>', r": environment variable 'NO_SUCH_NAME' is not set: set it"),
     ],

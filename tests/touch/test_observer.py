@@ -196,6 +196,22 @@ def test_a_run_resumes_with_what_was_felt():
     np.testing.assert_array_equal(resumed["external_torque"], straight["external_torque"][-len(resumed["time"]) :])
 
 
+def test_what_pushed_and_is_gone_is_let_go_slowly():
+    """Beside PD's own torque what was felt last, less what is felt, fades as `settle` says; nothing while pushed."""
+    touch = Touch(bandwidth=500.0, masses=0.0, friction=0.0, torque=0.0, unknown=1e-3, clear=0.0, settle=0.05)
+    push = Push(on="arm_1_joint", force=8.0, start=0.012, end=0.03)
+    run = touching(PD(SOFT), touch=touch, disturbances=(push,), duration=0.2, check_gains=False).run()
+    s = np.hstack((run["z"], run["r"]))
+    beside, felt = run["torque"] - np.array([100.0, 100.0, 5.0, 1.0]) * s, np.ravel(run["contact"])
+    last = int(np.flatnonzero(felt)[-1])
+    stood, after = run["external_torque"][last], run["time"] - run["time"][last]
+    share = np.exp(-after[last + 1 :, None] / 0.025)
+    expected, fading = share * (stood - run["external_torque"][last + 1 :]), share[:, 0] > 0.02
+    assert stood[2] > 0.1 and not np.any(np.abs(beside[: last + 1]) > 1e-9)
+    np.testing.assert_allclose(beside[last + 1 :][fading], expected[fading], atol=1e-9)
+    assert fading.any() and not np.any(np.abs(beside[-1]) > 1e-9)
+
+
 def test_a_measurement_that_is_none_begins_anew():
     observer, row, layout = somewhere(touching(PD()))
     row[layout.where("q")] = np.nan

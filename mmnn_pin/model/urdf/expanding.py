@@ -126,10 +126,10 @@ def diagnosis(xacro: Any, error: Exception, texts: dict[str, str], job: dict[str
         place = next((file for file, content in texts.items() if giving(hit[1], content)), place)
     needed = named(texts.values(), USED) - named(texts.values(), STATED) - set(job["arguments"])
     bare = sorted({name for content in texts.values() for name in BARE if f"<{name} " in content})
-    facts = {"error": text, "place": place, "needed": sorted(needed), "bare": bare}
+    within = [macro.body.getAttribute("name") for macro in reversed(xacro.macrostack or ())]
+    facts = {"error": text, "place": place, "needed": sorted(needed), "bare": bare, "within": within}
     if hit := re.search(NOT_DEFINED, text):
         facts["choices"] = choices(hit[1], [*texts.values()])
-        facts["within"] = [macro.body.getAttribute("name") for macro in reversed(xacro.macrostack or ())]
     return facts
 
 

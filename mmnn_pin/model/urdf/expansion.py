@@ -297,11 +297,13 @@ def refusal(told: dict[str, Any], along: Callable[[str], list[str]]) -> Unexpand
     place, text = Path(told["place"]), re.sub(r"^<class '[^']*'>: ", "", " ".join(told["error"].split()))
     text = text[: len(text) // 2] if text[: len(text) // 2] == text[len(text) // 2 + 1 :] else text  # said twice
     word, fix = way_out(text, told)
+    text += f", in macro {' in '.join(map(repr, told['within']))}" if told["within"] else ""
     called = giving(word, read_text(place)) if "Invalid parameter" in text else ""
     macro = lacking(told) or called
     if macro and (names := along(macro)):
         them = "it" if len(names) == 1 else "them"
-        fix += f", or leave {them} out: " + " ".join(f"--without {name}" for name in names)
+        fix += "" if fix.endswith("?") else ","
+        fix += f" or leave {them} out: " + " ".join(f"--without {name}" for name in names)
     return Unexpanded("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
 
 

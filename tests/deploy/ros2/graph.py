@@ -91,6 +91,11 @@ class Drive:
         """(N, 14) time since the first command, pose, v, w, q, qdot: the truth; (v, w) and efforts that it is told."""
         return np.array(self.robot["rows"])
 
+    @property
+    def commands(self) -> np.ndarray:
+        """(N, 4) when the robot heard a base velocity, its stamp, and (v, w), of all that reached it."""
+        return np.array(self.robot["commands"]).reshape(-1, 4)
+
     def at(self, time: float) -> np.ndarray:
         """The row of a time."""
         return self.rows[min(np.searchsorted(self.rows[:, 0], time), len(self.rows) - 1)]

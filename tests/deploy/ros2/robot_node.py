@@ -35,7 +35,7 @@ class Robot:
         self.node, self.faults, self.t = node, faults, 0.0
         self.pose, self.v, self.q, self.qdot = [0.0, 0.0, 0.0], [0.0, 0.0], [0.2, -0.3], [0.0, 0.0]
         self.asked, self.effort, self.heard, self.counts = [0.0, 0.0], [0.0, 0.0], -math.inf, {"twist": 0, "effort": 0}
-        self.log, self.told, self.place, self.waited = [], 0, None, []
+        self.log, self.told, self.place, self.waited, self.commands = [], 0, None, [], []
         node.create_subscription(TwistStamped, "/diff_drive_controller/cmd_vel", self.on_twist, 10)
         node.create_subscription(Float64MultiArray, "/effort_controller/commands", self.on_effort, 10)
         node.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
@@ -59,6 +59,8 @@ class Robot:
 
     def on_twist(self, message):
         self.asked, self.heard = [message.twist.linear.x, message.twist.angular.z], self.t
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        self.commands.append([time.monotonic(), stamp, *self.asked])
         self.counts["twist"] += 1
 
     def on_effort(self, message):
@@ -201,8 +203,11 @@ def main():
     robot, k, begun = Robot(node, dict.fromkeys(faults, math.inf)), 0, math.inf
     start, limit = time.monotonic(), time.monotonic() + 240.0
     while time.monotonic() < limit:
-        for _ in range(4):
+        for _ in range(40):  # all that waits, however late it is
+            before = robot.told, *robot.counts.values()
             rclpy.spin_once(node, timeout_sec=0.0)
+            if before == (robot.told, *robot.counts.values()):
+                break
         if robot.counts["effort"] and begun == math.inf:
             begun, robot.faults = robot.t, {name: at + robot.t for name, at in faults.items()}
             limit = time.monotonic() + seconds
@@ -224,6 +229,7 @@ def main():
                 "asked_arm": asked,
                 "rows": rows[::8],
                 "waited": robot.waited[:1],
+                "commands": robot.commands,
             }
         ),
         flush=True,

@@ -192,8 +192,11 @@ def kept_its_promise(run: Drive, low: tuple[float, float], high: tuple[float, fl
     assert inside.all(), (q.min(axis=0), q.max(axis=0))
     assert np.abs(asked[:, 0]).max() <= (0.4 if path else 0.3), "faster than asked"
     assert np.abs(asked[:, 1]).max() <= (0.4 if path else 0.45), "turns faster than asked"
-    moving = asked[:-1][asked[1:].any(axis=1)]  # it may end at once, when the node leaves
-    assert np.abs(np.diff(moving, axis=0)).max(initial=0.0) <= 0.12, "a command jumps"
+    told = run.commands
+    moving = told[:-1][told[1:, 2:].any(axis=1)]  # it may end at once, when the node leaves
+    since = np.diff(moving[:, :2], axis=0).max(axis=1, initial=0.0)  # a busy machine loses or delays some of them
+    jumps = np.abs(np.diff(moving[:, 2:], axis=0)).max(axis=1, initial=0.0)
+    assert (jumps <= 0.12 * np.maximum(1.0, since / 0.02)).all(), ("a command jumps", jumps.max(), since.max())
 
 
 def test_jogs_and_velocities_move_the_robot_as_asked(tmp_path: Path, domain: int) -> None:

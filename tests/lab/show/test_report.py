@@ -259,6 +259,20 @@ def test_the_headline_says_where_the_winner_errs_far_more() -> None:
     assert "; but" not in even
 
 
+def test_runs_that_track_alike_share_the_headline() -> None:
+    robot, sizes = load("platform_arm"), {"learned": 0.001, "feedforward": 0.001002, "pid": 0.002, "pd_gravity": 0.01}
+
+    def found(*names: str) -> str:
+        runs = {name: recorded(robot, name, change=of_size(sizes[name])) for name in names}
+        return verdict(result_of(runs)).headline
+
+    told = found(*sizes)
+    assert told.startswith("learned and feedforward track alike, best of 4: ")
+    assert "their RMS errors are on average 50 % smaller than those of pid, the next best" in told
+    assert "within 0.5 % of one another" in found("learned", "feedforward")
+    assert found("learned", "pid").startswith("learned tracks best of 2: ")
+
+
 def test_a_curve_that_lies_on_another_is_told() -> None:
     robot = load("platform_arm")
     sizes = {"pd": 0.1, "pd_gravity": 0.1, "pid": 0.2}

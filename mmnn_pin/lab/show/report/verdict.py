@@ -52,6 +52,8 @@ def verdict(result: Result) -> ReportVerdict:
     return ReportVerdict(headline(result), tuple(points(result)), tuple(warnings(result)))
 
 
+ALIKE = 0.005  # errors within this share of one another are alike: full percents are printed
+
 # A number of runs that push, one that is there only where it was reached, and the sentence.
 PUSHED = (
     ("side_force_peak_N", "open_after_s", "The door is opened by {who}; {best} has the least force across: {least} N."),
@@ -66,10 +68,14 @@ def headline(result: Result) -> str:
     scores, judged = ranking(result)
     if len(judged) < 2:
         return alone(result, next(iter([*judged, *result.recordings])))
-    best, second = judged[:2]
+    best, alike = judged[0], [name for name in judged if 1 - scores[judged[0]] / scores[name] < ALIKE]
+    who = best if len(alike) == 1 else f"{listed(alike)} track alike"
+    if alike == judged:
+        return f"{who}: in {when(result)} their RMS errors are on average within {100 * ALIKE:g} % of one another."
+    second = judged[len(alike)]
     base, others = compared_with(result), plain_runs(result)
     than = ""
-    if base != best and len(others) > 1:  # feedback alone is no rival
+    if base not in alike and len(others) > 1:  # feedback alone is no rival
         than = f"{smaller(scores[best], base)}, the best of {listed(others)},"
     ahead = f"{smaller(scores[best] / scores[second], second)}, the next best"
     errors = (than if second == base else f"{than} and {ahead}") if than else ahead
@@ -78,7 +84,9 @@ def headline(result: Result) -> str:
     far = farthest({name: result.metrics[name] for name in judged}, best, window(result))
     but = f"; but {far[0]} errs {shown(far[1])} times as much as in the others" if far else ""
     told = f"{errors.rstrip(',')}{but}{without}"
-    return f"{best} tracks best of {len(judged)}: in {when(result)} its RMS errors are on average {told}."
+    leads = f"{who}, best of" if len(alike) > 1 else f"{who} tracks best of"
+    whose = "their" if len(alike) > 1 else "its"
+    return f"{leads} {len(judged)}: in {when(result)} {whose} RMS errors are on average {told}."
 
 
 def pushed(result: Result) -> str:
@@ -103,7 +111,7 @@ def pushed(result: Result) -> str:
 
 def smaller(ratio: float, name: str) -> str:
     """How errors are beside those of a controller, by their ratio."""
-    if 1 - ratio < 0.005:
+    if 1 - ratio < ALIKE:
         return f"as large as those of {name}"
     return f"{percent(1 - ratio)} smaller than those of {name}"
 
