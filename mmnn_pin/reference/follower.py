@@ -34,7 +34,7 @@ from .guide import (
     stand,
     take_sample,
 )
-from .hand import FollowHand, HandCourse
+from .hand import FollowHand, HandCourse, HandWish, WishedCourse
 from .limits import Limits
 from .motion import between, require_within
 from .steerable import pushes_trailer, require_steerable
@@ -55,6 +55,8 @@ class Follower:
         now: (w,) the setpoint of the last sample: pose, velocity, acceleration, q, qdot, qddot side by side.
         losses: How often a wish was not renewed in time.
         stands: Whether it knows where the robot stands.
+        share: Of its own speed at which a motion is to be followed, 0 to 1; its path stays what it is.
+        pace: The share at present, and at the next sample; it comes to `share` within the accelerations.
 
     Raises:
         ConfigError: Limits that do not fit the robot.
@@ -74,6 +76,7 @@ class Follower:
         self.over = [False, False]
         self.begun, self.renewed = [0.0, 0.0], [-math.inf, -math.inf]
         self.stands, self.paused, self.losses = False, math.nan, 0
+        self.share, self.pace = 1.0, (1.0, 1.0)
         self.measured = np.zeros(robot.dimensions.pose + robot.dimensions.twist + 2 * robot.dimensions.arm)
 
     @property
@@ -108,12 +111,12 @@ class Follower:
             return Reach(wish, self.now[self.q :].reshape(3, d.arm), self.guide, self.names)
         elif isinstance(wish, Motion):
             return self._checked(wish)
-        elif isinstance(wish, FollowHand):
+        elif isinstance(wish, FollowHand | HandWish):
             if wish.body.robot.dimensions != d:
                 raise ConfigError("a hand of another robot", fix="make its body of this robot", key="setpoint")
-            return HandCourse(wish, self.now, self.measured)
+            return (HandCourse if isinstance(wish, FollowHand) else WishedCourse)(wish, self.now, self.measured)
         elif not isinstance(wish, Stand):
-            fix = "give a Setpoint, a BaseVelocity, a JointGoal, a Motion, a FollowHand or HOLD"
+            fix = "give a Setpoint, a BaseVelocity, a JointGoal, a Motion, a FollowHand, a HandWish or HOLD"
             raise ConfigError(f"a {type(wish).__name__} as a setpoint", fix=fix, key="setpoint")
         return None
 
@@ -164,7 +167,10 @@ class Follower:
             for wish, course in zip(wishes, courses, strict=True):
                 self._follow(wish, course, time, dt)
             for part in (BASE, ARM):
+                self.begun[part] += (1.0 - 0.5 * sum(self.pace)) * dt
                 self._go_on(part, time)
+            if self.share < 1.0 or self.pace != (1.0, 1.0):
+                self._slow_down(dt)
         advance(measured, dt, self.guide)
 
     def pause(self, time: float) -> None:
@@ -250,6 +256,23 @@ class Follower:
             was_over, self.over[part] = self.over[part], not course.write(time - self.begun[part], self.guide.wanted)
             if self.over[part] and (not course.ends_at_rest or (was_over and self._has_arrived(part))):
                 self._leave(part)
+
+    def _slow_down(self, dt: float) -> None:
+        """The wanted samples of courses at the pace, and the pace of the next sample.
+
+        A velocity v of a course is followed as `pace v`; a change of the pace costs an acceleration of `v dpace/dt`.
+        """
+        before, pace = self.pace
+        change, longest = (pace - before) / dt if dt > 0.0 else 0.0, 0.0
+        n, m, guide = self.dimensions.arm, self.dimensions.twist, self.guide
+        for kind, first, size, limits in zip(guide.kind, (3, self.q + n), (m, n), (guide.base, guide.arm), strict=True):
+            if kind == PLANNED and size:
+                v, a = guide.wanted[first : first + 2 * size].reshape(2, size)
+                longest = max(longest, float(((np.abs(v) + np.abs(a) * dt) / limits[1]).max()))  # at the next sample
+                a[:] = pace * pace * a + change * v
+                v *= pace
+        most = dt / longest if longest > 0.0 else 1.0
+        self.pace = pace, pace + min(max(self.share - pace, -most), most)
 
     def _stop(self, part: int) -> None:
         """Brake and stand, the base from where it is."""

@@ -260,6 +260,22 @@ def test_meshes_are_found_in_package_folders(tmp_path, given):
     assert mesh_findings(folder, "package://arm/meshes/a.stl", package_dirs=[tmp_path / given]) == []
 
 
+def test_meshes_named_by_their_place_on_another_machine_are_found_in_the_package_that_is_here(tmp_path):
+    own = tmp_path / "far" / "from" / "here" / "all" / "arm"
+    file = put(own / "meshes" / "a.stl")
+    put(own / "package.xml", b"<package><name>arm</name></package>")
+    name, urdf = "file:///home/them/ws/src/arm/meshes/a.stl", own / "urdf" / "robot.urdf"
+    assert mesh_findings(urdf.parent, name) == [] and locate(name, urdf).file == file.resolve()
+    assert locate(name.replace("a.stl", "../../secret.stl"), urdf).file is None
+    far = tmp_path / "downloads"
+    far.mkdir()
+    (far / "robot.urdf").write_text(GOOD.replace(SHAPE, f'<mesh filename="{name}"/>').replace(
+        "</link>", f'<visual><geometry><mesh filename="{name[:-5]}b.stl"/></geometry></visual></link>', 1))  # fmt: skip
+    [told] = [f for f in audit_file(far / "robot.urdf")[1] if f.code.startswith("mesh")]
+    assert "and 1 more lie outside" in told.message and "folder of package 'arm' with --package-dir" in told.fix
+    assert mesh_findings(far, name, package_dirs=[own]) == []  # as it says
+
+
 def test_a_way_out_of_the_package_is_not_taken(tmp_path):
     secret = put(tmp_path / "secret.stl")
     (tmp_path / "arm").mkdir()

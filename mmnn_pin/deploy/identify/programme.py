@@ -24,6 +24,7 @@ from ...signals import Array
 from ...torque.prior import DOUBT
 from ...torque.pseudo_inertia import BODY, pseudo_inertias, vector_of
 from .equations import Bools, Equations, Unknowns
+from .least_squares import WeightedFit
 
 WEIGHTS = tuple(float(w) for w in np.logspace(-2, 5, 15))  # of the prior that are tried
 BLOCKS = 5  # of the motion, each left out in turn
@@ -290,13 +291,14 @@ def doubt(R: Array, prior: Prior, B: Array, inflation: float) -> tuple[Array, Ar
     return covariance, np.clip(np.where(spread > 0, known, 0.0), 0.0, 1.0)
 
 
-def compressed(equations: Equations, prior: Prior, rows: Bools, deviation: Array) -> tuple[Array, Array]:
-    """R (m, m) and z (m,) with the same squared errors as the weighted equations, up to a constant."""
+def compressed(equations: Equations, prior: Prior, rows: Bools, fit: WeightedFit) -> tuple[Array, Array]:
+    """R (m, m) and z (m,) with the same squared errors as the equations with a fit's weights, up to a constant."""
     parts = []
     for i in np.flatnonzero(rows):
-        use = equations.use[:, i]
-        Y, y = equations.Y[use, i] / deviation[i], equations.y[use, i] / deviation[i]
-        parts.append(np.column_stack((Y @ prior.B, y - Y @ prior.centre)))
+        use = fit.weights[:, i] > 0
+        Y, y = equations.Y[use, i], equations.y[use, i]
+        scale = np.sqrt(fit.weights[use, i]) / fit.deviation[i]
+        parts.append(np.column_stack((Y @ prior.B, y - Y @ prior.centre)) * scale[:, None])
     full = np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
     return full[:, :-1], full[:, -1]
 

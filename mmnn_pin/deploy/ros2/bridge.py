@@ -13,7 +13,6 @@ import sys
 import time as clock
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from queue import Empty, SimpleQueue
 from threading import Lock
 from typing import Any, NamedTuple, TypeVar
@@ -30,11 +29,12 @@ from ...errors import ConfigError, InputError
 from ...kinematic import Kinematic
 from ...loop.stepper import SLOW, Stepper
 from ...recording.recording import Recording, Status
-from ...reference.guide import new_guide
+from ...reference.guide import ARM, BASE, new_guide
 from ...reference.wishes import Motion, Wish
 from ...signals import Array
 from ...torque.controller import CompiledController, TorqueController
 from .asking import Asking
+from .hand import HandAsking
 from .inlets import Inlet, Outlet
 from .outputs import Commands, diagnostics, stamp_of, wrench_of
 from .planned import PlannedArm, RobotSituation
@@ -122,6 +122,7 @@ class Bridge:
         self.commands = Commands(node, robot, settings)
         arm = PlannedArm.of(robot, settings.joint_states.theirs, settings.limits, stepper.period)
         self.asking = Asking(node, arm, settings, self.tree)
+        self.hand = HandAsking.of(node, stepper, settings, self.asking.route)
         self._listen()
         self.health = Outlet(node, "/diagnostics", DiagnosticArray, depth=4) if settings.diagnostics else None
         touches = self.stepper.external_wrench.size > 0
@@ -148,15 +149,13 @@ class Bridge:
         if self.clock.is_simulated:
             self.ticking = Inlet(node, "/clock", ClockMessage)
         self.needed = [inlet for inlet in (self.ticking, self.joints, self.base) if inlet is not None]
-        self.inlets = [*self.needed, *self.frames, *self.asking.inlets]
+        self.inlets = [*self.needed, *self.frames, *self.asking.inlets, *(self.hand.inlets if self.hand else [])]
 
     def rows(self) -> list[GraphRow]:
         """All topics, services and actions."""
         heard = ((one.name, type_of(one.kind), quality_of(one.subscription)) for one in self.inlets)
         found = [GraphRow("subscribes", *one, "") for one in heard]
-        if self.asking.action is not None:
-            name = self.node.resolve_service_name("~/follow_joint_trajectory")
-            found.append(GraphRow("serves", name, "control_msgs/action/FollowJointTrajectory", "reliable", ""))
+        found += [GraphRow("serves", one.name, one.type, "reliable", "") for one in self.asking.actions]
         for name in ("~/stop", "~/reset"):
             name = self.node.resolve_service_name(name)
             found.append(GraphRow("serves", name, "std_srvs/srv/Trigger", "reliable", ""))
@@ -230,9 +229,15 @@ class Bridge:
         d, follower = self.stepper.robot.dimensions, self.stepper.follower
         reference = follower.now[follower.q :].reshape(3, d.arm)
         arm = np.array([self.sensing.q[: d.arm], self.sensing.qdot[: d.arm]])
-        base = follower.now[: d.pose + d.twist]
-        now = RobotSituation(reference, arm, base, self.sensing.pose)
+        base, moved_on = follower.now[: d.pose + d.twist], 0.5 * sum(follower.pace) * (time - self.stepper.time)
+        seen = self.sensing
+        now = RobotSituation(reference, arm, base, seen.pose, seen.velocity, moved_on if self.stepper.k >= 0 else 0.0)
+        if self.asking.share is not None:
+            follower.share, self.asking.share = self.asking.share, None
         asked = self.asking.poll(self.clock, now, self.stepper.tripped)
+        if self.hand is not None and (led := self.hand.poll(self.clock)):
+            self.asking.give_way("the hand is led", (BASE, ARM))
+            asked = (*asked, *led)
         measurement = self.sensing.measurement(self.stepper.direction)
         measured = min(self.sensing.when, time) if measurement is not None else None
         try:
@@ -240,7 +245,7 @@ class Bridge:
         except ConfigError as error:  # the reference has moved on since it was planned: what does not fit is left out
             if not asked:
                 raise
-            self.asking.give_way(f"{error.what}: {error.why}")
+            self.asking.give_way(f"{error.what}: {error.why}", (BASE, ARM))
             self._say_once(f"not followed: {error.what}: {error.why}")
             command = self.stepper.step(time, measurement, None, measured=measured)
         self.commands.send(command, stamp_of(self.clock.by_ros))
@@ -288,8 +293,10 @@ class Bridge:
             ConfigError: They do not suit; nothing has changed then.
         """
         self.stepper.change(controller, kinematic, settings.limits)
+        if settings.speed_scaling != self.settings.speed_scaling:
+            self.asking.share = settings.speed_scaling
         self.settings = self.asking.settings = settings
-        self.asking.arm = replace(self.asking.arm, guide=new_guide(self.stepper.robot, settings.limits))
+        self.asking.change(new_guide(self.stepper.robot, settings.limits))
 
     def _answer(self) -> None:
         """Do what was asked for between two samples."""
@@ -410,8 +417,8 @@ class Bridge:
     def close(self) -> None:
         """Leave all topics."""
         self.asking.close("the node was cleaned up")
-        if self.asking.action is not None:
-            self.asking.action.server.destroy()
+        for action in self.asking.actions:
+            action.server.destroy()
         for inlet in self.inlets:
             self.node.destroy_subscription(inlet.subscription)
         outlets = [outlet for _, outlet, _ in self.commands.outlets]

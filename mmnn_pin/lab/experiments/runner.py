@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 
 from ...errors import RecordingError
-from ...loop.servo import EFFORT, interfaces_of, needs_torques
+from ...loop.servo import EFFORT, hidden_torques, needs_torques
+from ...loop.suited import tightest
 from ...model.inspection import interfaces_of as offered_by
 from ...model.robot import Robot, lacking_rotors
 from ...recording.metrics import metrics
@@ -120,8 +121,7 @@ def without_unable(experiment: Experiment, robot: Robot) -> tuple[Experiment, li
 
     It is as it was where none could.
     """
-    _, on = interfaces_of(robot, experiment.interfaces)
-    if not on.any():
+    if hidden_torques(robot, experiment.interfaces, experiment.servo) is None:
         return experiment, []
     names = [name for name in experiment.controllers if name not in EFFECTIVE]
     loops = {name: experiment.loop(robot, experiment.controller(name, robot=robot)) for name in names}
@@ -130,7 +130,7 @@ def without_unable(experiment: Experiment, robot: Robot) -> tuple[Experiment, li
     if not unable or not able:
         return experiment, []
     why = "they go" if len(unable) > 1 else "it goes"
-    note = f"{', '.join(unable)} left out: {why} by the torque of every joint, which velocity interfaces do not tell"
+    note = f"{', '.join(unable)} left out: {why} by the torque of every joint, which not all servos tell"
     return msgspec.structs.replace(experiment, controllers=able), [note]
 
 
@@ -158,7 +158,9 @@ def interface_notes(experiment: Experiment, robot: Robot) -> list[str]:
     unoffered = [name for name in others if offered[name] and EFFORT not in offered[name]]
     found = [f"driven {'; '.join(driven)}" + ("; all others by effort" if others else "")] if driven else []
     if unoffered:
-        found.append(f"driven by effort, which the URDF does not offer: {', '.join(unoffered)} (see mmnn inspect)")
+        many = f"{unoffered[0]} and {len(unoffered) - 1} more" if len(unoffered) > 1 else unoffered[0]
+        fix = "--hardware unknown drives each as offered"
+        found.append(f"the URDF offers no torque at {many}, this run uses it; {fix}")
     return found
 
 
@@ -304,8 +306,10 @@ def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
     if isinstance(path, Enlarged):
         notes.append(f"the path is drawn {path.factor:.3g} times as large: what steers asks for it")
     if reference.slowness > 1.0:
-        why = "what steers or the motors' limits ask" if robot.steers else "the motors' limits ask"
-        notes.append(f"the reference takes {reference.slowness:.3g} times as long: {why} for it")
+        share, slower = experiment.reference.share, f"the reference takes {reference.slowness:.3g} times as long"
+        limit = tightest(robot, reference, experiment.time.duration, share)
+        why = f"{limit}, of which it may take {share:.0%} (reference.share)" if limit else "what steers asks for it"
+        notes.append(f"{slower}: {why}")
     notes += reference.notes
     end, now = reference.duration, experiment.time.duration
     if experiment.reference.file and now + experiment.time.control_period < end < np.inf:

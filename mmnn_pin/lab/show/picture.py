@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from ...model.inspection import inspection_of
 from ...model.robot import Robot
@@ -40,23 +41,38 @@ def shaded(triangles: Array, color: str) -> Array:
     return (0.45 + 0.55 * facing) * np.array(to_rgb(color))
 
 
+def longest_first(points: Array, spacing: float) -> tuple[Array, NDArray[np.int64]]:
+    """Triangles (m, 3, 3) seen along their third axis, longest edge first; samples (m, 2) along and across that edge.
+
+    A sliver takes as many samples as pixels that it covers. Counts are rounded up to powers of the root of 2, so that
+    triangles of alike sizes are sampled together.
+    """
+    edges = np.roll(points[..., :2], -1, axis=1) - points[..., :2]
+    lengths = np.linalg.norm(edges, axis=2)
+    order = (lengths.argmax(axis=1)[:, None] + np.arange(3)) % 3
+    longest = lengths.max(axis=1)
+    doubled = np.abs(edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
+    close = spacing / 2**0.5  # so close that no pixel is missed
+    sides = np.column_stack((longest, doubled / np.maximum(longest, 1e-300))) / close
+    counts = np.ceil(2 ** (np.ceil(2 * np.log2(np.maximum(sides, 1.0))) / 2))
+    return np.take_along_axis(points, order[..., None], axis=1), counts.astype(np.int64)
+
+
 def rendered(triangles: Array, colors: Array, view: Array, spacing: float) -> tuple[Array, tuple[float, ...]]:
     """An image (h, w, 4) of triangles (m, 3, 3), and its extent: left, right, bottom, top in the view [m]."""
     points = triangles @ view.T
     low, high = points[..., :2].min(axis=(0, 1)), points[..., :2].max(axis=(0, 1))
     width, height = (np.ceil((high - low) / (2 * spacing)).astype(int) + 1) * 2
-    edges = np.linalg.norm(points[..., :2] - np.roll(points[..., :2], 1, axis=1), axis=2).max(axis=1)
-    steps = np.ceil(edges / spacing).astype(int) + 1
     depth, index = np.full(width * height, -np.inf), np.full(width * height, -1)
-    for count in np.unique(steps):
-        chosen = np.flatnonzero(steps == count)
-        a, b = np.divmod(np.arange((count + 1) ** 2), count + 1)
-        a, b = a[a + b <= count] / count, b[a + b <= count] / count
-        weights = np.column_stack((1 - a - b, a, b))
-        for part in np.array_split(chosen, max(1, len(chosen) * len(a) // 2_000_000)):
+    points, counts = longest_first(points, spacing)
+    for along, across in np.unique(counts, axis=0):
+        chosen = np.flatnonzero((counts == (along, across)).all(axis=1))
+        s, t = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, along + 1), np.linspace(0, 1, across + 1)))
+        weights = np.column_stack(((1 - t) * (1 - s), (1 - t) * s, t))
+        for part in np.array_split(chosen, max(1, len(chosen) * len(s) // 2_000_000)):
             sampled = (weights @ points[part]).reshape(-1, 3)
             cells = ((sampled[:, :2] - low) / spacing).astype(int)
-            flat, owner = cells[:, 1] * width + cells[:, 0], np.repeat(part, len(a))
+            flat, owner = cells[:, 1] * width + cells[:, 0], np.repeat(part, len(s))
             order = np.argsort(sampled[:, 2])  # of several at one place numpy keeps the last
             flat, owner, near = flat[order], owner[order], sampled[order, 2]
             ahead = near > depth[flat]

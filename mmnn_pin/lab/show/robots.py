@@ -35,13 +35,13 @@ DOUBTS = {  # what a finding leaves in doubt, by its code
     "base-shapes": "the radius",
     "base-hub-height": "the radius",
     "base-radius": "the radii",
-    "base-stated": "what the file states",
+    "base-stated": "dimensions, which a file states otherwise",
     "base-roller": "the rollers' angle",
     "base-heading": "forward",
     "base-sides": "left and right",
     "base-pair": "the wheels",
-    "base-stray": "joints that stand still",
-    "base-floor": "the floor",
+    "base-stray": "joints that may be wheels",
+    "base-floor": "how high the floor is",
     "arm-doubt": "the arm",
     "arm-passive": "the arm",
 }
@@ -244,7 +244,7 @@ def hardware(content: dict[str, Any]) -> Iterator[TextLine]:
     if (proposal := content.get("hardware")) is None:
         return
     which = "what is slower and coarser than most" if proposal["profile"] == UNKNOWN else proposal["profile"]
-    yield TextLine(f"mmnn run has motors that give any torque unless it is told what they are; here {which}:")
+    yield TextLine(f"By default the motors of a run give any torque. With {which}:")
     yield TextLine(f"  {proposal['run']}", whole=True)
 
 

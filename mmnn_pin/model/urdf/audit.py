@@ -9,6 +9,7 @@ but hardly meant: millimetres, degrees.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -401,7 +402,8 @@ def bad_meshes(root: etree._Element, urdf: Path, package_dirs: Sequence[str | Pa
     together: dict[str, list[str]] = {}
     for name, mesh in found.items():
         pointer = mesh.file is not None and damage_of(mesh.file) == POINTER
-        together.setdefault(mesh.package or POINTER * pointer or name, []).append(name)
+        outside = mesh.problem * (mesh.problem == "outside")
+        together.setdefault(mesh.package or POINTER * pointer or outside or name, []).append(name)
     for names in together.values():
         yield from mesh_finding(named[names[0]], names, found[names[0]], package_dirs)
 
@@ -409,8 +411,9 @@ def bad_meshes(root: etree._Element, urdf: Path, package_dirs: Sequence[str | Pa
 def mesh_finding(
     element: etree._Element, names: list[str], mesh: MeshFile, package_dirs: Sequence[str | Path]
 ) -> Iterator[Finding]:
-    """The finding about one mesh, or about all meshes of one missing package."""
-    what = f"mesh '{names[0]}'"
+    """The finding about one mesh, or about all meshes that lie outside, are pointers, or are of one missing package."""
+    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    what = f"mesh '{names[0]}'{more}"
     given = f"; {' and '.join(map(str, package_dirs))} {'do' if len(package_dirs) > 1 else 'does'} not hold it"
     fix = "give the folder that holds the package with --package-dir" + given * bool(package_dirs)
     if "://" in names[0] and not mesh.package and mesh.problem == "missing":
@@ -426,10 +429,12 @@ def mesh_finding(
         )
     elif mesh.problem == "outside":
         why = f"never opened; {NO_SHAPE}"
-        yield finding("mesh-outside", element, f"{what} is outside the package", why, "move it into the package")
+        theirs = re.search(r"([^/]+)/meshes/", names[0])
+        other = f", or give the folder of package '{theirs[1]}' with --package-dir" if theirs else ""
+        fix = f"copy the meshes into the URDF's package{other}"
+        yield finding("mesh-outside", element, f"{what} {'lie' if more else 'lies'} outside the package", why, fix)
     elif mesh.file is not None and (damage := damage_of(mesh.file)) == POINTER:
-        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        yield finding("mesh-missing", element, f"{what}{more} is {damage}", NO_SHAPE, "git lfs pull")
+        yield finding("mesh-missing", element, f"{what} is {damage}", NO_SHAPE, "git lfs pull")
     elif mesh.file is not None and damage:
         yield finding("mesh-corrupt", element, f"{what} is corrupt: {damage}", NO_SHAPE, "export it again")
 

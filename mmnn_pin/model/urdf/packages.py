@@ -136,7 +136,8 @@ def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> Me
 
     `package://NAME/...`, `model://NAME/...` and `$(find NAME)/...` are looked for in the package. Other names start
     from the URDF's folder; they may stay inside its package (the folder with a `package.xml`, else the one above
-    `urdf/` or `robots/`, else the URDF's own), inside a package folder, or inside another package.
+    `urdf/` or `robots/`, else the URDF's own), inside a package folder, or inside another package. An absolute name
+    from another machine, `/home/THEM/ws/src/NAME/meshes/...`, is looked for in the package NAME that is seen here.
 
     Args:
         name: The file name as the URDF states it.
@@ -156,8 +157,20 @@ def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> Me
     files = [os.path.join(base, rest) for base in (folder, *given)]  # an absolute name stays what it is
     mesh = first_inside(files, [package_of(folder), *given])
     if mesh.problem == "outside" and os.path.isabs(rest):
-        return first_inside([rest], list(packages(urdf, given).values()))
+        seen = packages(urdf, given)
+        mesh = first_inside([rest], list(seen.values()))
+        return mesh if mesh.file else here(Path(rest), seen) or mesh
     return mesh
+
+
+def here(absolute: Path, seen: dict[str, str]) -> MeshFile | None:
+    """The file of a package that is seen, where the URDF names it by its place on another machine."""
+    package = next((folder for folder in absolute.parents if folder.name in seen), None)
+    if package is None:
+        return None
+    own = seen[package.name]
+    mesh = first_inside([os.path.join(own, absolute.relative_to(package))], [own])
+    return mesh if mesh.file else None
 
 
 def in_package(rest: str, urdf: Path, folder: str, given: list[str]) -> MeshFile:

@@ -32,7 +32,7 @@ from mmnn_pin.lab.experiments.result import Result
 from mmnn_pin.lab.experiments.runner import in_order, limit_notes, reference_notes, weak_notes
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recording import as_columns
-from mmnn_pin.signals import Layout
+from mmnn_pin.signals import Layout, Setpoint
 from mmnn_pin.torque.entries import ENTRIES
 
 SHORT = ("time.duration=0.02",)
@@ -376,6 +376,18 @@ def test_a_path_too_tight_for_a_car_is_drawn_larger_and_that_is_told() -> None:
     tight = load_experiment("track", ["robot='car_arm'", "reference.base={type='circle', radius=0.3, speed=0.3}"])
     (note,) = reference_notes(tight, tight.load_robot())
     assert note == "the path is drawn 3.19 times as large: what steers asks for it"  # 0.9 m at its stops, 0.95 of these
+
+
+def test_a_motion_that_is_slowed_down_names_the_motor_that_asks_for_it() -> None:
+    track = load_experiment("track", ["speed_limits=[99.0, 99.0, 0.1, 99.0]"])
+    robot = track.load_robot()
+    [note] = [n for n in reference_notes(track, robot) if "times as long" in n]
+    assert note.endswith(": arm_1_joint has at most 0.1 rad/s, of which it may take 75% (reference.share)")
+    slow = track.trajectory_of(robot)
+    assert float(note.split()[3]) == pytest.approx(slow.slowness, rel=1e-2)
+    rows = slow.table(np.linspace(0.0, 60.0, 6001), robot.dimensions)
+    q = [Setpoint.side_by_side(row, robot.dimensions).q[0] for row in rows]
+    assert 0.5 * 0.075 < np.abs(np.diff(q)).max() / 0.01 < 0.0751  # as slow as it must be, no slower
 
 
 def test_what_has_no_trailer_cannot_have_it_guided() -> None:
