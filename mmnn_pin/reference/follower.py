@@ -35,7 +35,7 @@ from .guide import (
     take_joints,
     take_sample,
 )
-from .hand import FollowHand, HandCourse
+from .hand import FollowHand, HandCourse, HandWish, WishedCourse
 from .limits import Limits
 from .motion import between, require_within
 from .steerable import pushes_trailer, require_steerable
@@ -104,12 +104,16 @@ class Follower:
             return Reach(wish, self.now[self.q :].reshape(3, d.arm), self.guide, self.names)
         elif isinstance(wish, Motion):
             return self._checked(wish)
-        elif isinstance(wish, FollowHand):
+        elif isinstance(wish, FollowHand | HandWish):
             if wish.body.robot.dimensions != d:
                 raise ConfigError("a hand of another robot", fix="make its body of this robot", key="setpoint")
-            return HandCourse(wish, self.now, self.measured)
+            return (HandCourse if isinstance(wish, FollowHand) else WishedCourse)(wish, self.now, self.measured)
         elif not isinstance(wish, Stand):
+<<<<<<< HEAD
             fix = "give a Setpoint, a BaseVelocity, a JointSample, a JointGoal, a Motion, a FollowHand or HOLD"
+=======
+            fix = "give a Setpoint, a BaseVelocity, a JointGoal, a Motion, a FollowHand, a HandWish or HOLD"
+>>>>>>> main
             raise ConfigError(f"a {type(wish).__name__} as a setpoint", fix=fix, key="setpoint")
         return None
 

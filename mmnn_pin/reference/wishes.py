@@ -6,6 +6,7 @@
     JointGoal(q)                      joints to a goal, or through several, at rest there, within jerk limits
     Motion.of(trajectory, ...)        a motion known ahead, of the base, of the arm, or of both
     FollowHand(body, path)            the hand along a path, by base and arm together
+    HandWish(body)                    the hand to places or at velocities that are told on the way
 
 Base and arm may follow different ones: `(BaseVelocity((0.3, 0.0)), JointGoal(q))`.
 """
@@ -19,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from ..signals import Array, Setpoint
 from .guide import ARM, BASE
-from .hand import FollowHand
+from .hand import FollowHand, HandWish
 from .motion import Motion
 
 
@@ -102,4 +103,8 @@ class Course(Protocol):
         """Write the sample of a time [s] into a flat setpoint; false once it is over, with the last sample."""
 
 
+<<<<<<< HEAD
 Wish = Setpoint | BaseVelocity | JointSample | JointGoal | Motion | FollowHand | Stand
+=======
+Wish = Setpoint | BaseVelocity | JointGoal | Motion | FollowHand | HandWish | Stand
+>>>>>>> main

@@ -34,6 +34,7 @@ from ...reference.wishes import Motion, Wish
 from ...signals import Array
 from ...torque.controller import CompiledController, TorqueController
 from .asking import Asking
+from .hand import HandAsking
 from .inlets import Inlet, Outlet
 from .outputs import Commands, diagnostics, stamp_of, wrench_of
 from .planned import PlannedArm, RobotSituation
@@ -121,6 +122,7 @@ class Bridge:
         self.commands = Commands(node, robot, settings)
         arm = PlannedArm.of(robot, settings.joint_states.theirs, settings.limits, stepper.period)
         self.asking = Asking(node, arm, settings, self.tree)
+        self.hand = HandAsking.of(node, stepper, settings, self.asking.route)
         self._listen()
         self.health = Outlet(node, "/diagnostics", DiagnosticArray, depth=4) if settings.diagnostics else None
         touches = self.stepper.external_wrench.size > 0
@@ -147,7 +149,7 @@ class Bridge:
         if self.clock.is_simulated:
             self.ticking = Inlet(node, "/clock", ClockMessage)
         self.needed = [inlet for inlet in (self.ticking, self.joints, self.base) if inlet is not None]
-        self.inlets = [*self.needed, *self.frames, *self.asking.inlets]
+        self.inlets = [*self.needed, *self.frames, *self.asking.inlets, *(self.hand.inlets if self.hand else [])]
 
     def rows(self) -> list[GraphRow]:
         """All topics, services and actions."""
@@ -233,6 +235,9 @@ class Bridge:
         if self.asking.share is not None:
             follower.share, self.asking.share = self.asking.share, None
         asked = self.asking.poll(self.clock, now, self.stepper.tripped)
+        if self.hand is not None and (led := self.hand.poll(self.clock)):
+            self.asking.give_way("the hand is led", (BASE, ARM))
+            asked = (*asked, *led)
         measurement = self.sensing.measurement(self.stepper.direction)
         measured = min(self.sensing.when, time) if measurement is not None else None
         try:
