@@ -109,11 +109,7 @@ class Follower:
                 raise ConfigError("a hand of another robot", fix="make its body of this robot", key="setpoint")
             return (HandCourse if isinstance(wish, FollowHand) else WishedCourse)(wish, self.now, self.measured)
         elif not isinstance(wish, Stand):
-<<<<<<< HEAD
-            fix = "give a Setpoint, a BaseVelocity, a JointSample, a JointGoal, a Motion, a FollowHand or HOLD"
-=======
-            fix = "give a Setpoint, a BaseVelocity, a JointGoal, a Motion, a FollowHand, a HandWish or HOLD"
->>>>>>> main
+            fix = "give a Setpoint, a BaseVelocity, a joints' sample or goal, a Motion, a FollowHand, a HandWish or HOLD"
             raise ConfigError(f"a {type(wish).__name__} as a setpoint", fix=fix, key="setpoint")
         return None
 

@@ -103,8 +103,4 @@ class Course(Protocol):
         """Write the sample of a time [s] into a flat setpoint; false once it is over, with the last sample."""
 
 
-<<<<<<< HEAD
-Wish = Setpoint | BaseVelocity | JointSample | JointGoal | Motion | FollowHand | Stand
-=======
-Wish = Setpoint | BaseVelocity | JointGoal | Motion | FollowHand | HandWish | Stand
->>>>>>> main
+Wish = Setpoint | BaseVelocity | JointSample | JointGoal | Motion | FollowHand | HandWish | Stand
