@@ -35,7 +35,7 @@ from .settings import Node, settings_of
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
 LEAVING = 10.0  # longest time in which the control loop ends [s]
-THREADS = 4  # of the executor; a goal of the action keeps one until it is over
+THREADS = 8  # of the executor; a goal of an action keeps one until it is over
 DEACTIVATED = "deactivated"
 LOOK = 0.02  # time between two looks for work [s]
 SUCCESS, FAILURE, ERROR = (
