@@ -180,6 +180,29 @@ class PlannedPath(Heard, frozen=True):
         require_positive(self, "speed", "acceleration", "lateral")
 
 
+class HandTopics(Heard, frozen=True):
+    """Setpoints of the hand: `~/hand/pose`, `~/hand/twist` and, of a hand that gives way, `~/hand/stiffness`.
+
+    Args:
+        listen: Whether they are listened to; none: where the experiment has `[impedance]`.
+        turns: Whether the orientation counts, too.
+        speed: Largest speed with which the hand goes there [m/s].
+        turning: Largest turning rate likewise [rad/s].
+
+    Raises:
+        ConfigError: A number that is not positive.
+    """
+
+    listen: bool | None = None
+    turns: bool = False
+    speed: float = 0.25
+    turning: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "speed", "turning")
+
+
 class Output(Settings, frozen=True):
     """Commands for one of the robot's controllers.
 
@@ -238,6 +261,20 @@ class Clocks(Settings, frozen=True):
         require_positive(self, "jump")
 
 
+class Published(Settings, frozen=True):
+    """Topics of the robot's state, as `joint_trajectory_controller` and `diff_drive_controller` have them.
+
+    Args:
+        state: How often `~/controller_state` is told; 0 for never [1/s].
+        odometry: How often `~/odom` is told, out of what is measured; 0 for never [1/s].
+        tf: Whether `/tf` has the frame of the base in the odometry's.
+    """
+
+    state: float = 50.0
+    odometry: float = 0.0
+    tf: bool = False
+
+
 class Node(Settings, frozen=True):
     """All parameters.
 
@@ -266,7 +303,9 @@ class Node(Settings, frozen=True):
         trajectory: Motions of the arm that are asked for by a topic, without an answer.
         action: Motions that are asked for by the action.
         path: Paths of the base that are asked for.
+        hand: Places and velocities of the hand that are asked for, and its stiffness.
         diagnostics: How often the node tells of itself; 0 for never [1/s].
+        publish: Topics of the robot's state.
 
     Raises:
         ConfigError: A number that is not positive, no robot, no commands.
@@ -295,7 +334,9 @@ class Node(Settings, frozen=True):
     trajectory: Heard = Heard()
     action: Action = Action()
     path: PlannedPath = PlannedPath()
+    hand: HandTopics = HandTopics()
     diagnostics: float = 10.0
+    publish: Published = Published()
 
     def __post_init__(self) -> None:
         if not (self.robot and self.commands):

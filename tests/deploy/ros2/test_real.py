@@ -13,6 +13,8 @@ import pytest
 from graph import SETTINGS, Drive, drive, of_ros, python_of
 from places import ROOT
 
+from mmnn_pin import Recording, load
+
 EVERY = ["kilted", pytest.param("jazzy", marks=pytest.mark.long)]
 DOMAINS = iter(range(65, 95))  # one per test: nobody hears another's robot
 GOAL = (0.8, 0.4)  # of the trajectory that the robot's planner sends
@@ -124,7 +126,8 @@ def test_another_domain_is_silence(tmp_path: Path, domain: int) -> None:
 def test_goals_of_the_actions_are_followed(tmp_path: Path, domain: int, distribution: str) -> None:
     """As MoveIt and Nav2 send them: refused, replaced, reached, cancelled, scaled; one of them longer than a packet."""
     faults = "no_plan", "no_joystick"
-    run = drive(tmp_path, distribution, domain, *faults, seconds=120.0, planner="planner_node.py")
+    asked = "publish.odometry:=20.0", "publish.tf:=true"
+    run = drive(tmp_path, distribution, domain, *faults, seconds=120.0, planner="planner_node.py", changes=asked)
     told = run.robot["planner"]
     assert run.code == 130 and told["there"] and told["long"] and told["accepted"], (told, run.lines)
     assert told["unknown joint"] == [6, -2, "joints elbow: there is arm_1_joint, arm_2_joint"]
@@ -138,6 +141,11 @@ def test_goals_of_the_actions_are_followed(tmp_path: Path, domain: int, distribu
     assert told["sideways"][:2] == [6, -1] and "the base cannot roll to its point 1 at 2 s" in told["sideways"][2]
     assert told["path"] == [4, 0, ""] and told["distances"][0] > 0.25 and told["distances"][1] < 0.05, told
     assert told["no path"][:2] == [6, 103] and told["no path"][2] == ("no poses" if distribution == "kilted" else "")
+    assert (
+        told["state"] == [["arm_1_joint", "arm_2_joint"], ["base_footprint"], 2] and max(told["state's error"]) < 0.05
+    )
+    assert told["frames"] == ["odom", "base_footprint", "base_footprint"]
+    assert np.abs(np.array(told["places"]) - (0.35, 0.49)).max() < 0.03
     row = run.rows[-1]
     assert np.abs(row[1:3] - (0.35, 0.49)).max() < 0.03 and abs(row[3] - np.pi / 2) < 0.05, row
     assert np.abs(row[8:10]).max() < 0.1
@@ -234,3 +242,26 @@ def test_a_robot_that_dies_or_whose_clock_jumps_is_asked_for_nothing_more(
     if "rows" in run.robot:
         kept_its_promise(run, (0.2, -0.3), (0.8, 0.4))
         assert np.abs(run.rows[-1, 10:12]).max() < 0.01 and np.abs(run.rows[-1, 4:6]).max() < 0.03, run.rows[-1]
+
+
+LED = SETTINGS.replace("    set:", "    controller: pd\n    set:\n      impedance: {stiffness: 100.0, damping: 20.0}")
+
+
+def test_a_hand_goes_where_messages_lead_it_and_is_as_stiff_as_they_say(tmp_path: Path, domain: int) -> None:
+    """A place, then 1 s at 5 cm/s to the left, by what the node recorded; placements are Pinocchio's."""
+    run = drive(tmp_path, "kilted", domain, "hand", "no_joystick", "no_plan", seconds=5.0, text=LED)
+    assert run.code == 0 and np.isnan(run.trip), run.lines
+    robot, kept = load("platform_arm"), Recording.open(tmp_path / "run.h5")
+
+    def hand(time: float, asked: str = "_ref") -> np.ndarray:
+        k = min(int(np.searchsorted(kept.time, time)), len(kept.time) - 1)
+        place = np.concatenate((kept[f"pose{asked}"][k], kept[f"q{asked}"][k]))
+        return robot.placement("arm_tip", place)[:2, 3]
+
+    assert np.linalg.norm(hand(2.9) - (0.85, 0.1)) < 0.01, (hand(0.0), hand(2.9))
+    x, y = hand(9.0) - hand(2.9)
+    assert abs(x) < 0.01 and 0.045 < y < 0.05 * 1.7, (hand(2.9), hand(9.0))  # and half a second until it is old
+    for time in (2.9, 9.0):  # the robot of the other process has other inertias, and its base lags
+        assert np.linalg.norm(hand(time, "") - hand(time)) < 0.06, (hand(time, ""), hand(time))
+    assert "1e+09 N/m: use at most" in run.lines and "2 numbers: send 1, 3 or 6" in run.lines, run.lines
+    assert np.abs(kept["asked_force"]).max() > 0.0
