@@ -160,4 +160,5 @@ def told(made: Embedded, run: RunComparison | None, checked: str) -> str:
     if run is not None:
         same = f"differs in {', '.join(run.differences)}" if run.differences else "equals Python's, bit for bit"
         loop = f"in the loop ({run.where}): {run.samples} samples, {run.status}; the recording {same}\n"
-    return f"{checked}{loop}{time}{made.ram_bytes / 1000:.1f} kB of RAM{size}{of}\nwrote {made.folder}: {', '.join(made.files)}"
+    memory = f"{made.ram_bytes / 1000:.1f} kB of RAM{size}{of}\n"
+    return f"{checked}{loop}{time}{memory}wrote {made.folder}: {', '.join(made.files)}"
