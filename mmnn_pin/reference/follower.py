@@ -109,7 +109,7 @@ class Follower:
                 raise ConfigError("a hand of another robot", fix="make its body of this robot", key="setpoint")
             return (HandCourse if isinstance(wish, FollowHand) else WishedCourse)(wish, self.now, self.measured)
         elif not isinstance(wish, Stand):
-            fix = "give a Setpoint, a BaseVelocity, a sample or goal of joints, a Motion, FollowHand, HandWish or HOLD"
+            fix = "give a Setpoint, BaseVelocity, JointSample, JointGoal, Motion, FollowHand, HandWish or HOLD"
             raise ConfigError(f"a {type(wish).__name__} as a setpoint", fix=fix, key="setpoint")
         return None
 

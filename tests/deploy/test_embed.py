@@ -42,7 +42,9 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import HOLD, BaseVelocity
+from mmnn_pin.safety import Safety
 from mmnn_pin.signals import Measurement, Setpoint
+from mmnn_pin.touch import Touch
 
 STEPS = 80
 HAS_GCC = shutil.which("gcc") is not None
@@ -111,6 +113,20 @@ def test_a_base_that_steers_has_the_bits_of_the_stepper(tmp_path, robot, control
     told = embedded(tmp_path / "c", controller, "--robot", robot, "--steps", str(STEPS))
     assert told["robot"] == robot and told["selftest_steps"] == STEPS
     assert "shape[" in (tmp_path / "c/controller.h").read_text()
+
+
+@needs_gcc
+@pytest.mark.parametrize("contact", ["go on", "comply"])
+def test_fuzzed_samples_that_feel_contact_have_the_same_bits(tmp_path, contact):
+    """The observer, the law with its weights held, and what gives way or is eased back, in compiled C."""
+    touch, safety = (
+        Touch(bandwidth=1e3, masses=0.0, friction=0.0, torque=0.0, clear=0.01, settle=0.05),
+        Safety(contact=contact),
+    )
+    found = write_fuzzed(loop_of("platform_arm", "pid", touch=touch, safety=safety), tmp_path, 300, 3)
+    assert 20 < found.touched < 280, found
+    status, said = on_target(tmp_path, "gcc")
+    assert status == 0 and "300 samples, 0 differ" in said, said
 
 
 @needs_gcc

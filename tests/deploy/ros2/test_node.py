@@ -85,6 +85,20 @@ def test_a_managed_node_is_configured_changed_stopped_and_started_again(tmp_path
     assert node.returncode == 130, lines
 
 
+def test_a_node_that_was_killed_is_started_again(tmp_path: Path, domain: int) -> None:
+    """The graph forgets who was killed after a lease, 20 s of Fast DDS: until then its commands count as another's."""
+
+    def kill(node: subprocess.Popen[str]) -> None:
+        when_it_drives(tmp_path, 2.5)
+        node.kill()
+
+    first = drive(tmp_path, "kilted", domain, "no_plan", seconds=30.0, meanwhile=kill)
+    assert first.code == -signal.SIGKILL
+    assert np.abs(first.rows[:, 4]).max() > 0.1
+    again = drive(tmp_path, "kilted", domain, "no_plan", seconds=2.5, wait=40.0)
+    assert again.code == 0 and np.abs(again.rows[:, 4]).max() > 0.15, again.lines
+
+
 def test_a_clock_that_was_set_back_is_a_stop_and_a_reset_goes_on(tmp_path: Path, domain: int) -> None:
     asked = "use_sim_time:=true", "end_after_trip:=false"
     faults = "sim_time", "sim_back@2.0", "no_plan"
