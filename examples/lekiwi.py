@@ -10,7 +10,9 @@ import sys
 
 import numpy as np
 
-from mmnn_pin import DeadReckoning, Measurement, drive, load, stepper_on
+from mmnn_pin import Measurement, load
+from mmnn_pin.lab.experiments.stepping import stepper_on
+from mmnn_pin.loop.driving import DeadReckoning, drive
 from mmnn_pin.reference.wishes import BaseVelocity, JointGoal
 
 ARM = ("arm_shoulder_pan", "arm_shoulder_lift", "arm_elbow_flex", "arm_wrist_flex", "arm_wrist_roll")

@@ -4,7 +4,9 @@ import sys
 
 import numpy as np
 
-from mmnn_pin import DeadReckoning, Measurement, drive, load, stepper_on
+from mmnn_pin import Measurement, load
+from mmnn_pin.lab.experiments.stepping import stepper_on
+from mmnn_pin.loop.driving import DeadReckoning, drive
 from mmnn_pin.reference.wishes import BaseVelocity
 
 WHEELS, ARM, TICK, RATE = (1, 2), (11, 12, 13, 14), np.pi / 2048, 0.229 * np.pi / 30.0  # ids, rad, rad/s
@@ -31,16 +33,16 @@ class TurtleBot:
         """What the servos say now; None where a packet is broken: the stepper holds the last one."""
         if self.state.txRxPacket() != 0:
             return None
-        rates, ticks = RATE * self.numbers((*WHEELS, *ARM), VELOCITY), self.numbers(ARM, POSITION)
+        rates, q = RATE * self.numbers((*WHEELS, *ARM), VELOCITY), TICK * (self.numbers(ARM, POSITION) - 2048)
         velocity = np.linalg.solve(self.robot.E[:2, :2].T, rates[:2])
-        return Measurement(self.odometry.move(velocity, self.period), velocity, TICK * (ticks - 2048), rates[2:])
+        return Measurement(self.odometry.move(velocity, self.period), velocity, q, rates[2:])
 
     def write(self, command):
         """Goals of all servos."""
         goals = command.motor_velocity[:2] / RATE, 2048 + command.motor_position[2:] / TICK
         for group, ids, values in zip(self.groups, (WHEELS, ARM), goals, strict=True):
-            for i, goal in zip(ids, np.round(values).astype(int).tolist(), strict=True):
-                group.addParam(i, list(goal.to_bytes(4, "little", signed=True)))
+            for i, goal in zip(ids, values, strict=True):
+                group.addParam(i, list(round(goal).to_bytes(4, "little", signed=True)))
             group.txPacket()
             group.clearParam()
 
@@ -56,5 +58,5 @@ if __name__ == "__main__":
 
     port = PortHandler(sys.argv[2])
     port.setBaudRate(1_000_000)  # opens it, too
-    parts = port, PacketHandler(2.0), GroupSyncRead, GroupSyncWrite
-    print(run(load(sys.argv[1]), parts, 5.0, lambda t: BaseVelocity((0.1, 0.3))).errors())
+    parts, robot = (port, PacketHandler(2.0), GroupSyncRead, GroupSyncWrite), load(sys.argv[1])
+    print(run(robot, parts, 5.0, lambda t: BaseVelocity((0.1, 0.3))).errors())

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from ..elementary import cos_sin
 from ..recording.recording import Recording
 from ..reference.wishes import Wish
+from ..settings.arguments import checked, faced
 from ..signals import Array, Measurement
 from .servo import Command
 from .stepper import Stepper
@@ -18,6 +19,7 @@ from .stepper import Stepper
 SMALL = 1e-4  # angle whose sine is its series up to the third power [rad]
 
 
+@runtime_checkable
 class Bus(Protocol):
     """The face of a robot's own driver to `drive`."""
 
@@ -28,6 +30,7 @@ class Bus(Protocol):
         """Send a command, NaN where another interface holds."""
 
 
+@checked
 def drive(
     stepper: Stepper,
     driver: Bus,
@@ -48,6 +51,15 @@ def drive(
 
     Raises:
         RecordingError: The recording cannot be written.
+
+    >>> class Standing:
+    ...     def read(self):
+    ...         return Measurement(np.zeros(0), np.zeros(0), np.zeros(2), np.zeros(2))
+    ...     def write(self, command):
+    ...         pass
+    >>> with Stepper(load("two_axis_arm"), PD()) as stepper:
+    ...     drive(stepper, Standing(), 0.02, lambda t: None).outcome.status
+    'completed'
     """
     began = clock()
     for k in range(round(seconds / stepper.period)):
@@ -60,6 +72,7 @@ def drive(
     return stepper.finish()
 
 
+@faced
 class DeadReckoning:
     """Where a base is that tells its velocity alone.
 

@@ -7,7 +7,9 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from mmnn_pin import PD, DeadReckoning, Measurement, Stepper, StepperSettings, drive, load, stepper_on
+from mmnn_pin import PD, Measurement, Stepper, StepperSettings, load
+from mmnn_pin.lab.experiments.stepping import stepper_on
+from mmnn_pin.loop.driving import DeadReckoning, drive
 from mmnn_pin.safety import Safety
 
 

@@ -7,9 +7,11 @@ from typing import Any
 from ...loop.stepper import Stepper
 from ...model.robot import Robot
 from ...safety import Safety
+from ...settings.arguments import checked
 from .config import load_experiment
 
 
+@checked
 def stepper_on(robot: Robot, hardware: str, controller: str = "pd", **more: Any) -> Stepper:
     """A stepper of a robot with all that follows from its hardware: rate, interfaces, servos, latency, gains.
 
@@ -21,6 +23,10 @@ def stepper_on(robot: Robot, hardware: str, controller: str = "pd", **more: Any)
 
     Raises:
         InputError: No such hardware or controller; one that does not suit the robot.
+
+    >>> with stepper_on(load("so101"), "feetech-sts3215", "pd") as stepper:
+    ...     stepper.period
+    0.02
     """
     experiment = load_experiment("track", [f"robot={str(robot.path)!r}", f"hardware={hardware!r}"])
     loop = experiment.loop(robot, controller)
