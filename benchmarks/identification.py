@@ -66,6 +66,7 @@ CASES: dict[str, dict[str, Any]] = {
             f"examples/tiago/data/identification/dynamic/tiago_{k}.csv" for k in ("position", "velocity", "effort")
         ],
         "constants": TIAGO,
+        "mend": {"effort.torso_lift_joint": "dropped"},  # without the weight, and in a unit of its own
     },
     "ur10": {"robot": "ur10", "logs": ["ur10_inverse_dynamics_solver/bagfiles/ur10_exciting_trajectory.db3"]},
     "panda": {
@@ -263,7 +264,7 @@ def coverage(robot: Robot, draws: int, noise: float = 0.2, seed: int = 1) -> dic
         found["sd"].append(fit.sd)
         if n % 10 == 0:
             weight, _ = blocks.chosen(every, fit.deviation, prior.strength)
-            consistent = consistent_fit(*compressed(noisy, prior, every, fit.deviation), prior, weight, fit.inflation)
+            consistent = consistent_fit(*compressed(noisy, prior, every, fit), prior, weight, fit.inflation)
             found["consistent"].append(C @ consistent.theta)
             found["consistent_sd"].append(np.sqrt(np.diag(C @ consistent.covariance @ C.T)))
     value, sd, ours, ours_sd = (np.array(part) for part in found.values())
@@ -360,6 +361,7 @@ def main() -> None:
     else:
         logs, judged = read_logs([folder / log for log in case["logs"]], robot, case.get("columns")), []
     settings = {"held_out": judged, "cutoff": given.cutoff, "torque_constants": case.get("constants")}
+    settings["mend"] = case.get("mend", {})
     identify(robot, logs, **settings)  # compiles
     before = time.process_time()
     found = identify(robot, logs, **settings)

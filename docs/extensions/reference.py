@@ -218,10 +218,10 @@ FLOORS = {
 MORE = {  # what is needed now and then, from its own module
     "reference": ("Circle", "Eight", "Waypoints", "BaseTable", "Timed", "Smoothed", "Hold", "Sines", "MinimumJerk"),
     "reference.limits": ("Limits",),
-    "reference.wishes": ("HOLD", "BaseVelocity", "JointGoal", "Motion"),
+    "reference.wishes": ("HOLD", "BaseVelocity", "JointSample", "JointGoal", "Motion"),
     "reference.hand": (
-        *("Capsule", "FollowHand", "HandCircle", "HandLine", "HandMotion", "HandSpline", "Pieces", "Task", "Wait"),
-        *("WholeBody", "WholeBodySettings"),
+        *("Capsule", "FollowHand", "HandCircle", "HandLine", "HandMotion", "HandSpline", "HandWish", "Pieces", "Task"),
+        *("Wait", "WholeBody", "WholeBodySettings"),
     ),
     "model.dynamics": ("Dynamics",),
     "model.regressor": ("Regressor",),

@@ -193,7 +193,17 @@ def why_nothing(found: Identification) -> str:
         return "what a URDF can hold of the fit predicts no better than the URDF; what helps are constants and rotors"
     if found.plausible:
         return "the fit is no better than what it is compared with"
-    return "no masses that can be explain these efforts: currents need --torque-constant, check units and signs"
+    why = "no masses that can be explain these efforts: currents need --torque-constant, check units and signs"
+    ours, any_numbers = found.errors("identified"), found.errors("least_squares")
+    shares = {
+        name: float(ours[i] / any_numbers[i])
+        for i, name in enumerate(found.names)
+        if found.follows[i] and name in found.robot.actuator_names and any_numbers[i] > 0
+    }
+    if found.follows.sum() < 2 or not shares:
+        return why
+    worst = max(shares, key=lambda name: shares[name])
+    return f"{why}; without the worst, which may have another unit: --mend 'effort.{worst}=dropped'"
 
 
 def constants_of(given: tuple[str, ...]) -> dict[str, float | None]:

@@ -122,4 +122,4 @@ def borne(loops: Sequence[HeldLoop], gains: Array, h: float, known: float, more:
 
 def with_inertia(loop: HeldLoop, inertia: Array) -> HeldLoop:
     """The loop with `m nudot_ref` inside in place of `M nudot_ref`; inertia (p,)."""
-    return replace(loop, inside=inertia[:, None] * loop.rates)
+    return replace(loop, inside=inertia[loop.rows, None] * loop.rates)

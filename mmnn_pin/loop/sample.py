@@ -38,7 +38,7 @@ from .hardware import Hardware, is_stopped, send
 from .lead import Lead, catch_up, held, learns, look_ahead, reference_then
 from .machine import Machine, new_machine
 from .plan import Plan
-from .servo import Split, answered, ask
+from .servo import Split, answered, ask, tell
 
 TIME, POSITION, NU, POSE_REF, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
 VELOCITY, Q, QDOT, SHAPE, ALPHA, Q_REF = (INDEX[n] for n in ("velocity", "q", "qdot", "shape", "alpha", "q_ref"))
@@ -143,6 +143,8 @@ def sample(  # noqa: PLR0913 - parts that are None are not compiled
         answered(row, at, not asked, split)
     if hardware is not None:
         send(k, time, row, at, controls.state, hardware.way)
+    if split is not None:
+        tell(row, at, not asked, split)
     look_back(controls, learner, limits, asked, touch)
     if learner is not None and asked:
         settle_or_held(controls, learner, kept, held, frozen)

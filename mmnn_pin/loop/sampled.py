@@ -112,16 +112,19 @@ class HeldLoop:
 
     Attributes:
         state: (k, k).
-        torque: (k, p): what a torque held over the period does, on servo rows a velocity that is asked for.
-        errors: (p, k): `[z; r]` of a deviation.
-        inside: (p, k): `M nudot_ref` of a deviation, the feedback inside Psi.
-        rates: (p, k): `nudot_ref` of a deviation.
-        asked: (p, k): velocities that servo rows are asked for in a deviation, 0 on the others.
+        torque: (k, m): what is sent, held over the period, does: of every velocity a torque, on servo rows a velocity
+            that is asked for, and after these the torques that act through servos.
+        rows: (m,) velocities that it is sent for.
+        errors: (m, k): `[z; r]` of a deviation, 0 where a velocity is asked for.
+        inside: (m, k): `M nudot_ref` of a deviation, the feedback inside Psi, likewise.
+        rates: (m, k): `nudot_ref` of a deviation, likewise.
+        asked: (m, k): velocities that servo rows are asked for in a deviation, 0 on the others.
         responses: By period, `(z - state)^-1 torque` at the frequencies of a sweep, which no gain changes.
     """
 
     state: Array
     torque: Array
+    rows: IntArray
     errors: Array
     inside: Array
     rates: Array
@@ -133,8 +136,8 @@ class HeldLoop:
         return self.state + self.torque @ self.feedback(gains, False)
 
     def feedback(self, gains: Array, inside: bool) -> Array:
-        """(p, k) torque of a deviation: `gains s`, and `M nudot_ref` where it is added; on servo rows what is asked."""
-        return gains[:, None] * self.errors + self.asked + (self.inside if inside else 0.0)
+        """(m, k) torque of a deviation: `gains s`, and `M nudot_ref` where it is added; on servo rows what is asked."""
+        return gains[self.rows, None] * self.errors + self.asked + (self.inside if inside else 0.0)
 
     def radius(self, gains: Array, inside: bool, adds: Array | None = None) -> float:
         """Spectral radius of one period; `adds` (p,) is what a period adds over s to an integral beside, None for none.
@@ -143,7 +146,8 @@ class HeldLoop:
         """
         closed = self.state + self.torque @ self.feedback(gains, inside)
         if adds is not None:
-            closed = np.block([[closed, self.torque], [adds[:, None] * self.errors, np.eye(adds.size)]])
+            own = adds[self.rows, None] * self.errors
+            closed = np.block([[closed, self.torque], [own, np.eye(len(own))]])
         return float(np.abs(np.linalg.eigvals(closed)).max())
 
     def response(self, z: Array) -> Array:
@@ -162,7 +166,7 @@ class HeldLoop:
         if self.radius(gains, inside, adds) > 1.0 + TOLERANCE:
             return 0.0
         F = self.feedback(gains, inside) + 0j
-        own = np.zeros(self.errors.shape) if adds is None else adds[:, None] * self.errors
+        own = np.zeros(self.errors.shape) if adds is None else adds[self.rows, None] * self.errors
 
         def loops(w: Array, responses: Array | None = None) -> Array:
             """Eigenvalues of H at some frequencies, by magnitude, (len(w), p)."""
@@ -230,24 +234,24 @@ def held_loop(
     if sight is not None:
         state, torque, errors, rates, nu = seen(sight, state, torque, errors, rates, moved, nu, h)
     if servos is None:
-        return HeldLoop(state, torque, errors, M @ rates, rates, np.zeros(errors.shape))
+        return HeldLoop(state, torque, np.arange(p), errors, M @ rates, rates, np.zeros(errors.shape))
     return asking(servos, state, torque, errors, rates, M, nu, h)
 
 
 def over_a_period(A: Array, B: Array, nu: slice, h: float) -> tuple[Array, Array, Array]:
-    """State and torque of a period, as of `HeldLoop`, and nu on average over it by state and torque, (p, k + p)."""
-    size, p = B.shape
-    whole = np.zeros((size + 2 * p, size + 2 * p))
-    whole[:size, :size], whole[:size, size : size + p], whole[size + p :, nu] = A, B, np.eye(p)
+    """State and torque of a period, as of `HeldLoop`, and nu on average over it by state and torque, (p, k + m)."""
+    (size, m), p = B.shape, nu.stop - nu.start
+    whole = np.zeros((size + m + p, size + m + p))
+    whole[:size, :size], whole[:size, size : size + m], whole[size + m :, nu] = A, B, np.eye(p)
     held = expm(whole * h)
-    return held[:size, :size], held[:size, size : size + p], held[size + p :, : size + p] / h
+    return held[:size, :size], held[:size, size : size + m], held[size + m :, : size + m] / h
 
 
 def seen(
     sight: VelocityFilter, state: Array, torque: Array, errors: Array, rates: Array, moved: Array, nu: slice, h: float
 ) -> tuple[Array, Array, Array, Array, slice]:
     """The loop with a filter's or an observer's memory as its last states, and where its rates stand in place of nu."""
-    (size, p), (whole, total) = torque.shape, sight.over(h)
+    size, p, (whole, total) = len(state), nu.stop - nu.start, sight.over(h)
     kept = [1] if sight.beta == 0.0 else [0, 1]
     A, b = whole[np.ix_(kept, kept)], total[kept, None]
     remembered = len(kept) * p
@@ -267,7 +271,8 @@ def behind(servos: LinearServos, A: Array, B: Array, M_inv: Array, nu: slice) ->
     """A and B of a loop whose servo rows take velocities u: the servos act all the time, not once in a period.
 
     A robot's own: `nudot_s = b (u - nu_s)`, by torques that act on the effort rows, too. Simulated ones: by the torque
-    `E gain (fed E'u - E'nu + stiffness x)` with `xdot = E'(u - nu)`; the x are further states.
+    `E gain (fed E'u - E'nu + stiffness x)` with `xdot = E'(u - nu)`; the x are further states. Torques that act through
+    a servo are the last columns of B.
     """
     asked, A, B = np.diag(servos.on), A.copy(), B.copy()
     if not servos.simulated:
@@ -285,7 +290,8 @@ def behind(servos: LinearServos, A: Array, B: Array, M_inv: Array, nu: slice) ->
     by_command = (E * servos.gain * servos.fed) @ E.T
     A[:, nu] -= B @ by_velocity
     whole = np.block([[A, B @ by_integral], [further, np.zeros((m, m))]])
-    return whole, np.vstack((B @ (np.eye(len(asked)) - asked + by_command @ asked), E.T @ asked))
+    by_torque = np.hstack((B @ (np.eye(len(asked)) - asked + by_command @ asked), B[:, servos.through]))
+    return whole, np.vstack((by_torque, np.hstack((E.T @ asked, np.zeros((m, len(servos.through)))))))
 
 
 def asking(
@@ -294,7 +300,7 @@ def asking(
     """The loop with the law of servo rows (`loop.servo`), whose integrals psi are its last states.
 
     `u = nu_ref + nudot_ref / b + k s + psi`, `psi_next = psi = psi_last + h rate s`; on effort rows Psi has
-    `nudot_s = b (u - psi - nu)`.
+    `nudot_s = b (u - psi - nu)`, but where torques act through the servo.
     """
     on, (b, k, rate), size = servos.on, servos.numbers[:, :, None], len(state)
     rows = np.flatnonzero(on)
@@ -304,11 +310,17 @@ def asking(
     asked = (1.0 + k + h * rate) * s + nudot / b
     asked[:, nu] += np.eye(p)
     asked[rows, size:] = np.eye(n)
-    nudot += on[:, None] * b * (1.0 + k) * s
+    follows = on.copy()
+    follows[servos.through] = 0.0
+    nudot += follows[:, None] * b * (1.0 + k) * s
     remembered = np.hstack((np.zeros((n, size)), np.eye(n))) + h * (rate * s)[rows]
     state = np.vstack((np.hstack((state, np.zeros((size, n)))), remembered))
-    torque = np.vstack((torque, np.zeros((n, p))))
-    return HeldLoop(state, torque, s, (1.0 - on[:, None]) * (M @ nudot), nudot, on[:, None] * asked)
+    torque = np.vstack((torque, np.zeros((n, torque.shape[1]))))
+    rows = np.concatenate((np.arange(p), servos.through))
+    by_torque = np.concatenate((1.0 - on, np.ones(len(servos.through))))[:, None]
+    asked = np.concatenate((on, np.zeros(len(servos.through))))[:, None] * asked[rows]
+    errors, inside, rates = (by_torque * found[rows] for found in (s, M @ nudot, nudot))
+    return HeldLoop(state, torque, rows, errors, inside, rates, asked)
 
 
 def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | None]:
@@ -383,9 +395,13 @@ def slowest(plan: Plan) -> float:
 
 
 def gains_of(plan: Plan) -> Array:
-    """Gains of the controller on s, (p,); 0 on servo rows."""
+    """Gains of the controller on s, (p,); 0 on servo rows through which no torque acts."""
     gains = plan.controller.feedback_gain(plan.layout)  # type: ignore[union-attr]
-    return np.asarray(gains if plan.servo is None else (1.0 - plan.servo.on) * gains)
+    if plan.servo is None:
+        return np.asarray(gains)
+    acts = 1.0 - plan.servo.on
+    acts[plan.servo.through] = 1.0
+    return np.asarray(acts * gains)
 
 
 def adds_inside(plan: Plan) -> bool:

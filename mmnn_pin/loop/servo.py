@@ -21,6 +21,14 @@ of s enters no torque and teaches nothing, and as before, with `M_ee' - 2 C_ee` 
 
     V = 1/2 r' M_ee r,    dV/dt = -r' K r
 
+**Torques through a position servo.** One whose stiffness Kp is known gives `Kp (q_sent - q) - Kd qdot`, so that a
+torque tau of the law acts through it, as on an effort row, with the servo's own feedback beside:
+
+    q_sent = int u dt + tau / Kp,    tau = K s + Psi_hat
+
+Such a row is one of e for the law: it sees what is asked of it and the error, learns from it, and looks back at the
+torque that the servo gives, as far as it is known. A reach that ends takes of tau / Kp first, and of the integral of u.
+
 `ask` comes before the torque law, `answered` after it.
 
 `servo_model` has what stands for the robot's servos in a simulation, and before a run.
@@ -147,7 +155,10 @@ class Split(NamedTuple):
         integral: (p,) psi.
         command: (p,) u of the last sample.
         place: (n + m,) positions by integration of u, for joints that take nothing else.
-        kept: (p,) errors s, put back into the row for those who look at it.
+        through: (3, p) 1 / Kp of a position servo through which torques act, 0 on other rows; its Kd; largest torque.
+        late: From a measurement to the middle of the time for which a position stands [s].
+        offset: (n + m,) the part tau / Kp of `place`, likewise.
+        kept: (p,) put back into the row for those who look at it: errors s, and torques that act through servos.
         clock: (3,) 0 before it begins, 1, 2 in a stop; time of the last sample; time since then [s].
     """
 
@@ -167,6 +178,9 @@ class Split(NamedTuple):
     integral: Array
     command: Array
     place: Array
+    through: Array
+    late: float
+    offset: Array
     kept: Array
     clock: Array
 
@@ -261,7 +275,8 @@ def split_of(
     placed = np.array([kind == POSITION for kind in (*kinds[nb:], *kinds[own:nb])], bool)
     at = [*robot.arm_index, *(robot.shape_index[k] for k in masters)]
     ends = np.array([np.where(placed, robot.lower[at], -np.inf), np.where(placed, robot.upper[at], np.inf)])
-    integral, command, place, clock = np.split(state, (p, 2 * p, 2 * p + n + len(masters)))
+    places = n + len(masters)
+    integral, command, place, offset, clock = np.split(state, (p, 2 * p, 2 * p + places, 2 * p + 2 * places))
     drives = moved[:own, :wheels].any(axis=0) & (on[:own] > 0.0).any() if own else np.zeros(wheels, bool)
     split = Split(
         on=on,
@@ -280,11 +295,29 @@ def split_of(
         integral=integral,
         command=command,
         place=place,
+        through=through_servos(robot, kinds, servo),
+        late=latency + 0.5 * period,
+        offset=offset,
         kept=np.zeros(p),
         clock=clock,
     )
     limit_commands(split, speed, split.braking, latency)
     return split
+
+
+def through_servos(robot: Robot, kinds: tuple[str, ...], servo: Servo) -> Array:
+    """1 / Kp of an arm's position servos of known stiffness, 0 on other rows, their Kd and largest torques, (3, p)."""
+    d, found = robot.dimensions, np.zeros((3, robot.dimensions.dof))
+    for j in range(d.arm if d.motors else 0):
+        motor, row = d.motors - d.arm + j, d.base + j
+        Kp, Kd, stall = (
+            one_or_each(getattr(servo, name), d.motors, "motor", f"servo.{name}")[motor]
+            for name in ("stiffness", "damping", "stall")
+        )
+        if kinds[row] == POSITION and Kp > 0.0:
+            most = servo.strength * robot.effort_limits[motor]
+            found[:, row] = 1.0 / Kp, Kd, min(most, stall) if stall > 0.0 else most
+    return found
 
 
 def limit_commands(split: Split, speed: Array, braking: Array, latency: float) -> None:
@@ -312,24 +345,39 @@ def laws(robot: Robot, servo: Servo) -> Array:
 
 def state_size(on: Array, places: int) -> int:
     """How many numbers the servo rows remember, `places` of joints whose rates are velocities."""
-    return 2 * on.size + places + 3 if on.any() else 0
+    return 2 * on.size + 2 * places + 3 if on.any() else 0
+
+
+def hidden_torques(robot: Robot, given: Mapping[str, str] | None, servo: Servo) -> Array | None:
+    """Of which velocities servos hide the torque, (p,) of 0 and 1; None for none.
+
+    A velocity servo tells none, a position servo one by its stiffness. Errors as of `interfaces_of` and `split_of`.
+    """
+    kinds, on = interfaces_of(robot, given)
+    hidden = np.where(through_servos(robot, kinds, servo)[0] > 0.0, 0.0, on)
+    return hidden if hidden.any() else None
 
 
 def needs_torques(controller: CompiledController | TorqueController, context: Context) -> bool:
-    """Whether a controller learns from the torque of every row: on servo rows nobody knows it."""
-    learner = controller.law(context).learner if isinstance(controller, CompiledController) else None
+    """Whether a controller learns from torques that servos hide."""
+    if context.hidden is None or not isinstance(controller, CompiledController):
+        return False
+    if controller.by_velocity and not context.hidden.all():
+        return False
+    learner = controller.law(context).learner
     return learner is not None and KERNELS[type(learner)].settle is not nothing_to_keep
 
 
 def require_no_torque_regressor(controller: CompiledController | TorqueController, context: Context) -> None:
-    """Refuse what `needs_torques` on servo rows.
+    """Refuse what `needs_torques`.
 
     Raises:
         ConfigError: It does.
     """
     if needs_torques(controller, context):
-        why = "it needs the torque of every joint, and what takes velocities or positions does not tell it"
-        fix = "use pd, pd_gravity, computed_torque, two_layer, one_layer or adaptive"
+        some = context.hidden is not None and not context.hidden.all()
+        why = "it needs the torque of every joint, and a servo of which no stiffness is known does not tell it"
+        fix = f"use {'learned, feedforward, ' * some}pd, pd_gravity, computed_torque, two_layer, one_layer or adaptive"
         raise ConfigError(f"{controller.name} on a velocity interface", why=why, fix=fix, key="interfaces")
 
 
@@ -349,8 +397,9 @@ def ask(row: Array, at: IntArray, split: Split) -> None:
             split.integral[i] = min(max(before + h * rate * s, -most), most)
             split.growth[i] = split.integral[i] - before
             split.command[i] = wanted + row[at[NUDOT_REF] + i] / b + k * s + split.integral[i]
-            split.kept[i], row[error] = row[error], 0.0
-            row[at[NU_REF] + i] = nu
+            if split.through[0, i] == 0.0:
+                split.kept[i], row[error] = row[error], 0.0
+                row[at[NU_REF] + i] = nu
         elif i < nb and split.masters.size:  # what other rows' motors add to it
             split.command[i] = row[at[MEASURED_BASE] + i]
     share = share_of_base(nb, split)
@@ -363,8 +412,9 @@ def ask(row: Array, at: IntArray, split: Split) -> None:
                 limited = limited or sent != within_reach(sent, angle_of(row, at, j, split), j, split)
             if limited and split.growth[i] * u > 0.0:
                 split.integral[i] -= split.growth[i]
-            nu = row[at[NU_REF] + i]
-            row[at[NUDOT_REF] + i] = split.numbers[0, i] * (split.command[i] - split.integral[i] - nu)
+            if split.through[0, i] == 0.0:
+                nu = row[at[NU_REF] + i]
+                row[at[NUDOT_REF] + i] = split.numbers[0, i] * (split.command[i] - split.integral[i] - nu)
 
 
 @compiled
@@ -434,43 +484,80 @@ def within_reach(sent: float, q: float, j: int, split: Split) -> float:
 
 @linked
 def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
-    """No torque on s, and its errors back in the row; where the controller was not asked the commands brake, too.
+    """No torque on s but through servos, errors back in the row; without an answer the commands brake, too.
 
     A stop moves by no measurement here: it begins with what the reference did, whatever feedback had made of that. Base
     and arm come to rest along the line on which they move, but a position goes no farther out of reach.
     """
     nb = at[Z + 1] - at[Z]
     count_on(row[at[TIME]], split)
-    h = split.clock[SINCE]
     for i in range(split.on.size):
         if split.on[i] > 0.0:
-            row[at[TORQUE] + i], row[at[PSI_HAT] + i] = 0.0, 0.0
-            if at[PSI_APPLIED + 1] > at[PSI_APPLIED]:
-                row[at[PSI_APPLIED] + i] = 0.0
-            if not stopped:
-                row[at[Z] + i if i < nb else at[R] + i - nb] = split.kept[i]
-            else:
-                split.integral[i] = 0.0
-                if split.clock[STATE] < STOPS:
-                    low, high = referred(row, at, i, nb, split)
-                    split.command[i] = min(max(split.command[i], low), high)
+            answer_row(row, at, i, nb, stopped, split)
         elif stopped:
             split.command[i] = 0.0
     if stopped:
         brake(0, nb - split.masters.size, split)
         brake(nb, split.on.size, split)
     for j in range(split.place.size):
-        q, i = angle_of(row, at, j, split), velocity_of(j, nb, split)
-        if split.clock[STATE] == 0.0:
-            split.place[j] = q
-        sent, most = split.place[j] + h * split.command[i], h * split.speed[i]
-        if stopped:  # a measurement holds it where it would get out of reach, and never moves it
-            sent = min(max(sent, min(q - split.ahead[j], split.place[j])), max(q + split.ahead[j], split.place[j]))
-            sent = min(max(sent, split.ends[0, j]), split.ends[1, j])
-        else:
-            sent = within_reach(sent, q, j, split)
-        split.place[j] = min(max(sent, split.place[j] - most), split.place[j] + most)
+        place_joint(row, at, j, nb, stopped, split)
     split.clock[STATE] = STOPS if stopped else 1.0
+
+
+@compiled
+def answer_row(row: Array, at: IntArray, i: int, nb: int, stopped: bool, split: Split) -> None:
+    """Torque and error of servo row i, and in a stop its command; arguments as of `answered`."""
+    acts, torque = split.through[0, i] > 0.0, row[at[TORQUE] + i]
+    row[at[TORQUE] + i] = 0.0
+    if acts:
+        split.kept[i] = torque
+    if stopped or not acts:
+        row[at[PSI_HAT] + i] = 0.0
+        if at[PSI_APPLIED + 1] > at[PSI_APPLIED]:
+            row[at[PSI_APPLIED] + i] = 0.0
+    if stopped:
+        split.integral[i] = 0.0
+        if split.clock[STATE] < STOPS:
+            low, high = referred(row, at, i, nb, split)
+            split.command[i] = min(max(split.command[i], low), high)
+    elif not acts:
+        row[at[Z] + i if i < nb else at[R] + i - nb] = split.kept[i]
+
+
+@compiled
+def place_joint(row: Array, at: IntArray, j: int, nb: int, stopped: bool, split: Split) -> None:
+    """The position that joint j is sent; arguments as of `answered`."""
+    q, i, h = angle_of(row, at, j, split), velocity_of(j, nb, split), split.clock[SINCE]
+    if split.clock[STATE] == 0.0:
+        split.place[j] = q
+    before, most = split.place[j], h * split.speed[i]
+    sent = before + h * split.command[i]
+    if stopped:  # a measurement holds it where it would get out of reach, and never moves it
+        sent = min(max(sent, min(q - split.ahead[j], before)), max(q + split.ahead[j], before))
+        sent = min(max(sent, split.ends[0, j]), split.ends[1, j])
+        split.place[j] = min(max(sent, before - most), before + most)
+        return
+    path = within_reach(sent - split.offset[j], q, j, split)
+    sent = path if split.through[0, i] == 0.0 else within_reach(path + split.through[0, i] * split.kept[i], q, j, split)
+    split.place[j] = min(max(sent, before - most), before + most)
+    if split.through[0, i] > 0.0:
+        split.offset[j] = split.place[j] - path
+        split.kept[i] = given_through(split.place[j], q, row[at[QDOT_REF] + i - nb], i, split)
+
+
+@linked
+def tell(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
+    """Write the torques that are taken to act through servos into the row, once what motors are sent is on its way."""
+    for i in range(split.on.size):
+        if split.through[0, i] > 0.0 and not stopped:
+            row[at[TORQUE] + i] = split.kept[i]
+
+
+@compiled
+def given_through(sent: float, q: float, qdot: float, i: int, split: Split) -> float:
+    """The torque that the servo of row i is taken to give while a position stands that is sent at a measured q."""
+    torque = (sent - q - split.late * qdot) / split.through[0, i] - split.through[1, i] * qdot
+    return min(max(torque, -split.through[2, i]), split.through[2, i])
 
 
 @compiled

@@ -23,7 +23,7 @@ from ..model.tree.twin import Twin
 from ..settings import one_or_each
 from ..signals import Array, IntArray
 from .before_run import viscous_friction
-from .servo import EFFORT, POSITION, Servo, Split, interfaces_of, laws, movers, own_velocities
+from .servo import EFFORT, POSITION, Servo, Split, interfaces_of, laws, movers, own_velocities, through_servos
 
 TINY = 1e-9  # damping of a position servo without any [N m s/rad or N s/m]
 PLACES = 20  # at which inertias are looked at
@@ -327,6 +327,7 @@ class LinearServos(NamedTuple):
         gain: (m,) Kd of `Servos`.
         stiffness: (m,) Kp over Kd [1/s].
         fed: (m,) 1 where Kd brakes the speed that is not asked for, 0 for a position servo, where it brakes all.
+        through: (t,) rows on which torques act through a servo, as in `loop.servo`.
         simulated: Whether they are `Servos`, else what the law takes them for, `nudot_s = b (u - nu_s)`.
     """
 
@@ -337,6 +338,7 @@ class LinearServos(NamedTuple):
     gain: Array
     stiffness: Array
     fed: Array
+    through: IntArray
     simulated: bool
 
     @property
@@ -364,4 +366,6 @@ def servos_on(robot: Robot, kinds: tuple[str, ...], law: Servo, simulated: bool)
     stiffness = np.where(at_place, known[KP] / gain, stiffness)
     there, fed = motors > 0.0, np.where(at_place, 0.0, 1.0)
     E = robot.E_at(robot.rest)[:, there]
-    return LinearServos(law, kinds, numbers, E, gain[there], stiffness[there], fed[there], simulated)
+    through = np.flatnonzero(through_servos(robot, kinds, law)[0])
+    known_by_law = simulated or through.size > 0
+    return LinearServos(law, kinds, numbers, E, gain[there], stiffness[there], fed[there], through, known_by_law)

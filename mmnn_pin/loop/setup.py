@@ -30,7 +30,7 @@ from .controller import context_of
 from .latency import Latency
 from .lead import Lead, delays, lead_of, leads
 from .plan import Plan
-from .servo import Servo
+from .servo import Servo, hidden_torques
 from .servo_model import linear_servos
 from .sight import VelocityFilter
 from .suited import postures
@@ -157,6 +157,7 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
         way=setup.known.way(setup.timing),
         unseen=unseen_by(setup),
         pose_weights=setup.kinematic.pose_weights(setup.robot.dimensions),
+        hidden=hidden_torques(setup.robot, setup.interfaces, setup.servo),
     )
     return context_of(setup.controller, setup.robot, context, within_limits)
 

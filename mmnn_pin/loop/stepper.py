@@ -206,7 +206,8 @@ class Stepper:
         delay = known.total + known.margin
         sight = VelocityFilter.late(settings.filtered, period) if sensor.exact else VelocityFilter.of(sensor, period)
         late = 0.0 if sensor.exact else sensor.smoothing(period)
-        given = LoopToSuit(settings.kinematic, period, delay, known.margin, settings.lag, late=late, sight=sight)
+        behind = (tuple(settings.interfaces.items()), settings.servo)
+        given = LoopToSuit(settings.kinematic, period, delay, known.margin, settings.lag, b"", late, sight, *behind)
         controller = suited(controller, robot, lambda: given)
         setup = StepperSetup(
             robot, controller, settings.kinematic, safety, timing, settings.nominal, settings.seed,
@@ -401,7 +402,8 @@ class Stepper:
         if controller is not None:
             lag, delay = self.setup.lag, self.latency + self.setup.known.margin
             sight, late = self.setup.sight, 0.0 if self.setup.sensor.exact else self.setup.smoothing
-            given = LoopToSuit(kinematic, self.period, delay, self.setup.known.margin, lag, late=late, sight=sight)
+            margin, behind = self.setup.known.margin, (tuple(self.setup.interfaces.items()), self.setup.servo)
+            given = LoopToSuit(kinematic, self.period, delay, margin, lag, b"", late, sight, *behind)
             made = suited(controller, self.robot, lambda: given)
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         before, self.limits, direction = self.limits, limits or self.limits, self.direction.copy()

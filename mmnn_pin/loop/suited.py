@@ -42,6 +42,8 @@ from ..torque.neural import Neural, Robust
 from .before_run import Start, lags, viscous_friction
 from .rates import Kind, borne, largest_rate
 from .sampled import HeldLoop, Machinery, held_loop, margin_at
+from .servo import Servo
+from .servo_model import LinearServos, linear_servos
 from .sight import VelocityFilter
 
 MARGIN = 0.003  # delay that default gains bear, beside the delay that is known [s]
@@ -73,6 +75,8 @@ class LoopToSuit(NamedTuple):
         reference: Setpoints where the robot will be, rows of a `Trajectory.table` as bytes; empty for `postures`.
         late: By how much an observer on a model is late, to an integral [s].
         sight: How velocities are made of encoders.
+        interfaces: Interface of joints, by name.
+        servo: The servos behind them. They count where torques act through them.
     """
 
     kinematic: Kinematic
@@ -83,6 +87,8 @@ class LoopToSuit(NamedTuple):
     reference: bytes = b""
     late: float = 0.0
     sight: VelocityFilter | None = None
+    interfaces: tuple[tuple[str, str], ...] = ()
+    servo: Servo = Servo()
 
     @classmethod
     def of(cls, loop: Any, trajectory: Trajectory, timing: Timing, layout: Dimensions) -> LoopToSuit:
@@ -98,7 +104,20 @@ class LoopToSuit(NamedTuple):
             VelocityFilter.of(sensor, period),
         )
         late = 0.0 if sight is not None else sensor.smoothing(period)
-        return cls(loop.kinematic, held, delay, latency.margin, loop.actuator.lag, rows.tobytes(), late, sight)
+        lag, behind = loop.actuator.lag, (tuple(loop.interfaces.items()), loop.servo)
+        return cls(loop.kinematic, held, delay, latency.margin, lag, rows.tobytes(), late, sight, *behind)
+
+    def machinery(self, robot: Robot) -> Machinery:
+        """The parts between torques and measurements of a robot."""
+        friction, lag = viscous_friction(robot), lags(robot, self.lag)
+        return Machinery(friction, lag, servos_through(robot, self.interfaces, self.servo), self.sight)
+
+
+@lru_cache(16)
+def servos_through(robot: Robot, given: tuple[tuple[str, str], ...], law: Servo) -> LinearServos | None:
+    """The servos of a robot, where torques act through one of them; else None."""
+    servos = linear_servos(robot, dict(given), law, True) if given else None
+    return servos if servos is not None and servos.through.size else None
 
 
 class Fit(NamedTuple):
@@ -194,13 +213,12 @@ class Postures(NamedTuple):
 
     def loops(self, robot: Robot, given: LoopToSuit, gains: Array, slow: int = 0) -> list[HeldLoop | None]:
         """The loop where it is fastest with gains (p,), at `JUDGED` places, and at some where it is slowest."""
-        layout, friction = robot.dimensions, viscous_friction(robot)
+        layout, machinery = robot.dimensions, given.machinery(robot)
         modes = [np.abs(np.linalg.eigvals(Gamma * gains)) for Gamma in self.held]
         fast = np.argsort([-each.max() for each in modes])[:JUDGED]
         chosen = {*fast.tolist(), *np.argsort([each.min() for each in modes])[:slow].tolist()}
         K, base = given.kinematic.arm_gains(layout), given.kinematic.base_gains(layout)
         laws = {i: robot.base.linear_errors(self.velocities[i], base) for i in chosen}
-        machinery = Machinery(friction, lags(robot, given.lag), None, given.sight)
         return [held_loop(self.masses[i], laws[i], K, given.period, machinery) for i in sorted(chosen)]
 
 

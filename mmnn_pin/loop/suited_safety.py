@@ -91,6 +91,8 @@ def loads_of(plan: Plan, speed: Array, acceleration: Array) -> Array:
     load += robot.coulomb[arm] + np.diag(friction)[nb:] * speed
     load = np.minimum(load, robot.effort_limits[robot.dimensions.motors - load.size :])
     springs = gains_of(plan)[nb:] * plan.K
+    if plan.servo is not None:  # a servo holds what it is sent
+        springs[plan.servo.on[nb:] > 0.0] = 0.0
     held = np.divide(load, springs, out=np.zeros_like(load), where=springs > 0.0)
     late = speed * (plan.latency + plan.timing.control_period)
     return np.where(springs > 0.0, held, late)

@@ -286,6 +286,7 @@ class PID(Integrating):
     name: str = "pid"
 
     within_limits: ClassVar[bool] = True
+    by_velocity: ClassVar[bool] = True
 
     def law(self, context: Context) -> Law:
         """The numbers of the law; errors as of `positive_gains`."""

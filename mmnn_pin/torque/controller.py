@@ -57,6 +57,7 @@ class Context:
         way: Known time from the command of a torque to the measurement that shows it, less what is predicted [s].
         unseen: Further time until velocities show it: prediction, `sensing.Sensor.smoothing`, `latency.margin` [s].
         pose_weights: (nb,) what the squares of the base's velocity errors count in its pose error; None for all alike.
+        hidden: (p,) whether a servo hides the torque of a velocity; None for none.
     """
 
     layout: Layout
@@ -69,6 +70,7 @@ class Context:
     way: float = 0.0
     unseen: float = 0.0
     pose_weights: Array | None = None
+    hidden: Array | None = None
 
     @property
     def late(self) -> float:
@@ -358,12 +360,14 @@ class CompiledController(Controller):
         settings: The table of the learner.
         learning: Off keeps what is learned as it is.
         bears: What its loop bears of it; a loop or a stepper says it, None where nobody knows the loop.
+        by_velocity: Whether it goes by torques of single velocities, and does without those that servos hide.
     """
 
     feedback: Feedback
     settings: Any
     learning: bool
     bears: Bears | None = None
+    by_velocity: ClassVar[bool] = False
     __post_init__ = require_types
 
     @classmethod

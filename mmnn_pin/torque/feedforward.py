@@ -139,6 +139,7 @@ class Feedforward(Integrating):
     name: str = "feedforward"
 
     within_limits: ClassVar[bool] = True
+    by_velocity: ClassVar[bool] = True
     kind: ClassVar[Literal["integral", "model", "observer", "sliding"]] = "model"
 
     @classmethod

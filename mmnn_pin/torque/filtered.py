@@ -66,6 +66,7 @@ class Filter(NamedTuple):
         nudot: (p,) its mean accelerations.
         torque: (p,) its mean torque; subtract from it what is known already.
         shape: (shape,) its mean angles of a base that steers.
+        told: (p,) 1, or 0 for a velocity whose torque a servo hides: its equation is 0 = 0.
     """
 
     h: float
@@ -83,6 +84,7 @@ class Filter(NamedTuple):
     nudot: Array
     torque: Array
     shape: Array
+    told: Array
 
 
 class Filtered(NamedTuple):
@@ -140,6 +142,7 @@ def new_filter(context: Context, pole: float, state_pole: float = 0.0) -> Filter
         nudot=np.zeros(layout.dof),
         torque=np.zeros(layout.dof),
         shape=np.zeros(layout.shape),
+        told=np.ones(layout.dof) if context.hidden is None else 1.0 - context.hidden,
     )
 
 
@@ -234,7 +237,8 @@ def low_pass(f: Filter, Phi: Array, seen: Filtered) -> None:
     rows, k = Phi.shape
     Phi_f, Y_f = seen.Phi_f, seen.Y_f
     for i in range(rows):
+        fresh = (1.0 - f.hold) * (f.told[i] if rows == f.told.size else 1.0)
         for j in range(k):
-            Phi_f[i, j] = f.hold * Phi_f[i, j] + (1.0 - f.hold) * Phi[i, j]
+            Phi_f[i, j] = f.hold * Phi_f[i, j] + fresh * Phi[i, j]
     for i in range(f.torque.size):
-        Y_f[i] = f.hold * Y_f[i] + (1.0 - f.hold) * f.torque[i]
+        Y_f[i] = f.hold * Y_f[i] + (1.0 - f.hold) * f.told[i] * f.torque[i]

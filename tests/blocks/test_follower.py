@@ -333,3 +333,48 @@ def test_limits_without_room_are_refused():
         Limits(speed=0.0)
     with pytest.raises(ConfigError, match=r"limits\.joint_speed"):
         Limits(joint_speed="fast")
+
+
+def arc(period: float = H) -> Motion:
+    """Two seconds of a bend of the base, and of both joints, from rest to rest."""
+    t = np.arange(round(2.0 / period) + 1) * period
+    s, v, a = 0.3 * (0.75 * t**2 - 0.25 * t**3), 0.3 * (1.5 * t - 0.75 * t * t), 0.3 * (1.5 - 1.5 * t)
+    table = np.zeros((len(t), 13))
+    table[:, 0], table[:, 1], table[:, 2] = np.sin(s), 1 - np.cos(s), s  # an arc of radius 1 m
+    table[:, 3] = table[:, 4] = v
+    table[:, 5] = table[:, 6] = a
+    for i, reach in enumerate((1.0, -2.0)):
+        table[:, 7 + i], table[:, 9 + i], table[:, 11 + i] = reach * s, reach * v, reach * a
+    return Motion(table, period, (BASE, ARM), D)
+
+
+@settings(**SMALL)
+@given(st.lists(st.tuples(st.floats(0.0, 1.5), st.floats(0.0, 1.0)), min_size=1, max_size=4))
+def test_at_any_pace_the_path_is_the_same_and_no_limit_is_passed(changes: list[tuple[float, float]]) -> None:
+    """Second answer: the arc's closed form in its own length, and differences of what the reference is."""
+    run = Run()
+    run.step(arc())
+    for k in range(round(2.0 / H)):
+        run.follower.share = next((share for time, share in reversed(changes) if time <= k * H), 1.0)
+        run.step()
+    run.follower.share = 1.0
+    run.steps(round(4.0 / H))
+    table = run.table()
+    s = table.q[:, 0]
+    assert table.pose == pytest.approx(np.stack([np.sin(s), 1 - np.cos(s), s], axis=1), abs=1e-6)
+    assert table.q[:, 1] == pytest.approx(-2 * s, abs=1e-9) and s[-1] == pytest.approx(0.3, abs=1e-9)
+    assert (np.diff(s) >= -1e-12).all()
+    for rate, bend, most in (
+        (table.qdot[:, 0], table.qddot[:, 0], 5.0), (table.velocity[:, 0], table.acceleration[:, 0], 1.0),
+    ):  # fmt: skip
+        assert np.diff(s) / H == pytest.approx(0.5 * (rate[1:] + rate[:-1]), abs=2e-4)
+        assert np.quantile(np.abs(np.diff(rate) / H - bend[1:]), 0.98) < 5e-3  # all but where a change begins or ends
+        assert np.abs(bend).max() < 0.45 + most + 1e-3 and rate.max() <= 0.225 + 1e-9
+
+
+def test_half_the_pace_takes_twice_as_long() -> None:
+    run = Run()
+    run.follower.share = 0.5
+    run.step()
+    run.steps(round(4.0 / H) - 1, arc())
+    assert run.table().q[-1, 0] < 0.3 - 1e-7 and run.steps(4).q[-1, 0] == pytest.approx(0.3, abs=1e-9)

@@ -27,6 +27,7 @@ from mmnn_pin.reference.hand import (
     HandCircle,
     HandLine,
     HandSpline,
+    HandWish,
     Pieces,
     Task,
     Wait,
@@ -579,3 +580,41 @@ def test_online_the_measured_hand_is_driven_to_the_path(on_measured: bool) -> No
     position[:3], position[robot.arm_index] = measured[:3], measured[5:7]
     missed = np.linalg.norm(moved(robot, "arm_tip", position, np.zeros(4))[0][9:] - begin - [0.3, 0.1, 0.0])
     assert missed < 1e-3 if on_measured else missed > 5e-3
+
+
+@given(st.integers(0, 10**6))
+@settings(max_examples=10)
+def test_a_wished_hand_goes_where_it_is_told_within_its_speed_and_stops_when_nothing_comes(seed: int) -> None:
+    """Places one after the other, then a velocity that grows old: the hand's reference by differences of its place."""
+    robot, rng = robot_of("ur5"), np.random.default_rng(seed)
+    body = WholeBody(robot, [Task(orientation=0.1)], period=0.01)
+    follower, wish = Follower(robot, Limits(), 0.5), HandWish(body, (0.2, 0.8), 0.3)
+    q = np.array([0.3, -1.2, 1.4, -1.0, -1.3, 0.2])
+    measured = np.hstack((q, 0.0 * q))
+    follower.stand(measured)
+    begin = moved(robot, wish.body.frames[0], q, np.zeros(6))[0]
+    start = begin[9:]
+    goals = start + rng.uniform(-0.1, 0.1, (2, 3))
+    twist = np.append(rng.uniform(-0.05, 0.05, 3), np.zeros(3))
+    places = []
+    for k in range(900):
+        if k in (0, 300):
+            wish.go(goals[k // 300])
+        if 600 <= k < 650:
+            wish.move(twist)
+        given = (wish,) if k == 0 else ()
+        follower.step(0.01 * k, 0.01 if k else 0.0, measured, given, [follower.check(w) for w in given])
+        measured = np.hstack((follower.now[:6], follower.now[6:12]))
+        places.append(moved(robot, wish.body.frames[0], follower.now[:6], np.zeros(6))[0][9:])
+    places = np.array(places)
+    assert np.linalg.norm(places[299] - goals[0]) < 2e-3
+    assert np.linalg.norm(places[599] - goals[1]) < 2e-3
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() / 0.01 < 0.2 * 1.1
+    went = places[700] - places[640]
+    assert np.dot(went, twist[:3]) > 0.0
+    assert np.linalg.norm(places[-1] - places[-50]) < 1e-4
+    for wrong in (lambda: wish.go((np.nan, 0, 0)), lambda: wish.go((0, 0, 0), (0, 0, 0, 2)), lambda: wish.move([1.0])):
+        with pytest.raises(ConfigError):
+            wrong()
+    with pytest.raises(ConfigError):
+        HandWish(body, (0.0, 1.0))

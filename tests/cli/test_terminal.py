@@ -93,7 +93,7 @@ def test_tables_are_as_wide_as_the_terminal_and_plain_in_a_file(monkeypatch) -> 
     assert output.look() == {"colour": False, "width": output.WIDE}  # asked for, as `COLUMNS=999 mmnn list | less`
 
 
-@pytest.mark.parametrize("columns", [60, 80, 200])
+@pytest.mark.parametrize("columns", [60, 200])
 def test_lists_fold_below_each_other_and_break_no_name(columns: int, capsys, monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
     assert main(["list"]) == 0

@@ -210,7 +210,7 @@ def test_a_weak_servo_saturates_and_a_slow_one_is_late():
     limited = replace(ROBOT, effort_limits=np.full(4, 50.0))
     applied = [replace(one, robot=limited, nominal=ROBOT).run()["applied"][:, :2] for one in (free, weak)]
     assert np.abs(applied[0]).max() > 0.1 and np.abs(applied[1]).max() == pytest.approx(0.05)
-    slow, (kinds, _), state = Servo(delay=0.01), interfaces_of(ROBOT, WHEELS), np.zeros(13)
+    slow, (kinds, _), state = Servo(delay=0.01), interfaces_of(ROBOT, WHEELS), np.zeros(15)
     split = split_of(ROBOT, kinds, slow, H, state)
     split.command[:] = 0.5, 0.2, 0.0, 0.0
     memory = motor_state(np.zeros((4, STATES))), np.zeros((servo_slots(slow, 0.002, 0.001), 4))
@@ -434,10 +434,11 @@ def test_a_comparison_in_python_is_told_its_own_key():
 
 def test_controllers_that_nobody_named_are_left_out_with_a_note():
     path = Trajectory.of(ROBOT, base=Eight(3.0, 1.5, 20.0))
-    result = compare(ROBOT, path, duration=0.02, settings={"interfaces": WHEELS})
+    result = compare(ROBOT, path, duration=0.02, settings={"interfaces": EVERY, "kinematic": CALM})
     assert list(result) == ["pd_gravity", "two_layer"]
     assert [note for note in result.notes if note.startswith("pid, feedforward, learned left out")]
+    result = compare(ROBOT, path, duration=0.02, settings={"interfaces": WHEELS})
     assert "driven wheel_left_joint, wheel_right_joint by velocity; all others by effort" in result.notes
-    with pytest.raises(ConfigError, match="pid on a velocity interface"):
-        compare(ROBOT, path, ["pd", "pid"], duration=0.02, settings={"interfaces": WHEELS})
-    assert list(compare(ROBOT, path, duration=0.02)) == ["pd_gravity", "pid", "feedforward", "two_layer", "learned"]
+    assert list(result) == ["pd_gravity", "pid", "feedforward", "two_layer", "learned"]
+    with pytest.raises(ConfigError, match="time_delay on a velocity interface"):
+        compare(ROBOT, path, ["pd", "time_delay"], duration=0.02, settings={"interfaces": WHEELS})

@@ -41,7 +41,7 @@ def turntable(tmp_path, inertia=0.01, damping=0.0, friction=0.0):
 def stepped(robot, servo, goal, duration, dt=H, plant="ideal", actuator=Actuator()):  # noqa: B008 (frozen)
     """Positions, speeds and torques of an arm whose servos are sent a goal at rest, (steps, 3, n)."""
     d, kinds = robot.dimensions, interfaces_of(robot, dict.fromkeys(robot.actuator_names, "position"))[0]
-    split = split_of(robot, kinds, servo, 0.02, np.zeros(2 * d.dof + d.arm + 3))
+    split = split_of(robot, kinds, servo, 0.02, np.zeros(2 * d.dof + 2 * d.arm + 3))
     memory = motor_state(np.zeros((d.motors, STATES))), np.zeros((servo_slots(servo, 0.0, dt), d.motors))
     motors = actuator.motors(robot, dt, states=memory[0])
     effects = servos_of(robot, kinds, servo, actuator, split, memory, dt), *motors.effects

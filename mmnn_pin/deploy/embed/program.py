@@ -128,9 +128,10 @@ class CProgram:
         """The function in C for such arguments; parameters that are the same in all calls are taken as known."""
         key = (source.function, *(structure(value) for value in arguments.values()))
         self.kept += [value.object for value in arguments.values() if isinstance(value, Static)]
+        is_math = ".elementary." in source.function.__module__  # which knows of no controller, and so of no array
         for name, value in arguments.items():
             for place, part, array in leaves(value, name):
-                self._note((key, place), self._sameness(part, array))
+                self._note((key, place), VARIES if is_math and array else self._sameness(part, array))
         if key not in self.functions:
             self.functions[key] = self._translated(key, source, arguments)
         return self.functions[key]

@@ -49,7 +49,7 @@ POOR = 0.25  # error of a row above which a damage is looked for
 BETTER = 3.0  # times less than before that the cost is with a damage that is told
 HELPS = 0.7  # times the cost before, under which a damage is kept in sight beside another
 PARTS = 2  # damages at once that are looked for
-SAMPLED = 400  # times of a stretch at which damages are tried
+SAMPLED = 400  # times of a log at which damages are tried
 SHOWN, CALM = 1500, 60.0  # equations, and seconds, that are looked at
 DIAGONAL = np.array([i == j for i, j in PLACES])
 PERIODS = 0.2  # of the log's rows under which a delay is none
@@ -298,11 +298,8 @@ def sampled(log: Log, unknowns: Unknowns, cutoff: float) -> Equations:
         time = np.arange(part.time[0], part.time[-1], period)
         x, tau = coordinates(part, unknowns.robot)[0], efforts(part, unknowns.robot, unknowns.rows)[0]
         x, tau = (low_pass(evenly(part.time, one, time), cutoff, 1 / period) for one in (x, tau))
-        spline, inside = (
-            scipy.interpolate.make_interp_spline(time, x, 5),
-            np.arange(len(time) // 20, len(time) - len(time) // 20),
-        )
-        at = inside[:: max(1, len(time) // SAMPLED)]
+        spline = scipy.interpolate.make_interp_spline(time, x, 5)
+        at = np.arange(len(time) // 20, len(time) - len(time) // 20, max(1, len(log.time) // SAMPLED))
         nu, nudot = spline(time[at], 1), spline(time[at], 2)
         Y = unknowns.matrix(x[at, unknowns.robot.dimensions.base :], nu, nudot)
         speed = nu[:, list(unknowns.rows)]

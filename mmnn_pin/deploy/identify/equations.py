@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import scipy
@@ -257,8 +257,8 @@ def chosen_cutoff(logs: Sequence[Log], robot: Robot) -> float:
     """
     found, rates = [], []
     for log in map(longest, logs):
-        x, _ = coordinates(log, robot)
-        rate = 1.0 / float(np.median(np.diff(log.time)))
+        period = float(np.median(np.diff(log.time)))
+        x, rate = evenly(log.time, coordinates(log, robot)[0], np.arange(log.time[0], log.time[-1], period)), 1 / period
         rates.append(rate)
         for column in x.T:
             if np.ptp(column) < 1e-3:
@@ -282,9 +282,14 @@ def longest(log: Log) -> Log:
 
 def low_pass(x: Array, cutoff: float, rate: float) -> Array:
     """Low-pass without phase along the first axis, with the ends mirrored."""
-    sos = scipy.signal.butter(ORDER, cutoff, fs=rate, output="sos")
     pad = min(len(x) - 1, math.ceil(2 * rate / cutoff))
-    return np.asarray(scipy.signal.sosfiltfilt(sos, x, axis=0, padlen=pad))
+    return np.asarray(scipy.signal.sosfiltfilt(butterworth(cutoff, rate), x, axis=0, padlen=pad))
+
+
+@cache
+def butterworth(cutoff: float, rate: float) -> Array:
+    """Sections of the low-pass of a cutoff, for rows per second [Hz]."""
+    return np.asarray(scipy.signal.butter(ORDER, cutoff, fs=rate, output="sos"))
 
 
 def still_speeds(logs: Sequence[Log], unknowns: Unknowns, cutoff: float) -> Array:

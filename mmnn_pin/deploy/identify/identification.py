@@ -364,7 +364,7 @@ def fitted(
     tell("fitting base parameters", 0.0)
     fit = weighted_fit(used, base_parameters(unknowns, follows, moves))
     tell("fitting all parameters", 0.0)
-    R, z = compressed(used, prior, follows, fit.deviation)
+    R, z = compressed(used, prior, follows, fit)
     allowed, about = rotors_of(R, z, prior, fit.inflation, rotors)
     strength, chosen = np.where(allowed, prior.strength, FIXED), weight
     if chosen is None:

@@ -123,10 +123,13 @@ def wheels_of(robot: Robot, logs: Sequence[Log], rows: int = ROWS) -> Wheels:
         RecordingError: The base hardly drives or turns.
     """
     drives = [one for log in logs for one in stretches(log, robot, rows)]
+    drives = [one for one in drives if smooth(one)] or drives  # a remnant between two gaps is no tape
     way = sum(float(np.linalg.norm(np.diff(one.pose[:, :2], axis=0), axis=1).sum()) for one in drives if smooth(one))
     way = max(way, sum(float(np.abs(np.diff(one.angles.mean(axis=1))).sum()) * mean_radius(robot) for one in drives))
-    if not drives or way < TRAVELLED or sum(turned(one, robot) for one in drives) < TURNED:
-        why = f"it drives {way:.2g} m; radii and track need {TRAVELLED:g} m and {TURNED:g} rad"
+    turn = sum(turned(one, robot) for one in drives)
+    if way < TRAVELLED or turn < TURNED:
+        needed = f"radii and track need {TRAVELLED:g} m and {TURNED:g} rad"
+        why = f"it drives {way:.2g} m and turns by {turn:.2g} rad; {needed}"
         raise RecordingError("too small a drive for wheels", why=why, fix="drive an eight", file=logs[0].name)
     radius = np.array([np.mean([w.radius for w in robot.base.wheels if (w.y > 0) == left]) for left in (True, False)])
     return fitted(drives, np.array([*radius, robot.base.track]), SHORT if rows < ROWS else LONG)

@@ -24,6 +24,7 @@ from ...signals import Array
 from ...torque.prior import DOUBT
 from ...torque.pseudo_inertia import BODY, pseudo_inertias, vector_of
 from .equations import Bools, Equations, Unknowns
+from .least_squares import WeightedFit
 
 WEIGHTS = tuple(float(w) for w in np.logspace(-2, 5, 15))  # of the prior that are tried
 BLOCKS = 5  # of the motion, each left out in turn
@@ -37,6 +38,7 @@ CAREFUL: tuple[dict[str, Any], ...] = (  # settings of the solver, one after the
     {"max_step_fraction": 0.9, "static_regularization_constant": 1e-7},
     {"max_step_fraction": 0.8, "static_regularization_constant": 1e-6, "equilibrate_max_iter": 50},
 )
+CALM = 1e4  # of |z|^2, above which the programme is solved in smaller numbers
 ROTOR = 0.03  # share of a joint's force that its rotor may need at least, before the motion says so
 ROOT2 = np.sqrt(2.0)
 PLACES = tuple((i, j) for i in range(4) for j in range(i, 4))
@@ -290,13 +292,14 @@ def doubt(R: Array, prior: Prior, B: Array, inflation: float) -> tuple[Array, Ar
     return covariance, np.clip(np.where(spread > 0, known, 0.0), 0.0, 1.0)
 
 
-def compressed(equations: Equations, prior: Prior, rows: Bools, deviation: Array) -> tuple[Array, Array]:
-    """R (m, m) and z (m,) with the same squared errors as the weighted equations, up to a constant."""
+def compressed(equations: Equations, prior: Prior, rows: Bools, fit: WeightedFit) -> tuple[Array, Array]:
+    """R (m, m) and z (m,) with the same squared errors as the equations with a fit's weights, up to a constant."""
     parts = []
     for i in np.flatnonzero(rows):
-        use = equations.use[:, i]
-        Y, y = equations.Y[use, i] / deviation[i], equations.y[use, i] / deviation[i]
-        parts.append(np.column_stack((Y @ prior.B, y - Y @ prior.centre)))
+        use = fit.weights[:, i] > 0
+        Y, y = equations.Y[use, i], equations.y[use, i]
+        scale = np.sqrt(fit.weights[use, i]) / fit.deviation[i]
+        parts.append(np.column_stack((Y @ prior.B, y - Y @ prior.centre)) * scale[:, None])
     full = np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
     return full[:, :-1], full[:, -1]
 
@@ -328,7 +331,9 @@ def minimised(R: Array, z: Array, prior: Prior, weight: float, moved: Bools) -> 
         distance = distance + cp.trace(S) - cp.log_det(np.eye(4) + S)
     least = prior.positive[others - first]
     bounded = np.flatnonzero(np.isfinite(least))
-    problem = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(left) + weight * distance), [u[bounded] >= least[bounded]])
+    scale = CALM / max(float(z @ z), CALM)  # an exact log has residuals of no size, and numbers no solver likes
+    cost = 0.5 * cp.sum_squares(np.sqrt(scale) * left) + scale * weight * distance
+    problem = cp.Problem(cp.Minimize(cost), [u[bounded] >= least[bounded]])
     for careful in ({}, *CAREFUL):
         try:
             with warnings.catch_warnings():

@@ -75,11 +75,15 @@ def numbers_only(log: Log, robot: Robot) -> Log:
         if share == 0 or signal.startswith("reference."):
             continue
         where = f"{signal} has {np.count_nonzero(bad)} values that are no numbers"
-        if not is_used(signal, robot) or share > HOLED:
+        used = is_used(signal, robot)
+        if not used or share > HOLED:
             del signals[signal]
-            used = is_used(signal, robot)
             changes = "the signal is left out" + ("" if used else ": the fit does not use it")
-            findings.append(LogFinding("warned" if used else "mended", where, "", changes))
+            if used and signal.startswith("position."):
+                mends, changes = ((signal, "dropped"),), "all torques that depend on where it stands"
+                findings.append(LogFinding("refused", where, "", changes, mends, "which takes it as still", 50.0))
+            else:
+                findings.append(LogFinding("warned" if used else "mended", where, "", changes))
         else:
             holes |= bad
             findings.append(LogFinding("mended", where, "", "these rows are left out"))
@@ -162,13 +166,15 @@ def without_jumps(log: Log, robot: Robot) -> Log:
 
 
 def without_stairs(log: Log) -> Log:
-    """The log with values that are held for some rows drawn on from one to the next."""
+    """The log with values that are held for some rows drawn on from one to the next, by a cubic spline."""
     signals, told = log.signals, dict[int, list[str]]()
     for signal, values in signals.items():
         kind = signal.partition(".")[0]
         if kind in ("position", "effort", "base") and (rows := held_rows(values)):
-            at = np.concatenate(([0], np.flatnonzero(np.diff(values)) + 1))
-            signals[signal] = np.interp(log.time, log.time[at], values[at])
+            at = np.arange(np.bincount(changes(values) % rows).argmax(), len(values), rows)
+            inside = slice(at[0], at[-1] + 1)
+            drawn = scipy.interpolate.make_interp_spline(log.time[at], values[at], 3)(log.time[inside])
+            signals[signal] = np.concatenate((values[: at[0]], drawn, values[at[-1] + 1 :]))
             told.setdefault(rows, []).append(signal)
     findings = [
         LogFinding("mended", f"{', '.join(names)} are held for {rows} rows", "", "drawn on from one value to the next")
@@ -179,13 +185,18 @@ def without_stairs(log: Log) -> Log:
 
 def held_rows(values: Array) -> int:
     """For how many rows a series is held, as by a slower clock; 0 for one that is not, or has the steps of counts."""
-    at = np.flatnonzero(np.diff(values)) + 1
+    at = changes(values)
     if len(at) < 20 or len(at) > 0.6 * len(values):
         return 0
     for rows in range(min(50, len(values) // 20), 1, -1):
         if len(at) > 0.3 * len(values) / rows and np.bincount(at % rows).max() > HELD * len(at):
             return rows
     return 0
+
+
+def changes(values: Array) -> NDArray[np.int64]:
+    """Rows at which a series has another value than before."""
+    return np.flatnonzero(np.diff(values)) + 1
 
 
 def beyond_positions(log: Log, robot: Robot, told: Collection[str]) -> Iterator[LogFinding]:

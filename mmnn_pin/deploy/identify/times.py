@@ -89,8 +89,8 @@ def rolled_on(log: Log) -> Log:
         return log
     period = float(np.median(step[step > 0]))
     turns = period - step[back]
-    turn = round_number(float(np.median(turns)), 0.5 * period)
-    rolls = bool(turn) and bool(np.abs(turns - turn).max() < GAP * period)
+    turn = round_number(float(turns.max()), 0.5 * period) or round_number(float(np.median(turns)), 0.5 * period)
+    rolls = bool(turn) and bool((turns - turn).max() < GAP * period)  # fewer where rows are missing there
     if not rolls and back.size > max(1, len(time) // MANY):
         why = f"{time[back[0] + 1]:.6g} after {time[back[0]]:.6g}"
         what = f"the time goes back {back.size} times, first at row {back[0] + 2}"

@@ -13,7 +13,6 @@ import sys
 import time as clock
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from queue import Empty, SimpleQueue
 from threading import Lock
 from typing import Any, NamedTuple, TypeVar
@@ -30,16 +29,18 @@ from ...errors import ConfigError, InputError
 from ...kinematic import Kinematic
 from ...loop.stepper import SLOW, Stepper
 from ...recording.recording import Recording, Status
-from ...reference.guide import new_guide
+from ...reference.guide import ARM, BASE, new_guide
 from ...reference.wishes import Motion, Wish
 from ...signals import Array
 from ...torque.controller import CompiledController, TorqueController
 from .asking import Asking
+from .hand import HandAsking
 from .inlets import Inlet, Outlet
 from .outputs import Commands, diagnostics, stamp_of, wrench_of
 from .planned import PlannedArm, RobotSituation
 from .sensing import Clock, Sensing, Tree
 from .settings import Node
+from .telling import LearnedShare, Telling
 from .wiring import odometry_topic
 
 WATCH = 0.2  # time between two looks at what is wrong [s]
@@ -122,10 +123,13 @@ class Bridge:
         self.commands = Commands(node, robot, settings)
         arm = PlannedArm.of(robot, settings.joint_states.theirs, settings.limits, stepper.period)
         self.asking = Asking(node, arm, settings, self.tree)
+        self.hand = HandAsking.of(node, stepper, settings, self.asking.route)
         self._listen()
         self.health = Outlet(node, "/diagnostics", DiagnosticArray, depth=4) if settings.diagnostics else None
         touches = self.stepper.external_wrench.size > 0
         self.felt = Outlet(node, "~/external_wrench", WrenchStamped) if touches else None
+        self.telling, self.share = Telling(node, self.stepper, settings, self.sensing), LearnedShare()
+        self.began = math.nan
         self.before = {inlet.name: 0 for inlet in self.inlets}
         self.leave, self.hurry, self.is_running = "", False, False
         self.late: list[Array] = []
@@ -148,21 +152,21 @@ class Bridge:
         if self.clock.is_simulated:
             self.ticking = Inlet(node, "/clock", ClockMessage)
         self.needed = [inlet for inlet in (self.ticking, self.joints, self.base) if inlet is not None]
-        self.inlets = [*self.needed, *self.frames, *self.asking.inlets]
+        self.inlets = [*self.needed, *self.frames, *self.asking.inlets, *(self.hand.inlets if self.hand else [])]
 
     def rows(self) -> list[GraphRow]:
         """All topics, services and actions."""
         heard = ((one.name, type_of(one.kind), quality_of(one.subscription)) for one in self.inlets)
         found = [GraphRow("subscribes", *one, "") for one in heard]
-        if self.asking.action is not None:
-            name = self.node.resolve_service_name("~/follow_joint_trajectory")
-            found.append(GraphRow("serves", name, "control_msgs/action/FollowJointTrajectory", "reliable", ""))
+        found += [GraphRow("serves", one.name, one.type, "reliable", "") for one in self.asking.actions]
         for name in ("~/stop", "~/reset"):
             name = self.node.resolve_service_name(name)
             found.append(GraphRow("serves", name, "std_srvs/srv/Trigger", "reliable", ""))
         for output, one, _ in self.commands.outlets:
             what = "" if output.is_base else f"{output.interface} of {', '.join(output.joints)}"
             found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), what))
+        for one, _, _ in self.telling.outlets:
+            found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), ""))
         if (health := self.health) is not None:
             found.append(GraphRow("publishes", health.name, type_of(health.kind), quality_of(health.publisher), ""))
         if (felt := self.felt) is not None:
@@ -230,9 +234,16 @@ class Bridge:
         d, follower = self.stepper.robot.dimensions, self.stepper.follower
         reference = follower.now[follower.q :].reshape(3, d.arm)
         arm = np.array([self.sensing.q[: d.arm], self.sensing.qdot[: d.arm]])
-        base = follower.now[: d.pose + d.twist]
-        now = RobotSituation(reference, arm, base, self.sensing.pose)
+        base, moved_on = follower.now[: d.pose + d.twist], 0.5 * sum(follower.pace) * (time - self.stepper.time)
+        seen = self.sensing
+        now = RobotSituation(reference, arm, base, seen.pose, seen.velocity, moved_on if self.stepper.k >= 0 else 0.0)
+        self.now = now
+        if self.asking.share is not None:
+            follower.share, self.asking.share = self.asking.share, None
         asked = self.asking.poll(self.clock, now, self.stepper.tripped)
+        if self.hand is not None and (led := self.hand.poll(self.clock)):
+            self.asking.give_way("the hand is led", (BASE, ARM))
+            asked = (*asked, *led)
         measurement = self.sensing.measurement(self.stepper.direction)
         measured = min(self.sensing.when, time) if measurement is not None else None
         try:
@@ -240,7 +251,7 @@ class Bridge:
         except ConfigError as error:  # the reference has moved on since it was planned: what does not fit is left out
             if not asked:
                 raise
-            self.asking.give_way(f"{error.what}: {error.why}")
+            self.asking.give_way(f"{error.what}: {error.why}", (BASE, ARM))
             self._say_once(f"not followed: {error.what}: {error.why}")
             command = self.stepper.step(time, measurement, None, measured=measured)
         self.commands.send(command, stamp_of(self.clock.by_ros))
@@ -288,8 +299,10 @@ class Bridge:
             ConfigError: They do not suit; nothing has changed then.
         """
         self.stepper.change(controller, kinematic, settings.limits)
+        if settings.speed_scaling != self.settings.speed_scaling:
+            self.asking.share = settings.speed_scaling
         self.settings = self.asking.settings = settings
-        self.asking.arm = replace(self.asking.arm, guide=new_guide(self.stepper.robot, settings.limits))
+        self.asking.change(new_guide(self.stepper.robot, settings.limits))
 
     def _answer(self) -> None:
         """Do what was asked for between two samples."""
@@ -333,6 +346,8 @@ class Bridge:
         begin, before = max(self.stepper.time + self.stepper.period, 0.0), self.clock.now
         self.clock.begin += before - begin
         self.sensing.shift(before - begin)
+        if math.isnan(self.began):
+            self.began = self.clock.by_ros - begin
         self.pace = Pace(self.stepper.period, begin)
         self.late.append(self.pace.late)
         self.asking.open()
@@ -349,6 +364,8 @@ class Bridge:
                 stopped = not self._is_reset()
             if self.felt is not None:
                 self.felt.send(wrench_of(self.stepper, stamp_of(self.clock.by_ros)))
+            for tell in self.telling.due(time, self.now, self.clock.by_ros):
+                self.aside.submit(tell)
             self._answer()
             self.stepper.record()
             asked = ()
@@ -405,16 +422,17 @@ class Bridge:
         skipped = [f"{self.skipped} cycles skipped by overruns"] if self.skipped else []
         told = "; ".join(text for text in (message, *dropped, *skipped) if text)
         late = np.concatenate(self.late) if self.late else np.zeros(0)
-        return self.stepper.finish(status, told, {"late": late[~np.isnan(late)]})
+        return self.stepper.finish(status, told, {"late": late[~np.isnan(late)], "began": np.array([self.began])})
 
     def close(self) -> None:
         """Leave all topics."""
         self.asking.close("the node was cleaned up")
-        if self.asking.action is not None:
-            self.asking.action.server.destroy()
+        for action in self.asking.actions:
+            action.server.destroy()
         for inlet in self.inlets:
             self.node.destroy_subscription(inlet.subscription)
         outlets = [outlet for _, outlet, _ in self.commands.outlets]
+        outlets += [outlet for outlet, _, _ in self.telling.outlets]
         for one in [*outlets, *(one for one in (self.health, self.felt) if one is not None)]:
             self.node.destroy_publisher(one.publisher)
 
@@ -428,7 +446,9 @@ class Bridge:
     def _diagnose(self, health: Outlet) -> None:
         """Tell of the node, beside the loop."""
         row, stamp, problem, counts = self.stepper.row.copy(), stamp_of(self.clock.by_ros), self.problem, self._counts()
-        self.aside.submit(lambda: health.send(diagnostics(self.stepper, row, stamp, problem, counts)))
+        where, every = self.stepper.setup.layout.where, 1.0 / self.settings.diagnostics
+        share = self.share.take(row[where("psi_hat")], row[where("torque")], every)
+        self.aside.submit(lambda: health.send(diagnostics(self.stepper, row, stamp, problem, counts, share)))
 
     def _watch(self, time: float) -> None:
         """Stop where a clock jumped, another node commands the robot, or the loop is to end; say what is new."""

@@ -18,7 +18,7 @@ from ...errors import ConfigError
 from .settings import FREE, LIVE, Node, is_part
 
 OWN = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # of rclpy itself
-RANGES = {"rate": (1.0, 2000.0), "latency": (0.0, 10.0), "setpoint_timeout": (0.0, 10.0)}
+RANGES = {"rate": (1.0, 2000.0), "latency": (0.0, 10.0), "setpoint_timeout": (0.0, 10.0), "speed_scaling": (0.0, 1.0)}
 USUAL = (0.0, 1e6)  # no number of ours is negative
 
 

@@ -58,14 +58,23 @@ class RobotSituation(NamedTuple):
     Attributes:
         reference: (3, n) q, qdot, qddot of the arm's reference.
         measured: (2, n) q, qdot.
-        base: (3 + nb,) pose and velocity of the base's reference.
+        base: (3 + twist,) pose and velocity of the base's reference.
         pose: (3,) measured.
+        velocity: (twist,) measured.
+        moved_on: By how much motions went on since the last sample, at the pace at which they are followed [s].
     """
 
     reference: Array
     measured: Array
     base: Array
     pose: Array
+    velocity: Array
+    moved_on: float
+
+    def copy(self) -> RobotSituation:
+        """As it is now."""
+        reference, measured, base, pose, velocity = (np.array(part) for part in self[:5])
+        return RobotSituation(reference, measured, base, pose, velocity, self.moved_on)
 
 
 @dataclass(frozen=True)
@@ -96,7 +105,7 @@ class PlannedArm:
         Args:
             message: Of the planner. Joints that it does not name stay where the reference is.
             now: (3, n) q, qdot, qddot of the reference.
-            since: Time since the moment at which the message's time begins; negative before it [s].
+            since: Time since the moment at which the message's time begins [s].
 
         Raises:
             Refused: It breaks a rule.
@@ -109,7 +118,6 @@ class PlannedArm:
             raise Refused("its last point is at time 0: give it the time that the way takes")
         if since >= at[-1]:
             raise Refused(f"it was over {since - at[-1]:.3g} s ago", OLD_STAMP)
-        at = at - min(since, 0.0)
         stop = start[0] + 0.5 * start[1] * np.abs(start[1]) / self.guide.arm[1]
         rest, parts = np.clip(stop, *self.guide.ends), list[Array]()
         for i, name in enumerate(("positions", "velocities", "accelerations")):
@@ -126,7 +134,7 @@ class PlannedArm:
             rates = slopes(at, parts[0], start[1])
             parts = [parts[0], rates] if len(parts) == 1 else parts
             parts[1][0] = rates[0]
-        return self._within(self._made(at, parts), max(since, 0.0), start[0])
+        return self._within(self._made(at, parts), since, start[0])
 
     def _mend(self, q: Array, start: Array) -> None:
         """Points (k, n) by the nearest turn, from where the joints are on; what stays a little outside, at its end."""

@@ -23,7 +23,7 @@ TWIST_STAMPED: Final = "TwistStamped"
 ACKERMANN: Final = "AckermannDriveStamped"
 Interface = Literal["effort", "velocity", "position"]
 FREE = ("set", "commands")  # tables whose keys are the user's
-LIVE = ("limits.", "set.", "learning")  # what may be changed while the node is configured
+LIVE = ("limits.", "set.", "learning", "speed_scaling")  # what may be changed while the node is configured
 
 
 def require_positive(settings: Settings, *names: str) -> None:
@@ -136,7 +136,9 @@ class Action(Settings, frozen=True):
     Args:
         path_tolerance: Largest error of a joint on the way where a goal states none; 0 for none [rad or m].
         goal_tolerance: Largest error at the end likewise.
-        goal_time: Time after the end in which the goal has to be reached, likewise [s].
+        stopped_velocity: Largest velocity at the end likewise [rad/s or m/s].
+        goal_time: Time after the end in which the goal has to be reached, likewise; 0 for any [s].
+        smooth: How far a base on wheels may pass the points of a goal that it cannot roll to; 0 refuses it [m].
         rate: Of the feedback [1/s].
 
     Raises:
@@ -145,7 +147,9 @@ class Action(Settings, frozen=True):
 
     path_tolerance: float = 0.0
     goal_tolerance: float = 0.05
+    stopped_velocity: float = 0.1
     goal_time: float = 1.0
+    smooth: float = 0.0
     rate: float = 20.0
 
     def __post_init__(self) -> None:
@@ -153,21 +157,50 @@ class Action(Settings, frozen=True):
 
 
 class PlannedPath(Heard, frozen=True):
-    """`nav_msgs/Path` of a planner, driven along its arc length.
+    """`nav_msgs/Path` of a planner, and that of `nav2_msgs/FollowPath`, driven along its arc length.
 
     Args:
         speed: [m/s].
         acceleration: Along the path [m/s^2].
         lateral: Largest sideways acceleration [m/s^2].
+        goal_tolerance: Distance from its end at which the action is done [m].
+        goal_turn: Likewise of the heading [rad].
+        goal_time: Time after the end in which it has to be done [s].
     """
 
     speed: float = 0.3
     acceleration: float = 0.3
     lateral: float = 0.5
+    goal_tolerance: float = 0.1
+    goal_turn: float = 0.1
+    goal_time: float = 2.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_positive(self, "speed", "acceleration", "lateral")
+
+
+class HandTopics(Heard, frozen=True):
+    """Setpoints of the hand: `~/hand/pose`, `~/hand/twist` and, of a hand that gives way, `~/hand/stiffness`.
+
+    Args:
+        listen: Whether they are listened to; none: where the experiment has `[impedance]`.
+        turns: Whether the orientation counts, too.
+        speed: Largest speed with which the hand goes there [m/s].
+        turning: Largest turning rate likewise [rad/s].
+
+    Raises:
+        ConfigError: A number that is not positive.
+    """
+
+    listen: bool | None = None
+    turns: bool = False
+    speed: float = 0.25
+    turning: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, "speed", "turning")
 
 
 class Output(Settings, frozen=True):
@@ -228,6 +261,20 @@ class Clocks(Settings, frozen=True):
         require_positive(self, "jump")
 
 
+class Published(Settings, frozen=True):
+    """Topics of the robot's state, as `joint_trajectory_controller` and `diff_drive_controller` have them.
+
+    Args:
+        state: How often `~/controller_state` is told; 0 for never [1/s].
+        odometry: How often `~/odom` is told, out of what is measured; 0 for never [1/s].
+        tf: Whether `/tf` has the frame of the base in the odometry's.
+    """
+
+    state: float = 50.0
+    odometry: float = 0.0
+    tf: bool = False
+
+
 class Node(Settings, frozen=True):
     """All parameters.
 
@@ -244,6 +291,7 @@ class Node(Settings, frozen=True):
             experiment says.
         predict: Whether measurements are moved on as the reference has moved since their stamps; none likewise.
         setpoint_timeout: Age of a velocity at which the base brakes [s].
+        speed_scaling: Share of their own speed at which motions are followed, until another comes; live [0 to 1].
         follow: "topics", or "experiment": its own motion, from where the robot stands.
         end_after_trip: Whether the process ends after a trip; else it waits for a reset.
         clock: Stamps.
@@ -255,7 +303,9 @@ class Node(Settings, frozen=True):
         trajectory: Motions of the arm that are asked for by a topic, without an answer.
         action: Motions that are asked for by the action.
         path: Paths of the base that are asked for.
+        hand: Places and velocities of the hand that are asked for, and its stiffness.
         diagnostics: How often the node tells of itself; 0 for never [1/s].
+        publish: Topics of the robot's state.
 
     Raises:
         ConfigError: A number that is not positive, no robot, no commands.
@@ -272,6 +322,7 @@ class Node(Settings, frozen=True):
     latency: float | None = None
     predict: bool | None = None
     setpoint_timeout: float = 0.5
+    speed_scaling: float = 1.0
     follow: Literal["topics", "experiment"] = "topics"
     end_after_trip: bool = False
     clock: Clocks = Clocks()
@@ -283,7 +334,9 @@ class Node(Settings, frozen=True):
     trajectory: Heard = Heard()
     action: Action = Action()
     path: PlannedPath = PlannedPath()
+    hand: HandTopics = HandTopics()
     diagnostics: float = 10.0
+    publish: Published = Published()
 
     def __post_init__(self) -> None:
         if not (self.robot and self.commands):
@@ -291,6 +344,8 @@ class Node(Settings, frozen=True):
             raise ConfigError(what, fix="mmnn ros2 --example FOLDER --robot ROBOT writes a file to start from", key=key)
         if not 1 <= self.rate <= 2000:
             raise ConfigError(f"{self.rate} /s", fix="use 1 to 2000", key="rate")
+        if not 0 <= self.speed_scaling <= 1:
+            raise ConfigError(f"{self.speed_scaling}", fix="use 0 to 1", key="speed_scaling")
         for name in ("latency", "setpoint_timeout"):
             if not 0 <= (getattr(self, name) or 0.0) < 10:
                 raise ConfigError(f"{getattr(self, name)} s", fix="use 0 to 10", key=name)

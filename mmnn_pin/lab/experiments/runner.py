@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from ...errors import RecordingError
-from ...loop.servo import EFFORT, interfaces_of, needs_torques
+from ...loop.servo import EFFORT, hidden_torques, needs_torques
 from ...loop.suited import tightest
 from ...model.inspection import interfaces_of as offered_by
 from ...model.robot import Robot, lacking_rotors
@@ -121,8 +121,7 @@ def without_unable(experiment: Experiment, robot: Robot) -> tuple[Experiment, li
 
     It is as it was where none could.
     """
-    _, on = interfaces_of(robot, experiment.interfaces)
-    if not on.any():
+    if hidden_torques(robot, experiment.interfaces, experiment.servo) is None:
         return experiment, []
     names = [name for name in experiment.controllers if name not in EFFECTIVE]
     loops = {name: experiment.loop(robot, experiment.controller(name, robot=robot)) for name in names}
@@ -131,7 +130,7 @@ def without_unable(experiment: Experiment, robot: Robot) -> tuple[Experiment, li
     if not unable or not able:
         return experiment, []
     why = "they go" if len(unable) > 1 else "it goes"
-    note = f"{', '.join(unable)} left out: {why} by the torque of every joint, which velocity interfaces do not tell"
+    note = f"{', '.join(unable)} left out: {why} by the torque of every joint, which not all servos tell"
     return msgspec.structs.replace(experiment, controllers=able), [note]
 
 

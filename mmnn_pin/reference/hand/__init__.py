@@ -10,7 +10,7 @@ capsules   bodies that keep apart
 
 from .capsules import Capsule
 from .motion import HandMotion, comfortable, plan
-from .online import FollowHand, HandCourse
+from .online import FollowHand, HandCourse, HandWish, WishedCourse
 from .path import HandCircle, HandLine, HandPath, HandSpline, Pieces, Wait
 from .tasks import Task, WholeBodySettings
 from .whole_body import WholeBody

@@ -222,12 +222,19 @@ def divergence(P: Array, P0: Array) -> float:
     return float(np.trace(ratio) - np.linalg.slogdet(ratio)[1] - len(P))
 
 
+def weighing(made: tuple[eq.Unknowns, eq.Equations], deviation: Array) -> ls.WeightedFit:
+    """A fit with these deviations, whose equations all count alike."""
+    unknowns, rows = made
+    fit = ls.weighted_fit(rows, ls.base_parameters(unknowns, np.ones(2, bool), np.ones(2, bool)))
+    return replace(fit, deviation=deviation, weights=rows.use.astype(float))
+
+
 def test_the_programme_is_scipys_minimum(made: tuple[eq.Unknowns, eq.Equations]) -> None:
     """Of the objective as it is printed, in pseudo-inertias; found by BFGS from the solution and from the prior."""
     unknowns, rows = made
     prior = Prior.of(unknowns, rows)
     deviation, weight = np.array([0.3, 0.2]), 3.0
-    found = consistent_fit(*compressed(rows, prior, np.ones(2, bool), deviation), prior, weight)
+    found = consistent_fit(*compressed(rows, prior, np.ones(2, bool), weighing(made, deviation)), prior, weight)
     first = unknowns.regressor.inertial
     P0 = pseudo_inertias(prior.centre[:first])
     X = (rows.Y / deviation[:, None])[rows.use]
@@ -251,6 +258,16 @@ def test_the_programme_is_scipys_minimum(made: tuple[eq.Unknowns, eq.Equations])
     assert (found.theta[unknowns.columns("viscous", "coulomb", "rotor")] >= 0).all()
 
 
+def test_an_exact_log_is_solved_as_one_with_noise_is(made: tuple[eq.Unknowns, eq.Equations]) -> None:
+    """Residuals of a simulation are of no size, so that weighted efforts are huge; the programme is the same."""
+    unknowns, rows = made
+    prior, both, found = Prior.of(unknowns, rows), np.ones(2, bool), []
+    for size in (1.0, 1e-6):
+        fit = weighing(made, size * np.array([0.3, 0.2]))
+        found.append(consistent_fit(*compressed(rows, prior, both, fit), prior, 3.0 / size**2).theta)
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-5)
+
+
 def test_blocks_left_out_are_ridge_fits_to_the_others(made: tuple[eq.Unknowns, eq.Equations]) -> None:
     unknowns, rows = made
     prior = Prior.of(unknowns, rows)
@@ -272,11 +289,31 @@ def test_blocks_left_out_are_ridge_fits_to_the_others(made: tuple[eq.Unknowns, e
 
 def test_compressed_equations_have_the_same_errors(made: tuple[eq.Unknowns, eq.Equations]) -> None:
     unknowns, rows = made
-    prior, deviation = Prior.of(unknowns, rows), np.array([0.3, 0.2])
-    R, z = compressed(rows, prior, np.ones(2, bool), deviation)
-    x = np.random.default_rng(0).standard_normal((2, R.shape[1]))
-    direct = [(((rows.y - rows.Y @ prior.theta(one)) / deviation)[rows.use] ** 2).sum() for one in x]
+    prior, deviation, rng = Prior.of(unknowns, rows), np.array([0.3, 0.2]), np.random.default_rng(0)
+    weights = rows.use * rng.choice([0.0, 0.4, 1.0], rows.use.shape)
+    fit = replace(weighing(made, deviation), weights=weights)
+    R, z = compressed(rows, prior, np.ones(2, bool), fit)
+    x = rng.standard_normal((2, R.shape[1]))
+    direct = [(weights * ((rows.y - rows.Y @ prior.theta(one)) / deviation) ** 2).sum() for one in x]
     assert direct[0] - direct[1] == pytest.approx(np.sum((R @ x[0] - z) ** 2) - np.sum((R @ x[1] - z) ** 2), rel=1e-8)
+
+
+def test_a_row_far_off_moves_no_parameter(arm: Robot) -> None:
+    """A joint that turns back makes rows that no smooth friction explains: neither fit may follow them."""
+    made = set_up(arm, noise=0.02)
+    unknowns, rows = made
+    prior, follows = Prior.of(unknowns, rows), np.ones(2, bool)
+    y = rows.y.copy()
+    y[np.flatnonzero(rows.use[:, 0])[::60], 0] += (
+        40 * ls.weighted_fit(rows, ls.base_parameters(unknowns, follows, follows)).deviation[0]
+    )
+    found = []
+    for one in (rows, replace(rows, y=y)):
+        fit = ls.weighted_fit(one, ls.base_parameters(unknowns, follows, follows))
+        found.append(consistent_fit(*compressed(one, prior, follows, fit), prior, 4.0))
+    C = fit.base.combination
+    sd = np.sqrt(np.diag(C @ found[0].covariance @ C.T))
+    assert (np.abs(C @ (found[1].theta - found[0].theta)) < sd).all()
 
 
 def test_flat_and_massless_bodies_become_possible_and_others_stay() -> None:

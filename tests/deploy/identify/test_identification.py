@@ -367,7 +367,7 @@ def test_a_solver_that_gives_up_is_asked_again_with_more_care(
             self._status = "optimal_inaccurate"
 
     monkeypatch.setattr("cvxpy.Problem.solve", gives_up)
-    R, z = programme.compressed(found.training.only(found.follows), found.prior, found.follows, found.fit.deviation)
+    R, z = programme.compressed(found.training.only(found.follows), found.prior, found.follows, found.fit)
     allowed, _ = rotors_of(R, z, found.prior, found.fit.inflation, "auto")
     again = programme.consistent_fit(
         R, z, found.prior, found.consistent.weight, found.fit.inflation, allowed,
@@ -486,6 +486,9 @@ def test_efforts_that_no_robot_has_are_not_believed(
     assert main(["identify", str(file), "--robot", "two_axis_arm", "--out", str(tmp_path / "o")]) == 1
     err = capsys.readouterr().err
     assert "--torque-constant" in err and not (tmp_path / "o").exists()
+    (advice,) = re.findall(r"--mend 'effort[^']*'", err)
+    without = ["--out", str(tmp_path / "p"), *shlex.split(advice)]
+    assert main(["identify", str(file), "--robot", "two_axis_arm", *without]) == 0
     words = ["--torque-constant", f"{motors[0]}=40", "--torque-constant", f"{motors[1]}={1 / 3}"]
     assert main(["identify", str(file), "--robot", "two_axis_arm", "--out", str(tmp_path / "o"), *words]) == 0
 

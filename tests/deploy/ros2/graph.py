@@ -9,8 +9,11 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -64,16 +67,16 @@ def start(distribution: str, domain: int, script: str, *arguments: Any) -> subpr
     return subprocess.Popen(command, env=of_ros(distribution, domain), stdout=pipe, stderr=pipe, text=True)
 
 
-def mmnn(distribution: str, domain: int, *arguments: Any) -> subprocess.Popen[str]:
-    """`mmnn ros2` as a process."""
+def mmnn(distribution: str, domain: int, *arguments: Any, **own: str) -> subprocess.Popen[str]:
+    """`mmnn ros2` as a process, in surroundings with some more of its own."""
     command = [str(python_of(distribution)), "-c", MAIN, "ros2", *map(str, arguments)]
-    pipe, own = subprocess.PIPE, of_ros(distribution, domain)
-    return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=ROOT, env=own)
+    pipe, here = subprocess.PIPE, of_ros(distribution, domain) | own
+    return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=ROOT, env=here)
 
 
-def said(distribution: str, domain: int, *arguments: Any) -> tuple[int, str]:
-    """Exit code and lines of `mmnn ros2` that ends by itself."""
-    node = mmnn(distribution, domain, *arguments)
+def said(distribution: str, domain: int, *arguments: Any, **own: str) -> tuple[int, str]:
+    """Exit code and lines of `mmnn ros2` that ends by itself, in surroundings with some more of its own."""
+    node = mmnn(distribution, domain, *arguments, **own)
     out, err = node.communicate(timeout=300)
     return node.returncode, out + err
 
@@ -120,7 +123,10 @@ def drive(
     text: str = SETTINGS,
     meanwhile: Callable[[subprocess.Popen[str]], None] = lambda node: None,
 ) -> Drive:
-    """Drive the robot of `robot_node.py` through its faults, with changed parameters, and do something meanwhile."""
+    """Drive the robot of `robot_node.py` through its faults, with changed parameters, and do something meanwhile.
+
+    The node is stopped by Ctrl-C when the planner has ended, the robot when the node has.
+    """
     settings = folder / "robot.yaml"
     settings.write_text(text)
     robot = start(
@@ -131,15 +137,25 @@ def drive(
     remapped = ["-r", "diff_drive_controller/odom:=odom"]
     node = mmnn(distribution, domain, settings, *own, "--ros-args", *remapped, *options)
     others = [start(distribution, domain, planner)] if planner else []
+    plans, pool = list[str](), ThreadPoolExecutor(1)
+    lines = pool.submit(node.communicate, timeout=300)  # a pipe that nobody reads stops who writes
     try:
         meanwhile(node)
-        out, err = node.communicate(timeout=300)
+        for one in others:
+            while one.poll() is None and node.poll() is None:
+                time.sleep(0.05)
+            node.send_signal(signal.SIGINT)
+            if one.poll() is not None:
+                plan, complaint = one.communicate()
+                assert plan, complaint
+                plans.append(plan)
+        out, err = lines.result()
+        robot.send_signal(signal.SIGTERM)
         told, _ = robot.communicate(timeout=60) if robot_domain is None and node.returncode != 2 else ("", "")
     finally:
         for one in (node, robot, *others):
             one.kill()
-    plans = [one.communicate()[0] for one in others]
     last = told.strip().splitlines()[-1:] or ["{}"]
     made = Drive(node.returncode, out + err, json.loads(last[0]))
-    made.robot |= {"planner": json.loads(plans[0])} if plans and plans[0] else {}
+    made.robot |= {"planner": json.loads(plans[0])} if plans else {}
     return made

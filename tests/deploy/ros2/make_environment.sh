@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Makes an environment with rclpy from wheels, this package, and what those wheels lack: the action
-# FollowJointTrajectory and the messages of /tf, which are built.
+# Makes an environment with rclpy from wheels, this package, and what those wheels lack: the messages of the actions
+# FollowJointTrajectory and FollowPath, of the controller's state and of /tf, which are built.
 #   make_environment.sh FOLDER DISTRIBUTION        FOLDER/kilted or FOLDER/jazzy; needs cmake and a C++ compiler
 set -euo pipefail
 distribution=$2 root=$(cd "$(dirname "$0")/../../.." && pwd)
@@ -52,10 +52,17 @@ CMAKE
     cmake --install "$work/$name/build" > /dev/null
 }
 
-mkdir -p "$work"/control_msgs/{msg,action} "$work"/tf2_msgs/msg
+mkdir -p "$work"/control_msgs/{msg,action} "$work"/nav2_msgs/action "$work"/tf2_msgs/msg
 printf '%s\n' 'string name' 'float64 position' 'float64 velocity' 'float64 acceleration' > "$work/control_msgs/msg/JointTolerance.msg"
 printf '%s\n' 'string joint_name' 'uint16 component' 'float64 position' 'float64 velocity' 'float64 acceleration' \
     > "$work/control_msgs/msg/JointComponentTolerance.msg"
+echo 'float64 factor' > "$work/control_msgs/msg/SpeedScalingFactor.msg"
+{
+    printf '%s\n' 'std_msgs/Header header' 'string[] joint_names'
+    printf 'trajectory_msgs/JointTrajectoryPoint %s\n' reference feedback error output
+    echo 'string[] multi_dof_joint_names'
+    printf 'trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_%s\n' reference feedback error output
+} > "$work/control_msgs/msg/JointTrajectoryControllerState.msg"
 cat > "$work/control_msgs/action/FollowJointTrajectory.action" <<'ACTION'
 trajectory_msgs/JointTrajectory trajectory
 trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory
@@ -78,7 +85,23 @@ trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_desired
 trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual
 trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error
 ACTION
+said=$([ "$distribution" = jazzy ] || echo 'string error_msg')
+cat > "$work/nav2_msgs/action/FollowPath.action" <<ACTION
+nav_msgs/Path path
+string controller_id
+string goal_checker_id
+string progress_checker_id
+---
+std_msgs/Empty result
+uint16 error_code
+$said
+---
+float32 distance_to_goal
+float32 speed
+ACTION
 echo 'geometry_msgs/TransformStamped[] transforms' > "$work/tf2_msgs/msg/TFMessage.msg"
 build control_msgs "action_msgs builtin_interfaces std_msgs trajectory_msgs" \
-    "msg/JointTolerance.msg msg/JointComponentTolerance.msg action/FollowJointTrajectory.action"
+    "msg/JointTolerance.msg msg/JointComponentTolerance.msg msg/SpeedScalingFactor.msg
+    msg/JointTrajectoryControllerState.msg action/FollowJointTrajectory.action"
+build nav2_msgs "action_msgs nav_msgs std_msgs" "action/FollowPath.action"
 build tf2_msgs "geometry_msgs" "msg/TFMessage.msg"

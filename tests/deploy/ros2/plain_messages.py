@@ -193,6 +193,27 @@ class MultiDOFJointTrajectory:
     points: list[MultiDOFJointTrajectoryPoint]
 
 
+@dataclass
+class JointTolerance:
+    """Of `control_msgs`."""
+
+    name: str
+    position: float = 0.0
+    velocity: float = 0.0
+    acceleration: float = 0.0
+
+
+@dataclass
+class JointComponentTolerance:
+    """Of `control_msgs`."""
+
+    joint_name: str
+    component: int
+    position: float = 0.0
+    velocity: float = 0.0
+    acceleration: float = 0.0
+
+
 def differences() -> list[str]:
     """Messages whose real fields are others."""
     from importlib import import_module

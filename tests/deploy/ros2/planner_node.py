@@ -1,6 +1,6 @@
-"""A planner of real ROS 2 (rclpy) that sends goals of the action FollowJointTrajectory, as MoveIt does; tells as JSON.
+"""A planner of real ROS 2 (rclpy) that sends goals as MoveIt (FollowJointTrajectory) and Nav2 (FollowPath) do.
 
-It needs the package control_msgs beside rclpy.
+It needs the packages control_msgs and nav2_msgs beside rclpy, and tells as JSON what it was answered.
 """
 
 import json
@@ -8,11 +8,17 @@ import math
 import os
 import sys
 import time
+from functools import partial
 
 import rclpy
 from control_msgs.action import FollowJointTrajectory
-from geometry_msgs.msg import Transform
+from control_msgs.msg import JointTrajectoryControllerState, SpeedScalingFactor
+from geometry_msgs.msg import PoseStamped, Transform
+from nav2_msgs.action import FollowPath
+from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectoryPoint, MultiDOFJointTrajectoryPoint
 
 NAMES = ("arm_2_joint", "arm_1_joint")
@@ -43,13 +49,22 @@ def whole_goal(*poses):
     return goal
 
 
-class Planner:
-    """Sends goals, and waits for what becomes of them."""
+def path_goal(*points):
+    """A path through places, without headings, as Nav2 sends it."""
+    goal = FollowPath.Goal(controller_id="FollowPath", goal_checker_id="goal_checker")
+    goal.path.header.frame_id = "odom"
+    for x, y in points:
+        pose = PoseStamped()
+        pose.pose.position.x, pose.pose.position.y, pose.pose.orientation.w = x, y, 0.0
+        goal.path.poses.append(pose)
+    return goal
 
-    def __init__(self):
-        self.node = rclpy.create_node("planner")
-        self.client = ActionClient(self.node, FollowJointTrajectory, "/mmnn/follow_joint_trajectory")
-        self.feedback = []
+
+class Planner:
+    """Sends goals of an action, and waits for what becomes of them."""
+
+    def __init__(self, node, kind=FollowJointTrajectory, name="/mmnn/follow_joint_trajectory"):
+        self.node, self.client, self.feedback = node, ActionClient(node, kind, name), []
 
     def wait(self, future, patience=15.0):
         rclpy.spin_until_future_complete(self.node, future, timeout_sec=patience)
@@ -60,13 +75,22 @@ class Planner:
 
     def result(self, handle):
         found = self.wait(handle.get_result_async())
-        return None if found is None else [found.status, found.result.error_code, found.result.error_string]
+        if found is None:
+            return None
+        why = getattr(found.result, "error_string", getattr(found.result, "error_msg", ""))
+        return [found.status, found.result.error_code, why]
 
 
 def main():
     rclpy.init()
-    planner, told = Planner(), {}
+    node, told = rclpy.create_node("planner"), {}
+    planner, navigator = Planner(node), Planner(node, FollowPath, "/follow_path")
     told["there"] = planner.client.wait_for_server(timeout_sec=240.0)
+    heard = {}
+    for kind, topic in ((JointTrajectoryControllerState, "/mmnn/controller_state"), (Odometry, "/mmnn/odom")):
+        node.create_subscription(kind, topic, partial(heard.__setitem__, kind), 10)
+    node.create_subscription(TFMessage, "/tf", partial(heard.__setitem__, TFMessage), 10)
+    node.create_subscription(Odometry, "/odom", partial(heard.__setitem__, "robot's"), 10)
     while planner.result(planner.send(goal_of())) != [6, -1, "no points"]:  # it is not active yet
         time.sleep(0.2)
     goal = goal_of((0.0, 0.0), (0.1, 0.1), names=("arm_2_joint", "elbow"))
@@ -86,10 +110,26 @@ def main():
     time.sleep(0.5)
     told["cancel"] = len(planner.wait(handle.cancel_goal_async()).goals_canceling)
     told["cancelled"] = planner.result(handle)
+    quality = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    scaling = node.create_publisher(SpeedScalingFactor, "/mmnn/speed_scaling_input", quality)
+    scaling.publish(SpeedScalingFactor(factor=0.5))
+    handle = planner.send(goal_of((0.2, 0.5), (0.3, 0.4)))
+    told["scaled"] = [time.monotonic(), planner.result(handle), time.monotonic()]
+    scaling.publish(SpeedScalingFactor(factor=1.0))
     told["whole"] = planner.result(planner.send(whole_goal((0.0, 0.0, 0.0), (0.0, 0.0, 0.5), (0.35, 0.19, 0.5))))
     last = planner.feedback[-1].feedback
     told["base"] = [last.multi_dof_joint_names, last.multi_dof_actual.transforms[0].translation.x]
     told["sideways"] = planner.result(planner.send(whole_goal((0.35, 0.19, 0.5), (0.35, 0.49, 0.5))))
+    told["path"] = navigator.result(navigator.send(path_goal((0.35, 0.19), (0.35, 0.34), (0.35, 0.49))))
+    far = [one.feedback.distance_to_goal for one in navigator.feedback]
+    told["distances"] = [max(far, default=0.0), min(far, default=1.0)]
+    told["no path"] = navigator.result(navigator.send(path_goal()))
+    state, odom, robots = (heard[name] for name in (JointTrajectoryControllerState, Odometry, "robot's"))
+    told["state"] = [list(state.joint_names), list(state.multi_dof_joint_names), len(state.output.effort)]
+    told["state's error"] = [abs(a - b) for a, b in zip(state.feedback.positions, (0.7, 0.3), strict=True)]
+    places = odom.pose.pose.position, robots.pose.pose.position, heard[TFMessage].transforms[0].transform.translation
+    told["places"] = [[place.x, place.y] for place in places]
+    told["frames"] = [odom.header.frame_id, odom.child_frame_id, heard[TFMessage].transforms[0].child_frame_id]
     print(json.dumps(told), flush=True)
     os._exit(0)  # rclpy's destructors are not what is tested
 

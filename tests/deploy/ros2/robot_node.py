@@ -2,12 +2,13 @@
 
 It knows nothing of this package. It tells as JSON how it was driven.
 
-    python robot_node.py SECONDS [FAULT@TIME ...]
+    python robot_node.py SECONDS [FAULT@TIME ...]        SIGTERM ends it earlier
 """
 
 import json
 import math
 import os
+import signal
 import sys
 import time
 
@@ -25,6 +26,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 RATE, STEP, INERTIA, DAMPING, LAG = 50.0, 0.0025, (1.2, 0.4), 0.5, 0.05
 NAMES = ("wheel_left_joint", "arm_1_joint", "wheel_right_joint", "arm_2_joint")
+HAND = (0.85, 0.1)  # where the hand is to be [m]
 TIMEOUT = 0.5  # of the base's controller, as that of diff_drive_controller [s]
 
 
@@ -43,6 +45,10 @@ class Robot:
         self.drive = node.create_publisher(TwistStamped if "stamped" in faults else Twist, "/cmd_vel", 10)
         self.route = node.create_publisher(Path, "/plan", 1)
         self.plan = node.create_publisher(JointTrajectory, "/mmnn/joint_trajectory", 10)
+        self.hand = [
+            node.create_publisher(kind, f"/mmnn/hand/{name}", 10)
+            for kind, name in ((PoseStamped, "pose"), (TwistStamped, "twist"), (Float64MultiArray, "stiffness"))
+        ]
         self.maps = node.create_publisher(TFMessage, "/tf", 20) if "map" in faults else None
         self.simulator = node.create_publisher(Clock, "/clock", 10) if "sim_time" in faults else None
         self.open()
@@ -158,11 +164,29 @@ class Robot:
         there.transform.translation.y = 0.25 if since > 2.5 else 0.0
         self.maps.publish(TFMessage(transforms=[there]))
 
+    def lead(self, k, since):
+        """Lead the hand: to a place, with stiffness that can be had and that cannot, then at a velocity."""
+        pose, twist, stiffness = self.hand
+        if 0.5 < since < 2.5 and k % 20 == 0:
+            there = PoseStamped()
+            there.header.frame_id = "odom"
+            there.pose.position.x, there.pose.position.y, there.pose.orientation.w = *HAND, 1.0
+            pose.publish(there)
+        if since > 0.5 and k % 100 == 0:
+            stiffness.publish(Float64MultiArray(data=[[80.0], [1e9], [1.0, 2.0]][k // 100 % 3]))
+        if 3.0 < since < 4.0 and k % 20 == 0:
+            moving = TwistStamped()
+            moving.header.frame_id, moving.twist.linear.y = "odom", 0.05
+            twist.publish(moving)
+
     def ask(self, k, begun):
         """Drive the base and move the arm from half a second after the first command on."""
         since = self.t - begun
         if self.maps is not None:
             self.localise(since)
+        if "hand" in self.faults:
+            self.lead(k, since)
+            return
         if since > 0.5 and ("map" in self.faults or "path" in self.faults):
             if not hasattr(self, "asked_base"):
                 self.asked_base, path = self.t, Path()
@@ -201,8 +225,10 @@ def main():
     rclpy.init()
     node = rclpy.create_node("robot")
     robot, k, begun = Robot(node, dict.fromkeys(faults, math.inf)), 0, math.inf
-    start, limit = time.monotonic(), time.monotonic() + 240.0
-    while time.monotonic() < limit:
+    start, limit, told = time.monotonic(), time.monotonic() + 240.0, []
+    rate = 4.0 * RATE if "hand" in faults else RATE
+    signal.signal(signal.SIGTERM, lambda *_: told.append(time.monotonic() + 0.1))
+    while time.monotonic() < min([limit, *told]):
         for _ in range(40):  # all that waits, however late it is
             before = robot.told, *robot.counts.values()
             rclpy.spin_once(node, timeout_sec=0.0)
@@ -217,7 +243,7 @@ def main():
         if begun < math.inf:
             robot.ask(k, begun)
         k += 1
-        time.sleep(max(0.0, 1.0 / RATE - (time.monotonic() - start) % (1.0 / RATE)))
+        time.sleep(max(0.0, 1.0 / rate - (time.monotonic() - start) % (1.0 / rate)))
     begun = begun if begun < math.inf else 0.0
     rows = [[row[0] - begun, *row[1:]] for row in robot.log if row[0] >= begun]
     asked = getattr(robot, "asked_arm", math.nan) - begun

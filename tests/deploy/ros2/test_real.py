@@ -13,6 +13,8 @@ import pytest
 from graph import SETTINGS, Drive, drive, of_ros, python_of
 from places import ROOT
 
+from mmnn_pin import Recording, load
+
 EVERY = ["kilted", pytest.param("jazzy", marks=pytest.mark.long)]
 DOMAINS = iter(range(65, 95))  # one per test: nobody hears another's robot
 GOAL = (0.8, 0.4)  # of the trajectory that the robot's planner sends
@@ -120,38 +122,52 @@ def test_another_domain_is_silence(tmp_path: Path, domain: int) -> None:
     assert run.code == 2 and "/joint_states: no publisher" in run.lines, run.lines
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("distribution", ["kilted", "jazzy"])
-def test_goals_of_the_action_are_followed(tmp_path: Path, domain: int, distribution: str) -> None:
-    """As MoveIt sends them: refused, accepted, replaced, reached, cancelled; one of them longer than a packet."""
+@pytest.mark.parametrize("distribution", EVERY)
+def test_goals_of_the_actions_are_followed(tmp_path: Path, domain: int, distribution: str) -> None:
+    """As MoveIt and Nav2 send them: refused, replaced, reached, cancelled, scaled; one of them longer than a packet."""
     faults = "no_plan", "no_joystick"
-    run = drive(tmp_path, distribution, domain, *faults, seconds=24.0, planner="planner_node.py")
+    asked = "publish.odometry:=20.0", "publish.tf:=true"
+    run = drive(tmp_path, distribution, domain, *faults, seconds=120.0, planner="planner_node.py", changes=asked)
     told = run.robot["planner"]
-    assert run.code == 0 and told["there"] and told["long"] and told["accepted"], (told, run.lines)
+    assert run.code == 130 and told["there"] and told["long"] and told["accepted"], (told, run.lines)
     assert told["unknown joint"] == [6, -2, "joints elbow: there is arm_1_joint, arm_2_joint"]
     assert told["too fast"][:2] == [6, -1] and "arm_2_joint at" in told["too fast"][2]
     assert told["reached"] == [4, 0, ""] and told["feedback"] > 5 and told["error"] < 0.2, told
     assert told["names"] == ["arm_1_joint", "arm_2_joint"]
     assert told["cancel"] == 1 and told["cancelled"] == [5, 0, "cancelled"]
+    begun, scaled, over = told["scaled"]
+    assert scaled == [4, 0, ""] and over - begun > 1.9  # a second's way
     assert told["whole"] == [4, 0, ""] and told["base"][0] == ["world_joint"] and told["base"][1] > 0.2, told
     assert told["sideways"][:2] == [6, -1] and "the base cannot roll to its point 1 at 2 s" in told["sideways"][2]
-    assert np.abs(run.rows[-1, 1:4] - (0.35, 0.19, 0.5)).max() < 0.03 and np.abs(run.rows[-1, 8:10]).max() < 0.1
+    assert told["path"] == [4, 0, ""] and told["distances"][0] > 0.25 and told["distances"][1] < 0.05, told
+    assert told["no path"][:2] == [6, 103] and told["no path"][2] == ("no poses" if distribution == "kilted" else "")
+    assert (
+        told["state"] == [["arm_1_joint", "arm_2_joint"], ["base_footprint"], 2] and max(told["state's error"]) < 0.05
+    )
+    assert told["frames"] == ["odom", "base_footprint", "base_footprint"]
+    assert np.abs(np.array(told["places"]) - (0.35, 0.49)).max() < 0.03
+    row = run.rows[-1]
+    assert np.abs(row[1:3] - (0.35, 0.49)).max() < 0.03 and abs(row[3] - np.pi / 2) < 0.05, row
+    assert np.abs(row[8:10]).max() < 0.1
 
 
 @pytest.mark.parametrize("distribution", EVERY)
 def test_a_robot_goes_on_after_its_reset_and_stops_when_told(tmp_path: Path, domain: int, distribution: str) -> None:
     """A silent second trips it; a reset without a measurement is refused, one with it is not."""
     asked = ("end_after_trip:=false",)
-    run = drive(tmp_path, distribution, domain, "silent_for@4.0", seconds=22.0, changes=asked, planner="switch_node.py")
+    run = drive(tmp_path, distribution, domain, "silent_for@4.0", seconds=90.0, changes=asked, planner="switch_node.py")
     told = run.robot["planner"]
-    assert run.code == 0 and told["there"] and told["tripped"], (told, run.lines)
+    assert run.code == 130 and told["there"] and told["tripped"], (told, run.lines)
     assert told["early"] == [False, "nothing to reset: the supervisor has not tripped"]
     assert not told["blind"][0] and "a reset that is blind" in told["blind"][1]
     assert told["reset"][0] and told["runs"] and told["stop"][0] and told["stopped"]
     assert told["again"][0] and told["runs again"]
     assert "tripped" in run.lines or "nothing fresh" in run.lines
     v = run.rows[:, 4]  # the joystick drives it at first, stands after trip and stop, and drives it again after each
-    assert (np.abs(v[run.rows[:, 0] < 4.5].max() - 0.2) < 0.05) and np.abs(run.at(21.0)[4] - 0.2) < 0.05, run.lines
+    begins = np.flatnonzero(np.diff((v > 0.15).astype(int)) == 1)
+    ends = np.flatnonzero(np.diff((v > 0.15).astype(int)) == -1)
+    assert len(begins) == 3 and all(abs(v[a:b].max() - 0.2) < 0.05 for a, b in zip(begins, ends, strict=True)), v
+    assert all(np.abs(v[b:a]).min() < 0.05 for b, a in zip(ends, begins[1:], strict=False))
 
 
 BY_POSITION = SETTINGS.replace(
@@ -226,3 +242,26 @@ def test_a_robot_that_dies_or_whose_clock_jumps_is_asked_for_nothing_more(
     if "rows" in run.robot:
         kept_its_promise(run, (0.2, -0.3), (0.8, 0.4))
         assert np.abs(run.rows[-1, 10:12]).max() < 0.01 and np.abs(run.rows[-1, 4:6]).max() < 0.03, run.rows[-1]
+
+
+LED = SETTINGS.replace("    set:", "    controller: pd\n    set:\n      impedance: {stiffness: 100.0, damping: 20.0}")
+
+
+def test_a_hand_goes_where_messages_lead_it_and_is_as_stiff_as_they_say(tmp_path: Path, domain: int) -> None:
+    """A place, then 1 s at 5 cm/s to the left, by what the node recorded; placements are Pinocchio's."""
+    run = drive(tmp_path, "kilted", domain, "hand", "no_joystick", "no_plan", seconds=5.0, text=LED)
+    assert run.code == 0 and np.isnan(run.trip), run.lines
+    robot, kept = load("platform_arm"), Recording.open(tmp_path / "run.h5")
+
+    def hand(time: float, asked: str = "_ref") -> np.ndarray:
+        k = min(int(np.searchsorted(kept.time, time)), len(kept.time) - 1)
+        place = np.concatenate((kept[f"pose{asked}"][k], kept[f"q{asked}"][k]))
+        return robot.placement("arm_tip", place)[:2, 3]
+
+    assert np.linalg.norm(hand(2.9) - (0.85, 0.1)) < 0.01, (hand(0.0), hand(2.9))
+    x, y = hand(9.0) - hand(2.9)
+    assert abs(x) < 0.01 and 0.045 < y < 0.05 * 1.7, (hand(2.9), hand(9.0))  # and half a second until it is old
+    for time in (2.9, 9.0):  # the robot of the other process has other inertias, and its base lags
+        assert np.linalg.norm(hand(time, "") - hand(time)) < 0.06, (hand(time, ""), hand(time))
+    assert "1e+09 N/m: use at most" in run.lines and "2 numbers: send 1, 3 or 6" in run.lines, run.lines
+    assert np.abs(kept["asked_force"]).max() > 0.0

@@ -224,9 +224,9 @@ def test_a_robot_on_hardware_may_run(robot, hardware):
 @needs_data
 @pytest.mark.compiled
 def test_an_arm_of_hobby_servos_errs_as_these_do_and_a_stepper_has_the_same_settings():
-    found = on("so101", "feetech-sts3215", "time.duration=3")
+    found = on("so101", "feetech-sts3215", "time.duration=3", "controllers=['pd']")
     robot = found.load_robot()
-    run = run_experiment(found, "track").recordings["computed_torque"]
+    run = run_experiment(found, "track").recordings["pd"]
     errors = np.abs(run["q"] - run["q_ref"])
     assert run.outcome.status == "completed" and 1e-3 < errors.max() < math.radians(5.0)
     assert np.abs(run["applied"]).max() <= 1.91
