@@ -136,6 +136,7 @@ def parts_of(stepper: Stepper) -> dict[str, int]:
     named |= {"motor_states": hardware.motors.states.values, "sent": hardware.way.sent}
     if hardware.touch is not None:
         named |= {f"touch_{name}": part for name, part in hardware.touch.state._asdict().items()}
+    named |= {} if hardware.task is None else {"compliance_state": hardware.task.state}
     if hardware.split is not None:
         named |= {f"servo_{name}": part for name, part in hardware.split._asdict().items()}
     whole, found = hardware.state, list[tuple[int, str, int]]()
@@ -266,7 +267,7 @@ def initial(export: Export) -> str:
             text = f"self->{m.name}[i] = law_start_{m.name}[i];"
             lines += [f"    for (int32_t i = 0; i < {m.data.size}; i++) {{", f"        {text}", "    }"]
             continue
-        for i in np.flatnonzero(m.data):
+        for i in np.flatnonzero(np.asarray(m.data, float).view(np.int64)):  # minus zero, too
             x = m.data[i]
             lines.append(f"    self->{m.name}[{i}] = {spelled(float(x)) if m.kind == 'real' else int(x)};")
     return "\n".join(lines)

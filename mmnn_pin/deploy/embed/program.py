@@ -77,6 +77,11 @@ class CFunction:
     is_empty: bool = False
 
 
+def is_math(source: Any) -> bool:
+    """Whether a function is one of `mmnn_pin.elementary`."""
+    return ".elementary." in source.function.__module__
+
+
 class CProgram:
     """A program in C, made of functions of Python.
 
@@ -130,7 +135,8 @@ class CProgram:
         self.kept += [value.object for value in arguments.values() if isinstance(value, Static)]
         for name, value in arguments.items():
             for place, part, array in leaves(value, name):
-                self._note((key, place), self._sameness(part, array))
+                is_free = array is not None and is_math(source)  # of no controller: it is handed its memory
+                self._note((key, place), VARIES if is_free else self._sameness(part, array))
         if key not in self.functions:
             self.functions[key] = self._translated(key, source, arguments)
         return self.functions[key]
@@ -152,7 +158,7 @@ class CProgram:
             self.known[key], self.changed = VARIES, True
 
     def _translated(self, key: Any, source: Any, arguments: dict[str, Value]) -> CFunction:
-        record = CFunction(self._function_name(source), source, is_math=".elementary." in source.function.__module__)
+        record = CFunction(self._function_name(source), source, is_math=is_math(source))
         possible = dict[str, Parameter]()
         names = {name: self._parameter(key, name, value, possible) for name, value in arguments.items()}
         self.writer(self, record, source, names, possible)
