@@ -184,6 +184,29 @@ def words(name: str) -> Mutation:
     return mutate
 
 
+def cells(name: str) -> Mutation:
+    """A mutation of cells of a table in a folder, or of its columns."""
+
+    def mutate(folder: Path, rng: random.Random) -> None:
+        rows = [line.split(",") for line in (folder / name).read_text().splitlines()]
+        how, at = rng.random(), rng.randrange(len(rows[0]))
+        if how < 0.15:
+            for row in rows:
+                row.insert(at, rng.choice((row[at], "0", "x")))
+        elif how < 0.3:
+            rows[0][at] = rng.choice(("x", "v", "w", "vy", "time", "position.nobody", "velocity.arm_1_joint", ""))
+        elif how < 0.4:
+            rows[1:] = rng.choice((rows[:0:-1], rows[1:2], rows[1:] * 3, rows[1:2] * 500))
+        else:
+            for _ in range(rng.choice((1, 1, 3, 30))):
+                rng.choice(rows[1:])[at] = rng.choice(
+                    ("nan", "inf", "-1", "1e300", "1e9", "1e-320", "", "0", "90", "0x1")
+                )
+        (folder / name).write_text("\n".join(map(",".join, rows)))
+
+    return mutate
+
+
 # -- recordings --------------------------------------------------------------------------------------------------------
 
 
@@ -307,11 +330,17 @@ def elsewhere(file: h5py.File, rng: random.Random) -> None:
             file[name].attrs[key] = value
 
 
+FOREIGN = ("secret/x.toml", "/dev/zero", "secret/fifo")
+NAMING: list[dict[str, Any]] = [{"laws": {"Evil": {"law": "evil.py:Evil"}}}]  # what a config names
+NAMING += [{key: name} for key in ("hardware", "robot", "start") for name in FOREIGN]
+NAMING += [{"hardware": {"profile": name}} for name in FOREIGN] + [{"reference": {"file": name}} for name in FOREIGN]
+
+
 def text(file: h5py.File, rng: random.Random) -> None:
     """Another URDF or config: broken, with foreign meshes, or naming a law to run."""
     if rng.random() < 0.5 and "config" in file:
         config = json.loads(file["config"].asstr()[()])
-        config = disturbed(config, rng) if rng.random() < 0.7 else config | {"laws": {"Evil": {"law": "evil.py:Evil"}}}
+        config = disturbed(config, rng) if rng.random() < 0.7 else config | rng.choice(NAMING)
         new = json.dumps(config)
         del file["config"]
         file["config"] = new
@@ -602,6 +631,36 @@ KINDS: dict[str, tuple[list[Mutation], list[str]]] = {
             "identify log.csv --robot two_axis_arm --payload",
         ],
     ),
+    "hardware": (
+        [*4 * [words("armed.hardware.toml")], raw("armed.hardware.toml")],
+        [
+            *3 * ["run track --robot armed.urdf --controller pd --set time.duration=0.02 --out out"],
+            "run track --robot platform_arm --hardware armed.hardware.toml --controller adaptive "
+            "--set time.duration=0.02 --out out",
+            "embed track --robot armed.urdf --controller pd --no-check --steps 3 --out out",
+        ],
+    ),
+    "steered": (
+        [*2 * [xml("steered.urdf")], xml("trailing.urdf")],
+        [
+            command.format(name)
+            for name in ("steered", "trailing")
+            for command in (
+                "inspect {}.urdf",
+                "model {}.urdf",
+                "check {}.urdf --samples 2",
+                "run track --robot {}.urdf --controller pd --set time.duration=0.02 --out out",
+            )
+        ],
+    ),
+    "planned": (
+        [*2 * [words("path.csv")], raw("path.csv"), cells("path.csv"), cells("points.csv"), words("points.csv")],
+        [
+            f"run track --robot platform_arm --controller pd --set reference.file={file} --set time.duration=0.02 "
+            "--out out"
+            for file in ("path.csv", "points.csv")
+        ],
+    ),
     "identified": (
         [json_file("identified/two_axis_arm.identified.json"), raw("identified/two_axis_arm.identified.json")],
         ["report identified --html out/i.html"],
@@ -738,6 +797,8 @@ def mutant(sources: Path, folder: Path, kind: str, seed: int, cheap: bool) -> li
     (folder / "secret").mkdir()
     (folder / "secret" / "x.stl").write_bytes(SECRET)
     (folder / "secret" / "raw.bin").write_bytes(bytes(24))
+    (folder / "secret" / "x.toml").write_text("rate = 100.0\n")
+    os.mkfifo(folder / "secret" / "fifo")
     os.chdir(folder)
     rng.choice(mutations)(folder, rng)
     commands = [one for one in commands if not (cheap and one.startswith(DRAWING))] or commands[:1]

@@ -1,8 +1,8 @@
 """Break URDFs at random and load what comes out: a refusal or a finite model, never a crash.
 
-python tests/fuzz_urdf.py [--files 3000] [--seed 0] [--batch 250] [--xacro]
+python tests/fuzz_urdf.py [--files 3000] [--seed 0] [--batch 250] [--xacro] [--of FILE ...]
 
-With `--xacro` a xacro file is broken, which takes half a second each.
+With `--xacro` a xacro file is broken, which takes half a second each; with `--of` these files are.
 
 A batch of files is loaded in a process of its own, so that a crash of the interpreter is seen and its file known.
 """
@@ -16,7 +16,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -71,9 +71,13 @@ XACRO = f"""<robot name="rail" xmlns:xacro="http://www.ros.org/wiki/xacro">
 Mutation = Callable[[bytes, random.Random], bytes]
 
 
-def sources() -> list[bytes]:
+def sources(of: Sequence[str] = ()) -> list[bytes]:
     """The files that are broken."""
-    return [(ROOT / "urdf" / "platform_arm.urdf").read_bytes(), PENDULUM.encode(), SLIDER.encode()]
+    return [Path(file).read_bytes() for file in of] or [
+        (ROOT / "urdf" / "platform_arm.urdf").read_bytes(),
+        PENDULUM.encode(),
+        SLIDER.encode(),
+    ]
 
 
 def flip_byte(data: bytes, rng: random.Random) -> bytes:
@@ -173,10 +177,10 @@ OF_XACRO: list[Mutation] = [
 ]
 
 
-def mutant(seed: int, xacro: bool = False) -> bytes:
+def mutant(seed: int, xacro: bool = False, of: Sequence[str] = ()) -> bytes:
     """One broken file: one to three mutations of one of the sources."""
     rng = random.Random(seed)
-    data = XACRO.encode() if xacro else rng.choice(sources())
+    data = XACRO.encode() if xacro else rng.choice(sources(of))
     mutations = [*MUTATIONS, *2 * OF_XACRO] if xacro else MUTATIONS
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         data = rng.choice(mutations)(data or b" " * 9, rng) if data.count(b"/>") > 1 else data
@@ -204,17 +208,17 @@ def verdict(data: bytes, file: Path) -> str:
     return "finite" if finite and np.linalg.eigvalsh(M).min(initial=1.0) > 0 else "not finite, or M is singular"
 
 
-def work_through(first: int, last: int, xacro: bool) -> None:
+def work_through(first: int, last: int, xacro: bool, of: Sequence[str]) -> None:
     """Load the mutants of some seeds, one line each on standard output."""
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(first, last):
             print(seed, end=" ", flush=True)
             file = Path(folder) / f"robot.urdf{'.xacro' * xacro}"
-            print(verdict(mutant(seed, xacro), file).replace("\n", " "), flush=True)
+            print(verdict(mutant(seed, xacro, of), file).replace("\n", " "), flush=True)
 
 
 def fuzz(
-    files: int, seed: int = 0, batch: int = 250, xacro: bool = False
+    files: int, seed: int = 0, batch: int = 250, xacro: bool = False, of: Sequence[str] = ()
 ) -> tuple[collections.Counter[str], list[str]]:
     """Load many mutants in subprocesses.
 
@@ -226,7 +230,7 @@ def fuzz(
     for first in range(seed, seed + files, batch):
         last = min(first + batch, seed + files)
         while first < last:
-            command = [sys.executable, __file__, "--work", str(first), str(last), *["--xacro"] * xacro]
+            command = [sys.executable, __file__, "--work", str(first), str(last), *["--xacro"] * xacro, "--of", *of]
             done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=600)
             lines = [line.partition(" ") for line in done.stdout.splitlines()]
             for number, _, text in lines:
@@ -248,11 +252,12 @@ def main() -> int:
     parser.add_argument("--batch", type=int, default=250)
     parser.add_argument("--work", type=int, nargs=2, help=argparse.SUPPRESS)
     parser.add_argument("--xacro", action="store_true", help="Break a xacro file.")
+    parser.add_argument("--of", nargs="*", default=(), metavar="FILE", help="Break these files.")
     given = parser.parse_args()
     if given.work:
-        work_through(*given.work, given.xacro)
+        work_through(*given.work, given.xacro, given.of)
         return 0
-    counts, wrong = fuzz(given.files, given.seed, given.batch, given.xacro)
+    counts, wrong = fuzz(given.files, given.seed, given.batch, given.xacro, given.of)
     print(dict(counts), *wrong, sep="\n")
     return 1 if wrong else 0
 

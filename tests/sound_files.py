@@ -60,7 +60,36 @@ check = 2
 """
 STATE = {"pose": [0.1, 0.2, 0.3], "base_velocity": [0.1, 0.2], "joints": {"arm_1_joint": 0.4}, "joint_velocities": {}}
 YAML = "controller:\n  type: diff_drive_controller/DiffDriveController\n  wheel_radius: 0.1\n  wheel_separation: 0.5\n"
+HARDWARE = """
+profile = "tiago"
+rate = 250.0
+delay = 0.004
+velocity = "difference"
+
+[arm]
+interface = "position"
+bandwidth = 25.0
+encoder = 0.0015
+
+[slides]
+interface = "position"
+
+[steering]
+interface = "position"
+bandwidth = 15.0
+
+[joints."arm_1_*"]
+bandwidth = 20.0
+lag = 0.002
+
+[base]
+odometry = "wheels"
+rate = 50.0
+"""
 OVERRIDES = 'base = "differential_drive"\nwheels = ["wheel_left_joint", "wheel_right_joint"]\nradius = 0.15\n'
+
+
+ROBOTS = {"robot": "platform_arm", "armed": "platform_arm", "steered": "swerve_arm", "trailing": "truck_trailer_arm"}
 
 
 def sound_files(
@@ -84,12 +113,15 @@ def sound_files(
     for name, text in {
         "x.toml": EXPERIMENT,
         "tuning.toml": TUNING,
+        "armed.hardware.toml": HARDWARE,
         "c.yaml": YAML,
         "robot.mmnn.toml": OVERRIDES,
     }.items():
         (folder / name).write_text(text)
     (folder / "state.json").write_text(json.dumps(STATE))
-    (folder / "robot.urdf").write_bytes((ROOT / "urdf" / "platform_arm.urdf").read_bytes())
+    for name, robot in ROBOTS.items():
+        (folder / f"{name}.urdf").write_bytes((ROOT / "urdf" / f"{robot}.urdf").read_bytes())
+    planned_motions(folder)
     meshes(folder / "meshes")
     study(folder)
     logs(folder)
@@ -109,6 +141,16 @@ def meshes(folder: Path) -> None:
     (folder / "m.obj").write_text(f"mtllib m.mtl\n{corners}vt 0 0\nvt 1 0\nvt 0 1\nusemtl a\n{faces}")
     (folder / "m.mtl").write_text("newmtl a\nKd 1 0 0\nmap_Kd t.png\n")
     Image.new("RGB", (8, 8), "red").save(folder / "t.png")
+
+
+def planned_motions(folder: Path) -> None:
+    """What planners give: poses and joints ten times a second, and points alone."""
+    t = np.arange(0.0, 3.05, 0.1)
+    swing = 0.1 * (1 - np.cos(t))
+    table = np.column_stack((t, 0.1 * t**2, np.zeros((len(t), 2)), swing, -swing))
+    head = "t,x,y,phi,position.arm_1_joint,position.arm_2_joint"
+    np.savetxt(folder / "path.csv", table, "%.6g", ",", header=head, comments="")
+    (folder / "points.csv").write_text("x,y\n0,0\n1,0\n1,1\n2,1.5\n")
 
 
 def motion(file: Path) -> None:

@@ -16,6 +16,8 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
+from mmnn_pin.lab.study.pools import processes
+
 NAMES = {*sys.stdlib_module_names, *packages_distributions(), "mmnn_pin", "sitecustomize", "usercustomize"}
 PLANT = "import os\nopen({marker!r}, 'a').write(__name__ + '\\n')\nos._exit(0)\n"
 BEGIN = """
@@ -169,3 +171,11 @@ def test_a_parent_that_is_killed_takes_its_processes_along(text, end, tmp_path, 
     assert numbers and all(map(is_alive, numbers))
     process.send_signal(end)
     assert are_over(numbers)
+
+
+def test_nothing_of_theirs_is_waited_for_after_ctrl_c() -> None:
+    with pytest.raises(KeyboardInterrupt), processes(1) as pool:
+        waiting = pool.executor.submit(time.sleep, 600)
+        numbers = list(pool.executor._processes)  # type: ignore[attr-defined]
+        raise KeyboardInterrupt
+    assert numbers and are_over(numbers, 0.0) and waiting.exception(0) is not None

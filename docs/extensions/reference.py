@@ -218,7 +218,7 @@ FLOORS = {
 MORE = {  # what is needed now and then, from its own module
     "reference": ("Circle", "Eight", "Waypoints", "BaseTable", "Timed", "Smoothed", "Hold", "Sines", "MinimumJerk"),
     "reference.limits": ("Limits",),
-    "reference.wishes": ("HOLD", "BaseVelocity", "JointGoal", "Motion"),
+    "reference.wishes": ("HOLD", "BaseVelocity", "JointSample", "JointGoal", "Motion"),
     "reference.hand": (
         *("Capsule", "FollowHand", "HandCircle", "HandLine", "HandMotion", "HandSpline", "HandWish", "Pieces", "Task"),
         *("Wait", "WholeBody", "WholeBodySettings"),

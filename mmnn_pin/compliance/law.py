@@ -30,7 +30,7 @@ import math
 from typing import NamedTuple
 
 from ..by_address import by_address
-from ..compiled import compiled, copy_to, linked
+from ..compiled import compiled, copy_to, entry, linked
 from ..model.chain import move
 from ..model.reduction import as_measured, position_rate, put_shape, quadratic, solve, substitute
 from ..model.tip import Tip, move_tip
@@ -50,10 +50,11 @@ ASKED_FORCE, STORAGE, INJECTED = INDEX["asked_force"], INDEX["storage"], INDEX["
 CREEPING = 0.01  # speed from which on a direction turns to the hand's motion [m/s]
 PULL, RAMP = 200.0, 400.0  # of a followed speed: force per error [N s/m], and per error and second [N/m]
 FOLLOWS = 8.0  # how fast the hand follows its admittance [1/s]
+CARRIES = 4.0  # how fast a hand takes on what its springs carry before a force begins [1/s]
 MOMENT = 1e-4  # over which the rate of what is asked for is taken [s]
 # Numbers of a force, and what a compliance remembers.
 NEWTONS, START, RISE, GAIN, FOLLOW, SPEED, FAR, TURNING, FORCE = 0, 1, 2, 3, 4, 5, 6, 7, 8
-INTEGRAL, GONE, DIRECTION, MOVED, MOVING, BEGUN, AT_FIRST, STATE = 0, 1, 2, 5, 11, 17, 18, 19
+INTEGRAL, GONE, DIRECTION, MOVED, MOVING, BEGUN, AT_FIRST, CARRIED, FREE, STATE = 0, 1, 2, 5, 11, 17, 18, 19, 22, 25
 
 
 class HandScratch(NamedTuple):
@@ -106,11 +107,12 @@ class Compliance(NamedTuple):
         most: Largest stiffness that delay and period bear [N/m].
         force: (FORCE,) numbers of a force.
         mass: (6,) of an admittance [kg, kg m^2]; (0,) of an impedance.
-        felt: Place of the signal `external_wrench` in a row, -1 without it.
+        felt: Place of the signal `external_wrench` in a row, -1 without it; `wrench_seen` is the next.
         h: Control period [s].
         body, inertia: The robot that is believed in, and room to evaluate it, for M.
         torque: (p,) `J' F + P' K P s`, written.
-        state: Integral of the force, way gone, direction (3,), x_c (6,), its rate (6,), 1 once V is known, and V then.
+        state: Integral of the force, way gone, direction (3,), x_c (6,), its rate (6,), 1 once V is known, and V then,
+            force that is carried (3,), and what is felt of a free hand (3,).
         work: HandScratch.
     """
 
@@ -163,7 +165,11 @@ def wish(row: Array, at: IntArray, c: Compliance) -> None:
         if i < nb:
             row[at[ALPHA] + i], row[at[ALPHADOT] + i] = s[i], row[at[NUDOT_REF] + i]
         s[i] -= w.nu[i]
-        row[at[Z] + i if i < nb else at[R] + i - nb] = s[i]
+    copy_to(s, later)
+    if pushes(row[at[TIME]], c):
+        spare(later, c)
+    for i in range(s.size):
+        row[at[Z] + i if i < nb else at[R] + i - nb] = later[i]
     if not c.mass.size:
         stored = hand_torque(row, row[at[TIME]], c) + 0.5 * quadratic(c.inertia.M, s)
     if c.state[BEGUN] == 0.0:
@@ -216,9 +222,39 @@ def displacement(wanted: Array, place: Array, error: Array) -> None:
 
 
 @compiled
+def pushes(time: float, c: Compliance) -> bool:
+    """Whether the hand pushes with a force by now."""
+    return c.force[NEWTONS] > 0.0 and time >= c.force[START]
+
+
+@compiled
+def spare(s: Array, c: Compliance) -> None:
+    """Take out of the error s (p,) how fast the hand goes where its force decides: nobody is to learn to stop it."""
+    w, u, along = c.work, c.state[DIRECTION : DIRECTION + 3], 0.0
+    goes = w.b[2]
+    for i in range(c.rows):
+        goes[i] = entry(w.J[0], i, s)
+        along += u[i] * goes[i] if i < 3 else 0.0
+    for i in range(3):
+        goes[i] = 0.0 if c.force[FOLLOW] > 0.0 else goes[i] - along * u[i]
+    share(goes, w.J[0], s, c, w.b[4])
+
+
+@compiled
+def carry(row: Array, time: float, c: Compliance, F: Array) -> None:
+    """Add what the springs carried before a force begins, and nothing touched the hand: by that the model is wrong."""
+    carried, free = c.state[CARRIED : CARRIED + 3], c.state[FREE : FREE + 3]
+    for i in range(3 if c.force[NEWTONS] > 0.0 else 0):
+        if time < c.force[START]:
+            carried[i] = min(c.limit, max(-c.limit, carried[i] + c.h * CARRIES * F[i]))
+            free[i] += c.h * CARRIES * (row[c.felt + i] - free[i]) if c.felt >= 0 else 0.0
+        F[i] += carried[i]
+
+
+@compiled
 def leave_to_force(time: float, c: Compliance) -> None:
     """Ask nothing along the direction of a force, which decides there, or nothing at all of a hand that follows."""
-    if c.force[NEWTONS] <= 0.0 or time < c.force[START]:
+    if not pushes(time, c):
         return
     for k in range(3):
         x, along = c.work.b[k], 0.0
@@ -291,6 +327,7 @@ def hand_torque(row: Array, time: float, c: Compliance) -> float:
     for i in range(6):
         b[i] = w.b[0, i] - w.twist[1, i]
     stored = springs_and_dampers(b, error, c, F)
+    carry(row, time, c, F)
     push(row, time, w.twist[1], c, F)
     factor_inertia(c)
     copy_to(w.s[0], torque)
@@ -343,15 +380,16 @@ def springs_and_dampers(rate: Array, error: Array, c: Compliance, F: Array) -> f
 def push(row: Array, time: float, v: Array, c: Compliance, F: Array) -> None:
     """Add the force along the direction; of what is followed, turn the direction to the hand's velocity v (6,)."""
     force, state = c.force, c.state
-    if force[NEWTONS] <= 0.0 or time < force[START]:
+    if not pushes(time, c):
         return
     u = state[DIRECTION : DIRECTION + 3]
     share = min(1.0, (time - force[START]) / force[RISE]) if force[RISE] > 0.0 else 1.0
     value = force[NEWTONS] * share + state[INTEGRAL]
     if force[GAIN] > 0.0 and c.felt >= 0 and force[FOLLOW] == 0.0:
-        missing = force[NEWTONS] * share
+        missing = 0.0
         for i in range(3):
-            missing += u[i] * row[c.felt + i]
+            seen = u[i] * u[i] * row[c.felt + 6 + i]
+            missing += seen * force[NEWTONS] * share + u[i] * (row[c.felt + i] - state[FREE + i])
         grown = state[INTEGRAL] + c.h * force[GAIN] * missing
         state[INTEGRAL] = min(force[NEWTONS], max(-force[NEWTONS], grown))
     if force[FOLLOW] > 0.0:

@@ -66,9 +66,9 @@ class Force(Settings, frozen=True):
         along: Direction in the world, need not be of unit length; None for the first of down, left and ahead in which
             the arm can push.
         newtons: The force [N]; of what is followed the largest one.
-        start: When it begins [s].
+        start: When it begins [s]; until then the hand is to be free, and what its springs carry is the model's error.
         rise: How long it takes to grow [s].
-        gain: Of the integral of the error, where a wrench is felt [1/s].
+        gain: Of the integral of the error by the wrench that is felt, less what is felt until `start` [1/s].
         follow: Whether the hand goes along with `speed`, turning `along` to where it can move.
         speed: Of that [m/s].
         far: How far it goes [m].

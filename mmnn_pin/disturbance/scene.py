@@ -76,7 +76,7 @@ class Surface(Window, frozen=True, kw_only=True, tag="surface"):
 
 
 class HingedDoor(Window, frozen=True, kw_only=True, tag="door"):
-    """A door about a vertical hinge that a hand holds by the handle, closed when the run begins.
+    """A door about a vertical hinge that a hand holds by the handle from `start` on, where it then is; closed before.
 
     Args:
         frame: What holds it; empty for the robot's hand.
@@ -218,6 +218,8 @@ def pull(door: Array, state: Array, twist: Array, hand: Array, dt: float, time: 
     if angle < 0.0:
         torque += -STOP * angle - STOP_DAMPING * rate
     if in_time(door[ON], door[OFF], time):
+        if time < door[ON] - EARLY + dt:  # the hand takes hold where it is
+            state[0], state[1], state[2] = hand[0] - x, hand[1] - y, hand[2]
         k, c = door[GRIP], door[GRIP_DAMPING]
         fx = k * (state[0] + x - hand[0]) + c * (-along * y - twist[0])
         fy = k * (state[1] + y - hand[1]) + c * (along * x - twist[1])

@@ -32,13 +32,14 @@ from .guide import (
     leave_home,
     new_guide,
     stand,
+    take_joints,
     take_sample,
 )
 from .hand import FollowHand, HandCourse, HandWish, WishedCourse
 from .limits import Limits
 from .motion import between, require_within
 from .steerable import pushes_trailer, require_steerable
-from .wishes import BaseVelocity, Course, JointGoal, Motion, Stand, Wish
+from .wishes import BaseVelocity, Course, JointGoal, JointSample, Motion, Stand, Wish
 
 LARGEST = 1e9  # a number beyond this is none [SI units]
 
@@ -94,19 +95,11 @@ class Follower:
         if isinstance(wish, Setpoint):
             require_shapes("setpoint", wish, self.wanted)
             for name in wish.__slots__:
-                if not (np.abs(getattr(wish, name)) < LARGEST).all():
-                    raise ConfigError(
-                        "a setpoint that is not finite", fix="give finite numbers", key=f"setpoint.{name}"
-                    )
+                require_finite(getattr(wish, name), f"setpoint.{name}")
         elif isinstance(wish, BaseVelocity):
-            given = wish.velocity if is_numeric(wish.velocity) else np.zeros(0)
-            velocity = np.asarray(given, float)
-            if velocity.shape != (d.twist,) or not d.base or not np.isfinite(velocity).all():
-                fix = f"give {d.twist} finite numbers" if d.base else "leave it out: this robot has no base"
-                raise ConfigError(f"a base velocity {shortly(wish.velocity)}", fix=fix, key="setpoint.velocity")
-            if velocity[0] < 0.0 and pushes_trailer(self.base):
-                why, fix = "a trailer that is pushed folds up", 'back along a path, with kinematic.guide = "trailer"'
-                raise ConfigError("a velocity backwards with a trailer", why=why, fix=fix, key="setpoint.velocity")
+            self._check_velocity(wish)
+        elif isinstance(wish, JointSample):
+            require_finite(joint_sample(wish, d.arm), "setpoint.q")
         elif isinstance(wish, JointGoal):
             return Reach(wish, self.now[self.q :].reshape(3, d.arm), self.guide, self.names)
         elif isinstance(wish, Motion):
@@ -116,9 +109,24 @@ class Follower:
                 raise ConfigError("a hand of another robot", fix="make its body of this robot", key="setpoint")
             return (HandCourse if isinstance(wish, FollowHand) else WishedCourse)(wish, self.now, self.measured)
         elif not isinstance(wish, Stand):
-            fix = "give a Setpoint, a BaseVelocity, a JointGoal, a Motion, a FollowHand, a HandWish or HOLD"
+            fix = "give a Setpoint, BaseVelocity, JointSample, JointGoal, Motion, FollowHand, HandWish or HOLD"
             raise ConfigError(f"a {type(wish).__name__} as a setpoint", fix=fix, key="setpoint")
         return None
+
+    def _check_velocity(self, wish: BaseVelocity) -> None:
+        """Refuse a velocity that the base cannot have.
+
+        Raises:
+            ConfigError: Not as many finite numbers as a twist has, or backwards with a trailer.
+        """
+        d, given = self.dimensions, wish.velocity if is_numeric(wish.velocity) else np.zeros(0)
+        velocity = np.asarray(given, float)
+        if velocity.shape != (d.twist,) or not d.base or not np.isfinite(velocity).all():
+            fix = f"give {d.twist} finite numbers" if d.base else "leave it out: this robot has no base"
+            raise ConfigError(f"a base velocity {shortly(wish.velocity)}", fix=fix, key="setpoint.velocity")
+        if velocity[0] < 0.0 and pushes_trailer(self.base):
+            why, fix = "a trailer that is pushed folds up", 'back along a path, with kinematic.guide = "trailer"'
+            raise ConfigError("a velocity backwards with a trailer", why=why, fix=fix, key="setpoint.velocity")
 
     def _checked(self, wish: Motion) -> Motion:
         """A motion from where the reference is.
@@ -217,6 +225,9 @@ class Follower:
             self._leave(BASE)
             drive(np.asarray(wish.velocity, float), self.guide)
             self.renewed[BASE] = time
+        elif isinstance(wish, JointSample):
+            self.courses[ARM], self.renewed[ARM] = None, time
+            take_joints(joint_sample(wish, self.dimensions.arm), self.guide)
         elif course is not None:
             # what is made of the last reference begins with it, which is dt old
             begun = time - (0.0 if isinstance(course, Motion) and not self._goes_on(course) else dt)
@@ -288,6 +299,30 @@ class Follower:
     def _leave(self, part: int) -> None:
         """Hold, from the reference as it is."""
         self.courses[part], self.guide.kind[part] = None, HOLD
+
+
+def require_finite(numbers: Array, key: str) -> None:
+    """Refuse numbers of a setpoint that are none.
+
+    Raises:
+        ConfigError: One is not finite, or beyond what any robot does.
+    """
+    if not (np.abs(numbers) < LARGEST).all():
+        raise ConfigError("a setpoint that is not finite", fix="give finite numbers", key=key)
+
+
+def joint_sample(wish: JointSample, n: int) -> Array:
+    """A sample of n joints as (q, qdot, qddot) side by side.
+
+    Raises:
+        ConfigError: Not n numbers each.
+    """
+    rows = [np.zeros(n) if part is None else part for part in (wish.q, wish.qdot, wish.qddot)]
+    for name, row in zip(("q", "qdot", "qddot"), rows, strict=True):
+        if not is_numeric(row) or np.shape(row) != (n,):
+            fix = f"give {n} numbers"
+            raise ConfigError(f"a sample of joints with {name} {shortly(row)}", fix=fix, key=f"setpoint.{name}")
+    return np.concatenate(rows, dtype=float)
 
 
 def require_shapes(key: str, given: object, mine: object) -> None:

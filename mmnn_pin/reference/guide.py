@@ -205,19 +205,34 @@ def steer(is_led: bool, dt: float, guide: Guide) -> float:
 
 @compiled
 def take_sample(sample: Array, guide: Guide) -> None:
-    """Let base and arm follow full samples, of which this is one; angles by the turn nearest to the reference."""
-    nb, n, wanted, now = guide.base.shape[1], guide.arm.shape[1], guide.wanted, guide.now
+    """Let base and arm follow full samples, of which this is one; the heading by the turn nearest to the reference."""
+    nb, wanted = guide.base.shape[1], guide.wanted
     q = (3 if nb else 0) + 2 * nb
-    copy_to(sample, wanted)
+    copy_to(sample[:q], wanted[:q])
     if nb:
-        wanted[2] = nearest_turn(wanted[2], now[2])
+        wanted[2] = nearest_turn(wanted[2], guide.now[2])
+    follow_samples(BASE, guide)
+    take_joints(sample[q:], guide)
+
+
+@compiled
+def take_joints(sample: Array, guide: Guide) -> None:
+    """Let the arm follow samples (q, qdot, qddot), of which this is one; angles by the nearest turn."""
+    n, q = guide.arm.shape[1], guide.wanted.size - 3 * guide.arm.shape[1]
+    wanted = guide.wanted[q:]
+    copy_to(sample, wanted)
     for i in range(n):
         if guide.turn[i] > 0:
-            wanted[q + i] = nearest_turn(wanted[q + i], now[q + i])
-    for part in range(2):
-        if guide.kind[part] != SAMPLE:
-            leave_home(part, guide)
-        guide.kind[part], guide.fresh[part] = SAMPLE, 1
+            wanted[i] = nearest_turn(wanted[i], guide.now[q + i])
+    follow_samples(ARM, guide)
+
+
+@compiled
+def follow_samples(part: int, guide: Guide) -> None:
+    """A part follows samples, of which one has just come."""
+    if guide.kind[part] != SAMPLE:
+        leave_home(part, guide)
+    guide.kind[part], guide.fresh[part] = SAMPLE, 1
 
 
 @compiled

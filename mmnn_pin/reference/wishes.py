@@ -2,6 +2,7 @@
 
     HOLD                              brake and stand
     BaseVelocity((0.3, 0.1))          what a joystick or a navigation stack sends
+    JointSample(q)                    one of samples that the joints follow, as a planner or another controller sends
     JointGoal(q)                      joints to a goal, or through several, at rest there, within jerk limits
     Motion.of(trajectory, ...)        a motion known ahead, of the base, of the arm, or of both
     FollowHand(body, path)            the hand along a path, by base and arm together
@@ -50,6 +51,21 @@ class BaseVelocity:
 
 
 @dataclass(frozen=True)
+class JointSample:
+    """One sample of a motion of the joints, while the base follows something else. It has to be renewed.
+
+    Args:
+        q: (n,) positions [rad or m].
+        qdot: (n,) rates, None for rest [rad/s or m/s].
+        qddot: (n,) accelerations, None for none [rad/s^2 or m/s^2].
+    """
+
+    q: ArrayLike
+    qdot: ArrayLike | None = None
+    qddot: ArrayLike | None = None
+
+
+@dataclass(frozen=True)
 class JointGoal:
     """A goal of the joints, reached at rest in the shortest time within speed, acceleration and jerk (`ruckig`).
 
@@ -87,4 +103,4 @@ class Course(Protocol):
         """Write the sample of a time [s] into a flat setpoint; false once it is over, with the last sample."""
 
 
-Wish = Setpoint | BaseVelocity | JointGoal | Motion | FollowHand | HandWish | Stand
+Wish = Setpoint | BaseVelocity | JointSample | JointGoal | Motion | FollowHand | HandWish | Stand

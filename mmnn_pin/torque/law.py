@@ -295,6 +295,7 @@ def networks(row: Array, at: IntArray, law: Packed, state: Array) -> None:
     n, o = numbers_of(law.settings, law.sizes), networks_of(state, law.sizes[STATE:])
     rows, first = law.rows, 0
     gain = view(row, at, EFFECTIVE_GAIN)
+    K, Kz, of_s, of_torque, most = n.gains[0], n.gains[1], n.gains[2], n.gains[3], n.gains[4]
     for i in range(o.x.size):
         o.x[i] = row[rows[i]]
         if n.inputs.shape[1] > 0:
@@ -306,15 +307,15 @@ def networks(row: Array, at: IntArray, law: Packed, state: Array) -> None:
         W, V = (o.W1, o.V1) if which == 0 else (o.W2, o.V2)
         sigma, net, s = (o.sigma1, o.net1, o.s1) if which == 0 else (o.sigma2, o.net2, o.s2)
         for i in range(error.size):
-            s[i] = n.gains[2, first + i] * error[i]
+            s[i] = of_s[first + i] * error[i]
         psi_hat, feedback = view(row, at, PSI_HAT)[first : first + error.size], 0.0
         for i in range(error.size):  # in the units of the network's own s and output
-            feedback += n.gains[0, first + i] * error[i] * error[i] * n.gains[2, first] / n.gains[3, first]
+            feedback += K[first + i] * error[i] * error[i] * of_s[first] / of_torque[first]
         norm = network(n, n.networks[which], NetworkState(W, V, sigma, net, s), o.x, psi_hat, feedback)
         row[at[WEIGHT_NORM] + which] = norm
         for i in range(first, first + error.size):
-            row[at[PSI_HAT] + i] *= n.gains[3, i]
-            gain[i] = min(n.gains[0, i] + n.gains[1, i] * (norm + n.networks[which, 3]), n.gains[4, i])
+            row[at[PSI_HAT] + i] *= of_torque[i]
+            gain[i] = min(K[i] + Kz[i] * (norm + n.networks[which, 3]), most[i])
         first += error.size
 
 

@@ -119,6 +119,7 @@ def new_feeler(touch: Touch, robot: Robot, regressor: Regressor, sending: Sendin
         eases=int(sending.eases),
         yields=float(touch.yields),
         back=float(touch.back),
+        heaviest=float(sum(theta[BODY * k] for k, name in enumerate(regressor.bodies) if name in robot.joint_names)),
     )
     carrier, place = hand_of(touch.hand, robot)
     gains = np.array(sending.gains, float)

@@ -25,8 +25,9 @@ is where `r' S^-1 r` is beyond the quantile of chi^2.
 
 **A load is no contact.** A mass that moves rigidly with the hand brings `r = -Y pi` with the columns Y of its mass and
 first moment, `pi = (m, mc)`, behind the same filter; gravity is in Y. From the sample on that feels something pi is
-fitted to what is felt, and where it leaves less than `MISFIT` of it, with `m > 0` and within reach, a load is carried:
-it is taken out of what is felt, and learned. A push straight down on an arm that stands is a load, too.
+fitted to what is felt, and where it leaves less than `MISFIT` of it, with m > 0, within reach and no heavier than the
+arm, a load is carried: it is taken out of what is felt, and learned. A push straight down on an arm that stands is a
+load, too.
 
 **What was learned of a contact before it was felt** is forgotten: where one begins a learner's state goes back to a
 copy that is `REWIND` to twice as old.
@@ -98,6 +99,7 @@ class TouchNumbers(NamedTuple):
         eases: 1 where the feedback is eased back after it.
         yields: Share of the feedback gains that damps it then.
         back: Largest velocity at which it goes back [m/s, rad/s].
+        heaviest: A load is no heavier, which is what the arm itself weighs [kg].
     """
 
     h: float
@@ -114,6 +116,7 @@ class TouchNumbers(NamedTuple):
     eases: int
     yields: float
     back: float
+    heaviest: float
 
 
 @by_address
@@ -250,6 +253,7 @@ def go_back(learned: Array, a: Feeler) -> None:
         return
     if s.clock[BEGUN] > 0.0:
         copy_to(older, learned)
+        copy_to(older, old)
         s.clock[BEGUN] = 0.0
     elif s.clock[COUNT] <= 1.0:
         copy_to(learned, old)
@@ -516,7 +520,8 @@ def is_load(a: Feeler) -> bool:
     for k in range(LOAD):
         left -= found[k] * fit[k, LOAD]
     out = found[1] * found[1] + found[2] * found[2] + found[3] * found[3]
-    if not (left < MISFIT * fit[LOAD, LOAD] and found[0] > 0.0 and out < REACH * REACH * found[0] * found[0]):
+    fits, mass = left < MISFIT * fit[LOAD, LOAD], found[0]
+    if not (fits and 0.0 < mass <= a.numbers.heaviest and out < REACH * REACH * mass * mass):
         return False
     copy_to(found, load)
     return True

@@ -20,11 +20,13 @@ from collections.abc import Sequence
 from functools import cache
 from multiprocessing import Pool
 from pathlib import Path
-from signal import SIG_IGN, SIGINT, signal
 from typing import Any
 
 from mmnn_pin.compiled.folders import imports_of, text_of
+from mmnn_pin.errors import InputError
+from mmnn_pin.files import locked
 from mmnn_pin.lab.show.table import Column, Table, number, row_of, terminal_text
+from mmnn_pin.lab.study.pools import begin
 from mmnn_pin.torque.entries import CONTROLLERS
 
 from .draws import draw_of, on_contact, preregistered
@@ -116,7 +118,7 @@ def missing(rows: Sequence[Row], wanted: Sequence[Wanted]) -> list[Wanted]:
 def run_missing(todo: Sequence[Wanted], file: Path, workers: int) -> None:
     """Run what is missing, and append rows to the file draw by draw; Ctrl-C ends at once with what the file has."""
     total, done, began = sum(len(one[4]) for one in todo), 0, time.monotonic()
-    with file.open("a", encoding="utf-8") as sink, Pool(workers, signal, (SIGINT, SIG_IGN)) as pool:
+    with file.open("a", encoding="utf-8") as sink, Pool(workers, begin, (os.getpid(),)) as pool:
         try:
             for rows in pool.imap_unordered(rows_of, todo):
                 sink.writelines(json.dumps(row) + "\n" for row in rows)
@@ -126,6 +128,7 @@ def run_missing(todo: Sequence[Wanted], file: Path, workers: int) -> None:
                 print(f"{done} of {total} runs, {left / 60:.0f} min left", file=sys.stderr, flush=True)
         except KeyboardInterrupt:
             print("stopped: what is done is kept, the same command goes on", file=sys.stderr)
+            raise
 
 
 def table_of(title: str, rows: Sequence[Row], controllers: Sequence[str]) -> Table:
@@ -163,10 +166,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in options.robots or ():
         if name not in {one[0] for one in wanted}:
             parser.error(f"--robots {name}: {', '.join(options.plants)} of family {options.family} has no such robot")
-    options.folder.mkdir(parents=True, exist_ok=True)
     file = options.folder / "results.jsonl"
-    if todo := missing(kept(file), wanted):
-        run_missing(todo, file, options.workers)
+    with locked(file, "results file"):
+        if todo := missing(kept(file), wanted):
+            run_missing(todo, file, options.workers)
     keys = {key for one in wanted for key in keys_of(one)}
     rows = [row for row in kept(file) if key_of(row) in keys]
     if options.publish and (left := sum(len(one[4]) for one in missing(rows, wanted))):
@@ -182,4 +185,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except InputError as error:
+        sys.exit(f"{error}")
+    except KeyboardInterrupt:
+        sys.exit(130)

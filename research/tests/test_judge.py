@@ -4,6 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +18,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
 from mmnn_pin import PD, Stepper, StepperSettings, TorqueController, load, load_experiment
+from mmnn_pin.errors import InputError
+from mmnn_pin.files import locked
 from mmnn_pin.loop.suited import SCALED
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import carrying
@@ -361,3 +369,38 @@ def test_page_has_the_scores_between_its_markers(tmp_path: Any) -> None:
 def test_final_robots_are_refused_for_tuning(tmp_path: Any) -> None:
     with pytest.raises(SystemExit):
         command.main([str(tmp_path), "--robots", "z1"])
+
+
+ROOT = Path(__file__).parents[2]
+SLOW = """
+import sys, time
+from multiprocessing import active_children
+from pathlib import Path
+from threading import Timer
+from research.judge import __main__ as judge
+def rows_of(wanted):
+    time.sleep(600)
+rows_of.__module__, judge.rows_of = judge.__name__, rows_of
+Timer(0.5, lambda: print(*[child.pid for child in active_children()], flush=True)).start()
+judge.run_missing([("a", "dev", 0, "judge", ("pd",))] * 2, Path(sys.argv[1]), 2)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_judge_that_is_killed_takes_its_processes_along(number: int, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", SLOW, str(tmp_path / "rows")]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    workers = [Path(f"/proc/{word}") for word in process.stdout.readline().split()]
+    assert len(workers) == 2 and all(place.exists() for place in workers)
+    process.send_signal(number)
+    process.communicate(timeout=20)
+    until = time.monotonic() + 20
+    while any(place.exists() for place in workers) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not [os.kill(int(place.name), signal.SIGKILL) for place in workers if place.exists()]
+
+
+def test_two_judges_do_not_write_one_file(tmp_path: Path) -> None:
+    with locked(tmp_path / "results.jsonl", "rows"), pytest.raises(InputError, match=f"process {os.getpid()} on"):
+        command.main([str(tmp_path), "--robots", "platform_arm", "--controllers", "pid", "--draws", "1"])

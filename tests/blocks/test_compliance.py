@@ -14,7 +14,7 @@ from mmnn_pin import load
 from mmnn_pin.compliance import Force, Held, Impedance, bound_of, compliance_of, compliance_size, give, soften, wish
 from mmnn_pin.compliance.bound import radius
 from mmnn_pin.compliance.law import admit, displacement, springs_and_dampers
-from mmnn_pin.disturbance import Forces, HingedDoor, Surface, scene_of, scene_size, touched_frame
+from mmnn_pin.disturbance import Forces, HingedDoor, Push, Surface, scene_of, scene_size, touched_frame
 from mmnn_pin.disturbance.scene import DONE
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.loop.latency import Latency
@@ -284,6 +284,29 @@ def test_a_hand_on_a_base_that_steers_has_the_stiffness_that_was_asked():
     assert force / (0.04 - force / 500.0) == pytest.approx(300.0, rel=0.01)
     assert abs(run["pose"][-1, 0]) > 1e-3
     assert run["injected"].max() < 1e-5
+
+
+def test_a_force_takes_on_what_the_springs_carried_before_it():
+    """3 N m that no model knows displace the hand, which goes back to its place, and are no part of the force."""
+    unknown, wall = Push(on="arm_1_joint", force=-3.0), Surface(normal=(0.0, -1.0, 0.0), gap=0.01, friction=0.0)
+    run = still(Impedance(stiffness=300.0), unknown, wall, force=Force(newtons=12.0, start=1.5), seconds=3.0).run()
+    free = run.time < 1.5
+    assert np.abs(run["hand_force"][free]).max() == 0.0 and np.abs(run["asked_force"][free][-1, 1]) > 3.0
+    assert run["hand_force"][-1, 1] == pytest.approx(-12.0, abs=0.3)
+
+
+@pytest.mark.parametrize("follow", [False, True])
+def test_nobody_learns_to_stop_the_hand_where_its_force_decides(follow):
+    """The errors that learners see move the hand as before, but not along the force, or not at all where it follows."""
+    one = Row(ROBOT, DEFAULT)
+    one.compliance = made(force=Force(along=(0.0, 2.0, 0.0), start=0.0, follow=follow), position=position_of(
+        ROBOT, one.pose_ref, one.q_ref
+    ))  # fmt: skip
+    one.run()
+    _, J, _ = one.frame(one.position)
+    seen, s = J[:3] @ np.hstack((one["z"], one["r"])), J[:3] @ (one["nu_ref"] - one.nu)
+    assert abs(s[1]) > 1e-3
+    np.testing.assert_allclose(seen, s * (0.0 if follow else np.array([1.0, 0.0, 1.0])), atol=1e-5)
 
 
 def test_a_door_about_an_unknown_hinge_is_opened_along_its_way():

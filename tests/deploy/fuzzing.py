@@ -48,11 +48,12 @@ def fuzzed(loop, period, steps, seed):
 
 @dataclass(frozen=True)
 class Fuzzed:
-    """What happened in a run: how many answers were different, how often it tripped and how often it was refused."""
+    """What happened in a run: how many answers were different, how often it tripped, was refused and felt contact."""
 
     distinct: int
     trips: int
     refused: int
+    touched: int
 
 
 def write_fuzzed(loop, folder, steps, seed):
@@ -64,15 +65,18 @@ def write_fuzzed(loop, folder, steps, seed):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(text)
     events = fuzzed(loop, stepper.period, steps, seed)
-    states, seen = stepper.hardware.way.supervisor.state, []
+    states, seen, felt = stepper.hardware.way.supervisor.state, [], []
 
     def watched():
         """The events, with trips and samples so far noted after each."""
         for event in events:
             yield event
             seen.append((states.tripped[0], stepper.k))
+            felt.append(stepper.is_touched)
 
     found = answers(stepper, watched(), [m.live for m in export.remembered])
     (folder / "selftest.c").write_text(selftest(export, events, found))
     tripped, samples = np.diff(np.array(seen), axis=0).T
-    return Fuzzed(len({answer.checksum for answer in found}), int((tripped > 0).sum()), int((samples == 0).sum()))
+    return Fuzzed(
+        len({answer.checksum for answer in found}), int((tripped > 0).sum()), int((samples == 0).sum()), sum(felt)
+    )

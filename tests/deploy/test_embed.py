@@ -41,7 +41,9 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.reference.limits import Limits
 from mmnn_pin.reference.wishes import HOLD, BaseVelocity
+from mmnn_pin.safety import Safety
 from mmnn_pin.signals import Measurement, Setpoint
+from mmnn_pin.touch import Touch
 
 STEPS = 80
 HAS_GCC = shutil.which("gcc") is not None
@@ -117,6 +119,20 @@ def test_a_base_that_steers_has_the_bits_of_the_stepper(tmp_path, robot, control
 
 
 @needs_gcc
+@pytest.mark.parametrize("contact", ["go on", "comply"])
+def test_fuzzed_samples_that_feel_contact_have_the_same_bits(tmp_path, contact):
+    """The observer, the law with its weights held, and what gives way or is eased back, in compiled C."""
+    touch, safety = (
+        Touch(bandwidth=1e3, masses=0.0, friction=0.0, torque=0.0, clear=0.01, settle=0.05),
+        Safety(contact=contact),
+    )
+    found = write_fuzzed(loop_of("platform_arm", "pid", touch=touch, safety=safety), tmp_path, 300, 3)
+    assert 20 < found.touched < 280, found
+    status, said = on_target(tmp_path, "gcc")
+    assert status == 0 and "300 samples, 0 differ" in said, said
+
+
+@needs_gcc
 def test_fuzzed_samples_of_a_swerve_drive_have_the_same_bits(tmp_path):
     found = write_fuzzed(loop_of("swerve_arm", "pd"), tmp_path, 300, 3)
     assert found.distinct > 100 and found.trips >= 1, found
@@ -155,7 +171,7 @@ def test_a_changed_number_fails_the_self_test(exported, tmp_path):
     shutil.copytree(folder, tmp_path / "changed")
     law = tmp_path / "changed" / "robot_law.c"
     text = law.read_text()
-    start = text.index("law_control_gains")
+    start = text.index("law_start_law_gains0")
     law.write_text(text[:start] + re.sub(r"\d+\.\d+", "3.0000001", text[start:], count=1))
     subprocess.run(["gcc", *STRICT, *tmp_path.glob("changed/*.c"), "-o", tmp_path / "selftest"], check=True)
     done = subprocess.run([tmp_path / "selftest"], capture_output=True, text=True)
@@ -331,16 +347,6 @@ def test_without_diagnostics_the_gram_matrix_is_left_out(tmp_path):
     """Of its 40 kB `adaptive` then needs a quarter; the bits of all else stay, as its self-test says."""
     told = embedded(tmp_path / "c", "adaptive", "--steps", "40", "--no-diagnostics")
     assert told["ram_bytes"] < 16_000 and "gram" not in (tmp_path / "c" / "controller.h").read_text()
-
-
-@pytest.mark.skipif(shutil.which("g++") is None, reason="no g++: apt-get install g++")
-@pytest.mark.parametrize("flavour", [[], ["-DMMNN_GET_OPTIONAL"]])
-def test_the_plugin_of_ros2_control_compiles_with_both_flavours(exported, tmp_path, flavour):
-    """Against stubs of the headers; what ros2_control does with it is not tried."""
-    folder, _ = exported("two_layer")
-    stubs = ROOT / "tests" / "deploy" / "stubs"
-    command = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", f"-I{stubs}", f"-I{folder}", *flavour, "-c"]
-    subprocess.run([*command, folder / "ros2_control" / "plugin.cpp", "-o", tmp_path / "plugin.o"], check=True)
 
 
 @given(st.lists(st.text(), min_size=1, max_size=3))

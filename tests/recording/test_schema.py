@@ -389,3 +389,19 @@ def test_no_recording_by_a_name_that_leads_elsewhere(tmp_path):
     for name in ("pipe.h5", "nothing.h5"):
         with pytest.raises(RecordingError, match="no such recording"):
             Recording.open(tmp_path / name)
+
+
+@pytest.mark.parametrize("left", [(), ("time",)])
+def test_a_recording_of_no_signals_is_one_line_for_all_that_read_it(left, tmp_path, capsys):
+    file = old_recording(tmp_path / "run.h5")
+    with h5py.File(file, "r+") as run:
+        for name in {*run["signals"]} - {*left}:
+            run[f"signals/{name}"].attrs["unit"] = "furlong"
+    out = tmp_path / "out"
+    words = ["replay {} --html {}.html", "report {} --html {}.html --no-replay", "plot {} --out {}", "judge {}"]
+    words += [f"export {{}} --to {to} --out {{}}" for to in ("npz", "lerobot", *(() if left else ("csv", "mcap")))]
+    for command in words:
+        assert main(command.format(file, out).split()) == (0 if left and " npz" in command else 2), command
+        lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("warning: ")]
+        assert len(lines) == (0 if left and " npz" in command else 1) and "internal" not in "".join(lines), lines
+        assert not out.exists() or left

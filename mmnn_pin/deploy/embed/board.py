@@ -21,19 +21,34 @@ from ...loop.machine import Machine
 from ...loop.sample import Controls, sample
 from ...loop.servo import Split
 from ...loop.stepper import Stepper
+from ...model.base.rolling import Rolling, followed
 from ...reference.follower import LARGEST
-from ...reference.guide import ARM, BASE, SAMPLE, VELOCITY, Guide, advance, brake, drive, stand, take_sample
+from ...reference.guide import (
+    ARM,
+    BASE,
+    SAMPLE,
+    VELOCITY,
+    Guide,
+    advance,
+    brake,
+    drive,
+    stand,
+    take_joints,
+    take_sample,
+)
 from ...safety import Supervisor, accept, has_ended, press, release
-from ...signals import Array, IntArray
+from ...signals import INDEX, Array, IntArray
 from ...torque.law import Ahead, MotorLimits
 from ...touch import Feeler
 
-# What a sample can be asked: to go on, a full sample, a base velocity, to brake and stand.
-GO_ON, FOLLOW_SAMPLE, FOLLOW_VELOCITY, STAND = range(4)
+# What a sample can be asked: to go on, a full sample, a base velocity, to brake and stand, samples of the joints, and
+# these with a base velocity.
+GO_ON, FOLLOW_SAMPLE, FOLLOW_VELOCITY, STAND, FOLLOW_JOINTS, FOLLOW_BOTH = range(6)
 # What a step answers: done; a time not after the last one; a setpoint that is not finite or does not exist.
 DONE, BAD_TIME, BAD_SETPOINT = range(3)
-LAST, RENEWED, STANDS, STEPPED, PAUSED = 0, 1, 3, 4, 5  # of the clock
-CLOCK = 6
+SHAPE = INDEX["shape"]
+LAST, RENEWED, STANDS, PAUSED = 0, 1, 3, 4  # of the clock
+CLOCK = 5
 
 
 class Board(NamedTuple):
@@ -49,8 +64,8 @@ class Board(NamedTuple):
         model, hardware, learner, limits, ahead, later: As of `loop.sample.sample`.
         guide: What makes the reference.
         supervisor: The supervisor.
-        clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, has stepped,
-            waits in a pause.
+        clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, waits in a
+            pause.
         losses: (1,) how often a setpoint was not renewed.
         timeout: Age of a setpoint that has to be renewed at which it holds [s].
         command: (motors,) torques that reach the motors.
@@ -64,6 +79,9 @@ class Board(NamedTuple):
         task: A compliant hand; None for one that is stiff.
         seen: (m,) the measurement as the reference has it: pose, twist, q, qdot; of others than steer `received`.
         motor_velocity: (motors,) commanded velocities [rad/s or m/s].
+        motor_position: (motors,) commanded positions, of motors that take them [rad or m].
+        placed: Motors that take a position; place of each in `Split.place`; its pivot if it follows another, else -1.
+        rolling: Of a base that steers; None for others.
     """
 
     row: Array
@@ -94,6 +112,9 @@ class Board(NamedTuple):
     task: Compliance | None
     seen: Array
     motor_velocity: Array
+    motor_position: Array
+    placed: tuple[tuple[int, int, int], ...]
+    rolling: Rolling | None
 
 
 class Fresh(Stepper):
@@ -137,6 +158,9 @@ def board_of(stepper: Stepper) -> Board:
         task=stepper.control.task,
         seen=stepper.received if stepper.control.steering is None else stepper.seen,
         motor_velocity=np.zeros(stepper.setup.layout.motors),
+        motor_position=np.zeros(stepper.setup.layout.motors),
+        placed=tuple(one[2:3] + one[1:2] + one[3:] for one in stepper.placed),
+        rolling=stepper.robot.rolling,
     )
 
 
@@ -164,8 +188,8 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
         clock[STANDS] = 1.0
     if clock[PAUSED] == 0.0:
         follow(b, time, wish)
-    advance(b.seen, time - clock[LAST] if clock[STEPPED] > 0.0 else 0.0, b.guide)
-    if clock[STEPPED] == 0.0:
+    advance(b.seen, time - clock[LAST] if clock[LAST] > -math.inf else 0.0, b.guide)
+    if clock[LAST] == -math.inf:
         copy_to(b.guide.now, b.before)
     sample(
         0, time, b.guide.now, b.before, b.control, b.model, b.hardware, b.learner, b.limits, b.ahead, b.later, b.split,
@@ -173,29 +197,43 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
     )  # fmt: skip
     copy_to(b.guide.now, b.before)
     copy_to(b.command, b.motor_torque)
+    command_servos(b)
+    clock[LAST] = time
+    return DONE
+
+
+def command_servos(b: Board) -> None:
+    """Velocities and positions of the motors that take them; `Stepper._command`."""
     if b.split is not None:
         for j in range(b.motor_velocity.size):
             speed = 0.0
             for i in range(b.split.command.size):
                 speed += b.split.E[i, j] * b.split.command[i]
             b.motor_velocity[j] = speed
-    clock[LAST], clock[STEPPED] = time, 1.0
-    return DONE
+        for motor, place, pivot in b.placed:
+            b.motor_position[motor] = b.split.place[place]
+            if pivot >= 0 and b.rolling is not None:
+                now = b.row[b.at[SHAPE] + pivot]
+                b.motor_position[motor] = followed(b.rolling, pivot, b.split.place[place], now)
 
 
 def is_possible(b: Board, wish: int) -> bool:
     """Whether a setpoint is one that can be followed; `Follower.check`."""
-    fine = wish in (GO_ON, STAND)
+    fine = wish in (GO_ON, STAND, FOLLOW_JOINTS)
     nb = b.guide.base.shape[1]
     pose = 3 if nb else 0
+    joints = pose + 2 * nb
     if wish == FOLLOW_SAMPLE:
         fine = True
-        for i in range(b.asked.size):
+        for i in range(joints):
             fine = fine and abs(b.asked[i]) < LARGEST
-    elif wish == FOLLOW_VELOCITY:
+    elif wish in (FOLLOW_VELOCITY, FOLLOW_BOTH):
         fine = nb > 0
         for i in range(pose, pose + nb):
             fine = fine and math.isfinite(b.asked[i])
+    if wish in (FOLLOW_SAMPLE, FOLLOW_JOINTS, FOLLOW_BOTH):
+        for i in range(joints, b.asked.size):
+            fine = fine and abs(b.asked[i]) < LARGEST
     return fine
 
 
@@ -222,12 +260,15 @@ def follow(b: Board, time: float, wish: int) -> None:
     if wish == FOLLOW_SAMPLE:
         take_sample(b.asked, guide)
         clock[RENEWED + BASE], clock[RENEWED + ARM] = time, time
-    elif wish == FOLLOW_VELOCITY:
+    elif wish in (FOLLOW_VELOCITY, FOLLOW_BOTH):
         drive(b.asked[pose : pose + nb], guide)
         clock[RENEWED + BASE] = time
     elif wish == STAND:
         brake(BASE, b.seen, guide)
         brake(ARM, b.seen, guide)
+    if wish in (FOLLOW_JOINTS, FOLLOW_BOTH):
+        take_joints(b.asked[pose + 2 * nb :], guide)
+        clock[RENEWED + ARM] = time
     for part in range(2):
         kind = guide.kind[part]
         if kind in (SAMPLE, VELOCITY) and time - clock[RENEWED + part] > b.timeout:

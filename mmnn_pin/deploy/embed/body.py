@@ -202,7 +202,7 @@ class FunctionBody:
             kind = len(kind) if set(kind) == {"real"} else kind
             if isinstance(kind, tuple):
                 name = self.program.record_type(kind)
-                text = f"({name}){{{', '.join(item.text for item in items)}}}"
+                text = f"MMNN_OF({name}){{{', '.join(item.text for item in items)}}}"
             else:
                 text = self.vec(node, value).text
         elif isinstance(value, Number):
@@ -589,6 +589,8 @@ class FunctionBody:
             return {"+": plus, "-": minus, "*": times}[sign](a, b)
         if binds == 3:
             if sign == "&" and b.is_known and 0 <= b.value < NARROW:
+                if kind == "long":
+                    return Number("int", f"(int32_t)({a.within(ATOM)} & {b.within(ATOM)})", UNARY)
                 kind = "int"
             return Number(kind, f"{a.within(ATOM)} {sign} {b.within(ATOM)}", binds)
         return Number(kind, f"{a.within(binds)} {sign} {b.within(binds + 1)}", binds)
@@ -707,7 +709,8 @@ class FunctionBody:
         if isinstance(value, Tuple) and all(isinstance(item, Number) for item in value.items):
             size = len(value.items)
             return Vec(
-                f"({self.program.vec(size, self.small)}){{{{{', '.join(item.text for item in value.items)}}}}}", size
+                f"MMNN_OF({self.program.vec(size, self.small)}){{{{{', '.join(item.text for item in value.items)}}}}}",
+                size,
             )
         self.refuse(node, "this in the place of a few numbers")
 
@@ -725,6 +728,13 @@ class FunctionBody:
     def element(self, array: ArrayValue, place: Number) -> Number:
         """A number of an array."""
         value, everywhere = None, ""
+        if isinstance(array.base, Root) and array.base.parts:  # it lies in several members
+            one = replace(
+                array, offset=plus(array.offset, place), shape=(integer(1),), strides=(integer(1),), alias=None
+            )
+            array, place = self.program.part_of(one), integer(0)
+            if array.base.parts:  # type: ignore[union-attr]
+                raise NeedsUnrolling(one.offset.text)
         if isinstance(array.base, Root) and (array.offset.is_known and place.is_known):
             at = array.offset.value + place.value
             value = self.program.constant(array.base, at)
@@ -796,7 +806,8 @@ class FunctionBody:
             found = replace(found, offset=offset)
         if isinstance(found.base, Root) and found.base.parts:
             found = self.program.part_of(found)
-            if found.base.parts:  # type: ignore[union-attr]
+            numbers = found.offset, *found.shape, *found.strides
+            if found.base.parts and not all(one.is_known for one in numbers):  # type: ignore[union-attr]
                 raise NeedsUnrolling(offset.text)
         return found
 

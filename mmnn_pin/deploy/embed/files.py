@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
 from string import ascii_letters, digits
 from typing import Any
 
@@ -12,11 +14,16 @@ import jinja2
 import numpy as np
 
 from ... import __version__
+from ...loop.servo import needs_torques
 from ...loop.stepper import Stepper
+from ...model.tree.motion import NUMBER
+from ...recording.versions import versions
 from ...signals import SIGNALS, Array
+from ...torque.law import ROUNDING, numbers_of
 from . import board, body
 from .golden import Answer, GoldenEvent
 from .program import CFunction, CProgram
+from .tunables import Carrier, Tunable, carrier_of, gains_of, limits_of
 from .values import Number, Root, Static, spelled
 
 TEMPLATES = jinja2.Environment(
@@ -24,9 +31,29 @@ TEMPLATES = jinja2.Environment(
 )
 ENTRIES = (board.step, board.pause, board.resume, board.stop, board.reset, board.is_over)
 LARGE = 128  # numbers, more than which stand at the end of the struct
-FEW = 8  # numbers that are set one by one at the start
+FEW = 3  # numbers that are set one by one at the start
 KEPT = frozenset(ascii_letters + digits + " _-+.,:()/")  # signs of names that mean nothing in C, printf, XML, Markdown
+LICENCE = "Apache-2.0"
+# Reference interfaces of a base by its velocities, as diff_drive_controller and mecanum_drive_controller name them.
+REFERENCES: dict[int, tuple[str, ...]] = {
+    2: ("linear/velocity", "angular/velocity"),
+    3: ("linear/x/velocity", "linear/y/velocity", "angular/z/velocity"),
+}
+DEPENDS = (
+    "control_msgs", "controller_interface", "generate_parameter_library", "geometry_msgs", "hardware_interface",
+    "nav_msgs", "pluginlib", "rclcpp", "rclcpp_lifecycle", "trajectory_msgs",
+)  # fmt: skip
+COMMENTS = {"md": ("<!-- ", " -->"), "xml": ("<!-- ", " -->")}
+COMMENTS |= dict.fromkeys(("c", "h", "ld", "cpp"), ("/* ", " */"))
 TOLERANCE = 1e-3  # of torques in single precision, over the largest
+
+
+@dataclass(frozen=True)
+class StructField:
+    """A field of a struct that a board may change, and the members of the controller in which it stands."""
+
+    tunable: Tunable
+    places: list[tuple[str, int]]
 
 
 @dataclass(frozen=True)
@@ -37,11 +64,28 @@ class Export:
         stepper: The stepper that it was made from.
         program: Its functions.
         title: Controller and robot in words.
+        structs: Fields of what a board may change, `gains` and `limits`.
+        carrier: What carries a payload, of a controller that believes in a model; None for others.
     """
 
     stepper: board.Fresh
     program: CProgram
     title: str
+    structs: dict[str, list[StructField]]
+    carrier: Carrier | None
+
+    @cached_property
+    def settings(self) -> str:
+        """A hash of all that the controller is: functions, tables, initial values and what may be changed."""
+        tables = [table(self.program, root) for root in [*self.tables, *starts(self)]]
+        texts = [self.title, *(f.text for f in self.functions), *tables, initial(self), str(structs_of(self))]
+        return sha256("\n".join(texts).encode()).hexdigest()[:16]
+
+    @property
+    def saved(self) -> list[Root]:
+        """Members that hold what is learned."""
+        pieces = {id(piece) for (root, _), piece in self.program.pieces.items() if root == "learned"}
+        return [m for m in self.members if m.name == "learned" or id(m) in pieces]
 
     @property
     def members(self) -> list[Root]:
@@ -92,9 +136,25 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
         program.memory(getattr(b, name), name)
         program.written.add(name)
     program.memory(b.motor_velocity, "motor_velocity")
+    program.memory(b.motor_position, "motor_position")
+    law = b.control.law
+    named = prefixed("law", numbers_of(law.settings, law.sizes))
+    rows = named.pop("law_gains")
+    named |= {f"law_gains{i}": row for i, row in enumerate(rows)}
+    program.memory(law.settings, "law", cut(law.settings, named))
+    program.memory(b.control.gains, "kinematic_gains")
+    program.memory(b.control.K, "joint_gains")
+    for name in ("base", "arm", "ends"):
+        program.memory(getattr(b.guide, name), f"reference_{name}")
+    structs = {name: placed(program, fields) for name, fields in tunables(stepper).items()}
+    carrier = None if b.model is None else carrier_of(stepper.robot, b.model.body.tree.numbers)
+    if carrier is not None:
+        program.written.add(program.memory(carrier.numbers, "carried").name)
     way = stepper.hardware.way
     program.dropped |= {"motor_states", "sent"}  # what only simulated motors and lines read
-    program.dropped |= {program.memory(part, "unread").name for part in (way.totals.force, way.shorted)}
+    program.dropped |= {
+        program.memory(part, "unread").name for part in (way.totals.force, way.totals.hand, way.shorted)
+    }
     if b.ahead is None and b.steering is None:
         program.dropped.add(program.memory(b.before, "before").name)
     learned = stepper.state
@@ -116,7 +176,7 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
             program.function(program.source(function), {"b": whole, **arguments})
 
     program.translate(call_all)
-    return Export(stepper, program, title)
+    return Export(stepper, program, title, structs, carrier)
 
 
 def goes_back(stepper: Stepper) -> bool:
@@ -125,21 +185,51 @@ def goes_back(stepper: Stepper) -> bool:
     return touch is not None and touch.state.saved.size > 0
 
 
+def placed(program: CProgram, fields: Iterable[Tunable]) -> list[StructField]:
+    """Fields with the members of the struct in which they stand, which become memory."""
+    found = list[StructField]()
+    for field in fields:
+        places = list[tuple[str, int]]()
+        for array in field.arrays:
+            whole = program.array(array, f"limits_{field.name}")
+            assert isinstance(whole.base, Root)
+            program.written.add(whole.base.name)
+            places.append((whole.base.name, whole.offset.value))
+        found.append(StructField(field, places))
+    return found
+
+
+def tunables(stepper: Stepper) -> dict[str, list[Tunable]]:
+    """Tunables of a stepper by the name of their struct; those that hold nothing are left out."""
+    found = {"gains": gains_of(stepper), "limits": limits_of(stepper)}
+    return {name: fields for name, fields in found.items() if fields}
+
+
 def parts_of(stepper: Stepper) -> dict[str, int]:
     """The members that the state of supervisor, motors and servos is split into, in the order of its memory."""
     hardware = stepper.hardware
     supervisor = hardware.way.supervisor
-    named = {
-        f"supervisor_{name}": part for name, part in supervisor._asdict().items() if name not in ("values", "asked")
-    }
-    named |= {f"supervisor_is_{name}": part for name, part in supervisor.state._asdict().items()}
+    named = prefixed("supervisor", supervisor)
+    for name in ("values", "asked"):
+        del named[f"supervisor_{name}"]
+    named |= prefixed("supervisor_is", supervisor.state)
     named |= {"motor_states": hardware.motors.states.values, "sent": hardware.way.sent}
     if hardware.touch is not None:
-        named |= {f"touch_{name}": part for name, part in hardware.touch.state._asdict().items()}
+        named |= prefixed("touch", hardware.touch.state)
     named |= {} if hardware.task is None else {"compliance_state": hardware.task.state}
     if hardware.split is not None:
-        named |= {f"servo_{name}": part for name, part in hardware.split._asdict().items()}
-    whole, found = hardware.state, list[tuple[int, str, int]]()
+        named |= prefixed("servo", hardware.split)
+    return cut(hardware.state, named)
+
+
+def prefixed(prefix: str, parts: Any) -> dict[str, Any]:
+    """The parts of a named tuple by their names in C."""
+    return {f"{prefix}_{name}": part for name, part in parts._asdict().items()}
+
+
+def cut(whole: Array, named: Mapping[str, Any]) -> dict[str, int]:
+    """Names and sizes of the parts of an array, of which some are named, in the order of its memory."""
+    found = list[tuple[int, str, int]]()
     first = whole.__array_interface__["data"][0]
     for name, part in named.items():
         if isinstance(part, np.ndarray) and part.size and np.shares_memory(part, whole):
@@ -194,6 +284,26 @@ def constants_in(program: CProgram, text: str) -> str:
 
 def files_of(export: Export) -> dict[str, str]:
     """Names and texts of the files, without the self-test."""
+    return {name: headed(export, name, text) for name, text in bare_files_of(export).items()}
+
+
+def headed(export: Export, name: str, text: str) -> str:
+    """A file with its licence, and with what it was written by, of which settings."""
+    made = f"Written by mmnn embed of mmnn_pin {__version__}, commit {commit()}, settings {export.settings}."
+    suffix = name.rpartition(".")[2]
+    start, end = COMMENTS.get(suffix, ("# ", ""))
+    head = "".join(f"{start}{line}{end}\n" for line in (f"SPDX-License-Identifier: {LICENCE}", made))
+    first, _, rest = text.partition("\n")
+    return f"{first}\n{head}{rest}" if first.startswith("<?xml") else head + text
+
+
+def commit() -> str:
+    """The commit of this package."""
+    return versions().get("commit", "unknown")
+
+
+def bare_files_of(export: Export) -> dict[str, str]:
+    """Names and texts of the files, without the self-test and without their heads."""
     program = export.program
     ours = [f for f in export.functions if not f.is_math]
     maths = [f for f in export.functions if f.is_math]
@@ -210,6 +320,7 @@ def files_of(export: Export) -> dict[str, str]:
             "controller.c", export, functions=definitions(ours), init=initial(export),
             constants=constants_in(program, text),
         ),
+        "tuning.c": render("tuning.c", export, carried=carried_row(export)),
         "robot_law.h": render("robot_law", export, is_header=True, tables="\n".join(
             f"extern const {program.c_type(t.kind)} law_{t.name}[{t.data.size}];" for t in every
         )),
@@ -223,7 +334,7 @@ def files_of(export: Export) -> dict[str, str]:
             "mmnn_math.c", export, functions=definitions(maths, public), constants=constants_in(double, math_text),
             tables="\n\n".join("static " + table(double, t) for t in own_tables),
         ),
-        "CMakeLists.txt": render("CMakeLists.txt", export),
+        "CMakeLists.txt": render("CMakeLists.txt", export, package=package_of(export), depends=()),
         "qemu_mps2/startup.c": render("startup.c", export),
         "qemu_mps2/mps2.ld": render("mps2.ld", export),
         "in_the_loop/link.c": link(export),
@@ -241,7 +352,6 @@ def table(program: CProgram, root: Root) -> str:
     """The definition of a constant table."""
     kind = program.c_type(root.kind)
     body = numbers(root.data, root.kind, program.real != "double")
-    body = body.replace("MMNN_INF", "(1.0 / 0.0)").replace("MMNN_NAN", "(0.0 / 0.0)")
     return f"const {kind} law_{root.name}[{root.data.size}] = {{\n{body}\n}};"
 
 
@@ -249,7 +359,7 @@ def starts(export: Export) -> list[Root]:
     """Tables of what members hold at the start, of those that are not mostly zeros."""
     found = []
     for member in export.members:
-        if np.count_nonzero(member.data) > FEW:
+        if np.count_nonzero(member.data) > FEW and member.kind == "real":
             found.append(Root(f"start_{member.name}", member.data, member.kind, member.data))
     return found
 
@@ -264,8 +374,7 @@ def initial(export: Export) -> str:
     lines, tables = list[str](), {t.name for t in starts(export)}
     for m in export.members:
         if f"start_{m.name}" in tables:
-            text = f"self->{m.name}[i] = law_start_{m.name}[i];"
-            lines += [f"    for (int32_t i = 0; i < {m.data.size}; i++) {{", f"        {text}", "    }"]
+            lines.append(f"    mmnn_take(law_start_{m.name}, self->{m.name}, {m.data.size});")
             continue
         for i in np.flatnonzero(np.asarray(m.data, float).view(np.int64)):  # minus zero, too
             x = m.data[i]
@@ -283,7 +392,7 @@ def types(program: CProgram) -> str:
             parts = ", ".join(f"(float)x.v[{i}]" for i in range(size))
             lines.append(
                 f"static inline mmnn_single{size} mmnn_to_single{size}(mmnn_vec{size} x)\n{{\n"
-                f"    return (mmnn_single{size}){{{{{parts}}}}};\n}}\n"
+                f"    return MMNN_OF(mmnn_single{size}){{{{{parts}}}}};\n}}\n"
             )
     for kinds in sorted(program.records, key=str):
         is_math = all(isinstance(kind, str) for kind in kinds)  # functions of controllers return structs side by side
@@ -320,8 +429,52 @@ def facts(export: Export) -> dict[str, Any]:
         "signals": [(name.upper(), at.start, f"{at.stop - at.start} {unit(name)}".strip()) for name, at in here],
         "width": layout.width,
         "members": [(program.c_type(m.kind), m.name, room(m)) for m in export.members],
+        "commit": commit(),
+        "settings": export.settings,
+        "structs": structs_of(export),
+        "tiny": "1e-9" + ("f" if program.real != "double" else ""),
+        "nearly": spelled(1.0 - ROUNDING),
+        "carrier": plain(export.carrier.joint) if export.carrier else "",
+        "saved": [(m.name, m.data.size) for m in export.saved],
+        "saved_numbers": sum(m.data.size for m in export.saved),
+        "identity": identity(export),
+        "has_positions": bool(export.stepper.placed),
+        "number_bytes": 8 if program.real == "double" else 4,
         "remembered": [(m.name, m.data.size) for m in export.remembered],
     }
+
+
+def structs_of(export: Export) -> list[dict[str, Any]]:
+    """The structs that a board may change, with the bounds of their fields and where these stand."""
+    single, found = export.program.real != "double", list[dict[str, Any]]()
+    for name, fields in export.structs.items():
+        rows = []
+        for field in fields:
+            one = field.tunable
+            bounds = [numbers(bound, "real", single, bound.size).strip() for bound in (one.least, one.most)]
+            rows.append((one.name, one.most.size, one.about, *bounds, field.places))
+        found.append({"name": name, "fields": rows})
+    return found
+
+
+def carried_row(export: Export) -> dict[str, str] | None:
+    """Where a payload goes: the numbers of what carries it without one, and how the frames are turned."""
+    if export.carrier is None:
+        return None
+    carrier, single = export.carrier, export.program.real != "double"
+    row = carrier.numbers[carrier.row]
+    texts = {"empty": row[NUMBER.mass : NUMBER.weight], "turn": carrier.turn.ravel()}
+    found = {name: numbers(values, "real", single, values.size).strip() for name, values in texts.items()}
+    member = next(
+        r.name for r in export.program.roots.values() if r.live.base is carrier.numbers or r.name == "carried"
+    )
+    return found | {"member": member, "at": str(carrier.row * row.size + NUMBER.mass)}
+
+
+def identity(export: Export) -> str:
+    """A number of what is saved: of whom, and which arrays of which sizes."""
+    text = repr((export.title, export.program.real, [(m.name, m.data.size) for m in export.saved]))
+    return sha256(text.encode()).hexdigest()[:16]
 
 
 def ranges(**sizes: int) -> list[tuple[str, int, int]]:
@@ -339,7 +492,7 @@ def selftest(export: Export, events: list[GoldenEvent], answers: list[Answer]) -
     """The self-test with its golden vectors."""
     received = [e.received for e in events if e.received is not None]
     asked = [e.asked for e in events if e.wish]
-    return render(
+    text = render(
         "selftest.c",
         export,
         steps=len(events),
@@ -354,6 +507,7 @@ def selftest(export: Export, events: list[GoldenEvent], answers: list[Answer]) -
         torques=rows(answer.torque for answer in answers),
         sums=",\n".join(f"    UINT64_C({answer.checksum:#x})" for answer in answers),
     )
+    return headed(export, "selftest.c", text)
 
 
 def link(export: Export) -> str:
@@ -365,25 +519,65 @@ def link(export: Export) -> str:
     )  # fmt: skip
 
 
+def package_of(export: Export) -> str:
+    """Name of the package and of its C++ namespace."""
+    name = re.sub(r"[^a-z0-9]+", "_", f"{export.stepper.robot.name}_{export.stepper.setup.controller.name}".lower())
+    return f"mmnn_{name.strip('_')}"
+
+
 def plugin(export: Export) -> dict[str, str]:
-    """A plugin of ros2_control to start from."""
+    """The package of a plugin of ros2_control."""
     robot, stepper = export.stepper.robot, export.stepper
-    d, names = robot.dimensions, robot.actuator_names
-    by_row = stepper.setup.interfaces
-    kinds = ["velocity" if by_row.get(name, "effort") != "effort" else "effort" for name in names]
-    parts = {2: ("linear.x", "angular.z"), 3: ("linear.x", "linear.y", "angular.z")}.get(d.base, ())
-    by_kind = ("mmnn_motor_velocity(&controller_)[j]", "mmnn_motor_torque(&controller_)[j]")
-    choice = f'motor_interfaces[j] == "velocity" ? {by_kind[0]} : {by_kind[1]}'
-    return {
-        "ros2_control/plugin.cpp": render(
-            "plugin.cpp", export, has_base=bool(d.base), motors=quoted(names), motor_interfaces=quoted(kinds),
-            arm=quoted(robot.joint_names),
-            odometry=[f"measurement.velocity[{i}] = twist.{part};" for i, part in enumerate(parts)],
-            velocity=[f"setpoint.velocity[{i}] = twist.{part};" for i, part in enumerate(parts)],
-            command=choice if has_split(export) else "mmnn_motor_torque(&controller_)[j]",
-        ),
-        "ros2_control/plugin.xml": render("plugin.xml", export),
+    d, names, kinds = robot.dimensions, robot.actuator_names, stepper.setup.interfaces
+    sources = {"effort": "torque", "velocity": "velocity", "position": "position"}
+    interfaces = [(name, kinds.get(name, "effort")) for name in names]
+    command = "mmnn_motor_torque(&controller_)[j]"
+    for kind in sorted({kind for _, kind in interfaces} - {"effort"}):
+        command = f'motor_interfaces[j] == "{kind}" ? mmnn_motor_{sources[kind]}(&controller_)[j] : {command}'
+    tuned = {name: [row for row in rows if np.isfinite(row.most).all()] for name, rows in by_struct(export).items()}
+    values = {
+        "package": package_of(export), "base_size": d.base, "arm_size": d.arm, "motors": quoted(names),
+        "motor_interfaces": quoted(kind for _, kind in interfaces), "arm": quoted(robot.joint_names),
+        "base_references": quoted(REFERENCES.get(d.base, ())), "reference_names": REFERENCES.get(d.base, ()),
+        "looks_back": needs_torques(stepper.setup.controller, stepper.setup.context()), "command": command,
+        "depends": DEPENDS, "licence": LICENCE, "rate": round(1.0 / stepper.period),
+        "odometry_at": spelled_row(robot.frame if d.base else np.zeros(3)), "joints": [*map(plain, robot.joint_names)],
+        "interfaces": [(plain(name), kind) for name, kind in interfaces],
+        "tuned": {name: [(row.name, row.most.size) for row in rows] for name, rows in tuned.items()},
+        "parameters": {name: [as_parameter(row) for row in rows] for name, rows in tuned.items()},
     }  # fmt: skip
+    files = {
+        "package.xml": "package.xml",
+        "ros2_control/plugin.cpp": "plugin.cpp",
+        "ros2_control/plugin.xml": "plugin.xml",
+    }
+    files |= {f"ros2_control/{name}.yaml": f"{name}.yaml" for name in ("parameters", "controllers")}
+    files |= {"ros2_control/README.md": "plugin.md", "CMakeLists.txt": "CMakeLists.txt"}
+    return {name: render(template, export, **values) for name, template in files.items()}
+
+
+def by_struct(export: Export) -> dict[str, list[Tunable]]:
+    """Tunables of an export by the name of their struct."""
+    return {name: [field.tunable for field in fields] for name, fields in export.structs.items()}
+
+
+def as_parameter(row: Tunable) -> dict[str, Any]:
+    """A parameter of the plugin."""
+    values = spelled_row(row.arrays[0])
+    least, most = (spelled_row(np.array([bound])) for bound in (row.least.min(), row.most.max()))
+    return {
+        "name": row.name,
+        "about": row.about,
+        "size": row.most.size,
+        "spelled": values,
+        "least": least,
+        "most": most,
+    }
+
+
+def spelled_row(values: Array) -> str:
+    """Numbers of a list in YAML, which takes 1e-06 for a text."""
+    return ", ".join(re.sub(r"^(-?\d+)e", r"\1.0e", spelled(float(x))) for x in values)
 
 
 def quoted(names: Iterable[str]) -> str:
@@ -400,7 +594,7 @@ def plain(name: str) -> str:
 
 def readme(export: Export, steps: int, ram: int) -> str:
     """The page that a firmware engineer reads first."""
-    return render("README.md", export, steps=steps, ram=ram)
+    return headed(export, "README.md", render("README.md", export, steps=steps, ram=ram))
 
 
 def exact(value: float) -> str:

@@ -19,9 +19,9 @@ from ...errors import ConfigError
 from ...loop.loop import Loop
 from ...loop.stepper import Stepper
 from ...model.robot import Robot, revolute
-from ...reference.wishes import HOLD, BaseVelocity, Wish
+from ...reference.wishes import HOLD, BaseVelocity, JointSample, Wish
 from ...signals import Array, Measurement, Setpoint
-from .board import FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND
+from .board import FOLLOW_BOTH, FOLLOW_JOINTS, FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND
 
 STOP, RESET, PAUSE, RESUME = 1, 2, 3, 4
 PRIME = np.uint64(0x9E3779B97F4A7C15)
@@ -78,7 +78,9 @@ def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[G
         last = k >= int(0.85 * steps)
         chance, wish, action = rng.random(), FOLLOW_SAMPLE, 0
         if 0.3 < k / steps < 0.35 and d.base:
-            wish = FOLLOW_VELOCITY
+            wish = FOLLOW_VELOCITY if k % 2 else FOLLOW_BOTH
+        elif 0.5 < k / steps < 0.55:
+            wish = FOLLOW_JOINTS
         elif 0.35 <= k / steps < 0.37:
             wish = STAND if chance < 0.5 else GO_ON
         if k in (int(0.4 * steps), int(0.42 * steps)):
@@ -117,15 +119,24 @@ def answers(stepper: Stepper, events: list[GoldenEvent], remembered: Iterable[Ar
     for event in events:
         measurement = None if event.received is None else Measurement(*np.split(event.received, ends))
         setpoint = Setpoint.side_by_side(event.asked, d)
-        wishes: dict[int, Wish] = {FOLLOW_SAMPLE: setpoint, STAND: HOLD}
-        wishes[FOLLOW_VELOCITY] = BaseVelocity(setpoint.velocity)
+        wish = wish_of(event.wish, setpoint)
         with suppress(ConfigError):  # refused, and nothing has changed
             if event.action:
                 {STOP: stepper.stop, RESET: stepper.reset, PAUSE: stepper.pause, RESUME: stepper.resume}[event.action]()
         with suppress(ConfigError):
-            stepper.step(event.time, measurement, wishes.get(event.wish), measured=event.measured)
+            stepper.step(event.time, measurement, wish, measured=event.measured)
         found.append(Answer(stepper.motor_torque.copy(), checksum(np.concatenate(arrays), powers)))
     return found
+
+
+def wish_of(kind: int, sample: Setpoint) -> Wish | tuple[Wish, ...] | None:
+    """The wish of the stepper by a number of `board` and a full sample."""
+    velocity, joints = BaseVelocity(sample.velocity), JointSample(sample.q, sample.qdot, sample.qddot)
+    asked: dict[int, Wish | tuple[Wish, ...]] = {
+        FOLLOW_SAMPLE: sample, FOLLOW_VELOCITY: velocity, STAND: HOLD, FOLLOW_JOINTS: joints,
+        FOLLOW_BOTH: (velocity, joints),
+    }  # fmt: skip
+    return asked.get(kind)
 
 
 def powers_of(size: int) -> NDArray[np.uint64]:

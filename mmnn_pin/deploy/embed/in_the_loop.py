@@ -22,10 +22,21 @@ from ...loop.servo import Command
 from ...loop.stepper import Stepper
 from ...plant.ideal import IdealPlant
 from ...recording.recording import Recording
+from ...reference.follower import joint_sample
 from ...reference.limits import Limits
-from ...reference.wishes import BaseVelocity, Stand, Wish
+from ...reference.wishes import BaseVelocity, JointSample, Stand, Wish
 from ...signals import Array, Measurement, Setpoint
-from .board import BAD_SETPOINT, BAD_TIME, FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND, Fresh
+from .board import (
+    BAD_SETPOINT,
+    BAD_TIME,
+    FOLLOW_BOTH,
+    FOLLOW_JOINTS,
+    FOLLOW_SAMPLE,
+    FOLLOW_VELOCITY,
+    GO_ON,
+    STAND,
+    Fresh,
+)
 from .files import Export, translated
 from .golden import PAUSE, RESET, RESUME, STOP
 
@@ -128,12 +139,12 @@ class Linked(Fresh):
         self._act(RESUME)
 
     def change(self, *given: Any, **more: Any) -> NoReturn:
-        """Refused: gains are constant tables of the exported controller.
+        """Refused: the exported controller is asked by its own functions.
 
         Raises:
             ConfigError: Always.
         """
-        why, fix = "they are constant tables in C", "export it anew with --set"
+        why, fix = "it runs elsewhere", "call mmnn_set_gains there, or export it anew with --set"
         raise ConfigError("other gains for an exported controller", why=why, fix=fix, key="gains")
 
     def __exit__(self, *given: Any) -> None:
@@ -156,10 +167,19 @@ class Linked(Fresh):
         if isinstance(setpoint, Setpoint):
             asked[:] = np.concatenate([np.ravel(getattr(setpoint, name)) for name in setpoint.__slots__])
             return FOLLOW_SAMPLE, asked
-        if isinstance(setpoint, BaseVelocity):
-            d = self.robot.dimensions
-            asked[d.pose : d.pose + d.twist] = setpoint.velocity
-            return FOLLOW_VELOCITY, asked
+        d, kind = self.robot.dimensions, GO_ON
+        for one in setpoint if isinstance(setpoint, tuple) else (setpoint,):
+            if isinstance(one, BaseVelocity):
+                asked[d.pose : d.pose + d.twist] = one.velocity
+                kind = FOLLOW_VELOCITY if kind == GO_ON else FOLLOW_BOTH
+            elif isinstance(one, JointSample):
+                asked[d.pose + 2 * d.twist :] = joint_sample(one, d.arm)
+                kind = FOLLOW_JOINTS if kind == GO_ON else FOLLOW_BOTH
+            else:
+                kind = GO_ON
+                break
+        if kind != GO_ON:
+            return kind, asked
         if isinstance(setpoint, Stand):
             return STAND, asked
         why, fix = "motions are planned in Python", "hand in their samples as full setpoints"
@@ -206,7 +226,9 @@ def build(folder: Path, where: str, compiler: Sequence[str], program: Path) -> l
         MmnnError: It does not compile.
     """
     require_tools(where)
-    ours = [str(folder / f"{name}.c") for name in ("controller", "robot_law", "mmnn_math", "in_the_loop/link")]
+    ours = [
+        str(folder / f"{name}.c") for name in ("controller", "tuning", "robot_law", "mmnn_math", "in_the_loop/link")
+    ]
     common = ["-std=c99", "-O2", "-ffp-contract=off", f"-I{folder}", *ours, "-o", str(program)]
     start = [str(folder / "qemu_mps2" / "startup.c"), "-T", str(folder / "qemu_mps2" / "mps2.ld")]
     command = [*compiler, *common] if where == HOST else ["arm-none-eabi-gcc", *M7.split(), *common, *start]

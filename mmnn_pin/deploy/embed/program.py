@@ -77,11 +77,6 @@ class CFunction:
     is_empty: bool = False
 
 
-def is_math(source: Any) -> bool:
-    """Whether a function is one of `mmnn_pin.elementary`."""
-    return ".elementary." in source.function.__module__
-
-
 class CProgram:
     """A program in C, made of functions of Python.
 
@@ -133,10 +128,10 @@ class CProgram:
         """The function in C for such arguments; parameters that are the same in all calls are taken as known."""
         key = (source.function, *(structure(value) for value in arguments.values()))
         self.kept += [value.object for value in arguments.values() if isinstance(value, Static)]
+        is_math = ".elementary." in source.function.__module__  # which knows of no controller, and so of no array
         for name, value in arguments.items():
             for place, part, array in leaves(value, name):
-                is_free = array is not None and is_math(source)  # of no controller: it is handed its memory
-                self._note((key, place), VARIES if is_free else self._sameness(part, array))
+                self._note((key, place), VARIES if is_math and array else self._sameness(part, array))
         if key not in self.functions:
             self.functions[key] = self._translated(key, source, arguments)
         return self.functions[key]
@@ -158,7 +153,7 @@ class CProgram:
             self.known[key], self.changed = VARIES, True
 
     def _translated(self, key: Any, source: Any, arguments: dict[str, Value]) -> CFunction:
-        record = CFunction(self._function_name(source), source, is_math=is_math(source))
+        record = CFunction(self._function_name(source), source, is_math=".elementary." in source.function.__module__)
         possible = dict[str, Parameter]()
         names = {name: self._parameter(key, name, value, possible) for name, value in arguments.items()}
         self.writer(self, record, source, names, possible)

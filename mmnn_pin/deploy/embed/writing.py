@@ -66,7 +66,9 @@ def without(lines: list[Any], name: str) -> list[Any]:
             if not item.lines and not item.head.startswith("if") and "while" not in item.head:
                 continue
         elif isinstance(item, Assign) and item.name == name:
-            if "(" in item.text and re.search(r"\w\(", item.text.replace("mmnn_", "").replace("real)", "")):
+            if "(" in item.text and re.search(
+                r"\w\(", item.text.replace("MMNN_OF(", "").replace("mmnn_", "").replace("real)", "")
+            ):
                 kept.append(f"(void)({item.text});")
             continue
         kept.append(item)

@@ -22,6 +22,7 @@ from .outputs import stamp_of
 from .planned import RobotSituation
 from .whole_body import rates_of
 
+FEEDBACK = ("desired", "actual", "error")
 KEEP = 300  # time that a result is kept [s]
 
 
@@ -100,25 +101,28 @@ def serve_paths(node: RosNode, make: Callable[..., Goals]) -> Served:
     return Served.of(node, "follow_path", Kind, make(told), result)
 
 
-def situation(kind: Any, names: Sequence[str], base: str, now: RobotSituation, time: float) -> Any:
+def situation(
+    kind: Any, names: Sequence[str], base: str, now: RobotSituation, time: float, fields: Sequence[str] = FEEDBACK
+) -> Any:
     """Wanted and measured state and the error, as `joint_trajectory_controller` tells them.
 
     Args:
-        kind: The feedback's type.
+        kind: The message's type.
         names: Of the joints.
         base: Of the base; empty where it does not move.
         now: Reference and measurement.
         time: By ROS 2 [s].
+        fields: Of the message, for what is wanted, what is measured, and the error.
     """
-    states = {"desired": now.reference, "actual": now.measured, "error": now.reference[:2] - now.measured}
-    told = kind(joint_names=list(names), **{name: joint_point(values) for name, values in states.items()})
+    states = zip(fields, (now.reference, now.measured, now.reference[:2] - now.measured), strict=True)
+    told = kind(joint_names=list(names), **{name: joint_point(values) for name, values in states})
     told.header.stamp = stamp_of(time)
     if base:
         told.multi_dof_joint_names = [base]
         wanted, there = now.base[:3], now.pose
         rates = rates_of(now.base), rates_of(np.append(there, now.velocity))
         poses = wanted, there, wanted - there
-        points = told.multi_dof_desired, told.multi_dof_actual, told.multi_dof_error
+        points = (getattr(told, f"multi_dof_{name}") for name in fields)
         for point, pose, rate in zip(points, poses, (*rates, rates[0] - rates[1]), strict=True):
             point.transforms, point.velocities = [transform(pose)], [twist(rate)]
     return told

@@ -40,6 +40,7 @@ from .outputs import Commands, diagnostics, stamp_of, wrench_of
 from .planned import PlannedArm, RobotSituation
 from .sensing import Clock, Sensing, Tree
 from .settings import Node
+from .telling import LearnedShare, Telling
 from .wiring import odometry_topic
 
 WATCH = 0.2  # time between two looks at what is wrong [s]
@@ -127,6 +128,8 @@ class Bridge:
         self.health = Outlet(node, "/diagnostics", DiagnosticArray, depth=4) if settings.diagnostics else None
         touches = self.stepper.external_wrench.size > 0
         self.felt = Outlet(node, "~/external_wrench", WrenchStamped) if touches else None
+        self.telling, self.share = Telling(node, self.stepper, settings, self.sensing), LearnedShare()
+        self.began = math.nan
         self.before = {inlet.name: 0 for inlet in self.inlets}
         self.leave, self.hurry, self.is_running = "", False, False
         self.late: list[Array] = []
@@ -162,6 +165,8 @@ class Bridge:
         for output, one, _ in self.commands.outlets:
             what = "" if output.is_base else f"{output.interface} of {', '.join(output.joints)}"
             found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), what))
+        for one, _, _ in self.telling.outlets:
+            found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), ""))
         if (health := self.health) is not None:
             found.append(GraphRow("publishes", health.name, type_of(health.kind), quality_of(health.publisher), ""))
         if (felt := self.felt) is not None:
@@ -232,6 +237,7 @@ class Bridge:
         base, moved_on = follower.now[: d.pose + d.twist], 0.5 * sum(follower.pace) * (time - self.stepper.time)
         seen = self.sensing
         now = RobotSituation(reference, arm, base, seen.pose, seen.velocity, moved_on if self.stepper.k >= 0 else 0.0)
+        self.now = now
         if self.asking.share is not None:
             follower.share, self.asking.share = self.asking.share, None
         asked = self.asking.poll(self.clock, now, self.stepper.tripped)
@@ -340,6 +346,8 @@ class Bridge:
         begin, before = max(self.stepper.time + self.stepper.period, 0.0), self.clock.now
         self.clock.begin += before - begin
         self.sensing.shift(before - begin)
+        if math.isnan(self.began):
+            self.began = self.clock.by_ros - begin
         self.pace = Pace(self.stepper.period, begin)
         self.late.append(self.pace.late)
         self.asking.open()
@@ -356,6 +364,8 @@ class Bridge:
                 stopped = not self._is_reset()
             if self.felt is not None:
                 self.felt.send(wrench_of(self.stepper, stamp_of(self.clock.by_ros)))
+            for tell in self.telling.due(time, self.now, self.clock.by_ros):
+                self.aside.submit(tell)
             self._answer()
             self.stepper.record()
             asked = ()
@@ -412,7 +422,7 @@ class Bridge:
         skipped = [f"{self.skipped} cycles skipped by overruns"] if self.skipped else []
         told = "; ".join(text for text in (message, *dropped, *skipped) if text)
         late = np.concatenate(self.late) if self.late else np.zeros(0)
-        return self.stepper.finish(status, told, {"late": late[~np.isnan(late)]})
+        return self.stepper.finish(status, told, {"late": late[~np.isnan(late)], "began": np.array([self.began])})
 
     def close(self) -> None:
         """Leave all topics."""
@@ -422,6 +432,7 @@ class Bridge:
         for inlet in self.inlets:
             self.node.destroy_subscription(inlet.subscription)
         outlets = [outlet for _, outlet, _ in self.commands.outlets]
+        outlets += [outlet for outlet, _, _ in self.telling.outlets]
         for one in [*outlets, *(one for one in (self.health, self.felt) if one is not None)]:
             self.node.destroy_publisher(one.publisher)
 
@@ -435,7 +446,9 @@ class Bridge:
     def _diagnose(self, health: Outlet) -> None:
         """Tell of the node, beside the loop."""
         row, stamp, problem, counts = self.stepper.row.copy(), stamp_of(self.clock.by_ros), self.problem, self._counts()
-        self.aside.submit(lambda: health.send(diagnostics(self.stepper, row, stamp, problem, counts)))
+        where, every = self.stepper.setup.layout.where, 1.0 / self.settings.diagnostics
+        share = self.share.take(row[where("psi_hat")], row[where("torque")], every)
+        self.aside.submit(lambda: health.send(diagnostics(self.stepper, row, stamp, problem, counts, share)))
 
     def _watch(self, time: float) -> None:
         """Stop where a clock jumped, another node commands the robot, or the loop is to end; say what is new."""

@@ -174,7 +174,9 @@ def duration_of(time: float) -> Duration:
     return Duration(sec=int(whole), nanosec=int(1e9 * rest))
 
 
-def diagnostics(stepper: Stepper, row: Array, stamp: Time, problem: str, counts: dict[str, float]) -> DiagnosticArray:
+def diagnostics(
+    stepper: Stepper, row: Array, stamp: Time, problem: str, counts: dict[str, float], share: float
+) -> DiagnosticArray:
     """State of the supervisor, errors, Psi_hat and what the link counts.
 
     Args:
@@ -183,6 +185,7 @@ def diagnostics(stepper: Stepper, row: Array, stamp: Time, problem: str, counts:
         stamp: Now.
         problem: What is wrong at present; empty for nothing.
         counts: Numbers of the link.
+        share: RMS of Psi_hat over RMS of the torque.
     """
     layout, robot = stepper.setup.layout, stepper.robot
     state = int(row[layout.where("safety")][0])
@@ -199,6 +202,7 @@ def diagnostics(stepper: Stepper, row: Array, stamp: Time, problem: str, counts:
     statuses += [
         status(name, OK, "", dict(zip(names, values.tolist(), strict=True))) for name, (names, values) in tables.items()
     ]
+    statuses.append(status("learner", OK, "", {"learned_share": share}))
     statuses.append(status("link", WARN if any(counts.values()) else OK, "", counts))
     return DiagnosticArray(header=Header(stamp=stamp), status=statuses)
 

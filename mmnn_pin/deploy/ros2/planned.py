@@ -73,7 +73,8 @@ class RobotSituation(NamedTuple):
 
     def copy(self) -> RobotSituation:
         """As it is now."""
-        return self._replace(reference=self.reference.copy(), base=self.base.copy())
+        reference, measured, base, pose, velocity = (np.array(part) for part in self[:5])
+        return RobotSituation(reference, measured, base, pose, velocity, self.moved_on)
 
 
 @dataclass(frozen=True)

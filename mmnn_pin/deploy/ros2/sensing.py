@@ -305,6 +305,21 @@ def control_frame(robot: Robot, link: str) -> Planar:
     return composed(inverse((placement.translation[0], placement.translation[1], turn)), root)
 
 
+def of_frame(at: Planar, pose: Array, velocity: Array) -> tuple[Planar, Array]:
+    """Pose of the frame in which the control frame lies at a place, and its velocity in itself, (3,).
+
+    Args:
+        at: The control frame in that frame.
+        pose: (3,) of the control frame.
+        velocity: (twist,) of the control frame, in itself.
+    """
+    x, y, turn = inverse(at)
+    v, aside, w = velocity[0], velocity[1] if velocity.size == 3 else 0.0, velocity[-1]
+    along, across, c, s = v - w * y, aside + w * x, math.cos(turn), math.sin(turn)
+    own = np.array([c * along + s * across, c * across - s * along, w])
+    return composed((float(pose[0]), float(pose[1]), float(pose[2])), (x, y, turn)), own
+
+
 def planar(position: Any, turned: Any) -> Planar | str:
     """Place and heading in the plane; a text where that is no pose."""
     x, y, z, w = quaternion(turned)

@@ -261,6 +261,20 @@ class Clocks(Settings, frozen=True):
         require_positive(self, "jump")
 
 
+class Published(Settings, frozen=True):
+    """Topics of the robot's state, as `joint_trajectory_controller` and `diff_drive_controller` have them.
+
+    Args:
+        state: How often `~/controller_state` is told; 0 for never [1/s].
+        odometry: How often `~/odom` is told, out of what is measured; 0 for never [1/s].
+        tf: Whether `/tf` has the frame of the base in the odometry's.
+    """
+
+    state: float = 50.0
+    odometry: float = 0.0
+    tf: bool = False
+
+
 class Node(Settings, frozen=True):
     """All parameters.
 
@@ -291,6 +305,7 @@ class Node(Settings, frozen=True):
         path: Paths of the base that are asked for.
         hand: Places and velocities of the hand that are asked for, and its stiffness.
         diagnostics: How often the node tells of itself; 0 for never [1/s].
+        publish: Topics of the robot's state.
 
     Raises:
         ConfigError: A number that is not positive, no robot, no commands.
@@ -321,6 +336,7 @@ class Node(Settings, frozen=True):
     path: PlannedPath = PlannedPath()
     hand: HandTopics = HandTopics()
     diagnostics: float = 10.0
+    publish: Published = Published()
 
     def __post_init__(self) -> None:
         if not (self.robot and self.commands):

@@ -8,7 +8,8 @@ states and odometry have no counterpart in Foxglove's own JSON schemas, and Plot
     /joint_states_reference, /odom_reference               what was asked for
     /signals/NAME                                          every signal, a number per column
 
-Time is the run's own and starts at 0. Config, URDF and facts are attached.
+Time is the run's own and starts at 0; of a run of the ROS 2 node it is that of ROS 2. Config, URDF and facts are
+attached.
 """
 
 from __future__ import annotations
@@ -151,12 +152,13 @@ def write_bag(recording: Recording, path: Path, about: dict[str, Any]) -> None:
         raise RecordingError("cannot be written as MCAP", why=why, fix="use another format", file=recording.path)
     robot = recorded_robot(recording)
     frames = frames_of(recording, robot)
-    still = [transform(frame, 0, stamp(0)) for frame in frames if not frame.moves]
+    begin = round(1e9 * float(np.ravel(recording.final.get("began", 0.0))[0]))  # by ROS 2
+    still = [transform(frame, 0, stamp(begin)) for frame in frames if not frame.moves]
     once = (("/robot_description", TEXT, {"data": recording.urdf}), ("/tf_static", TRANSFORMS, {"transforms": still}))
-    nanoseconds = np.rint(1e9 * recording.time).astype(np.int64).tolist()
+    nanoseconds = (begin + np.rint(1e9 * recording.time).astype(np.int64)).tolist()
     with path.open("wb") as file, Writer(file) as writer:
         for topic, schema, message in once:
-            writer.write_message(topic, writer.register_msgdef(*schema), message, 0)
+            writer.write_message(topic, writer.register_msgdef(*schema), message, begin)
         topics = [
             (name, writer.register_msgdef(*schema), at) for name, schema, at in topics_of(recording, robot, frames)
         ]

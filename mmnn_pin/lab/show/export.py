@@ -55,16 +55,19 @@ class RecordingPart:
         Raises:
             UnknownName: A signal that the recording does not have.
             ConfigError: A rate that is not above 0.
+            RecordingError: No signals.
         """
         for name in signals:
             if name not in recording:
                 raise UnknownName("signal", name, list(recording), key="--signals")
+        if not (found := named(recording, signals)):
+            raise RecordingError("nothing to export", why="none of its signals can be read", file=recording.path)
         if rate is None or len(recording) < 2:
-            return cls(named(recording, signals), 1)
+            return cls(found, 1)
         if not rate > 0.0:
             raise ConfigError(f"{rate:g} Hz", fix="give a rate above 0", key="--rate")
         period = float(np.median(np.diff(recording.time)))
-        return cls(named(recording, signals), max(1, math.ceil(1.0 / (rate * period) - 1e-6)))
+        return cls(found, max(1, math.ceil(1.0 / (rate * period) - 1e-6)))
 
 
 def named(recording: Recording, signals: Sequence[str]) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import ConfigError
+from ...errors import ConfigError, RecordingError
 from ...files import whole_folder
 from ...recording.recording import Recording, as_columns
 from ...signals import Array
@@ -80,7 +80,13 @@ def write_lerobot(recording: Recording, path: Path, every: int = 1, force: bool 
 
 
 def features_of(recording: Recording, every: int) -> dict[str, tuple[list[str], Array]]:
-    """Names and values (rows, columns) of every feature."""
+    """Names and values (rows, columns) of every feature.
+
+    Raises:
+        RecordingError: Nothing was measured.
+    """
+    if not {"q", "velocity"} & {*recording}:
+        raise RecordingError("nothing to export", why="it has no joints and no base velocity", file=recording.path)
     joints, base = recording.labels("q") if "q" in recording else (), []
     if "velocity" in recording:
         base = [f"{BASE.get(name, name)}.vel" for name in recording.labels("velocity")]

@@ -54,6 +54,7 @@ class Handler(BaseHTTPRequestHandler):
     """
 
     server: Server
+    timeout = 20.0  # of a request that does not go on, and of a browser that takes nothing [s]
 
     def do_GET(self) -> None:
         """Answer."""

@@ -17,6 +17,7 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from functools import cache, partial
+from multiprocessing import active_children
 from types import ModuleType
 from typing import Any
 
@@ -24,7 +25,6 @@ from threadpoolctl import threadpool_limits
 
 from ...children import Spawning, end_with, spawning
 from ...errors import ConfigError, MmnnError, StudyError
-from . import worker
 from .worker import Bundle, Trial, TrialResult, code_digest, run
 
 RETRIES = 2  # of a run whose worker raised; a run whose worker died is made again by the scheduler itself
@@ -93,25 +93,29 @@ def here() -> Iterator[Pool]:
 
 @contextmanager
 def processes(count: int) -> Iterator[Pool]:
-    """Processes of this machine, with nothing of the current folder on their path; they end with this one."""
-    context = Spawning()  # a fork would copy threads' locks
+    """Processes of this machine, with nothing of the current folder on their path; they end with this one.
+
+    An error or Ctrl-C ends them at once: what they have told is stored, the rest is made again.
+    """
+    others, context = {*active_children()}, Spawning()  # a fork would copy threads' locks
     with spawning():  # Python's tracker of what they share, too
-        stop = context.Event()
-        executor = ProcessPoolExecutor(count, context, begin, (stop, os.getpid()))
+        executor = ProcessPoolExecutor(count, context, begin, (os.getpid(),))
     with executor:
         try:
             yield Pool(executor, f"{count} processes", lambda: 2 * count)
+        except BaseException:
+            for process in {*active_children()} - others:
+                process.kill()
+            raise
         finally:
-            stop.set()
             executor.shutdown(wait=True, cancel_futures=True)
 
 
-def begin(stop: Any, parent: int) -> None:
-    """In a new process: Ctrl-C is the parent's, and so is the event that ends the runs; it ends with its parent."""
+def begin(parent: int) -> None:
+    """In a new process: Ctrl-C is the parent's, and it ends with its parent."""
     end_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     on_one_thread()
-    worker.STOP = stop
 
 
 @cache

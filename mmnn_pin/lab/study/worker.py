@@ -42,8 +42,6 @@ from ..experiments.controllers import EFFECTIVE
 from ..experiments.experiment import Experiment
 from .store import TrialResult
 
-STOP: Any = threading.Event()  # set in a process whose runs are to end
-
 
 @dataclass(frozen=True)
 class Trial:
@@ -98,12 +96,11 @@ def run(trial: Trial, bundle: Bundle | None = None) -> TrialResult:
     require_worker(trial)
     begun = time.perf_counter()
     try:
-        ended = simulate(loop_of(trial, bundle), None, trial.experiment.windows, False, STOP.is_set)
+        ended = simulate(loop_of(trial, bundle), None, trial.experiment.windows, False, bool)
     except Exception as error:
         refused = isinstance(error, InputError)
         message = " ".join((str(error) if refused else f"{type(error).__name__}: {error}").split())
-        status = "interrupted" if STOP.is_set() else "refused" if refused else "failed"
-        return trial.result(status, message=message, seconds=time.perf_counter() - begun)
+        return trial.result("refused" if refused else "failed", message=message, seconds=time.perf_counter() - begun)
     return trial.ended(ended.outcome, ended.metrics, time.perf_counter() - begun)
 
 
@@ -119,7 +116,7 @@ def loop_of(trial: Trial, bundle: Bundle | None = None) -> Loop:
     gains: Array | None = None
     if name in EFFECTIVE:  # PD at a learner's gain needs the learner's run
         learner = replace(trial, experiment=msgspec.structs.replace(experiment, controllers=(EFFECTIVE[name],)))
-        result = simulate(loop_of(learner, bundle), None, experiment.windows, True, STOP.is_set)
+        result = simulate(loop_of(learner, bundle), None, experiment.windows, True, bool)
         assert result.recording is not None
         gains = as_columns(result.recording["effective_gain"])
     loop = experiment.loop(robot, experiment.controller(name, gains, nominal or robot))

@@ -8,14 +8,17 @@ import math
 import os
 import sys
 import time
+from functools import partial
 
 import rclpy
 from control_msgs.action import FollowJointTrajectory
-from control_msgs.msg import SpeedScalingFactor
+from control_msgs.msg import JointTrajectoryControllerState, SpeedScalingFactor
 from geometry_msgs.msg import PoseStamped, Transform
 from nav2_msgs.action import FollowPath
+from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectoryPoint, MultiDOFJointTrajectoryPoint
 
 NAMES = ("arm_2_joint", "arm_1_joint")
@@ -83,6 +86,11 @@ def main():
     node, told = rclpy.create_node("planner"), {}
     planner, navigator = Planner(node), Planner(node, FollowPath, "/follow_path")
     told["there"] = planner.client.wait_for_server(timeout_sec=240.0)
+    heard = {}
+    for kind, topic in ((JointTrajectoryControllerState, "/mmnn/controller_state"), (Odometry, "/mmnn/odom")):
+        node.create_subscription(kind, topic, partial(heard.__setitem__, kind), 10)
+    node.create_subscription(TFMessage, "/tf", partial(heard.__setitem__, TFMessage), 10)
+    node.create_subscription(Odometry, "/odom", partial(heard.__setitem__, "robot's"), 10)
     while planner.result(planner.send(goal_of())) != [6, -1, "no points"]:  # it is not active yet
         time.sleep(0.2)
     goal = goal_of((0.0, 0.0), (0.1, 0.1), names=("arm_2_joint", "elbow"))
@@ -116,6 +124,12 @@ def main():
     far = [one.feedback.distance_to_goal for one in navigator.feedback]
     told["distances"] = [max(far, default=0.0), min(far, default=1.0)]
     told["no path"] = navigator.result(navigator.send(path_goal()))
+    state, odom, robots = (heard[name] for name in (JointTrajectoryControllerState, Odometry, "robot's"))
+    told["state"] = [list(state.joint_names), list(state.multi_dof_joint_names), len(state.output.effort)]
+    told["state's error"] = [abs(a - b) for a, b in zip(state.feedback.positions, (0.7, 0.3), strict=True)]
+    places = odom.pose.pose.position, robots.pose.pose.position, heard[TFMessage].transforms[0].transform.translation
+    told["places"] = [[place.x, place.y] for place in places]
+    told["frames"] = [odom.header.frame_id, odom.child_frame_id, heard[TFMessage].transforms[0].child_frame_id]
     print(json.dumps(told), flush=True)
     os._exit(0)  # rclpy's destructors are not what is tested
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from mmnn_pin import PD, Stepper, StepperSettings, load
 from mmnn_pin.deploy.ros2.mapped import Followed, MappedRoute
 from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, PlannedArm, Refused, base_motion, rest_of
-from mmnn_pin.deploy.ros2.sensing import Clock, Sensing, Tree, composed, inverse
+from mmnn_pin.deploy.ros2.sensing import Clock, Sensing, Tree, composed, inverse, of_frame
 from mmnn_pin.deploy.ros2.settings import Clocks, Frames, Joints, Node, Odometry, Output, PlannedPath
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.loading import build
@@ -75,6 +75,22 @@ def test_joints_of_other_names_and_in_two_messages() -> None:
     assert m is not None and m.q.tolist() == [0.3, 0.4] and s.when == 0.0
     s.take_base(odometry(0.0, 0.0, 0.0), 3.0)
     assert s.when == 1.0 and s.lacking(3.0) == "joints shoulder, arm_2_joint"
+
+
+three = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
+
+
+@given(three, three, three)
+def test_odometry_of_a_frame_beside_the_control_frame_is_how_that_moves(at: Any, pose: Any, velocity: Any) -> None:
+    """Second answer: the frame's own pose before and after a short time."""
+    step = 1e-6
+    places = [composed(composed(pose, tuple(k * step * v for v in velocity)), inverse(at)) for k in (-0.5, 0.5)]
+    there, own = of_frame(at, np.array(pose), np.array(velocity))
+    c, s = math.cos(there[2]), math.sin(there[2])
+    x, y, w = ((b - a) / step for a, b in zip(*places, strict=True))
+    assert own == pytest.approx([c * x + s * y, c * y - s * x, velocity[2]], abs=1e-4)
+    assert abs(math.remainder(w - velocity[2], math.tau / step)) < 1e-4
+    assert there[:2] == pytest.approx(composed(pose, inverse(at))[:2])
 
 
 REFUSED = {

@@ -85,6 +85,20 @@ def test_a_managed_node_is_configured_changed_stopped_and_started_again(tmp_path
     assert node.returncode == 130, lines
 
 
+def test_a_node_that_was_killed_is_started_again(tmp_path: Path, domain: int) -> None:
+    """The graph forgets who was killed after a lease, 20 s of Fast DDS: until then its commands count as another's."""
+
+    def kill(node: subprocess.Popen[str]) -> None:
+        when_it_drives(tmp_path, 2.5)
+        node.kill()
+
+    first = drive(tmp_path, "kilted", domain, "no_plan", seconds=30.0, meanwhile=kill)
+    assert first.code == -signal.SIGKILL
+    assert np.abs(first.rows[:, 4]).max() > 0.1
+    again = drive(tmp_path, "kilted", domain, "no_plan", seconds=2.5, wait=40.0)
+    assert again.code == 0 and np.abs(again.rows[:, 4]).max() > 0.15, again.lines
+
+
 def test_a_clock_that_was_set_back_is_a_stop_and_a_reset_goes_on(tmp_path: Path, domain: int) -> None:
     asked = "use_sim_time:=true", "end_after_trip:=false"
     faults = "sim_time", "sim_back@2.0", "no_plan"
@@ -101,3 +115,11 @@ def test_a_parameter_out_of_its_range_is_one_line_with_its_name(tmp_path: Path, 
     code, lines = said("kilted", domain, file, "--check", "--ros-args", "-p", given)
     name, _, value = given.partition(":=")
     assert code == 2 and f"{name}: error: {value.lstrip('.')} is out of range: give a number from " in lines, lines
+
+
+def test_an_rmw_that_is_not_there_is_one_line(tmp_path: Path, domain: int) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(SETTINGS)
+    code, lines = said("kilted", domain, file, "--check", RMW_IMPLEMENTATION="rmw_other_cpp")
+    assert code == 2 and len(lines.splitlines()) == 1, lines
+    assert "no RMW 'rmw_other_cpp' here" in lines and "apt install ros-$ROS_DISTRO-rmw-other-cpp" in lines

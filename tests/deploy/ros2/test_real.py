@@ -126,7 +126,8 @@ def test_another_domain_is_silence(tmp_path: Path, domain: int) -> None:
 def test_goals_of_the_actions_are_followed(tmp_path: Path, domain: int, distribution: str) -> None:
     """As MoveIt and Nav2 send them: refused, replaced, reached, cancelled, scaled; one of them longer than a packet."""
     faults = "no_plan", "no_joystick"
-    run = drive(tmp_path, distribution, domain, *faults, seconds=120.0, planner="planner_node.py")
+    asked = "publish.odometry:=20.0", "publish.tf:=true"
+    run = drive(tmp_path, distribution, domain, *faults, seconds=120.0, planner="planner_node.py", changes=asked)
     told = run.robot["planner"]
     assert run.code == 130 and told["there"] and told["long"] and told["accepted"], (told, run.lines)
     assert told["unknown joint"] == [6, -2, "joints elbow: there is arm_1_joint, arm_2_joint"]
@@ -140,6 +141,11 @@ def test_goals_of_the_actions_are_followed(tmp_path: Path, domain: int, distribu
     assert told["sideways"][:2] == [6, -1] and "the base cannot roll to its point 1 at 2 s" in told["sideways"][2]
     assert told["path"] == [4, 0, ""] and told["distances"][0] > 0.25 and told["distances"][1] < 0.05, told
     assert told["no path"][:2] == [6, 103] and told["no path"][2] == ("no poses" if distribution == "kilted" else "")
+    assert (
+        told["state"] == [["arm_1_joint", "arm_2_joint"], ["base_footprint"], 2] and max(told["state's error"]) < 0.05
+    )
+    assert told["frames"] == ["odom", "base_footprint", "base_footprint"]
+    assert np.abs(np.array(told["places"]) - (0.35, 0.49)).max() < 0.03
     row = run.rows[-1]
     assert np.abs(row[1:3] - (0.35, 0.49)).max() < 0.03 and abs(row[3] - np.pi / 2) < 0.05, row
     assert np.abs(row[8:10]).max() < 0.1

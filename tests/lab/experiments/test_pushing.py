@@ -26,7 +26,8 @@ SHORT = ["plant='ideal'", "controllers=['computed_torque']", "weights_interval=1
 @pytest.fixture(scope="module")
 def door():
     wait = "reference.hand.path=[{type='wait', seconds=2.0}]"
-    said = [*SHORT, "time.duration=2.0", wait, "force.start=0.0", "windows=[[0.5, 2.0]]"]
+    held = "disturbances=[{type='door', hinge=[0.0, -0.7], inertia=4.0, friction=2.0}]"
+    said = [*SHORT, "time.duration=2.0", wait, "force.start=0.0", held, "windows=[[0.5, 2.0]]"]
     return run_experiment(load_experiment("door", said), "door")
 
 
@@ -70,7 +71,7 @@ def test_table_and_replay_show_it(door):
 
 def test_a_surface_is_judged_by_the_force_on_it():
     wait = "reference.hand.path=[{type='wait', seconds=2.5}]"
-    said = [*SHORT, "time.duration=2.5", wait, "windows=[[0.5, 2.5]]"]
+    said = [*SHORT, "time.duration=2.5", wait, "force.start=0.5", "windows=[[0.5, 2.5]]"]
     result = run_experiment(load_experiment("wipe", said), "wipe")
     pressed = -result["computed_torque"]["hand_force"][:, 1]  # a wall at the left of platform_arm
     kept = pressed[result["computed_torque"].time >= 2.0]

@@ -121,6 +121,14 @@ def test_mcap_holds_joint_states_and_odometry(tmp_path: Path) -> None:
     assert found["/robot_description"][0][1].data == rec.urdf
 
 
+def test_mcap_of_a_run_on_a_robot_has_the_time_of_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rec = run()
+    monkeypatch.setattr(Recording, "final", {"began": np.array([1.79e9])})
+    for topic, rows in messages(export(rec, tmp_path / "run.mcap")).items():
+        times = rec.time if len(rows) > 1 else rec.time[:1]
+        assert [at for at, _ in rows] == [1_790_000_000 * 10**9 + round(1e9 * t) for t in times], topic
+
+
 @pytest.mark.parametrize("name", ["platform_arm", "two_axis_arm", "spatial"])
 def test_mcap_frames_are_where_pinocchio_has_the_links(tmp_path: Path, name: str) -> None:
     robot = mobile_arm(3) if name == "spatial" else load(name)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -167,6 +169,23 @@ def test_what_is_no_wish_is_refused_and_moves_nothing(shown):
     assert refused(shown, {}, Host="elsewhere.example") == 403
     assert refused(shown, {}, Origin="http://elsewhere.example") == 403
     assert (shown.position == before).all()
+
+
+def test_requests_that_no_page_makes_get_nothing_and_leave_no_line(shown, capfd):
+    place = ("127.0.0.1", int(shown.url.split(":")[2].split("/")[0]))
+    head = b" HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+    odd = {
+        b"GET /static/../../../../etc/passwd" + head: b"403",
+        b"GET /static/..%2f..%2f..%2fetc/passwd" + head: b"403",
+    }
+    odd |= {b"DELETE /view" + head: b"405", b"GET /view" + head + b"A: b\r\n" * 20_000: None}
+    odd |= {b"POST /view" + head + b"Content-Length: 1000000000\r\n": b"400"}
+    for request, status in odd.items():
+        with socket.create_connection(place, timeout=20) as line, contextlib.suppress(ConnectionError):
+            line.sendall(request + b"\r\n")
+            said = line.recv(100).partition(b"\r\n")[0]
+            assert (status or b"HTTP/1.1 4") in said or (status is None and not said)
+    assert asked(shown, {}) and capfd.readouterr() == ("", "")
 
 
 def test_the_server_hears_this_machine_alone(shown):

@@ -107,6 +107,8 @@ def columns(transform: Array) -> list[float]:
     return [round(float(number), 9) for number in transform.T.ravel()]
 
 
+EMPTY = "it ended before its first sample"
+
 # -- frames ------------------------------------------------------------------------------------------------------------
 
 
@@ -125,11 +127,11 @@ def frames_of(recording: Recording, fps: float) -> IntArray:
     Raises:
         RecordingError: There are none.
     """
-    known = ("position",) if "position" in recording else ("pose", "q")
-    table = np.hstack([as_columns(recording[name]) for name in known if name in recording])
-    good = np.flatnonzero(drawable(table)) if len(recording) else np.array([], int)
+    known = [name for name in (("position",) if "position" in recording else ("pose", "q")) if name in recording]
+    table = np.hstack([np.zeros((len(recording), 0)), *(as_columns(recording[name]) for name in known)])
+    good = np.flatnonzero(drawable(table)) if known else np.array([], int)
     if not len(good):
-        why = "it ended before its first sample" if not len(recording) else "no position in it is finite"
+        why = ("no position in it is finite" if known else "it has no positions") if len(recording) else EMPTY
         raise RecordingError("nothing to replay", why=why, file=recording.path)
     times = recording.time[good]
     if (times[-1] - times[0]) * fps > MOST_FRAMES:  # rows years apart: all of them are fewer

@@ -21,27 +21,30 @@ from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandle
 from ....errors import ConfigError
 from ..serving import HOST, PORTS_TRIED
 
-LONGEST = 65_536  # bytes of a wish
+LIMITS: dict[str, Any] = {"max_body_size": 65_536, "max_header_size": 65_536, "body_timeout": 20.0}
+LIMITS |= {"idle_connection_timeout": 60.0}  # [s]
 
 
-def require_ours(handler: RequestHandler) -> None:
-    """Refuse what a page of elsewhere asks: by another name of this machine, or from another origin.
-
-    Raises:
-        HTTPError: 403.
-    """
-    origin = (handler.request.headers.get("Origin") or f"//{HOST}").partition("//")[2]
-    for place in (handler.request.host, origin):
-        if place.partition(":")[0] not in (HOST, "localhost"):
-            raise HTTPError(403)
-
-
-class Viewer(WebSocketHandler):
-    """A browser that looks, without a line on standard error."""
+class Ours(RequestHandler):
+    """Answers this machine's own pages alone, and says nothing: who asks wrongly has the answer."""
 
     def prepare(self) -> None:
-        """See who asks."""
-        require_ours(self)
+        """Refuse what a page of elsewhere asks: by another name of this machine, or from another origin.
+
+        Raises:
+            HTTPError: 403.
+        """
+        origin = (self.request.headers.get("Origin") or f"//{HOST}").partition("//")[2]
+        for place in (self.request.host, origin):
+            if place.partition(":")[0] not in (HOST, "localhost"):
+                raise HTTPError(403)
+
+    def log_exception(self, *args: object) -> None:
+        """Say nothing."""
+
+
+class Viewer(Ours, WebSocketHandler):
+    """A browser that looks, without a line on standard error."""
 
     def open(self) -> None:
         """Send it the scene."""
@@ -56,15 +59,11 @@ class Viewer(WebSocketHandler):
         self.bridge.websocket_pool.discard(self)
 
 
-class Scripts(StaticFileHandler):
+class Scripts(Ours, StaticFileHandler):
     """Meshcat's own files."""
 
-    def prepare(self) -> None:
-        """See who asks."""
-        require_ours(self)
 
-
-class Page(RequestHandler):
+class Page(Ours):
     """Our page, and the wishes of its sliders; what they ask for is answered with how it is."""
 
     def initialize(self, html: str, asked: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
@@ -73,7 +72,7 @@ class Page(RequestHandler):
 
     def prepare(self) -> None:
         """See who asks."""
-        require_ours(self)
+        super().prepare()
         self.set_header("X-Frame-Options", "ALLOWALL")  # a notebook shows it in a frame
         self.set_header("Cache-Control", "no-store")
 
@@ -83,7 +82,7 @@ class Page(RequestHandler):
 
     async def post(self) -> None:
         """A wish, as JSON."""
-        if len(self.request.body) > LONGEST or not self.request.headers.get("Content-Type", "").endswith("json"):
+        if not self.request.headers.get("Content-Type", "").endswith("json"):
             raise HTTPError(400)
         try:
             wish = json.loads(self.request.body)
@@ -91,9 +90,6 @@ class Page(RequestHandler):
         except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
             raise HTTPError(400) from error
         self.write(answer)
-
-    def log_exception(self, *args: object) -> None:
-        """Say nothing: who asked wrongly has the answer."""
 
 
 class MeshcatServer(ZMQWebSocketBridge):
@@ -122,7 +118,7 @@ class MeshcatServer(ZMQWebSocketBridge):
         )
         for candidate in range(port, min(port + PORTS_TRIED, 65536)):
             try:
-                server = app.listen(candidate, address=HOST)
+                server = app.listen(candidate, address=HOST, **LIMITS)
                 break
             except OSError as error:
                 why = error.strerror or str(error)
