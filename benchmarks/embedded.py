@@ -9,8 +9,6 @@ the stack is what is overwritten below the caller. Needs gcc-arm-none-eabi, libn
 from __future__ import annotations
 
 import argparse
-import re
-import subprocess
 import tempfile
 from pathlib import Path
 
@@ -19,28 +17,13 @@ import msgspec
 from mmnn_pin import load_experiment
 from mmnn_pin.deploy.embed import embed
 from mmnn_pin.deploy.embed.export import supervised
-from mmnn_pin.deploy.embed.in_the_loop import BOARD, M7
+from mmnn_pin.deploy.embed.instructions import counted
 
 CONTROLLERS = (
     "pd", "computed_torque", "one_layer", "two_layer", "adaptive", "adaptive --no-diagnostics", "adaptive_composite",
     "kalman_regressor",
 )  # fmt: skip
 ROBOTS = ("platform_arm", "two_axis_arm", "tiago")
-FLAGS = ["-std=c99", "-O2", "-ffp-contract=off", "-ffunction-sections", "-fdata-sections", "-DMMNN_COUNT"]
-
-
-def measured(folder: Path) -> tuple[int, int, int, int]:
-    """Mean and worst instructions of a sample, bytes of stack and of the controller."""
-    start = ["-T", "qemu_mps2/mps2.ld", "-I.", "qemu_mps2/startup.c"]
-    sources = [file.name for file in folder.glob("*.c")]
-    command = ["arm-none-eabi-gcc", *M7.split(), *FLAGS, "-Wl,--gc-sections", *start, *sources, "-o", "selftest.elf"]
-    subprocess.run(command, cwd=folder, check=True)
-    board = [*BOARD.split(), "-icount", "shift=0", "-kernel", "selftest.elf"]
-    said = subprocess.run(board, cwd=folder, capture_output=True, text=True, check=True).stdout
-    found = re.search(r": (\d+) mean, (\d+) worst; stack: (\d+) .*: (\d+) bytes", said)
-    assert found is not None
-    mean, worst, stack, ram = map(int, found.groups())
-    return mean, worst, stack, ram
 
 
 def main() -> None:
@@ -61,7 +44,7 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as made:
                 folder = Path(made) / "c"
                 told = embed(loop, folder, steps=given.steps, diagnostics=not option)
-                mean, worst, stack, ram = measured(folder)
+                mean, worst, stack, ram = counted(folder)
             code = ((told.code_bytes or 0) - told.initial_bytes) / 1000
             sizes = f"{code:.1f} | {told.initial_bytes / 1000:.1f} | {ram / 1000:.1f} | {stack / 1000:.1f}"
             print(f"| {robot} | `{name}` | {sizes} | {mean:,} / {worst:,} |", flush=True)

@@ -4,8 +4,11 @@ from .errors import InputError as InputError
 from .lab.experiments.compare import compare as compare
 from .lab.experiments.config import load_experiment as load_experiment
 from .lab.experiments.runner import run_experiment as run_experiment
+from .lab.experiments.stepping import stepper_on as stepper_on
 from .lab.psi.judgement import judge as judge
 from .lab.study.sweep import sweep as sweep
+from .loop.driving import DeadReckoning as DeadReckoning
+from .loop.driving import drive as drive
 from .loop.loop import Loop as Loop
 from .loop.stepper import Stepper as Stepper
 from .loop.stepper import StepperSettings as StepperSettings

@@ -230,7 +230,7 @@ def alike(one: str, other: str) -> bool:
 
 def test_examples_are_short() -> None:
     most = {"own_law.py": 60, "on_a_base.py": 70}  # a whole learning law, a whole robot
-    most |= {"lekiwi.py": 80, "turtlebot3.py": 90}  # a bus and back
+    most |= {"lekiwi.py": 60, "turtlebot3.py": 60}  # a bus and back
     assert [f.name for f in EXAMPLES if len(f.read_text().splitlines()) > most.get(f.name, 40)] == []
 
 

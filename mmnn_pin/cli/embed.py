@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         "mmnn embed track --robot tiago --controller adaptive --out firmware --cc clang",
         "mmnn embed track --controller pd --out firmware --single",
         "mmnn embed track --controller adaptive --out firmware --plant qemu",
+        "mmnn embed track --controller two_layer --out firmware --processor stm32h743",
     ),
 )
 @click.argument("experiment", shell_complete=experiments)
@@ -52,6 +53,11 @@ if TYPE_CHECKING:
     "--memory", type=click.IntRange(1), metavar="KB", help="Largest memory of the controller.  [default: 512]"
 )
 @click.option(
+    "--processor",
+    metavar="NAME",
+    help="A Cortex-M7, such as stm32h743: refuse what its period is too short for, by instructions counted in QEMU.",
+)
+@click.option(
     "--plant",
     type=click.Choice(["host", "qemu"]),
     help="Then close the loop: the C as a process here, or on an emulated Cortex-M7, and compare with Python's run.",
@@ -75,6 +81,7 @@ def embed(
     no_check: bool,
     plant: str | None,
     memory: int | None,
+    processor: str | None,
     settings: tuple[str, ...],
     overrides: dict[str, Any],
     as_json: bool,
@@ -105,7 +112,8 @@ def embed(
         with found.in_its_keys():
             made = export(
                 loop, out, force=force, single=single, diagnostics=not no_diagnostics, steps=steps,
-                compiler=None if no_check else cc, memory=memory or MEMORY, limits=within,
+                compiler=None if no_check else cc, memory=memory or MEMORY,
+                limits=within, processor=processor or "",
             )  # fmt: skip
     run = None if plant is None else compared(supervised(loop), out, plant, cc.split(), steps, out / "run.h5", within)
     bits = f"within {TOLERANCE:g} of the largest torque of Python" if single else "with the bits of Python"
@@ -142,12 +150,15 @@ def limits_of(changes: tuple[str, ...]) -> Limits:
 
 def told(made: Embedded, run: RunComparison | None, checked: str) -> str:
     """The files that were written, for people, and how a run in the loop ended."""
+    time = ""
+    if made.share is not None:
+        said = f"{made.instructions:,} instructions in the worst sample"
+        time = f"{said}: {100 * made.share:.3g} % of the period of {made.processor}, at two cycles each\n"
     size = "" if made.code_bytes is None else f", {made.code_bytes / 1000:.1f} kB of code and constants"
     of = f" ({made.initial_bytes / 1000:.1f} kB of them initial values; {made.compiler})" if size else ""
     loop = ""
     if run is not None:
         same = f"differs in {', '.join(run.differences)}" if run.differences else "equals Python's, bit for bit"
         loop = f"in the loop ({run.where}): {run.samples} samples, {run.status}; the recording {same}\n"
-    return (
-        f"{checked}{loop}{made.ram_bytes / 1000:.1f} kB of RAM{size}{of}\nwrote {made.folder}: {', '.join(made.files)}"
-    )
+    memory = f"{made.ram_bytes / 1000:.1f} kB of RAM{size}{of}\n"
+    return f"{checked}{loop}{time}{memory}wrote {made.folder}: {', '.join(made.files)}"

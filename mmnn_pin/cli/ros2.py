@@ -122,16 +122,24 @@ def ros2(
 
 
 def require_rclpy() -> None:
-    """Refuse to go on without rclpy.
+    """Refuse to go on without rclpy, or without the RMW that is asked for: rcl itself would end the process.
 
     Raises:
-        ConfigError: It is not there, with how to get it.
+        ConfigError: One is not there, with how to get it.
     """
+    asked = os.environ.get("RMW_IMPLEMENTATION", "")
     try:
+        from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+        if asked:
+            get_package_prefix(asked)
         import rclpy  # noqa: F401
     except ImportError as error:
         version = ".".join(map(str, sys.version_info[:2]))
         raise ConfigError(f"no rclpy for this Python {version}", why=str(error), fix=GET) from error
+    except PackageNotFoundError as error:
+        fix = f"apt install ros-$ROS_DISTRO-{asked.replace('_', '-')} (no wheel has it), or unset RMW_IMPLEMENTATION"
+        raise ConfigError(f"no RMW '{asked}' here", fix=fix) from error
 
 
 def ros_arguments(given: Sequence[str]) -> list[str]:

@@ -20,6 +20,7 @@ command line limits them in the environment before numpy starts; in Python `@one
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from functools import cache, wraps
 from typing import Any, ParamSpec, TypeVar, cast
@@ -170,8 +171,8 @@ def by_type(stub: F, argument: str, choose: Callable[[type], Callable[..., Any]]
 
 
 @cache
-def libraries() -> ThreadpoolController:
-    """The thread pools of the libraries that are loaded."""
+def libraries(has_scipy: bool) -> ThreadpoolController:
+    """The thread pools of the libraries that are loaded, with those of scipy's or before it is there."""
     return ThreadpoolController()
 
 
@@ -180,7 +181,7 @@ def one_thread(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        with libraries().limit(limits=1, user_api="blas"):
+        with libraries("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas"):
             return function(*args, **kwargs)
 
     return limited

@@ -22,6 +22,7 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
+from ..compiled import one_thread
 from ..elementary.matrices import product
 from ..errors import RobotError
 from ..settings.arguments import checked
@@ -148,6 +149,7 @@ def load_with(robot: str | Path, overrides: Overrides) -> Robot:
     return replace(built, findings=(*built.findings, *notes))
 
 
+@one_thread
 def build(document: Document, overrides: Overrides | None = None) -> Robot:
     """Robot of an audited URDF.
 

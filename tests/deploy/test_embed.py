@@ -33,6 +33,7 @@ from mmnn_pin.deploy.embed.export import embed, supervised
 from mmnn_pin.deploy.embed.files import files_of, plain, quoted, translated
 from mmnn_pin.deploy.embed.golden import as_measured
 from mmnn_pin.deploy.embed.in_the_loop import HOST, Linked, build
+from mmnn_pin.deploy.embed.instructions import Count, require_time
 from mmnn_pin.deploy.embed.program import CProgram
 from mmnn_pin.deploy.embed.source import Untranslatable
 from mmnn_pin.deploy.embed.values import Number
@@ -159,6 +160,21 @@ def test_the_two_layer_network_fits_into_twenty_kilobytes(exported):
     require("cortex-m7")
     _, told = exported("two_layer")
     assert told["initial_bytes"] < told["code_bytes"] <= 20_000 + told["initial_bytes"] and told["ram_bytes"] <= 12_000
+
+
+def test_the_worst_sample_is_held_to_the_period_of_a_processor(tmp_path):
+    """Its instructions are those that the self-test prints; by hand their time on a clock of 216 MHz."""
+    require("cortex-m7")
+    loop = loop_of("platform_arm", "two_layer")
+    made = embed(loop, tmp_path / "c", steps=30, compiler=None, processor="stm32f767")
+    _, said = on_target(tmp_path / "c", "cortex-m7", "-DMMNN_COUNT")
+    assert made.instructions == int(re.findall(r"(\d+) worst", said)[0])
+    assert made.share == pytest.approx(2.0 * made.instructions / 216e6 / 0.001)
+    many = Count(made.instructions, 108_001, 0, 0)
+    with pytest.raises(ConfigError, match=r"a sample of 1 ms on stm32f767.*108,001 instructions.*216 MHz") as refused:
+        require_time(many, 0.001, "stm32f767")
+    assert refused.value.key == "processor"
+    assert require_time(many, 0.001001, "stm32f767") == pytest.approx(0.999, abs=1e-3)  # the longer period
 
 
 @needs_gcc
@@ -574,6 +590,7 @@ def test_what_cannot_be_embedded_is_refused_in_one_line(tmp_path, capsys):
         ],
         "cannot be written as C": ["track", "--controller", own, *out, "--no-check"],
         "unknown controller": ["track", "--controller", "pdd", *out],
+        "unknown processor": [*pd, *out, "--processor", "m8"],
     }
     for text, arguments in cases.items():
         assert text in refused(capsys, *arguments)

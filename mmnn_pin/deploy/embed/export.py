@@ -23,6 +23,8 @@ from ...torque.controller import CompiledController
 from .board import Fresh
 from .files import Export, files_of, plain, readme, room, selftest, starts, translated
 from .golden import answers, usual_events
+from .in_the_loop import QEMU, require_tools
+from .instructions import clock_of, counted, require_time
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off", "-O2")
 CORTEX_M7 = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-ffunction-sections")
@@ -44,6 +46,9 @@ class Embedded:
         initial_bytes: Constants that are only the initial values of what is learned.
         compiler: What `code_bytes` is of.
         selftest_steps: Samples of the self-test.
+        processor: The processor that was named; empty for none.
+        instructions: Of the worst sample of the self-test on a Cortex-M7; None where no processor was named.
+        share: Share of the period that this sample takes there.
     """
 
     controller: str
@@ -55,6 +60,9 @@ class Embedded:
     initial_bytes: int
     compiler: str
     selftest_steps: int
+    processor: str = ""
+    instructions: int | None = None
+    share: float | None = None
 
     def __repr__(self) -> str:
         code = "" if self.code_bytes is None else f", {self.code_bytes} bytes of code and constants"
@@ -76,6 +84,7 @@ def embed(  # noqa: PLR0913 - options, by keyword alone
     steps: int = 1000,
     compiler: str | None = "cc",
     memory: int = MEMORY,
+    processor: str = "",
     limits: Limits = Limits(),  # noqa: B008 (frozen)
 ) -> Embedded:
     """Write the controller of a loop, its kinematic layer and its supervisor as C99 source, and run its self-test.
@@ -91,11 +100,13 @@ def embed(  # noqa: PLR0913 - options, by keyword alone
         steps: Samples of the self-test.
         compiler: With its flags, for the self-test; None writes the files alone.
         memory: Largest size of what the controller remembers [kB].
+        processor: Name of a Cortex-M7 (`instructions.PROCESSORS`): the worst sample of the self-test, which is counted
+            on an emulated board, has to fit into its period; empty for no count.
         limits: Of the references that it makes, and of the samples that it is handed.
 
     Raises:
         ConfigError: The controller is plain Python or too large, the plant has contacts, motors have no limits, the
-            folder exists, there is no such compiler.
+            folder exists, there is no such compiler, the processor is too slow.
         Untranslatable: Something in the controller's functions cannot be said in C.
         MmnnError: The self-test fails.
 
@@ -109,6 +120,9 @@ def embed(  # noqa: PLR0913 - options, by keyword alone
     require_embeddable(loop)
     require_new(folder, force)
     tool = found_compiler(compiler)
+    if processor:
+        clock_of(processor)
+        require_tools(QEMU)
     stepper = Fresh.of(supervised(loop), limits=limits)
     require_limits(stepper)
     title = plain(f"{loop.controller.name} for {loop.robot.name}")
@@ -123,14 +137,18 @@ def embed(  # noqa: PLR0913 - options, by keyword alone
         for name, text in texts.items():
             (made / name).parent.mkdir(exist_ok=True)
             (made / name).write_text(text)
-        code, of = None, ""
+        code, of, count, share = None, "", None, None
         if tool:
             check(made, tool)
             code, of = size_of_code(made, tool)
+        if processor:
+            count = counted(made)
+            share = require_time(count, export.stepper.period, processor)
     initial = sum(root.data.size * width(export, root.kind) for root in starts(export))
     return Embedded(
-        loop.controller.name, loop.robot.name, str(folder), sorted(texts), ram_bytes(export), code, initial, of, steps
-    )
+        loop.controller.name, loop.robot.name, str(folder), sorted(texts), ram_bytes(export), code, initial, of, steps,
+        processor, None if count is None else count.worst, share,
+    )  # fmt: skip
 
 
 def supervised(loop: Loop) -> Loop:

@@ -32,6 +32,7 @@ TEMPLATES = jinja2.Environment(
 ENTRIES = (board.step, board.pause, board.resume, board.stop, board.reset, board.is_over)
 LARGE = 128  # numbers, more than which stand at the end of the struct
 FEW = 3  # numbers that are set one by one at the start
+SPARSE = 2  # times as much code as a number of a table takes one that is set by itself
 KEPT = frozenset(ascii_letters + digits + " _-+.,:()/")  # signs of names that mean nothing in C, printf, XML, Markdown
 LICENCE = "Apache-2.0"
 # Reference interfaces of a base by its velocities, as diff_drive_controller and mecanum_drive_controller name them.
@@ -358,7 +359,8 @@ def starts(export: Export) -> list[Root]:
     """Tables of what members hold at the start, of those that are not mostly zeros."""
     found = []
     for member in export.members:
-        if np.count_nonzero(member.data) > FEW and member.kind == "real":
+        count = np.count_nonzero(member.data)
+        if count > FEW and SPARSE * count > member.data.size and member.kind == "real":
             found.append(Root(f"start_{member.name}", member.data, member.kind, member.data))
     return found
 

@@ -38,6 +38,7 @@ CAREFUL: tuple[dict[str, Any], ...] = (  # settings of the solver, one after the
     {"max_step_fraction": 0.9, "static_regularization_constant": 1e-7},
     {"max_step_fraction": 0.8, "static_regularization_constant": 1e-6, "equilibrate_max_iter": 50},
 )
+CALM = 1e4  # of |z|^2, above which the programme is solved in smaller numbers
 ROTOR = 0.03  # share of a joint's force that its rotor may need at least, before the motion says so
 ROOT2 = np.sqrt(2.0)
 PLACES = tuple((i, j) for i in range(4) for j in range(i, 4))
@@ -330,7 +331,9 @@ def minimised(R: Array, z: Array, prior: Prior, weight: float, moved: Bools) -> 
         distance = distance + cp.trace(S) - cp.log_det(np.eye(4) + S)
     least = prior.positive[others - first]
     bounded = np.flatnonzero(np.isfinite(least))
-    problem = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(left) + weight * distance), [u[bounded] >= least[bounded]])
+    scale = CALM / max(float(z @ z), CALM)  # an exact log has residuals of no size, and numbers no solver likes
+    cost = 0.5 * cp.sum_squares(np.sqrt(scale) * left) + scale * weight * distance
+    problem = cp.Problem(cp.Minimize(cost), [u[bounded] >= least[bounded]])
     for careful in ({}, *CAREFUL):
         try:
             with warnings.catch_warnings():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,10 +26,12 @@ WORDS = {
     "velocity": ("velocity", "velocities", "vel", "dq", "qd", "qdot", "speed"),
     "effort": ("effort", "efforts", "torque", "torques", "tau", "eff", "current", "force", "load"),
 }
+STAMPS = ("time", "timestamp", "stamp")  # in a header with other words
+WANTED = {"action", "target", "desired", "goal", "command", "commanded", "cmd", "setpoint"}  # of what is not measured
 TIMES = ("time", "t", "timestamp", "stamp", "sec", "seconds")
 UNITS = {"s", "sec", "secs", "seconds", "ms", "us", "ns"}  # that may follow
 PLAIN = {"joint", "joints", "j", "axis", "motor", "link", "actual", "measured", "meas", "state", "raw", "filtered"}
-PLAIN |= {"states", "field", "data", "msg", "observation", "values"}
+PLAIN |= {"states", "field", "data", "msg", "observation", "values", "points", "trajectory"}
 TAKEN = {"q": "position", "qdot": "velocity", "velocity": "base"}  # of a recording, beside its torque
 BAGS = (".db3", ".mcap", ".bag")
 
@@ -155,12 +157,19 @@ def read_csv(path: Path, robot: Robot, columns: Columns, rate: float | None = No
     where = ours or found_columns(header, joints, columns, path)
     wheels = {wheel.joint for wheel in robot.base.wheels}
     moving = [n for n in robot.full_velocity_names if n in wheels or n in robot.joint_names]
-    counted, notes = ({}, ()) if ours else numbered(header, (robot.joint_names, moving), where, path)
+    orders = robot.joint_names, moving
+    sets = {} if ours else numbered_sets(header, where)
+    counted, notes = numbered(header, sets, orders, where, path)
     where = counted | where
+    notes += tuple(guesses(header, sets, orders, where))
+    stamps = [i for i, name in enumerate(header) if set(re.findall("[a-z]+", name.lower())) & set(STAMPS)]
+    if "time" not in where and len(stamps) == 1:
+        where["time"] = stamps[0]
     if "time" not in where:
         if rate is None:
-            fix = f"map one of {', '.join(header)} with --columns time=HEADER, or give --rate HZ"
-            raise RecordingError("no column of times", fix=fix, file=path, line=1)
+            rising = [name for name, column in zip(header, table.T, strict=True) if (np.diff(column) > 0).all()]
+            guess = f"--columns 'time={rising[0]}'" if rising else f"one of {', '.join(header)}: --columns time=HEADER"
+            raise RecordingError("no column of times", fix=f"{guess}, or give --rate HZ", file=path, line=1)
         time = np.arange(len(table)) / rate
     else:
         time = table[:, where["time"]]
@@ -193,24 +202,32 @@ def exported(header: Sequence[str]) -> dict[str, int]:
     return found
 
 
-def numbered(
-    header: Sequence[str], orders: Sequence[Sequence[str]], found: Mapping[str, int], path: Path
-) -> tuple[dict[str, int], tuple[str, ...]]:
-    """Columns that number the joints, such as `q_1` to `q_7` or `tau_J[0]` to `tau_J[6]`, and what that is taken for.
+NumberedSets = Mapping[tuple[str, ...], Mapping[int, int]]  # places of columns by number, by the words beside it
 
-    A set of as many columns as joints, of the arm or with the wheels, numbered from 0 or 1, is of these in the URDF's
-    order, for a kind of signal of which no column has a joint's name. Other words in a header (`q_d`, `target_q`,
-    `leg_1_q`) say that it is none; then the note says how to take it.
 
-    Raises:
-        RecordingError: Two sets of one kind.
-    """
+def numbered_sets(header: Sequence[str], found: Mapping[str, int]) -> NumberedSets:
+    """Columns that nothing else takes, and that have one number beside the same words."""
     sets: dict[tuple[str, ...], dict[int, int]] = {}
     for i, name in enumerate(header):
         words = re.findall(r"[a-z]+|[0-9]+", re.sub(r"[\[(][^\])0-9]+[\])]", "", name.lower()))
         count = [word for word in words if word.isdigit()]
         if len(count) == 1 and i not in found.values():
             sets.setdefault(tuple(word for word in words if not word.isdigit()), {})[int(count[0])] = i
+    return sets
+
+
+def numbered(
+    header: Sequence[str], sets: NumberedSets, orders: Sequence[Sequence[str]], found: Mapping[str, int], path: Path
+) -> tuple[dict[str, int], tuple[str, ...]]:
+    """Columns that number the joints, such as `q_1` to `q_7` or `tau_J[0]` to `tau_J[6]`, and what that is taken for.
+
+    A set of as many columns as joints, of the arm or with the wheels, numbered from 0 or 1, is of these in the URDF's
+    order, for a kind of signal of which no column has a joint's name. Other words in a header (`q_d`, `target_q`,
+    `leg_1_q`) say that it is none.
+
+    Raises:
+        RecordingError: Two sets of one kind.
+    """
     made: dict[str, int] = {}
     notes: list[str] = []
     for kind, synonyms in WORDS.items():
@@ -230,17 +247,42 @@ def numbered(
         for one in whole:
             order = [one[i] for i in sorted(one)]
             made |= {f"{kind}.{joint}": i for joint, i in zip(joints, order, strict=True)}
-            notes.append(
-                f"{header[order[0]]} to {header[order[-1]]} are taken for {kind}s of {joints[0]} to {joints[-1]}"
-            )
-        unlike = [one for words, one in sets.items() if set(words) - known and is_count(one, len(orders[0]))]
-        if not whole and len(guess := [one for one in unlike if kind_of(header[min(one.values())]) == kind]) == 1:
-            first = min(guess[0])
-            name = re.sub(rf"{first}(?!.*\d)", "{number}" if first else "{index}", header[guess[0][first]])
-            notes.append(
-                f"not taken: {header[guess[0][first]]} ...; if they are {kind}s: --columns '{kind}.{{joint}}={name}'"
-            )
+            what = f"{header[order[0]]} to {header[order[-1]]} are taken for {plural(kind)}"
+            notes.append(f"{what} of {joints[0]} to {joints[-1]}")
     return made, tuple(notes)
+
+
+def guesses(
+    header: Sequence[str], sets: NumberedSets, orders: Sequence[Sequence[str]], found: Mapping[str, int]
+) -> Iterator[str]:
+    """Notes on what columns may be that are not taken, with the option that takes them, as it stands.
+
+    Positions and efforts that no column has are looked for among those that number the joints, or name as many things
+    with a word for what they measure; those with such a word first, then in their order.
+    """
+    left = {words: one for words, one in sets.items() if not set(one.values()) & set(found.values())}
+    for kind in ("position", "effort"):
+        if any(signal.startswith(f"{kind}.") for signal in found):
+            continue
+        rows = [one for joints in orders for one in left.values() if is_count(one, len(joints))]
+        rows = [one for one in rows if kind_of(header[min(one.values())]) in (kind, "")]
+        one = min(rows, key=lambda one: (kind_of(header[min(one.values())]) != kind, min(one.values())), default=None)
+        named = [name for i, name in enumerate(header) if i not in found.values() and kind_of(name) == kind]
+        if one is not None:
+            left = {words: other for words, other in left.items() if other is not one}
+            first = min(one)
+            name = re.sub(rf"{first}(?!.*\d)", "{number}" if first else "{index}", header[one[first]])
+            option = f"--columns '{kind}.{{joint}}={name}'"
+            yield f"not taken: {header[one[first]]} ...; if they are {plural(kind)}: {option}"
+        elif named and len(named) in map(len, orders) and not any("," in name for name in named):
+            joints = next(joints for joints in orders if len(joints) == len(named))
+            pairs = ",".join(f"{kind}.{joint}={name}" for joint, name in zip(joints, named, strict=True))
+            yield f"not taken: {', '.join(named)}; if they are {plural(kind)} in this order: --columns '{pairs}'"
+
+
+def plural(kind: str) -> str:
+    """The word for several signals of a kind."""
+    return "velocities" if kind == "velocity" else f"{kind}s"
 
 
 def kind_of(header: str) -> str:
@@ -361,7 +403,9 @@ def meant(header: str, joints: Sequence[str]) -> str:
     joint = max(names, key=len)
     words = re.split(r"[^a-z]+", plain.replace(joint.lower(), " ", 1))
     kinds = [kind for kind, synonyms in WORDS.items() if set(words) & set(synonyms)]
-    return f"{kinds[0]}.{joint}" if len(kinds) == 1 else ""
+    if len(kinds) != 1 or (set(words) & WANTED and kinds != ["effort"]):
+        return ""
+    return f"{'command' if set(words) & WANTED else kinds[0]}.{joint}"
 
 
 # -- LeRobot datasets --------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ RANKED = 1e-6  # part of a column, of its length, under which it says what other
 UNSEEN = 0.1  # [s] standard deviation of a delay that says nothing
 SAMPLED = 0.25  # periods: least standard deviation of a delay between signals that are sampled and held
 PARTS = 5  # of a motion, one left out at a time
-MOST = 4000  # equations that are looked at
+MOST, FOLLOWED = 4000, 1000  # equations, and rows of a rate or a command, that are looked at
 LAGGING = 25.0  # times the residual variance that a lag has to explain before it is believed
 
 Signal = Callable[[Array, float], Array]  # values at times, behind a first-order lag
@@ -288,7 +288,7 @@ def follower_delay(time: Array, first: Array, measured: Array, at: Array, cutoff
             made[lag] = scipy.interpolate.make_interp_spline(time, lagged(first, lag, period), 3)
         return np.asarray(made[lag](np.clip(when, time[0], time[-1])))
 
-    keep = np.flatnonzero((time > time[0] + LONGEST) & (time < time[-1] - LONGEST))[:: max(1, len(time) // MOST)]
+    keep = np.flatnonzero((time > time[0] + LONGEST) & (time < time[-1] - LONGEST))[:: max(1, len(time) // FOLLOWED)]
     X = np.column_stack((y, np.ones(len(y))))[keep]
     found = delay_of(basis(X), curve, time[keep], lags=True) if len(keep) > 50 else None
     if found is not None and found.lag:  # a lag takes noise away, too: it has to explain more than one on both sides

@@ -9,6 +9,7 @@ lets the control loop run; deactivating brakes, holds and lets efforts fade. Wha
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -281,7 +282,11 @@ def made(make: Maker, arguments: Sequence[str], patience: float = 0.0) -> Iterat
         raise
     except (RuntimeError, ValueError, TypeError) as error:  # of rclpy: RCLError and others
         rclpy.try_shutdown()
-        raise InputError("ROS 2 does not take this", why=" ".join(str(error).split()), fix="see the file") from error
+        secured = os.environ.get("ROS_SECURITY_ENABLE", "").lower() == "true"
+        fix = (
+            "ros2 security create_enclave KEYSTORE /mmnn, and --ros-args --enclave /mmnn" if secured else "see the file"
+        )
+        raise InputError("ROS 2 does not take this", why=" ".join(str(error).split()), fix=fix) from error
     executor.add_node(node)
     spinning = Thread(target=executor.spin, daemon=True)
     spinning.start()

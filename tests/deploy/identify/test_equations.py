@@ -258,6 +258,16 @@ def test_the_programme_is_scipys_minimum(made: tuple[eq.Unknowns, eq.Equations])
     assert (found.theta[unknowns.columns("viscous", "coulomb", "rotor")] >= 0).all()
 
 
+def test_an_exact_log_is_solved_as_one_with_noise_is(made: tuple[eq.Unknowns, eq.Equations]) -> None:
+    """Residuals of a simulation are of no size, so that weighted efforts are huge; the programme is the same."""
+    unknowns, rows = made
+    prior, both, found = Prior.of(unknowns, rows), np.ones(2, bool), []
+    for size in (1.0, 1e-6):
+        fit = weighing(made, size * np.array([0.3, 0.2]))
+        found.append(consistent_fit(*compressed(rows, prior, both, fit), prior, 3.0 / size**2).theta)
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-5)
+
+
 def test_blocks_left_out_are_ridge_fits_to_the_others(made: tuple[eq.Unknowns, eq.Equations]) -> None:
     unknowns, rows = made
     prior = Prior.of(unknowns, rows)

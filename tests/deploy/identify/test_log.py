@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from motions import simulated
 from robots import fixed_arm
@@ -279,3 +282,44 @@ def test_encoders_that_wrap_give_the_angles_that_the_joint_had(start: float, spe
         np.testing.assert_allclose(found, np.unwrap(read), atol=1e-9)
     if not np.array_equal(np.unwrap(read), read):
         assert any("whole turns" in one.what and wheel in one.what for one in log.findings)
+
+
+STYLES = {  # time, position and effort of joint {j}, which has number {n} or {i}; and columns that must not be taken
+    "rosbag2": ("/joint_states.header.stamp", "/joint_states/position[{i}]", "/joint_states/effort[{i}]", ()),
+    "echo": ("%time", "field.position{i}", "field.effort{i}", ("field.header.seq",)),
+    "plotjuggler": ("__time", "/joint_states/{j}/position", "/joint_states/{j}/effort", ("/joint_states/count",)),
+    "moveit": ("time_from_start", "points.positions[{i}]", "points.effort[{i}]", ()),
+    "ur": ("timestamp", "actual_q_{i}", "actual_current_{i}", ("target_q_{i}", "target_moment_{i}")),
+    "franka": ("time [s]", "state.q[{i}]", "state.tau_J[{i}]", ("state.q_d[{i}]", "state.tau_J_d[{i}]")),
+    "lerobot": ("timestamp", "observation.state.{j}.pos", "observation.{j}.load", ("action.{j}.pos", "frame_index")),
+    "unknown": ("zeit", "enc_{n}", "amp_{n}", ()),
+    "words": ("t", "axis {n} pos", "axis {n} torque", ()),
+    "limbs": ("t", "leg_{n}_q", "leg_{n}_tau", ()),
+    "named": ("clock", "{w} pos", "{w} torque", ()),
+}
+
+
+@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(style=st.sampled_from(sorted(STYLES)), random=st.randoms(use_true_random=False))
+def test_headers_are_understood_or_the_guess_that_is_printed_works(style: str, random: Random, tmp_path: Path) -> None:
+    """In any order of kinds; a guess is followed as it stands, until the file is read."""
+    robot, t = load("two_axis_arm"), np.arange(50) / 100
+    time, position, effort, others = STYLES[style]
+    names = zip(robot.joint_names, ("shoulder", "elbow"), strict=True)
+    joints = [{"j": j, "i": i, "n": i + 1, "w": w} for i, (j, w) in enumerate(names)]
+    kinds = [position, effort, *others]
+    if style != "unknown":  # of words that say nothing, positions are thought to come first
+        random.shuffle(kinds)
+    header = [time, *dict.fromkeys(kind.format(**joint) for kind in kinds for joint in joints)]
+    values = np.column_stack([t, *(np.sin(t + k) for k in range(1, len(header)))])
+    np.savetxt(tmp_path / "log.csv", values, delimiter=",", header=",".join(header), comments="")
+    columns: dict[str, str] = {}
+    for _ in range(4):
+        try:
+            (log,) = read_logs([tmp_path / "log.csv"], robot, columns)
+            break
+        except RecordingError as error:
+            columns |= read_columns([shlex.split(guess)[1] for guess in re.findall(r"--columns '[^']*'", str(error))])
+    for joint in joints:
+        for kind, signals in ((position, log.position), (effort, log.effort)):
+            np.testing.assert_allclose(signals[joint["j"]], values[:, header.index(kind.format(**joint))])

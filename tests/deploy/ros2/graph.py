@@ -67,16 +67,16 @@ def start(distribution: str, domain: int, script: str, *arguments: Any) -> subpr
     return subprocess.Popen(command, env=of_ros(distribution, domain), stdout=pipe, stderr=pipe, text=True)
 
 
-def mmnn(distribution: str, domain: int, *arguments: Any) -> subprocess.Popen[str]:
-    """`mmnn ros2` as a process."""
+def mmnn(distribution: str, domain: int, *arguments: Any, **own: str) -> subprocess.Popen[str]:
+    """`mmnn ros2` as a process, in surroundings with some more of its own."""
     command = [str(python_of(distribution)), "-c", MAIN, "ros2", *map(str, arguments)]
-    pipe, own = subprocess.PIPE, of_ros(distribution, domain)
-    return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=ROOT, env=own)
+    pipe, here = subprocess.PIPE, of_ros(distribution, domain) | own
+    return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=ROOT, env=here)
 
 
-def said(distribution: str, domain: int, *arguments: Any) -> tuple[int, str]:
-    """Exit code and lines of `mmnn ros2` that ends by itself."""
-    node = mmnn(distribution, domain, *arguments)
+def said(distribution: str, domain: int, *arguments: Any, **own: str) -> tuple[int, str]:
+    """Exit code and lines of `mmnn ros2` that ends by itself, in surroundings with some more of its own."""
+    node = mmnn(distribution, domain, *arguments, **own)
     out, err = node.communicate(timeout=300)
     return node.returncode, out + err
 

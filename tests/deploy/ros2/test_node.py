@@ -115,3 +115,11 @@ def test_a_parameter_out_of_its_range_is_one_line_with_its_name(tmp_path: Path, 
     code, lines = said("kilted", domain, file, "--check", "--ros-args", "-p", given)
     name, _, value = given.partition(":=")
     assert code == 2 and f"{name}: error: {value.lstrip('.')} is out of range: give a number from " in lines, lines
+
+
+def test_an_rmw_that_is_not_there_is_one_line(tmp_path: Path, domain: int) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(SETTINGS)
+    code, lines = said("kilted", domain, file, "--check", RMW_IMPLEMENTATION="rmw_other_cpp")
+    assert code == 2 and len(lines.splitlines()) == 1, lines
+    assert "no RMW 'rmw_other_cpp' here" in lines and "apt install ros-$ROS_DISTRO-rmw-other-cpp" in lines

@@ -186,6 +186,8 @@ def test_check_says_every_topic_and_refuses_what_starting_does(tmp_path: Path) -
     file = tmp_path / "robot.yaml"
     file.write_text(SETTINGS)
     ros = ("--ros-args", "-r", "__ns:=/robot_1", "-r", "cmd_vel:=drive", "-p", "rate:=50")
+    ros += ("-p", "qos_overrides./robot_1/joint_states.subscription.reliability:=reliable")
+    ros += ("-p", "publish.odometry:=20.0")
     code, text = said("kilted", DOMAIN, file, "--check", "--json", *ros)
     rows = {row["name"]: row for row in json.loads(text.splitlines()[-1])["topics"]}
     assert code == 0
@@ -193,11 +195,14 @@ def test_check_says_every_topic_and_refuses_what_starting_does(tmp_path: Path) -
         "/robot_1/joint_states": "subscribes", "/robot_1/diff_drive_controller/odom": "subscribes",
         "/tf": "subscribes", "/tf_static": "subscribes", "/robot_1/drive": "subscribes", "/robot_1/plan": "subscribes",
         "/robot_1/mmnn/joint_trajectory": "subscribes", "/robot_1/mmnn/follow_joint_trajectory": "serves",
+        "/robot_1/mmnn/speed_scaling_input": "subscribes", "/robot_1/follow_path": "serves",
+        "/robot_1/mmnn/controller_state": "publishes", "/robot_1/mmnn/odom": "publishes",
         "/robot_1/mmnn/stop": "serves", "/robot_1/mmnn/reset": "serves",
         "/robot_1/diff_drive_controller/cmd_vel": "publishes", "/robot_1/effort_controller/commands": "publishes",
         "/diagnostics": "publishes",
     }  # fmt: skip
-    assert rows["/robot_1/joint_states"]["qos"] == "best_effort, depth 4"
+    assert rows["/robot_1/joint_states"]["qos"] == "reliable, depth 4"
+    assert rows["/robot_1/diff_drive_controller/odom"]["qos"] == "best_effort, depth 4"
     code, text = said("kilted", DOMAIN, file, "--check", "--ros-args", "-p", "set.feedback.arm:=400.0")
     assert code == 2 and "the sampled PD loop is unstable" in text
     file.write_text(SETTINGS.replace("scaling: inertia, base: 10.0, arm: 10.0", given_by(text)))

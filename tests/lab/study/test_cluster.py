@@ -127,13 +127,13 @@ class Cluster:
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    """A scheduler in a network of its own, one worker beside it, two outside; what they run was compiled before."""
+    """A scheduler in a network of its own, one worker beside it, one outside; what they run was compiled before."""
     first = tmp_path_factory.mktemp("first")
     run_here(planned(first), first)
     with network() as within:
         made = Cluster(tmp_path_factory.mktemp("cluster"), within)
         try:
-            for inside in (True, False, False):
+            for inside in (True, False):
                 made.worker(inside)
             for log in made.folder.glob("worker*/log"):
                 made.told(log, r"(Registered to)")
