@@ -1,7 +1,7 @@
 """A compliant hand in numbers: stiffness under every controller, energy against delay, the force of hand-guiding.
 
     python benchmarks/compliance.py stiffness       of 300 N/m asked, measured against a spring in the world
-    python benchmarks/compliance.py energy          given to the world beyond what it gave, over random contacts
+    python benchmarks/compliance.py energy          put in beyond what the world did on the hand, over random contacts
     python benchmarks/compliance.py guiding         force that leads the hand at 0.1 m/s
 
 Each prints a line per case. Robots: platform_arm, or those that are named after it.
@@ -68,25 +68,23 @@ def stiffness(robot: str, controller: str, touch: Touch | None) -> float:
     return force / moved
 
 
-def given_energy(robot: str, delay: float, seed: int, asked: float = ASKED) -> float:
-    """Largest energy that the hand has given to the world beyond what it took and its kinetic energy had [J].
+def given_energy(robot: str, delay: float, seed: int, asked: float = ASKED) -> tuple[float, float]:
+    """The most that controller and setpoint put in beyond the start, `injected`, and what went to and fro [J].
 
-    Surfaces of random stiffness, place and time touch it; they store energy only while they are pressed.
+    Surfaces of random stiffness, place and time touch the hand, of half a joule at most where they appear.
     """
     rng = np.random.default_rng(seed)
-    surfaces = [
-        Surface(
-            gap=rng.uniform(-0.03, 0.01), stiffness=10 ** rng.uniform(2.5, 4.5), damping=0.0, friction=0.0,
-            start=float(t), end=float(t + rng.uniform(0.2, 0.6)),
-        )
-        for t in rng.uniform(0.2, 4.0, 6)
-    ]  # fmt: skip
+    surfaces = []
+    for t in rng.uniform(0.5, 4.0, 6):
+        k = 10 ** rng.uniform(2.5, 4.0)
+        gap, end = -rng.uniform(-0.01, min(0.03, 1.0 / np.sqrt(k))), float(t + rng.uniform(0.2, 0.6))
+        surfaces.append(Surface(gap=gap, stiffness=k, damping=0.0, friction=0.0, start=float(t), end=end))
     impedance = Impedance(stiffness=asked)
     experiment = still(robot, 5.0, *surfaces, latency=Latency(command=delay), impedance=impedance)
-    recording, places, _ = run(experiment, "computed_torque")
-    velocity = np.gradient(places, recording.time, axis=0)
-    power = np.sum(recording["hand_force"] * velocity, axis=1)
-    return float(-np.cumsum(power * np.gradient(recording.time)).min())
+    recording, _, _ = run(experiment, "computed_torque")
+    begun = recording.time > 0.45
+    injected, work = np.ravel(recording["injected"])[begun], np.ravel(recording["hand_work"])[begun]
+    return float(injected.max() - injected[0]), float(np.ptp(work))
 
 
 def guiding(robot: str, stiff: float) -> float:
@@ -115,8 +113,9 @@ def main(arguments: Sequence[str]) -> None:
                 print(f"{robot:14} {controller:22} learns {found[0]}, frozen {found[1]}", flush=True)
         elif what == "energy":
             for delay in (0.0, 0.002, 0.004, 0.008):
-                worst = max(given_energy(robot, delay, seed) for seed in range(5))
-                print(f"{robot:14} delay {1e3 * delay:3.0f} ms: at most {worst:.4f} J of 5 runs", flush=True)
+                most, exchanged = max(given_energy(robot, delay, seed) for seed in range(5))
+                told = f"at most {1e3 * most:.3f} mJ, of {exchanged:.2f} J to and fro"
+                print(f"{robot:14} delay {1e3 * delay:3.0f} ms: {told}", flush=True)
         else:
             print(f"{robot:14} {guiding(robot, 0.0):.2f} N at 0.1 m/s", flush=True)
 

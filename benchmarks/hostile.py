@@ -46,7 +46,7 @@ from mmnn_pin.recording.recording import recorded_robot  # noqa: E402
 
 MARK = "MMNN_HOSTILE"  # a variable that all processes of one try have
 SIGNALS = {signal.SIGKILL: {-9}, signal.SIGTERM: {-15}, signal.SIGINT: {130}}  # and the exit codes that they end with
-STUDY = SHORT.replace("points = 4", "points = 8").replace("0.04", "0.3")
+STUDY = SHORT.replace("0.04", "0.3")
 TUNING = """
 experiment = "chapter4"
 controllers = ["pd"]
@@ -60,7 +60,7 @@ points = 8
 [tune]
 controller = "pd"
 objective = "e.*.peak"
-trials = 8
+trials = 5
 check = 4
 [tune.gains]
 "feedback.arm" = { log_uniform = [5.0, 60.0] }
@@ -151,7 +151,7 @@ def texts_of(here: Path) -> dict[str, Any]:
 
 
 JOBS = {
-    "run": Job("run track --controller two_layer --set time.duration=6 --out {here}/out", signals_of, again="--force"),
+    "run": Job("run chapter4 --controller two_layer --out {here}/out", signals_of, again="--force"),
     "study": Job("study {here}/study.toml --workers 2 --out {here}/out", rows_of_study),
     "tune": Job("tune {here}/tuning.toml --workers 2 --out {here}/out", trials_of),
     "judge": Job("judge {here}/out --robots platform_arm --controllers pid --draws 4 --workers 2", rows_of_judge),

@@ -39,11 +39,14 @@ STYLE = f"\ufdd0{token_hex(8)}\ufdd1"  # in place of what begins a style of ours
 def say(text: str) -> None:
     """Print on standard output; a reader that has left (`| head`) is no error.
 
+    What its encoding lacks is escaped.
+
     Raises:
         InputError: It cannot be written to.
     """
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     try:
-        print(safe(text), flush=True)
+        print(safe(text).encode(encoding, "backslashreplace").decode(encoding), flush=True)
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left over goes there
         if not isinstance(error, BrokenPipeError):

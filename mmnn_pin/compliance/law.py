@@ -183,9 +183,9 @@ def wish(row: Array, at: IntArray, c: Compliance) -> None:
 def see(row: Array, at: IntArray, c: Compliance) -> None:
     """Where the hand is and how it moves: of the setpoint, as measured, and a moment later as it moves now."""
     w, tip, twist = c.work, c.tip, at[VELOCITY_REF + 1] - at[VELOCITY_REF]
-    pose, v, a = view(row, at, POSE_REF), view(row, at, VELOCITY_REF), view(row, at, ACCELERATION_REF)
+    pose_ref, v, a = view(row, at, POSE_REF), view(row, at, VELOCITY_REF), view(row, at, ACCELERATION_REF)
     q_ref, qdot_ref, qddot_ref = view(row, at, Q_REF), view(row, at, QDOT_REF), view(row, at, QDDOT_REF)
-    as_measured(c.offset, c.columns, pose, v, q_ref, qdot_ref, w.position, w.led)
+    as_measured(c.offset, c.columns, pose_ref, v, q_ref, qdot_ref, w.position, w.led)
     move(tip.chain, w.position, w.led, w.place[0], w.twist[0], w.bias[0], tip.J)
     for i in range(6):
         for j in range(w.led.size):

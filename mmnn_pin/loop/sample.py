@@ -603,7 +603,7 @@ class Control:
         torque, own = self.torque, None if self.torque.compiled else self.torque
         self.hardware, (split, touch) = hardware, (None, None) if hardware is None else (hardware.split, hardware.touch)
         learned = torque.learner, torque.limits, torque.ahead, torque.later
-        task = None if hardware is None else counting(hardware.task, self.steering)
+        task = self.task = None if hardware is None else counting(hardware.task, self.steering)
         kept = (None, None) if touch is None else (torque.kept, torque.held)
         self.blocks = (self.controls, torque.model, hardware, *learned, split, self.steering, task, touch, *kept, own)
 

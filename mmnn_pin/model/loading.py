@@ -50,6 +50,7 @@ _stderr_lock = threading.Lock()
 STATES = 8
 SINGULAR = 1e-12  # smallest eigenvalue of the mass matrix scaled to a unit diagonal
 INDISTINCT = 1e-15  # smallest eigenvalue over the largest entry, unscaled: less is lost in a double
+LEAST = 1e-18  # eigenvalue of M of anything that moves [kg or kg m^2]
 
 
 @checked
@@ -383,7 +384,7 @@ def require_sane(document: Document, model: pin.Model, still: set[str]) -> None:
         M[held, held] = np.abs(M).max(initial=0.0) or 1.0
         if not np.isfinite(M).all():
             raise blame(document, model, ~np.isfinite(M).all(axis=1), "the mass matrix is not finite")
-        for matrix, least in ((scaled(M), SINGULAR), (M, INDISTINCT * np.abs(M).max(initial=0.0))):
+        for matrix, least in ((scaled(M), SINGULAR), (M, max(LEAST, INDISTINCT * np.abs(M).max(initial=0.0)))):
             values, vectors = np.linalg.eigh(matrix)
             if values.min(initial=np.inf) <= least:
                 what = f"the mass matrix is singular or not positive definite (smallest eigenvalue {values[0]:.3g})"

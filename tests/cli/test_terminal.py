@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import sys
 
 import pytest
@@ -112,3 +113,21 @@ def test_lists_fold_below_each_other_and_break_no_name(columns: int, capsys, mon
 def test_help_says_how_to_switch_completion_on(capsys) -> None:
     assert main(["--help"]) == 0
     assert "_MMNN_COMPLETE=bash_source mmnn" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("encoding", "told"),
+    [
+        ("ascii", r"arm_\u6a5f"),
+        ("gbk", "arm_機"),
+        ("euc-jp", "arm_機"),
+        ("utf-8", "arm_機"),
+        ("latin-1", r"arm_\u6a5f"),
+    ],
+)
+def test_what_an_encoding_lacks_is_escaped(encoding: str, told: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding, newline="\n")
+    monkeypatch.setattr(sys, "stdout", stream)
+    output.say("arm_機 🙂\n─ arm")
+    assert stream.buffer.getvalue().decode(encoding).startswith(told + " ")  # type: ignore[attr-defined]
+    assert stream.buffer.getvalue().endswith(b" arm\n")  # type: ignore[attr-defined]

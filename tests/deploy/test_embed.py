@@ -110,7 +110,11 @@ def test_the_self_test_has_the_bits_of_the_stepper(exported, controller):
 @pytest.mark.parametrize("robot", ["car_arm", "swerve_arm"])
 @pytest.mark.parametrize("controller", ["pd", "computed_torque"])
 def test_a_base_that_steers_has_the_bits_of_the_stepper(tmp_path, robot, controller):
-    told = embedded(tmp_path / "c", controller, "--robot", robot, "--steps", str(STEPS))
+    """The first of them with a compliant hand that pushes and what feels contact."""
+    changes = ["impedance.stiffness=200.0", "force.newtons=5.0", "force.start=0.01", "touch.model='urdf'"]
+    gives = [part for one in changes for part in ("--set", one)] if (robot, controller) == ("car_arm", "pd") else []
+    told = embedded(tmp_path / "c", controller, "--robot", robot, "--steps", str(STEPS), *gives)
+    assert ("law_wish(" in (tmp_path / "c/controller.c").read_text()) == bool(gives)
     assert told["robot"] == robot and told["selftest_steps"] == STEPS
     assert "shape[" in (tmp_path / "c/controller.h").read_text()
 

@@ -155,6 +155,7 @@ BAD = {
                           17, "mimic-circle", "circle: 'hinge', 'k'"),
     # bodies
     "zero mass": ('"1.5"', '"0"', 4, "zero-mass", "link 'rod': the body that joint 'hinge' moves has no mass"),
+    "dust": ('"1.5"', '"1e-300"', 4, "tiny-mass", "link 'rod': mass 1e-300 kg is less than dust has"),
     "no inertial": (GOOD[GOOD.index("    <inertial>") : GOOD.index("    <visual")], "", 4, "zero-mass", "has no mass"),
     "negative mass": ('"1.5"', '"-1.5"', 4, "negative-mass", "mass -1.5 kg is negative"),
     "negative mass of a weld": (

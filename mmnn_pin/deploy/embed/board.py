@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...compiled import copy_to
+from ...compliance import Compliance
 from ...kinematic import Steering, see
 from ...loop.hardware import Hardware
 from ...loop.machine import Machine
@@ -75,6 +76,7 @@ class Board(NamedTuple):
         kept: The controls of the law with its weights held, for contact; None where it goes on.
         held: The learner with its weights held, likewise.
         steering: Of a base that steers; None for others.
+        task: A compliant hand; None for one that is stiff.
         seen: (m,) the measurement as the reference has it: pose, twist, q, qdot; of others than steer `received`.
         motor_velocity: (motors,) commanded velocities [rad/s or m/s].
         motor_position: (motors,) commanded positions, of motors that take them [rad or m].
@@ -107,6 +109,7 @@ class Board(NamedTuple):
     kept: Controls | None
     held: Any
     steering: Steering | None
+    task: Compliance | None
     seen: Array
     motor_velocity: Array
     motor_position: Array
@@ -152,6 +155,7 @@ def board_of(stepper: Stepper) -> Board:
         kept=None if hardware.touch is None else torque.kept,
         held=None if hardware.touch is None else torque.held,
         steering=stepper.control.steering,
+        task=stepper.control.task,
         seen=stepper.received if stepper.control.steering is None else stepper.seen,
         motor_velocity=np.zeros(stepper.setup.layout.motors),
         motor_position=np.zeros(stepper.setup.layout.motors),
@@ -189,7 +193,7 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
         copy_to(b.guide.now, b.before)
     sample(
         0, time, b.guide.now, b.before, b.control, b.model, b.hardware, b.learner, b.limits, b.ahead, b.later, b.split,
-        b.steering, None, b.touch, b.kept, b.held, None,
+        b.steering, b.task, b.touch, b.kept, b.held, None,
     )  # fmt: skip
     copy_to(b.guide.now, b.before)
     copy_to(b.command, b.motor_torque)

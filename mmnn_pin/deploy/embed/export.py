@@ -166,9 +166,6 @@ def require_embeddable(loop: Loop) -> None:
     if not isinstance(loop.controller, CompiledController):
         why, fix = "it is plain Python", "use one of the package, or write its arithmetic as compiled functions"
         raise ConfigError(f"'{loop.controller.name}' cannot be written as C", why=why, fix=fix, key="controller")
-    if loop.impedance is not None:
-        fix = "leave [impedance] and [force] out"
-        raise ConfigError("a compliant hand cannot be written as C", fix=fix, key="impedance")
     if loop.plant != "ideal":
         why = "the self-test follows the reference on wheels that roll"
         raise ConfigError(

@@ -217,6 +217,7 @@ def parts_of(stepper: Stepper) -> dict[str, int]:
     named |= {"motor_states": hardware.motors.states.values, "sent": hardware.way.sent}
     if hardware.touch is not None:
         named |= prefixed("touch", hardware.touch.state)
+    named |= {} if hardware.task is None else {"compliance_state": hardware.task.state}
     if hardware.split is not None:
         named |= prefixed("servo", hardware.split)
     return cut(hardware.state, named)
@@ -377,7 +378,7 @@ def initial(export: Export) -> str:
         if f"start_{m.name}" in tables:
             lines.append(f"    mmnn_take(law_start_{m.name}, self->{m.name}, {m.data.size});")
             continue
-        for i in np.flatnonzero(m.data):
+        for i in np.flatnonzero(np.asarray(m.data, float).view(np.int64)):  # minus zero, too
             x = m.data[i]
             lines.append(f"    self->{m.name}[{i}] = {spelled(float(x)) if m.kind == 'real' else int(x)};")
     return "\n".join(lines)

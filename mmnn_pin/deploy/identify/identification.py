@@ -368,7 +368,7 @@ def fitted(
     allowed, about = rotors_of(R, z, prior, fit.inflation, rotors)
     strength, chosen = np.where(allowed, prior.strength, FIXED), weight
     if chosen is None:
-        chosen, _ = Blocks.of(training, prior).chosen(follows, fit.deviation, strength)
+        chosen, _ = Blocks.of(training, prior, fit.weights).chosen(follows, fit.deviation, strength)
     consistent = consistent_fit(R, z, prior, chosen, fit.inflation, allowed)
     notes = missing_notes(logs, robot)
     return Identification(

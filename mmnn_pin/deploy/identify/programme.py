@@ -190,16 +190,18 @@ class Blocks:
     square: Array
 
     @classmethod
-    def of(cls, equations: Equations, prior: Prior, count: int = BLOCKS) -> Blocks:
-        """Blocks of equal length, one after the other."""
+    def of(cls, equations: Equations, prior: Prior, weights: Array | None = None, count: int = BLOCKS) -> Blocks:
+        """Blocks of equal length, one after the other; with weights (M, r) of the equations, by default 1 or 0."""
+        weights = equations.use.astype(float) if weights is None else weights
         m, r = prior.B.shape[1], equations.y.shape[1]
         A, b = np.zeros((count, r, m, m)), np.zeros((count, r, m))
         c, square = np.zeros((count, r)), np.zeros((count, r))
         block = np.arange(len(equations)) * count // len(equations)
         for i in range(r):
             for n in range(count):
-                use = (block == n) & equations.use[:, i]
-                Y, y = equations.Y[use, i], equations.y[use, i]
+                use = (block == n) & (weights[:, i] > 0)
+                root = np.sqrt(weights[use, i])
+                Y, y = equations.Y[use, i] * root[:, None], equations.y[use, i] * root
                 X, e = Y @ prior.B, y - Y @ prior.centre
                 A[n, i], b[n, i], c[n, i], square[n, i] = X.T @ X, X.T @ e, e @ e, y @ y
         return cls(A, b, c, square)

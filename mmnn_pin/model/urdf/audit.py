@@ -106,7 +106,7 @@ NOT_UNIT = 1e-3  # axes are printed with a few digits
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 ROUNDING = 1e-3  # of the largest principal inertia: files print few digits
 POSITIVE = 1e-9  # of the largest principal inertia: less is zero
-HEAVY = 10_000.0  # [kg]
+HEAVY, DUST = 10_000.0, 1e-15  # [kg]
 WIDE = 10.0  # radius of gyration [m]
 LONG = 10.0  # [m]; no joint of a robot for a laboratory is further from the next, no part of it larger
 FULL_TURN = 2 * math.pi + 0.01  # [rad]
@@ -664,6 +664,9 @@ def bad_bodies(tree: LinkTree) -> Iterator[Finding]:
             if part.mass < 0:
                 what = f"mass {part.mass:g} kg is negative"
                 yield finding("negative-mass", part.link, what, "nothing has such a mass", "give a mass above 0")
+            elif 0 < part.mass < DUST:
+                what, fix = f"mass {part.mass:g} kg is less than dust has", "give it in kg, or 0 to a mere frame"
+                yield finding("tiny-mass", part.link, what, "nothing of a robot has such a mass", fix)
         mass = sum(part.mass for part in parts)
         if joint is not None and mass == 0 and not carries_mass(tree, joint):
             what = f"the body that joint '{joint.name}' moves has no mass, nor has what hangs on it"

@@ -73,6 +73,7 @@ CODES = {
     # bodies
     "negative-mass": "error",
     "zero-mass": "error",
+    "tiny-mass": "error",
     "inertia-not-positive": "error",
     "inertia-triangle": "strict",
     "no-inertial": "warning",

@@ -23,6 +23,7 @@ from mmnn_pin import PD, Loop, Sine, Timing, Trajectory, identify, load, load_ex
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify.doctor import require_no_contradiction
+from mmnn_pin.deploy.identify.equations import chosen_cutoff
 from mmnn_pin.deploy.identify.identification import examine
 from mmnn_pin.deploy.identify.log import Log, LogFinding
 from mmnn_pin.deploy.identify.mends import mended, read_mends
@@ -434,3 +435,36 @@ def test_nothing_is_refused_where_nothing_is_found(log: Log) -> None:
     with pytest.raises(RecordingError, match=r"it is upside down.*and 1 more: see --check"):
         found = [LogFinding("refused", "it is upside down", size=2.0), LogFinding("refused", "small", size=1.0)]
         require_no_contradiction([log.with_findings(*found)])
+
+
+# -- gaps --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_counter_rolls_over_where_rows_are_missing(log: Log, arm: Robot) -> None:
+    turn, rng = 2.0**32 * 1e-9, np.random.default_rng(4)
+    part = log.rows(rng.random(len(log.time)) > 0.3)
+    found = sound(part.with_signals(part.signals, (part.time + 0.5) % turn), arm)
+    np.testing.assert_allclose(found.time, part.time - part.time[0], atol=1e-6)
+    assert any("rolls over" in one.what for one in found.findings)
+
+
+def test_a_cutoff_is_that_of_the_motion_whatever_rows_are_missing(log: Log, arm: Robot) -> None:
+    part = log.rows(np.random.default_rng(5).random(len(log.time)) > 0.3)
+    assert chosen_cutoff([part], arm) < 1.5 * chosen_cutoff([log], arm)
+
+
+def test_a_joint_whose_place_nobody_knows_is_refused(log: Log, arm: Robot) -> None:
+    found = refusal(arm, with_numbers(log, position__arm_2_joint=np.full(len(log.time), np.nan)))
+    assert "position.arm_2_joint has 2000 values that are no numbers" in found.what
+    assert found.mends == (("position.arm_2_joint", "dropped"),)
+
+
+def test_remnants_between_gaps_are_no_tape(base: Robot) -> None:
+    """A few poses between two gaps made all poses those of a tape, and a late reference was not seen."""
+    late = mended(drive(base, TRUE), (("reference.*", "late:-0.15"),))
+    keep = np.ones(len(late.time), bool)
+    middle = len(keep) // 2
+    keep[middle : middle + 60] = keep[middle + 70 : middle + 130] = False
+    found = wheels_of(base, [late.rows(keep)])
+    assert abs(found.late[0] - 0.15) < 4 * found.late[1] + 0.01
+    assert (np.abs(found.value - TRUE) < 4 * found.sd + 1e-4).all()

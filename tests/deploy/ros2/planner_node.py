@@ -66,7 +66,7 @@ class Planner:
     def __init__(self, node, kind=FollowJointTrajectory, name="/mmnn/follow_joint_trajectory"):
         self.node, self.client, self.feedback = node, ActionClient(node, kind, name), []
 
-    def wait(self, future, patience=15.0):
+    def wait(self, future, patience=60.0):
         rclpy.spin_until_future_complete(self.node, future, timeout_sec=patience)
         return future.result() if future.done() else None
 
