@@ -95,6 +95,9 @@ def is_inside(name: str, file: Path, folders: tuple[str, ...]) -> bool:
 def own_names(file: Path, places: tuple[str, ...] = ()) -> list[re.Pattern[str]]:
     """Names of meshes in a xacro file and in those that it includes, where it puts something in anything; or none.
 
+    A package that they find by its name may have the names of its meshes in YAML files, as Universal Robots' has: all
+    meshes in it count.
+
     Args:
         file: The file; one that is no xacro file names nothing.
         places: Folders that hold packages.
@@ -110,6 +113,7 @@ def own_names(file: Path, places: tuple[str, ...] = ()) -> list[re.Pattern[str]]
         near = pending.pop()
         text = read_text(near)
         names |= {pattern for name in MESHES.findall(text) if (pattern := pattern_of(name, known))}
+        names |= {f"package://{re.escape(package)}/{ANYTHING}" for package in FOLDER.findall(text)}
         new = {one for name in INCLUDES.findall(text) for one in included(name, near, known)} - seen
         seen, pending = seen | new, [*pending, *new]
     return [re.compile(pattern) for pattern in sorted(names)]

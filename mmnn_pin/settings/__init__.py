@@ -251,7 +251,11 @@ def divide(whole: float, period: float, name: str) -> int:
     """
     if whole / period > MOST_PERIODS:
         what = f"{whole:g} s hold more than {MOST_PERIODS:.0e} periods of {period:g} s"
-        raise ConfigError(what, fix="shorten the run, or lengthen the period", key=f"time.{name}")
+        raise ConfigError(
+            what,
+            fix="shorten the run, or lengthen the period",
+            key=f"time.{'duration' if name == 'control_period' else name}",
+        )
     count = round(whole / period)
     if count < 1 or abs(count * period - whole) > 1e-9 * whole:
         raise ConfigError(

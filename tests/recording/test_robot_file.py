@@ -56,11 +56,13 @@ def run_of(file: Path, **overrides: object) -> Recording:
         "package://shapes/meshes/${kind}_hull.stl",
         "$(find shapes)/meshes/${kind}_hull.stl",
         "package://shapes/meshes/${kind}.stl",
+        "${xacro.load_yaml('$(find shapes)/shapes.yaml')['hull']}",
     ],
 )
 def test_a_replay_of_a_xacro_robot_shows_its_meshes(mesh: str, tmp_path: Path) -> None:
     workspace(tmp_path, "shapes")
     (tmp_path / "shapes" / "meshes" / "big.stl").write_bytes(STL)
+    (tmp_path / "shapes" / "shapes.yaml").write_text("hull: package://shapes/meshes/big_hull.stl")
     run = run_of(xacro(tmp_path, mesh))
     assert UNSEEN not in recorded_robot(run).urdf
     assert page({"run": run}).warnings == ()

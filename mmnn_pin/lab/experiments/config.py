@@ -393,8 +393,10 @@ def config_error(
         return ConfigError(f"'{last}' is now called '{now}'", fix=f"write {now}", file=path, key=key)
     if unknown is not None:
         known = keys_of(kind)
-        near = get_close_matches(unknown, known, n=1)
-        guess = f"did you mean '{near[0]}'? " if near else ""
+        tables = [".".join(filter(None, (key, name))) for name in known]
+        below = [f"{one}.{unknown}" for one in tables if unknown in keys_of(kind_at(one, table, root))]
+        near = below[:3] or get_close_matches(unknown, known, n=1)
+        guess = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         fix = f"{guess}there is: {', '.join(known)}" if known else "leave it out"
         return UnknownKey(unknown, fix=fix, file=path, key=key)
     if "missing required field `type`" in message:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -388,6 +389,17 @@ def test_a_motion_that_is_slowed_down_names_the_motor_that_asks_for_it() -> None
     rows = slow.table(np.linspace(0.0, 60.0, 6001), robot.dimensions)
     q = [Setpoint.side_by_side(row, robot.dimensions).q[0] for row in rows]
     assert 0.5 * 0.075 < np.abs(np.diff(q)).max() / 0.01 < 0.0751  # as slow as it must be, no slower
+
+
+def test_a_key_without_its_table_is_told_with_it_and_the_advice_is_a_key() -> None:
+    tables = {name: keys_of(kind_at(name, None, Experiment)) for name in keys_of(Experiment)}
+    alone = sorted({key for keys in tables.values() for key in keys} - set(tables))[::40]
+    for key in alone:
+        with pytest.raises(ConfigError) as told:
+            load_experiment("track", [f"{key}=1"])
+        advised = re.findall(r"'([\w.]+)'", str(told.value).partition("did you mean ")[2])
+        assert advised
+        assert all(path.rpartition(".")[2] == key and key in tables[path.partition(".")[0]] for path in advised), key
 
 
 def test_what_has_no_trailer_cannot_have_it_guided() -> None:

@@ -13,6 +13,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numba import config
 from places import ROOT
 from replays import TYPES, unpacked
@@ -26,7 +28,7 @@ from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show.figure import STYLES, in_the_dark
 from mmnn_pin.lab.show.files import HtmlPage
 from mmnn_pin.lab.show.report import MOST, command_of, kept_rows, report, result_of, subject
-from mmnn_pin.lab.show.report.verdict import smaller, verdict
+from mmnn_pin.lab.show.report.verdict import beside_the_truth, smaller, verdict
 from mmnn_pin.lab.show.robots import robots_of
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.robot import Robot
@@ -177,8 +179,8 @@ def test_the_verdict_follows_from_the_numbers(chapter4: dict[str, Recording]) ->
     assert f"{100 * (1 - size(best) / size(second)):.0f} % smaller than those of {second}" in found.headline
     assert "the best of" not in found.headline
     assert "pd_gravity, pid and feedforward did not run" in " ".join(found.warnings)
-    left = 100 * size("computed_torque") / size(best)
-    assert any(f"{left:.0f} % of those of {best}" in point for point in found.points)
+    left = beside_the_truth("computed_torque", size("computed_torque") / size(best), best)
+    assert left in found.points
     kept = 100 * abs(1 - size("two_layer") / size("pd_effective"))
     assert any(f"two_layer: its errors are {kept:.0f} %" in point for point in found.points)
     assert [text for text in found.warnings if "fair" in text] == []
@@ -447,6 +449,17 @@ def test_every_curve_is_seen_on_the_dark_page(name: str) -> None:
     found = re.search(r"--ground: (#[0-9a-f]{6})", dark)
     assert found
     assert (light(in_the_dark(STYLES[name].color)) + 0.05) / (light(found[1]) + 0.05) >= 3.0
+
+
+@given(st.floats(1e-3, 99.0))
+def test_what_the_true_model_could_save_is_what_the_ratio_of_the_errors_says(ratio: float) -> None:
+    told = beside_the_truth("computed_torque", ratio, "learned")
+    if times := re.search(r"errors are ([\d.]+) times those of learned: knowing it saves nothing", told):
+        assert float(times[1]) == pytest.approx(ratio, rel=0.05) and ratio > 1
+    elif percent := re.search(r"errors are (\d+) % smaller than those of learned. A better model can save that", told):
+        assert int(percent[1]) == pytest.approx(100 * (1 - ratio), abs=0.51) and ratio < 1
+    else:
+        assert "as large as those of learned: knowing it saves nothing" in told and abs(ratio - 1) <= 0.0051
 
 
 def test_a_recording_of_hardware_is_no_simulation(tmp_path: Path) -> None:

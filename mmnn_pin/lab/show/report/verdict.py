@@ -205,9 +205,7 @@ def points(result: Result) -> Iterator[str]:
         yield f"{base} learns nothing; its errors, too, are {percent(1 - 1 / scores['pd'])} smaller than those of pd."
     for name, recording in result.recordings.items():
         if controller_of(name, recording) in ORACLES and len(judged) and math.isfinite(scores[name]):
-            left = percent(scores[name] / scores[judged[0]])
-            own = f"its errors are {left} of those of {judged[0]}"
-            yield f"{name} knows the true model: {own}. No learner can do better than that."
+            yield beside_the_truth(name, scores[name] / scores[judged[0]], judged[0])
     for name, recording in result.recordings.items():
         if (kind := controller_of(name, recording)) in (*LEARNERS, "adaptive"):
             shares = {part: percent(result.metrics[name][f"learned_share.{part}"]) for part in halves(recording)}
@@ -217,6 +215,16 @@ def points(result: Result) -> Iterator[str]:
     if ranges := result.figure_ranges():
         met = sum(row["inside"] for row in ranges)
         yield f"{met} of {len(ranges)} extremes lie where the axes of the thesis's figures have them."
+
+
+def beside_the_truth(name: str, ratio: float, best: str) -> str:
+    """Errors of a run with the true model beside the best run without it: what a better model could save."""
+    if 1 - ratio < ALIKE:
+        times = f"{shown(ratio)} times" if ratio > 1 + ALIKE else "as large as"
+        return (
+            f"{name} knows the true model, yet its errors are {times} those of {best}: knowing it saves nothing here."
+        )
+    return f"{name} knows the true model: its errors are {smaller(ratio, best)}. A better model can save that."
 
 
 def alike(result: Result) -> Iterator[str]:
