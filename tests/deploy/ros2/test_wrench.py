@@ -13,7 +13,7 @@ from mmnn_pin import Recording
 def test_the_wrench_of_the_hand_is_heard_in_its_frame(tmp_path: Path) -> None:
     """The recording has it in the world's axes; a planar arm's hand is turned by heading and joints."""
     felt = SETTINGS.replace("    set:\n", "    set:\n      touch: {model: urdf}\n")
-    run = drive(tmp_path, "kilted", 71, "no_plan", seconds=6.0, planner="wrench_node.py", text=felt)
+    run = drive(tmp_path, "kilted", 71, "no_plan", seconds=30.0, planner="wrench_node.py", text=felt)
     heard, recording = run.robot["planner"], Recording.open(tmp_path / "run.h5")
     assert len(heard) > 100 and {one[0] for one in heard} == {"arm_tip"}
     told = np.array([one[2:] for one in heard], float)
