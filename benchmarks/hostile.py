@@ -1,7 +1,6 @@
 """What is not ours, tried at random; every campaign prints its line of SECURITY.md's table.
 
     python benchmarks/hostile.py kills [--times 12] [--seed 0] [--only study ...]    processes that are killed
-    python benchmarks/hostile.py cluster                                           a Dask cluster that dies by parts
 
 Files and options at random are tests/fuzz_files.py, tests/fuzz_urdf.py and tests/random_options.py; disks are
 tests/failing_disks.py. Exit code 1 where something was lost.
