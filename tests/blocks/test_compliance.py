@@ -214,6 +214,7 @@ def still(impedance, *disturbances, force=None, seconds=3.0, robot=ROBOT, **more
     )  # fmt: skip
 
 
+@pytest.mark.compiled
 def test_a_hand_has_the_stiffness_that_was_asked_and_its_force_that_of_the_setpoint():
     """The world's spring begins 3 cm behind the hand: at rest K x = k (d - x)."""
     spring = Surface(normal=(0.0, -1.0, 0.0), gap=-0.03, stiffness=600.0, damping=60.0, friction=0.0)
@@ -309,6 +310,7 @@ def test_nobody_learns_to_stop_the_hand_where_its_force_decides(follow):
     np.testing.assert_allclose(seen, s * (0.0 if follow else np.array([1.0, 0.0, 1.0])), atol=1e-5)
 
 
+@pytest.mark.compiled
 def test_a_door_about_an_unknown_hinge_is_opened_along_its_way():
     force = Force(along=(-1.0, 0.0, 0.0), newtons=40.0, start=0.1, follow=True, speed=0.2, far=0.8)
     door = HingedDoor(hinge=(0.0, -0.6), friction=1.0)

@@ -251,18 +251,19 @@ def test_a_refused_run_does_not_say_where_its_runs_go(call: Call) -> None:
 
 @pytest.mark.usefixtures("undrawn")
 def test_default_controllers_that_cannot_run_are_left_out_and_named_ones_are_refused(call: Call) -> None:
-    wheels = ("--set", 'interfaces={wheel_left_joint="velocity",wheel_right_joint="velocity"}')
-    code, out, err = call("run", "track", *SHORT, *wheels)
+    joints = "wheel_left_joint", "wheel_right_joint", "arm_1_joint", "arm_2_joint"
+    servos = ("--set", "interfaces={" + ",".join(f'{joint}="velocity"' for joint in joints) + "}")
+    code, out, err = call("run", "track", *SHORT, *servos)
     assert code == 0 and "note: learned, pid, feedforward left out: they go by the torque" in out
     assert "pid.h5" not in out and "feedforward.h5" not in out
-    assert "note: driven wheel_left_joint, wheel_right_joint by velocity; all others by effort" in out
+    assert f"note: driven {', '.join(joints)} by velocity" in out
     named = [("--controller", "pid"), ("--set", "controllers=['pd', 'pid']")]
     Path("own.toml").write_text('experiment = "track"\ncontrollers = ["pid", "pd"]\n')
     for name, more in [*(("track", more) for more in named), ("own.toml", ())]:
-        code, out, err = call("run", name, *SHORT, *wheels, *more)
+        code, out, err = call("run", name, *SHORT, *servos, *more)
         assert code == 2 and "pid on a velocity interface" in err and err.count("\n") == 1
     Path("own.toml").write_text('experiment = "track"\n')
-    assert call("run", "own.toml", *SHORT, *wheels)[0] == 0
+    assert call("run", "own.toml", *SHORT, *servos)[0] == 0
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -236,6 +236,7 @@ def test_it_accelerates_as_the_constrained_model(made):
         assert relative(A @ ours + bias, bias) < 1e-9
 
 
+@pytest.mark.compiled
 @EVERY
 def test_it_rolls_freely_without_loss(made):
     """Without torques, integrated to 1e-11; a swerve drive of four slips as its wheels come to disagree."""
@@ -309,6 +310,7 @@ GROWTH = {
 }
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", GROWTH)
 def test_brackets_reach_every_posture(name):
     """The posture model is controllable: no combination of pose and steering angles is kept."""

@@ -139,6 +139,7 @@ def test_no_step_goes_away_from_the_truth_whatever_its_weight(seed, size):
         assert bench.distance(truth) <= before * (1 + 1e-12)
 
 
+@pytest.mark.compiled
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds)
 def test_v_falls_by_the_square_of_the_prediction_error(seed):
@@ -153,6 +154,7 @@ def test_v_falls_by_the_square_of_the_prediction_error(seed):
     assert before - bench.distance(truth) == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.compiled
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds, st.floats(0, 9))
 def test_the_estimate_stays_physical_and_bounded_whatever_was_filtered(seed, size):

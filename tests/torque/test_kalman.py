@@ -328,6 +328,7 @@ def half_a_second(at_once, **own):
     return controller, state
 
 
+@pytest.mark.compiled
 def test_an_update_counts_the_time_since_the_last_one():
     """Just after an alarm there are five times as many; what they answer s with, and what they forget, is the same."""
     (_, slow), (_, fast) = half_a_second(False, tracking=0.01), half_a_second(True, tracking=0.01)

@@ -9,7 +9,6 @@ too, which no geometry shows. Which side a wheel is on and where forward is, is 
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -110,7 +109,7 @@ def stated_notes(rest: AtRest, base: Base, name: str, blind: Sequence[str], over
     if lengths and not known and all(apart(one.value, used) for _, one in lengths):
         file, one = lengths[0]
         text = f"{file.name} states a {name} of {one.value:.4g} m, the geometry has {used:.4g} m"
-        path = min(str(file), os.path.relpath(file), key=len)
+        path = file.relative_to(here) if file.is_relative_to(here := Path.cwd()) else file
         fix = f"--controllers {path} where it is this robot's, --{name} {one.value:.6g} to use it"
         yield note(rest, "base-stated", first, text, TAKEN, fix)
 

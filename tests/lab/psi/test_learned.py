@@ -298,7 +298,7 @@ def test_a_config_may_name_its_own() -> None:
     assert caught.value.key == "held_out.ring.base.type"  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("controller", ["two_layer", "adaptive", "learned"])
+@pytest.mark.parametrize("controller", ["two_layer", pytest.param("adaptive", marks=pytest.mark.compiled), "learned"])
 def test_frozen_weights_walked_compiled_are_those_stepped_row_by_row(controller: str) -> None:
     runs = compare(load("platform_arm"), Trajectory.of(load("platform_arm"), Line(0.3)), [controller], duration=0.6)
     subject = Subject.of(runs[controller])
