@@ -483,4 +483,5 @@ def test_a_recording_of_hardware_is_no_simulation(tmp_path: Path) -> None:
 def test_errors_that_round_to_no_difference_are_as_large():
     assert smaller(0.5, "pd") == "50 % smaller than those of pd"
     assert smaller(0.994, "pd") == "1 % smaller than those of pd"
+    assert smaller(0.0099, "pd") == smaller(1e-9, "pd") == "less than a hundredth of those of pd"
     assert smaller(0.996, "pd") == smaller(1.0, "pd") == "as large as those of pd"

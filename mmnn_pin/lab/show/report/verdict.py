@@ -113,6 +113,8 @@ def smaller(ratio: float, name: str) -> str:
     """How errors are beside those of a controller, by their ratio."""
     if 1 - ratio < ALIKE:
         return f"as large as those of {name}"
+    if ratio < 0.01:
+        return f"less than a hundredth of those of {name}"
     return f"{percent(1 - ratio)} smaller than those of {name}"
 
 
