@@ -327,7 +327,8 @@ def column_units(recording: Recording, name: str) -> list[str]:
         base, arm = "", base
     count = len(labels) if not arm else len(base_labels({"": recording})) if base else 0
     parts = base.split(", ")
-    units = [parts[0] if label in ALONG else parts[-1] for label in labels[:count]]
+    each = len(parts) == count
+    units = parts if each else [parts[0] if label in ALONG else parts[-1] for label in labels[:count]]
     turning, _, sliding = arm.partition(" or ")
     return units + [sliding if label in slides else turning for label in labels[count:]]
 

@@ -13,7 +13,7 @@ import pytest
 from replays import recorded
 from robots import mobile_arm
 
-from mmnn_pin import load
+from mmnn_pin import load, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError, UnknownName
 from mmnn_pin.lab.show.bag import field_names
@@ -167,6 +167,8 @@ def test_joints_and_pushed_bases_have_their_units() -> None:
     rec = run()
     assert column_units(rec, "position") == ["m", "m", "rad", "rad", "rad", "rad", "rad"]
     assert column_units(rec, "motor_torque") == ["N m"] * 4
+    loop = load_experiment("track", ["time.duration=0.01", "touch={}"]).loop(load("platform_arm"), "pd_gravity")
+    assert column_units(loop.run(), "external_wrench") == ["N"] * 3 + ["N m"] * 3
 
 
 def test_a_part_has_some_signals_and_every_nth_sample(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
