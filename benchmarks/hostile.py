@@ -37,6 +37,7 @@ ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from fuzz_files import places  # noqa: E402
+from sound_files import TUNING as QUICK_TUNING  # noqa: E402
 from study_files import SHORT  # noqa: E402
 
 from mmnn_pin import Recording  # noqa: E402
@@ -46,24 +47,8 @@ from mmnn_pin.recording.recording import recorded_robot  # noqa: E402
 MARK = "MMNN_HOSTILE"  # a variable that all processes of one try have
 SIGNALS = {signal.SIGKILL: {-9}, signal.SIGTERM: {-15}, signal.SIGINT: {130}}  # and the exit codes that they end with
 STUDY = SHORT.replace("0.04", "0.3")
-TUNING = """
-experiment = "chapter4"
-controllers = ["pd"]
-[set]
-time.duration = 0.3
-windows = [[0.0, 0.1], [0.1, 0.3]]
-[sampling]
-points = 8
-[factors]
-"masses" = { uniform = [0.5, 1.5] }
-[tune]
-controller = "pd"
-objective = "e.*.peak"
-trials = 5
-check = 4
-[tune.gains]
-"feedback.arm" = { log_uniform = [5.0, 60.0] }
-"""
+TUNING = QUICK_TUNING.replace("0.004", "0.3").replace("0.002", "0.1").replace("points = 2", "points = 8")
+TUNING = TUNING.replace("trials = 2", "trials = 5").replace("check = 2", "check = 4")
 PROGRAM = "import sys\nfrom mmnn_pin.cli import main\nif __name__ == '__main__':\n    sys.exit(main())\n"
 PASSING = (".part", ".lock", "-journal")  # files that a killed process may leave beside its own
 

@@ -11,6 +11,7 @@ import math
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.node import Node as RosNode
 from std_msgs.msg import Float64MultiArray
@@ -21,7 +22,6 @@ from ...loop.stepper import Stepper
 from ...model.chain import hands_of
 from ...reference.hand import HandWish, Task, WholeBody, WishedCourse
 from ...reference.wishes import Wish
-from ...signals import Array
 from .inlets import Inlet
 from .mapped import MappedRoute
 from .sensing import Clock, Planar, quaternion
@@ -126,9 +126,9 @@ class HandAsking:
     def _place(self, message: Any) -> None:
         x, y, turn = self._frame(message.header.frame_id)
         at, c, s = message.pose.position, math.cos(turn), math.sin(turn)
-        q = quaternion(message.pose.orientation)
-        frame = np.array([0.0, 0.0, math.sin(0.5 * turn), math.cos(0.5 * turn)])
-        turned = times(frame, np.array(q, float)) if self.settings.hand.turns else None
+        frame = pin.Quaternion(np.array([0.0, 0.0, math.sin(0.5 * turn), math.cos(0.5 * turn)]))
+        q = pin.Quaternion(np.array(quaternion(message.pose.orientation), float))
+        turned = (frame * q).coeffs() if self.settings.hand.turns else None
         self.wish.go((x + c * at.x - s * at.y, y + s * at.x + c * at.y, at.z), turned)
 
     def _move(self, message: Any) -> None:
@@ -156,9 +156,3 @@ class HandAsking:
             if why:
                 self.stiffness.refuse(why)
         return False
-
-
-def times(a: Array, b: Array) -> Array:
-    """Product of quaternions `(x, y, z, w)`."""
-    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
-    return np.append(vector, a[3] * b[3] - float(a[:3] @ b[:3]))
