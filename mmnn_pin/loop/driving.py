@@ -16,6 +16,8 @@ from ..signals import Array, Measurement
 from .servo import Command
 from .stepper import Stepper
 
+SMALL = 1e-4  # angle whose sine is its series up to the third power [rad]
+
 
 @runtime_checkable
 class Bus(Protocol):
@@ -89,6 +91,6 @@ class DeadReckoning:
         turn = 0.5 * seconds * velocity[-1]
         c, s = cos_sin(self.pose[2] + turn)
         aside = velocity[1] if len(velocity) == 3 else 0.0
-        chord = seconds * np.sinc(turn / np.pi)  # of the arc
+        chord = seconds * (cos_sin(turn)[1] / turn if abs(turn) > SMALL else 1.0 - turn * turn / 6.0)
         self.pose += chord * (c * velocity[0] - s * aside), chord * (s * velocity[0] + c * aside), 2.0 * turn
         return self.pose.copy()
