@@ -35,13 +35,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Try fewer examples of a property than its test says."""
+    """Try fewer examples of a property than its test says, and the same ones each time; `--full` draws its own."""
     from numba import config
 
     test = getattr(getattr(item, "obj", None), "__func__", getattr(item, "obj", None))
     if getattr(test, "is_hypothesis_test", False) and not item.config.getoption("--full"):
         own, most = test._hypothesis_internal_use_settings, 4 if config.DISABLE_JIT else EXAMPLES
-        test._hypothesis_internal_use_settings = settings(own, max_examples=min(own.max_examples, most))
+        few = settings(own, max_examples=min(own.max_examples, most), derandomize=True)
+        test._hypothesis_internal_use_settings = few
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -23,9 +23,13 @@ def domain() -> int:
 
 
 def when_it_drives(folder: Path, then: float) -> None:
-    """Wait until the recording has grown, and some seconds more."""
-    file, deadline = folder / "run.h5", time.monotonic() + 120.0
-    while not file.exists() and time.monotonic() < deadline:
+    """Wait until rows stand in the recording, and some seconds more: before, the node may compile."""
+    file, deadline, first = folder / "run.h5", time.monotonic() + 120.0, 0
+    while time.monotonic() < deadline:
+        size = file.stat().st_size if file.exists() else 0
+        first = first or size
+        if size > first:
+            break
         time.sleep(0.05)
     time.sleep(then)
 
