@@ -36,11 +36,15 @@ KEEPING = ("study", "tune")  # the same command goes on with what is there
 @pytest.fixture(scope="module")
 def came_of(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> dict[str, Any]:
     """Command to trouble to what came of it."""
-    program = [sys.executable, str(ROOT / "tests" / "failing_disks.py"), *request.param]
+    return all_tried(tmp_path_factory.mktemp("disks") / "here", *request.param)
+
+
+def all_tried(folder: Path, *options: str) -> dict[str, Any]:
+    """What `failing_disks` tells, in a folder that it makes."""
+    program = [sys.executable, str(ROOT / "tests" / "failing_disks.py"), *options]
     if os.geteuid() == 0:  # nothing is closed to root, unless it gives that up
         program = [*(["setpriv", "--bounding-set=-dac_override"] if may_give_up() else []), *program]
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "MPLBACKEND": "agg"}
-    folder = tmp_path_factory.mktemp("disks") / "here"
     done = subprocess.run([*program, str(folder)], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-3000:]
     found: dict[str, Any] = json.loads(done.stdout)

@@ -24,6 +24,7 @@ FLOORS = (
             "settings",
             "parts",
             "children",
+            "leaving",
             "compiled",
             "by_address",
             "elementary",

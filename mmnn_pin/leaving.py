@@ -22,7 +22,8 @@ def leave(number: int, frame: FrameType | None) -> None:
     os._exit(130)
 
 
-if os.path.basename(sys.argv[0]) == "mmnn" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+PROGRAM = os.path.basename((getattr(sys, "argv", None) or [""])[0])
+if PROGRAM == "mmnn" and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, leave)
 
 
