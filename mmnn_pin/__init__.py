@@ -28,6 +28,7 @@ from . import leaving  # noqa: F401 - first: from then on Ctrl-C is heard
 # isort: split
 import lazy_loader
 
+from . import standing  # noqa: F401 - before numba and matplotlib
 from .shown import ABOVE
 
 __version__ = "0.3.0"

@@ -25,6 +25,7 @@ FLOORS = (
             "parts",
             "children",
             "leaving",
+            "standing",
             "compiled",
             "by_address",
             "elementary",
