@@ -174,13 +174,14 @@ def jumping_clock() -> Iterator[None]:
 
 
 def once(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that is called once; its later calls have the first one's answer."""
-    answers: list[Any] = []
+    """A function that is called once for each recording; its later calls have the first one's answer."""
+    answers: dict[Any, Any] = {}
 
     def answer(*given: Any, **named: Any) -> Any:
-        if not answers:
-            answers.append(function(*given, **named))
-        return answers[0]
+        of = getattr(given[0], "path", None)
+        if of not in answers:
+            answers[of] = function(*given, **named)
+        return answers[of]
 
     return answer
 
