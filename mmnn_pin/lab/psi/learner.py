@@ -175,7 +175,7 @@ def frozen_psi_hat(learner: Learner, state: ControllerState, rows: Array, every:
 
 @dataclass(frozen=True, eq=False)
 class NetworkLearner(Learner):
-    """A learner with a network for the base, one for the arm: the thesis's, on a nominal model, or composite."""
+    """A learner with a network for the base, one for the arm: the thesis's, or on a nominal model."""
 
     @property
     def own(self) -> Neural:

@@ -36,7 +36,6 @@ NOTHING = (
     "kalman_friction",
     "kalman_bilinear",
     "kalman_features",
-    "two_layer_composite",
     "two_layer",
 )
 SURE = ("kalman_regressor", "kalman_friction")  # that can begin with parameters and their covariance
