@@ -135,29 +135,18 @@ def require_positive(settings: Any, *names: str) -> None:
 
 @by_address
 class Touched(NamedTuple):
-    """The things that a frame touches in one run.
+    """The things that a frame touches in one run."""
 
-    Attributes:
-        dt: Step of the plant [s].
-        tip: The frame.
-        place, twist, bias: Of the frame, written.
-        J: (6, p) its Jacobian, written.
-        surfaces: (k, SURFACE).
-        door: (DOOR,), or (0,) without one.
-        done: (DONE,) where the frame was a step ago and the force there, and the work since the start [J].
-        state: Places (k, 3) of the surfaces and hinge (3,), flat, then the angle of the door and its rate.
-    """
-
-    dt: float
-    tip: Tip
-    place: Array
-    twist: Array
-    bias: Array
-    J: Array
-    surfaces: Array
-    door: Array
-    done: Array
-    state: Array
+    dt: float  # step of the plant [s]
+    tip: Tip  # the frame
+    place: Array  # of the frame, written
+    twist: Array  # of the frame, written
+    bias: Array  # of the frame, written
+    J: Array  # (6, p) its Jacobian, written
+    surfaces: Array  # (k, SURFACE)
+    door: Array  # (DOOR,), or (0,) without one
+    done: Array  # (DONE,) where the frame was a step ago and the force there, and the work since the start [J]
+    state: Array  # places (k, 3) of the surfaces and hinge (3,), flat, then the angle of the door and its rate
 
     @internal
     def act(self, wire: Forces, k: int, time: float) -> None:

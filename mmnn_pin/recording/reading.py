@@ -35,23 +35,14 @@ AGAIN = "take it from a copy, or run it again"
 
 @dataclass(frozen=True)
 class Contents:
-    """The contents of a file beside its numbers.
+    """The contents of a file beside its numbers."""
 
-    Attributes:
-        columns: Units and labels of the signals that can be read.
-        rows: How many rows all of them have.
-        meta: Facts of the run.
-        texts: `config` and `urdf`, where they can be read.
-        end: How the run ended, empty where it did not close the file.
-        damage: What cannot be read, as `signals/z`, and why.
-    """
-
-    columns: dict[str, SignalColumns]
-    rows: int
-    meta: dict[str, Any]
-    texts: dict[str, str]
-    end: dict[str, Any]
-    damage: dict[str, str]
+    columns: dict[str, SignalColumns]  # units and labels of the signals that can be read
+    rows: int  # how many rows all of them have
+    meta: dict[str, Any]  # facts of the run
+    texts: dict[str, str]  # `config` and `urdf`, where they can be read
+    end: dict[str, Any]  # how the run ended, empty where it did not close the file
+    damage: dict[str, str]  # what cannot be read, as `signals/z`, and why
 
 
 def contents(path: Path) -> Contents:
@@ -177,19 +168,12 @@ def attribute(holder: Any, name: str) -> Any:
 
 @dataclass
 class Examined:
-    """A file that is held against the schema.
+    """A file that is held against the schema."""
 
-    Attributes:
-        file: The open file.
-        path: Its name.
-        damage: What was found so far.
-        declared: Bytes of the numbers that it says it holds.
-    """
-
-    file: h5py.File
-    path: Path
-    damage: dict[str, str] = field(default_factory=dict)
-    declared: int = 0
+    file: h5py.File  # the open file
+    path: Path  # its name
+    damage: dict[str, str] = field(default_factory=dict)  # what was found so far
+    declared: int = 0  # bytes of the numbers that it says it holds
 
     def contents(self) -> Contents:
         """All but the numbers."""

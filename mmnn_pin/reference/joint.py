@@ -211,18 +211,13 @@ class Points(JointProfile):
 class JointTable(JointProfile):
     """A motion given by samples, from any planner: cubic splines between them.
 
-    Args:
-        time: (N,) increasing times [s], the first 0.
-        position: (N,) [rad or m].
-        velocity: (N,) [rad/s or m/s]; None for the slope of a spline through the positions.
-
     Raises:
         TrajectoryError: Arrays of different lengths, fewer than four samples, or times that do not increase from 0.
     """
 
-    time: Array
-    position: Array
-    velocity: Array | None = None
+    time: Array  # (N,) increasing times [s], the first 0
+    position: Array  # (N,) [rad or m]
+    velocity: Array | None = None  # (N,) [rad/s or m/s]; None for the slope of a spline through the positions
 
     def __post_init__(self) -> None:
         require_types(self)

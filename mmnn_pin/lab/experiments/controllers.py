@@ -157,19 +157,12 @@ class Nominal(Settings, frozen=True):
 
 @dataclass(frozen=True)
 class Granted:
-    """The knowledge of a controller about its robot: the part of `torque.controller.Told` that its entry grants.
+    """The knowledge of a controller about its robot: the part of `torque.controller.Told` that its entry grants."""
 
-    Attributes:
-        entry: The controller.
-        robot: The true robot; None where there is none.
-        model: The nominal robot, as the experiment says it.
-        overrides: What the experiment says about its robots.
-    """
-
-    entry: Entry
-    robot: Robot | None
-    model: Nominal
-    overrides: Overrides
+    entry: Entry  # the controller
+    robot: Robot | None  # the true robot; None where there is none
+    model: Nominal  # the nominal robot, as the experiment says it
+    overrides: Overrides  # what the experiment says about its robots
 
     @property
     def motion(self) -> Regressor:

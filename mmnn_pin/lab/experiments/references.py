@@ -318,17 +318,11 @@ class HeldOutReference(ReferenceTables, frozen=True):
 
 @dataclasses.dataclass(frozen=True)
 class Swing:
-    """A sine around the middle of each joint's range, from rest; around 0 for a joint without limits.
+    """A sine around the middle of each joint's range, from rest; around 0 for a joint without limits."""
 
-    Args:
-        amplitude: Largest amplitude [rad or m].
-        share: Largest amplitude as a share of half the joint's range.
-        period: [s].
-    """
-
-    amplitude: float
-    period: float
-    share: float = 0.5
+    amplitude: float  # largest amplitude [rad or m]
+    period: float  # [s]
+    share: float = 0.5  # largest amplitude as a share of half the joint's range
 
     def __post_init__(self) -> None:
         if not 0 <= self.share <= 1:

@@ -102,19 +102,12 @@ def signals_for(controller: Any) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Unknown:
-    """The part of one network's weights, or of all, that a run leaves undetermined.
+    """The part of one network's weights, or of all, that a run leaves undetermined."""
 
-    Attributes:
-        share: Of the directions that random motion shows.
-        directions: How many there are.
-        acting: As how many units a network's units act on random motion: directions of their activations there.
-        units: How many it has; 0 for a learner that has none.
-    """
-
-    share: float
-    directions: int
-    acting: int = 0
-    units: int = 0
+    share: float  # of the directions that random motion shows
+    directions: int  # how many there are
+    acting: int = 0  # as how many units a network's units act on random motion: directions of their activations there
+    units: int = 0  # how many it has; 0 for a learner that has none
 
     @property
     def excited(self) -> bool:

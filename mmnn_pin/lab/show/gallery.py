@@ -67,13 +67,9 @@ def require_plots(names: Iterable[str]) -> None:
 
 @dataclass(frozen=True, repr=False)
 class Shown(AsText):
-    """Tables that print as text, and that a notebook shows.
+    """Tables that print as text, and that a notebook shows."""
 
-    Attributes:
-        text: For a terminal.
-    """
-
-    text: str
+    text: str  # for a terminal
 
     def __repr__(self) -> str:
         return self.text
@@ -81,15 +77,10 @@ class Shown(AsText):
 
 @dataclass(frozen=True, repr=False)
 class Picture:
-    """A figure of matplotlib; a notebook shows it.
+    """A figure of matplotlib; a notebook shows it."""
 
-    Attributes:
-        name: Of the figure.
-        figure: It.
-    """
-
-    name: str
-    figure: Figure
+    name: str  # of the figure
+    figure: Figure  # it
 
     def __repr__(self) -> str:
         return f'<Picture {self.name}: .save("{self.name}.svg") writes it, .figure is matplotlib\'s>'

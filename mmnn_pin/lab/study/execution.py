@@ -39,15 +39,10 @@ COSMETIC = ("title", "metrics", "success", "tune")  # settings that change no ru
 
 @dataclass(frozen=True)
 class Probe:
-    """Facts of a study that are known before it runs.
+    """Facts of a study that are known before it runs."""
 
-    Attributes:
-        units: Metric to its unit.
-        bytes_per_run: Memory that a run takes while it runs.
-    """
-
-    units: dict[str, str]
-    bytes_per_run: int
+    units: dict[str, str]  # metric to its unit
+    bytes_per_run: int  # memory that a run takes while it runs
 
 
 def probe(plan: StudyPlan) -> Probe:

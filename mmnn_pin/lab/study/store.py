@@ -88,16 +88,11 @@ class Facts(msgspec.Struct, frozen=True):
 
 @dataclass
 class Store:
-    """A study's results as they are on disk.
+    """A study's results as they are on disk."""
 
-    Attributes:
-        path: The file.
-        facts: Of the study; empty where none were written.
-        results: Of its runs, in order of their numbers; those that are added later are only in the file.
-    """
-
-    path: Path
-    facts: dict[str, Any] = field(default_factory=dict)
+    path: Path  # the file
+    facts: dict[str, Any] = field(default_factory=dict)  # of the study; empty where none were written
+    # of its runs, in order of their numbers; those that are added later are only in the file
     results: list[TrialResult] = field(default_factory=list)
 
     def add(self, *lines: TrialResult | Mapping[str, Any]) -> None:

@@ -31,15 +31,10 @@ WEIGHTS = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))  # fourth-ord
 
 @dataclass(frozen=True)
 class Closure:
-    """Growth of a distribution by Lie brackets.
+    """Growth of a distribution by Lie brackets."""
 
-    Attributes:
-        coordinates: Dimension of the space.
-        growth: Rank of the distribution, then the rank after every round of brackets, until it stays.
-    """
-
-    coordinates: int
-    growth: tuple[int, ...]
+    coordinates: int  # dimension of the space
+    growth: tuple[int, ...]  # rank of the distribution, then the rank after every round of brackets, until it stays
 
     @property
     def distribution(self) -> int:

@@ -103,17 +103,11 @@ def require_friction(value: float, key: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Foot:
-    """A sphere that touches the floor.
+    """A sphere that touches the floor."""
 
-    Attributes:
-        joint: Index of the joint in Pinocchio's model whose body carries it.
-        centre: (3,) in that joint's frame [m].
-        radius: [m].
-    """
-
-    joint: int
-    centre: Array
-    radius: float
+    joint: int  # index of the joint in Pinocchio's model whose body carries it
+    centre: Array  # (3,) in that joint's frame [m]
+    radius: float  # [m]
 
 
 @dataclass(frozen=True)

@@ -41,21 +41,13 @@ REACH = 2.0  # least time in which the hand comes to where its path begins [s]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """A motion with nudot held over every period.
+    """A motion with nudot held over every period."""
 
-    Attributes:
-        period: [s].
-        pose: (N, 3), or (N, 0) for a fixed arm.
-        q: (N, n).
-        nu: (N, p).
-        nudot: (N, p).
-    """
-
-    period: float
-    pose: Array
-    q: Array
-    nu: Array
-    nudot: Array
+    period: float  # [s]
+    pose: Array  # (N, 3), or (N, 0) for a fixed arm
+    q: Array  # (N, n)
+    nu: Array  # (N, p)
+    nudot: Array  # (N, p)
 
     def at(self, t: ArrayLike) -> tuple[IntArray, Array]:
         """The sample before every time (N,), and the time since.
