@@ -112,21 +112,13 @@ class HingedDoor(Window, frozen=True, kw_only=True, tag="door"):
 
 
 def require_finite(value: float, key: str, least: float) -> None:
-    """Refuse a number that is not finite or below `least`.
-
-    Raises:
-        ConfigError: With the key path.
-    """
+    """Refuse a number that is not finite or below `least` (`ConfigError`)."""
     if not least <= value < math.inf:
         raise ConfigError(f"{value}", fix=f"use a finite number >= {least:g}", key=key)
 
 
 def require_positive(settings: Any, *names: str) -> None:
-    """Refuse numbers that are not finite or not positive.
-
-    Raises:
-        ConfigError: With the key path.
-    """
+    """Refuse numbers that are not finite or not positive (`ConfigError`)."""
     for name in names:
         if not 0 < getattr(settings, name) < math.inf:
             what = f"{getattr(settings, name)}"

@@ -339,11 +339,7 @@ def needs_torques(controller: CompiledController | TorqueController, context: Co
 
 
 def require_no_torque_regressor(controller: CompiledController | TorqueController, context: Context) -> None:
-    """Refuse what `needs_torques`.
-
-    Raises:
-        ConfigError: It does.
-    """
+    """Refuse what `needs_torques` (`ConfigError`)."""
     if needs_torques(controller, context):
         some = context.hidden is not None and not context.hidden.all()
         why = "it needs the torque of every joint, and a servo of which no stiffness is known does not tell it"

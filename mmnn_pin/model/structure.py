@@ -132,11 +132,7 @@ class Structure:
         return read_only(product(self.T.T, self.E_full))
 
     def require_constant(self, what: str) -> None:
-        """Refuse a robot that steers to what needs constant maps.
-
-        Raises:
-            RobotError: It steers.
-        """
+        """Refuse a robot that steers to what needs constant maps (`RobotError`)."""
         if self.steers:
             why = (
                 f"its base of kind '{self.base.kind}' moves as {', '.join(self.base.shape)} stand, others do not steer"

@@ -101,11 +101,7 @@ def hdf5_errors(path: Path, where: str = "the recording") -> Iterator[None]:
 
 
 def require_ours(file: h5py.File, path: Path) -> None:
-    """Refuse what is no recording, or one of a newer version.
-
-    Raises:
-        RecordingError: With the reason.
-    """
+    """Refuse what is no recording, or one of a newer version (`RecordingError`)."""
     found = {}
     for name in ("format", "format_version", "complete"):
         try:
@@ -223,11 +219,7 @@ class Examined:
         return kept
 
     def require_end(self, meta: Mapping[str, Any]) -> None:
-        """Refuse an outcome that none of our runs has.
-
-        Raises:
-            RecordingError: With the name of the attribute.
-        """
+        """Refuse an outcome that none of our runs has (`RecordingError`)."""
         wanted = {
             "outcome": meta.get("outcome") in ("completed", "diverged", "tripped", "interrupted"),
             "outcome_time": isinstance(time := meta.get("outcome_time"), float | int) and math.isfinite(time),
@@ -373,11 +365,7 @@ class Examined:
 
 
 def require_links(group: h5py.Group, path: Path) -> None:
-    """Refuse members of a group that are only links: their target may be any file.
-
-    Raises:
-        RecordingError: With the name of the first.
-    """
+    """Refuse members of a group that are only links: their target may be any file (`RecordingError`)."""
     if len(group) > MOST_MEMBERS:
         raise RecordingError(f"{group.name} has {len(group)} members", fix=AGAIN, file=path)
     for name in group:

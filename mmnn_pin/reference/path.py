@@ -131,11 +131,7 @@ def require_finite(**values: ArrayLike) -> None:
 
 
 def require_ramps(what: str, length: float, speed: float, ramp: float) -> None:
-    """Refuse a path or a stroke in which there is no room to come up to speed and to stop.
-
-    Raises:
-        TrajectoryError: It is too short, with a ramp that is not.
-    """
+    """Refuse a path or a stroke in which there is no room to come up to speed and to stop (`TrajectoryError`)."""
     if length < abs(speed) * ramp:
         raise TrajectoryError(
             f"{what} of {length:.3g} m is too short for ramps of {ramp:g} s at {speed:g} m/s",

@@ -118,11 +118,7 @@ class ParameterLearner(CompiledController):
 
 
 def require_start(initial: str, nominal: Array | None, k: int, section: str) -> None:
-    """Refuse a start from nominal parameters without them, and others than k finite ones.
-
-    Raises:
-        ConfigError: With the key.
-    """
+    """Refuse a start from nominal parameters without them, and others than k finite ones (`ConfigError`)."""
     if initial == "nominal" and nominal is None:
         fix = "give them, or use initial = 'prior'"
         raise ConfigError("no nominal parameters", fix=fix, key=f"{section}.initial")
@@ -131,11 +127,7 @@ def require_start(initial: str, nominal: Array | None, k: int, section: str) -> 
 
 
 def require_one_start(settings: Any, section: str) -> None:
-    """Refuse a start from a file beside one from a nominal robot.
-
-    Raises:
-        ConfigError: With the key.
-    """
+    """Refuse a start from a file beside one from a nominal robot (`ConfigError`)."""
     if settings.start and settings.initial != "prior":
         fix = "leave out one of the two"
         raise ConfigError(f"'{settings.start}' beside initial = 'nominal'", fix=fix, key=f"{section}.start")

@@ -160,11 +160,7 @@ def run_cases(
 
 
 def require_settled(experiment: Experiment) -> None:
-    """Refuse a run that is over before its errors count: any would do.
-
-    Raises:
-        ConfigError: With the key.
-    """
+    """Refuse a run that is over before its errors count: any would do (`ConfigError`)."""
     settle, end = experiment.tolerance.settle, experiment.time.duration
     if settle >= end:
         raise ConfigError(

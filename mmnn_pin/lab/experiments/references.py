@@ -64,13 +64,9 @@ KEY = "reference.hand"
 
 @dataclasses.dataclass(frozen=True)
 class Poses:
-    """Poses from a CSV file: t, x, y, z, and qx, qy, qz, qw for orientations.
+    """Poses from a CSV file: t, x, y, z, and qx, qy, qz, qw for orientations."""
 
-    Args:
-        file: The file.
-    """
-
-    file: str
+    file: str  # the file
 
 
 HAND_PATHS: dict[str, Any] = {

@@ -216,11 +216,7 @@ class Subject:
 
 
 def require_periods(recording: Recording, timing: Timing, time: Array) -> None:
-    """Refuse periods that are not those of the rows.
-
-    Raises:
-        RecordingError: With both periods.
-    """
+    """Refuse periods that are not those of the rows (`RecordingError`)."""
     h, steps = timing.control_period, timing.steps_per_control
     periods, facts = np.diff(time), recording.meta.get("control_period", h)
     if not np.allclose([*periods, facts], h, rtol=1e-6, atol=1e-9):

@@ -55,11 +55,7 @@ def write_pictures(
 
 
 def require_plots(names: Iterable[str]) -> None:
-    """Refuse names of pictures that there are not.
-
-    Raises:
-        UnknownName: With the first, as a key of an experiment.
-    """
+    """Refuse names of pictures that there are not (`UnknownName`)."""
     for name in names:
         if name not in PICTURES:
             raise UnknownName("plot", name, PICTURES, key="plots")

@@ -154,11 +154,7 @@ def load_results(path: Path) -> Results:
 
 
 def require_of(row: TrialResult, settings: StudySettings, controllers: Sequence[str], path: Path) -> None:
-    """Refuse a row that is none of the study's.
-
-    Raises:
-        StudyError: With its number.
-    """
+    """Refuse a row that is none of the study's (`StudyError`)."""
     why = (
         f"its controller {shortly(row.controller)} is none of the study's" if row.controller not in controllers else ""
     )

@@ -225,11 +225,7 @@ def decoded(line: bytes, number: int, path: Path) -> TrialResult | dict[str, Any
 
 
 def require_version(facts: Mapping[str, Any], path: Path) -> None:
-    """Refuse a file of another version.
-
-    Raises:
-        StudyError: With both versions.
-    """
+    """Refuse a file of another version (`StudyError`)."""
     if (version := facts.get("format_version")) != VERSION:
         why = f"its format version is {version}, this mmnn_pin reads {VERSION}"
         fix = "use the mmnn_pin that wrote it, or another folder with --out"

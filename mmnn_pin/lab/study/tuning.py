@@ -183,27 +183,17 @@ def judged(plan: StudyPlan, most: int = CONSTRAINTS[0][1]) -> list[int]:
 
 @dataclass(frozen=True)
 class Tuned:
-    """The result of a search for gains.
+    """The result of a search for gains."""
 
-    Attributes:
-        tune: What was looked for.
-        trials: Sets of gains that were tried.
-        refused: Of them, those that broke a constraint.
-        own: Value of the experiment's own gains; None where they have none within the bounds.
-        best: The best gains that keep the constraints on the fresh draws, too, key path to value.
-        value: Their value on the study's draws.
-        fresh: Scores of the own and of the best gains on fresh draws; None where none were asked for.
-        passed_over: Better sets of gains that break a constraint on the fresh draws.
-    """
-
-    tune: Tune
-    trials: int
-    refused: int
-    own: float | None
-    best: dict[str, Any]
-    value: float
+    tune: Tune  # what was looked for
+    trials: int  # sets of gains that were tried
+    refused: int  # of them, those that broke a constraint
+    own: float | None  # value of the experiment's own gains; None where they have none within the bounds
+    best: dict[str, Any]  # the best gains that keep the constraints on the fresh draws, too, key path to value
+    value: float  # their value on the study's draws
+    # scores of the own and of the best gains on fresh draws; None where none were asked for
     fresh: tuple[Score, Score] | None
-    passed_over: int = 0
+    passed_over: int = 0  # better sets of gains that break a constraint on the fresh draws
 
     def describe(self) -> str:
         """The result for people."""

@@ -31,18 +31,13 @@ FEWEST = 20  # runs of either half that it must hold
 
 @dataclass(frozen=True)
 class Share:
-    """The share of a result that a factor decides.
+    """The share of a result that a factor decides."""
 
-    Attributes:
-        share: Its first-order share of the variance of the result's ranks, from 0 (nothing) to 1 (all); corrected for
-            the number of bins, so that a factor without influence has 0 on average.
-        direction: Spearman's rank correlation; nan for a factor without an order.
-        p: Probability of so large a share by chance.
-    """
-
+    # its first-order share of the variance of the result's ranks, from 0 (nothing) to 1 (all); corrected for the number
+    # of bins, so that a factor without influence has 0 on average
     share: float
-    direction: float
-    p: float
+    direction: float  # spearman's rank correlation; nan for a factor without an order
+    p: float  # probability of so large a share by chance
 
 
 def share_of(values: Sequence[Any], result: Array, ordered: bool, groups: IntArray | None = None) -> Share:

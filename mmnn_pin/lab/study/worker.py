@@ -129,11 +129,7 @@ class Bundle:
 
     @classmethod
     def of(cls, robot: str, overrides: Overrides) -> Bundle:
-        """Files of a robot that loads; a mesh that is not there stays away.
-
-        Raises:
-            InputError: As `load`.
-        """
+        """Files of a robot that loads; a mesh that is not there stays away; errors as of `load`."""
         path = find(robot)
         overrides, _ = with_file(path, overrides)
         folders = folders_of(path, overrides)
@@ -186,11 +182,7 @@ def load_once(robot: str, overrides: Overrides) -> Robot:
 
 
 def require_worker(trial: Trial) -> None:
-    """Refuse to run with other sources than the study's, or without a package that the run needs.
-
-    Raises:
-        StudyError: With the worker's machine.
-    """
+    """Refuse to run with other sources than the study's, or without a package that the run needs (`StudyError`)."""
     here = socket.gethostname()
     if trial.code != code_digest():
         fix = "install the same version of mmnn_pin on all machines"
