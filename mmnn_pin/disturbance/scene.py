@@ -131,9 +131,9 @@ class Touched(NamedTuple):
 
     dt: float  # step of the plant [s]
     tip: Tip  # the frame
-    place: Array  # of the frame, written
-    twist: Array  # of the frame, written
-    bias: Array  # of the frame, written
+    place: Array  # (12,) placement of the frame, written
+    twist: Array  # (6,) twist of the frame, written
+    bias: Array  # (6,) bias of the twist, written
     J: Array  # (6, p) its Jacobian, written
     surfaces: Array  # (k, SURFACE)
     door: Array  # (DOOR,), or (0,) without one

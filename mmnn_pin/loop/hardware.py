@@ -90,8 +90,8 @@ class World(NamedTuple):
     wire: Forces  # the force of a step
     effects: tuple[Any, ...]  # in the order in which they add up
     blocked: Array  # (k, 3) joints that are blocked: place in the position, start, end
-    pick: float  # when a payload is picked up and put down, inf for never [s]
-    drop: float  # when a payload is picked up and put down, inf for never [s]
+    pick: float  # when a payload is picked up [s], inf for never
+    drop: float  # when it is put down [s], inf for never
     shift: Array  # (2,) the energy that came and went with it [J], and 1 once it came, 2 once it went
 
 
@@ -126,8 +126,8 @@ class Expected(NamedTuple):
 class Way(NamedTuple):
     """The way of a torque from the controller to the motors, all that `send` needs: Python hands it over each time."""
 
-    line: SentTorque  # the command under way, and the effects that it meets
-    lines: tuple[Any, ...]  # the command under way, and the effects that it meets
+    line: SentTorque  # the command under way
+    lines: tuple[Any, ...]  # the effects that it meets
     supervisor: Supervisor  # what stands before the motors
     E_inv: Array  # (motors, p) motor torques from the torque on nu
     totals: Totals  # command of the motors, and what they and the world gave

@@ -44,12 +44,12 @@ FASTER, HALF = 1.25, 0.5  # times the least speed in a stop, times the limit: be
 class SupervisorNumbers(NamedTuple):
     """The settings that are single numbers, see `Safety`; inf for no limit."""
 
-    timeout: float  # times [s]
-    ramp: float  # times [s]
-    stop_time: float  # times [s]
-    torque_time: float  # times [s]
-    position: float  # limits of the pose error [m, rad]
-    heading: float  # limits of the pose error [m, rad]
+    timeout: float  # without a measurement [s]
+    ramp: float  # in which torque goes to zero [s]
+    stop_time: float  # how long a tripped run goes on [s]
+    torque_time: float  # how long a motor may ask for more [s]
+    position: float  # limit of the position error [m]
+    heading: float  # limit of the heading error [rad]
     weights: float  # bound on the weights of a network
     hold_rate: float  # of the integral that holds the arm [1/s]
     h: float  # control period [s]
@@ -76,26 +76,26 @@ class SupervisorState(NamedTuple):
     place: Array
     value: Array
     limit: Array
-    heard: Array  # when the last good measurement was taken, and when it came [s]
+    heard: Array  # when the last good measurement was taken [s]
     commanded: Array  # when the last good command came [s]
-    good: Array  # how many measurements were good, how many were refused
-    bad: Array  # how many measurements were good, how many were refused
+    good: Array  # how many measurements were good
+    bad: Array  # how many were refused
     held: Array  # 1 while a measurement that is not finite is replaced by the last good one
     refused: Array  # how many commands were refused
     acted: Array  # 1 once a stop has noted where it began
-    arrived: Array  # when the last good measurement was taken, and when it came [s]
+    arrived: Array  # when it came [s]
     blind: Array  # when a stop went without feedback, -1 while it has some [s]
     given_up: Array  # 1 once feedback did not bring the robot to rest in time
     sampled: Array  # time of the last sample [s]
-    period: Array  # the control period on average, at last, and at last without pauses [s]
-    last_period: Array  # the control period on average, at last, and at last without pauses [s]
-    steady: Array  # the control period on average, at last, and at last without pauses [s]
+    period: Array  # the control period on average [s]
+    last_period: Array  # the same at last
+    steady: Array  # the same at last, without pauses
     in_a_row: Array  # how many periods in a row were too long
     news: Array  # how many measurements differed from the one before
-    noted: Array  # how many of them and of all samples have noted, and when those of the last ones [s]
-    met: Array  # how many of them and of all samples have noted, and when those of the last ones [s]
-    seen: Array  # how many of them and of all samples have noted, and when those of the last ones [s]
-    since: Array  # how many of them and of all samples have noted, and when those of the last ones [s]
+    noted: Array  # `news` at the sample before
+    met: Array  # `good` at the sample before
+    seen: Array  # when one came last [s]
+    since: Array  # when one that differed came last [s]
     every: Array  # time from one to the next, on average [s]
 
 
@@ -138,9 +138,8 @@ class Supervisor(NamedTuple):
     K: Array  # (n,) gain of the filtered arm error
     wheel: Array  # (wheels,) speed limits of the drive wheels, then of what motors steer
     door: Door  # what measurements pass
-    E: Array  # (p, motors) torque on nu from motor torques, and back; of a base that steers those of the last sample
-    # (p, motors) torque on nu from motor torques, and back; of a base that steers those of the last sample
-    E_inv: Array
+    E: Array  # (p, motors) torque on nu from motor torques; of a base that steers that of the last sample
+    E_inv: Array  # (motors, p) the way back, likewise
     weights: IntArray  # (k, 2) start and stop of every array of weights in the controller's state
     reach: Array  # (p,) how far velocities may lead while no measurement says so; inf for any way [m, rad]
     mobility: Array  # (p, p) largest |M^-1| of some postures

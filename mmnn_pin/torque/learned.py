@@ -128,10 +128,10 @@ class LearnedParts(NamedTuple):
     """State of the learner; k columns: those of the regressor, friction features and constants."""
 
     W: Matrix  # (1, k) theta
-    U: Matrix  # (k, k), (k,) factors of its covariance
-    D: Vector  # (k, k), (k,) factors of its covariance
+    U: Matrix  # (k, k) factor of its covariance, `U D U'`
+    D: Vector  # (k,) factor of it
     prior: Vector  # (k,) largest variances
-    counts: Vector  # (7,) as in `linear.LearnedParts`
+    counts: Vector  # (7,) as in `linear.Parts`
     expected: Vector  # (p,) variances of the last equations
     level: Vector  # (p,) squares of errors in the last seconds, over K
     filtered: Filtered  # what the filter remembers

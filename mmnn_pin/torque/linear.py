@@ -86,8 +86,8 @@ class Parts(NamedTuple):
     """State of a linear learner."""
 
     W: Matrix  # (m, k) weights, transposed: a column of W is a row here
-    U: Matrix  # (k, k), (k,) factors of P
-    D: Vector  # (k, k), (k,) factors of P
+    U: Matrix  # (k, k) factor of P, `U D U'`
+    D: Vector  # (k,) factor of P
     prior: Vector  # (k,) diagonal of P_0
     # (7,) samples, updates, mean square of errors of late over their levels, whether the robot has just changed,
     # samples since it last did, how many more count as just after that, and samples since an update
@@ -95,8 +95,8 @@ class Parts(NamedTuple):
     expected: Vector  # (rows,) variances of the last equations
     level: Vector  # (p,) squares of errors in the last seconds, over K
     filtered: Filtered  # what the filter remembers
-    a: Matrix  # (units, inputs), (units,) what the random features drew
-    b: Vector  # (units, inputs), (units,) what the random features drew
+    a: Matrix  # (units, inputs) what the random features drew
+    b: Vector  # (units,) what they drew
     moved: Matrix  # (2, p d) friction features of the last sample, and behind the filter of states and torque
     corrected: Corrected  # what the correction remembers
 

@@ -253,8 +253,8 @@ class HardwareEffects:
     push: Array  # (N, p) external force `f` of `M nudot + C nu + ... = tau + f`; d of the equality is `-f` [N, N m]
     load: Payload | None  # the payload; None without one
     loaded: Robot | None  # the robot once it carries its payload; None without one
-    pick: float  # when it picks it up and puts it down [s], inf for never
-    drop: float  # when it picks it up and puts it down [s], inf for never
+    pick: float  # when it picks it up [s], inf for never
+    drop: float  # when it puts it down [s], inf for never
     varies: bool  # whether torque or push change within control periods
     blocked: bool  # whether a joint is blocked at some time
     senses: bool  # whether disturbances touch what the controller measures

@@ -29,9 +29,9 @@ class Body(NamedTuple):
 
     tree: BodyTree  # its bodies
     T: Array  # (nv, p) what is constant of the map from nu to all velocities
-    damping: Array  # friction of joints (nv,), (nv, 3) and nu (p,)
-    dry: Array  # friction of joints (nv,), (nv, 3) and nu (p,)
-    viscous: Array  # friction of joints (nv,), (nv, 3) and nu (p,)
+    damping: Array  # (nv,) viscous friction of joints
+    dry: Array  # (nv, 3) dry friction of joints
+    viscous: Array  # (p,) friction of nu
     places: IntArray  # of the joints whose angles are measured in a position: the arm's, then the base's pivots
     base: int  # number of base velocities
     sideways: bool  # whether a twist is `(vx, vy, w)`
