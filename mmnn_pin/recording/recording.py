@@ -139,11 +139,7 @@ class Recording:
         return self._text("urdf")
 
     def require_whole(self) -> None:
-        """Refuse a damaged recording, where a part alone would give wrong numbers.
-
-        Raises:
-            RecordingError: With the first of what is damaged.
-        """
+        """Refuse a damaged recording, where a part alone would give wrong numbers (`RecordingError`)."""
         for where in self.damage:
             self._require_intact(where)
 
