@@ -23,12 +23,11 @@ The names here are those that most people need; they are loaded when first used.
 
 from __future__ import annotations
 
-from . import leaving  # noqa: F401 - first: from then on Ctrl-C is heard
+from . import program  # noqa: F401 - first: from then on Ctrl-C is heard
 
 # isort: split
 import lazy_loader
 
-from . import standing  # noqa: F401 - before numba and matplotlib
 from .shown import ABOVE
 
 __version__ = "0.3.0"

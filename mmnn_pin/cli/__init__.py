@@ -18,7 +18,7 @@ import click
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName, printable
 from ..files import reason, way_out
-from ..leaving import heard, is_interruption
+from ..program import heard, is_interruption
 from .docs import docs
 from .embed import embed
 from .identify import excite, identify
