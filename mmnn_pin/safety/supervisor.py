@@ -148,7 +148,7 @@ class Door(NamedTuple):
             ends; the speed that explains how its position changes; what of that no speed needs to explain; 1 where it
             may be as fast as it likes.
         rows: (2, p) by how much position and velocity may contradict each other in a stop, and velocities beyond which
-            a stop drives on what it should brake.
+            a stop drives on what it should brake [m or rad, m/s or rad/s].
         message: The last good measurement: pose, velocity, q, qdot, shape.
         state: Single numbers, the supervisor's.
         sense: (4, p + pivots) by how much positions have lately changed more than the velocities say; least speeds
@@ -180,17 +180,17 @@ class Supervisor(NamedTuple):
     Attributes:
         on: Whether there is one; the others are empty if not.
         numbers: Settings that are single numbers.
-        torque: (motors,) torque limits.
-        speed: (p,) speed limits.
+        torque: (motors,) torque limits [N m or N].
+        speed: (p,) speed limits [m/s, rad/s; rad/s or m/s].
         gains: (p,) feedback that brakes and holds.
-        error: (n,) limits of the joints' errors.
-        K: (n,) gain of the filtered arm error.
-        wheel: (wheels,) speed limits of the drive wheels, then of what motors steer.
+        error: (n,) limits of the joints' errors [rad or m].
+        K: (n,) gain of the filtered arm error [1/s].
+        wheel: (wheels,) speed limits of the drive wheels, then of what motors steer [rad/s].
         door: What measurements pass.
         E, E_inv: (p, motors) torque on nu from motor torques, and back; of a base that steers those of the last sample.
         weights: (k, 2) start and stop of every array of weights in the controller's state.
         reach: (p,) how far velocities may lead while no measurement says so; inf for any way [m, rad].
-        mobility: (p, p) largest |M^-1| of some postures.
+        mobility: (p, p) largest |M^-1| of some postures [1/kg, 1/(kg m), 1/(kg m^2)].
         asked: (p,) velocities that servos are asked for, of their rows.
         shaken: (motors,) largest RMS of the fast part of the torque that is learned [N m or N].
         values: State: all of the following.

@@ -147,7 +147,7 @@ class Adaptation(NamedTuple):
 
     Attributes:
         known: The robot without its masses; `known.Y` (p, k) is written by `model.tree.regressor.regress`.
-        gain: (p,) K.
+        gain: (p,) K of `tau = K s + Psi_hat` [N s/m, N m s/rad; N m s/rad or N s/m].
         learning: Off keeps the estimate.
         tracking: Factor on the gradient of the tracking error, 1 without a prediction error.
         sigma: Leakage [1/s].

@@ -114,7 +114,7 @@ class History(NamedTuple):
         basis: (k0, k) `theta = theta_0 + basis w`, scaled so that the prior of w is 1.
         theta0: (k0,) parameters to start from.
         filter: Of torque and features.
-        gain: (p,) K.
+        gain: (p,) K of `tau = K s + Psi_hat` [N s/m, N m s/rad; N m s/rad or N s/m].
         precision: (p,) one over the noise of the equations.
         learning: Off keeps w and the stack.
         h: Control period [s].

@@ -105,7 +105,7 @@ class Mixing(NamedTuple):
         basis: (k0, k) `theta = theta_0 + basis w`, scaled so that the prior of w is 1.
         theta0: (k0,) parameters to start from.
         filter: Of torque and features.
-        gain: (p,) K.
+        gain: (p,) K of `tau = K s + Psi_hat` [N s/m, N m s/rad; N m s/rad or N s/m].
         precision: (p,) R^-1 times the time between two equations.
         learning: Off keeps w and the integrals.
         h: Control period [s].

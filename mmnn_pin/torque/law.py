@@ -52,7 +52,8 @@ class LawNumbers(NamedTuple):
         adds_model: (1,) 1 where psi_hat holds the Psi of a model, to which the networks add.
         dt: (1,) what rates are multiplied with: 1 for rates per sample, the control period for rates per second.
         share: (1,) largest answer of the networks' update to s, as a share of the feedback K s; inf for any.
-        gains: (5, p) or (1, p): K, Kz, what the networks' s and torque are multiplied with, and the largest gain.
+        gains: (5, p) or (1, p): K [N s/m, N m s/rad; N m s/rad or N s/m], Kz, what the networks' s and torque are
+            multiplied with, and the largest gain.
         networks: (2, 6) of base and arm: rate of W, rate of V or width, leakage, ZB, bounds on |W| and |V|.
         inputs: (2, nx) scale and offset of the inputs, (2, 0) for inputs as they are; (3, nx) where some are a `COSINE`
             or a `SINE`, others 0.
@@ -372,8 +373,8 @@ class MotorLimits(NamedTuple):
     """Limits of a robot's motors, and room to work in.
 
     Attributes:
-        E: (p, motors) torque on nu from motor torques.
-        E_inv: (motors, p) and back.
+        E: (p, motors) torque on nu from motor torques [1, of wheels 1/m and 1].
+        E_inv: (motors, p) motor torques from torque on nu.
         effort: (motors,) largest torques of the motors [N m or N], inf for no limit.
         motors: (motors,) room to work in.
         asked: (p,) written: Psi_hat as it was before it was limited [N, N m].

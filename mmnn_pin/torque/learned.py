@@ -105,7 +105,7 @@ class Learned(NamedTuple):
         friction: Friction features.
         integrator: The integral beside it.
         filter: Of torque and features.
-        gain: (p,) K.
+        gain: (p,) K of `tau = K s + Psi_hat` [N s/m, N m s/rad; N m s/rad or N s/m].
         learning: Off keeps the estimate.
         every: Samples from one update to the next.
         interval: The same in seconds.

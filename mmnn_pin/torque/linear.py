@@ -62,7 +62,7 @@ class Linear(NamedTuple):
         friction: Friction features that follow it, and then a constant per velocity; None for none of both.
         correction: What follows the tracking error beside them (`torque.correction`), or None.
         filter: Of torque and features.
-        gain: (p,) K.
+        gain: (p,) K of `tau = K s + Psi_hat` [N s/m, N m s/rad; N m s/rad or N s/m].
         learning: Off keeps the weights.
         every: Samples from one update to the next.
         interval: The same in seconds.

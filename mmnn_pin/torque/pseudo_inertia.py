@@ -37,12 +37,12 @@ class Bodies(NamedTuple):
         h: Control period [s].
         gamma: (bodies,) rates of the pseudo-inertias [1/J].
         least: Bound below on the ratio of P to P_0.
-        most: (bodies,) and above.
-        roots: (bodies, 4, 4) lower triangular `P_0 = C C'`.
-        inverses: (bodies, 4, 4) `C^-1`.
-        rates: (k - 10 bodies,) gamma_j.
+        most: (bodies,) bound above on it.
+        roots: (bodies, 4, 4) lower triangular `P_0 = C C'` [root of kg, kg m, kg m^2].
+        inverses: (bodies, 4, 4) `C^-1` [the inverse of these].
+        rates: (k - 10 bodies,) gamma_j of the rest of theta [units of theta_j^2 over J].
         start: (k - 10 bodies,) where leakage pulls the rest of theta.
-        top: (k - 10 bodies,) its upper bounds.
+        top: (k - 10 bodies,) its upper bounds [as theta: kg m^2 or kg; N s/m, N m s/rad; N m, N].
         steps: (bodies, 4, 4) written: where a gradient takes the bodies.
         rest: (k - 10 bodies,) written: and the rest.
         factors: (bodies, 4, 4) written: B of every body, in the coordinates where P_0 is the identity.

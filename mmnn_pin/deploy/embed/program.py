@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from .source import defined_in, source_of
+from .source import attribute_text, defined_in, source_of
 from .values import (
     C_TYPES,
     ArrayValue,
@@ -239,7 +239,10 @@ class CProgram:
         full = f"{owner.name}_{name}" if owner.name else name
         if isinstance(value, int) and not isinstance(value, bool):
             return integer(value, self.macro(full, value)) if owner.name.isupper() else integer(value)
-        return self.lifted(value, full if isinstance(value, float | np.ndarray) else name)
+        found = self.lifted(value, full if isinstance(value, float | np.ndarray) else name)
+        if isinstance(found, ArrayValue) and isinstance(found.base, Root) and value.size == found.base.data.size:
+            found.base.about = found.base.about or attribute_text(type(owner.object), name)
+        return found
 
     def name_of(self, owner: Any) -> str:
         """The name under which the parts of an object stand in C."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import re
 import sys
 from collections import Counter
 from dataclasses import dataclass
@@ -84,3 +85,9 @@ def comment(source: Any) -> str:
     if len(lines) == 1:
         return f"/* {lines[0]} */"
     return "\n".join(["/* " + lines[0], *(f" * {line}".rstrip() for line in lines[1:]), " */"])
+
+
+def attribute_text(owner: type, name: str) -> str:
+    """What the docstring of a class says of an attribute; empty where it says nothing."""
+    said = re.search(rf"^    (?:\w+, )*{name}(?:, \w+)*: (.*(?:\n     .*)*)", inspect.getdoc(owner) or "", re.M)
+    return " ".join(said[1].split()).replace("*/", "* /").replace("/*", "/ *") if said else ""

@@ -59,6 +59,7 @@ class Root:
         kind: "real" or "int".
         live: (size,) the same memory, as it is at present.
         parts: Name, start and size of the members that it is split into, where it is split.
+        about: Its meaning and units, as the docstring of its class has it.
     """
 
     name: str
@@ -66,6 +67,7 @@ class Root:
     kind: str
     live: np.ndarray
     parts: list[tuple[str, int, int]] = field(default_factory=list)
+    about: str = ""
 
 
 @dataclass

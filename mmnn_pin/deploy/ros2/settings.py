@@ -287,6 +287,8 @@ class Node(Settings, frozen=True):
         set: Its keys that are changed, tables in tables.
         learning: Whether the controller learns; live.
         rate: Control samples per second.
+        thread_priority: Of control among real-time threads (SCHED_FIFO), as of ros2_control's controller manager, where
+            the user may have it (`rtprio`); 0 for an ordinary thread [0 to 99].
         latency: Known delay from the measurement to the motors, which the gains have to bear [s]; none as the
             experiment says.
         predict: Whether measurements are moved on as the reference has moved since their stamps; none likewise.
@@ -319,6 +321,7 @@ class Node(Settings, frozen=True):
     set: dict[str, Any] = msgspec.field(default_factory=dict)
     learning: bool = True
     rate: float = 200.0
+    thread_priority: int = 50
     latency: float | None = None
     predict: bool | None = None
     setpoint_timeout: float = 0.5
@@ -344,6 +347,8 @@ class Node(Settings, frozen=True):
             raise ConfigError(what, fix="mmnn ros2 --example FOLDER --robot ROBOT writes a file to start from", key=key)
         if not 1 <= self.rate <= 2000:
             raise ConfigError(f"{self.rate} /s", fix="use 1 to 2000", key="rate")
+        if not 0 <= self.thread_priority <= 99:
+            raise ConfigError(f"{self.thread_priority}", fix="use 0 to 99", key="thread_priority")
         if not 0 <= self.speed_scaling <= 1:
             raise ConfigError(f"{self.speed_scaling}", fix="use 0 to 1", key="speed_scaling")
         for name in ("latency", "setpoint_timeout"):
