@@ -17,6 +17,7 @@ from .options import PACKAGE, examples, shared, starting
 from .output import DONE, answer, columns
 
 FOLDERS = (PACKAGE / "docs", PACKAGE.parent / "docs")  # of a wheel, of a clone
+FIELD = re.compile(r"^ {4}(?:(?:# .+\n {4})+\w+: .+|\w+: .+  # .+)$", re.M)  # with its comment
 ARGUMENT = re.compile(r"^    (?P<name>\w+): (?P<text>.*(?:\n {8}.*)*)", re.M)
 FREE = {"reference.base": "BASE_PATHS", "reference.arm": "ARM_PROFILES", "reference.hand.path": "HAND_PATHS"}
 
@@ -155,14 +156,15 @@ def defined(name: str, module: str = "") -> list[Any]:
 
 
 def described(name: str, thing: Any) -> str:
-    """A name with its signature, where it is from, and its docstring."""
+    """A name with its signature, where it is from, its docstring, and what stands beside the fields of a class."""
     try:
         signature = str(inspect.signature(thing))
     except (TypeError, ValueError):
         signature = ""
     text = inspect.getdoc(thing.fget if isinstance(thing, property) else thing) or ""
     where = getattr(thing, "__module__", None)
-    return f"{name}{signature}\n" + (f"of {where}\n" if where else "") + f"\n{text}"
+    fields = FIELD.findall(inspect.getsource(thing)) if inspect.isclass(thing) else []
+    return f"{name}{signature}\n" + (f"of {where}\n" if where else "") + "\n".join(["", text, "", *fields]).rstrip()
 
 
 def python_names() -> dict[str, str]:

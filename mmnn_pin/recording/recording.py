@@ -21,13 +21,12 @@ import numpy as np
 
 from ..errors import InputError, RecordingError, UnknownName
 from ..model.base.overrides import Overrides
-from ..model.loading import build
 from ..model.robot import Robot
 from ..settings.arguments import checked, faced
 from ..shown import ShownView, shown
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
-from .robot_file import document_of
+from .robot_file import robot_of
 from .run_file import Arrays, Places, RunFile, SignalColumns
 from .tracking import Errors, prismatic_joints
 
@@ -140,11 +139,7 @@ class Recording:
         return self._text("urdf")
 
     def require_whole(self) -> None:
-        """Refuse a damaged recording, where a part alone would give wrong numbers.
-
-        Raises:
-            RecordingError: With the first of what is damaged.
-        """
+        """Refuse a damaged recording, where a part alone would give wrong numbers (`RecordingError`)."""
         for where in self.damage:
             self._require_intact(where)
 
@@ -381,7 +376,7 @@ def recorded_robot(recording: Recording, package_dirs: Sequence[str | Path] = ()
         what = f"the recording does not tell '{missing[0]}' of its robot"
         raise RecordingError(what, why="an older mmnn_pin wrote it", file=recording.path)
     stated, found = recording.fact("overrides", Overrides), tuple(map(str, meta.get("package_path", ())))
-    robot = build(*document_of(recording.urdf, Path(meta["urdf_file"]), stated, found, tuple(map(str, package_dirs))))
+    robot = robot_of(recording.urdf, Path(meta["urdf_file"]), stated, found, tuple(map(str, package_dirs)))
     for key in ("velocity_names", "position_names", "actuator_names"):
         own, told = getattr(robot, key), tuple(meta.get(key, ()))
         if own != told:

@@ -133,11 +133,7 @@ def require_types(made: Any, *own: str) -> None:
 
 
 def require_known(owner: Any, given: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse the first of some arguments that a function or a class does not have.
-
-    Raises:
-        UnknownArgument: With those that it has.
-    """
+    """Refuse the first of some arguments that a function or a class does not have (`UnknownArgument`)."""
     for name in given:
         if name not in known:
             raise UnknownArgument("argument", name, known, key=name_of(owner))

@@ -15,7 +15,6 @@ from mmnn_pin.torque.adaptive import AdaptiveSettings
     [
         ("prediction.weight=1.0", "adaptive_composite"),
         ("adaptive_composite.memory=1.0", "forgetting_time"),
-        ("replay.rate=1.0", "two_layer_composite"),
         ("disturbance_observer.gamma=1.0", "extended_state"),
         ("adaptive.initial=guess", "prior"),
         ("concurrent.initial=guess", "prior"),
@@ -38,11 +37,13 @@ def test_in_python_too():
 
 def test_the_config_of_an_older_recording_is_read():
     old = {"prediction": {"memory": 3.0, "weight": 2.0}, "replay": {"rate": 1.0}, "adaptive": {"initial": "guess"}}
-    old |= {"disturbance_observer": {"gamma": 1.0}, "controllers": ["pd", "disturbance_observer"]}
+    old |= {
+        "disturbance_observer": {"gamma": 1.0},
+        "controllers": ["pd", "two_layer_composite", "disturbance_observer"],
+    }
     new = renamed(old | {"robot": "differential"})
     assert new == {
         "adaptive_composite": {"forgetting_time": 3.0, "weight": 2.0},
-        "two_layer_composite": {"rate": 1.0},
         "adaptive": {"initial": "prior"},
         "controllers": ["pd", "extended_state"],
         "robot": "differential",

@@ -88,6 +88,7 @@ def comment(source: Any) -> str:
 
 
 def attribute_text(owner: type, name: str) -> str:
-    """What the docstring of a class says of an attribute; empty where it says nothing."""
-    said = re.search(rf"^    (?:\w+, )*{name}(?:, \w+)*: (.*(?:\n     .*)*)", inspect.getdoc(owner) or "", re.M)
-    return " ".join(said[1].split()).replace("*/", "* /").replace("/*", "/ *") if said else ""
+    """The comment beside a field of a class; empty where there is none."""
+    found = re.search(rf"((?:^    # .*\n)*)^    {name}: .*?(?:  # (.*))?$", inspect.getsource(owner), re.M)
+    lines = (found[1].splitlines() or [found[2] or ""]) if found else []
+    return " ".join(line.strip(" #") for line in lines).replace("*/", "* /").replace("/*", "/ *")

@@ -45,10 +45,10 @@ DEFAULT = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")
 RENAMED = {
     "prediction": "adaptive_composite",
     "adaptive_composite.memory": "forgetting_time",
-    "replay": "two_layer_composite",
     "disturbance_observer": "extended_state",
 }
-OTHER = ("disturbance_observer",)  # of these: learners that are no more, whose settings mean nothing to the new one
+GONE = ("replay", "two_layer_composite")  # learners that are no more: their tables in old recordings
+OTHER = ("disturbance_observer", *GONE)  # tables of old recordings whose settings mean nothing today
 RENAMED_VALUES = {"adaptive.initial": FORMERLY, "concurrent.initial": FORMERLY}
 
 
@@ -62,7 +62,9 @@ def renamed(config: dict[str, Any]) -> dict[str, Any]:
     """The config of a recording that an older version made, with the keys and values of today."""
     config = {RENAMED.get(key, key): value for key, value in config.items() if key not in OTHER}
     if isinstance(names := config.get("controllers"), list):
-        config["controllers"] = list(dict.fromkeys(RENAMED.get(name, name) for name in names))
+        config["controllers"] = (
+            list(dict.fromkeys(RENAMED.get(name, name) for name in names if name not in GONE)) or DEFAULT
+        )
     for path, name in RENAMED.items():
         table, _, key = path.rpartition(".")
         if table and key in (own := table_at(config, table)):
@@ -108,7 +110,7 @@ class Learning(Settings, frozen=True):
         robust_term: Off drops the robust term (3.50).
         projection: Bound on |W|_F in units (what the feedback answers to 0.1 m/s or rad/s) and on |V|_F of every
             network: larger ones are scaled back onto it. Without it 100 for `two_layer_residual` and none for the
-            thesis's networks; `two_layer_composite` has a bound of its own.
+            thesis's networks.
         within_loop: Whether updates and robust term of the thesis's networks are cut to what the loop bears of them, as
             those of the other learners are.
         within_limits: Whether robust term and Psi_hat get only what the feedback leaves of every motor's limit, for all
@@ -155,19 +157,12 @@ class Nominal(Settings, frozen=True):
 
 @dataclass(frozen=True)
 class Granted:
-    """The knowledge of a controller about its robot: the part of `torque.controller.Told` that its entry grants.
+    """The knowledge of a controller about its robot: the part of `torque.controller.Told` that its entry grants."""
 
-    Attributes:
-        entry: The controller.
-        robot: The true robot; None where there is none.
-        model: The nominal robot, as the experiment says it.
-        overrides: What the experiment says about its robots.
-    """
-
-    entry: Entry
-    robot: Robot | None
-    model: Nominal
-    overrides: Overrides
+    entry: Entry  # the controller
+    robot: Robot | None  # the true robot; None where there is none
+    model: Nominal  # the nominal robot, as the experiment says it
+    overrides: Overrides  # what the experiment says about its robots
 
     @property
     def motion(self) -> Regressor:
