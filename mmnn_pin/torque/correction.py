@@ -129,7 +129,7 @@ def desired(row: Array, at: IntArray, c: Correction, known: Massless, gain: Arra
         at: Offsets of the signals.
         c: The correction.
         known: How the robot moves; its columns come first in Phi, what follows is of the reference already.
-        gain: (p,) K of `tau = K s + Psi_hat` [N s/m, N m s/rad; N m s/rad or N s/m].
+        gain: (p,) K.
         Phi: (p, k) features of the measured motion, changed.
     """
     p, nb, k0, shape = gain.size, at[ALPHA + 1] - at[ALPHA], known.Y.shape[1], row[at[SHAPE] : at[SHAPE + 1]]
@@ -166,7 +166,7 @@ def follow_error(row: Array, at: IntArray, c: Correction, gain: Array, changed: 
         row: (width,) row of signals with Psi_hat before the motors' limits.
         at: Offsets of the signals.
         c: The correction, with F of the sample.
-        gain: (p,) K of `tau = K s + Psi_hat` [N s/m, N m s/rad; N m s/rad or N s/m].
+        gain: (p,) K.
         changed: Whether the robot has just changed: w is then forgotten at `SLOWER` of the leakage.
         o: What it remembers.
     """

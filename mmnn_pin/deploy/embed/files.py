@@ -59,21 +59,13 @@ class StructField:
 
 @dataclass(frozen=True)
 class Export:
-    """A translated controller.
+    """A translated controller."""
 
-    Attributes:
-        stepper: The stepper that it was made from.
-        program: Its functions.
-        title: Controller and robot in words.
-        structs: Fields of what a board may change, `gains` and `limits`.
-        carrier: What carries a payload, of a controller that believes in a model; None for others.
-    """
-
-    stepper: board.Fresh
-    program: CProgram
-    title: str
-    structs: dict[str, list[StructField]]
-    carrier: Carrier | None
+    stepper: board.Fresh  # the stepper that it was made from
+    program: CProgram  # its functions
+    title: str  # controller and robot in words
+    structs: dict[str, list[StructField]]  # fields of what a board may change, `gains` and `limits`
+    carrier: Carrier | None  # what carries a payload, of a controller that believes in a model; None for others
 
     @cached_property
     def settings(self) -> str:

@@ -51,19 +51,12 @@ NEEDED = {HOST: (), QEMU: ("arm-none-eabi-gcc", "qemu-system-arm")}
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Two runs of the same loop, by Python and by an exported controller.
+    """Two runs of the same loop, by Python and by an exported controller."""
 
-    Attributes:
-        where: `HOST` or `QEMU`.
-        samples: Of the run.
-        status: How it ended.
-        differences: Signals, weights and states that are not equal bit for bit.
-    """
-
-    where: str
-    samples: int
-    status: str
-    differences: list[str]
+    where: str  # `HOST` or `QEMU`
+    samples: int  # of the run
+    status: str  # how it ended
+    differences: list[str]  # signals, weights and states that are not equal bit for bit
 
 
 class Linked(Fresh):

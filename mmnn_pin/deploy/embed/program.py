@@ -50,31 +50,18 @@ class Parameter:
 
 @dataclass
 class CFunction:
-    """A function in C.
+    """A function in C."""
 
-    Attributes:
-        name: Its name.
-        source: Where it comes from.
-        parameters: By name, those that are used.
-        result: Kind of a number, size of a struct, kinds of several numbers, or None.
-        text: The lines of its body.
-        head: Its declaration.
-        comment: Its docstring.
-        is_math: Whether it is one of `mmnn_pin.elementary`: those keep two words per number.
-        uses_self: Whether it needs the controller.
-        is_empty: Whether it does nothing.
-    """
-
-    name: str
-    source: Any
-    parameters: dict[str, Parameter] = field(default_factory=dict)
-    result: Any = None
-    text: str = ""
-    head: str = ""
-    comment: str = ""
-    is_math: bool = False
-    uses_self: bool = False
-    is_empty: bool = False
+    name: str  # its name
+    source: Any  # where it comes from
+    parameters: dict[str, Parameter] = field(default_factory=dict)  # by name, those that are used
+    result: Any = None  # kind of a number, size of a struct, kinds of several numbers, or None
+    text: str = ""  # the lines of its body
+    head: str = ""  # its declaration
+    comment: str = ""  # its docstring
+    is_math: bool = False  # whether it is one of `mmnn_pin.elementary`: those keep two words per number
+    uses_self: bool = False  # whether it needs the controller
+    is_empty: bool = False  # whether it does nothing
 
 
 class CProgram:

@@ -2,7 +2,9 @@
 
 It knows nothing of this package. A line says when it drives at first; at the end it tells as JSON how it was driven.
 
-    python robot_node.py SECONDS [FAULT@TIME ...]        SIGTERM ends it earlier
+    python robot_node.py SECONDS [FAULT@TIME ...] [JOINT=POSITION ...]        SIGTERM ends it earlier
+
+Joints that are named are servos of positions, in place of the two on efforts.
 """
 
 import contextlib
@@ -26,7 +28,7 @@ from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 RATE, STEP, INERTIA, DAMPING, LAG = 50.0, 0.0025, (1.2, 0.4), 0.5, 0.05
-NAMES = ("wheel_left_joint", "arm_1_joint", "wheel_right_joint", "arm_2_joint")
+WHEELS, ARM = ("wheel_left_joint", "wheel_right_joint"), {"arm_1_joint": 0.2, "arm_2_joint": -0.3}
 HAND = (0.85, 0.1)  # where the hand is to be [m]
 TIMEOUT = 0.5  # of the base's controller, as that of diff_drive_controller [s]
 
@@ -34,11 +36,13 @@ TIMEOUT = 0.5  # of the base's controller, as that of diff_drive_controller [s]
 class Robot:
     """State, and what is commanded."""
 
-    def __init__(self, node, faults):
+    def __init__(self, node, faults, servos):
         self.node, self.faults, self.t, self.drove = node, faults, 0.0, False
-        self.pose, self.v, self.q, self.qdot = [0.0, 0.0, 0.0], [0.0, 0.0], [0.2, -0.3], [0.0, 0.0]
+        self.names, self.q = zip(*(servos or ARM).items(), strict=True)
+        self.q, self.place = list(self.q), list(self.q) if servos else None
+        self.pose, self.v, self.qdot = [0.0, 0.0, 0.0], [0.0, 0.0], [0.0] * len(self.q)
         self.asked, self.effort, self.heard, self.counts = [0.0, 0.0], [0.0, 0.0], -math.inf, {"twist": 0, "effort": 0}
-        self.log, self.told, self.place, self.waited, self.commands = [], 0, None, [], []
+        self.log, self.told, self.waited, self.commands = [], 0, [], []
         node.create_subscription(TwistStamped, "/diff_drive_controller/cmd_vel", self.on_twist, 10)
         node.create_subscription(Float64MultiArray, "/effort_controller/commands", self.on_effort, 10)
         node.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
@@ -76,7 +80,7 @@ class Robot:
 
     def on_place(self, message):
         point, self.counts["effort"] = message.points[0], self.counts["effort"] + 1
-        order = [message.joint_names.index(name) for name in ("arm_1_joint", "arm_2_joint")]
+        order = [message.joint_names.index(name) for name in self.names]
         self.place = [point.positions[i] for i in order]
         self.waited.append(point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec)
 
@@ -95,6 +99,7 @@ class Robot:
         asked = self.asked if self.t - self.heard < TIMEOUT else [0.0, 0.0]
         for i in range(2):
             self.v[i] += h / LAG * (asked[i] - self.v[i])
+        for i in range(len(self.q)):
             if self.place is None:
                 self.qdot[i] += h / INERTIA[i] * (self.effort[i] - DAMPING * self.qdot[i])
             else:
@@ -127,10 +132,10 @@ class Robot:
             stamp.sec, stamp.nanosec = int(told), int(1e9 * (told % 1.0))
             self.simulator.publish(Clock(clock=stamp))
         stamp.sec += 3600 if self.active("ahead") else -3600 if self.active("back") else 0
-        state = dict(
-            zip(NAMES, [(0.0, 0.0), (self.q[0], self.qdot[0]), (0.0, 0.0), (self.q[1], self.qdot[1])], strict=True)
+        state = dict.fromkeys(WHEELS, (0.0, 0.0)) | dict(
+            zip(self.names, zip(self.q, self.qdot, strict=True), strict=True)
         )
-        names = list(NAMES)
+        names = [WHEELS[0], self.names[0], WHEELS[1], *self.names[1:]]
         if self.active("permuted_for") and k % 2:
             names.reverse()
         if self.active("missing"):
@@ -224,6 +229,7 @@ class Robot:
 
 def main():
     seconds, faults = float(sys.argv[1]), {}
+    servos = {name: float(q) for name, is_servo, q in (word.partition("=") for word in sys.argv[2:]) if is_servo}
     for word in sys.argv[2:]:
         name, _, at = word.partition("@")
         faults[name] = float(at or 0.0)
@@ -233,7 +239,7 @@ def main():
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
     rclpy.init()
     node = rclpy.create_node("robot")
-    robot, k, begun = Robot(node, dict.fromkeys(faults, math.inf)), 0, math.inf
+    robot, k, begun = Robot(node, dict.fromkeys(faults, math.inf), servos), 0, math.inf
     start, limit, told = time.monotonic(), time.monotonic() + 1200.0, []
     rate = 4.0 * RATE if "hand" in faults else RATE
     signal.signal(signal.SIGTERM, lambda *_: told.append(time.monotonic() + 0.1))

@@ -76,6 +76,55 @@ def test_a_node_that_was_killed_is_started_again(tmp_path: Path, domain: int) ->
         assert run.code == code and np.abs(run.rows[:, 4]).max() > 0.15, run.lines
 
 
+TIAGO = {
+    "torso_lift_joint": 0.15, "arm_1_joint": 0.5, "arm_2_joint": -0.5, "arm_3_joint": -1.0, "arm_4_joint": 1.0,
+    "arm_5_joint": 0.0, "arm_6_joint": 0.0, "arm_7_joint": 0.0,
+}  # fmt: skip
+SERVOS = f"""/**:
+  ros__parameters:
+    robot: tiago
+    rate: 100.0
+    latency: 0.005
+    controller: pd_gravity
+    set:
+      overrides: {{lock: ["head_1_joint=0.0", "head_2_joint=0.0"]}}
+      safety: {{torque: urdf, timeout: 0.8, stop_time: 1.0}}
+    joint_states: {{age: 0.3}}
+    odometry: {{age: 0.3, at: [0.0, 0.0, 0.0]}}
+    path: {{speed: 0.25}}
+    commands:
+      diff_drive_controller: {{type: TwistStamped}}
+      arm_controller: {{type: JointTrajectory, interface: position, joints: [{", ".join(TIAGO)}]}}
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("distribution", ["kilted", "jazzy"])
+@pytest.mark.parametrize(("text", "joints"), [(SETTINGS, {}), (SERVOS, TIAGO)], ids=["platform_arm", "tiago"])
+def test_a_session(tmp_path: Path, domain: int, distribution: str, text: str, joints: dict[str, float]) -> None:
+    """Teleoperation, goals of arm and base, a path, live parameters, e-stop, reset; then killed and started again."""
+    servos, goes_on = [f"{name}={q}" for name, q in joints.items()], ("end_after_trip:=false",)
+    faults = (*servos, "no_plan", "no_joystick")
+    run = drive(
+        tmp_path, distribution, domain, *faults, seconds=900.0, planner="session_node.py", text=text, changes=goes_on
+    )
+    told = run.robot["planner"]
+    assert run.code == 130 and told["teleoperation"], (told, run.lines)
+    for name in ("arm", "again"):
+        assert told[name][0] == [4, 0, ""] and told[name][1] < 0.05, (name, told)
+    for name in ("whole", "path"):
+        result, (aside, turned) = told[name]
+        assert result == [4, 0, ""] and aside < 0.05 and turned < 0.05, (name, told)
+    assert told["parameters"] == [True, False] and told["stop"] and told["reset"], told
+    assert told["stopped"][0] == 6, told  # aborted: it does not move while it is stopped
+    for code, number in ((-signal.SIGKILL, signal.SIGKILL), (130, signal.SIGINT)):
+        end = partial(subprocess.Popen.send_signal, sig=number)
+        run = drive(
+            tmp_path, distribution, domain, *servos, "no_plan", seconds=90.0, wait=90.0, text=text, when_it_drives=end
+        )
+        assert run.code == code, run.lines
+
+
 def test_a_clock_that_was_set_back_is_a_stop_and_a_reset_goes_on(tmp_path: Path, domain: int) -> None:
     asked = "use_sim_time:=true", "end_after_trip:=false"
     faults = "sim_time", "sim_back@2.0", "no_plan"
