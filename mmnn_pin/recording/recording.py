@@ -33,8 +33,6 @@ from .tracking import Errors, prismatic_joints
 if TYPE_CHECKING:
     from pandas import DataFrame
 T = TypeVar("T")
-# Names in the group `final` of recordings before version 0.2, and what they are called now.
-FINAL_OF_OLD = {"memory": "controller_state", "rig_memory": "hardware_state"}
 
 Status = Literal["completed", "diverged", "tripped", "interrupted"]
 
@@ -310,7 +308,7 @@ class Recording:
     @cached_property
     def final(self) -> Arrays:
         """The states of controller, hardware and plant at the end of the run."""
-        return {FINAL_OF_OLD.get(name, name): array for name, array in self._read("final").items()}
+        return self._read("final")
 
     @cached_property
     def step_times(self) -> Array:

@@ -279,11 +279,9 @@ class AdaptiveComposite(Adaptive):
     def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
         """From gains, settings and start."""
         found = super().from_facts(name, facts, told)
-        own = dict(facts.get("composite") or facts.get("predicting") or {})
-        if found is None or not own:
+        if found is None or "composite" not in facts:
             return None
-        own["forgetting_time"] = own.pop("memory", own.get("forgetting_time"))
-        return replace(found, composite=msgspec.convert(own, AdaptiveCompositeSettings))
+        return replace(found, composite=msgspec.convert(facts["composite"], AdaptiveCompositeSettings))
 
     def law(self, context: Context) -> Law:
         """The numbers of the law, with room of its own to work in; without learning those of `Adaptive`."""

@@ -52,7 +52,7 @@ CLOCK = 5
 
 
 class Board(NamedTuple):
-    """The memory of a stepper."""
+    """The memory of a stepper; what has no words beside it is as of `loop.sample.sample`."""
 
     row: Array  # (width,) signals of the sample
     at: IntArray  # their offsets
@@ -60,12 +60,12 @@ class Board(NamedTuple):
     incoming: Array  # (m,) the measurement that comes in
     asked: Array  # (w,) the setpoint that comes in: a full sample, or the base velocity at its place
     control: Controls  # what a control sample works on
-    model: Machine | None  # as of `loop.sample.sample`
-    hardware: Hardware  # as of `loop.sample.sample`
-    learner: Any  # as of `loop.sample.sample`
-    limits: MotorLimits | None  # as of `loop.sample.sample`
-    ahead: Ahead | None  # as of `loop.sample.sample`
-    later: Any  # as of `loop.sample.sample`
+    model: Machine | None
+    hardware: Hardware
+    learner: Any
+    limits: MotorLimits | None
+    ahead: Ahead | None
+    later: Any
     guide: Guide  # what makes the reference
     supervisor: Supervisor  # the supervisor
     # (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, waits in a pause

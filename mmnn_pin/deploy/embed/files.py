@@ -18,12 +18,12 @@ from ...loop.servo import needs_torques
 from ...loop.stepper import Stepper
 from ...model.tree.motion import NUMBER
 from ...recording.versions import versions
+from ...settings.meanings import meanings
 from ...signals import SIGNALS, Array
 from ...torque.law import ROUNDING, LawNumbers, numbers_of
 from . import board, body
 from .golden import Answer, GoldenEvent
 from .program import CFunction, CProgram
-from .source import attribute_text
 from .tunables import Carrier, Tunable, carrier_of, gains_of, limits_of
 from .values import Number, Root, Static, spelled
 
@@ -135,8 +135,9 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     rows = named.pop("law_gains")
     named |= {f"law_gains{i}": row for i, row in enumerate(rows)}
     program.memory(law.settings, "law", cut(law.settings, named))
+    said = meanings(LawNumbers)
     for piece in program.pieces.values():
-        piece.about = attribute_text(LawNumbers, re.sub(r"law_|\d+$", "", piece.name))
+        piece.about = said.get(re.sub(r"law_|\d+$", "", piece.name), "")
     program.memory(b.control.gains, "kinematic_gains")
     program.memory(b.control.K, "joint_gains")
     for name in ("base", "arm", "ends"):

@@ -132,11 +132,7 @@ class Linked(Fresh):
         self._act(RESUME)
 
     def change(self, *given: Any, **more: Any) -> NoReturn:
-        """Refused: the exported controller is asked by its own functions.
-
-        Raises:
-            ConfigError: Always.
-        """
+        """Refused: the exported controller is asked by its own functions (`ConfigError`)."""
         why, fix = "it runs elsewhere", "call mmnn_set_gains there, or export it anew with --set"
         raise ConfigError("other gains for an exported controller", why=why, fix=fix, key="gains")
 
@@ -200,11 +196,7 @@ class Linked(Fresh):
 
 
 def require_tools(where: str) -> None:
-    """Refuse a place that nothing can be compiled for.
-
-    Raises:
-        ConfigError: A tool is missing.
-    """
+    """Refuse a place that nothing can be compiled for (`ConfigError`)."""
     for tool in NEEDED[where]:
         if shutil.which(tool) is None:
             fix = "apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm, or use --plant host"

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from .source import attribute_text, defined_in, source_of
+from ...settings.meanings import meanings
+from .source import defined_in, source_of
 from .values import (
     C_TYPES,
     ArrayValue,
@@ -228,7 +229,8 @@ class CProgram:
             return integer(value, self.macro(full, value)) if owner.name.isupper() else integer(value)
         found = self.lifted(value, full if isinstance(value, float | np.ndarray) else name)
         if isinstance(found, ArrayValue) and isinstance(found.base, Root) and value.size == found.base.data.size:
-            found.base.about = found.base.about or attribute_text(type(owner.object), name)
+            said = meanings(type(owner.object)).get(name, "")
+            found.base.about = found.base.about or said.replace("*/", "* /").replace("/*", "/ *")
         return found
 
     def name_of(self, owner: Any) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import inspect
-import re
 import sys
 from collections import Counter
 from dataclasses import dataclass
@@ -85,10 +84,3 @@ def comment(source: Any) -> str:
     if len(lines) == 1:
         return f"/* {lines[0]} */"
     return "\n".join(["/* " + lines[0], *(f" * {line}".rstrip() for line in lines[1:]), " */"])
-
-
-def attribute_text(owner: type, name: str) -> str:
-    """The comment beside a field of a class; empty where there is none."""
-    found = re.search(rf"((?:^    # .*\n)*)^    {name}: .*?(?:  # (.*))?$", inspect.getsource(owner), re.M)
-    lines = (found[1].splitlines() or [found[2] or ""]) if found else []
-    return " ".join(line.strip(" #") for line in lines).replace("*/", "* /").replace("/*", "/ *")

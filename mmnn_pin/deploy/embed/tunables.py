@@ -32,8 +32,8 @@ class Tunable:
     name: str  # in C
     about: str  # its meaning and unit
     arrays: tuple[Array, ...]  # where it stands: views of one size
-    least: Array  # bounds (size,); of limits `most` is what was exported
-    most: Array  # bounds (size,); of limits `most` is what was exported
+    least: Array  # (size,) lower bounds
+    most: Array  # (size,) upper bounds; of limits what was exported
 
 
 class Carrier(NamedTuple):

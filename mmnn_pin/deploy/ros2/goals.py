@@ -33,7 +33,7 @@ class Goal:
     parts: tuple[int, ...] = ()  # which parts of the robot it moves
     begins: float = 0.0  # when it begins, by the time of ROS 2 [s]
     left: float = 0.0  # time until its motion is over, at the pace at which it is followed [s]
-    over: Event = field(default_factory=Event)  # set at the end, when what follows holds
+    over: Event = field(default_factory=Event)  # set at the end, when these hold:
     outcome: str = "abort"  # "succeed", "abort" or "canceled"
     code: int = 0  # as its action numbers it
     why: str = ""  # in one line

@@ -21,7 +21,6 @@ from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...model.tree.body import parameters
 from ...settings import Settings, require_numbers
-from ...settings.arguments import FORMERLY
 from ...signals import Array
 from ...torque.controller import CompiledController, ControllerSettings, Feedback, MachineLimits, TorqueController
 from ...torque.entries import CONTROLLERS as ENTRIES
@@ -41,15 +40,7 @@ PLAIN = tuple(name for name, entry in ENTRIES.items() if entry.baseline and NOMI
 USUAL = ("pd_gravity", "pid", "feedforward")
 # What an experiment runs unless it says.
 DEFAULT = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")
-# Keys and values of experiments that have another name now, and what they are called in a recording made before.
-RENAMED = {
-    "prediction": "adaptive_composite",
-    "adaptive_composite.memory": "forgetting_time",
-    "disturbance_observer": "extended_state",
-}
-GONE = ("replay", "two_layer_composite")  # learners that are no more: their tables in old recordings
-OTHER = ("disturbance_observer", *GONE)  # tables of old recordings whose settings mean nothing today
-RENAMED_VALUES = {"adaptive.initial": FORMERLY, "concurrent.initial": FORMERLY}
+GONE = ("prediction", "replay", "two_layer_composite", "disturbance_observer")  # learners of older recordings
 
 
 def effective(controllers: Iterable[str]) -> dict[str, str]:
@@ -58,33 +49,12 @@ def effective(controllers: Iterable[str]) -> dict[str, str]:
     return EFFECTIVE | {"pd_effective": next((name for name in ("two_layer", *STARTS) if name in names), "two_layer")}
 
 
-def renamed(config: dict[str, Any]) -> dict[str, Any]:
-    """The config of a recording that an older version made, with the keys and values of today."""
-    config = {RENAMED.get(key, key): value for key, value in config.items() if key not in OTHER}
-    if isinstance(names := config.get("controllers"), list):
-        config["controllers"] = (
-            list(dict.fromkeys(RENAMED.get(name, name) for name in names if name not in GONE)) or DEFAULT
-        )
-    for path, name in RENAMED.items():
-        table, _, key = path.rpartition(".")
-        if table and key in (own := table_at(config, table)):
-            config[table] = {k: v for k, v in own.items() if k != key} | {name: own[key]}
-    for path, names in RENAMED_VALUES.items():
-        table, _, key = path.rpartition(".")
-        own = table_at(config, table)
-        if isinstance(value := own.get(key), str) and value in names:
-            config[table] = own | {key: names[value]}
-    return config
-
-
-def table_at(config: dict[str, Any], name: str) -> dict[str, Any]:
-    """A table of a config; empty where something else stands, which is told when it is taken for a table."""
-    return own if isinstance(own := config.get(name), dict) else {}
-
-
-def new_name(key: str, value: Any = None) -> str:
-    """Today's name of a key path, or of a value that stands there; empty for one that was never called otherwise."""
-    return RENAMED_VALUES.get(key, {}).get(value, "") if isinstance(value, str) else RENAMED.get(key, "")
+def of_today(config: dict[str, Any]) -> dict[str, Any]:
+    """The config of a recording without learners that are no more."""
+    names = config.get("controllers")
+    kept = [name for name in names if name not in GONE] if isinstance(names, list) else []
+    config = {key: value for key, value in config.items() if key not in GONE}
+    return config | {"controllers": kept or DEFAULT} if isinstance(names, list) else config
 
 
 class RobustOf(Settings, frozen=True):

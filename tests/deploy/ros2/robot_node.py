@@ -47,7 +47,8 @@ class Robot:
         node.create_subscription(Float64MultiArray, "/effort_controller/commands", self.on_effort, 10)
         node.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
         node.create_subscription(JointTrajectory, "/arm_controller/joint_trajectory", self.on_place, 10)
-        self.drive = node.create_publisher(TwistStamped if "stamped" in faults else Twist, "/cmd_vel", 10)
+        if "no_joystick" not in faults:
+            self.drive = node.create_publisher(TwistStamped if "stamped" in faults else Twist, "/cmd_vel", 10)
         self.route = node.create_publisher(Path, "/plan", 1)
         self.plan = node.create_publisher(JointTrajectory, "/mmnn/joint_trajectory", 10)
         self.hand = [

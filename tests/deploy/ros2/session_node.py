@@ -47,10 +47,10 @@ class Session:
     def until(self, is_so, meanwhile=lambda: None):
         """Listen until something is so; whether it is."""
         limit = time.monotonic() + PATIENCE
-        while not is_so() and time.monotonic() < limit:
+        while not (found := is_so()) and time.monotonic() < limit:
             meanwhile()
             rclpy.spin_once(self.node, timeout_sec=0.05)
-        return is_so()
+        return bool(found)
 
     def ask(self, kind, name, request):
         """The answer of a service of the node."""
