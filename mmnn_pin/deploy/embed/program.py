@@ -229,7 +229,8 @@ class CProgram:
             return integer(value, self.macro(full, value)) if owner.name.isupper() else integer(value)
         found = self.lifted(value, full if isinstance(value, float | np.ndarray) else name)
         if isinstance(found, ArrayValue) and isinstance(found.base, Root) and value.size == found.base.data.size:
-            said = meanings(type(owner.object)).get(name, "")
+            kind: Any = type(owner.object)
+            said = meanings(kind).get(name, "")
             found.base.about = found.base.about or said.replace("*/", "* /").replace("/*", "/ *")
         return found
 

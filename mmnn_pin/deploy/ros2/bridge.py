@@ -167,13 +167,10 @@ class Bridge:
         for output, one, _ in self.commands.outlets:
             what = "" if output.is_base else f"{output.interface} of {', '.join(output.joints)}"
             found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), what))
-        for one, _, _ in self.telling.outlets:
-            found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), ""))
-        if (health := self.health) is not None:
-            found.append(GraphRow("publishes", health.name, type_of(health.kind), quality_of(health.publisher), ""))
-        if (felt := self.felt) is not None:
-            what = "of the world on the hand, without a sensor"
-            found.append(GraphRow("publishes", felt.name, type_of(felt.kind), quality_of(felt.publisher), what))
+        told = [(one, "") for one in (*(one for one, _, _ in self.telling.outlets), self.health)]
+        for out, what in [*told, (self.felt, "of the world on the hand, without a sensor")]:
+            if out is not None:
+                found.append(GraphRow("publishes", out.name, type_of(out.kind), quality_of(out.publisher), what))
         return found
 
     # -- before --------------------------------------------------------------------------------------------------------

@@ -276,11 +276,10 @@ def psi(
 @linked
 def psi_again(tree: BodyTree, position: Array, nu_ref: Array, nudot_ref: Array, scratch: Array, out: Array) -> None:
     """`psi` where `scratch` still holds this state, from `terms` or `psi` just before."""
-    rotors = tree.rotors
     _inverse(tree, position, nu_ref, nudot_ref, 1.0, scratch, out)
     for a in range(len(out)):
         for b in range(len(out)):
-            out[a] += rotors[a, b] * nudot_ref[b]
+            out[a] += tree.rotors[a, b] * nudot_ref[b]
     if tree.steers:
         _spin(tree, nu_ref, nudot_ref, 1.0, scratch, out)
 

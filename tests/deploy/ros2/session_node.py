@@ -73,7 +73,7 @@ class Session:
         """A goal of the arm, as `joint_trajectory_controller` takes it: result, and how far off the arm is."""
         begin, names = self.arm, list(self.arm)
         ends = [begin[name] + change for name in names]
-        result = self.planner.result(self.planner.send(goal_of([begin[n] for n in names], ends, names=names, step=2.0)))
+        result = self.planner.result(self.planner.send(goal_of([begin[n] for n in names], ends, names=names, step=3.0)))
         return result, self.off(names, ends)
 
     def off(self, names, ends):
