@@ -1,6 +1,7 @@
 """Someone at a real ROS 2 (rclpy) who resets a robot after a trip, and stops it; tells as JSON what was answered."""
 
 import json
+import math
 import os
 import sys
 import time
@@ -32,10 +33,11 @@ def main():
                 return [found.success, found.message]
         return [False, ""]
 
-    def drives(is_so):
-        """Wait until the robot drives, or stands."""
-        limit = time.monotonic() + 120.0
+    def drives(is_so, meanwhile=lambda: None):
+        """Wait until the robot drives, or stands, by what it tells from now on."""
+        limit, speed[0] = time.monotonic() + 120.0, math.nan
         while not (speed[0] > 0.16 if is_so else abs(speed[0]) < 0.03) and time.monotonic() < limit:
+            meanwhile()
             rclpy.spin_once(node, timeout_sec=0.1)
 
     def wait(tripped):
@@ -49,11 +51,11 @@ def main():
         told["early"] = ask(reset)
         time.sleep(0.2)
     told["tripped"] = wait(True)
-    told["blind"] = ask(reset)
-    drives(False)
-    limit, answer = time.monotonic() + 120.0, told["blind"]
+    told["blind"] = answer = ask(reset)
+    if not answer[0]:  # it is silent
+        drives(False, lambda: speak.publish(Empty()))
+    limit = time.monotonic() + 120.0
     while not answer[0] and time.monotonic() < limit:
-        speak.publish(Empty())
         time.sleep(0.1)
         answer = ask(reset)
     told["reset"], told["runs"] = answer, wait(False)
