@@ -366,6 +366,7 @@ def fitted(
     tell("fitting all parameters", 0.0)
     R, z = compressed(used, prior, follows, fit)
     allowed, about = rotors_of(R, z, prior, fit.inflation, rotors)
+    prior = prior.of_any_size(unknowns.columns("rotor")[allowed[unknowns.columns("rotor")]])
     strength, chosen = np.where(allowed, prior.strength, FIXED), weight
     if chosen is None:
         chosen, _ = Blocks.of(training, prior, fit.weights).chosen(follows, fit.deviation, strength)
