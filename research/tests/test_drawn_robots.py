@@ -9,6 +9,6 @@ from research.studies.drawn_robots import one
 
 @pytest.mark.parametrize("seed", [20236, 20376, 20388, 20548])
 def test_a_rotor_does_not_weigh(seed: int) -> None:
-    """Arms of one joint, whose axis shows the link's inertia and the rotor's as one sum; links were 0.3 to 7 times as heavy."""
+    """One joint shows the sum of the link's inertia and the rotor's: links were found 0.3 to 7 times as heavy."""
     _, shares = one(seed)
     assert shares["mass of the whole"].all() and shares["written"].mean() > 0.8

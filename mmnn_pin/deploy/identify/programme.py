@@ -104,7 +104,7 @@ class Prior:
         return B
 
     def of_any_size(self, rotors: NDArray[np.int64]) -> Prior:
-        """The prior where some rotors are there: as large as the motion says, so that links do not take a part of them."""
+        """The prior where some rotors are there, of any size: links would take a part of them otherwise."""
         strength = self.strength.copy()
         strength[rotors] = LOOSE
         return replace(self, strength=strength)
