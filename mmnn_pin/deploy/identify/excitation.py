@@ -93,7 +93,7 @@ class ExcitationLimits:
 class RefusedCandidate:
     """Why a candidate is no motion."""
 
-    # `"links"` touch, `"obstacles"` are near, a motor cannot `"hold"` its joint up or `"move"` it, something is `"unseen"`
+    # `"links"` touch, `"obstacles"` are near, motors cannot `"hold"` up or `"move"` a joint, parameters stay `"unseen"`
     what: Literal["links", "obstacles", "hold", "move", "unseen"]
     size: float  # least distance of links, or largest torque, over what is allowed; 0 of parameters
     names: tuple[str, ...] = ()  # the velocity whose torque is the largest; the parameters
