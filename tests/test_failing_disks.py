@@ -31,6 +31,7 @@ READ = (
     "--package-dir",
 )  # paths that commands only read
 KEEPING = ("study", "tune")  # the same command goes on with what is there
+BESIDE = (*KEEPING, "run")  # or makes a folder beside it
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +97,7 @@ def judge(name: str, came_of: dict[str, dict[str, Any]]) -> None:
         if trouble in ("none", "clock"):
             assert what["code"] == 0 and set(what["files"]) == set(sound["files"]), trouble
         elif trouble == "again":
-            assert what["code"] == 0 if name in (*KEEPING, "run") else "exist" in complaint(what)  # a run goes beside it
+            assert what["code"] == 0 if name in BESIDE else "exist" in complaint(what)
             assert what["files"] == sound["files"] or name in KEEPING
         elif trouble.endswith("then room"):  # the fix works when it is followed
             assert what["code"] == 0 and set(what["files"]) >= set(sound["files"]) - {"pd.h5"}, what
