@@ -116,7 +116,8 @@ def judge(name: str, came_of: dict[str, dict[str, Any]]) -> None:
         elif trouble.startswith("closed"):
             if os.geteuid() == 0 and not may_give_up():
                 continue
-            assert "ermission denied" in (line := complaint(what)) or "cannot be written to" in line
+            line = complaint(what)
+            assert "ermission denied" in line or "cannot be written to" in line
             assert not what["files"]
         elif trouble == "in the way":
             assert complaint(what) and what["files"] == sha("a file where a folder should be")
