@@ -25,7 +25,7 @@ from ...model.loading import load_with
 from ...recording.recording import Recording
 from ...settings.arguments import checked, unknown_key, wrong_type
 from .controllers import new_name, renamed
-from .experiment import Experiment
+from .experiment import FITTED, Experiment
 from .hardware import COARSEST, Fitted, borne, require_strength
 from .hardware_table import beside_urdf, read_hardware
 from .origins import of_override
@@ -130,7 +130,10 @@ def on_hardware(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[s
         told = ", ".join(f"{name} = {value}" for name, value in gains.items())
         notes += (f"kinematic gains that the whole loop on this hardware bears: {told}",)
     table["hardware"] |= {"notes": notes}
-    return msgspec.convert(table, kind)
+    experiment = msgspec.convert(table, kind)
+    FITTED.clear()
+    FITTED[experiment.of_robot()] = true
+    return experiment
 
 
 def recorded_experiment(recording: Recording) -> Experiment | None:
