@@ -80,9 +80,10 @@ class BaseHardware(Settings, frozen=True):
 
     Args:
         odometry: Where its pose comes from: "wheels", integrated from their encoders, or "true".
-        rate: How often it is told [1/s]; what it is older by counts as delay.
-        delay: Of it [s].
-        lag: Time constant of its velocity, where wheels' `bandwidth` does not say [s].
+        rate: How often pose and velocity of it are new [1/s]; the loop is judged as if all were as old as these become.
+        delay: Of it, which all measurements have then [s].
+        lag: Time constant of its velocity [s]: of a velocity interface that over which it follows, where wheels'
+            `bandwidth` is not slower; of wheels that take efforts that of their torque.
     """
 
     odometry: Literal["wheels", "true"] = "true"
