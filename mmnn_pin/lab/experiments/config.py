@@ -136,6 +136,26 @@ def on_hardware(table: dict[str, Any], own: Mapping[str, Any], texts: Iterable[s
     return experiment
 
 
+def on_other_hardware(base: E, table: dict[str, Any], said: Mapping[str, Any]) -> E:
+    """An experiment on hardware that a case or a study gives it, with all that follows.
+
+    Args:
+        base: The experiment.
+        table: All of it, as changed; changed.
+        said: What is changed: it counts more than the hardware.
+
+    Raises:
+        InputError: As of `on_hardware`; an experiment with hardware of its own.
+    """
+    if base.hardware is not None:
+        why = "what follows from one cannot be taken back for another"
+        raise ConfigError("the experiment has hardware", why=why, fix="leave it out there", key="hardware")
+    try:
+        return on_hardware(table, said, (), type(base))
+    except InputError as error:
+        raise error.but(key=(error.key or "hardware").removeprefix("--")) from None
+
+
 def recorded_experiment(recording: Recording) -> Experiment | None:
     """The experiment of a recording; None where it was run without one.
 
