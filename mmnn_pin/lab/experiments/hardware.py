@@ -150,6 +150,11 @@ class Fitted:
             found[name] = value / (motor.torque_constant or 1.0) if motor.interface in UNITS else value
         return found
 
+    def units(self) -> dict[str, str]:
+        """By joint, what a driver sends of an effort to motors that take it in another unit, see `sent`."""
+        named = zip(self.robot.actuator_names, self.motors, strict=True)
+        return {n: f"{m.interface} = effort / {m.torque_constant:g}" for n, m in named if m.interface in UNITS}
+
     def _gaps(self) -> Array:
         """Backlash of every motor that can be simulated: of rotors that are lighter than what they drive."""
         gaps, rotors = self.of("backlash"), self.of("rotor")

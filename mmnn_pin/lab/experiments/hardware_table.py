@@ -203,7 +203,8 @@ def completed(
         inner, _ = completed(start, merge, (*before, *([] if file is None else [file])))
     except UnknownName as error:
         raise error.but(file=file, key="profile" if file else "hardware.profile") from None
-    return merge(inner, given), file
+    sources = [*inner.get("sources", ()), *given.get("sources", ())]
+    return merge(inner, given) | ({"sources": sources} if sources else {}), file
 
 
 def converted(value: Any, kind: type[Settings], file: Path | None, prefix: str) -> Any:

@@ -45,11 +45,11 @@ def on(robot, hardware, *more):
 @pytest.mark.parametrize("name", profiles())
 def test_a_profile_has_a_source_for_what_it_says_and_says_what_is_assumed(name):
     table = read_hardware(name, merged)
-    assert table.title and table.sources and not table.notes and not table.profile
+    assert table.title and table.sources and not table.notes and table.profile in {"", *profiles()}
     guessed = [source for source in table.sources if source.startswith("assumed: ")]
     assert guessed or name == "ideal"
     said = read_toml(profiles()[name])
-    assert set(said) - {"title", "sources", "robots"} <= set(HardwareTable.__struct_fields__)
+    assert set(said) - {"title", "sources", "robots", "profile"} <= set(HardwareTable.__struct_fields__)
 
 
 def test_numbers_of_the_servos_follow_from_their_data_sheets():
@@ -109,6 +109,7 @@ def test_groups_patterns_and_single_joints_find_their_motors():
     found = fitted.settings()
     four = np.arange(4.0)
     sent = fitted.sent(Command(four, four, four, four, four + 10.0, four + 20.0, four[:2]))
+    assert fitted.units() == {second: "current = effort / 0.2"}
     assert sent == {left: 10.0, right: 11.0, first: 22.0, second: 3.0 / 0.2}
     assert found["interfaces"] == {left: "velocity", right: "velocity", first: "position"}
     assert found["servo"]["bandwidth"] == [8.0, 8.0, 20.0, 30.0]  # nothing is known of the last one
