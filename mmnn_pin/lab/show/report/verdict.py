@@ -34,17 +34,11 @@ FROZEN = {"same": "own trajectory", "held_out": "held out", "payload": "with a p
 
 @dataclass(frozen=True)
 class ReportVerdict:
-    """The verdict on some runs.
+    """The verdict on some runs."""
 
-    Attributes:
-        headline: One sentence.
-        points: Sentences that explain it.
-        warnings: What speaks against believing it.
-    """
-
-    headline: str
-    points: tuple[str, ...]
-    warnings: tuple[str, ...]
+    headline: str  # one sentence
+    points: tuple[str, ...]  # sentences that explain it
+    warnings: tuple[str, ...]  # what speaks against believing it
 
 
 def verdict(result: Result) -> ReportVerdict:
