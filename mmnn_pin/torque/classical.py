@@ -145,6 +145,14 @@ class Integrating(CompiledController):
             raise ConfigError(f"no {self.rate_key}", why=why, fix="give one, or run it in a Loop", key=key)
         return float(found)
 
+    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
+        """The integral, of the next sample and of the last one."""
+        return integral_shapes(context.layout)
+
+    def weights(self, state: ControllerState) -> dict[str, Array]:
+        """The integral, (p,) [N, N m]."""
+        return {"integral": state["integral"]}
+
 
 @by_address
 class Integrator(NamedTuple):
@@ -268,14 +276,6 @@ class PID(Integrating):
         """The numbers of the law; errors as of `positive_gains`."""
         K, layout = self.positive_gains(context.layout), layout_of(Integral, self.shapes(context))
         return Law(constant_gain(K), new_integrator(context, K, self.rate * self.learning, layout))
-
-    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
-        """The integral, of the next sample and of the last one."""
-        return integral_shapes(context.layout)
-
-    def weights(self, state: ControllerState) -> dict[str, Array]:
-        """The integral, (p,) [N, N m]."""
-        return {"integral": state["integral"]}
 
     def features(self, law: Law, state: ControllerState) -> Array:
         """The integral's factor, 1: every velocity has its own."""

@@ -35,11 +35,10 @@ from ..model.regressor import Massless, Regressor, measured, regress
 from ..parts import layout_of
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
-from .classical import Integral, Integrating, Integrator, go_on, integral_of, integral_shapes, integrate, new_integrator
+from .classical import Integral, Integrating, Integrator, go_on, integral_of, integrate, new_integrator
 from .controller import (
     Context,
     ControllerSettings,
-    ControllerState,
     Feedback,
     Law,
     Told,
@@ -144,11 +143,3 @@ class Feedforward(Integrating):
         room = np.zeros(p), np.zeros(p)
         found = Forward(self.motion.workspace(), np.array(self.theta, float), *room, integrator)
         return Law(constant_gain(K), found)
-
-    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
-        """The integral, of the next sample and of the last one."""
-        return integral_shapes(context.layout)
-
-    def weights(self, state: ControllerState) -> dict[str, Array]:
-        """The integral, (p,) [N, N m]."""
-        return {"integral": state["integral"]}
