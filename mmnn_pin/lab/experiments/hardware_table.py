@@ -7,6 +7,7 @@ It is `[hardware]` in an experiment, `ROBOT.hardware.toml` beside a URDF, or a p
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from os.path import lexists
 from pathlib import Path
 from typing import Any, Literal
 
@@ -154,7 +155,7 @@ def beside_urdf(robot: str) -> str | None:
     except InputError:
         return None
     file = path.parent / f"{path.name.partition('.')[0]}.hardware.toml"
-    return str(file) if file.is_file() else None
+    return str(file) if lexists(file) else None
 
 
 def read_hardware(given: str | Mapping[str, Any], merge: Callable[..., dict[str, Any]]) -> HardwareTable:
@@ -187,7 +188,7 @@ def completed(
     file: Path | None = None
     if isinstance(given, str):
         file = profiles().get(given, Path(given))
-        if given not in profiles() and (not file.suffix or not file.is_file()):
+        if given not in profiles() and (not file.suffix or not lexists(file)):
             if file.suffix:
                 raise ConfigError("no such file", fix=f"or name one of: {', '.join(profiles())}", file=file)
             raise UnknownName("hardware", given, profiles(), key="hardware")
