@@ -81,9 +81,10 @@ class BaseHardware(Settings, frozen=True):
 
     Args:
         odometry: Where its pose comes from: "wheels", integrated from their encoders, or "true".
-        rate: How often it is told [1/s]; what it is older by counts as delay.
-        delay: Of it [s].
-        lag: Time constant of its velocity, where wheels' `bandwidth` does not say [s].
+        rate: How often pose and velocity of it are new [1/s]; the loop is judged as if all were as old as these become.
+        delay: Of it, which all measurements have then [s].
+        lag: Time constant of its velocity [s]: of a velocity interface that over which it follows, where wheels'
+            `bandwidth` is not slower; of wheels that take efforts that of their torque.
     """
 
     odometry: Literal["wheels", "true"] = "true"
@@ -203,7 +204,8 @@ def completed(
         inner, _ = completed(start, merge, (*before, *([] if file is None else [file])))
     except UnknownName as error:
         raise error.but(file=file, key="profile" if file else "hardware.profile") from None
-    return merge(inner, given), file
+    sources = [*inner.get("sources", ()), *given.get("sources", ())]
+    return merge(inner, given) | ({"sources": sources} if sources else {}), file
 
 
 def converted(value: Any, kind: type[Settings], file: Path | None, prefix: str) -> Any:
