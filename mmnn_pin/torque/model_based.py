@@ -102,8 +102,14 @@ class ScheduledPD(CompiledController):
 
     @classmethod
     def build(cls, given: ControllerSettings) -> Self:
-        """At the gains of a learner's run."""
-        assert given.gains is not None
+        """At the gains of a learner's run.
+
+        Raises:
+            ConfigError: They are not given.
+        """
+        if given.gains is None:
+            why = "it takes the gain that a learner had at every sample of a run"
+            raise ConfigError(f"{given.name} without gains", why=why, fix="run both with `mmnn run`", key="controller")
         return cls(given.gains, given.name)
 
     def facts(self) -> dict[str, Any]:

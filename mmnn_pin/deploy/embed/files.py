@@ -415,7 +415,7 @@ def facts(export: Export) -> dict[str, Any]:
         "real": program.real,
         "is_exact": program.real == "double",
         "tolerance": TOLERANCE,
-        "has_split": has_split(export),
+        "has_split": stepper.hardware.split is not None,
         "period": stepper.period,
         "motors": layout.motors,
         "motor_names": [plain(name) for name in stepper.robot.actuator_names],
@@ -479,11 +479,6 @@ def ranges(**sizes: int) -> list[tuple[str, int, int]]:
     """Name, start and size of the parts of a measurement or a setpoint that the robot has."""
     ends = np.cumsum(list(sizes.values())).tolist()
     return [(name, end - size, size) for (name, size), end in zip(sizes.items(), ends, strict=True) if size]
-
-
-def has_split(export: Export) -> bool:
-    """Whether some motors take a velocity."""
-    return export.stepper.hardware.split is not None
 
 
 def selftest(export: Export, events: list[GoldenEvent], answers: list[Answer]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import signal
 import subprocess
@@ -18,10 +19,17 @@ EFFORTS = slice(12, 14)  # of a row of the robot: what its arm's motors were tol
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_ctrl_c_brakes_and_is_130(tmp_path: Path, domain: int, number: int) -> None:
-    run = drive(
-        tmp_path, "kilted", domain, "no_plan", seconds=90.0, when_it_drives=lambda node: node.send_signal(number)
-    )
+    """Control is the main thread, before all ordinary ones where that may be had."""
+    policies = []
+
+    def press(node: subprocess.Popen[str]) -> None:
+        policies.append(os.sched_getscheduler(node.pid))
+        node.send_signal(number)
+
+    run = drive(tmp_path, "kilted", domain, "no_plan", seconds=90.0, when_it_drives=press)
     assert run.code == 130 and f"stopped by {signal.Signals(number).name}" in run.lines, run.lines
+    is_told = "control runs as an ordinary thread" in run.lines
+    assert policies == [os.SCHED_OTHER if is_told else os.SCHED_FIFO | os.SCHED_RESET_ON_FORK], run.lines
     assert np.abs(run.rows[:, 4]).max() > 0.1  # it drove
     assert np.abs(run.rows[-1, 4:6]).max() < 0.02 and np.abs(run.rows[-1, EFFORTS]).max() < 1e-6
 

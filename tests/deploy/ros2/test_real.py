@@ -5,12 +5,15 @@ One distribution in the default suite, both and the whole matrix of faults under
 
 from __future__ import annotations
 
+import json
+import signal
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from graph import SETTINGS, Drive, claimed, drive, of_ros, python_of
+from graph import LONG, SETTINGS, Drive, claimed, drive, of_ros, python_of, start
 from places import ROOT
 
 from mmnn_pin import Recording, load
@@ -261,3 +264,25 @@ def test_a_hand_goes_where_messages_lead_it_and_is_as_stiff_as_they_say(tmp_path
         assert np.linalg.norm(hand(time, "") - hand(time)) < 0.06, (hand(time, ""), hand(time))
     assert "1e+09 N/m: use at most" in run.lines and "2 numbers: send 1, 3 or 6" in run.lines, run.lines
     assert np.abs(kept["asked_force"]).max() > 0.0
+
+
+@pytest.mark.long
+def test_foxglove_shows_it_live(tmp_path: Path, domain: int) -> None:
+    """By Foxglove's own library and protocol, while the robot is driven."""
+    live = start("kilted", domain, str(ROOT / "examples/robot/live.py"), "--port", 0)
+    port = live.stdout.readline().rpartition(":")[2].split()[0]  # type: ignore[union-attr]
+    told: list[dict[str, Any]] = []
+
+    def look(node: subprocess.Popen[str]) -> None:
+        viewer = start("kilted", domain, "foxglove_node.py", port, "/joints", "/base", "/node")
+        told.append(json.loads(viewer.communicate(timeout=LONG)[0]))
+        node.send_signal(signal.SIGINT)
+
+    run = drive(tmp_path, "kilted", domain, "no_plan", seconds=300.0, when_it_drives=look)
+    live.kill()
+    assert run.code == 130, run.lines
+    joints, base, node = (told[0][name] for name in ("/joints", "/base", "/node"))
+    assert set(joints["feedback"]["positions"]) == {"arm_1_joint", "arm_2_joint"}
+    for name, e in joints["error"]["positions"].items():
+        assert abs(joints["reference"]["positions"][name] - joints["feedback"]["positions"][name] - e) < 1e-9
+    assert np.hypot(*base["feedback"].values()) > 0.0 and node["supervisor"]["time"] > 0.0

@@ -17,9 +17,7 @@ from mmnn_pin.lab.experiments.config import load_experiment, merged
 from mmnn_pin.lab.experiments.experiment import Case, Tolerance
 from mmnn_pin.lab.show import comparison as shown
 from mmnn_pin.recording.recording import Outcome
-from mmnn_pin.signals import Layout
 
-LAYOUT = Layout(base=2, arm=2, full=7, motors=4)
 NAMES = {"velocity_names": ("v", "w", "a", "b"), "actuator_names": ("l", "r", "a", "b"), "control_period": 0.01}
 LOOSE = Tolerance(settle=0.5, pose=0.05, joint=0.05, runaway=0.3)
 
@@ -158,6 +156,19 @@ def test_a_case_that_changes_what_is_not_there_is_named(keys, error, where):
     with pytest.raises(error) as caught:
         with_case(changed(mine=keys), "mine")
     assert caught.value.key == where
+
+
+def test_a_case_may_be_on_hardware_of_its_own():
+    track = load_experiment("track", ['robot="two_axis_arm"'])
+    cases = {"slow": Case("slow", {"hardware": "unknown"}), "wrong": Case("wrong", {"hardware": "none"})}
+    found = with_case(msgspec.structs.replace(track, cases=cases), "slow")
+    alone = load_experiment("track", ['robot="two_axis_arm"', 'hardware="unknown"'])
+    assert found == msgspec.structs.replace(alone, title=found.title) and found.interfaces
+    with pytest.raises(UnknownName, match="none") as caught:
+        with_case(msgspec.structs.replace(track, cases=cases), "wrong")
+    assert caught.value.key == "cases.wrong.set.hardware"
+    with pytest.raises(ConfigError, match="the experiment has hardware"):
+        with_case(msgspec.structs.replace(alone, cases=cases), "slow")
 
 
 def test_a_case_that_cannot_run_is_refused_before_anything_is_written(tmp_path):
