@@ -10,8 +10,9 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from importlib.machinery import ModuleSpec, PathFinder
 from types import FrameType, ModuleType
 from typing import Any
@@ -68,37 +69,28 @@ def is_interruption(error: BaseException | None) -> bool:
     return False
 
 
-@contextmanager
-def elsewhere() -> Iterator[None]:
-    """Stand in the root folder meanwhile."""
+class Elsewhere(PathFinder):
+    """Finds those modules, and has them imported in the root folder."""
+
+    @classmethod
+    def find_spec(cls, name: str, path: Any = None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """Where a module is; None for those that others find."""
+        found = super().find_spec(name, path, target) if name in READING else None
+        if found is not None and found.loader is not None:
+            vars(found.loader)["exec_module"] = partial(executed, found.loader.exec_module)
+        return found
+
+
+def executed(execute: Callable[[ModuleType], None], module: ModuleType) -> None:
+    """Execute a module in the root folder."""
     here = os.open(".", getattr(os, "O_PATH", os.O_RDONLY))  # which may be closed to readers
     try:
         os.chdir("/")
-        yield
+        execute(module)
     finally:
         os.fchdir(here)
         os.close(here)
-
-
-class Elsewhere:
-    """Finds those modules, and has them imported elsewhere."""
-
-    @staticmethod
-    def find_spec(name: str, path: Sequence[str] | None = None, target: ModuleType | None = None) -> ModuleSpec | None:
-        """Where a module is; None for those that others find."""
-        found = PathFinder.find_spec(name, path, target) if name in READING else None
-        if found is None or found.loader is None:
-            return None
-        execute = found.loader.exec_module
-
-        def execute_elsewhere(module: ModuleType) -> None:
-            with elsewhere():
-                execute(module)
-            if name == READING[0]:
-                vars(module)["_config_fname"] = os.devnull  # which it would look for again and again
-
-        vars(found.loader)["exec_module"] = execute_elsewhere
-        return found
+    vars(module)["_config_fname"] = os.devnull  # which numba would look for again and again
 
 
 if PROGRAM == "mmnn":

@@ -110,6 +110,8 @@ def test_the_command_line_runs_a_study_on_a_cluster(cluster: Cluster, tmp_path: 
     assert main(["study", str(file), "--out", str(tmp_path / "there"), "--cluster", cluster.address]) == 0
     said = capsys.readouterr()
     assert f"24 runs, on the cluster at {cluster.address}" in said.err and "Traceback" not in said.err
+    assert "open to whoever reaches it: `mmnn docs how-to/cluster`" in said.err
+    assert main(["docs", "how-to/cluster"]) == 0
     local = run_here(planned(tmp_path / "here"), tmp_path / "here")
     assert numbers(stored(tmp_path / "there")) == numbers(local)
 
@@ -162,7 +164,7 @@ def test_a_cluster_with_tls_lets_in_who_holds_its_certificate_and_nobody_else(tm
             assert code == 2 and said.count("\n") == 1 and said.startswith("--cluster: error: ") and words in said, said
             assert not stored(tmp_path / "none")
         code, said = study("there", (cert, key), made.address)
-        assert code == 0, said
+        assert code == 0 and "whoever" not in said, said
         assert worker.poll() is None and len(stored(tmp_path / "there")) == 6
     finally:
         made.stop()
