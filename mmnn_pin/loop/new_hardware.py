@@ -220,6 +220,7 @@ def new_touch(loop: Setup, parts: list[Array], kinds: tuple[str, ...], steering:
         gains=stopping_gains(loop),
         gives=loop.safety is not None and loop.safety.contact == "comply",
         eases=loop.impedance is None,
+        loads=loop.force is None,
     )
     return new_feeler(touch, described, regressor_of(described), sending, new_state(parts))
 
