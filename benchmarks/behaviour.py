@@ -63,7 +63,7 @@ LEFT_OUT = (
 
 CONTROLLERS = (
     "two_layer", "two_layer_zero", "two_layer_random", "one_layer", "pd", "adaptive", "adaptive_composite",
-    "concurrent", "two_layer_composite", "two_layer_residual", "nominal", "kalman_regressor", "kalman_bilinear",
+    "concurrent", "two_layer_residual", "nominal", "kalman_regressor", "kalman_bilinear",
     "kalman_features", "kalman_residual", "computed_torque",
 )  # fmt: skip
 SHORT = ("--set", "time.duration=1.5")
@@ -97,7 +97,7 @@ def cases() -> dict[str, list[str]]:
             ]
     found["eight"] = ["run", "eight", "--controller", "two_layer", "--controller", "concurrent", *SHORT, "--out", "OUT"]
     found["certified"] = ["run", "certified", "--set", "time.duration=2.0", "--out", "OUT"]
-    for name in ("two_layer", "adaptive_composite", "concurrent", "kalman_bilinear", "two_layer_composite"):
+    for name in ("two_layer", "adaptive_composite", "concurrent", "kalman_bilinear"):
         found[f"prove {name}"] = ["prove", f"PREVIOUS/track {name}/{name}.h5", "--json"]
     for robot in ("platform_arm", "tiago"):
         found[f"check {robot}"] = ["check", robot, "--json"]

@@ -72,7 +72,7 @@ def save(recording: Recording, file: Path) -> None:
 
 
 ORDINARY = ("pd", "two_layer", "one_layer", "computed_torque", "adaptive_composite", "concurrent", "kalman_regressor")
-RESUMED = ("two_layer", "two_layer_composite", "adaptive_composite", "concurrent", "kalman_features")
+RESUMED = ("two_layer", "adaptive_composite", "concurrent", "kalman_features")
 SENSED = ("sensor.velocity=filtered", "sensor.delay=1", "sensor.resolution=0.001", "sensor.wheel_resolution=0.001")
 
 

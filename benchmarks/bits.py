@@ -51,7 +51,7 @@ SENSED = (
     "sensor.velocity_noise=0.001", "actuator.lag=0.01", "safety.torque=1e3",
 )  # fmt: skip
 LEARNERS = (
-    "two_layer", "one_layer", "adaptive", "adaptive_composite", "concurrent", "two_layer_composite", "kalman_regressor",
+    "two_layer", "one_layer", "adaptive", "adaptive_composite", "concurrent", "kalman_regressor",
     "kalman_bilinear", "kalman_features", "computed_torque", "extended_state", "deep_residual", "drem",
 )  # fmt: skip
 ROBOTS = {"holonomic": "tiago_pro", "fixed": "ur5", "tiago": "tiago"}

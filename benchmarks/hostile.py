@@ -55,19 +55,13 @@ PASSING = (".part", ".lock", "-journal")  # files that a killed process may leav
 
 @dataclass(frozen=True)
 class Job:
-    """A command that is killed.
+    """A command that is killed."""
 
-    Attributes:
-        words: Of the command; `{here}` is a folder of the try.
-        results: What a folder has, as numbers that can be compared: name to content. A file that cannot be read raises.
-        grows: Whether what is there is a part of what will be; else a file is there whole, or is not.
-        again: Words that the same command needs to go on.
-    """
-
-    words: str
+    words: str  # of the command; `{here}` is a folder of the try
+    # what a folder has, as numbers that can be compared: name to content. A file that cannot be read raises
     results: Callable[[Path], dict[str, Any]]
-    grows: bool = True
-    again: str = ""
+    grows: bool = True  # whether what is there is a part of what will be; else a file is there whole, or is not
+    again: str = ""  # words that the same command needs to go on
 
     def command(self, here: Path, again: bool = False) -> list[str]:
         """The program with its words."""

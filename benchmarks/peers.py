@@ -25,19 +25,12 @@ Timed = Callable[[], dict[str, Any]]
 
 @dataclass(frozen=True)
 class Peer:
-    """A simulator beside ours.
+    """A simulator beside ours."""
 
-    Attributes:
-        package: What pip calls it.
-        build: Builds it; raises ImportError where it is not installed.
-        what: What is measured.
-        lacks: What it does not do, or does otherwise.
-    """
-
-    package: str
-    build: Callable[[Work], Callable[[], Timed]]
-    what: str
-    lacks: str
+    package: str  # what pip calls it
+    build: Callable[[Work], Callable[[], Timed]]  # builds it; raises ImportError where it is not installed
+    what: str  # what is measured
+    lacks: str  # what it does not do, or does otherwise
 
 
 def closed(samples: int, final: Sequence[float] | Array) -> dict[str, Any]:

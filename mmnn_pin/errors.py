@@ -31,15 +31,10 @@ class MmnnError(Exception):
 
 @dataclass(frozen=True)
 class Values:
-    """Values of settings that would mend an error; as text they are as Python writes them.
+    """Values of settings that would mend an error; as text they are as Python writes them."""
 
-    Attributes:
-        table: Key of the settings, such as `feedback`.
-        texts: Name to value, as Python writes it.
-    """
-
-    table: str
-    texts: Mapping[str, str]
+    table: str  # key of the settings, such as `feedback`
+    texts: Mapping[str, str]  # name to value, as Python writes it
 
     def __str__(self) -> str:
         values = ", ".join(f"{name}={text}" for name, text in self.texts.items())

@@ -166,11 +166,7 @@ def is_deep(value: Any) -> bool:
 
 
 def require_free(path: Path, force: bool, what: str = "file") -> None:
-    """Refuse to replace a file unasked; `what` names it in the error.
-
-    Raises:
-        RecordingError: It exists, and `force` is off; or it is a folder.
-    """
+    """Refuse to replace a file unasked; `what` names it in the error (`RecordingError`)."""
     if path.is_dir():
         raise RecordingError(f"cannot write the {what}", why="there is a folder of that name", file=path)
     if path.exists() and not force:

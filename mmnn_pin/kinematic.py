@@ -69,35 +69,21 @@ def errors_of(pose_ref: Array, pose: Array, error: Array, in_world: Array) -> No
 
 @by_address
 class Steering(NamedTuple):
-    """The steering of one robot's base, for the velocity command: its maps at the measured angles, and its law.
+    """The steering of one robot's base, for the velocity command: its maps at the measured angles, and its law."""
 
-    Attributes:
-        rolling: The base, its pivots placed as in `position`.
-        maps: Its maps, T for the twist, the pivots and the wheels alone.
-        numbers: Of the law that steers.
-        motors: Rows of that T of the base's motors.
-        E: (p, motors) torque on nu from motor torques, at the measured angles.
-        E_inv: (motors, p) motor torques from the torque on nu, likewise.
-        factor: (2, nb, nb) scratch.
-        later: (8, 3) scratch: `eta_c`, its rate and the rate of that; then what the law is asked a moment later.
-        position: (3 + shape,) scratch: measured angles behind a pose that nobody reads.
-        eta: (3,) scratch: velocity of what is guided.
-        h: Control period [s].
-        hitch: (4,) of the trailer that is guided: place of its pivot in `position`, its sign, and h and L of
-            `base.trailers`; (0,) where the base is.
-    """
-
-    rolling: Rolling
-    maps: Maps
-    numbers: SteeringNumbers
-    motors: IntArray
-    E: Array
-    E_inv: Array
-    factor: Array
-    later: Array
-    position: Array
-    eta: Array
-    h: float
+    rolling: Rolling  # the base, its pivots placed as in `position`
+    maps: Maps  # its maps, T for the twist, the pivots and the wheels alone
+    numbers: SteeringNumbers  # of the law that steers
+    motors: IntArray  # rows of that T of the base's motors
+    E: Array  # (p, motors) torque on nu from motor torques, at the measured angles
+    E_inv: Array  # (motors, p) motor torques from the torque on nu, likewise
+    factor: Array  # (2, nb, nb) scratch
+    later: Array  # (8, 3) scratch: `eta_c`, its rate and the rate of that; then what the law is asked a moment later
+    position: Array  # (3 + shape,) scratch: measured angles behind a pose that nobody reads
+    eta: Array  # (3,) scratch: velocity of what is guided
+    h: float  # control period [s]
+    # (4,) of the trailer that is guided: place of its pivot in `position`, its sign, and h and L of `base.trailers`;
+    # (0,) where the base is
     hitch: Array
 
 

@@ -100,25 +100,15 @@ EARLY = 5e-10  # half a nanosecond early counts, as times are rounded [s]
 
 @dataclass(frozen=True)
 class Dimensions:
-    """Numbers of velocities, joints and motors of a robot, and its kind of base.
+    """Numbers of velocities, joints and motors of a robot, and its kind of base."""
 
-    Args:
-        base: Number of base velocities nb.
-        arm: Number of arm joints n.
-        full: Number of velocities nv of the full model (pose and all joints).
-        motors: Number of actuators.
-        kind: Kind of the base, a key of `model.base.KINDS`; empty where nobody asks for it.
-        sideways: Whether a twist is `(vx, vy, w)` and not `(v, w)`. Compiled code knows a base by it.
-        shape: Number of measured angles on which the motions of the base depend: steering, casters, hitches.
-    """
-
-    base: int
-    arm: int
-    full: int
-    motors: int
-    kind: str = ""
-    sideways: bool = False
-    shape: int = 0
+    base: int  # number of base velocities nb
+    arm: int  # number of arm joints n
+    full: int  # number of velocities nv of the full model (pose and all joints)
+    motors: int  # number of actuators
+    kind: str = ""  # kind of the base, a key of `model.base.KINDS`; empty where nobody asks for it
+    sideways: bool = False  # whether a twist is `(vx, vy, w)` and not `(v, w)`. Compiled code knows a base by it
+    shape: int = 0  # number of measured angles on which the motions of the base depend: steering, casters, hitches
 
     @property
     def twist(self) -> int:
@@ -276,28 +266,15 @@ class Measurement(View):
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand(View):
-    """The kinematic layer's demand on the torque controller, thesis (3.3), (3.6), (3.10), (3.11).
+    """The kinematic layer's demand on the torque controller, thesis (3.3), (3.6), (3.10), (3.11)."""
 
-    Attributes:
-        alpha: (nb,) commanded base velocity [m/s, rad/s].
-        alphadot: (nb,) its analytic time derivative [m/s^2, rad/s^2].
-        pose_error: (3,) reference minus pose, in the base frame, heading wrapped to (-pi, pi] [m, m, rad].
-        world_error: (3,) the same in the world frame.
-        z: (nb,) `alpha - velocity`.
-        e: (n,) `q_ref - q`.
-        edot: (n,) `qdot_ref - qdot`.
-        r: (n,) filtered error `edot + K e`.
-        nu_ref: (p,) `[alpha; qdot_ref + K e]`, so that `[z; r] = nu_ref - nu`.
-        nudot_ref: (p,) `[alphadot; qddot_ref + K edot]`.
-    """
-
-    alpha: Array
-    alphadot: Array
-    pose_error: Array
-    world_error: Array
-    z: Array
-    e: Array
-    edot: Array
-    r: Array
-    nu_ref: Array
-    nudot_ref: Array
+    alpha: Array  # (nb,) commanded base velocity [m/s, rad/s]
+    alphadot: Array  # (nb,) its analytic time derivative [m/s^2, rad/s^2]
+    pose_error: Array  # (3,) reference minus pose, in the base frame, heading wrapped to (-pi, pi] [m, m, rad]
+    world_error: Array  # (3,) the same in the world frame
+    z: Array  # (nb,) `alpha - velocity`
+    e: Array  # (n,) `q_ref - q`
+    edot: Array  # (n,) `qdot_ref - qdot`
+    r: Array  # (n,) filtered error `edot + K e`
+    nu_ref: Array  # (p,) `[alpha; qdot_ref + K e]`, so that `[z; r] = nu_ref - nu`
+    nudot_ref: Array  # (p,) `[alphadot; qddot_ref + K edot]`

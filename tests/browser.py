@@ -57,17 +57,11 @@ def browser() -> Iterator[Any]:
 
 @dataclass
 class Opened:
-    """An open page.
+    """An open page."""
 
-    Attributes:
-        page: Playwright's page.
-        problems: Errors on the console, uncaught ones, dialogs.
-        requests: What it asked for but itself.
-    """
-
-    page: Any
-    problems: list[str] = field(default_factory=list)
-    requests: list[str] = field(default_factory=list)
+    page: Any  # playwright's page
+    problems: list[str] = field(default_factory=list)  # errors on the console, uncaught ones, dialogs
+    requests: list[str] = field(default_factory=list)  # what it asked for but itself
 
     def settle(self) -> None:
         """Wait until two frames are drawn: a page draws its plots anew as soon as it learns how wide it is."""

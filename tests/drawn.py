@@ -28,29 +28,17 @@ WORDS = {  # honest words, and those of other languages
 
 @dataclass(frozen=True)
 class Made:
-    """A robot of drawn structure, and the truth about it.
+    """A robot of drawn structure, and the truth about it."""
 
-    Attributes:
-        text: The URDF.
-        kind: Of its base.
-        wheels: Joints of its wheels; of a base that does not steer those that drive.
-        pivots: Joints that steer, or on which trailers follow.
-        motors: All joints of the base that have motors.
-        arm: Joints of its arm; those of a head where there is none.
-        drums: Endless joints at the ends of booms, which may be counted with these or not.
-        forward: (2,) in the root link; None where nobody could know it.
-        radius: Of its drive wheels [m].
-    """
-
-    text: str
-    kind: str
-    wheels: frozenset[str]
-    pivots: frozenset[str]
-    motors: frozenset[str]
-    arm: frozenset[str]
-    drums: frozenset[str] = frozenset()
-    forward: tuple[float, float] | None = (1.0, 0.0)
-    radius: float = 0.1
+    text: str  # the URDF
+    kind: str  # of its base
+    wheels: frozenset[str]  # joints of its wheels; of a base that does not steer those that drive
+    pivots: frozenset[str]  # joints that steer, or on which trailers follow
+    motors: frozenset[str]  # all joints of the base that have motors
+    arm: frozenset[str]  # joints of its arm; those of a head where there is none
+    drums: frozenset[str] = frozenset()  # endless joints at the ends of booms, which may be counted with these or not
+    forward: tuple[float, float] | None = (1.0, 0.0)  # (2,) in the root link; None where nobody could know it
+    radius: float = 0.1  # of its drive wheels [m]
 
 
 # -- structures --------------------------------------------------------------------------------------------------------

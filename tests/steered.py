@@ -227,17 +227,11 @@ def arm(rng: np.random.Generator, parent: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """A made robot: Pinocchio's full model of the file, and the maps of its base by `roll`.
+    """A made robot: Pinocchio's full model of the file, and the maps of its base by `roll`."""
 
-    Attributes:
-        base: Its base.
-        model: Pinocchio's, on a planar joint.
-        arm: Joints of its arm.
-    """
-
-    base: SteeredBase
-    model: pin.Model
-    arm: tuple[str, ...] = ARM
+    base: SteeredBase  # its base
+    model: pin.Model  # pinocchio's, on a planar joint
+    arm: tuple[str, ...] = ARM  # joints of its arm
 
     @classmethod
     def of(cls, base: SteeredBase, seed: int = 0) -> Made:

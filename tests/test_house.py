@@ -79,7 +79,7 @@ BLAS = {"dot", "vdot", "inner", "matmul", "einsum", "linalg"}
 JUDGES = (
     *("model.structure", "model.dynamics", "model.checks", "model.regressor", "model.tree.tree"),
     *("model.base.differential", "model.base.wheels", "model.base.understanding", "model.urdf.document"),
-    *("model.base.holonomic", "model.urdf.audit", "plant.contact.tree", "torque.two_layer_composite"),
+    *("model.base.holonomic", "model.urdf.audit", "plant.contact.tree"),
     *("loop.sampled", "loop.stable_gains"),
 )
 

@@ -15,39 +15,13 @@ import msgspec
 from sphinx.application import Sphinx
 
 import mmnn_pin
+from mmnn_pin.settings.meanings import meanings
 
 FOLDER = "reference"
 WIDTH = 60  # of a default that a table shows in full
 
 
 # -- what several pages need ------------------------------------------------------------------------------------------
-
-
-def sections(doc: str) -> dict[str, dict[str, str]]:
-    """The arguments, attributes, ... of a docstring in Google's form: section to name to text."""
-    found: dict[str, dict[str, str]] = {}
-    heading = name = ""
-    for line in inspect.cleandoc(doc).splitlines():
-        if matched := re.fullmatch(r"(Args|Attributes|Raises|Returns):", line):
-            heading, name = matched[1], ""
-            found[heading] = {}
-        elif line and not line.startswith(" "):
-            heading = ""
-        elif heading and (matched := re.match(r"    ([\w.*]+)(?: \([^)]*\))?: (.*)", line)):
-            name = matched[1]
-            found[heading][name] = matched[2]
-        elif heading and name and line.strip():
-            found[heading][name] += f" {line.strip()}"
-    return found
-
-
-def meanings(kind: type) -> dict[str, str]:
-    """What the docstrings of a class and of those that it derives from say of its fields."""
-    known: dict[str, str] = {}
-    for each in reversed(kind.__mro__):
-        parts = sections(each.__doc__ or "")
-        known |= parts.get("Attributes", {}) | parts.get("Args", {})
-    return known
 
 
 def about(thing: Any) -> str:

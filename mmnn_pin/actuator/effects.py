@@ -26,25 +26,15 @@ from ..signals import EARLY, Array, IntArray
 
 @by_address
 class MotorState(NamedTuple):
-    """The memory of the motors from one plant step to the next, as views of their state.
+    """The memory of the motors from one plant step to the next, as views of their state."""
 
-    Attributes:
-        values: (motors, STATES) the state, a row for each motor.
-        torque: (motors,) of the current loop [N m or N].
-        ahead: (motors,) how far the rotor is ahead of the joint [rad or m].
-        rotor_speed: (motors,) [rad/s or m/s].
-        drawn: (motors,) current from the supply [A].
-        sum: (motors,) of what the joints got in this control period.
-        given: (motors,) what they got last.
-    """
-
-    values: Array
-    torque: Array
-    ahead: Array
-    rotor_speed: Array
-    drawn: Array
-    sum: Array
-    given: Array
+    values: Array  # (motors, STATES) the state, a row for each motor
+    torque: Array  # (motors,) of the current loop [N m or N]
+    ahead: Array  # (motors,) how far the rotor is ahead of the joint [rad or m]
+    rotor_speed: Array  # (motors,) [rad/s or m/s]
+    drawn: Array  # (motors,) current from the supply [A]
+    sum: Array  # (motors,) of what the joints got in this control period
+    given: Array  # (motors,) what they got last
 
 
 STATES = len(MotorState._fields) - 1
@@ -57,25 +47,15 @@ def motor_state(values: Array) -> MotorState:
 
 @by_address
 class Drive(NamedTuple):
-    """The signal from the commands to the joints, which the effects change one after the other.
+    """The signal from the commands to the joints, which the effects change one after the other."""
 
-    Attributes:
-        torque: (motors,) first what is commanded, last what the joints get [N m or N].
-        speed: (motors,) speed of the motors [rad/s or m/s].
-        joint: (motors,) speed of the joints [rad/s or m/s].
-        angle: (motors,) position of the joints, where servos act [rad or m].
-        free: (motors,) speed of the joints at the end of the step without a servo, likewise.
-        answer: (motors, motors) what a motor's torque adds to it, likewise.
-        shorted: (1,) how many motors, from the first on, have their windings shorted.
-    """
-
-    torque: Array
-    speed: Array
-    joint: Array
-    angle: Array
-    free: Array
-    answer: Array
-    shorted: IntArray
+    torque: Array  # (motors,) first what is commanded, last what the joints get [N m or N]
+    speed: Array  # (motors,) speed of the motors [rad/s or m/s]
+    joint: Array  # (motors,) speed of the joints [rad/s or m/s]
+    angle: Array  # (motors,) position of the joints, where servos act [rad or m]
+    free: Array  # (motors,) speed of the joints at the end of the step without a servo, likewise
+    answer: Array  # (motors, motors) what a motor's torque adds to it, likewise
+    shorted: IntArray  # (1,) how many motors, from the first on, have their windings shorted
 
 
 def new_drive(count: int) -> Drive:

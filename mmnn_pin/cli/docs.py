@@ -13,11 +13,11 @@ import msgspec
 from click.shell_completion import CompletionItem
 
 from ..errors import UnknownName
+from ..settings.meanings import BESIDE, meanings, source_of
 from .options import PACKAGE, examples, shared, starting
 from .output import DONE, answer, columns
 
 FOLDERS = (PACKAGE / "docs", PACKAGE.parent / "docs")  # of a wheel, of a clone
-ARGUMENT = re.compile(r"^    (?P<name>\w+): (?P<text>.*(?:\n {8}.*)*)", re.M)
 FREE = {"reference.base": "BASE_PATHS", "reference.arm": "ARM_PROFILES", "reference.hand.path": "HAND_PATHS"}
 
 
@@ -34,12 +34,6 @@ def title(page: Path) -> str:
 
 
 # -- keys of an experiment ---------------------------------------------------------------------------------------------
-
-
-def meanings(kind: Any) -> dict[str, str]:
-    """Meanings of a class's fields, as its docstring says them and those of the classes that it derives from."""
-    docs = [inspect.getdoc(each) or "" for each in reversed(getattr(kind, "__mro__", ()))]
-    return {found["name"]: " ".join(found["text"].split()) for doc in docs for found in ARGUMENT.finditer(doc)}
 
 
 def first_line(thing: Any) -> str:
@@ -155,14 +149,15 @@ def defined(name: str, module: str = "") -> list[Any]:
 
 
 def described(name: str, thing: Any) -> str:
-    """A name with its signature, where it is from, and its docstring."""
+    """A name with its signature, where it is from, its docstring, and what stands beside the fields of a class."""
     try:
         signature = str(inspect.signature(thing))
     except (TypeError, ValueError):
         signature = ""
     text = inspect.getdoc(thing.fget if isinstance(thing, property) else thing) or ""
     where = getattr(thing, "__module__", None)
-    return f"{name}{signature}\n" + (f"of {where}\n" if where else "") + f"\n{text}"
+    fields = [hit[0] for hit in BESIDE.finditer(source_of(thing))] if inspect.isclass(thing) else []
+    return f"{name}{signature}\n" + (f"of {where}\n" if where else "") + "\n".join(["", text, "", *fields]).rstrip()
 
 
 def python_names() -> dict[str, str]:

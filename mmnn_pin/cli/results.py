@@ -126,11 +126,7 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
 
 
 def require_whats(chosen: tuple[str, ...], kind: str, folder: Path | None) -> None:
-    """Refuse plots of runs for a folder of another kind, and the other way round.
-
-    Raises:
-        ConfigError: With the name of the first.
-    """
+    """Refuse plots of runs for a folder of another kind, and the other way round (`ConfigError`)."""
     for what in chosen:
         if what in whats(kind):
             continue

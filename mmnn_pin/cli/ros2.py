@@ -174,19 +174,12 @@ def columns(table: Sequence[Any]) -> str:
 
 @dataclass
 class Making:
-    """A maker of steppers out of a node's settings.
+    """A maker of steppers out of a node's settings."""
 
-    Attributes:
-        seconds: How long they run at most.
-        out: File for the recording; None for one by the robot's name, or in memory where nothing runs.
-        force: Whether it may be replaced.
-        keep: Whether there is a file at all.
-    """
-
-    seconds: float
-    out: Path | None
-    force: bool
-    keep: bool = True
+    seconds: float  # how long they run at most
+    out: Path | None  # file for the recording; None for one by the robot's name, or in memory where nothing runs
+    force: bool  # whether it may be replaced
+    keep: bool = True  # whether there is a file at all
 
     def stepper(self, settings: Node, count: int) -> Stepper:
         """A stepper, the count-th of the process."""

@@ -104,11 +104,7 @@ def before_the_first(stopped: bool) -> Iterator[None]:
 
 
 def require_at_hand(plan: StudyPlan, cluster: str | None) -> None:
-    """Refuse controllers from files on a cluster: its workers get settings, no code.
-
-    Raises:
-        ConfigError: With the name of the first.
-    """
+    """Refuse controllers from files on a cluster: its workers get settings, no code (`ConfigError`)."""
     from ..errors import ConfigError
 
     for name in plan.controllers if cluster is not None else ():

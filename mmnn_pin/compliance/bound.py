@@ -40,48 +40,27 @@ SHARE = 0.97  # of the bound, what is printed
 
 
 class Held(NamedTuple):
-    """The loop around a compliant hand.
+    """The loop around a compliant hand."""
 
-    Attributes:
-        gains: (p,) K.
-        rates: (p,) of the kinematic layer, 0 of the base [1/s].
-        period: Control period [s].
-        delay: From the measurement to the torque [s].
-        on: (p,) 1 for velocities that take no torque.
-        bandwidth: (p,) of their servos [1/s].
-        friction: (p, p) viscous friction on nu.
-    """
-
-    gains: Array
-    rates: Array
-    period: float
-    delay: float
-    on: Array
-    bandwidth: Array
-    friction: Array
+    gains: Array  # (p,) K
+    rates: Array  # (p,) of the kinematic layer, 0 of the base [1/s]
+    period: float  # control period [s]
+    delay: float  # from the measurement to the torque [s]
+    on: Array  # (p,) 1 for velocities that take no torque
+    bandwidth: Array  # (p,) of their servos [1/s]
+    friction: Array  # (p, p) viscous friction on nu
 
 
 class Bound(NamedTuple):
-    """Result of `bound_of`.
+    """Result of `bound_of`."""
 
-    Attributes:
-        factor: Largest factor on all stiffnesses, with the damping that belongs to it, that is borne; 0 for none.
-        damping: Where that is 0, the largest one on all damping of a hand without springs; 0 for none.
-        margin: Delay from which on any damping drives the hand [s].
-        held: The loop.
-    """
-
-    factor: float
-    damping: float
-    margin: float
-    held: Held
+    factor: float  # largest factor on all stiffnesses, with the damping that belongs to it, that is borne; 0 for none
+    damping: float  # where that is 0, the largest one on all damping of a hand without springs; 0 for none
+    margin: float  # delay from which on any damping drives the hand [s]
+    held: Held  # the loop
 
     def require(self, impedance: Any) -> None:
-        """Refuse a stiffness or a damping beyond the bound.
-
-        Raises:
-            ConfigError: With the bound.
-        """
+        """Refuse a stiffness or a damping beyond the bound (`ConfigError`)."""
         if self.factor >= 1.0:
             return
         why = f"with {1e3 * self.held.delay:.3g} ms of delay and a period of {1e3 * self.held.period:.3g} ms "

@@ -96,22 +96,14 @@ class Force(Settings, frozen=True):
 
 
 def require_impedance(impedance: Impedance | None, force: Force | None) -> None:
-    """Refuse a force of a hand that is stiff.
-
-    Raises:
-        ConfigError: It is.
-    """
+    """Refuse a force of a hand that is stiff (`ConfigError`)."""
     if force is not None and impedance is None:
         fix = "add a table [impedance], empty for its defaults"
         raise ConfigError("a force of a hand that does not give way", fix=fix, key="force")
 
 
 def require_not_negative(value: Any, key: str) -> None:
-    """Refuse numbers that are negative or not finite; None is let pass.
-
-    Raises:
-        ConfigError: With the key path.
-    """
+    """Refuse numbers that are negative or not finite; None is let pass (`ConfigError`)."""
     if value is not None and not (np.all(np.isfinite(value)) and np.all(np.asarray(value) >= 0)):
         what = f"{value} is negative or not finite"
         raise ConfigError(what, fix="use finite numbers >= 0", key=key)

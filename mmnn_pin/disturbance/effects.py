@@ -22,38 +22,23 @@ BRAKE = 1e4  # torque or force by which a blocked joint is held [N m or N]
 
 @by_address
 class Forces(NamedTuple):
-    """Forces of the world on a robot over one step of the plant.
+    """Forces of the world on a robot over one step of the plant."""
 
-    Attributes:
-        force: (p,) on nu [N, N m].
-        position: (nv,) where the robot is; (0,) where nothing asks for it.
-        nu: (p,) how it moves, likewise.
-        by_hand: (p,) what of `force` acts at a frame, `J' F`, likewise.
-        hand: (6,) where that is in the world, and F [m, N], likewise.
-        n: (3,) direction of u of a base that steers, likewise.
-    """
-
-    force: Array
-    position: Array = NOTHING
-    nu: Array = NOTHING
-    by_hand: Array = NOTHING
-    hand: Array = NOTHING
-    n: Array = NOTHING
+    force: Array  # (p,) on nu [N, N m]
+    position: Array = NOTHING  # (nv,) where the robot is; (0,) where nothing asks for it
+    nu: Array = NOTHING  # (p,) how it moves, likewise
+    by_hand: Array = NOTHING  # (p,) what of `force` acts at a frame, `J' F`, likewise
+    hand: Array = NOTHING  # (6,) where that is in the world, and F [m, N], likewise
+    n: Array = NOTHING  # (3,) direction of u of a base that steers, likewise
 
 
 @by_address
 class Pushes(NamedTuple):
-    """Forces and torques on single velocities, one after the other.
+    """Forces and torques on single velocities, one after the other."""
 
-    Attributes:
-        dt: Step of the plant [s].
-        table: (k, PUSH) one row per push.
-        gusts: (samples, k) random numbers of the shape "noise", (0, 0) without any.
-    """
-
-    dt: float
-    table: Array
-    gusts: Array
+    dt: float  # step of the plant [s]
+    table: Array  # (k, PUSH) one row per push
+    gusts: Array  # (samples, k) random numbers of the shape "noise", (0, 0) without any
 
     @internal
     def act(self, wire: Forces, k: int, time: float) -> None:

@@ -112,21 +112,13 @@ class HingedDoor(Window, frozen=True, kw_only=True, tag="door"):
 
 
 def require_finite(value: float, key: str, least: float) -> None:
-    """Refuse a number that is not finite or below `least`.
-
-    Raises:
-        ConfigError: With the key path.
-    """
+    """Refuse a number that is not finite or below `least` (`ConfigError`)."""
     if not least <= value < math.inf:
         raise ConfigError(f"{value}", fix=f"use a finite number >= {least:g}", key=key)
 
 
 def require_positive(settings: Any, *names: str) -> None:
-    """Refuse numbers that are not finite or not positive.
-
-    Raises:
-        ConfigError: With the key path.
-    """
+    """Refuse numbers that are not finite or not positive (`ConfigError`)."""
     for name in names:
         if not 0 < getattr(settings, name) < math.inf:
             what = f"{getattr(settings, name)}"
@@ -135,29 +127,18 @@ def require_positive(settings: Any, *names: str) -> None:
 
 @by_address
 class Touched(NamedTuple):
-    """The things that a frame touches in one run.
+    """The things that a frame touches in one run."""
 
-    Attributes:
-        dt: Step of the plant [s].
-        tip: The frame.
-        place, twist, bias: Of the frame, written.
-        J: (6, p) its Jacobian, written.
-        surfaces: (k, SURFACE).
-        door: (DOOR,), or (0,) without one.
-        done: (DONE,) where the frame was a step ago and the force there, and the work since the start [J].
-        state: Places (k, 3) of the surfaces and hinge (3,), flat, then the angle of the door and its rate.
-    """
-
-    dt: float
-    tip: Tip
-    place: Array
-    twist: Array
-    bias: Array
-    J: Array
-    surfaces: Array
-    door: Array
-    done: Array
-    state: Array
+    dt: float  # step of the plant [s]
+    tip: Tip  # the frame
+    place: Array  # (12,) placement of the frame, written
+    twist: Array  # (6,) twist of the frame, written
+    bias: Array  # (6,) bias of the twist, written
+    J: Array  # (6, p) its Jacobian, written
+    surfaces: Array  # (k, SURFACE)
+    door: Array  # (DOOR,), or (0,) without one
+    done: Array  # (DONE,) where the frame was a step ago and the force there, and the work since the start [J]
+    state: Array  # places (k, 3) of the surfaces and hinge (3,), flat, then the angle of the door and its rate
 
     @internal
     def act(self, wire: Forces, k: int, time: float) -> None:

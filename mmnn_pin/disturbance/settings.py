@@ -176,11 +176,7 @@ class CommandFault(Window, frozen=True, kw_only=True, tag="commands"):
 
 
 def require_in_time(disturbances: Sequence[Any], duration: float) -> None:
-    """Refuse what would never happen in a run of this duration [s].
-
-    Raises:
-        ConfigError: A disturbance that begins when the run is over.
-    """
+    """Refuse what would never happen in a run of this duration [s] (`ConfigError`)."""
     for i, one in enumerate(disturbances):
         if one.start >= duration:
             what, why = f"{one.start:g} s", f"the run ends at {duration:g} s"
@@ -188,11 +184,7 @@ def require_in_time(disturbances: Sequence[Any], duration: float) -> None:
 
 
 def require_long_enough(disturbances: Sequence[Any], step: float) -> None:
-    """Refuse what could fall between two steps of the plant [s].
-
-    Raises:
-        ConfigError: A disturbance that is over before the plant has made a step.
-    """
+    """Refuse what could fall between two steps of the plant [s] (`ConfigError`)."""
     for i, one in enumerate(disturbances):
         if isinstance(one, Window) and one.end - one.start < step * (1 - 1e-9):
             what, why = f"{one.end - one.start:g} s long", f"the plant's step is {step:g} s"

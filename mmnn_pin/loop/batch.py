@@ -185,11 +185,7 @@ class Both:
 
 
 def require_fit(loops: Sequence[Loop], states: Sequence[Any]) -> None:
-    """Refuse states that do not belong to their loop's controller.
-
-    Raises:
-        ConfigError: With the place of the state.
-    """
+    """Refuse states that do not belong to their loop's controller (`ConfigError`)."""
     for i, (loop, state) in enumerate(zip(loops, states, strict=True)):
         if state is not None:
             try:
@@ -220,11 +216,7 @@ def recorded_weights(loop: Loop) -> int:
 
 
 def require_memory(needed: int) -> None:
-    """Refuse what does not fit into the machine's free memory.
-
-    Raises:
-        ConfigError: With both numbers.
-    """
+    """Refuse what does not fit into the machine's free memory (`ConfigError`)."""
     free = free_bytes()
     if needed > free:
         raise ConfigError(

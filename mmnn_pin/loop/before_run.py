@@ -104,11 +104,7 @@ def lags(robot: Robot, lag: Numbers) -> Array:
 
 
 def require_nominal(nominal: Robot, robot: Robot) -> None:
-    """Refuse a nominal robot of another shape.
-
-    Raises:
-        ConfigError: It has another base or other joints.
-    """
+    """Refuse a nominal robot of another shape (`ConfigError`)."""
     if nominal.dimensions != robot.dimensions:
         raise ConfigError(
             f"the nominal robot has {nominal.dimensions}, the robot {robot.dimensions}",
@@ -118,11 +114,7 @@ def require_nominal(nominal: Robot, robot: Robot) -> None:
 
 
 def require_first(timing: Timing, first: int) -> None:
-    """Refuse to start at a control sample at which there is no measurement.
-
-    Raises:
-        ConfigError: There is none, or no such sample.
-    """
+    """Refuse to start at a control sample at which there is no measurement (`ConfigError`)."""
     if not 0 <= first < timing.samples or first * timing.steps_per_control % timing.steps_per_measurement:
         raise ConfigError(
             f"cannot start at control sample {first}",
@@ -144,10 +136,6 @@ def samples_between(interval: float, period: float) -> int:
 
 
 def require_seed(seed: int) -> None:
-    """Refuse a seed that a recording cannot hold.
-
-    Raises:
-        ConfigError: It is negative, or too large.
-    """
+    """Refuse a seed that a recording cannot hold (`ConfigError`)."""
     if not 0 <= seed < 2**63:
         raise ConfigError(f"{shortly(seed)}", fix="use an integer from 0 to 2^63 - 1", key="seed")

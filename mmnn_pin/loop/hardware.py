@@ -50,15 +50,10 @@ class SentTorque(NamedTuple):
 
 @by_address
 class CommandLine(NamedTuple):
-    """Commands that are lost, so that the motors keep what they had, or that arrive as no numbers.
+    """Commands that are lost, so that the motors keep what they had, or that arrive as no numbers."""
 
-    Attributes:
-        fates: (samples,) what becomes of every command.
-        sent: (p,) state: the last torque that reached the motors.
-    """
-
-    fates: Array
-    sent: Array
+    fates: Array  # (samples,) what becomes of every command
+    sent: Array  # (p,) state: the last torque that reached the motors
 
     @internal
     def act(self, wire: SentTorque, k: int, time: float) -> None:
@@ -72,15 +67,10 @@ class CommandLine(NamedTuple):
 
 @by_address
 class MotorSide(NamedTuple):
-    """Encoders on the motors instead of the joints, from which backlash separates them.
+    """Encoders on the motors instead of the joints, from which backlash separates them."""
 
-    Attributes:
-        geared: (k, 3) motor, its joint's place in the position, and in nu (negative for a wheel).
-        states: State of the motors.
-    """
-
-    geared: IntArray
-    states: MotorState
+    geared: IntArray  # (k, 3) motor, its joint's place in the position, and in nu (negative for a wheel)
+    states: MotorState  # state of the motors
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
@@ -94,49 +84,29 @@ class MotorSide(NamedTuple):
 
 @by_address
 class World(NamedTuple):
-    """The disturbances of the robot from outside.
+    """The disturbances of the robot from outside."""
 
-    Attributes:
-        pushes: Whether anything does.
-        wire: The force of a step.
-        effects: In the order in which they add up.
-        blocked: (k, 3) joints that are blocked: place in the position, start, end.
-        pick, drop: When a payload is picked up and put down, inf for never [s].
-        shift: (2,) the energy that came and went with it [J], and 1 once it came, 2 once it went.
-    """
-
-    pushes: bool
-    wire: Forces
-    effects: tuple[Any, ...]
-    blocked: Array
-    pick: float
-    drop: float
-    shift: Array
+    pushes: bool  # whether anything does
+    wire: Forces  # the force of a step
+    effects: tuple[Any, ...]  # in the order in which they add up
+    blocked: Array  # (k, 3) joints that are blocked: place in the position, start, end
+    pick: float  # when a payload is picked up [s], inf for never
+    drop: float  # when it is put down [s], inf for never
+    shift: Array  # (2,) the energy that came and went with it [J], and 1 once it came, 2 once it went
 
 
 @by_address
 class Totals(NamedTuple):
-    """The sums over a control period that are recorded.
+    """The sums over a control period that are recorded."""
 
-    Attributes:
-        imperfect: Whether the motors are.
-        states: State of the motors, with the sum of what they gave.
-        command: (motors,) torques that reach the motors [N m or N].
-        force: (p,) sum of what the world did.
-        hand: (3,) sum of the force at the frame that touches something, (0,) without one.
-        work: (2,) work of that force up to the period's beginning [J], and how many steps it has had.
-        done: (1,) its work up to now, (0,) without such a frame [J].
-        door: (2,) angle and rate of the door, (0,) without one.
-    """
-
-    imperfect: bool
-    states: MotorState
-    command: Array
-    force: Array
-    hand: Array
-    work: Array
-    done: Array
-    door: Array
+    imperfect: bool  # whether the motors are
+    states: MotorState  # state of the motors, with the sum of what they gave
+    command: Array  # (motors,) torques that reach the motors [N m or N]
+    force: Array  # (p,) sum of what the world did
+    hand: Array  # (3,) sum of the force at the frame that touches something, (0,) without one
+    work: Array  # (2,) work of that force up to the period's beginning [J], and how many steps it has had
+    done: Array  # (1,) its work up to now, (0,) without such a frame [J]
+    door: Array  # (2,) angle and rate of the door, (0,) without one
 
 
 @by_address
@@ -145,76 +115,46 @@ class Expected(NamedTuple):
 
     Where Psi_hat is right, `M (nudot - nudot_ref) = tau - Psi_hat + C s`, so nothing but inertias has to be known, and
     of these no more than the gains were chosen by; what is wrong with them the observer learns.
-
-    Attributes:
-        inertia: (p,) effective inertias of the robot that the controller believes in [kg, kg m^2].
-        follows: 1 where Psi_hat answers for nudot_ref, 0 for a controller without one: then the torque is all.
-        acceleration: (p,) written: see `sensing.effects.Reading`; (0,) without such an observer.
     """
 
-    inertia: Array
-    follows: float
-    acceleration: Array
+    inertia: Array  # (p,) effective inertias of the robot that the controller believes in [kg, kg m^2]
+    follows: float  # 1 where Psi_hat answers for nudot_ref, 0 for a controller without one: then the torque is all
+    acceleration: Array  # (p,) written: see `sensing.effects.Reading`; (0,) without such an observer
 
 
 @by_address
 class Way(NamedTuple):
-    """The way of a torque from the controller to the motors, all that `send` needs: Python hands it over each time.
+    """The way of a torque from the controller to the motors, all that `send` needs: Python hands it over each time."""
 
-    Attributes:
-        line, lines: The command under way, and the effects that it meets.
-        supervisor: What stands before the motors.
-        E_inv: (motors, p) motor torques from the torque on nu.
-        totals: Command of the motors, and what they and the world gave.
-        sent: (p,) the last torque that reached the motors, part of the hardware's state.
-        shorted: (1,) how many motors, from the first on, have their windings shorted.
-        expected: For an observer on a model.
-    """
-
-    line: SentTorque
-    lines: tuple[Any, ...]
-    supervisor: Supervisor
-    E_inv: Array
-    totals: Totals
-    sent: Array
-    shorted: IntArray
-    expected: Expected
+    line: SentTorque  # the command under way
+    lines: tuple[Any, ...]  # the effects that it meets
+    supervisor: Supervisor  # what stands before the motors
+    E_inv: Array  # (motors, p) motor torques from the torque on nu
+    totals: Totals  # command of the motors, and what they and the world gave
+    sent: Array  # (p,) the last torque that reached the motors, part of the hardware's state
+    shorted: IntArray  # (1,) how many motors, from the first on, have their windings shorted
+    expected: Expected  # for an observer on a model
 
 
 @by_address
 class Hardware(NamedTuple):
-    """The hardware model of one run.
+    """The hardware model of one run."""
 
-    Attributes:
-        exact: Whether the state is measured as it is.
-        sensors: The sensors.
-        way: From the controller to the motors.
-        motors: The motors.
-        world: The disturbances from outside.
-        E: (p, motors) torque on nu from motor torques.
-        tau: (p,) generalized torque of motors and world.
-        state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent, commands
-            under way, servo rows and their servos, what feels external torque.
-        split: The rows that take a velocity; None where all take effort.
-        touch: What feels external torque; None for nothing.
-        places: (motors,) of the motors' joints in the position, negative for a force on the base.
-        turning: (motors,) rows of T of the motors' joints where T changes; (0,) elsewhere.
-        task: A compliant hand, for `sample`; None without one.
-    """
-
-    exact: bool
-    sensors: Sensors
-    way: Way
-    motors: Motors
-    world: World
-    E: Array
-    tau: Array
+    exact: bool  # whether the state is measured as it is
+    sensors: Sensors  # the sensors
+    way: Way  # from the controller to the motors
+    motors: Motors  # the motors
+    world: World  # the disturbances from outside
+    E: Array  # (p, motors) torque on nu from motor torques
+    tau: Array  # (p,) generalized torque of motors and world
+    # state of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent, commands under
+    # way, servo rows and their servos, what feels external torque
     state: Array
-    split: Split | None
-    touch: Feeler | None
-    places: IntArray
-    turning: IntArray
-    task: Compliance | None
+    split: Split | None  # the rows that take a velocity; None where all take effort
+    touch: Feeler | None  # what feels external torque; None for nothing
+    places: IntArray  # (motors,) of the motors' joints in the position, negative for a force on the base
+    turning: IntArray  # (motors,) rows of T of the motors' joints where T changes; (0,) elsewhere
+    task: Compliance | None  # a compliant hand, for `sample`; None without one
 
 
 def pass_through(effects: tuple[Any, ...], wire: Any, k: int, time: float) -> None:

@@ -113,17 +113,11 @@ class Latency(Settings, frozen=True):
 
 @by_address
 class Transport(NamedTuple):
-    """The way of the commands to the motors, on which each is late.
+    """The way of the commands to the motors, on which each is late."""
 
-    Attributes:
-        dt: Step of the plant [s].
-        in_force: (steps,) see `Latency.in_force`.
-        sent: (slots, motors) state: the last commands, command k in row k modulo slots.
-    """
-
-    dt: float
-    in_force: IntArray
-    sent: Array
+    dt: float  # step of the plant [s]
+    in_force: IntArray  # (steps,) see `Latency.in_force`
+    sent: Array  # (slots, motors) state: the last commands, command k in row k modulo slots
 
     @internal
     def act(self, wire: Drive, k: int, time: float) -> None:

@@ -52,15 +52,10 @@ SHAPE = INDEX["shape"]
 
 
 class Lead(NamedTuple):
-    """How a law looks ahead.
+    """How a law looks ahead."""
 
-    Attributes:
-        ahead: Where to, and the numbers of the law with its weights held.
-        learner: What it learns with, its weights held; None where nothing learns but networks.
-    """
-
-    ahead: Ahead
-    learner: Any
+    ahead: Ahead  # where to, and the numbers of the law with its weights held
+    learner: Any  # what it learns with, its weights held; None where nothing learns but networks
 
 
 def delays(robot: Robot, timing: Timing, latency: Latency, lag: Numbers) -> Array:
@@ -166,21 +161,13 @@ def reference_then(setpoints: Array, k: int, back: float, then: Array) -> None:
 
 
 class Past(NamedTuple):
-    """References of the last samples of a stepper, by which measurements are brought up to now.
+    """References of the last samples of a stepper, by which measurements are brought up to now."""
 
-    Attributes:
-        longest: Largest age of a measurement that is made up for [s].
-        times: (m,) of the references, -inf where there is none yet [s].
-        rows: (m, w) references, in a ring.
-        newest: (1,) place of the newest.
-        then: (w,) the reference when it was taken.
-    """
-
-    longest: float
-    times: Array
-    rows: Array
-    newest: IntArray
-    then: Array
+    longest: float  # largest age of a measurement that is made up for [s]
+    times: Array  # (m,) of the references, -inf where there is none yet [s]
+    rows: Array  # (m, w) references, in a ring
+    newest: IntArray  # (1,) place of the newest
+    then: Array  # (w,) the reference when it was taken
 
     @classmethod
     def of(cls, longest: float, period: float, setpoint: Array) -> Past:

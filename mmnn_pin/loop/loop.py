@@ -452,11 +452,7 @@ def require_resumable(robot: Robot) -> None:
 
 
 def require_compilable(loop: Loop) -> None:
-    """Refuse the compiled engine to a loop with Python or MuJoCo in it.
-
-    Raises:
-        ConfigError: It has.
-    """
+    """Refuse the compiled engine to a loop with Python or MuJoCo in it (`ConfigError`)."""
     if isinstance(loop.controller, TorqueController):
         what, why, fix = "a controller in plain Python cannot be compiled", "", "use engine = 'auto'"
     elif loop.plant == "contact":

@@ -50,31 +50,18 @@ ENERGY, WORK, RESIDUAL = (INDEX[n] for n in ("energy", "work", "energy_residual"
 
 @by_address
 class Controls(NamedTuple):
-    """The arrays and numbers that every control sample works on.
+    """The arrays and numbers that every control sample works on."""
 
-    Attributes:
-        row: (width,) row of signals.
-        at: Offsets of the signals.
-        gains: (3,) of the kinematic layer.
-        K: (n,) gain of the filtered arm error [1/s].
-        law: The numbers of the law.
-        state: (size,) the controller's state.
-        setpoints: The setpoint of every control sample, (samples, ...).
-        then: Room for the reference of a measurement that is late.
-        age: By how much measurements are brought up to now [s]; 0 in a stepper, which does so before (`bring_up`).
-        h: Control period [s].
-    """
-
-    row: Array
-    at: IntArray
-    gains: Array
-    K: Array
-    law: Packed
-    state: Array
-    setpoints: Array
-    then: Array
-    age: float
-    h: float
+    row: Array  # (width,) row of signals
+    at: IntArray  # offsets of the signals
+    gains: Array  # (3,) of the kinematic layer
+    K: Array  # (n,) gain of the filtered arm error [1/s]
+    law: Packed  # the numbers of the law
+    state: Array  # (size,) the controller's state
+    setpoints: Array  # the setpoint of every control sample, (samples, ...)
+    then: Array  # room for the reference of a measurement that is late
+    age: float  # by how much measurements are brought up to now [s]; 0 in a stepper, which does so before (`bring_up`)
+    h: float  # control period [s]
 
 
 @linked

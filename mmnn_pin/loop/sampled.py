@@ -45,19 +45,12 @@ FREQUENCIES, SLOWEST = 160, 0.05  # of the sweep, from this one on [rad/s]
 
 
 class Machinery(NamedTuple):
-    """The parts between torque and motion, and between motion and measurement; none by default.
+    """The parts between torque and motion, and between motion and measurement; none by default."""
 
-    Attributes:
-        friction: Viscous friction on nu, (p,) or a matrix (p, p).
-        lag: (p,) time constants of first-order motors [s].
-        servos: Of servo rows, whose gains are 0.
-        sight: How velocities are measured, None for exactly.
-    """
-
-    friction: Array | None = None
-    lag: Array | None = None
-    servos: LinearServos | None = None
-    sight: VelocityFilter | None = None
+    friction: Array | None = None  # viscous friction on nu, (p,) or a matrix (p, p)
+    lag: Array | None = None  # (p,) time constants of first-order motors [s]
+    servos: LinearServos | None = None  # of servo rows, whose gains are 0
+    sight: VelocityFilter | None = None  # how velocities are measured, None for exactly
 
 
 NOTHING = Machinery()
@@ -65,16 +58,13 @@ NOTHING = Machinery()
 
 @dataclass(frozen=True)
 class SampledLoop:
-    """Verdict on the sampled PD loop.
+    """Verdict on the sampled PD loop."""
 
-    Attributes:
-        radius: Spectral radius of one control period; up to 1 is stable (exactly 1: something is not stabilised, such
-            as the lateral error at vr = 0).
-        gain_limits: (p,) gain on each velocity alone at which `nu_next = (Phi_ii - Gamma_ii k) nu` reaches -1, where
-            without friction `Phi_ii = 1` and `Gamma_ii = h (M^-1)_ii`.
-    """
-
+    # spectral radius of one control period; up to 1 is stable (exactly 1: something is not stabilised, such as the
+    # lateral error at vr = 0)
     radius: float
+    # (p,) gain on each velocity alone at which `nu_next = (Phi_ii - Gamma_ii k) nu` reaches -1, where without friction
+    # `Phi_ii = 1` and `Gamma_ii = h (M^-1)_ii`
     gain_limits: Array
 
     @property
@@ -108,27 +98,18 @@ def sampled_loop(
 
 @dataclass(frozen=True, eq=False)
 class HeldLoop:
-    """One control period of the linearised loop: `d_next = state d + torque tau`, and `s = errors d`.
+    """One control period of the linearised loop: `d_next = state d + torque tau`, and `s = errors d`."""
 
-    Attributes:
-        state: (k, k).
-        torque: (k, m): what is sent, held over the period, does: of every velocity a torque, on servo rows a velocity
-            that is asked for, and after these the torques that act through servos.
-        rows: (m,) velocities that it is sent for.
-        errors: (m, k): `[z; r]` of a deviation, 0 where a velocity is asked for.
-        inside: (m, k): `M nudot_ref` of a deviation, the feedback inside Psi, likewise.
-        rates: (m, k): `nudot_ref` of a deviation, likewise.
-        asked: (m, k): velocities that servo rows are asked for in a deviation, 0 on the others.
-        responses: By period, `(z - state)^-1 torque` at the frequencies of a sweep, which no gain changes.
-    """
-
-    state: Array
+    state: Array  # (k, k)
+    # (k, m): what is sent, held over the period, does: of every velocity a torque, on servo rows a velocity that is
+    # asked for, and after these the torques that act through servos
     torque: Array
-    rows: IntArray
-    errors: Array
-    inside: Array
-    rates: Array
-    asked: Array
+    rows: IntArray  # (m,) velocities that it is sent for
+    errors: Array  # (m, k): `[z; r]` of a deviation, 0 where a velocity is asked for
+    inside: Array  # (m, k): `M nudot_ref` of a deviation, the feedback inside Psi, likewise
+    rates: Array  # (m, k): `nudot_ref` of a deviation, likewise
+    asked: Array  # (m, k): velocities that servo rows are asked for in a deviation, 0 on the others
+    # by period, `(z - state)^-1 torque` at the frequencies of a sweep, which no gain changes
     responses: dict[float, Array] = field(default_factory=dict)
 
     def closed(self, gains: Array) -> Array:

@@ -111,78 +111,48 @@ class Servo(Settings, frozen=True):
 
 
 class Command(NamedTuple):
-    """The command of a sample to the robot: views that the next step overwrites, NaN where the other interface holds.
+    """Command of a sample to the robot: views that the next step overwrites, NaN where the other interface holds."""
 
-    Attributes:
-        effort: (p,) on nu: forces on the base, torques of the joints [N, N m; N m or N].
-        velocity: (p,) base velocity and rates of the joints [m/s, rad/s; rad/s or m/s].
-        position: (p,) of joints that take nothing else: their velocity, integrated [rad or m].
-        motor_effort: (motors,) the same at the motors, drive wheels from left to right, then the arm [N m or N].
-        motor_velocity: (motors,) likewise [rad/s or m/s].
-        motor_position: (motors,) likewise; a wheel that follows another's steering is asked for its angle [rad or m].
-        twist: (twist,) the base's velocity, for a controller of the robot's own [m/s, rad/s]: where the base steers,
-            what its wheels are steered for, and as fast as they are driven.
-    """
-
-    effort: Array
-    velocity: Array
-    position: Array
-    motor_effort: Array
-    motor_velocity: Array
+    effort: Array  # (p,) on nu: forces on the base, torques of the joints [N, N m; N m or N]
+    velocity: Array  # (p,) base velocity and rates of the joints [m/s, rad/s; rad/s or m/s]
+    position: Array  # (p,) of joints that take nothing else: their velocity, integrated [rad or m]
+    motor_effort: Array  # (motors,) the same at the motors, drive wheels from left to right, then the arm [N m or N]
+    motor_velocity: Array  # (motors,) likewise [rad/s or m/s]
+    # (motors,) likewise; a wheel that follows another's steering is asked for its angle [rad or m]
     motor_position: Array
+    # (twist,) the base's velocity, for a controller of the robot's own [m/s, rad/s]: where the base steers, what its
+    # wheels are steered for, and as fast as they are driven
     twist: Array
 
 
 @by_address
 class Split(NamedTuple):
-    """The servo rows of one robot: numbers of their law and what it remembers.
+    """The servo rows of one robot: numbers of their law and what it remembers."""
 
-    Attributes:
-        on: (p,) 1 on s, 0 on e.
-        numbers: (3, p) b, k, rate.
-        h: Control period [s].
-        E: (p, motors) speeds of the motors are E' nu; of a base that steers as it is measured.
-        wheel: (wheels,) speed limits of the base's motors, infinite of those that steer.
-        speed: (p,) speed limits of the commands.
-        braking: (p,) by which commands brake in a stop [m/s^2 or rad/s^2].
-        floor: (p,) of psi's bound.
-        masters: (m,) places in `shape` of the pivots whose rates are the last base velocities.
-        length: l of `base.rolling` where the first velocity is u, else 0 [m].
-        ends: (2, n + m) between which positions are sent, of the arm and of masters, infinite for joints that take none
-            [rad or m].
-        ahead: (n + m,) how far a position may be ahead of the measured one, likewise.
-        growth: (p,) of psi in the last sample.
-        integral: (p,) psi.
-        command: (p,) u of the last sample.
-        place: (n + m,) positions by integration of u, for joints that take nothing else.
-        through: (3, p) 1 / Kp of a position servo through which torques act, 0 on other rows; its Kd; largest torque.
-        late: From a measurement to the middle of the time for which a position stands [s].
-        offset: (n + m,) the part tau / Kp of `place`, likewise.
-        kept: (p,) put back into the row for those who look at it: errors s, and torques that act through servos.
-        clock: (3,) 0 before it begins, 1, 2 in a stop; time of the last sample; time since then [s].
-    """
-
-    on: Array
-    numbers: Array
-    h: float
-    E: Array
-    wheel: Array
-    speed: Array
-    braking: Array
-    floor: Array
-    masters: IntArray
-    length: float
+    on: Array  # (p,) 1 on s, 0 on e
+    numbers: Array  # (3, p) b, k, rate
+    h: float  # control period [s]
+    E: Array  # (p, motors) speeds of the motors are E' nu; of a base that steers as it is measured
+    wheel: Array  # (wheels,) speed limits of the base's motors, infinite of those that steer
+    speed: Array  # (p,) speed limits of the commands
+    braking: Array  # (p,) by which commands brake in a stop [m/s^2 or rad/s^2]
+    floor: Array  # (p,) of psi's bound
+    masters: IntArray  # (m,) places in `shape` of the pivots whose rates are the last base velocities
+    length: float  # l of `base.rolling` where the first velocity is u, else 0 [m]
+    # (2, n + m) between which positions are sent, of the arm and of masters, infinite for joints that take none [rad or
+    # m]
     ends: Array
-    ahead: Array
-    growth: Array
-    integral: Array
-    command: Array
-    place: Array
+    ahead: Array  # (n + m,) how far a position may be ahead of the measured one, likewise
+    growth: Array  # (p,) of psi in the last sample
+    integral: Array  # (p,) psi
+    command: Array  # (p,) u of the last sample
+    place: Array  # (n + m,) positions by integration of u, for joints that take nothing else
+    # (3, p) 1 / Kp of a position servo through which torques act, 0 on other rows; its Kd; largest torque
     through: Array
-    late: float
-    offset: Array
-    kept: Array
-    clock: Array
+    late: float  # from a measurement to the middle of the time for which a position stands [s]
+    offset: Array  # (n + m,) the part tau / Kp of `place`, likewise
+    kept: Array  # (p,) put back into the row for those who look at it: errors s, and torques that act through servos
+    clock: Array  # (3,) 0 before it begins, 1, 2 in a stop; time of the last sample; time since then [s]
 
 
 def interfaces_of(robot: Robot, given: Mapping[str, str] | None) -> tuple[tuple[str, ...], Array]:
@@ -369,11 +339,7 @@ def needs_torques(controller: CompiledController | TorqueController, context: Co
 
 
 def require_no_torque_regressor(controller: CompiledController | TorqueController, context: Context) -> None:
-    """Refuse what `needs_torques`.
-
-    Raises:
-        ConfigError: It does.
-    """
+    """Refuse what `needs_torques` (`ConfigError`)."""
     if needs_torques(controller, context):
         some = context.hidden is not None and not context.hidden.all()
         why = "it needs the torque of every joint, and a servo of which no stiffness is known does not tell it"

@@ -45,41 +45,26 @@ class Servos(NamedTuple):
     servo's torque falls by per speed, `torque = a - c w` of all servos at once within their limits, by projected
     Gauss-Seidel. A servo with a period of its own samples its error so often, and holds what it makes of it; what the
     speed brakes in a winding, Kd of a position servo, it does all the time.
-
-    Attributes:
-        dt: Step of the plant [s].
-        on: (motors,) 1 for a motor with a servo.
-        placed: (motors,) its place in `place`, for a position servo; negative for others.
-        law: (7, motors) Kp, Kd, Ki, largest torque of the PID, dead band, largest speed and acceleration of the
-            profile; 0 for none.
-        every: (motors,) steps of the plant between two samples of a servo.
-        limit: (motors,) largest torque [N m or N].
-        E: (p, motors) speeds of the motors are E' nu.
-        command: (p,) what is asked of nu, written by `ask`.
-        place: (m,) positions that are sent, likewise [rad or m].
-        rotor: (motors,) inertia that the servo turns inside a gap of the gear, 0 where there is none [kg m^2 or kg].
-        share: (motors,) of a servo's torque that acts at the end of a step, by lag and torque constant.
-        kept: (motors,) of the torque before that still does, by lag.
-        states: State of the motors.
-        ring: (slots + ROWS, motors) state: what was asked in the last steps, and the rows below.
-        work: (2, motors) scratch: c, and the speeds at the end of the step.
     """
 
-    dt: float
-    on: Array
-    placed: IntArray
+    dt: float  # step of the plant [s]
+    on: Array  # (motors,) 1 for a motor with a servo
+    placed: IntArray  # (motors,) its place in `place`, for a position servo; negative for others
+    # (7, motors) Kp, Kd, Ki, largest torque of the PID, dead band, largest speed and acceleration of the profile; 0 for
+    # none
     law: Array
-    every: IntArray
-    limit: Array
-    E: Array
-    command: Array
-    place: Array
+    every: IntArray  # (motors,) steps of the plant between two samples of a servo
+    limit: Array  # (motors,) largest torque [N m or N]
+    E: Array  # (p, motors) speeds of the motors are E' nu
+    command: Array  # (p,) what is asked of nu, written by `ask`
+    place: Array  # (m,) positions that are sent, likewise [rad or m]
+    # (motors,) inertia that the servo turns inside a gap of the gear, 0 where there is none [kg m^2 or kg]
     rotor: Array
-    share: Array
-    kept: Array
-    states: MotorState
-    ring: Array
-    work: Array
+    share: Array  # (motors,) of a servo's torque that acts at the end of a step, by lag and torque constant
+    kept: Array  # (motors,) of the torque before that still does, by lag
+    states: MotorState  # state of the motors
+    ring: Array  # (slots + ROWS, motors) state: what was asked in the last steps, and the rows below
+    work: Array  # (2, motors) scratch: c, and the speeds at the end of the step
 
     @internal
     def act(self, wire: Drive, k: int, time: float) -> None:
@@ -317,29 +302,17 @@ def servo_slots(servo: Servo, latency: float, dt: float) -> int:
 
 
 class LinearServos(NamedTuple):
-    """Servo rows in the linearised loop that is judged before a run.
+    """Servo rows in the linearised loop that is judged before a run."""
 
-    Attributes:
-        law: As stated.
-        kinds: (p,) interface of every velocity.
-        numbers: (3, p) b, k, rate.
-        E: (p, m) of the m motors with a servo.
-        gain: (m,) Kd of `Servos`.
-        stiffness: (m,) Kp over Kd [1/s].
-        fed: (m,) 1 where Kd brakes the speed that is not asked for, 0 for a position servo, where it brakes all.
-        through: (t,) rows on which torques act through a servo, as in `loop.servo`.
-        simulated: Whether they are `Servos`, else what the law takes them for, `nudot_s = b (u - nu_s)`.
-    """
-
-    law: Servo
-    kinds: tuple[str, ...]
-    numbers: Array
-    E: Array
-    gain: Array
-    stiffness: Array
-    fed: Array
-    through: IntArray
-    simulated: bool
+    law: Servo  # as stated
+    kinds: tuple[str, ...]  # (p,) interface of every velocity
+    numbers: Array  # (3, p) b, k, rate
+    E: Array  # (p, m) of the m motors with a servo
+    gain: Array  # (m,) Kd of `Servos`
+    stiffness: Array  # (m,) Kp over Kd [1/s]
+    fed: Array  # (m,) 1 where Kd brakes the speed that is not asked for, 0 for a position servo, where it brakes all
+    through: IntArray  # (t,) rows on which torques act through a servo, as in `loop.servo`
+    simulated: bool  # whether they are `Servos`, else what the law takes them for, `nudot_s = b (u - nu_s)`
 
     @property
     def on(self) -> Array:

@@ -15,16 +15,11 @@ class VelocityFilter(NamedTuple):
 
     The rate v and the tracked angle, off by w, follow the mean velocity m of a measurement's period,
     `(w, v)_next = A (w, v) + b m`; of a filter w is zero.
-
-    Attributes:
-        period: Between two measurements [s].
-        alpha: Share of a new difference, 1 for plain ones; or the observer's correction of the angle.
-        beta: The observer's correction of the rate, 0 for a filter [1/s].
     """
 
-    period: float
-    alpha: float
-    beta: float = 0.0
+    period: float  # between two measurements [s]
+    alpha: float  # share of a new difference, 1 for plain ones; or the observer's correction of the angle
+    beta: float = 0.0  # the observer's correction of the rate, 0 for a filter [1/s]
 
     def over(self, h: float) -> tuple[Array, Array]:
         """A (2, 2) and b (2,) of all measurements of a control period h [s]."""

@@ -59,11 +59,7 @@ def require_stable_gains(plan: Plan) -> None:
 def require_stable(
     verdict: SampledLoop, gains: Array, names: tuple[str, ...], h: float, cure: Cure | None = None
 ) -> None:
-    """Refuse gains that make the sampled PD loop unstable; `cure` says which do not.
-
-    Raises:
-        ConfigError: With the spectral radius and the gains that are too high.
-    """
+    """Refuse gains that make the sampled PD loop unstable; `cure` says which do not (`ConfigError`)."""
     if verdict.stable:
         return
     over = [
@@ -140,11 +136,7 @@ def require_servo_rows(plan: Plan, what: str) -> None:
 
 
 def require_margin(plan: Plan) -> None:
-    """Refuse gains that do not bear the latency of a plan.
-
-    Raises:
-        ConfigError: They do not, with the largest share of them that does.
-    """
+    """Refuse gains that do not bear the latency of a plan (`ConfigError`)."""
     margin, delay = delay_margin(plan), known_delay(plan)
     if margin > delay:
         return

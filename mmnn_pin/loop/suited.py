@@ -64,31 +64,19 @@ NARROWER = 0.8 ** np.arange(1, 9)  # of the room about a posture, for a swing wh
 
 
 class LoopToSuit(NamedTuple):
-    """The loop that gains have to suit.
+    """The loop that gains have to suit."""
 
-    Attributes:
-        kinematic: Gains of the kinematic layer.
-        period: How long a torque is held [s].
-        delay: That the loop has to bear [s].
-        margin: Part of it that nobody knows of, but wants to be borne [s].
-        lag: Time constants of the motors [s].
-        reference: Setpoints where the robot will be, rows of a `Trajectory.table` as bytes; empty for `postures`.
-        late: By how much an observer on a model is late, to an integral [s].
-        sight: How velocities are made of encoders.
-        interfaces: Interface of joints, by name.
-        servo: The servos behind them. They count where torques act through them.
-    """
-
-    kinematic: Kinematic
-    period: float
-    delay: float = MARGIN
-    margin: float = MARGIN
-    lag: Numbers = 0.0
+    kinematic: Kinematic  # gains of the kinematic layer
+    period: float  # how long a torque is held [s]
+    delay: float = MARGIN  # that the loop has to bear [s]
+    margin: float = MARGIN  # part of it that nobody knows of, but wants to be borne [s]
+    lag: Numbers = 0.0  # time constants of the motors [s]
+    # setpoints where the robot will be, rows of a `Trajectory.table` as bytes; empty for `postures`
     reference: bytes = b""
-    late: float = 0.0
-    sight: VelocityFilter | None = None
-    interfaces: tuple[tuple[str, str], ...] = ()
-    servo: Servo = Servo()
+    late: float = 0.0  # by how much an observer on a model is late, to an integral [s]
+    sight: VelocityFilter | None = None  # how velocities are made of encoders
+    interfaces: tuple[tuple[str, str], ...] = ()  # interface of joints, by name
+    servo: Servo = Servo()  # the servos behind them. They count where torques act through them
 
     @classmethod
     def of(cls, loop: Any, trajectory: Trajectory, timing: Timing, layout: Dimensions) -> LoopToSuit:

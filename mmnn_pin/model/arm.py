@@ -44,25 +44,15 @@ WHY = {
 
 @dataclass(frozen=True)
 class Arm:
-    """The manipulator, and the joints that stand still.
+    """The manipulator, and the joints that stand still."""
 
-    Attributes:
-        joints: Joints that move by themselves, in the order of the file.
-        locked: Position of every joint that stands still [rad or m].
-        reasons: Why each of these stands still.
-        slaves: Mimic joints that move with a master.
-        hands: The end of every arm, that with the most joints first.
-        doubts: What may be otherwise.
-        broken: SRDF files that cannot be read.
-    """
-
-    joints: tuple[str, ...]
-    locked: dict[str, float]
-    reasons: dict[str, str]
-    slaves: dict[str, Slave]
-    hands: tuple[Hand, ...] = ()
-    doubts: tuple[Limb, ...] = ()
-    broken: tuple[Path, ...] = ()
+    joints: tuple[str, ...]  # joints that move by themselves, in the order of the file
+    locked: dict[str, float]  # position of every joint that stands still [rad or m]
+    reasons: dict[str, str]  # why each of these stands still
+    slaves: dict[str, Slave]  # mimic joints that move with a master
+    hands: tuple[Hand, ...] = ()  # the end of every arm, that with the most joints first
+    doubts: tuple[Limb, ...] = ()  # what may be otherwise
+    broken: tuple[Path, ...] = ()  # SRDF files that cannot be read
 
 
 def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
@@ -193,17 +183,11 @@ def leading_to(rest: AtRest, tip: str, free: Iterable[str], slaves: dict[str, Sl
 
 @dataclass(frozen=True)
 class Slave:
-    """A joint that follows another one that does not itself follow.
+    """A joint that follows another one that does not itself follow."""
 
-    Attributes:
-        master: The joint that it follows.
-        multiplier: Its rate over the master's.
-        offset: Its position where the master's is 0 [rad or m].
-    """
-
-    master: str
-    multiplier: float
-    offset: float
+    master: str  # the joint that it follows
+    multiplier: float  # its rate over the master's
+    offset: float  # its position where the master's is 0 [rad or m]
 
     def at(self, position: float) -> float:
         """Its position at a position of the master."""

@@ -29,27 +29,18 @@ PUSHES = 0.05  # of an arm that can push along a direction: motion of the frame 
 
 
 class Chain(NamedTuple):
-    """The joints that carry a frame; those that stand still are part of the placements.
+    """The joints that carry a frame; those that stand still are part of the placements."""
 
-    Attributes:
-        links: (m, 2) kind of every joint, and its place among all velocities; of a mobile base the first three are
-            the root's.
-        numbers: (m + 1, 15) placement of every joint on the one before (rotation row by row, translation), its axis;
-            the last row is the frame on the last joint.
-        T: (nv, p) map from nu to all velocities; of a base that steers `[twist; arm rates]` are its nu.
-        frame: (3,) control frame in the root link; (0,) for a fixed arm.
-        axes: (m, 6) axis and origin of every joint in the world, written.
-        columns: (m, 6) Jacobian of every joint, written.
-        work: (24,) scratch.
-    """
-
+    # (m, 2) kind of every joint, and its place among all velocities; of a mobile base the first three are the root's
     links: IntArray
+    # (m + 1, 15) placement of every joint on the one before (rotation row by row, translation), its axis; the last row
+    # is the frame on the last joint
     numbers: Array
-    T: Array
-    frame: Array
-    axes: Array
-    columns: Array
-    work: Array
+    T: Array  # (nv, p) map from nu to all velocities; of a base that steers `[twist; arm rates]` are its nu
+    frame: Array  # (3,) control frame in the root link; (0,) for a fixed arm
+    axes: Array  # (m, 6) axis and origin of every joint in the world, written
+    columns: Array  # (m, 6) Jacobian of every joint, written
+    work: Array  # (24,) scratch
 
 
 def chain_of(robot: Robot, frame: str) -> Chain:
@@ -386,17 +377,11 @@ def pushing(chain: Chain, position: Array, arm: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Hands:
-    """Frames that a motion takes along paths, see `trajectory.Watched`.
+    """Frames that a motion takes along paths, see `trajectory.Watched`."""
 
-    Attributes:
-        frames: Their names, and whether they should also be turned as the path says.
-        period: [s].
-        wanted: (N, frames, 7) where they should be: position and quaternion `(x, y, z, w)` in the world.
-    """
-
-    frames: Mapping[str, bool]
-    period: float
-    wanted: Array
+    frames: Mapping[str, bool]  # their names, and whether they should also be turned as the path says
+    period: float  # [s]
+    wanted: Array  # (N, frames, 7) where they should be: position and quaternion `(x, y, z, w)` in the world
 
     def writer(self, robot: Robot, layout: Layout) -> Callable[[Array], None]:
         """See `trajectory.Watched`."""

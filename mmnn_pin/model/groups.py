@@ -23,19 +23,12 @@ MOST = 40  # files that are looked at
 
 @dataclass(frozen=True)
 class Group:
-    """Joints that a file names together.
+    """Joints that a file names together."""
 
-    Attributes:
-        name: What it calls them.
-        joints: The joints.
-        where: Where it stands.
-        parent: Link to which they are mounted, where they are an end effector's; empty for others.
-    """
-
-    name: str
-    joints: frozenset[str]
-    where: str
-    parent: str = ""
+    name: str  # what it calls them
+    joints: frozenset[str]  # the joints
+    where: str  # where it stands
+    parent: str = ""  # link to which they are mounted, where they are an end effector's; empty for others
 
 
 def groups_of(rest: AtRest, controllers: str | None = None) -> tuple[tuple[Group, ...], tuple[Path, ...]]:

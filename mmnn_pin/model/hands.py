@@ -28,21 +28,13 @@ SIDES = (re.compile(r"left|links|gauche|izq|sinistr|zuo|(?:^|_)l(?:_|$)|^L(?=[A-
 
 @dataclass(frozen=True)
 class Hand:
-    """The end of an arm.
+    """The end of an arm."""
 
-    Attributes:
-        frame: Its link.
-        joints: Joints of the arm that lead to it, from the root on.
-        why: What makes it the hand.
-        on: Link that carries it, where it is none of the file's; else empty.
-        at: Where it is on that link [m].
-    """
-
-    frame: str
-    joints: tuple[str, ...]
-    why: str
-    on: str = ""
-    at: tuple[float, ...] = ()
+    frame: str  # its link
+    joints: tuple[str, ...]  # joints of the arm that lead to it, from the root on
+    why: str  # what makes it the hand
+    on: str = ""  # link that carries it, where it is none of the file's; else empty
+    at: tuple[float, ...] = ()  # where it is on that link [m]
 
 
 def hands_of(limbs: Limbs, moves: Sequence[str], tip: str | None = None) -> tuple[Hand, ...]:

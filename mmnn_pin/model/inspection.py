@@ -15,7 +15,7 @@ from lxml import etree
 from ..elementary import cos_sin
 from ..errors import ConfigError, InputError, RobotError, UnknownName
 from ..files import read_bytes, reason
-from ..settings import Settings
+from ..settings import Settings, finite
 from ..settings.arguments import unknown_key, wrong_type
 from ..signals import Array
 from .base.overrides import Overrides, folders_of, with_file
@@ -130,7 +130,7 @@ def pivots_of(base: SteeredBase, carriers: Sequence[Sequence[float]]) -> list[di
     """Pivots of a base by names, with what carries them: another one, or null for its body."""
     return [
         {"joint": p.joint, "role": p.role, "x": at[0], "y": at[1], "sign": int(p.sign)}
-        | {"lower": finite_or_none(p.lower), "upper": finite_or_none(p.upper), "rate": finite_or_none(p.rate)}
+        | {"lower": finite(p.lower), "upper": finite(p.upper), "rate": finite(p.rate)}
         | {"motor": p.motor, "on": base.shape[p.parent] if p.parent >= 0 else None}
         for p, at in zip(base.pivots, carriers[1:], strict=True)
     ]
@@ -142,9 +142,9 @@ def arm_of(robot: Robot) -> dict[str, Any]:
     for name, at in zip(robot.joint_names, robot.arm_index, strict=True):
         effort = robot.effort_limits[robot.actuator_names.index(name)]
         limits[name] = {
-            "lower": finite_or_none(robot.lower[at]),
-            "upper": finite_or_none(robot.upper[at]),
-            "effort": finite_or_none(effort),
+            "lower": finite(robot.lower[at]),
+            "upper": finite(robot.upper[at]),
+            "effort": finite(effort),
         }
     slaves = {
         name: {"master": slave.master, "multiplier": slave.multiplier, "offset": slave.offset}
@@ -173,11 +173,6 @@ def interfaces_of(robot: Robot) -> dict[str, Any]:
     listed = {name: [kind for kind in INTERFACES if kind in some] for name, some in offered.items()}
     used = {name: (some or ["effort"])[0] for name, some in listed.items()}
     return {"interfaces": used, "interfaces_offered": listed}
-
-
-def finite_or_none(value: float) -> float | None:
-    """The number, None for infinity, which JSON does not know."""
-    return float(value) if math.isfinite(value) else None
 
 
 # -- the model at a state ----------------------------------------------------------------------------------------------

@@ -106,42 +106,25 @@ def role_named(name: str, told: Iterable[str] = (), turns: bool = True) -> tuple
 
 @dataclass(frozen=True)
 class Branch:
-    """A joint and what it carries.
+    """A joint and what it carries."""
 
-    Attributes:
-        reach: How far it reaches from its joint, along the longest path of joints and links [m].
-        carried: Itself and all joints on it.
-        above: Joints that lead to it.
-        beside: Other joints on the body that carries it.
-        below: Joints that hang on its own body.
-        row: Joints in its longest row.
-    """
-
-    reach: float
-    carried: tuple[str, ...]
-    above: tuple[str, ...]
-    beside: tuple[str, ...]
-    below: tuple[str, ...]
-    row: int
+    reach: float  # how far it reaches from its joint, along the longest path of joints and links [m]
+    carried: tuple[str, ...]  # itself and all joints on it
+    above: tuple[str, ...]  # joints that lead to it
+    beside: tuple[str, ...]  # other joints on the body that carries it
+    below: tuple[str, ...]  # joints that hang on its own body
+    row: int  # joints in its longest row
 
 
 @dataclass(frozen=True)
 class Limb:
-    """How a branch is taken.
+    """How a branch is taken."""
 
-    Attributes:
-        joints: Joints on it that may move by themselves, its own first.
-        role: `arm` where it moves, else one of `STILL`.
-        other: What else it may be.
-        signs: What speaks for a branch that stands still over one that moves.
-        margin: By how much the role beats the other [nats].
-    """
-
-    joints: tuple[str, ...]
-    role: str
-    other: str
-    signs: tuple[Sign, ...]
-    margin: float
+    joints: tuple[str, ...]  # joints on it that may move by themselves, its own first
+    role: str  # `arm` where it moves, else one of `STILL`
+    other: str  # what else it may be
+    signs: tuple[Sign, ...]  # what speaks for a branch that stands still over one that moves
+    margin: float  # by how much the role beats the other [nats]
 
     @property
     def told(self) -> list[str]:
@@ -156,22 +139,14 @@ class Limb:
 
 @dataclass(frozen=True, eq=False)
 class Limbs:
-    """The branches of a robot and their roles.
+    """The branches of a robot and their roles."""
 
-    Attributes:
-        rest: The robot at rest.
-        candidates: Joints that may move by themselves.
-        followers: Joints that follow others, with those.
-        base: The base that carries them.
-        groups: Joints that files of its controllers and of MoveIt name together.
-        weights: Of every sign, as `WEIGHTS` has them.
-    """
-
-    rest: AtRest
-    candidates: frozenset[str]
-    followers: Mapping[str, str]
-    base: Base
-    groups: tuple[Group, ...] = ()
+    rest: AtRest  # the robot at rest
+    candidates: frozenset[str]  # joints that may move by themselves
+    followers: Mapping[str, str]  # joints that follow others, with those
+    base: Base  # the base that carries them
+    groups: tuple[Group, ...] = ()  # joints that files of its controllers and of MoveIt name together
+    # of every sign, as `WEIGHTS` has them
     weights: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: WEIGHTS)
 
     @cached_property

@@ -67,46 +67,27 @@ RANK = 1e-9  # relative size under which a singular value of stacked regressors 
 
 
 class Massless(NamedTuple):
-    """A robot as arrays without its masses: how it moves, and memory to work in (one per thread).
+    """A robot as arrays without its masses: how it moves, and memory to work in (one per thread)."""
 
-    Attributes:
-        tree: The tree; its inertial numbers are zero.
-        joints: (nj, p) rows of T of the joints that move; of a base that steers those of the last state, before there
-            is one their root mean squares.
-        base: Number of base velocities nb.
-        first: Row of the first body that moves: the base, or the first link of a fixed arm.
-        offset: (nv,) position of every joint where the arm's joints stand at 0.
-        arm: (nv, n) what one arm joint moves, itself and its slaves.
-        coulomb_speed: Dry friction is `tanh(speed / coulomb_speed)` [rad/s or m/s].
-        scratch: Memory of the tree.
-        position: (nv,) measured position.
-        nu: (p,) measured velocity.
-        out: (p,) unused forces.
-        Y: (p, k) the regressor.
-        rows: (nj,) places of these joints in a velocity.
-        drift: (nj, p) rates of their rows; (0, 0) where T is constant.
-        shape: (shape,) places of the pivots of a base that steers.
-        rolling: That base; None where T is constant.
-        maps: T and its rate, and memory to work in.
-    """
-
-    tree: BodyTree
+    tree: BodyTree  # the tree; its inertial numbers are zero
+    # (nj, p) rows of T of the joints that move; of a base that steers those of the last state, before there is one
+    # their root mean squares
     joints: Array
-    base: int
-    first: int
-    offset: Array
-    arm: Array
-    coulomb_speed: float
-    scratch: Array
-    position: Array
-    nu: Array
-    out: Array
-    Y: Array
-    rows: IntArray
-    drift: Array
-    shape: IntArray
-    rolling: Rolling | None
-    maps: Maps
+    base: int  # number of base velocities nb
+    first: int  # row of the first body that moves: the base, or the first link of a fixed arm
+    offset: Array  # (nv,) position of every joint where the arm's joints stand at 0
+    arm: Array  # (nv, n) what one arm joint moves, itself and its slaves
+    coulomb_speed: float  # dry friction is `tanh(speed / coulomb_speed)` [rad/s or m/s]
+    scratch: Array  # memory of the tree
+    position: Array  # (nv,) measured position
+    nu: Array  # (p,) measured velocity
+    out: Array  # (p,) unused forces
+    Y: Array  # (p, k) the regressor
+    rows: IntArray  # (nj,) places of these joints in a velocity
+    drift: Array  # (nj, p) rates of their rows; (0, 0) where T is constant
+    shape: IntArray  # (shape,) places of the pivots of a base that steers
+    rolling: Rolling | None  # that base; None where T is constant
+    maps: Maps  # T and its rate, and memory to work in
 
 
 @dataclass(frozen=True, eq=False)

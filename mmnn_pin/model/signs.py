@@ -14,19 +14,12 @@ MARGIN = 2.0  # least difference of two scores that tells: seven to one; below i
 
 @dataclass(frozen=True)
 class Sign:
-    """One thing that is seen.
+    """One thing that is seen."""
 
-    Attributes:
-        text: What it is, in words, with its line in the file where it has one.
-        weight: What it adds to the score of its reading [nats]; negative where it speaks against it.
-        line: Its line in the file, 0 without one.
-        joint: The joint that it is about, empty for the robot.
-    """
-
-    text: str
-    weight: float
-    line: int = 0
-    joint: str = ""
+    text: str  # what it is, in words, with its line in the file where it has one
+    weight: float  # what it adds to the score of its reading [nats]; negative where it speaks against it
+    line: int = 0  # its line in the file, 0 without one
+    joint: str = ""  # the joint that it is about, empty for the robot
 
 
 def score(signs: Sequence[Sign]) -> float:

@@ -45,70 +45,45 @@ class Structure:
     """Its Pinocchio model, its base, and the maps between its velocities. Arrays are read-only.
 
     Sizes: p independent velocities, nv velocities of the full model, n_u motors, nc = nv - p constraints.
-
-    Attributes:
-        name: File name without its suffix.
-        path: The URDF file.
-        urdf: The XML that Pinocchio read.
-        sha256: Hash of the file.
-        model: Full Pinocchio model, nothing locked away; planar root joint for a mobile base.
-        base: The mobile base.
-        dimensions: How many velocities, joints and motors it has.
-        arm: The manipulator: its joints, what is locked and where, and what follows.
-        joint_names: The n arm joints in the model's order.
-        velocity_names: Names of nu, p of them.
-        full_velocity_names: Names of the model's velocities, nv of them.
-        actuator_names: Joints with a motor, n_u of them: drive wheels from left to right, then the arm.
-        template: (nv, p) what is constant of the map T: all of it, or all but the base's columns.
-        E_full: (nv, n_u) map from motor torques to joint torques.
-        q_index: (nv,) first index in Pinocchio's q of each velocity's joint; 0, 1, 2 for the planar root.
-        is_continuous: (nv,) 1 where q holds (cos, sin) of an angle, the root's heading included; else 0.
-        frame: (3,) control frame `(x, y, heading)` in the root link's frame [m, m, rad].
-        lower: (nv,) lower position limits [rad or m], -inf when unlimited.
-        upper: (nv,) upper position limits [rad or m], inf when unlimited.
-        effort_limits: (n_u,) largest motor torques [N m or N]; inf when the file states none or 0.
-        damping: (nv,) viscous friction of the joints [N m s or N s/m].
-        coulomb: (nv,) Coulomb friction of the joints [N m or N]; on the root's yaw rate that of a skid-steer base's
-            turning.
-        viscous: (p,) further viscous friction, on nu, declared by the user.
-        rest: (nv,) position at rest: locked joints where they are locked, the others at 0 clipped into their limits.
-        findings: What the audit and the understanding have to say, warnings and notes.
-        overrides: What the user says about it, in the call and beside the file.
-        breakaway: (nv,) ratio of static to Coulomb friction, at least 1.
-        stribeck: Velocity over which the one falls to the other [rad/s or m/s].
-        masses: Factors that `with_masses` put on its bodies, by the joint that carries them.
-        origin: The robot as its file has it, where masses, rotors or friction were changed; None where nothing was.
     """
 
-    name: str
-    path: Path
-    urdf: str
-    sha256: str
-    model: pin.Model
-    base: Base
-    arm: Arm
-    dimensions: Dimensions
-    joint_names: tuple[str, ...]
-    velocity_names: tuple[str, ...]
-    full_velocity_names: tuple[str, ...]
-    actuator_names: tuple[str, ...]
-    template: Array
-    E_full: Array
+    name: str  # file name without its suffix
+    path: Path  # the URDF file
+    urdf: str  # the XML that Pinocchio read
+    sha256: str  # hash of the file
+    model: pin.Model  # full Pinocchio model, nothing locked away; planar root joint for a mobile base
+    base: Base  # the mobile base
+    arm: Arm  # the manipulator: its joints, what is locked and where, and what follows
+    dimensions: Dimensions  # how many velocities, joints and motors it has
+    joint_names: tuple[str, ...]  # the n arm joints in the model's order
+    velocity_names: tuple[str, ...]  # names of nu, p of them
+    full_velocity_names: tuple[str, ...]  # names of the model's velocities, nv of them
+    actuator_names: tuple[str, ...]  # joints with a motor, n_u of them: drive wheels from left to right, then the arm
+    template: Array  # (nv, p) what is constant of the map T: all of it, or all but the base's columns
+    E_full: Array  # (nv, n_u) map from motor torques to joint torques
+    # (nv,) first index in Pinocchio's q of each velocity's joint; 0, 1, 2 for the planar root
     q_index: NDArray[np.int64]
+    # (nv,) 1 where q holds (cos, sin) of an angle, the root's heading included; else 0
     is_continuous: NDArray[np.uint8]
-    frame: Array
-    lower: Array
-    upper: Array
-    effort_limits: Array
-    damping: Array
+    frame: Array  # (3,) control frame `(x, y, heading)` in the root link's frame [m, m, rad]
+    lower: Array  # (nv,) lower position limits [rad or m], -inf when unlimited
+    upper: Array  # (nv,) upper position limits [rad or m], inf when unlimited
+    effort_limits: Array  # (n_u,) largest motor torques [N m or N]; inf when the file states none or 0
+    damping: Array  # (nv,) viscous friction of the joints [N m s or N s/m]
+    # (nv,) Coulomb friction of the joints [N m or N]; on the root's yaw rate that of a skid-steer base's turning
     coulomb: Array
-    viscous: Array
+    viscous: Array  # (p,) further viscous friction, on nu, declared by the user
+    # (nv,) position at rest: locked joints where they are locked, the others at 0 clipped into their limits
     rest: Array
+    # what the audit and the understanding have to say, warnings and notes
     findings: tuple[Finding, ...] = field(default=())
+    # what the user says about it, in the call and beside the file
     overrides: Overrides = field(default_factory=Overrides)
+    # factors that `with_masses` put on its bodies, by the joint that carries them
     masses: Mapping[str, float] = field(default_factory=dict)
-    breakaway: Array | float = 1.0
-    stribeck: float = 0.05
+    breakaway: Array | float = 1.0  # (nv,) ratio of static to Coulomb friction, at least 1
+    stribeck: float = 0.05  # velocity over which the one falls to the other [rad/s or m/s]
+    # the robot as its file has it, where masses, rotors or friction were changed; None where nothing was
     origin: Structure | None = None
 
     def __post_init__(self) -> None:
@@ -157,11 +132,7 @@ class Structure:
         return read_only(product(self.T.T, self.E_full))
 
     def require_constant(self, what: str) -> None:
-        """Refuse a robot that steers to what needs constant maps.
-
-        Raises:
-            RobotError: It steers.
-        """
+        """Refuse a robot that steers to what needs constant maps (`RobotError`)."""
         if self.steers:
             why = (
                 f"its base of kind '{self.base.kind}' moves as {', '.join(self.base.shape)} stand, others do not steer"

@@ -22,23 +22,14 @@ from .robot import Robot
 
 @by_address
 class Tip(NamedTuple):
-    """A frame as nu moves it.
+    """A frame as nu moves it."""
 
-    Attributes:
-        chain: From the world to the frame.
-        rolling: A base that steers; None where T is constant.
-        maps: Its maps, written.
-        columns: (twist,) which of `(vx, vy, w)` the twist has.
-        nu: (m,) twist and arm rates, written.
-        J: (6, m) Jacobian for these, written.
-    """
-
-    chain: Chain
-    rolling: Rolling | None
-    maps: Maps
-    columns: IntArray
-    nu: Array
-    J: Array
+    chain: Chain  # from the world to the frame
+    rolling: Rolling | None  # a base that steers; None where T is constant
+    maps: Maps  # its maps, written
+    columns: IntArray  # (twist,) which of `(vx, vy, w)` the twist has
+    nu: Array  # (m,) twist and arm rates, written
+    J: Array  # (6, m) Jacobian for these, written
 
 
 def tip_of(robot: Robot, frame: str) -> Tip:

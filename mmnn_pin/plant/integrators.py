@@ -41,27 +41,16 @@ ITERATIONS, HALVINGS = 50, 40  # of Newton's method at most
 
 @by_address
 class PlantJoints(NamedTuple):
-    """A robot as an integrator sees it.
+    """A robot as an integrator sees it."""
 
-    Attributes:
-        T: (nv, p) map from nu to the velocities of all joints.
-        damping: (nv,) viscous friction of the joints.
-        dry: (nv, 3) dry friction of the joints.
-        viscous: (p,) viscous friction on nu.
-        base: Number of base velocities.
-        sideways: Whether they are `(vx, vy, w)`.
-        eta: (3,) `(vx, vy, w)` at the state, of a base that steers; (0,) of others.
-        V: (3, nb) its map from the base velocities; (3, 0) of others.
-    """
-
-    T: Array
-    damping: Array
-    dry: Array
-    viscous: Array
-    base: int
-    sideways: bool
-    eta: Array
-    V: Array
+    T: Array  # (nv, p) map from nu to the velocities of all joints
+    damping: Array  # (nv,) viscous friction of the joints
+    dry: Array  # (nv, 3) dry friction of the joints
+    viscous: Array  # (p,) viscous friction on nu
+    base: int  # number of base velocities
+    sideways: bool  # whether they are `(vx, vy, w)`
+    eta: Array  # (3,) `(vx, vy, w)` at the state, of a base that steers; (0,) of others
+    V: Array  # (3, nb) its map from the base velocities; (3, 0) of others
 
 
 def plant_joints(friction: tuple[Array, Array, Array], base: int, sideways: bool, maps: Maps) -> PlantJoints:
@@ -79,35 +68,20 @@ def plant_joints(friction: tuple[Array, Array, Array], base: int, sideways: bool
 
 @by_address
 class PlantTerms(NamedTuple):
-    """The terms of the dynamics at a state, and scratch.
+    """The terms of the dynamics at a state, and scratch."""
 
-    Attributes:
-        v: (nv,) `T nu`.
-        M: (p, p) reduced mass matrix.
-        h: (p,) `C nu + gravity + friction`.
-        F: (p,) friction.
-        hold: (nv,) further dry friction, of joints that are blocked.
-        ydot: (nv + p + 1,) time derivative of y, written.
-        L: (p, p) scratch: Cholesky factor of M.
-        rest: (p,) scratch.
-        grip: (nv, p + 2) scratch of the method `stick`.
-        A: (p, p) scratch of implicit friction.
-        new: (p,) velocity at the end of an implicit step.
-        rates: (nv,) scratch of implicit friction.
-    """
-
-    v: Array
-    M: Array
-    h: Array
-    F: Array
-    hold: Array
-    ydot: Array
-    L: Array
-    rest: Array
-    grip: Array
-    A: Array
-    new: Array
-    rates: Array
+    v: Array  # (nv,) `T nu`
+    M: Array  # (p, p) reduced mass matrix
+    h: Array  # (p,) `C nu + gravity + friction`
+    F: Array  # (p,) friction
+    hold: Array  # (nv,) further dry friction, of joints that are blocked
+    ydot: Array  # (nv + p + 1,) time derivative of y, written
+    L: Array  # (p, p) scratch: Cholesky factor of M
+    rest: Array  # (p,) scratch
+    grip: Array  # (nv, p + 2) scratch of the method `stick`
+    A: Array  # (p, p) scratch of implicit friction
+    new: Array  # (p,) velocity at the end of an implicit step
+    rates: Array  # (nv,) scratch of implicit friction
 
 
 def plant_terms(v: Array, M: Array, h: Array, F: Array, hold: Array, ydot: Array) -> PlantTerms:

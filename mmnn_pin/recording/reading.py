@@ -35,23 +35,14 @@ AGAIN = "take it from a copy, or run it again"
 
 @dataclass(frozen=True)
 class Contents:
-    """The contents of a file beside its numbers.
+    """The contents of a file beside its numbers."""
 
-    Attributes:
-        columns: Units and labels of the signals that can be read.
-        rows: How many rows all of them have.
-        meta: Facts of the run.
-        texts: `config` and `urdf`, where they can be read.
-        end: How the run ended, empty where it did not close the file.
-        damage: What cannot be read, as `signals/z`, and why.
-    """
-
-    columns: dict[str, SignalColumns]
-    rows: int
-    meta: dict[str, Any]
-    texts: dict[str, str]
-    end: dict[str, Any]
-    damage: dict[str, str]
+    columns: dict[str, SignalColumns]  # units and labels of the signals that can be read
+    rows: int  # how many rows all of them have
+    meta: dict[str, Any]  # facts of the run
+    texts: dict[str, str]  # `config` and `urdf`, where they can be read
+    end: dict[str, Any]  # how the run ended, empty where it did not close the file
+    damage: dict[str, str]  # what cannot be read, as `signals/z`, and why
 
 
 def contents(path: Path) -> Contents:
@@ -110,11 +101,7 @@ def hdf5_errors(path: Path, where: str = "the recording") -> Iterator[None]:
 
 
 def require_ours(file: h5py.File, path: Path) -> None:
-    """Refuse what is no recording, or one of a newer version.
-
-    Raises:
-        RecordingError: With the reason.
-    """
+    """Refuse what is no recording, or one of a newer version (`RecordingError`)."""
     found = {}
     for name in ("format", "format_version", "complete"):
         try:
@@ -177,19 +164,12 @@ def attribute(holder: Any, name: str) -> Any:
 
 @dataclass
 class Examined:
-    """A file that is held against the schema.
+    """A file that is held against the schema."""
 
-    Attributes:
-        file: The open file.
-        path: Its name.
-        damage: What was found so far.
-        declared: Bytes of the numbers that it says it holds.
-    """
-
-    file: h5py.File
-    path: Path
-    damage: dict[str, str] = field(default_factory=dict)
-    declared: int = 0
+    file: h5py.File  # the open file
+    path: Path  # its name
+    damage: dict[str, str] = field(default_factory=dict)  # what was found so far
+    declared: int = 0  # bytes of the numbers that it says it holds
 
     def contents(self) -> Contents:
         """All but the numbers."""
@@ -239,11 +219,7 @@ class Examined:
         return kept
 
     def require_end(self, meta: Mapping[str, Any]) -> None:
-        """Refuse an outcome that none of our runs has.
-
-        Raises:
-            RecordingError: With the name of the attribute.
-        """
+        """Refuse an outcome that none of our runs has (`RecordingError`)."""
         wanted = {
             "outcome": meta.get("outcome") in ("completed", "diverged", "tripped", "interrupted"),
             "outcome_time": isinstance(time := meta.get("outcome_time"), float | int) and math.isfinite(time),
@@ -389,11 +365,7 @@ class Examined:
 
 
 def require_links(group: h5py.Group, path: Path) -> None:
-    """Refuse members of a group that are only links: their target may be any file.
-
-    Raises:
-        RecordingError: With the name of the first.
-    """
+    """Refuse members of a group that are only links: their target may be any file (`RecordingError`)."""
     if len(group) > MOST_MEMBERS:
         raise RecordingError(f"{group.name} has {len(group)} members", fix=AGAIN, file=path)
     for name in group:

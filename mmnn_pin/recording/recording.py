@@ -21,21 +21,18 @@ import numpy as np
 
 from ..errors import InputError, RecordingError, UnknownName
 from ..model.base.overrides import Overrides
-from ..model.loading import build
 from ..model.robot import Robot
 from ..settings.arguments import checked, faced
 from ..shown import ShownView, shown
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
-from .robot_file import document_of
+from .robot_file import robot_of
 from .run_file import Arrays, Places, RunFile, SignalColumns
 from .tracking import Errors, prismatic_joints
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 T = TypeVar("T")
-# Names in the group `final` of recordings before version 0.2, and what they are called now.
-FINAL_OF_OLD = {"memory": "controller_state", "rig_memory": "hardware_state"}
 
 Status = Literal["completed", "diverged", "tripped", "interrupted"]
 
@@ -140,11 +137,7 @@ class Recording:
         return self._text("urdf")
 
     def require_whole(self) -> None:
-        """Refuse a damaged recording, where a part alone would give wrong numbers.
-
-        Raises:
-            RecordingError: With the first of what is damaged.
-        """
+        """Refuse a damaged recording, where a part alone would give wrong numbers (`RecordingError`)."""
         for where in self.damage:
             self._require_intact(where)
 
@@ -315,7 +308,7 @@ class Recording:
     @cached_property
     def final(self) -> Arrays:
         """The states of controller, hardware and plant at the end of the run."""
-        return {FINAL_OF_OLD.get(name, name): array for name, array in self._read("final").items()}
+        return self._read("final")
 
     @cached_property
     def step_times(self) -> Array:
@@ -381,7 +374,7 @@ def recorded_robot(recording: Recording, package_dirs: Sequence[str | Path] = ()
         what = f"the recording does not tell '{missing[0]}' of its robot"
         raise RecordingError(what, why="an older mmnn_pin wrote it", file=recording.path)
     stated, found = recording.fact("overrides", Overrides), tuple(map(str, meta.get("package_path", ())))
-    robot = build(*document_of(recording.urdf, Path(meta["urdf_file"]), stated, found, tuple(map(str, package_dirs))))
+    robot = robot_of(recording.urdf, Path(meta["urdf_file"]), stated, found, tuple(map(str, package_dirs)))
     for key in ("velocity_names", "position_names", "actuator_names"):
         own, told = getattr(robot, key), tuple(meta.get(key, ()))
         if own != told:

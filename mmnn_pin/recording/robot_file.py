@@ -19,6 +19,8 @@ import msgspec
 from ..errors import InputError
 from ..files import read_bytes
 from ..model.base.overrides import Overrides
+from ..model.loading import build
+from ..model.robot import Robot
 from ..model.urdf.document import Document, text_of
 from ..model.urdf.expansion import read_text
 from ..model.urdf.packages import FIND, locate, packages
@@ -31,6 +33,22 @@ OPEN = re.compile(r"\$\{[^{}]*\}|\$\([^()]*\)")  # what xacro puts something in
 FOLDER = re.compile(r"\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)")
 ANYTHING = r"(?:(?!\.\.).)*"  # but a way up
 FILES = 100  # of one robot that are read
+BUILT: dict[bytes, Robot] = {}  # the last robot of a recording with all its meshes: runs of one experiment share it
+
+
+def robot_of(
+    urdf: str, file: Path, overrides: Overrides, package_path: tuple[str, ...], folders: tuple[str, ...]
+) -> Robot:
+    """The robot of a recording; arguments and errors as `document_of` and `build` have them."""
+    place = file.stat() if file.is_file() else None
+    key = msgspec.json.encode((urdf, str(file), place and place.st_mtime_ns, overrides, package_path, folders))
+    if key not in BUILT:
+        robot = build(*document_of(urdf, file, overrides, package_path, folders))
+        BUILT.clear()
+        if any(finding.code.startswith("mesh") for finding in robot.findings):
+            return robot  # who gives what is missing sees it the next time
+        BUILT[key] = robot
+    return BUILT[key]
 
 
 def document_of(

@@ -60,15 +60,10 @@ class SignalColumns:
 
 @dataclass(frozen=True)
 class Places:
-    """Where signals stand in a row that holds them side by side; a `Layout` is one, too.
+    """Where signals stand in a row that holds them side by side; a `Layout` is one, too."""
 
-    Attributes:
-        width: Of a row.
-        slices: Signal to its place.
-    """
-
-    width: int
-    slices: Mapping[str, slice]
+    width: int  # of a row
+    slices: Mapping[str, slice]  # signal to its place
 
     @classmethod
     def of(cls, sizes: Mapping[str, int]) -> Places:

@@ -140,11 +140,7 @@ def time_problem(time: Array) -> str:
 
 
 def require_plain(value: Any) -> None:
-    """Refuse what cannot be written again as JSON in UTF-8.
-
-    Raises:
-        Damaged: With the reason.
-    """
+    """Refuse what cannot be written again as JSON in UTF-8 (`Damaged`)."""
     level = [value]
     for _ in range(DEEPEST):
         texts = [item for item in level if isinstance(item, str)]

@@ -17,19 +17,12 @@ from ..signals import Array
 
 @dataclass(frozen=True)
 class Error:
-    """The error of one direction of the base or of one joint.
+    """The error of one direction of the base or of one joint."""
 
-    Attributes:
-        rms: Root of its mean square.
-        peak: Its largest magnitude.
-        last: Its magnitude at the end.
-        unit: Of all three: m or rad.
-    """
-
-    rms: float
-    peak: float
-    last: float
-    unit: str
+    rms: float  # root of its mean square
+    peak: float  # its largest magnitude
+    last: float  # its magnitude at the end
+    unit: str  # of all three: m or rad
 
 
 @faced

@@ -50,21 +50,13 @@ BENDS_APART = 0.02  # of the points at which a path's curvature is looked at [m]
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """The rest of a curve, from a pose beside it: a polynomial of degree six leads there, curvature has no corner.
+    """The rest of a curve, from a pose beside it: a polynomial of degree six leads there, curvature has no corner."""
 
-    Args:
-        onto: The curve.
-        at: Its parameter where it is reached [m].
-        start: Pose (3,).
-        bend: Curvature of the way at the start, phi by its length [rad/m].
-        backwards: Whether it is driven in reverse.
-    """
-
-    onto: Drivable
-    at: float
-    start: Array
-    bend: float
-    backwards: bool
+    onto: Drivable  # the curve
+    at: float  # its parameter where it is reached [m]
+    start: Array  # pose (3,)
+    bend: float  # curvature of the way at the start, phi by its length [rad/m]
+    backwards: bool  # whether it is driven in reverse
 
     @cached_property
     def _bridge(self) -> tuple[float, list[Any], float, float]:
@@ -148,19 +140,12 @@ def derivatives(curve: Curve) -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RouteDrive(Motion):
-    """A motion of the base along a route; it begins anew from the reference's pose and velocity when it is taken over.
+    """Motion of the base along a route; it begins anew from the reference's pose and velocity when taken over."""
 
-    Attributes:
-        route: The route.
-        limits: Of speeds and accelerations, as those of any timed path.
-        blocks: Of every leg and turn from rest to rest poses, velocities and accelerations (N, 3 + 2 twist).
-        begins: (3,) the pose that it begins from; None for the route's own start.
-    """
-
-    route: Route
-    limits: Timed
-    blocks: list[Array]
-    begins: Array | None = None
+    route: Route  # the route
+    limits: Timed  # of speeds and accelerations, as those of any timed path
+    blocks: list[Array]  # of every leg and turn from rest to rest poses, velocities and accelerations (N, 3 + 2 twist)
+    begins: Array | None = None  # (3,) the pose that it begins from; None for the route's own start
 
     @classmethod
     def along(cls, route: Route, robot: Robot, limits: Limits, lateral: float, period: float) -> Self:

@@ -302,11 +302,7 @@ class Follower:
 
 
 def require_finite(numbers: Array, key: str) -> None:
-    """Refuse numbers of a setpoint that are none.
-
-    Raises:
-        ConfigError: One is not finite, or beyond what any robot does.
-    """
+    """Refuse numbers of a setpoint that are none (`ConfigError`)."""
     if not (np.abs(numbers) < LARGEST).all():
         raise ConfigError("a setpoint that is not finite", fix="give finite numbers", key=key)
 
@@ -326,11 +322,7 @@ def joint_sample(wish: JointSample, n: int) -> Array:
 
 
 def require_shapes(key: str, given: object, mine: object) -> None:
-    """Refuse what is no record as ours, or has arrays of other shapes.
-
-    Raises:
-        ConfigError: It is, or one has.
-    """
+    """Refuse what is no record as ours, or has arrays of other shapes (`ConfigError`)."""
     if not isinstance(given, type(mine)):
         what, fix = f"{shortly(given)} is no {type(mine).__name__}", f"give a {type(mine).__name__}"
         raise ConfigError(what, fix=fix, key=key)

@@ -50,42 +50,24 @@ class Guide(NamedTuple):
     """The guide of a robot's reference: limits as numbers, the wishes, and the reference as it is.
 
     A setpoint is flat: pose, velocity, acceleration of the base, q, qdot, qddot of the arm side by side.
-
-    Attributes:
-        base: (3, twist) largest speeds and accelerations of the base, see `Limits.of_base`.
-        sideways: Whether its velocities are `(vx, vy, w)`.
-        wheels: (m, twist) speeds of the wheels by those of the base, over their limits.
-        arm: (4, n) limits of the joints, see `Limits.of_arm`.
-        ends: (2, n) where the joints' reference must stay [rad or m].
-        turn: (n,) 1 for a joint without ends, for which a whole turn is none.
-        exact: (1,) 1 where full samples are taken as they are.
-        kind: (2,) what base and arm follow.
-        fresh: (2,) 1 where a full sample has just come.
-        wanted: (w,) the wish: a full sample, or the velocity of the base.
-        now: (w,) the reference.
-        pace: (pose,) rate of the reference's pose in its own frame, across too [m/s, m/s, rad/s].
-        home: (1 + n,) 1 where the base, and every joint, is on its target.
-        bend: (n,) largest acceleration with which a joint goes after its target.
-        span: (2, n) where it stays meanwhile: between its ends, and where the motion that it follows is.
-        curve: (4,) least and largest curvature [1/m], its largest rate [1/(m s)], and the present one.
     """
 
-    base: Array
-    sideways: bool
-    wheels: Array
-    arm: Array
-    ends: Array
-    turn: IntArray
-    exact: IntArray
-    kind: IntArray
-    fresh: IntArray
-    wanted: Array
-    now: Array
-    pace: Array
-    home: IntArray
-    bend: Array
-    span: Array
-    curve: Array
+    base: Array  # (3, twist) largest speeds and accelerations of the base, see `Limits.of_base`
+    sideways: bool  # whether its velocities are `(vx, vy, w)`
+    wheels: Array  # (m, twist) speeds of the wheels by those of the base, over their limits
+    arm: Array  # (4, n) limits of the joints, see `Limits.of_arm`
+    ends: Array  # (2, n) where the joints' reference must stay [rad or m]
+    turn: IntArray  # (n,) 1 for a joint without ends, for which a whole turn is none
+    exact: IntArray  # (1,) 1 where full samples are taken as they are
+    kind: IntArray  # (2,) what base and arm follow
+    fresh: IntArray  # (2,) 1 where a full sample has just come
+    wanted: Array  # (w,) the wish: a full sample, or the velocity of the base
+    now: Array  # (w,) the reference
+    pace: Array  # (pose,) rate of the reference's pose in its own frame, across too [m/s, m/s, rad/s]
+    home: IntArray  # (1 + n,) 1 where the base, and every joint, is on its target
+    bend: Array  # (n,) largest acceleration with which a joint goes after its target
+    span: Array  # (2, n) where it stays meanwhile: between its ends, and where the motion that it follows is
+    curve: Array  # (4,) least and largest curvature [1/m], its largest rate [1/(m s)], and the present one
 
 
 def new_guide(robot: Robot, limits: Limits) -> Guide:

@@ -21,10 +21,6 @@ class HolonomicPath(BasePath):
     With the path's world velocity `p = (xdot, ydot)` and the heading `psi`, the velocity in the reference's own frame
     is `b = R(-psi) p`, and its time derivative `R(-psi) pdot + psidot (b_y, -b_x)`.
 
-    Args:
-        path: Where the base goes: a path of a differential drive, or of a holonomic base whose heading is replaced.
-        heading: Heading of the base in the world over time [rad]; None keeps the path's own.
-
     Raises:
         TrajectoryError: The path is not one of a mobile base.
     """
@@ -32,8 +28,9 @@ class HolonomicPath(BasePath):
     sideways: ClassVar[bool] = True  # type: ignore[misc]
     followable: ClassVar[bool] = True
 
+    # where the base goes: a path of a differential drive, or of a holonomic base whose heading is replaced
     path: BasePath
-    heading: JointProfile | None = None
+    heading: JointProfile | None = None  # heading of the base in the world over time [rad]; None keeps the path's own
 
     def __post_init__(self) -> None:
         if not isinstance(self.path, BasePath):

@@ -165,16 +165,12 @@ class MinimumJerk(JointProfile):
 class Points(JointProfile):
     """Through positions at times, from rest to rest by a cubic spline; at rest before and after.
 
-    Args:
-        time: (k,) increasing times [s].
-        position: (k,) [rad or m].
-
     Raises:
         TrajectoryError: Fewer than two, not one time for each, or times that do not increase from 0 or later.
     """
 
-    time: tuple[float, ...]
-    position: tuple[float, ...]
+    time: tuple[float, ...]  # (k,) increasing times [s]
+    position: tuple[float, ...]  # (k,) [rad or m]
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -211,18 +207,13 @@ class Points(JointProfile):
 class JointTable(JointProfile):
     """A motion given by samples, from any planner: cubic splines between them.
 
-    Args:
-        time: (N,) increasing times [s], the first 0.
-        position: (N,) [rad or m].
-        velocity: (N,) [rad/s or m/s]; None for the slope of a spline through the positions.
-
     Raises:
         TrajectoryError: Arrays of different lengths, fewer than four samples, or times that do not increase from 0.
     """
 
-    time: Array
-    position: Array
-    velocity: Array | None = None
+    time: Array  # (N,) increasing times [s], the first 0
+    position: Array  # (N,) [rad or m]
+    velocity: Array | None = None  # (N,) [rad/s or m/s]; None for the slope of a spline through the positions
 
     def __post_init__(self) -> None:
         require_types(self)
@@ -262,11 +253,7 @@ class JointTable(JointProfile):
 
 
 def require_clock(time: Array) -> None:
-    """Refuse times of samples that do not increase from 0, or that are too few for a spline.
-
-    Raises:
-        TrajectoryError: With what they must be.
-    """
+    """Refuse times of samples that do not increase from 0, or that are too few for a spline (`TrajectoryError`)."""
     if len(time) < 4:
         what = f"{len(time)} samples" if len(time) != 1 else "1 sample"
         raise TrajectoryError(what, why="a spline takes four or more", fix="add some between them")

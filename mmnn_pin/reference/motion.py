@@ -312,11 +312,7 @@ def require_within(motion: Motion, guide: Guide, names: Sequence[str], start: Ar
 def require_slower(
     found: Array, most: Array, names: Sequence[str], unit: str, *keys: str, slack: float = SLACK
 ) -> None:
-    """Refuse rates (k,) beyond limits (k,).
-
-    Raises:
-        ConfigError: With the first of them.
-    """
+    """Refuse rates (k,) beyond limits (k,) (`ConfigError`)."""
     for i in np.flatnonzero(found > slack * most).tolist():
         what, why = f"{names[i]} at {found[i]:.4g} {unit}", f"its limit is {most[i]:.4g} {unit}"
         fix = f"make it slower, or raise limits.{keys[min(i, len(keys) - 1)]}"

@@ -29,20 +29,13 @@ from ..signals import Array
 
 @dataclass(frozen=True)
 class BaseSamples:
-    """A base path at N instants.
+    """A base path at N instants."""
 
-    Attributes:
-        t: (N,) time [s].
-        pose: (N, 3) pose of the control frame in the world `(x, y, phi)`, phi unwrapped [m, m, rad].
-        velocity: (N, twist) base velocity in the reference's own frame, `(v, w)`; `(vx, vy, w)` of a holonomic base
-            [m/s, rad/s].
-        acceleration: (N, twist) its time derivative [m/s^2, rad/s^2].
-    """
-
-    t: Array
-    pose: Array
+    t: Array  # (N,) time [s]
+    pose: Array  # (N, 3) pose of the control frame in the world `(x, y, phi)`, phi unwrapped [m, m, rad]
+    # (N, twist) base velocity in the reference's own frame, `(v, w)`; `(vx, vy, w)` of a holonomic base [m/s, rad/s]
     velocity: Array
-    acceleration: Array
+    acceleration: Array  # (N, twist) its time derivative [m/s^2, rad/s^2]
 
 
 class BasePath(ABC):
@@ -138,11 +131,7 @@ def require_finite(**values: ArrayLike) -> None:
 
 
 def require_ramps(what: str, length: float, speed: float, ramp: float) -> None:
-    """Refuse a path or a stroke in which there is no room to come up to speed and to stop.
-
-    Raises:
-        TrajectoryError: It is too short, with a ramp that is not.
-    """
+    """Refuse a path or a stroke in which there is no room to come up to speed and to stop (`TrajectoryError`)."""
     if length < abs(speed) * ramp:
         raise TrajectoryError(
             f"{what} of {length:.3g} m is too short for ramps of {ramp:g} s at {speed:g} m/s",

@@ -30,23 +30,14 @@ STANDS = 1e-4  # a way between two samples below which it has no direction [m]
 
 @dataclass(frozen=True, eq=False)
 class RollingMotion:
-    """A motion that rolls, and how far from the samples it passes.
+    """A motion that rolls, and how far from the samples it passes."""
 
-    Attributes:
-        time: (M,) nodes [s].
-        pose: (M, 3) `(x, y, phi)`, phi unwrapped [m, m, rad].
-        velocity: (M, 2) `(v, w)` [m/s, rad/s].
-        rows: (N,) nodes of the samples.
-        apart: (N,) distance from every sample [m].
-        turned: (N,) difference of heading [rad]; 0 where the samples have none.
-    """
-
-    time: Array
-    pose: Array
-    velocity: Array
-    rows: NDArray[np.int64]
-    apart: Array
-    turned: Array
+    time: Array  # (M,) nodes [s]
+    pose: Array  # (M, 3) `(x, y, phi)`, phi unwrapped [m, m, rad]
+    velocity: Array  # (M, 2) `(v, w)` [m/s, rad/s]
+    rows: NDArray[np.int64]  # (N,) nodes of the samples
+    apart: Array  # (N,) distance from every sample [m]
+    turned: Array  # (N,) difference of heading [rad]; 0 where the samples have none
 
 
 def grid_of(time: Array) -> tuple[Array, NDArray[np.int64]]:

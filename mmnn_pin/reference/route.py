@@ -31,19 +31,12 @@ FINE = 0.01  # distance of the points at which a leg is looked for [m]
 
 @dataclass(frozen=True)
 class Arc:
-    """Driving and turning in a constant ratio from a pose: a line, a circle, or a turn on the spot.
+    """Driving and turning in a constant ratio from a pose: a line, a circle, or a turn on the spot."""
 
-    Args:
-        start: Pose (x, y, phi).
-        forward: Way by the parameter [m], negative tail first.
-        turning: Heading by the parameter [rad].
-        span: The parameter at its end.
-    """
-
-    start: tuple[float, float, float]
-    forward: float
-    turning: float
-    span: float
+    start: tuple[float, float, float]  # pose (x, y, phi)
+    forward: float  # way by the parameter [m], negative tail first
+    turning: float  # heading by the parameter [rad]
+    span: float  # the parameter at its end
 
     def curve(self, s: Array) -> Curve:
         """The geometry at s (k,)."""
@@ -56,15 +49,10 @@ class Arc:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A part of a route from rest to rest.
+    """A part of a route from rest to rest."""
 
-    Args:
-        path: Its curve.
-        backwards: Whether it is driven in reverse.
-    """
-
-    path: Drivable
-    backwards: bool
+    path: Drivable  # its curve
+    backwards: bool  # whether it is driven in reverse
 
     @cached_property
     def grid(self) -> tuple[Array, Array]:

@@ -207,11 +207,7 @@ def rolling_table(time: Array, pose: Array, velocity: ArrayLike | None, refused:
 
 
 def require_agreement(time: Array, given: Array, rolled: Array) -> None:
-    """Refuse velocities (N, 2) of another motion than the one that rolls through the poses.
-
-    Raises:
-        TrajectoryError: With the worst.
-    """
+    """Refuse velocities (N, 2) of another motion than the one that rolls through the poses (`TrajectoryError`)."""
     if given.shape != rolled.shape:
         raise TrajectoryError(f"velocities of shape {given.shape}", fix=f"give {rolled.shape}: v, w")
     require_finite(velocity=given)
@@ -385,11 +381,7 @@ class TableColumns(Mapping[str, Array]):
         return None if velocity is None else integrated(self["t"], velocity)
 
     def require_no_jump(self, name: str, unit: str, values: Array) -> None:
-        """Refuse a step of a coordinate (N,) that is no motion.
-
-        Raises:
-            TrajectoryError: With its line.
-        """
+        """Refuse a step of a coordinate (N,) that is no motion (`TrajectoryError`)."""
         if len(values) > 1 and (np.diff(self["t"]) > 0).all():
             require_no_jump(name, unit, self["t"], values, lambda k: self._lines[k][0])
 
@@ -410,11 +402,7 @@ class TableColumns(Mapping[str, Array]):
             )
 
     def require_within(self, name: str, lower: float, upper: float) -> None:
-        """Refuse a joint's positions beyond its limits.
-
-        Raises:
-            TrajectoryError: With the first line that is.
-        """
+        """Refuse a joint's positions beyond its limits (`TrajectoryError`)."""
         require_within(name, self[name], lower, upper, lambda k: (self.file, self._lines[k][0]))
 
     @contextmanager

@@ -38,30 +38,19 @@ FINELY = 2000  # instants at which a reference is looked at that is made to fit
 
 @dataclass(frozen=True)
 class Needs:
-    """Needs of a reference so that a base can steer along it.
+    """Needs of a reference so that a base can steer along it."""
 
-    Attributes:
-        size: How many times as large the path has to be.
-        slowness: How many times as long everything has to take.
-        refused: Why it cannot be steered as it is; None where it can.
-    """
-
-    size: float = 1.0
-    slowness: float = 1.0
-    refused: TrajectoryError | None = None
+    size: float = 1.0  # how many times as large the path has to be
+    slowness: float = 1.0  # how many times as long everything has to take
+    refused: TrajectoryError | None = None  # why it cannot be steered as it is; None where it can
 
 
 @dataclass(frozen=True)
 class Enlarged(BasePath):
-    """A path so many times as large about its start, with the accelerations of the path itself.
+    """A path so many times as large about its start, with the accelerations of the path itself."""
 
-    Args:
-        path: The path.
-        factor: How many times as large.
-    """
-
-    path: BasePath
-    factor: float
+    path: BasePath  # the path
+    factor: float  # how many times as large
 
     def __post_init__(self) -> None:
         require_positive(factor=self.factor)

@@ -395,10 +395,6 @@ def alike(head: str, joint: str) -> bool:
 
 
 def require_joint(robot: Robot, name: str) -> None:
-    """Refuse a name that no arm joint of a robot has.
-
-    Raises:
-        UnknownName: With those that it has.
-    """
+    """Refuse a name that no arm joint of a robot has (`UnknownName`)."""
     if name not in robot.joint_names:
         raise UnknownName("arm joint", name, robot.joint_names)

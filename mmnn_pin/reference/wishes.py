@@ -26,13 +26,9 @@ from .motion import Motion
 
 @dataclass(frozen=True)
 class Stand:
-    """Brake within the limits of the accelerations, and stand.
+    """Brake within the limits of the accelerations, and stand."""
 
-    Args:
-        parts: Which parts of the robot; base and arm by default.
-    """
-
-    parts: tuple[int, ...] = (BASE, ARM)
+    parts: tuple[int, ...] = (BASE, ARM)  # which parts of the robot; base and arm by default
 
 
 HOLD = Stand()

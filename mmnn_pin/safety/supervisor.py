@@ -42,98 +42,61 @@ FASTER, HALF = 1.25, 0.5  # times the least speed in a stop, times the limit: be
 
 @by_address
 class SupervisorNumbers(NamedTuple):
-    """The settings that are single numbers, see `Safety`; inf for no limit.
+    """The settings that are single numbers, see `Safety`; inf for no limit."""
 
-    Attributes:
-        timeout, ramp, stop_time, torque_time: Times [s].
-        position, heading: Limits of the pose error [m, rad].
-        weights: Bound on the weights of a network.
-        hold_rate: Of the integral that holds the arm [1/s].
-        h: Control period [s].
-        settle: Time after which a stop that does not bring the robot to rest is given up [s].
-        rest: Speed below which it rests.
-        short: 1 where shorted windings brake the base, else 0.
-        fresh: Age of a measurement beyond which a stop does without [s].
-        slowest: Longest control period [s].
-        twist: Largest speed of a base that steers [m/s].
-        yaw_rate: Its largest yaw rate [rad/s].
-        limited: 1 where silence is limited by how far velocities may lead, 0 by `timeout` alone.
-        quick: Share of a difference that the low-passes of `check_shaking` take in a sample.
-        fresher: Likewise the average of its squares.
-        contact: 1 where contact trips.
-    """
-
-    timeout: float
-    ramp: float
-    stop_time: float
-    torque_time: float
-    position: float
-    heading: float
-    weights: float
-    hold_rate: float
-    h: float
-    settle: float
-    rest: float
-    short: float
-    fresh: float
-    slowest: float
-    twist: float
-    yaw_rate: float
-    limited: float
-    quick: float
-    fresher: float
-    contact: float
+    timeout: float  # without a measurement [s]
+    ramp: float  # in which torque goes to zero [s]
+    stop_time: float  # how long a tripped run goes on [s]
+    torque_time: float  # how long a motor may ask for more [s]
+    position: float  # limit of the position error [m]
+    heading: float  # limit of the heading error [rad]
+    weights: float  # bound on the weights of a network
+    hold_rate: float  # of the integral that holds the arm [1/s]
+    h: float  # control period [s]
+    settle: float  # time after which a stop that does not bring the robot to rest is given up [s]
+    rest: float  # speed below which it rests
+    short: float  # 1 where shorted windings brake the base, else 0
+    fresh: float  # age of a measurement beyond which a stop does without [s]
+    slowest: float  # longest control period [s]
+    twist: float  # largest speed of a base that steers [m/s]
+    yaw_rate: float  # its largest yaw rate [rad/s]
+    limited: float  # 1 where silence is limited by how far velocities may lead, 0 by `timeout` alone
+    quick: float  # share of a difference that the low-passes of `check_shaking` take in a sample
+    fresher: float  # likewise the average of its squares
+    contact: float  # 1 where contact trips
 
 
 @by_address
 class SupervisorState(NamedTuple):
-    """The memory of a supervisor: single numbers, each a view (1,) of its state.
+    """The memory of a supervisor: single numbers, each a view (1,) of its state."""
 
-    Attributes:
-        tripped: 1 once something tripped: at a time, for a reason, at a place, with a value beyond a limit.
-        heard, arrived: When the last good measurement was taken, and when it came [s].
-        commanded: When the last good command came [s].
-        good, bad: How many measurements were good, how many were refused.
-        held: 1 while a measurement that is not finite is replaced by the last good one.
-        refused: How many commands were refused.
-        acted: 1 once a stop has noted where it began.
-        blind: When a stop went without feedback, -1 while it has some [s].
-        given_up: 1 once feedback did not bring the robot to rest in time.
-        sampled: Time of the last sample [s].
-        period, last_period, steady: The control period on average, at last, and at last without pauses [s].
-        in_a_row: How many periods in a row were too long.
-        news: How many measurements differed from the one before.
-        noted, met, seen, since: How many of them and of all samples have noted, and when those of the last ones [s].
-        every: Time from one to the next, on average [s].
-    """
-
-    tripped: Array
+    tripped: Array  # 1 once something tripped: at a time, for a reason, at a place, with a value beyond a limit
     time: Array
     code: Array
     place: Array
     value: Array
     limit: Array
-    heard: Array
-    commanded: Array
-    good: Array
-    bad: Array
-    held: Array
-    refused: Array
-    acted: Array
-    arrived: Array
-    blind: Array
-    given_up: Array
-    sampled: Array
-    period: Array
-    last_period: Array
-    steady: Array
-    in_a_row: Array
-    news: Array
-    noted: Array
-    met: Array
-    seen: Array
-    since: Array
-    every: Array
+    heard: Array  # when the last good measurement was taken [s]
+    commanded: Array  # when the last good command came [s]
+    good: Array  # how many measurements were good
+    bad: Array  # how many were refused
+    held: Array  # 1 while a measurement that is not finite is replaced by the last good one
+    refused: Array  # how many commands were refused
+    acted: Array  # 1 once a stop has noted where it began
+    arrived: Array  # when it came [s]
+    blind: Array  # when a stop went without feedback, -1 while it has some [s]
+    given_up: Array  # 1 once feedback did not bring the robot to rest in time
+    sampled: Array  # time of the last sample [s]
+    period: Array  # the control period on average [s]
+    last_period: Array  # the same at last
+    steady: Array  # the same at last, without pauses
+    in_a_row: Array  # how many periods in a row were too long
+    news: Array  # how many measurements differed from the one before
+    noted: Array  # `news` at the sample before
+    met: Array  # `good` at the sample before
+    seen: Array  # when one came last [s]
+    since: Array  # when one that differed came last [s]
+    every: Array  # time from one to the next, on average [s]
 
 
 MARKS = len(SupervisorState._fields)
@@ -141,98 +104,61 @@ MARKS = len(SupervisorState._fields)
 
 @by_address
 class Door(NamedTuple):
-    """The door that measurements pass, as few arrays: a program of your own hands them over at every measurement.
+    """The door that measurements pass, as few arrays: a program of your own hands them over at every measurement."""
 
-    Attributes:
-        joints: (6, n + pivots) of every joint of the arm, then of every pivot: a whole turn, 0 for one that slides; its
-            ends; the speed that explains how its position changes; what of that no speed needs to explain; 1 where it
-            may be as fast as it likes.
-        rows: (2, p) by how much position and velocity may contradict each other in a stop, and velocities beyond which
-            a stop drives on what it should brake.
-        message: The last good measurement: pose, velocity, q, qdot, shape.
-        state: Single numbers, the supervisor's.
-        sense: (4, p + pivots) by how much positions have lately changed more than the velocities say; least speeds
-            since a stop began; 1 where a stop does without feedback; jumps that were taken out of the joints'
-            positions.
-        sideways: Whether the base velocity is `(vx, vy, w)`.
-        eta: (3,) `(vx, vy, w)` of a base that steers, at the last sample; (0,) of others.
-        along: (3, nb) that per base velocity.
-        masters: Places in `shape` of the pivots whose rates are the last base velocities.
-        length: l of `base.rolling` [m].
-    """
-
+    # (6, n + pivots) of every joint of the arm, then of every pivot: a whole turn, 0 for one that slides; its ends; the
+    # speed that explains how its position changes; what of that no speed needs to explain; 1 where it may be as fast as
+    # it likes
     joints: Array
+    # (2, p) by how much position and velocity may contradict each other in a stop, and velocities beyond which a stop
+    # drives on what it should brake
     rows: Array
-    message: Array
-    state: SupervisorState
+    message: Array  # the last good measurement: pose, velocity, q, qdot, shape
+    state: SupervisorState  # single numbers, the supervisor's
+    # (4, p + pivots) by how much positions have lately changed more than the velocities say; least speeds since a stop
+    # began; 1 where a stop does without feedback; jumps that were taken out of the joints' positions
     sense: Array
-    sideways: bool
-    eta: Array
-    along: Array
-    masters: IntArray
-    length: float
+    sideways: bool  # whether the base velocity is `(vx, vy, w)`
+    eta: Array  # (3,) `(vx, vy, w)` of a base that steers, at the last sample; (0,) of others
+    along: Array  # (3, nb) that per base velocity
+    masters: IntArray  # places in `shape` of the pivots whose rates are the last base velocities
+    length: float  # l of `base.rolling` [m]
 
 
 @by_address
 class Supervisor(NamedTuple):
-    """A supervisor of one run: its limits and its state as arrays.
+    """A supervisor of one run: its limits and its state as arrays."""
 
-    Attributes:
-        on: Whether there is one; the others are empty if not.
-        numbers: Settings that are single numbers.
-        torque: (motors,) torque limits.
-        speed: (p,) speed limits.
-        gains: (p,) feedback that brakes and holds.
-        error: (n,) limits of the joints' errors.
-        K: (n,) gain of the filtered arm error.
-        wheel: (wheels,) speed limits of the drive wheels, then of what motors steer.
-        door: What measurements pass.
-        E, E_inv: (p, motors) torque on nu from motor torques, and back; of a base that steers those of the last sample.
-        weights: (k, 2) start and stop of every array of weights in the controller's state.
-        reach: (p,) how far velocities may lead while no measurement says so; inf for any way [m, rad].
-        mobility: (p, p) largest |M^-1| of some postures.
-        asked: (p,) velocities that servos are asked for, of their rows.
-        shaken: (motors,) largest RMS of the fast part of the torque that is learned [N m or N].
-        values: State: all of the following.
-        state: Single numbers.
-        message: The last good measurement: pose, velocity, q, qdot, shape.
-        last: (p,) the last torque.
-        above: (motors,) how long every motor has asked for more than its limit [s].
-        place: (n,) where the joints are held.
-        integral: (n,) of their errors.
-        stale: (p,) the last command of a controller that fell silent.
-        sight: (7, p) how far velocities may have led in silence, and while measurements repeat; their bound in silence,
-            their average acceleration, and what they were; torque that was sent before the last measurement, and by the
-            last that differed.
-        shake: (3, motors) torque that is learned behind a low-pass, what is faster behind another, and the average of
-            the squares of what is faster still.
-    """
-
-    on: bool
-    numbers: SupervisorNumbers
-    torque: Array
-    speed: Array
-    gains: Array
-    error: Array
-    K: Array
-    wheel: Array
-    door: Door
-    E: Array
-    E_inv: Array
-    weights: IntArray
-    reach: Array
-    mobility: Array
-    asked: Array
-    shaken: Array
-    values: Array
-    state: SupervisorState
-    message: Array
-    last: Array
-    above: Array
-    place: Array
-    integral: Array
-    stale: Array
+    on: bool  # whether there is one; the others are empty if not
+    numbers: SupervisorNumbers  # settings that are single numbers
+    torque: Array  # (motors,) torque limits
+    speed: Array  # (p,) speed limits
+    gains: Array  # (p,) feedback that brakes and holds
+    error: Array  # (n,) limits of the joints' errors
+    K: Array  # (n,) gain of the filtered arm error
+    wheel: Array  # (wheels,) speed limits of the drive wheels, then of what motors steer
+    door: Door  # what measurements pass
+    E: Array  # (p, motors) torque on nu from motor torques; of a base that steers that of the last sample
+    E_inv: Array  # (motors, p) the way back, likewise
+    weights: IntArray  # (k, 2) start and stop of every array of weights in the controller's state
+    reach: Array  # (p,) how far velocities may lead while no measurement says so; inf for any way [m, rad]
+    mobility: Array  # (p, p) largest |M^-1| of some postures
+    asked: Array  # (p,) velocities that servos are asked for, of their rows
+    shaken: Array  # (motors,) largest RMS of the fast part of the torque that is learned [N m or N]
+    values: Array  # state: all of the following
+    state: SupervisorState  # single numbers
+    message: Array  # the last good measurement: pose, velocity, q, qdot, shape
+    last: Array  # (p,) the last torque
+    above: Array  # (motors,) how long every motor has asked for more than its limit [s]
+    place: Array  # (n,) where the joints are held
+    integral: Array  # (n,) of their errors
+    stale: Array  # (p,) the last command of a controller that fell silent
+    # (7, p) how far velocities may have led in silence, and while measurements repeat; their bound in silence, their
+    # average acceleration, and what they were; torque that was sent before the last measurement, and by the last that
+    # differed
     sight: Array
+    # (3, motors) torque that is learned behind a low-pass, what is faster behind another, and the average of the
+    # squares of what is faster still
     shake: Array
 
 

@@ -58,30 +58,18 @@ def exact(row: Array, at: IntArray, position: Array, nu: Array, places: IntArray
 
 @by_address
 class Reading(NamedTuple):
-    """The signal from the robot to the controller; the effects change it one after the other.
+    """The signal from the robot to the controller; the effects change it one after the other."""
 
-    Attributes:
-        position: (nv,) true position, on which the encoders sit.
-        nu: (p,) true velocity.
-        clock: (CLOCK,) state: how many measurements there were, and which was received last.
-        joints: (nw + n, COLUMNS) state of the encoders: of wheels and pivots, then of the arm.
-        message: What is sent: pose, base velocity, q, qdot, angles of the pivots.
-        received: (the same,) what the controller has.
-        acceleration: (p,) state: what the loop expects of nu until the next sample [m/s^2, rad/s^2]; (0,) where nothing
-            is made of it.
-        bias: (nw + n,) state: by how much the encoders accelerate beyond that [rad/s^2]; (0,) likewise.
-        pivots: Number of pivots.
-    """
-
-    position: Array
-    nu: Array
-    clock: Array
-    joints: Array
-    message: Array
-    received: Array
+    position: Array  # (nv,) true position, on which the encoders sit
+    nu: Array  # (p,) true velocity
+    clock: Array  # (CLOCK,) state: how many measurements there were, and which was received last
+    joints: Array  # (nw + n, COLUMNS) state of the encoders: of wheels and pivots, then of the arm
+    message: Array  # what is sent: pose, base velocity, q, qdot, angles of the pivots
+    received: Array  # (the same,) what the controller has
+    # (p,) state: what the loop expects of nu until the next sample [m/s^2, rad/s^2]; (0,) where nothing is made of it
     acceleration: Array
-    bias: Array
-    pivots: int
+    bias: Array  # (nw + n,) state: by how much the encoders accelerate beyond that [rad/s^2]; (0,) likewise
+    pivots: int  # number of pivots
 
 
 @by_address
@@ -95,15 +83,10 @@ class Sensors(NamedTuple):
 
 @by_address
 class FrozenEncoders(NamedTuple):
-    """Encoders that keep their reading for a while.
+    """Encoders that keep their reading for a while."""
 
-    Attributes:
-        windows: (k, 4) place in the position, start and end [s], place in nu, negative for a wheel.
-        held: (k,) state: what they keep.
-    """
-
-    windows: Array
-    held: Array
+    windows: Array  # (k, 4) place in the position, start and end [s], place in nu, negative for a wheel
+    held: Array  # (k,) state: what they keep
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
@@ -120,21 +103,13 @@ class FrozenEncoders(NamedTuple):
 
 @by_address
 class Encoders(NamedTuple):
-    """Readings in whole steps of angles with an offset and noise.
+    """Readings in whole steps of angles with an offset and noise."""
 
-    Attributes:
-        places: (nw + n,) of the encoders in the position.
-        step: (nw + n,) resolution, 0 for none [rad or m].
-        offset: (nw + n,) zero error [rad or m].
-        spread: (nw + n,) standard deviation of the noise [rad or m].
-        normals: (measurements, nw + n) standard normal numbers.
-    """
-
-    places: IntArray
-    step: Array
-    offset: Array
-    spread: Array
-    normals: Array
+    places: IntArray  # (nw + n,) of the encoders in the position
+    step: Array  # (nw + n,) resolution, 0 for none [rad or m]
+    offset: Array  # (nw + n,) zero error [rad or m]
+    spread: Array  # (nw + n,) standard deviation of the noise [rad or m]
+    normals: Array  # (measurements, nw + n) standard normal numbers
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
@@ -149,31 +124,19 @@ class Encoders(NamedTuple):
 
 @by_address
 class SteeredRows(NamedTuple):
-    """The rows by which wheels and pivots of a base that steers tell of its motion, at the angles that are read.
+    """The rows by which wheels and pivots of a base that steers tell of its motion, at the angles that are read."""
 
-    Attributes:
-        rolling: The base.
-        maps: Its maps.
-        places: (nw,) of its encoders in the position: of the wheels, then of the pivots.
-        position: (nv,) scratch.
-        still: (p,) zeros.
-        scratch: (2, nb, nb).
-        shares: (nw, nb) scratch.
-        rolls: (nw, nb) written, see `Rates`.
-        W: (nb, nw) written, see `Velocities`: half way between this reading and the one before, as their difference is.
-        path: (3, nw) written, see `WheelOdometry`: likewise.
-    """
-
-    rolling: Rolling
-    maps: Maps
-    places: IntArray
-    position: Array
-    still: Array
-    scratch: Array
-    shares: Array
-    rolls: Array
+    rolling: Rolling  # the base
+    maps: Maps  # its maps
+    places: IntArray  # (nw,) of its encoders in the position: of the wheels, then of the pivots
+    position: Array  # (nv,) scratch
+    still: Array  # (p,) zeros
+    scratch: Array  # (2, nb, nb)
+    shares: Array  # (nw, nb) scratch
+    rolls: Array  # (nw, nb) written, see `Rates`
+    # (nb, nw) written, see `Velocities`: half way between this reading and the one before, as their difference is
     W: Array
-    path: Array
+    path: Array  # (3, nw) written, see `WheelOdometry`: likewise
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
@@ -210,22 +173,14 @@ class Rates(NamedTuple):
         x + h v + h^2/2 (a + b) + (1 - p^3) i,    v + h (a + b) + 3/2 (1 - p)^2 (1 + p) i / h,    b + (1 - p)^3 i / h^2
 
     with i the reading less what was expected. Without a model a and b are zero.
-
-    Attributes:
-        observer: Whether it is the observer.
-        period: Between two measurements [s].
-        alpha: Share of a new difference, 1 for plain ones; or the observer's correction of the angle.
-        beta: The observer's correction of the rate [1/s].
-        gamma: Of the acceleration that is missing [1/s^2].
-        rolls: (nw, nb) rates of wheels and pivots from the base's velocity.
     """
 
-    observer: bool
-    period: float
-    alpha: float
-    beta: float
-    gamma: float
-    rolls: Array
+    observer: bool  # whether it is the observer
+    period: float  # between two measurements [s]
+    alpha: float  # share of a new difference, 1 for plain ones; or the observer's correction of the angle
+    beta: float  # the observer's correction of the rate [1/s]
+    gamma: float  # of the acceleration that is missing [1/s^2]
+    rolls: Array  # (nw, nb) rates of wheels and pivots from the base's velocity
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
@@ -255,17 +210,11 @@ class Rates(NamedTuple):
 
 @by_address
 class Velocities(NamedTuple):
-    """The message's velocities and joint positions.
+    """The message's velocities and joint positions."""
 
-    Attributes:
-        exact: Whether velocities are the true ones.
-        W: (nb, nw) base velocity from the rates of wheels and pivots; (nb, 0) if no wheel is measured.
-        place: Column of the encoders' state that is sent as q: `READING`, or the observer's `ESTIMATE`.
-    """
-
-    exact: bool
-    W: Array
-    place: int
+    exact: bool  # whether velocities are the true ones
+    W: Array  # (nb, nw) base velocity from the rates of wheels and pivots; (nb, 0) if no wheel is measured
+    place: int  # column of the encoders' state that is sent as q: `READING`, or the observer's `ESTIMATE`
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
@@ -309,17 +258,11 @@ def observe(sensors: Sensors, seen: Measurement, received: Array) -> None:
 
 @by_address
 class WheelOdometry(NamedTuple):
-    """The pose: the true one, or integrated from the wheels along the chord of the arc (its middle heading).
+    """The pose: the true one, or integrated from the wheels along the chord of the arc (its middle heading)."""
 
-    Attributes:
-        integrated: Whether it is integrated; the first one is true.
-        path: (3, nw) `(vx, vy, w)` of the control frame from the rates of wheels and pivots.
-        pose: (3,) state; (0,) for a fixed arm.
-    """
-
-    integrated: bool
-    path: Array
-    pose: Array
+    integrated: bool  # whether it is integrated; the first one is true
+    path: Array  # (3, nw) `(vx, vy, w)` of the control frame from the rates of wheels and pivots
+    pose: Array  # (3,) state; (0,) for a fixed arm
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
@@ -345,19 +288,12 @@ class WheelOdometry(NamedTuple):
 
 @by_address
 class Noise(NamedTuple):
-    """Noise of velocities and pose as they are sent.
+    """Noise of velocities and pose as they are sent."""
 
-    Attributes:
-        velocity: (p,) standard deviations [m/s, rad/s].
-        pose: (3,) or (0,) standard deviations [m, m, rad].
-        velocity_normals: (measurements, p) standard normal numbers.
-        pose_normals: (measurements, 3) or (measurements, 0).
-    """
-
-    velocity: Array
-    pose: Array
-    velocity_normals: Array
-    pose_normals: Array
+    velocity: Array  # (p,) standard deviations [m/s, rad/s]
+    pose: Array  # (3,) or (0,) standard deviations [m, m, rad]
+    velocity_normals: Array  # (measurements, p) standard normal numbers
+    pose_normals: Array  # (measurements, 3) or (measurements, 0)
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
@@ -372,23 +308,14 @@ class Noise(NamedTuple):
 
 @by_address
 class MessageLine(NamedTuple):
-    """The line to the controller: messages are late, out of order, lost or corrupted, and the newest one counts.
+    """The line to the controller: messages are late, out of order, lost or corrupted, and the newest one counts."""
 
-    Attributes:
-        delay: Measurements by which every message is late.
-        jitter: Largest further delay, equally likely.
-        loss: Probability that a message is lost.
-        uniforms: (measurements, 2) numbers in [0, 1) for jitter and loss.
-        faults: (measurements, 2) how many measurements later still, negative for lost, and what is added.
-        slots: (longest delay + 1, message) state: what is under way.
-    """
-
-    delay: int
-    jitter: int
-    loss: float
-    uniforms: Array
-    faults: Array
-    slots: Array
+    delay: int  # measurements by which every message is late
+    jitter: int  # largest further delay, equally likely
+    loss: float  # probability that a message is lost
+    uniforms: Array  # (measurements, 2) numbers in [0, 1) for jitter and loss
+    faults: Array  # (measurements, 2) how many measurements later still, negative for lost, and what is added
+    slots: Array  # (longest delay + 1, message) state: what is under way
 
     @internal
     def act(self, wire: Reading, k: int, time: float) -> None:

@@ -98,11 +98,7 @@ def require_gains(settings: Settings, section: str, *names: str) -> None:
 
 
 def require_gain(value: Any, key: str) -> None:
-    """Refuse a number, or numbers, negative or not finite.
-
-    Raises:
-        ConfigError: With the key path.
-    """
+    """Refuse a number, or numbers, negative or not finite (`ConfigError`)."""
     if isinstance(value, int | float) and 0.0 <= value < math.inf:
         return  # most numbers, and numpy takes longer
     if not np.all(np.isfinite(value)) or np.any(np.asarray(value) < 0):

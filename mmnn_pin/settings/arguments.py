@@ -36,7 +36,6 @@ NAMES = {int: "int", float: "float", str: "str", bool: "bool", list: "array", tu
 NAMES |= {NoneType: "null", Path: "path"}
 P = ParamSpec("P")
 R = TypeVar("R")
-FORMERLY = {"guess": "prior"}  # texts that an older version took
 UNIONS = (Union, UnionType)
 HOW = {"Robot": 'load("platform_arm")', "CompiledController": "PD()"}  # what needs a word more
 HOW |= {"Trajectory": "Trajectory.of(robot, base=Line(0.3))"}
@@ -133,11 +132,7 @@ def require_types(made: Any, *own: str) -> None:
 
 
 def require_known(owner: Any, given: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse the first of some arguments that a function or a class does not have.
-
-    Raises:
-        UnknownArgument: With those that it has.
-    """
+    """Refuse the first of some arguments that a function or a class does not have (`UnknownArgument`)."""
     for name in given:
         if name not in known:
             raise UnknownArgument("argument", name, known, key=name_of(owner))
@@ -168,9 +163,6 @@ def require_fit(owner: Any, given: Mapping[str, Any], called: str = "") -> None:
 
 def misfit(value: Any, kind: Any) -> tuple[str, str]:
     """Two phrases on a value that is not of an annotated type: what is wrong, and what to give."""
-    now = FORMERLY.get(value) if isinstance(value, str) else None
-    if now and fits(now, kind):
-        return f"'{value}' is now called '{now}'", f"write '{now}'"
     there = KINDS.get(NAMES.get(type(value), ""), f"of the type {type(value).__name__}")
     fix = wanted(kind)
     return shortly(value) if fix.startswith(there) else f"{shortly(value)} is {there}", f"give {fix}"

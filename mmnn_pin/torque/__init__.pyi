@@ -35,8 +35,6 @@ from .super_twisting import SuperTwistingSettings as SuperTwistingSettings
 from .time_delay import TimeDelay as TimeDelay
 from .time_delay import TimeDelaySettings as TimeDelaySettings
 from .two_layer import TwoLayer as TwoLayer
-from .two_layer_composite import TwoLayerComposite as TwoLayerComposite
-from .two_layer_composite import TwoLayerCompositeSettings as TwoLayerCompositeSettings
 from .two_layer_residual import TwoLayerResidual as TwoLayerResidual
 
 __all__: list[str]

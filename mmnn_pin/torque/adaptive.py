@@ -143,33 +143,19 @@ class AdaptiveSettings(Settings, frozen=True):
 
 @by_address
 class Adaptation(NamedTuple):
-    """The numbers of an adaptive controller.
+    """The numbers of an adaptive controller."""
 
-    Attributes:
-        known: The robot without its masses; `known.Y` (p, k) is written by `model.tree.regressor.regress`.
-        gain: (p,) K.
-        learning: Off keeps the estimate.
-        tracking: Factor on the gradient of the tracking error, 1 without a prediction error.
-        sigma: Leakage [1/s].
-        by_error: Whether leakage is multiplied with |s|.
-        share: Largest answer of a sample, as a share of the feedback.
-        stride: Every how many samples `Y' Y` is added to the state.
-        bodies: The metric of the estimate.
-        gradient: (k,) room to work in.
-        layout: Of `Estimate` in the state.
-    """
-
-    known: Massless
-    gain: Array
-    learning: bool
-    tracking: float
-    sigma: float
-    by_error: bool
-    share: float
-    stride: int
-    bodies: Bodies
-    gradient: Array
-    layout: IntArray
+    known: Massless  # the robot without its masses; `known.Y` (p, k) is written by `model.tree.regressor.regress`
+    gain: Array  # (p,) K
+    learning: bool  # off keeps the estimate
+    tracking: float  # factor on the gradient of the tracking error, 1 without a prediction error
+    sigma: float  # leakage [1/s]
+    by_error: bool  # whether leakage is multiplied with |s|
+    share: float  # largest answer of a sample, as a share of the feedback
+    stride: int  # every how many samples `Y' Y` is added to the state
+    bodies: Bodies  # the metric of the estimate
+    gradient: Array  # (k,) room to work in
+    layout: IntArray  # of `Estimate` in the state
 
 
 class Estimate(NamedTuple):

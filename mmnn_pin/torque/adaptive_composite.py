@@ -61,33 +61,19 @@ class AdaptiveCompositeSettings(Settings, frozen=True):
 
 @by_address
 class Prediction(NamedTuple):
-    """The numbers of a composite adaptive controller.
+    """The numbers of a composite adaptive controller."""
 
-    Attributes:
-        adaptation: Those of the adaptive controller that it is.
-        filter: The filter of regressor and torque.
-        trust: (p,) diagonal of R.
-        weight: c times the time between two steps [s].
-        keep: `exp(-period / T)` of the period between two steps.
-        every: Samples between two steps.
-        gradient: (k,) room to work in.
-        velocity: (k,) room to work in.
-        step: (16 bodies + rest,) written: y.
-        work: (3, 16 bodies + rest) room to work in.
-        layout: Of `Composite` in the state.
-    """
-
-    adaptation: Adaptation
-    filter: Filter
-    trust: Array
-    weight: float
-    keep: float
-    every: int
-    gradient: Array
-    velocity: Array
-    step: Array
-    work: Array
-    layout: IntArray
+    adaptation: Adaptation  # those of the adaptive controller that it is
+    filter: Filter  # the filter of regressor and torque
+    trust: Array  # (p,) diagonal of R
+    weight: float  # c times the time between two steps [s]
+    keep: float  # `exp(-period / T)` of the period between two steps
+    every: int  # samples between two steps
+    gradient: Array  # (k,) room to work in
+    velocity: Array  # (k,) room to work in
+    step: Array  # (16 bodies + rest,) written: y
+    work: Array  # (3, 16 bodies + rest) room to work in
+    layout: IntArray  # of `Composite` in the state
 
 
 class Composite(NamedTuple):
@@ -277,12 +263,9 @@ KERNELS[Prediction] = Kernels(estimate, settle)
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveComposite(Adaptive):
-    """`Adaptive` whose estimate also follows a prediction error: with excitation it is knowledge.
+    """`Adaptive` whose estimate also follows a prediction error: with excitation it is knowledge."""
 
-    Args:
-        composite: The prediction error's numbers.
-    """
-
+    # the prediction error's numbers
     composite: AdaptiveCompositeSettings = field(default_factory=AdaptiveCompositeSettings)
     name: str = "adaptive_composite"
 
@@ -296,11 +279,9 @@ class AdaptiveComposite(Adaptive):
     def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
         """From gains, settings and start."""
         found = super().from_facts(name, facts, told)
-        own = dict(facts.get("composite") or facts.get("predicting") or {})
-        if found is None or not own:
+        if found is None or "composite" not in facts:
             return None
-        own["forgetting_time"] = own.pop("memory", own.get("forgetting_time"))
-        return replace(found, composite=msgspec.convert(own, AdaptiveCompositeSettings))
+        return replace(found, composite=msgspec.convert(facts["composite"], AdaptiveCompositeSettings))
 
     def law(self, context: Context) -> Law:
         """The numbers of the law, with room of its own to work in; without learning those of `Adaptive`."""

@@ -46,17 +46,11 @@ ROUNDING = 1e-9  # part of a torque below which an excess is rounding
 
 @by_address
 class Gravity(NamedTuple):
-    """The numbers of a PD with gravity.
+    """The numbers of a PD with gravity."""
 
-    Attributes:
-        known: How the robot moves, and room to work in.
-        theta: (k,) parameters of its bodies as the file has them.
-        rest: (p,) zeros.
-    """
-
-    known: Massless
-    theta: Array
-    rest: Array
+    known: Massless  # how the robot moves, and room to work in
+    theta: Array  # (k,) parameters of its bodies as the file has them
+    rest: Array  # (p,) zeros
 
 
 @linked
@@ -127,17 +121,11 @@ class PIDSettings(Settings, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class Integrating(CompiledController):
-    """A controller that integrates beside its feedback; a loop chooses how fast where it is left open (`loop.suited`).
+    """Controller that integrates beside its feedback; a loop chooses how fast where it is left open (`loop.suited`)."""
 
-    Attributes:
-        rate_key: Name of the rate in its settings.
-        rate_factor: Times the rate of `loop.rates`.
-        kind: What it adds, of `loop.rates`.
-    """
-
-    rate_key: ClassVar[str] = "rate"
-    rate_factor: ClassVar[float] = 1.0
-    kind: ClassVar[Literal["integral", "model", "observer", "sliding"]] = "integral"
+    rate_key: ClassVar[str] = "rate"  # name of the rate in its settings
+    rate_factor: ClassVar[float] = 1.0  # times the rate of `loop.rates`
+    kind: ClassVar[Literal["integral", "model", "observer", "sliding"]] = "integral"  # what it adds, of `loop.rates`
 
     @property
     def complete(self) -> bool:
@@ -157,32 +145,28 @@ class Integrating(CompiledController):
             raise ConfigError(f"no {self.rate_key}", why=why, fix="give one, or run it in a Loop", key=key)
         return float(found)
 
+    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
+        """The integral, of the next sample and of the last one."""
+        return integral_shapes(context.layout)
+
+    def weights(self, state: ControllerState) -> dict[str, Array]:
+        """The integral, (p,) [N, N m]."""
+        return {"integral": state["integral"]}
+
 
 @by_address
 class Integrator(NamedTuple):
-    """The numbers of an integral of K s.
+    """The numbers of an integral of K s."""
 
-    Attributes:
-        K: (p,) feedback gains.
-        rate: (p,) what a sample adds to the integral over s; 0 keeps it.
-        h: Control period [s].
-        limits: Of the motors, and room to work in.
-        beside: (p,) what is added to K s and the integral; zeros for PID [N, N m].
-        asked: (p,) room to work in.
-        sent: (p,) room to work in.
-        nothing: (p,) zeros.
-        layout: Of `Integral` in the state.
-    """
-
-    K: Array
-    rate: Array
-    h: float
-    limits: MotorLimits
-    beside: Array
-    asked: Array
-    sent: Array
-    nothing: Array
-    layout: IntArray
+    K: Array  # (p,) feedback gains
+    rate: Array  # (p,) what a sample adds to the integral over s; 0 keeps it
+    h: float  # control period [s]
+    limits: MotorLimits  # of the motors, and room to work in
+    beside: Array  # (p,) what is added to K s and the integral; zeros for PID [N, N m]
+    asked: Array  # (p,) room to work in
+    sent: Array  # (p,) room to work in
+    nothing: Array  # (p,) zeros
+    layout: IntArray  # of `Integral` in the state
 
 
 class Integral(NamedTuple):
@@ -292,14 +276,6 @@ class PID(Integrating):
         """The numbers of the law; errors as of `positive_gains`."""
         K, layout = self.positive_gains(context.layout), layout_of(Integral, self.shapes(context))
         return Law(constant_gain(K), new_integrator(context, K, self.rate * self.learning, layout))
-
-    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
-        """The integral, of the next sample and of the last one."""
-        return integral_shapes(context.layout)
-
-    def weights(self, state: ControllerState) -> dict[str, Array]:
-        """The integral, (p,) [N, N m]."""
-        return {"integral": state["integral"]}
 
     def features(self, law: Law, state: ControllerState) -> Array:
         """The integral's factor, 1: every velocity has its own."""

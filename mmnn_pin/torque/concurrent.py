@@ -107,56 +107,31 @@ class ConcurrentSettings(Settings, frozen=True):
 
 @by_address
 class History(NamedTuple):
-    """The numbers of a concurrent learner, and room to work in.
+    """The numbers of a concurrent learner, and room to work in."""
 
-    Attributes:
-        known: The robot without its masses.
-        basis: (k0, k) `theta = theta_0 + basis w`, scaled so that the prior of w is 1.
-        theta0: (k0,) parameters to start from.
-        filter: Of torque and features.
-        gain: (p,) K.
-        precision: (p,) one over the noise of the equations.
-        learning: Off keeps w and the stack.
-        h: Control period [s].
-        every: Samples between two candidates.
-        rate: Of w towards what the stack says [1/s].
-        tracking: Of w along the tracking error [1/J].
-        share: Largest answer of a sample to s, as a share of the feedback.
-        radius: Bound on |w|.
-        growth: Least gain of log det L of a replacement.
-        lifetime: Of an entry [s].
-        floor: Whether the stack has one.
-        Phi: (p, k) room to work in.
-        psi0: (p,) room to work in.
-        y: (p,) room to work in.
-        gradient, target: (k,) room to work in.
-        scratch: Room to work in.
-        layout: Of `Recalled` in the state.
-    """
-
-    known: Massless
-    basis: Array
-    theta0: Array
-    filter: Filter
-    gain: Array
-    precision: Array
-    learning: bool
-    h: float
-    every: int
-    rate: float
-    tracking: float
-    share: float
-    radius: float
-    growth: float
-    lifetime: float
-    floor: bool
-    Phi: Array
-    psi0: Array
-    y: Array
-    gradient: Array
-    target: Array
-    scratch: Scratch
-    layout: IntArray
+    known: Massless  # the robot without its masses
+    basis: Array  # (k0, k) `theta = theta_0 + basis w`, scaled so that the prior of w is 1
+    theta0: Array  # (k0,) parameters to start from
+    filter: Filter  # of torque and features
+    gain: Array  # (p,) K
+    precision: Array  # (p,) one over the noise of the equations
+    learning: bool  # off keeps w and the stack
+    h: float  # control period [s]
+    every: int  # samples between two candidates
+    rate: float  # of w towards what the stack says [1/s]
+    tracking: float  # of w along the tracking error [1/J]
+    share: float  # largest answer of a sample to s, as a share of the feedback
+    radius: float  # bound on |w|
+    growth: float  # least gain of log det L of a replacement
+    lifetime: float  # of an entry [s]
+    floor: bool  # whether the stack has one
+    Phi: Array  # (p, k) room to work in
+    psi0: Array  # (p,) room to work in
+    y: Array  # (p,) room to work in
+    gradient: Array  # (k,) room to work in
+    target: Array  # (k,) room to work in
+    scratch: Scratch  # room to work in
+    layout: IntArray  # of `Recalled` in the state
 
 
 class Recalled(NamedTuple):

@@ -29,17 +29,11 @@ BANDWIDTHS = 30.0, 60.0  # of a base and of joints whose gains are not given [1/
 
 
 class Bears(NamedTuple):
-    """How much a sampled loop bears of a learner, beside its feedback K s and `M nudot_ref` (`loop.rates.borne`).
+    """How much a sampled loop bears of a learner, beside its feedback K s and `M nudot_ref` (`loop.rates.borne`)."""
 
-    Attributes:
-        rate: How fast Psi_hat may answer s, over K [1/s].
-        room: Factor by which the gains may grow.
-        weight: (p,) inertia that a velocity may feel of an estimate, over its gain [s].
-    """
-
-    rate: float
-    room: float
-    weight: tuple[float, ...]
+    rate: float  # how fast Psi_hat may answer s, over K [1/s]
+    room: float  # factor by which the gains may grow
+    weight: tuple[float, ...]  # (p,) inertia that a velocity may feel of an estimate, over its gain [s]
 
 
 @dataclass(frozen=True)
@@ -120,31 +114,22 @@ class ControllerState:
 
 @dataclass(frozen=True)
 class Law:
-    """A controller as numbers for `torque.law`.
+    """A controller as numbers for `torque.law`."""
 
-    Attributes:
-        numbers: What the torque is made of.
-        learner: What it learns with, a named tuple whose type says which code; None where no more is to be compiled.
-    """
-
-    numbers: Packed
+    numbers: Packed  # what the torque is made of
+    # what it learns with, a named tuple whose type says which code; None where no more is to be compiled
     learner: Any = None
 
 
 class MachineLimits(NamedTuple):
-    """The machine, as far as it may be known without knowing how the robot moves.
+    """The machine, as far as it may be known without knowing how the robot moves."""
 
-    Attributes:
-        velocities: (p,) names of the velocities.
-        lower, upper: (n,) limits of the arm's joints [rad or m], infinite for none.
-        effort: (n,) largest torques of its motors at the joints [N m or N], inf where one of the robot's has no limit.
-        stops: (shape, 2) lower and upper stops of the pivots of a base that steers [rad], infinite for none.
-    """
-
-    velocities: tuple[str, ...]
-    lower: Array
-    upper: Array
+    velocities: tuple[str, ...]  # (p,) names of the velocities
+    lower: Array  # (n,) limits of the arm's joints [rad or m], infinite for none
+    upper: Array  # (n,) limits of the arm's joints [rad or m], infinite for none
+    # (n,) largest torques of its motors at the joints [N m or N], inf where one of the robot's has no limit
     effort: Array
+    # (shape, 2) lower and upper stops of the pivots of a base that steers [rad], infinite for none
     stops: Array = np.zeros((0, 2))
 
     def typical_shape(self, rng: np.random.Generator) -> Array:
@@ -256,27 +241,18 @@ class Feedback(Settings, frozen=True):
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """Settings with which an experiment makes a controller: those common to all of them, and its own.
+    """Settings with which an experiment makes a controller: those common to all of them, and its own."""
 
-    Attributes:
-        name: Name of the controller in the experiment.
-        settings: Its own table; None for a controller that has none.
-        feedback: K.
-        learning: Whether it learns.
-        told: What it is told of the robot.
-        inertia: (p,) effective inertias that networks are scaled by; None for the thesis's form.
-        networks: Of the thesis's networks beside: robust, inputs, rates, leakage, update, projection.
-        gains: (samples, p) gains of a PD at an effective gain.
-    """
-
-    name: str
-    settings: Any
-    feedback: Feedback
-    learning: bool
-    told: Told
+    name: str  # name of the controller in the experiment
+    settings: Any  # its own table; None for a controller that has none
+    feedback: Feedback  # K
+    learning: bool  # whether it learns
+    told: Told  # what it is told of the robot
+    # (p,) effective inertias that networks are scaled by; None for the thesis's form
     inertia: tuple[float, ...] | None = None
+    # of the thesis's networks beside: robust, inputs, rates, leakage, update, projection
     networks: dict[str, Any] = field(default_factory=dict)
-    gains: Array | None = None
+    gains: Array | None = None  # (samples, p) gains of a PD at an effective gain
 
 
 class Controller(ABC):

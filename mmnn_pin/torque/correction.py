@@ -54,51 +54,29 @@ FRESH = 0.1  # how long after its last sample a correction counts, beside period
 
 
 class Correction(NamedTuple):
-    """The numbers of a correction, and room to work in.
+    """The numbers of a correction, and room to work in."""
 
-    Attributes:
-        h: Control period [s].
-        keep: exp(-leakage h).
-        longer: exp(-SLOWER leakage h).
-        top: c, what it answers s with, over K [1/s].
-        rate: (k,) Gamma.
-        blend: Part of the learner's own features that is taken at the reference.
-        lasts: How long after its last sample it counts [s].
-        nu: (p,) room to work in.
-        nudot: (p,) room to work in.
-        F: (p, k) room to work in.
-        g: (k,) room to work in.
-        A: (p,) how an error that the motors cannot help is shared.
-    """
-
-    h: float
-    keep: float
-    longer: float
-    top: float
-    rate: Array
-    blend: float
-    lasts: float
-    nu: Array
-    nudot: Array
-    F: Array
-    g: Array
-    A: Array
+    h: float  # control period [s]
+    keep: float  # exp(-leakage h)
+    longer: float  # exp(-SLOWER leakage h)
+    top: float  # c, what it answers s with, over K [1/s]
+    rate: Array  # (k,) Gamma
+    blend: float  # part of the learner's own features that is taken at the reference
+    lasts: float  # how long after its last sample it counts [s]
+    nu: Array  # (p,) room to work in
+    nudot: Array  # (p,) room to work in
+    F: Array  # (p, k) room to work in
+    g: Array  # (k,) room to work in
+    A: Array  # (p,) how an error that the motors cannot help is shared
 
 
 class Corrected(NamedTuple):
-    """State of a correction.
+    """State of a correction."""
 
-    Attributes:
-        w: (k,) its weights.
-        when: (1,) time of its last sample [s].
-        asked: (p,) Psi_hat of its last sample.
-        cut: (p,) what the motors' limits took of it.
-    """
-
-    w: Vector
-    when: Vector
-    asked: Vector
-    cut: Vector
+    w: Vector  # (k,) its weights
+    when: Vector  # (1,) time of its last sample [s]
+    asked: Vector  # (p,) Psi_hat of its last sample
+    cut: Vector  # (p,) what the motors' limits took of it
 
 
 def new_correction(context: Context, K: Array, typical: Array, c: float, leakage: float, blend: float) -> Correction:

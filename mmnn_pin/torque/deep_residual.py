@@ -87,47 +87,26 @@ class DeepResidualSettings(Settings, frozen=True):
 
 @by_address
 class Deep(NamedTuple):
-    """The numbers of the networks, and room to work in.
+    """The numbers of the networks, and room to work in."""
 
-    Attributes:
-        K: (p,) feedback gains.
-        scale_in: (p,) what s is multiplied with, `(K / c)^1/2 / u`.
-        scale_out: (p,) what outputs are multiplied with, `(K c)^1/2 u`.
-        rows: (nx,) where the inputs stand in a row.
-        inputs: (2, nx) or (3, nx) as of `LawNumbers`.
-        learning: Off keeps the weights.
-        h: Control period [s].
-        rates: (2,) Gamma of W, and of all other weights [1/s].
-        keep: What leakage leaves of W and B in a sample.
-        share: Largest answer of a sample to s, as a share of the feedback.
-        bound: On |W|, and on the norm of all other weights.
-        x: (nx,) input of the last sample.
-        s: (p,) scaled error.
-        kappa: (blocks + 1, hidden) what goes into the blocks, and what comes out of the last.
-        units: (blocks + 1, hidden) tanh within the blocks, and of what comes out of the last.
-        back: (blocks + 1, hidden) derivative of `s' W' tanh` by kappa.
-        within: (blocks, hidden) and by `A' kappa`.
-        layout: Of `Weights` in the state.
-    """
-
-    K: Array
-    scale_in: Array
-    scale_out: Array
-    rows: IntArray
-    inputs: Array
-    learning: bool
-    h: float
-    rates: Array
-    keep: float
-    share: float
-    bound: float
-    x: Array
-    s: Array
-    kappa: Array
-    units: Array
-    back: Array
-    within: Array
-    layout: IntArray
+    K: Array  # (p,) feedback gains
+    scale_in: Array  # (p,) what s is multiplied with, `(K / c)^1/2 / u`
+    scale_out: Array  # (p,) what outputs are multiplied with, `(K c)^1/2 u`
+    rows: IntArray  # (nx,) where the inputs stand in a row
+    inputs: Array  # (2, nx) or (3, nx) as of `LawNumbers`
+    learning: bool  # off keeps the weights
+    h: float  # control period [s]
+    rates: Array  # (2,) Gamma of W, and of all other weights [1/s]
+    keep: float  # what leakage leaves of W and B in a sample
+    share: float  # largest answer of a sample to s, as a share of the feedback
+    bound: float  # on |W|, and on the norm of all other weights
+    x: Array  # (nx,) input of the last sample
+    s: Array  # (p,) scaled error
+    kappa: Array  # (blocks + 1, hidden) what goes into the blocks, and what comes out of the last
+    units: Array  # (blocks + 1, hidden) tanh within the blocks, and of what comes out of the last
+    back: Array  # (blocks + 1, hidden) derivative of `s' W' tanh` by kappa
+    within: Array  # (blocks, hidden) and by `A' kappa`
+    layout: IntArray  # of `Weights` in the state
 
 
 class Weights(NamedTuple):
@@ -288,20 +267,13 @@ KERNELS[Deep] = Kernels(estimate, nothing_to_keep)
 
 @dataclass(frozen=True, eq=False)
 class DeepResidual(CompiledController):
-    """`tau = K s + Psi_hat`, Psi_hat a deep residual network for the base and one for the arm.
+    """`tau = K s + Psi_hat`, Psi_hat a deep residual network for the base and one for the arm."""
 
-    Args:
-        feedback: K.
-        settings: Sizes, rates and bounds.
-        learning: Off keeps the weights.
-        bears: As of `CompiledController`.
-    """
-
-    feedback: Feedback = field(default_factory=Feedback)
-    settings: DeepResidualSettings = field(default_factory=DeepResidualSettings)
-    learning: bool = True
+    feedback: Feedback = field(default_factory=Feedback)  # K
+    settings: DeepResidualSettings = field(default_factory=DeepResidualSettings)  # sizes, rates and bounds
+    learning: bool = True  # off keeps the weights
     name: str = "deep_residual"
-    bears: Bears | None = None
+    bears: Bears | None = None  # as of `CompiledController`
 
     within_limits: ClassVar[bool] = True
 

@@ -98,71 +98,40 @@ class DremSettings(Settings, frozen=True):
 
 @by_address
 class Mixing(NamedTuple):
-    """The numbers of DREM, and room to work in.
+    """The numbers of DREM, and room to work in."""
 
-    Attributes:
-        known: The robot without its masses.
-        basis: (k0, k) `theta = theta_0 + basis w`, scaled so that the prior of w is 1.
-        theta0: (k0,) parameters to start from.
-        filter: Of torque and features.
-        gain: (p,) K.
-        precision: (p,) R^-1 times the time between two equations.
-        learning: Off keeps w and the integrals.
-        h: Control period [s].
-        every: Samples between two equations.
-        keep: What memory leaves of the integrals in that time.
-        rate: What a sure parameter makes good of its error in that time.
-        doubt: `unsure^-4`.
-        gamma: Gamma [1/J].
-        share: Largest answer of a sample to s, as a share of the feedback.
-        Phi: (p, k) room to work in.
-        psi0: (p,) room to work in.
-        gradient, column: (k,) room to work in.
-        A, factor: (k, k) room to work in.
-        layout: Of `Mixed` in the state.
-    """
-
-    known: Massless
-    basis: Array
-    theta0: Array
-    filter: Filter
-    gain: Array
-    precision: Array
-    learning: bool
-    h: float
-    every: int
-    keep: float
-    rate: float
-    doubt: float
-    gamma: float
-    share: float
-    Phi: Array
-    psi0: Array
-    gradient: Array
-    column: Array
-    A: Array
-    factor: Array
-    layout: IntArray
+    known: Massless  # the robot without its masses
+    basis: Array  # (k0, k) `theta = theta_0 + basis w`, scaled so that the prior of w is 1
+    theta0: Array  # (k0,) parameters to start from
+    filter: Filter  # of torque and features
+    gain: Array  # (p,) K
+    precision: Array  # (p,) R^-1 times the time between two equations
+    learning: bool  # off keeps w and the integrals
+    h: float  # control period [s]
+    every: int  # samples between two equations
+    keep: float  # what memory leaves of the integrals in that time
+    rate: float  # what a sure parameter makes good of its error in that time
+    doubt: float  # `unsure^-4`
+    gamma: float  # Gamma [1/J]
+    share: float  # largest answer of a sample to s, as a share of the feedback
+    Phi: Array  # (p, k) room to work in
+    psi0: Array  # (p,) room to work in
+    gradient: Array  # (k,) room to work in
+    column: Array  # (k,) room to work in
+    A: Array  # (k, k) room to work in
+    factor: Array  # (k, k) room to work in
+    layout: IntArray  # of `Mixed` in the state
 
 
 class Mixed(NamedTuple):
-    """State of DREM.
+    """State of DREM."""
 
-    Attributes:
-        w: (k,) the estimate.
-        samples: (1,) how many.
-        filtered: What the filter remembers.
-        Omega: (k, k) extended regressor.
-        b: (k,) its other side.
-        P: (k, k) inverse of `Omega + FAINT`.
-    """
-
-    w: Vector
-    samples: Vector
-    filtered: Filtered
-    Omega: Matrix
-    b: Vector
-    P: Matrix
+    w: Vector  # (k,) the estimate
+    samples: Vector  # (1,) how many
+    filtered: Filtered  # what the filter remembers
+    Omega: Matrix  # (k, k) extended regressor
+    b: Vector  # (k,) its other side
+    P: Matrix  # (k, k) inverse of `Omega + FAINT`
 
 
 mixed_of = views(Mixed)

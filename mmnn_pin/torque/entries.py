@@ -13,39 +13,22 @@ MOTION, MACHINE, NOMINAL, PARAMETERS, DESCRIBED = "motion", "machine", "nominal"
 
 @dataclass(frozen=True)
 class Entry:
-    """One controller; its module is imported when it is first used.
+    """One controller; its module is imported when it is first used."""
 
-    Attributes:
-        name: Its name in experiments, tables and recordings.
-        kind: Class of the controller, a name in `torque`.
-        settings: Class of its settings likewise, a table of an experiment; empty for none.
-        about: What it is, in a line.
-        colour: In plots.
-        dashes: In plots: lengths of dashes and gaps; empty for a line.
-        width: Of its line.
-        told: What it is told of its robot, properties of `controller.Told`.
-        table: Key path of its table; its name unless it says.
-        beside: Names of controllers whose tables it takes before its own.
-        gain_of: The learner whose effective gain it takes; empty for all others.
-        oracle: Whether it knows the true model.
-        thesis: Whether it is a learner of the thesis.
-        baseline: Whether an engineer has it without learning Psi: what a learner is compared with.
-    """
-
-    name: str
-    kind: str
-    settings: str
-    about: str
-    colour: str
-    dashes: tuple[float, ...] = ()
-    width: float = 1.4
-    told: tuple[str, ...] = ()
-    table: str = ""
-    beside: tuple[str, ...] = ()
-    gain_of: str = ""
-    oracle: bool = False
-    thesis: bool = False
-    baseline: bool = False
+    name: str  # its name in experiments, tables and recordings
+    kind: str  # class of the controller, a name in `torque`
+    settings: str  # class of its settings likewise, a table of an experiment; empty for none
+    about: str  # what it is, in a line
+    colour: str  # in plots
+    dashes: tuple[float, ...] = ()  # in plots: lengths of dashes and gaps; empty for a line
+    width: float = 1.4  # of its line
+    told: tuple[str, ...] = ()  # what it is told of its robot, properties of `controller.Told`
+    table: str = ""  # key path of its table; its name unless it says
+    beside: tuple[str, ...] = ()  # names of controllers whose tables it takes before its own
+    gain_of: str = ""  # the learner whose effective gain it takes; empty for all others
+    oracle: bool = False  # whether it knows the true model
+    thesis: bool = False  # whether it is a learner of the thesis
+    baseline: bool = False  # whether an engineer has it without learning Psi: what a learner is compared with
 
     @property
     def key(self) -> str:
@@ -107,10 +90,6 @@ ENTRIES = (
     Entry("drem", "Drem", "DremSettings",
           "knows the kinematics; dynamic regressor extension and mixing: an equation for every parameter alone",
           "#00897B", (5, 1, 1, 1, 1, 1), told=(MOTION, PARAMETERS)),
-    Entry("two_layer_composite", "TwoLayerComposite",
-          "TwoLayerCompositeSettings",
-          "the two-layer network with the prediction error of filtered torque and kept samples",
-          "#8E44AD", (11, 1.5), beside=("two_layer",)),
     Entry("deep_residual", "DeepResidual", "DeepResidualSettings",
           "a deep residual network, all layers learn from the tracking error", "#3D5FD0", (7, 1.2, 2, 1.2)),
     Entry("two_layer_residual", "TwoLayerResidual", "TwoLayer",

@@ -35,11 +35,10 @@ from ..model.regressor import Massless, Regressor, measured, regress
 from ..parts import layout_of
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
-from .classical import Integral, Integrating, Integrator, go_on, integral_of, integral_shapes, integrate, new_integrator
+from .classical import Integral, Integrating, Integrator, go_on, integral_of, integrate, new_integrator
 from .controller import (
     Context,
     ControllerSettings,
-    ControllerState,
     Feedback,
     Law,
     Told,
@@ -70,21 +69,13 @@ class FeedforwardSettings(Settings, frozen=True):
 
 @by_address
 class Forward(NamedTuple):
-    """The numbers of a feedforward.
+    """The numbers of a feedforward."""
 
-    Attributes:
-        known: How the robot moves, and room to work in.
-        theta: (k,) its parameters as its file has them.
-        nu: (p,) room to work in.
-        nudot: (p,) room to work in.
-        integrator: What is integrated, with the feedforward beside it.
-    """
-
-    known: Massless
-    theta: Array
-    nu: Array
-    nudot: Array
-    integrator: Integrator
+    known: Massless  # how the robot moves, and room to work in
+    theta: Array  # (k,) its parameters as its file has them
+    nu: Array  # (p,) room to work in
+    nudot: Array  # (p,) room to work in
+    integrator: Integrator  # what is integrated, with the feedforward beside it
 
 
 @linked
@@ -120,23 +111,14 @@ KERNELS[Forward] = Kernels(forward, follow)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Feedforward(Integrating):
-    """`tau = Y theta + K s + I` along the reference, theta of the robot's file.
+    """`tau = Y theta + K s + I` along the reference, theta of the robot's file."""
 
-    Args:
-        feedback: K.
-        settings: The integral's gain.
-        motion: How the robot moves.
-        theta: (k,) its parameters, of `model.tree.body.parameters`.
-        learning: Off keeps the integral as it is.
-        name: Name in tables and recordings.
-    """
-
-    feedback: Feedback = field(default_factory=Feedback)
-    settings: FeedforwardSettings = field(default_factory=FeedforwardSettings)
-    motion: Regressor
-    theta: Array
-    learning: bool = True
-    name: str = "feedforward"
+    feedback: Feedback = field(default_factory=Feedback)  # K
+    settings: FeedforwardSettings = field(default_factory=FeedforwardSettings)  # the integral's gain
+    motion: Regressor  # how the robot moves
+    theta: Array  # (k,) its parameters, of `model.tree.body.parameters`
+    learning: bool = True  # off keeps the integral as it is
+    name: str = "feedforward"  # name in tables and recordings
 
     within_limits: ClassVar[bool] = True
     by_velocity: ClassVar[bool] = True
@@ -161,11 +143,3 @@ class Feedforward(Integrating):
         room = np.zeros(p), np.zeros(p)
         found = Forward(self.motion.workspace(), np.array(self.theta, float), *room, integrator)
         return Law(constant_gain(K), found)
-
-    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
-        """The integral, of the next sample and of the last one."""
-        return integral_shapes(context.layout)
-
-    def weights(self, state: ControllerState) -> dict[str, Array]:
-        """The integral, (p,) [N, N m]."""
-        return {"integral": state["integral"]}

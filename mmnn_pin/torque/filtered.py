@@ -48,65 +48,36 @@ SETTLED = 5.0  # time constants of the states' filter after which its start is f
 
 
 class Filter(NamedTuple):
-    """The numbers of a filter, and room to work in.
+    """The numbers of a filter, and room to work in."""
 
-    Attributes:
-        h: Control period [s].
-        keep: exp(-state_pole h), 0 without that filter.
-        fresh: What a state's change over a period adds to its filtered value; 1 without the filter.
-        lag: 1 / (state_pole h), 0 without the filter.
-        hold: exp(-pole h), 0 without the low-pass.
-        motor: (p,) exp(-h / lag) of the motors, 0 without lag.
-        drag: (p,) lag / h.
-        late: How many periods ago was asked for what acts, a part of one included.
-        wait: Periods after a start that do not count.
-        pose: (3,) or (0,) pose at the end of the last period, as it was measured.
-        q: (n,) its mean angles.
-        nu: (p,) its mean velocities.
-        nudot: (p,) its mean accelerations.
-        torque: (p,) its mean torque; subtract from it what is known already.
-        shape: (shape,) its mean angles of a base that steers.
-        told: (p,) 1, or 0 for a velocity whose torque a servo hides: its equation is 0 = 0.
-    """
-
-    h: float
-    keep: float
-    fresh: float
-    lag: float
-    hold: float
-    motor: Array
-    drag: Array
-    late: float
-    wait: int
-    pose: Array
-    q: Array
-    nu: Array
-    nudot: Array
-    torque: Array
-    shape: Array
-    told: Array
+    h: float  # control period [s]
+    keep: float  # exp(-state_pole h), 0 without that filter
+    fresh: float  # what a state's change over a period adds to its filtered value; 1 without the filter
+    lag: float  # 1 / (state_pole h), 0 without the filter
+    hold: float  # exp(-pole h), 0 without the low-pass
+    motor: Array  # (p,) exp(-h / lag) of the motors, 0 without lag
+    drag: Array  # (p,) lag / h
+    late: float  # how many periods ago was asked for what acts, a part of one included
+    wait: int  # periods after a start that do not count
+    pose: Array  # (3,) or (0,) pose at the end of the last period, as it was measured
+    q: Array  # (n,) its mean angles
+    nu: Array  # (p,) its mean velocities
+    nudot: Array  # (p,) its mean accelerations
+    torque: Array  # (p,) its mean torque; subtract from it what is known already
+    shape: Array  # (shape,) its mean angles of a base that steers
+    told: Array  # (p,) 1, or 0 for a velocity whose torque a servo hides: its equation is 0 = 0
 
 
 class Filtered(NamedTuple):
-    """State of a filter.
+    """State of a filter."""
 
-    Attributes:
-        clock: (2,) time of the last sample [s], and how many have followed one another.
-        held: (m, p) torque that is held since then, and those before it that are under way.
-        driven: (p,) torque that the motors give.
-        filtered_torque: (p,) torque behind the filter ahead of the features.
-        states: (2, n + p + shape) angles and velocities of the last sample, and behind that filter.
-        Phi_f: (rows, k) features behind the low-pass.
-        Y_f: (p,) torque behind the low-pass.
-    """
-
-    clock: Vector
-    held: Matrix
-    driven: Vector
-    filtered_torque: Vector
-    states: Matrix
-    Phi_f: Matrix
-    Y_f: Vector
+    clock: Vector  # (2,) time of the last sample [s], and how many have followed one another
+    held: Matrix  # (m, p) torque that is held since then, and those before it that are under way
+    driven: Vector  # (p,) torque that the motors give
+    filtered_torque: Vector  # (p,) torque behind the filter ahead of the features
+    states: Matrix  # (2, n + p + shape) angles and velocities of the last sample, and behind that filter
+    Phi_f: Matrix  # (rows, k) features behind the low-pass
+    Y_f: Vector  # (p,) torque behind the low-pass
 
 
 def new_filter(context: Context, pole: float, state_pole: float = 0.0) -> Filter:

@@ -41,19 +41,12 @@ WEIGHTS = "friction_features.json"
 
 
 class FrictionFeatures(NamedTuple):
-    """The learned functions, and room to work in.
+    """The learned functions, and room to work in."""
 
-    Attributes:
-        W1: (units, INPUTS) first layer.
-        W2: (d, units) features from units.
-        u: (INPUTS,) room to work in.
-        hidden: (units,) room to work in.
-    """
-
-    W1: Array
-    W2: Array
-    u: Array
-    hidden: Array
+    W1: Array  # (units, INPUTS) first layer
+    W2: Array  # (d, units) features from units
+    u: Array  # (INPUTS,) room to work in
+    hidden: Array  # (units,) room to work in
 
 
 @cache

@@ -41,29 +41,17 @@ HALF = 0.5  # of the prior, where the floor begins; of the way to L
 
 
 class Stack(NamedTuple):
-    """A history stack, all of it views into a controller's state.
+    """A history stack, all of it views into a controller's state."""
 
-    Attributes:
-        Phi: (N, p, k) entries; zeros where there is none.
-        y: (N, p) their other sides.
-        born: (N,) when each was taken [s].
-        L: (k, k) information matrix.
-        P: (k, k) its inverse.
-        G: (N, p, p) `Phi_i P Phi_i'`.
-        F: (k, k) what L stays above.
-        b: (k,) `sum Phi_i' y_i`.
-        used: (2,) entries that are used, and changes.
-    """
-
-    Phi: Cube
-    y: Matrix
-    born: Vector
-    L: Matrix
-    P: Matrix
-    G: Cube
-    F: Matrix
-    b: Vector
-    used: Vector
+    Phi: Cube  # (N, p, k) entries; zeros where there is none
+    y: Matrix  # (N, p) their other sides
+    born: Vector  # (N,) when each was taken [s]
+    L: Matrix  # (k, k) information matrix
+    P: Matrix  # (k, k) its inverse
+    G: Cube  # (N, p, p) `Phi_i P Phi_i'`
+    F: Matrix  # (k, k) what L stays above
+    b: Vector  # (k,) `sum Phi_i' y_i`
+    used: Vector  # (2,) entries that are used, and changes
 
 
 class Scratch(NamedTuple):

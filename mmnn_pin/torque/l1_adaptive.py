@@ -43,19 +43,12 @@ class L1AdaptiveSettings(Settings, frozen=True):
 
 @by_address
 class Adapted(NamedTuple):
-    """The numbers of L1 adaptive control.
+    """The numbers of L1 adaptive control."""
 
-    Attributes:
-        model: Of every velocity.
-        share: What a period changes of the estimate, `1 - exp(-w h)`.
-        stays: exp(-a h).
-        answers: Phi [s].
-    """
-
-    model: Model
-    share: float
-    stays: float
-    answers: float
+    model: Model  # of every velocity
+    share: float  # what a period changes of the estimate, `1 - exp(-w h)`
+    stays: float  # exp(-a h)
+    answers: float  # phi [s]
 
 
 @linked

@@ -43,65 +43,40 @@ ROUNDING = 1e-12  # part of a limit that is left for rounding, so that no sum is
 
 
 class LawNumbers(NamedTuple):
-    """The numbers of a law, as compiled code sees them; a law without networks has the gains alone.
+    """The numbers of a law, as compiled code sees them; a law without networks has the gains alone."""
 
-    Attributes:
-        kind: (1,) `CONSTANT_GAIN`, `SCHEDULED_GAIN`, or that of a network.
-        learning: (1,) 0 keeps the networks' weights.
-        update_first: (1,) 1 for the order of Appendix B: weights move first, with the hidden outputs of the last call.
-        adds_model: (1,) 1 where psi_hat holds the Psi of a model, to which the networks add.
-        dt: (1,) what rates are multiplied with: 1 for rates per sample, the control period for rates per second.
-        share: (1,) largest answer of the networks' update to s, as a share of the feedback K s; inf for any.
-        gains: (5, p) or (1, p): K, Kz, what the networks' s and torque are multiplied with, and the largest gain.
-        networks: (2, 6) of base and arm: rate of W, rate of V or width, leakage, ZB, bounds on |W| and |V|.
-        inputs: (2, nx) scale and offset of the inputs, (2, 0) for inputs as they are; (3, nx) where some are a `COSINE`
-            or a `SINE`, others 0.
-    """
-
-    kind: Vector
-    learning: Vector
+    kind: Vector  # (1,) `CONSTANT_GAIN`, `SCHEDULED_GAIN`, or that of a network
+    learning: Vector  # (1,) 0 keeps the networks' weights
+    # (1,) 1 for the order of Appendix B: weights move first, with the hidden outputs of the last call
     update_first: Vector
-    adds_model: Vector
-    dt: Vector
-    share: Vector
-    gains: Matrix
-    networks: Matrix
+    adds_model: Vector  # (1,) 1 where psi_hat holds the Psi of a model, to which the networks add
+    dt: Vector  # (1,) what rates are multiplied with: 1 for rates per sample, the control period for rates per second
+    share: Vector  # (1,) largest answer of the networks' update to s, as a share of the feedback K s; inf for any
+    gains: Matrix  # (5, p) or (1, p): K, Kz, what the networks' s and torque are multiplied with, and the largest gain
+    networks: Matrix  # (2, 6) of base and arm: rate of W, rate of V or width, leakage, ZB, bounds on |W| and |V|
+    # (2, nx) scale and offset of the inputs, (2, 0) for inputs as they are; (3, nx) where some are a `COSINE` or a
+    # `SINE`, others 0
     inputs: Matrix
 
 
 class Packed(NamedTuple):
-    """`LawNumbers` as flat arrays, which cost less to hand over from Python.
+    """`LawNumbers` as flat arrays, which cost less to hand over from Python."""
 
-    Attributes:
-        sizes: Where the parts of `settings` stand, and where those of the state do.
-        settings: `LawNumbers`.
-        rows: (nx,) where the inputs of networks stand in a row.
-    """
-
-    sizes: IntArray
-    settings: Array
-    rows: IntArray
+    sizes: IntArray  # where the parts of `settings` stand, and where those of the state do
+    settings: Array  # `LawNumbers`
+    rows: IntArray  # (nx,) where the inputs of networks stand in a row
 
 
 @by_address
 class Ahead(NamedTuple):
-    """Where the torque acts, ahead of its sample (`loop.lead`).
+    """Where the torque acts, ahead of its sample (`loop.lead`)."""
 
-    Attributes:
-        time: How far, for the velocity that waits longest [s].
-        age: Of a measurement when it is used [s].
-        h: Control period [s].
-        share: (p,) how far for every velocity, over `time`.
-        row: (width,) the row of signals there, with Psi_hat.
-        law: The numbers of the law with its weights held.
-    """
-
-    time: float
-    age: float
-    h: float
-    share: Array
-    row: Array
-    law: Packed
+    time: float  # how far, for the velocity that waits longest [s]
+    age: float  # of a measurement when it is used [s]
+    h: float  # control period [s]
+    share: Array  # (p,) how far for every velocity, over `time`
+    row: Array  # (width,) the row of signals there, with Psi_hat
+    law: Packed  # the numbers of the law with its weights held
 
 
 class Networks(NamedTuple):
@@ -369,21 +344,13 @@ def update(n: LawNumbers, rates: Array, o: NetworkState, x: Array, feedback: flo
 
 @by_address
 class MotorLimits(NamedTuple):
-    """Limits of a robot's motors, and room to work in.
+    """Limits of a robot's motors, and room to work in."""
 
-    Attributes:
-        E: (p, motors) torque on nu from motor torques.
-        E_inv: (motors, p) and back.
-        effort: (motors,) largest torques of the motors [N m or N], inf for no limit.
-        motors: (motors,) room to work in.
-        asked: (p,) written: Psi_hat as it was before it was limited [N, N m].
-    """
-
-    E: Array
-    E_inv: Array
-    effort: Array
-    motors: Array
-    asked: Array
+    E: Array  # (p, motors) torque on nu from motor torques
+    E_inv: Array  # (motors, p) and back
+    effort: Array  # (motors,) largest torques of the motors [N m or N], inf for no limit
+    motors: Array  # (motors,) room to work in
+    asked: Array  # (p,) written: Psi_hat as it was before it was limited [N, N m]
 
 
 def motor_limits(E: Array, effort: Array) -> MotorLimits | None:

@@ -98,86 +98,47 @@ class LearnedSettings(FeedforwardSettings, frozen=True):
 
 @by_address
 class Learned(NamedTuple):
-    """The numbers of the learner, and room to work in.
+    """The numbers of the learner, and room to work in."""
 
-    Attributes:
-        known: How the robot moves.
-        friction: Friction features.
-        integrator: The integral beside it.
-        filter: Of torque and features.
-        gain: (p,) K.
-        learning: Off keeps the estimate.
-        every: Samples from one update to the next.
-        interval: The same in seconds.
-        noise: Variance of an equation that stands for one interval, divided by K_i [m^2/s^2, rad^2/s^2].
-        drift: Part of the prior variance that comes back in a second [1/s].
-        change: The same of the constants [1/s].
-        load: The same of what the arm carries [1/s].
-        alarm: As in the settings.
-        carrying: Places of what changes most likely.
-        theta0: (k,) the robot as its file describes it.
-        slowest: Velocity below which an equation does not count.
-        forget: What an update leaves of the comparison of predictions.
-        Phi: (p, k) room to work in.
-        nu: (p,) room to work in.
-        nudot: (p,) room to work in.
-        work: (4, k) room to work in.
-        layout: Of `LearnedParts` in the state.
-    """
-
-    known: Massless
-    friction: FrictionFeatures
-    integrator: Integrator
-    filter: Filter
-    gain: Array
-    learning: bool
-    every: int
-    interval: float
-    noise: float
-    drift: float
-    change: float
-    load: float
-    alarm: float
-    carrying: IntArray
-    theta0: Array
-    slowest: float
-    forget: float
-    Phi: Array
-    nu: Array
-    nudot: Array
-    work: Array
-    layout: IntArray
+    known: Massless  # how the robot moves
+    friction: FrictionFeatures  # friction features
+    integrator: Integrator  # the integral beside it
+    filter: Filter  # of torque and features
+    gain: Array  # (p,) K
+    learning: bool  # off keeps the estimate
+    every: int  # samples from one update to the next
+    interval: float  # the same in seconds
+    noise: float  # variance of an equation that stands for one interval, divided by K_i [m^2/s^2, rad^2/s^2]
+    drift: float  # part of the prior variance that comes back in a second [1/s]
+    change: float  # the same of the constants [1/s]
+    load: float  # the same of what the arm carries [1/s]
+    alarm: float  # as in the settings
+    carrying: IntArray  # places of what changes most likely
+    theta0: Array  # (k,) the robot as its file describes it
+    slowest: float  # velocity below which an equation does not count
+    forget: float  # what an update leaves of the comparison of predictions
+    Phi: Array  # (p, k) room to work in
+    nu: Array  # (p,) room to work in
+    nudot: Array  # (p,) room to work in
+    work: Array  # (4, k) room to work in
+    layout: IntArray  # of `LearnedParts` in the state
 
 
 class LearnedParts(NamedTuple):
-    """State of the learner; k columns: those of the regressor, friction features and constants.
+    """State of the learner; k columns: those of the regressor, friction features and constants."""
 
-    Attributes:
-        W: (1, k) theta.
-        U, D: (k, k), (k,) factors of its covariance.
-        prior: (k,) largest variances.
-        counts: (7,) as in `linear.LearnedParts`.
-        expected: (p,) variances of the last equations.
-        level: (p,) squares of errors in the last seconds, over K.
-        filtered: What the filter remembers.
-        moved: (2, p d) friction features of the last sample, and behind the filter of states and torque.
-        moving: (p,) part of the low-pass's time in which a velocity has moved.
-        agrees: (2, p) measured torque beyond the URDF times its prediction, and that squared, of the last seconds.
-        integral: The integral.
-    """
-
-    W: Matrix
-    U: Matrix
-    D: Vector
-    prior: Vector
-    counts: Vector
-    expected: Vector
-    level: Vector
-    filtered: Filtered
-    moved: Matrix
-    moving: Vector
-    agrees: Matrix
-    integral: Integral
+    W: Matrix  # (1, k) theta
+    U: Matrix  # (k, k) factor of its covariance, `U D U'`
+    D: Vector  # (k,) factor of it
+    prior: Vector  # (k,) largest variances
+    counts: Vector  # (7,) as in `linear.Parts`
+    expected: Vector  # (p,) variances of the last equations
+    level: Vector  # (p,) squares of errors in the last seconds, over K
+    filtered: Filtered  # what the filter remembers
+    moved: Matrix  # (2, p d) friction features of the last sample, and behind the filter of states and torque
+    moving: Vector  # (p,) part of the low-pass's time in which a velocity has moved
+    agrees: Matrix  # (2, p) measured torque beyond the URDF times its prediction, and that squared, of the last seconds
+    integral: Integral  # the integral
 
 
 parts_of = views(LearnedParts)

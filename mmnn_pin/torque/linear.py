@@ -54,87 +54,51 @@ SURPRISE = 25.0  # largest square of an error over its level that one equation c
 
 @by_address
 class Linear(NamedTuple):
-    """The numbers of a linear learner, and room to work in.
+    """The numbers of a linear learner, and room to work in."""
 
-    Attributes:
-        known: The robot without its masses, or None.
-        random: Random features, or None: then Phi begins with the regressor of `known`.
-        friction: Friction features that follow it, and then a constant per velocity; None for none of both.
-        correction: What follows the tracking error beside them (`torque.correction`), or None.
-        filter: Of torque and features.
-        gain: (p,) K.
-        learning: Off keeps the weights.
-        every: Samples from one update to the next.
-        interval: The same in seconds.
-        noise: Variance of an equation that stands for one interval, divided by K_i [m^2/s^2, rad^2/s^2].
-        answer: (m,) tau_i, of every column of W.
-        share: Largest answer of an update to s, as a share of the feedback.
-        drift: Part of the prior variance that comes back in a second [1/s].
-        change: Part of a constant's prior variance that comes back in a second [1/s]; 0 where there are none.
-        alarm: How many times their level of the last seconds the squares of errors are where the robot has changed; 0
-            for never.
-        carrying: Places of what changes then most likely.
-        radius: (m,) bound on every column of W, in the metric of P_0.
-        theta0: (k0,) parameters of a nominal robot, Psi_0 = Y theta0; of size 0 for none.
-        Phi: (rows, k) room to work in.
-        psi0: (p,) room to work in.
-        work: (4, k) room to work in.
-        layout: Of `Parts` in the state.
-    """
-
-    known: Massless | None
-    random: Random | None
+    known: Massless | None  # the robot without its masses, or None
+    random: Random | None  # random features, or None: then Phi begins with the regressor of `known`
+    # friction features that follow it, and then a constant per velocity; None for none of both
     friction: FrictionFeatures | None
-    correction: Correction | None
-    filter: Filter
-    gain: Array
-    learning: bool
-    every: int
-    interval: float
-    noise: float
-    answer: Array
-    share: float
-    drift: float
-    change: float
+    correction: Correction | None  # what follows the tracking error beside them (`torque.correction`), or None
+    filter: Filter  # of torque and features
+    gain: Array  # (p,) K
+    learning: bool  # off keeps the weights
+    every: int  # samples from one update to the next
+    interval: float  # the same in seconds
+    noise: float  # variance of an equation that stands for one interval, divided by K_i [m^2/s^2, rad^2/s^2]
+    answer: Array  # (m,) tau_i, of every column of W
+    share: float  # largest answer of an update to s, as a share of the feedback
+    drift: float  # part of the prior variance that comes back in a second [1/s]
+    change: float  # part of a constant's prior variance that comes back in a second [1/s]; 0 where there are none
+    # how many times their level of the last seconds the squares of errors are where the robot has changed; 0 for never
     alarm: float
-    carrying: IntArray
-    radius: Array
-    theta0: Array
-    Phi: Array
-    psi0: Array
-    work: Array
-    layout: IntArray
+    carrying: IntArray  # places of what changes then most likely
+    radius: Array  # (m,) bound on every column of W, in the metric of P_0
+    theta0: Array  # (k0,) parameters of a nominal robot, Psi_0 = Y theta0; of size 0 for none
+    Phi: Array  # (rows, k) room to work in
+    psi0: Array  # (p,) room to work in
+    work: Array  # (4, k) room to work in
+    layout: IntArray  # of `Parts` in the state
 
 
 class Parts(NamedTuple):
-    """State of a linear learner.
+    """State of a linear learner."""
 
-    Attributes:
-        W: (m, k) weights, transposed: a column of W is a row here.
-        U, D: (k, k), (k,) factors of P.
-        prior: (k,) diagonal of P_0.
-        counts: (7,) samples, updates, mean square of errors of late over their levels, whether the robot has just
-            changed, samples since it last did, how many more count as just after that, and samples since an update.
-        expected: (rows,) variances of the last equations.
-        level: (p,) squares of errors in the last seconds, over K.
-        filtered: What the filter remembers.
-        a, b: (units, inputs), (units,) what the random features drew.
-        moved: (2, p d) friction features of the last sample, and behind the filter of states and torque.
-        corrected: What the correction remembers.
-    """
-
-    W: Matrix
-    U: Matrix
-    D: Vector
-    prior: Vector
+    W: Matrix  # (m, k) weights, transposed: a column of W is a row here
+    U: Matrix  # (k, k) factor of P, `U D U'`
+    D: Vector  # (k,) factor of P
+    prior: Vector  # (k,) diagonal of P_0
+    # (7,) samples, updates, mean square of errors of late over their levels, whether the robot has just changed,
+    # samples since it last did, how many more count as just after that, and samples since an update
     counts: Vector
-    expected: Vector
-    level: Vector
-    filtered: Filtered
-    a: Matrix
-    b: Vector
-    moved: Matrix
-    corrected: Corrected
+    expected: Vector  # (rows,) variances of the last equations
+    level: Vector  # (p,) squares of errors in the last seconds, over K
+    filtered: Filtered  # what the filter remembers
+    a: Matrix  # (units, inputs) what the random features drew
+    b: Vector  # (units,) what they drew
+    moved: Matrix  # (2, p d) friction features of the last sample, and behind the filter of states and torque
+    corrected: Corrected  # what the correction remembers
 
 
 parts_of = views(Parts)

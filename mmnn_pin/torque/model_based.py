@@ -22,13 +22,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ConstantGain(CompiledController):
-    """`tau = Psi_hat + k s`, `s = [z; r]`, with nothing learned: a gain that never changes.
+    """`tau = Psi_hat + k s`, `s = [z; r]`, with nothing learned: a gain that never changes."""
 
-    Args:
-        feedback: k1, k2.
-    """
-
-    feedback: Feedback = field(default_factory=Feedback)
+    feedback: Feedback = field(default_factory=Feedback)  # k1, k2
 
     def law(self, context: Context) -> Law:
         """The gains; for one that uses a model the loop writes its Psi into psi_hat."""
@@ -95,14 +91,10 @@ class ScheduledPD(CompiledController):
 
     With the effective gain of a learner's run it is that learner with the network's output taken away: what is left
     of the learner's advantage over this controller is learning, the rest is gain.
-
-    Args:
-        gains: (samples, p) gain on `[z; r]` of every control sample.
-        name: Name in tables and recordings.
     """
 
-    gains: Array
-    name: str = "pd_effective"
+    gains: Array  # (samples, p) gain on `[z; r]` of every control sample
+    name: str = "pd_effective"  # name in tables and recordings
 
     def law(self, context: Context) -> Law:
         """The gains are in the state."""

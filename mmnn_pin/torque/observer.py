@@ -32,41 +32,24 @@ EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["effective_gain"], INDEX["weight_norm"]
 
 @by_address
 class Model(NamedTuple):
-    """The model of every velocity alone.
+    """The model of every velocity alone."""
 
-    Attributes:
-        h: Control period [s].
-        K: (p,) feedback gains.
-        inertia: (p,) m [kg, kg m^2].
-        learning: Off keeps the estimate.
-        layout: Of `Seen` in the state.
-    """
-
-    h: float
-    K: Array
-    inertia: Array
-    learning: bool
-    layout: IntArray
+    h: float  # control period [s]
+    K: Array  # (p,) feedback gains
+    inertia: Array  # (p,) m [kg, kg m^2]
+    learning: bool  # off keeps the estimate
+    layout: IntArray  # of `Seen` in the state
 
 
 class Seen(NamedTuple):
-    """State of an observer.
+    """State of an observer."""
 
-    Attributes:
-        d: (p,) d_hat [N, N m].
-        x: (p,) velocities as predicted, of one that predicts.
-        sigma: (p,) acceleration that the prediction lacks, of one that adapts it.
-        nu: (p,) velocities of the last sample.
-        torque: (p,) what was sent from then on.
-        when: (1,) its time [s].
-    """
-
-    d: Vector
-    x: Vector
-    sigma: Vector
-    nu: Vector
-    torque: Vector
-    when: Vector
+    d: Vector  # (p,) d_hat [N, N m]
+    x: Vector  # (p,) velocities as predicted, of one that predicts
+    sigma: Vector  # (p,) acceleration that the prediction lacks, of one that adapts it
+    nu: Vector  # (p,) velocities of the last sample
+    torque: Vector  # (p,) what was sent from then on
+    when: Vector  # (1,) its time [s]
 
 
 seen_of = views(Seen)
@@ -115,19 +98,13 @@ def keep(row: Array, at: IntArray, a: Model, state: Array) -> None:
 
 @dataclass(frozen=True, eq=False)
 class ByInertia(Integrating):
-    """A controller that integrates, told one inertia per velocity.
+    """A controller that integrates, told one inertia per velocity."""
 
-    Args:
-        feedback: K.
-        settings: With its bandwidth.
-        inertia: (p,) effective inertias m; None for those by which gains that suit the robot are scaled.
-        learning: Off keeps what it integrates.
-    """
-
-    feedback: Feedback = field(default_factory=Feedback)
-    settings: Any = None
+    feedback: Feedback = field(default_factory=Feedback)  # K
+    settings: Any = None  # with its bandwidth
+    # (p,) effective inertias m; None for those by which gains that suit the robot are scaled
     inertia: tuple[float, ...] | None = None
-    learning: bool = True
+    learning: bool = True  # off keeps what it integrates
 
     within_limits: ClassVar[bool] = True
     rate_key: ClassVar[str] = "bandwidth"

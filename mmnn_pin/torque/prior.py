@@ -45,26 +45,17 @@ POWERS = [0, 1, 1, 1, 2, 2, 2, 2, 2, 2]  # of the size in the ten numbers of a b
 class ParameterLearner(CompiledController):
     """A learner that is told how the robot moves, and starts from a prior or from the numbers of a nominal robot.
 
-    Args:
-        regressor: How the robot moves.
-        feedback: K.
-        settings: Its table, with `initial`.
-        nominal: (k,) parameters to start from, needed for `initial = "nominal"`.
-        learning: Off keeps the estimate as it starts.
-        covariance: (k, k) of them, where they are those of a fit (`start`).
-        bears: As of `CompiledController`.
-
     Raises:
         ConfigError: A start from nominal parameters without them, or with others than k finite ones.
     """
 
-    regressor: Regressor
-    feedback: Feedback = field(default_factory=Feedback)
-    settings: Any = None
-    nominal: Array | None = None
-    learning: bool = True
-    covariance: Array | None = None
-    bears: Bears | None = None
+    regressor: Regressor  # how the robot moves
+    feedback: Feedback = field(default_factory=Feedback)  # K
+    settings: Any = None  # its table, with `initial`
+    nominal: Array | None = None  # (k,) parameters to start from, needed for `initial = "nominal"`
+    learning: bool = True  # off keeps the estimate as it starts
+    covariance: Array | None = None  # (k, k) of them, where they are those of a fit (`start`)
+    bears: Bears | None = None  # as of `CompiledController`
 
     within_limits: ClassVar[bool] = True
 
@@ -127,11 +118,7 @@ class ParameterLearner(CompiledController):
 
 
 def require_start(initial: str, nominal: Array | None, k: int, section: str) -> None:
-    """Refuse a start from nominal parameters without them, and others than k finite ones.
-
-    Raises:
-        ConfigError: With the key.
-    """
+    """Refuse a start from nominal parameters without them, and others than k finite ones (`ConfigError`)."""
     if initial == "nominal" and nominal is None:
         fix = "give them, or use initial = 'prior'"
         raise ConfigError("no nominal parameters", fix=fix, key=f"{section}.initial")
@@ -140,11 +127,7 @@ def require_start(initial: str, nominal: Array | None, k: int, section: str) -> 
 
 
 def require_one_start(settings: Any, section: str) -> None:
-    """Refuse a start from a file beside one from a nominal robot.
-
-    Raises:
-        ConfigError: With the key.
-    """
+    """Refuse a start from a file beside one from a nominal robot (`ConfigError`)."""
     if settings.start and settings.initial != "prior":
         fix = "leave out one of the two"
         raise ConfigError(f"'{settings.start}' beside initial = 'nominal'", fix=fix, key=f"{section}.start")

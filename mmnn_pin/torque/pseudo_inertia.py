@@ -31,43 +31,24 @@ FLOOR = 1e-4  # least share of the prior that a nominal body keeps: massless and
 
 
 class Bodies(NamedTuple):
-    """The metric in which an estimate theta (k,) of bodies and other parameters moves.
+    """The metric in which an estimate theta (k,) of bodies and other parameters moves."""
 
-    Attributes:
-        h: Control period [s].
-        gamma: (bodies,) rates of the pseudo-inertias [1/J].
-        least: Bound below on the ratio of P to P_0.
-        most: (bodies,) and above.
-        roots: (bodies, 4, 4) lower triangular `P_0 = C C'`.
-        inverses: (bodies, 4, 4) `C^-1`.
-        rates: (k - 10 bodies,) gamma_j.
-        start: (k - 10 bodies,) where leakage pulls the rest of theta.
-        top: (k - 10 bodies,) its upper bounds.
-        steps: (bodies, 4, 4) written: where a gradient takes the bodies.
-        rest: (k - 10 bodies,) written: and the rest.
-        factors: (bodies, 4, 4) written: B of every body, in the coordinates where P_0 is the identity.
-        work: (3, 4, 4) room to work in.
-        known: (k, k) Lambda; (0, 0) where nothing is known of the start.
-        system: (k, k) room to work in, like known.
-        column: (k,) room to work in.
-    """
-
-    h: float
-    gamma: Array
-    least: float
-    most: Array
-    roots: Array
-    inverses: Array
-    rates: Array
-    start: Array
-    top: Array
-    steps: Array
-    rest: Array
-    factors: Array
-    work: Array
-    known: Array
-    system: Array
-    column: Array
+    h: float  # control period [s]
+    gamma: Array  # (bodies,) rates of the pseudo-inertias [1/J]
+    least: float  # bound below on the ratio of P to P_0
+    most: Array  # (bodies,) and above
+    roots: Array  # (bodies, 4, 4) lower triangular `P_0 = C C'`
+    inverses: Array  # (bodies, 4, 4) `C^-1`
+    rates: Array  # (k - 10 bodies,) gamma_j
+    start: Array  # (k - 10 bodies,) where leakage pulls the rest of theta
+    top: Array  # (k - 10 bodies,) its upper bounds
+    steps: Array  # (bodies, 4, 4) written: where a gradient takes the bodies
+    rest: Array  # (k - 10 bodies,) written: and the rest
+    factors: Array  # (bodies, 4, 4) written: B of every body, in the coordinates where P_0 is the identity
+    work: Array  # (3, 4, 4) room to work in
+    known: Array  # (k, k) Lambda; (0, 0) where nothing is known of the start
+    system: Array  # (k, k) room to work in, like known
+    column: Array  # (k,) room to work in
 
 
 @internal

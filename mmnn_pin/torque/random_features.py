@@ -31,33 +31,19 @@ GRAVITY = 4  # one in so many random features is one of gravity, where there is 
 
 
 class Random(NamedTuple):
-    """The numbers of random features; a and b stand in the controller's state, so that they are recorded.
+    """The numbers of random features; a and b stand in the controller's state, so that they are recorded."""
 
-    Attributes:
-        kind: `BILINEAR` or `GENERIC`.
-        number: Features with a random function.
-        units: Random functions.
-        pairs: (number, 2) random function and term of every one of them; the term is -1 for none.
-        inputs: What each of them sees: n joints and two numbers per pivot, or 3 p more.
-        eps: Speed over which dry friction turns [rad/s or m/s].
-        centre: (n,) where the joints are counted from [rad or m].
-        scale: (inputs,) what inputs are multiplied with.
-        x: (inputs,) room to work in.
-        g: (units,) room to work in.
-        t: (terms,) room to work in.
-    """
-
-    kind: int
-    number: int
-    units: int
-    pairs: IntArray
-    inputs: int
-    eps: float
-    centre: Array
-    scale: Array
-    x: Array
-    g: Array
-    t: Array
+    kind: int  # `BILINEAR` or `GENERIC`
+    number: int  # features with a random function
+    units: int  # random functions
+    pairs: IntArray  # (number, 2) random function and term of every one of them; the term is -1 for none
+    inputs: int  # what each of them sees: n joints and two numbers per pivot, or 3 p more
+    eps: float  # speed over which dry friction turns [rad/s or m/s]
+    centre: Array  # (n,) where the joints are counted from [rad or m]
+    scale: Array  # (inputs,) what inputs are multiplied with
+    x: Array  # (inputs,) room to work in
+    g: Array  # (units,) room to work in
+    t: Array  # (terms,) room to work in
 
 
 def terms(kind: int, p: int) -> int:
@@ -114,25 +100,15 @@ def new_random(kind: int, p: int, pairs: IntArray, eps: float, centre: Array, sc
 
 
 class Movement(NamedTuple):
-    """A movement, of which features are computed: how the robot stands and moves, and how it should move.
+    """A movement, of which features are computed: how the robot stands and moves, and how it should move."""
 
-    Attributes:
-        pose: (3,) pose of the base, (0,) for a fixed arm.
-        q: (n,) joints.
-        velocity: (nb,) velocity of the base.
-        qdot: (n,) rates of the joints.
-        nu_ref: (p,) reference velocities.
-        nudot_ref: (p,) their time derivatives.
-        shape: (shape,) angles of the pivots of a base that steers.
-    """
-
-    pose: Array
-    q: Array
-    velocity: Array
-    qdot: Array
-    nu_ref: Array
-    nudot_ref: Array
-    shape: Array
+    pose: Array  # (3,) pose of the base, (0,) for a fixed arm
+    q: Array  # (n,) joints
+    velocity: Array  # (nb,) velocity of the base
+    qdot: Array  # (n,) rates of the joints
+    nu_ref: Array  # (p,) reference velocities
+    nudot_ref: Array  # (p,) their time derivatives
+    shape: Array  # (shape,) angles of the pivots of a base that steers
 
 
 @compiled

@@ -24,8 +24,8 @@ from ..compiled import linked
 from ..parts import layout_of
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
-from .classical import Integral, Integrator, go_on, integral_of, integral_shapes, integrate_within, new_integrator
-from .controller import Context, ControllerState, Law
+from .classical import Integral, Integrator, go_on, integral_of, integrate_within, new_integrator
+from .controller import Context, Law
 from .law import KERNELS, Kernels, constant_gain
 from .observer import ByInertia, masses_of
 
@@ -99,11 +99,3 @@ class SuperTwisting(ByInertia):
         slope = self.rate * masses_of(self.inertia, context.layout.dof, self.name)
         integrator = new_integrator(context, K, self.rate * self.learning, layout)
         return Law(constant_gain(K), Twisting(slope, float(self.settings.layer), integrator))
-
-    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
-        """The integral, of the next sample and of the last one."""
-        return integral_shapes(context.layout)
-
-    def weights(self, state: ControllerState) -> dict[str, Array]:
-        """The integral, (p,) [N, N m]."""
-        return {"integral": state["integral"]}

@@ -223,21 +223,13 @@ def numerical_rank(W: Array, tolerance: float = 1e-9) -> int:
 
 
 def require_hidden(network: Settings, hidden: int, section: str) -> None:
-    """Refuse a network without hidden units, and one too large for any machine.
-
-    Raises:
-        ConfigError: With the key.
-    """
+    """Refuse a network without hidden units, and one too large for any machine (`ConfigError`)."""
     if hidden < 1:
         raise ConfigError(f"{hidden} hidden units", fix="use at least one", key=f"{section}.hidden")
     require_at_most(network, section, {"hidden": MOST_HIDDEN})
 
 
 def require_width(half: float, key: str) -> None:
-    """Refuse a range from -half to half whose width is not finite.
-
-    Raises:
-        ConfigError: With the key.
-    """
+    """Refuse a range from -half to half whose width is not finite (`ConfigError`)."""
     if not np.isfinite(2 * half):
         raise ConfigError(f"{half}", why="the range's width is no finite number", fix="use a smaller one", key=key)

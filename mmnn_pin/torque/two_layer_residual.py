@@ -24,21 +24,13 @@ PROJECTION = 100.0  # bound on the weights unless told, as of `Neural`
 
 @dataclass(frozen=True, eq=False)
 class TwoLayerResidual(CompiledController):
-    """`tau = k s + Psi_0 + network + robust term`: a network of the thesis with a nominal model taken out of it.
+    """`tau = k s + Psi_0 + network + robust term`: a network of the thesis with a nominal model taken out of it."""
 
-    Args:
-        learner: The network with its feedback and robust term.
-        model: The nominal robot; None for the loop's.
-        learning: Off keeps the weights as they are.
-        projection: Bound on the weights, as of `Neural`; takes the place of the learner's.
-        name: Name in tables and recordings.
-    """
-
-    learner: Neural
-    model: Robot | None = None
-    learning: bool = True
-    projection: float | None = PROJECTION
-    name: str = "two_layer_residual"
+    learner: Neural  # the network with its feedback and robust term
+    model: Robot | None = None  # the nominal robot; None for the loop's
+    learning: bool = True  # off keeps the weights as they are
+    projection: float | None = PROJECTION  # bound on the weights, as of `Neural`; takes the place of the learner's
+    name: str = "two_layer_residual"  # name in tables and recordings
 
     within_limits: ClassVar[bool] = True
 

@@ -40,26 +40,17 @@ ROUNDING = 1e-15  # relative, of what s is the difference of
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """The equality over (k,) control periods.
+    """The equality over (k,) control periods."""
 
-    Attributes:
-        time: Start of each period [s].
-        increment: Change of s' M s / 2 between the recorded states at its ends [J].
-        model: The same along the motion that DOP853 gives from its start [J].
-        again: The same along the plant's own steps from its start [J]; NaN where torque or force change within control
-            periods, of which a recording has the means.
-        work: Integral of s' (Psi - tau) along the motion of DOP853 [J].
-        scale: Root mean square of s' (Psi - tau) times the period [J], at least what rounding leaves undecided.
-        periods: How many the run has; fewer are looked at, evenly spread, when the dynamics are slow to compute.
-    """
-
-    time: Array
-    increment: Array
-    model: Array
+    time: Array  # start of each period [s]
+    increment: Array  # change of s' M s / 2 between the recorded states at its ends [J]
+    model: Array  # the same along the motion that DOP853 gives from its start [J]
+    # the same along the plant's own steps from its start [J]; NaN where torque or force change within control periods,
+    # of which a recording has the means
     again: Array
-    work: Array
-    scale: Array
-    periods: int
+    work: Array  # integral of s' (Psi - tau) along the motion of DOP853 [J]
+    scale: Array  # root mean square of s' (Psi - tau) times the period [J], at least what rounding leaves undecided
+    periods: int  # how many the run has; fewer are looked at, evenly spread, when the dynamics are slow to compute
 
     @property
     def identity(self) -> float:

@@ -36,21 +36,13 @@ TRIED = np.linspace(0.02, 0.98, 49)  # eps
 
 @dataclass(frozen=True)
 class PoseSet:
-    """What a size of the pose error allows, |ephi| < pi/2.
+    """What a size of the pose error allows, |ephi| < pi/2."""
 
-    Attributes:
-        ex: Largest |ex| [m].
-        ey: Largest |ey| [m].
-        sine: Largest |sin ephi|.
-        cosine: Smallest cos ephi.
-        turn: Largest |ky ey + kth sin ephi| [1/m]: yaw rate over vr.
-    """
-
-    ex: float
-    ey: float
-    sine: float
-    cosine: float
-    turn: float
+    ex: float  # largest |ex| [m]
+    ey: float  # largest |ey| [m]
+    sine: float  # largest |sin ephi|
+    cosine: float  # smallest cos ephi
+    turn: float  # largest |ky ey + kth sin ephi| [1/m]: yaw rate over vr
 
     @property
     def heading(self) -> float:
@@ -60,25 +52,15 @@ class PoseSet:
 
 @dataclass(frozen=True)
 class PoseBound:
-    """The function for one set of gains and one reference.
+    """The function for one set of gains and one reference."""
 
-    Args:
-        kx: Gain [1/s], > 0.
-        ky: Gain [1/m^2], > 0.
-        kth: Gain [1/m], > 0.
-        slowest: Smallest vr [m/s], > 0.
-        fastest: Largest vr [m/s].
-        turning: Largest |wr| [rad/s].
-        eps: Weight of the term in ey eta, 0 < eps < 1.
-    """
-
-    kx: float
-    ky: float
-    kth: float
-    slowest: float
-    fastest: float
-    turning: float
-    eps: float
+    kx: float  # gain [1/s], > 0
+    ky: float  # gain [1/m^2], > 0
+    kth: float  # gain [1/m], > 0
+    slowest: float  # smallest vr [m/s], > 0
+    fastest: float  # largest vr [m/s]
+    turning: float  # largest |wr| [rad/s]
+    eps: float  # weight of the term in ey eta, 0 < eps < 1
 
     @classmethod
     def of(cls, kinematic: Kinematic, v_ref: Array) -> PoseBound:
@@ -142,25 +124,15 @@ class PoseBound:
 
 @dataclass(frozen=True, eq=False)
 class WeightsBound:
-    """Bounds on one network's weights and output.
+    """Bounds on one network's weights and output."""
 
-    Attributes:
-        leak: Largest y = kappa F |s| per sample, of W.
-        leak_V: The same of V, with G; 0 for a one-layer network.
-        W: Largest |W|_F; inf where there is no bound.
-        V: Largest |V|_F of hidden weights that learn; 0 where they are fixed.
-        output: (m,) largest |Psi_hat| [N, N m].
-        why: What holds the weights, in words.
-        projected: Whether a projection does, whatever `leak` is.
-    """
-
-    leak: float
-    leak_V: float
-    W: float
-    V: float
-    output: Array
-    why: str
-    projected: bool = False
+    leak: float  # largest y = kappa F |s| per sample, of W
+    leak_V: float  # the same of V, with G; 0 for a one-layer network
+    W: float  # largest |W|_F; inf where there is no bound
+    V: float  # largest |V|_F of hidden weights that learn; 0 where they are fixed
+    output: Array  # (m,) largest |Psi_hat| [N, N m]
+    why: str  # what holds the weights, in words
+    projected: bool = False  # whether a projection does, whatever `leak` is
 
     @property
     def norm(self) -> float:

@@ -171,17 +171,11 @@ class Boxes:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Errors of at most this.
+    """Errors of at most this."""
 
-    Attributes:
-        pose: Size of the pose error, see `pose_bound` [m].
-        arm: Size of the arm errors, see `ArmMetric`.
-        energy: s' M s / 2 [J].
-    """
-
-    pose: float
-    arm: float
-    energy: float
+    pose: float  # size of the pose error, see `pose_bound` [m]
+    arm: float  # size of the arm errors, see `ArmMetric`
+    energy: float  # s' M s / 2 [J]
 
     def within(self, other: Box) -> bool:
         """Whether all of it is in another box."""
@@ -199,31 +193,18 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """Where each error may stand still, the others anywhere in a box: it falls from there up to the box's face.
+    """Where each error may stand still, the others anywhere in a box: it falls from there up to the box's face."""
 
-    Attributes:
-        box: The box.
-        reach: Its pose errors.
-        decay: Rate at which the pose error decays in it [1/s].
-        yaw_gain: g [m].
-        joints: (n,) largest |e_i| in it [rad or m].
-        velocity: (p,) largest |s_i| in it.
-        motion: The energy in it.
-        pose: Size below which the pose error may grow [m]; inf where nothing holds it.
-        arm: The same of the arm errors.
-        limits: What may be reached in it of the limits of motors and supervisor.
-    """
-
-    box: Box
-    reach: PoseSet
-    decay: float
-    yaw_gain: float
-    joints: Array
-    velocity: Array
-    motion: MotionBound
-    pose: float
-    arm: float
-    limits: list[Condition]
+    box: Box  # the box
+    reach: PoseSet  # its pose errors
+    decay: float  # rate at which the pose error decays in it [1/s]
+    yaw_gain: float  # g [m]
+    joints: Array  # (n,) largest |e_i| in it [rad or m]
+    velocity: Array  # (p,) largest |s_i| in it
+    motion: MotionBound  # the energy in it
+    pose: float  # size below which the pose error may grow [m]; inf where nothing holds it
+    arm: float  # the same of the arm errors
+    limits: list[Condition]  # what may be reached in it of the limits of motors and supervisor
 
     @property
     def invariant(self) -> bool:

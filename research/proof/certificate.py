@@ -57,17 +57,12 @@ REMEDIES = {  # by how the name of a condition begins
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is guaranteed.
+    """What is guaranteed."""
 
-    Attributes:
-        boxes: The boxes of the loop.
-        faces: From the region to the one that every motion from there ends up in; one if the region is not invariant.
-        asked: Whether the region is one that was asked for; else it was looked for.
-    """
-
-    boxes: Boxes
+    boxes: Boxes  # the boxes of the loop
+    # from the region to the one that every motion from there ends up in; one if the region is not invariant
     faces: list[Faces] = field(default_factory=list)
-    asked: bool = False
+    asked: bool = False  # whether the region is one that was asked for; else it was looked for
 
     @property
     def holds(self) -> bool:
@@ -176,22 +171,14 @@ def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
 
 @dataclass(frozen=True)
 class Constant:
-    """A number of the certificate.
+    """A number of the certificate."""
 
-    Attributes:
-        name: As in docs/explanation/theory.md.
-        value: In SI units.
-        unit: Its unit.
-        source: "given" by robot, settings, reference; "computed" from others; or "bounded" over all configurations.
-        words: What it is.
-        sampled: What is bounded, the worst of one configuration in every box: no part of the proof; None for others.
-    """
-
-    name: str
-    value: float
-    unit: str
-    source: str
-    words: str
+    name: str  # as in docs/explanation/theory.md
+    value: float  # in SI units
+    unit: str  # its unit
+    source: str  # "given" by robot, settings, reference; "computed" from others; or "bounded" over all configurations
+    words: str  # what it is
+    # what is bounded, the worst of one configuration in every box: no part of the proof; None for others
     sampled: float | None = None
 
     @property

@@ -44,39 +44,25 @@ SPEED = 1e-6  # [m/s] below which the reference counts as standing
 
 @dataclass(frozen=True, eq=False)
 class CertifiedLoop:
-    """A differential drive with an arm that follows a reference that never stands still, sampled.
+    """A differential drive with an arm that follows a reference that never stands still, sampled."""
 
-    Args:
-        robot: The true robot.
-        kinematic: Gains of the kinematic layer; kx, ky, kth, K > 0.
-        along: The reference at every control sample.
-        period: Control period [s], in which the torque is held.
-        gain: (p,) constant gain on s: k [N s/m, N m s].
-        learner: Networks and robust term; None for PD.
-        disturbance: (p,) largest external force on nu [N, N m].
-        projection: Largest norm that a supervisor scales the weights back to, None without.
-        supervisor: Limits that the loop must not pass; None without.
-        drift: Speed [m/s] and yaw rate [rad/s] at which the reference's poses leave its velocities, at most.
-        late: Largest time from a sample to when its command is in force [s].
-        noise: (p,) largest error of the measured velocities [m/s, rad/s].
-        motors: (motors,) largest torque of every motor, inf where there is no limit [N m or N].
-        weighs: Whether the controller adds the gravity at the joints that it measures.
-    """
-
-    robot: Robot
-    kinematic: Kinematic
-    along: Along
-    period: float
-    gain: Array
-    learner: NetworkLearner | None
-    disturbance: Array
-    projection: float | None = None
-    supervisor: Supervisor | None = None
+    robot: Robot  # the true robot
+    kinematic: Kinematic  # gains of the kinematic layer; kx, ky, kth, K > 0
+    along: Along  # the reference at every control sample
+    period: float  # control period [s], in which the torque is held
+    gain: Array  # (p,) constant gain on s: k [N s/m, N m s]
+    learner: NetworkLearner | None  # networks and robust term; None for PD
+    disturbance: Array  # (p,) largest external force on nu [N, N m]
+    projection: float | None = None  # largest norm that a supervisor scales the weights back to, None without
+    supervisor: Supervisor | None = None  # limits that the loop must not pass; None without
+    # speed [m/s] and yaw rate [rad/s] at which the reference's poses leave its velocities, at most
     drift: tuple[float, float] = (0.0, 0.0)
-    late: float = 0.0
+    late: float = 0.0  # largest time from a sample to when its command is in force [s]
+    # (p,) largest error of the measured velocities [m/s, rad/s]
     noise: Array = field(default_factory=lambda: np.zeros(1))
+    # (motors,) largest torque of every motor, inf where there is no limit [N m or N]
     motors: Array = field(default_factory=lambda: np.full(1, np.inf))
-    weighs: bool = False
+    weighs: bool = False  # whether the controller adds the gravity at the joints that it measures
 
     def __post_init__(self) -> None:
         robot = self.robot
@@ -369,21 +355,13 @@ def weighing(subject: Subject) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Supervisor:
-    """Limits, inf where there is none.
+    """Limits, inf where there is none."""
 
-    Attributes:
-        torque: (motors,) of every motor, clipped [N m or N].
-        speed: (p,) of every velocity [m/s, rad/s].
-        position: Distance of the base from its reference [m].
-        heading: Heading error [rad].
-        joints: (n,) errors of the arm [rad or m].
-    """
-
-    torque: Array
-    speed: Array
-    position: float
-    heading: float
-    joints: Array
+    torque: Array  # (motors,) of every motor, clipped [N m or N]
+    speed: Array  # (p,) of every velocity [m/s, rad/s]
+    position: float  # distance of the base from its reference [m]
+    heading: float  # heading error [rad]
+    joints: Array  # (n,) errors of the arm [rad or m]
 
     @classmethod
     def of(cls, safety: Safety, robot: Robot, period: float) -> Supervisor:
@@ -403,21 +381,13 @@ def supervisor_of(subject: Subject) -> Supervisor | None:
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition of the theorem: `value < limit`, or `value > limit`.
+    """A condition of the theorem: `value < limit`, or `value > limit`."""
 
-    Attributes:
-        name: Which.
-        value: Left side.
-        limit: Right side.
-        words: What it says.
-        need: "below" or "above".
-    """
-
-    name: str
-    value: float
-    limit: float
-    words: str
-    need: str = "below"
+    name: str  # which
+    value: float  # left side
+    limit: float  # right side
+    words: str  # what it says
+    need: str = "below"  # "below" or "above"
 
     @property
     def holds(self) -> bool:

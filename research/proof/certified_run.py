@@ -46,22 +46,14 @@ from .tube import Tube, tube_of
 
 @dataclass(frozen=True, eq=False)
 class CertifiedRun:
-    """What is known of one run.
+    """What is known of one run."""
 
-    Attributes:
-        certificate: What is guaranteed; None where the theorem does not apply.
-        comparison: The run against it.
-        rate: The condition on the learning rates; None without a learner.
-        thesis_bounds: The thesis's own bounds by network; empty where there are none.
-        missing: What is left out, and why.
-        tube: What bounds the errors along the reference; None where it was not asked for or does not apply.
-    """
-
-    certificate: Certificate | None
-    comparison: Comparison | None
-    rate: Rate | None
-    thesis_bounds: dict[int, ThesisBounds]
-    missing: dict[str, str]
+    certificate: Certificate | None  # what is guaranteed; None where the theorem does not apply
+    comparison: Comparison | None  # the run against it
+    rate: Rate | None  # the condition on the learning rates; None without a learner
+    thesis_bounds: dict[int, ThesisBounds]  # the thesis's own bounds by network; empty where there are none
+    missing: dict[str, str]  # what is left out, and why
+    # what bounds the errors along the reference; None where it was not asked for or does not apply
     tube: Tube | None = None
 
     @property
@@ -87,16 +79,12 @@ class CertifiedRun:
 
 @dataclass(frozen=True, repr=False)
 class Proved(AsText):
-    """One run judged: what it proves, and what is certified of its loop; `print` shows both.
+    """One run judged: what it proves, and what is certified of its loop; `print` shows both."""
 
-    Attributes:
-        proof: Psi_hat against the truth, the Lyapunov function, the balance of energy; parts that a run does not have
-            raise an `InputError` when they are asked for, and `proof.missing` says why.
-        certificate: What is guaranteed, and the run beside it.
-    """
-
+    # Psi_hat against the truth, the Lyapunov function, the balance of energy; parts that a run does not have raise an
+    # `InputError` when they are asked for, and `proof.missing` says why
     proof: Proof
-    certificate: CertifiedRun
+    certificate: CertifiedRun  # what is guaranteed, and the run beside it
 
     @property
     def holds(self) -> bool:
@@ -230,28 +218,18 @@ def forces(disturbance: Mapping[str, float] | None, names: Sequence[str]) -> Arr
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """A run against its certificate.
+    """A run against its certificate."""
 
-    Attributes:
-        starts: Whether it starts in the region.
-        enters: When it is first inside of the region [s]; nan if never.
-        stays: Whether it never leaves the region once inside; where it is `covered`, False is a violation.
-        covered: Whether its recorded weights keep within their bounds: a run that starts outside of the region may
-            carry larger ones into it, and then nothing is guaranteed.
-        settles: When it is inside of the bound for good [s]; nan if never (the run may have been too short).
-        largest: Largest errors once inside of the region.
-        last: Largest errors over the last half of the run.
-        weights: Network to largest norm of W and V that were recorded.
-    """
-
-    starts: bool
-    enters: float
-    stays: bool
+    starts: bool  # whether it starts in the region
+    enters: float  # when it is first inside of the region [s]; nan if never
+    stays: bool  # whether it never leaves the region once inside; where it is `covered`, False is a violation
+    # whether its recorded weights keep within their bounds: a run that starts outside of the region may carry larger
+    # ones into it, and then nothing is guaranteed
     covered: bool
-    settles: float
-    largest: Box
-    last: Box
-    weights: dict[int, tuple[float, float]]
+    settles: float  # when it is inside of the bound for good [s]; nan if never (the run may have been too short)
+    largest: Box  # largest errors once inside of the region
+    last: Box  # largest errors over the last half of the run
+    weights: dict[int, tuple[float, float]]  # network to largest norm of W and V that were recorded
 
     def to_dict(self) -> dict[str, Any]:
         """Where the run was, for JSON."""
@@ -337,23 +315,14 @@ def largest_norm(snapshots: Array | None) -> float:
 
 @dataclass(frozen=True)
 class ThesisBounds:
-    """One network's bounds as printed.
+    """One network's bounds as printed."""
 
-    Attributes:
-        C: C0, C1, C2, C6 of the base or C3, C4, C5, C7 of the arm.
-        error: Ultimate bound printed for |z| or |r|, (3.59) or (3.62).
-        weights: Ultimate bound printed for |Ztilde|, (3.60) or (3.63).
-        half_width: Where the two braces together may stop V from falling: half-width in |z| or |r| (gap a).
-        robust: Smallest Kz of the run, which (3.51) or (3.52) wants above C2 or C5.
-        largest: Largest |z| or |r| over the last half of the run.
-    """
-
-    C: tuple[float, float, float, float]
-    error: float
-    weights: float
-    half_width: float
-    robust: float
-    largest: float
+    C: tuple[float, float, float, float]  # c0, C1, C2, C6 of the base or C3, C4, C5, C7 of the arm
+    error: float  # ultimate bound printed for |z| or |r|, (3.59) or (3.62)
+    weights: float  # ultimate bound printed for |Ztilde|, (3.60) or (3.63)
+    half_width: float  # where the two braces together may stop V from falling: half-width in |z| or |r| (gap a)
+    robust: float  # smallest Kz of the run, which (3.51) or (3.52) wants above C2 or C5
+    largest: float  # largest |z| or |r| over the last half of the run
 
     @property
     def gain_holds(self) -> bool:

@@ -15,7 +15,6 @@ from mmnn_pin.torque.concurrent import Concurrent
 from mmnn_pin.torque.controller import Context, ControllerState
 from mmnn_pin.torque.kalman import Kalman
 from mmnn_pin.torque.neural import Neural
-from mmnn_pin.torque.two_layer_composite import TwoLayerComposite
 from mmnn_pin.torque.two_layer_residual import TwoLayerResidual
 
 
@@ -46,7 +45,6 @@ class TellsTruth(Protocol):
 PARTS: dict[type, str] = {  # the weights' part of V of a law, a name of `proof.WEIGHTS_PARTS`; of others that of a gain
     Neural: "networks",
     TwoLayerResidual: "networks",
-    TwoLayerComposite: "networks",
     Adaptive: "estimate",
     Concurrent: "stack",
     Kalman: "covariance",

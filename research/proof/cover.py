@@ -77,13 +77,9 @@ class Along:
 
 @dataclass(frozen=True, eq=False)
 class ArmMetric:
-    """N (n, n): the size of an arm error e is `sqrt(e' N e)`. Any does that is positive definite.
+    """N (n, n): the size of an arm error e is `sqrt(e' N e)`. Any does that is positive definite."""
 
-    Attributes:
-        N: The arm's inertia with the base free, or one that counts every joint by itself.
-    """
-
-    N: Array
+    N: Array  # the arm's inertia with the base free, or one that counts every joint by itself
 
     @classmethod
     def best(cls, robot: Robot, along: Along, K: Array) -> ArmMetric:
@@ -129,31 +125,18 @@ class ArmMetric:
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Terms of the reduced dynamics wherever the robot may be, in N boxes.
+    """Terms of the reduced dynamics wherever the robot may be, in N boxes."""
 
-    Args:
-        nu: (N, p) velocities without any error in the middle of each box's stretch of the reference.
-        nu_off: (N, p) how far off they may be.
-        nudot: (N, p) accelerations without any error.
-        nudot_off: (N, p) how far off they may be.
-        postures: Terms over the boxes; all `mass_off` below 1.
-        viscous: (p, p) viscous friction on nu, positive semi-definite.
-        dry: (p,) largest dry friction on nu.
-        metric: Of the arm errors.
-        size: Of the arm errors up to which the boxes hold all.
-        beyond: How far joints beside their places there are in the boxes, too [rad or m].
-    """
-
-    nu: Array
-    nu_off: Array
-    nudot: Array
-    nudot_off: Array
-    postures: Postures
-    viscous: Array
-    dry: Array
-    metric: ArmMetric
-    size: float
-    beyond: float = 0.0
+    nu: Array  # (N, p) velocities without any error in the middle of each box's stretch of the reference
+    nu_off: Array  # (N, p) how far off they may be
+    nudot: Array  # (N, p) accelerations without any error
+    nudot_off: Array  # (N, p) how far off they may be
+    postures: Postures  # terms over the boxes; all `mass_off` below 1
+    viscous: Array  # (p, p) viscous friction on nu, positive semi-definite
+    dry: Array  # (p,) largest dry friction on nu
+    metric: ArmMetric  # of the arm errors
+    size: float  # of the arm errors up to which the boxes hold all
+    beyond: float = 0.0  # how far joints beside their places there are in the boxes, too [rad or m]
 
     @classmethod
     def of(

@@ -75,26 +75,19 @@ class Curvature:
 
 @dataclass(frozen=True, eq=False)
 class Bent:
-    """Largest changes of M (K, p, p), C (K, p, p, p) and gravity (K, p), and times X.
+    """Largest changes of M (K, p, p), C (K, p, p, p) and gravity (K, p), and times X."""
 
-    Attributes:
-        M1, C1, g1, XM1, XC1: All of the change.
-        M2, C2, g2: Beyond the first order.
-        C0, XC0: (K, p, p, p) C itself.
-        X: (K, p, p) without sign.
-    """
-
-    M1: Array
-    M2: Array
-    C0: Array
-    C1: Array
-    C2: Array
-    g1: Array
-    g2: Array
-    XM1: Array
-    XC0: Array
-    XC1: Array
-    X: Array
+    M1: Array  # all of the change
+    M2: Array  # beyond the first order
+    C0: Array  # (K, p, p, p) C itself
+    C1: Array  # all of the change
+    C2: Array  # beyond the first order
+    g1: Array  # all of the change
+    g2: Array  # beyond the first order
+    XM1: Array  # all of the change
+    XC0: Array  # (K, p, p, p) C itself
+    XC1: Array  # all of the change
+    X: Array  # (K, p, p) without sign
 
 
 class Bends(Jets):

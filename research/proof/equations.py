@@ -35,15 +35,10 @@ SPREAD = 0.75  # mean distance from its mean, of an age in the window: 2 / e of 
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """Motions around a reference, in K blocks.
+    """Motions around a reference, in K blocks."""
 
-    Attributes:
-        y: (K, m) their states at most.
-        acceleration: (K, p) how far their accelerations are from the reference's.
-    """
-
-    y: Array
-    acceleration: Array
+    y: Array  # (K, m) their states at most
+    acceleration: Array  # (K, p) how far their accelerations are from the reference's
 
     def with_run(self, run: Motions, first: int) -> tuple[Motions, Motions]:
         """Them from a block on and a run's before; and how far they are from the run, nothing before."""
@@ -55,23 +50,14 @@ class Motions:
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """Errors of the equations of a loop, per velocity.
+    """Errors of the equations of a loop, per velocity."""
 
-    Args:
-        steps: The loop.
-        filter: The learner's.
-        noise: (p,) of the velocities that it is told [m/s, rad/s].
-        force: (p,) largest external force, and that of the run added [N, N m].
-        run: The run.
-        otherwise: (K, m) what the plant does otherwise than `Periods.after` in a period.
-    """
-
-    steps: Steps
-    filter: Filter
-    noise: Array
-    force: Array
-    run: Motions
-    otherwise: Array
+    steps: Steps  # the loop
+    filter: Filter  # the learner's
+    noise: Array  # (p,) of the velocities that it is told [m/s, rad/s]
+    force: Array  # (p,) largest external force, and that of the run added [N, N m]
+    run: Motions  # the run
+    otherwise: Array  # (K, m) what the plant does otherwise than `Periods.after` in a period
 
     def apart(self, motions: Motions, off: Motions) -> Array:
         """(K, p) how far one mean is from the run's, its window in a block [N, N m].

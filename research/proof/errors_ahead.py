@@ -17,23 +17,14 @@ from .taylor import Taylor
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """A reference and the kinematic law around it, at N instants.
+    """A reference and the kinematic law around it, at N instants."""
 
-    Attributes:
-        v_ref: (N, nb) velocity of the base [m/s, rad/s].
-        a_ref: (N, nb) its derivative.
-        qdot_ref: (N, n).
-        qddot_ref: (N, n).
-        gains: (3,) of the base's law.
-        K: (n,) of the arm's [1/s].
-    """
-
-    v_ref: Array
-    a_ref: Array
-    qdot_ref: Array
-    qddot_ref: Array
-    gains: Array
-    K: Array
+    v_ref: Array  # (N, nb) velocity of the base [m/s, rad/s]
+    a_ref: Array  # (N, nb) its derivative
+    qdot_ref: Array  # (N, n)
+    qddot_ref: Array  # (N, n)
+    gains: Array  # (3,) of the base's law
+    K: Array  # (n,) of the arm's [1/s]
 
     @property
     def poses(self) -> int:

@@ -81,26 +81,17 @@ MOST = 2000  # rows that a fit sees, evenly spread
 
 @dataclass(frozen=True, eq=False)
 class LinearFit:
-    """The best fixed weights of a linear learner on the visited set.
+    """The best fixed weights of a linear learner on the visited set."""
 
-    Attributes:
-        W: (k, m) weights; m is 1 where all components share them, else p.
-        norm: |W|.
-        eps: (p,) largest `|Psi - Psi_0 - Phi W|` on the visited set [N, N m].
-        unexplained: (p,) fraction of variance that they leave.
-        true: Whether they are the robot's parameters, not a fit.
-        still: Weights whose features stay 0 in the run: it does not determine them, and here they are 0.
-        distance: How far the run's weights are from them at its start and end, (2,): RMS of `Phi (W - W_run)` over the
-            standard deviation of Psi; NaN where the weights are kept otherwise.
-    """
-
-    W: Array
-    norm: float
-    eps: Array
-    unexplained: Array
+    W: Array  # (k, m) weights; m is 1 where all components share them, else p
+    norm: float  # |W|
+    eps: Array  # (p,) largest `|Psi - Psi_0 - Phi W|` on the visited set [N, N m]
+    unexplained: Array  # (p,) fraction of variance that they leave
+    # how far the run's weights are from them at its start and end, (2,): RMS of `Phi (W - W_run)` over the standard
+    # deviation of Psi; NaN where the weights are kept otherwise
     distance: Array
-    true: bool = False
-    still: int = 0
+    true: bool = False  # whether they are the robot's parameters, not a fit
+    still: int = 0  # weights whose features stay 0 in the run: it does not determine them, and here they are 0
 
     def to_dict(self) -> dict[str, Any]:
         """Norm, distances and errors for JSON."""
@@ -192,23 +183,14 @@ def of_shape(weights: dict[str, Array], k: int, m: int) -> Array | None:
 
 
 class LinearSample(NamedTuple):
-    """One sample of a linear learner.
+    """One sample of a linear learner."""
 
-    Attributes:
-        number: Which.
-        values: (width,) the recorded row.
-        s: (p,) the error that it learned from.
-        Phi: (rows, k) features at it, with the state before.
-        before: What was kept of the state before.
-        state: The state after.
-    """
-
-    number: int
-    values: Array
-    s: Array
-    Phi: Array
-    before: Any
-    state: ControllerState
+    number: int  # which
+    values: Array  # (width,) the recorded row
+    s: Array  # (p,) the error that it learned from
+    Phi: Array  # (rows, k) features at it, with the state before
+    before: Any  # what was kept of the state before
+    state: ControllerState  # the state after
 
 
 def linear_steps(

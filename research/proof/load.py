@@ -33,23 +33,14 @@ APART = 0.1  # standard deviation of a centre from which the run did not determi
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """The load that a run's learner makes out.
+    """The load that a run's learner makes out."""
 
-    Attributes:
-        pick: When it is picked up [s].
-        seconds: How long the learner feels it [s].
-        mass: The truth [kg].
-        centre: (3,) the truth, in the link's frame [m].
-        found: What the learner makes of it; None where nothing is determined.
-        why: Why nothing is determined.
-    """
-
-    pick: float
-    seconds: float
-    mass: float
-    centre: Array
-    found: CarriedLoad | None
-    why: str = ""
+    pick: float  # when it is picked up [s]
+    seconds: float  # how long the learner feels it [s]
+    mass: float  # the truth [kg]
+    centre: Array  # (3,) the truth, in the link's frame [m]
+    found: CarriedLoad | None  # what the learner makes of it; None where nothing is determined
+    why: str = ""  # why nothing is determined
 
     @property
     def determined(self) -> tuple[bool, tuple[bool, ...]]:

@@ -250,40 +250,24 @@ def limited_power(learner: Learner, rows: Array, at: IntArray) -> Array:
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of time in which V grows without a break.
+    """A stretch of time in which V grows without a break."""
 
-    Attributes:
-        start: [s].
-        end: [s].
-        rise: By how much V grows.
-        why: Term with the largest positive sum over it.
-    """
-
-    start: float
-    end: float
-    rise: float
-    why: str
+    start: float  # [s]
+    end: float  # [s]
+    rise: float  # by how much V grows
+    why: str  # term with the largest positive sum over it
 
 
 @dataclass(frozen=True)
 class Growth:
-    """When and why V grows.
+    """When and why V grows."""
 
-    Attributes:
-        samples: Share of the control periods in which it does.
-        rise: Sum of its growth.
-        fall: Sum of its decrease, a number >= 0.
-        why: Term to the share of the growing periods in which it is the largest, largest first.
-        work: Term to its sum over the run: what it adds to V.
-        spans: Those of most growth, largest first.
-    """
-
-    samples: float
-    rise: float
-    fall: float
-    why: dict[str, float]
-    work: dict[str, float]
-    spans: tuple[Span, ...]
+    samples: float  # share of the control periods in which it does
+    rise: float  # sum of its growth
+    fall: float  # sum of its decrease, a number >= 0
+    why: dict[str, float]  # term to the share of the growing periods in which it is the largest, largest first
+    work: dict[str, float]  # term to its sum over the run: what it adds to V
+    spans: tuple[Span, ...]  # those of most growth, largest first
 
     def to_dict(self) -> dict[str, Any]:
         """What each term adds, when and why V grows, for JSON."""

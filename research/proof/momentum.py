@@ -20,15 +20,10 @@ from .postures import norm
 
 @dataclass(frozen=True, eq=False)
 class Momentum:
-    """Of the base, forward and yaw, at most.
+    """Of the base, forward and yaw, at most."""
 
-    Attributes:
-        drive: (2,) `u_i / k_i` [m/s, rad/s].
-        moved: (2,) `(M s)_i / k_i` [m, rad].
-    """
-
-    drive: Array
-    moved: Array
+    drive: Array  # (2,) `u_i / k_i` [m/s, rad/s]
+    moved: Array  # (2,) `(M s)_i / k_i` [m, rad]
 
     @classmethod
     def of(cls, cover: Cover, added: Drive, energy: float, gains: Gains, s: Array) -> Momentum | None:

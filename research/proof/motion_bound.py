@@ -38,24 +38,16 @@ SHARES = np.array([0.05, 0.15, 0.3, 0.4, 0.5, 0.6, 0.75])  # of the largest rate
 
 @dataclass(frozen=True, eq=False)
 class MotionBound:
-    """The energy of the errors in one box.
+    """The energy of the errors in one box."""
 
-    Attributes:
-        rate: Rate of decay used [1/s]; nan where there is none.
-        level: Energy above which E falls [J]; inf where there is none.
-        margin: Largest possible rate, `min of s' K s / s' M s` [1/s].
-        unheld: The same for a torque that is not held; negative: the feedback is too weak for the kinematic gains.
-        fastest: Largest eigenvalue of M^-1 k [1/s]; the period has to be below half its inverse, or the oldest sample
-            in force, where commands are late, below its inverse.
-        pushed: Largest `|d s / dt|` that is not the feedback's, in the norm of k [sqrt(W/s)].
-    """
-
-    rate: float
-    level: float
-    margin: float
-    unheld: float
+    rate: float  # rate of decay used [1/s]; nan where there is none
+    level: float  # energy above which E falls [J]; inf where there is none
+    margin: float  # largest possible rate, `min of s' K s / s' M s` [1/s]
+    unheld: float  # the same for a torque that is not held; negative: the feedback is too weak for the kinematic gains
+    # largest eigenvalue of M^-1 k [1/s]; the period has to be below half its inverse, or the oldest sample in force,
+    # where commands are late, below its inverse
     fastest: float
-    pushed: float
+    pushed: float  # largest `|d s / dt|` that is not the feedback's, in the norm of k [sqrt(W/s)]
 
 
 def motion_bound(cover: Cover, added: Drive, energy: float, gains: Gains) -> MotionBound:
@@ -271,15 +263,10 @@ def push(cover: Cover, added: Drive, forces: Forces, energy: float, gains: Gains
 
 @dataclass(frozen=True, eq=False)
 class Feed:
-    """The quadratic form in s but for the feedback, normalised.
+    """The quadratic form in s but for the feedback, normalised."""
 
-    Attributes:
-        K: (N, p, p) of `viscous - sym(M Az) + sym(C(., nu_ref))` in the middle of the box.
-        lost: (N,) what it may have less elsewhere.
-    """
-
-    K: Array
-    lost: Array
+    K: Array  # (N, p, p) of `viscous - sym(M Az) + sym(C(., nu_ref))` in the middle of the box
+    lost: Array  # (N,) what it may have less elsewhere
 
     @classmethod
     def of(cls, cover: Cover, added: Drive) -> Feed:

@@ -20,11 +20,9 @@ Along a run `s' (Psi - Psi_hat) + d/dt` of it is what learning leaves: with the 
     Psi - Psi_hat = Wt' (sigma - sigma' V' x) + W' sigma' Vt' x + w,    w = Wt' sigma' V*' x + W*' O(Vt' x)^2 + eps
 
 the update cancels all but `s' w + kappa |s| tr(Zt' Z)` (3.54). A network on a nominal model (`two_layer_residual`) has
-`Psi - Psi_0` in the place of Psi, and nothing else changes. One that also learns from filtered torque
-(`two_layer_composite`) moves its weights a second time in every sample: what that does to the part is the term
-`prediction`, the difference of the part before and after, of either sign, as the prediction error is not linear in V.
-Where weights are scaled back onto a bound (`Neural.projection`), that difference is the term `projection`: the same
-sample once more without the bound tells it.
+`Psi - Psi_0` in the place of Psi, and nothing else changes. Where weights are scaled back onto a bound
+(`Neural.projection`), what that does to the part is the term `projection`: the same sample once more without the bound
+tells it.
 """
 
 from __future__ import annotations
@@ -41,7 +39,6 @@ from mmnn_pin.lab.psi.subject import Subject
 from mmnn_pin.settings import finite
 from mmnn_pin.signals import Array, IntArray
 from mmnn_pin.torque.controller import ControllerState
-from mmnn_pin.torque.law import estimate
 
 from .linear import PENALTY, penalised, variances
 from .weights_part import Progress, WeightsPart, step_again
@@ -233,17 +230,16 @@ def network_part(
     """The part at some rows of a run, (k,) ascending, for ideal weights of every network."""
     ledger = Ledger(subject, learner, ideal, at)
     missed = step_again(learner, subject.rows, ledger.before, ledger.after, progress)
-    value, leakage, remainder, step, prediction, projection = ledger.found[:, at]
-    arrived = {"step": step, "prediction": prediction, "projection": projection}
-    return WeightsPart(value, {"leakage": leakage, "remainder": remainder}, arrived, missed)
+    value, leakage, remainder, step, projection = ledger.found[:, at]
+    terms, arrived = {"leakage": leakage, "remainder": remainder}, {"step": step, "projection": projection}
+    return WeightsPart(value, terms, arrived, missed)
 
 
 class Ledger:
     """What every sample does to the part.
 
-    The output of a sample uses the weights from before its step, or from after it (Appendix B); those of a prediction
-    error are changed ahead of the output. So a sample has weights that it begins with, uses, and would have without
-    the projection.
+    The output of a sample uses the weights from before its step, or from after it (Appendix B). So a sample has weights
+    that it uses, and would have without the projection.
 
     Args:
         subject: The run.
@@ -252,14 +248,14 @@ class Ledger:
         at: (k,) the rows that are asked for.
 
     Attributes:
-        found: (6, rows) value, leakage, remainder, step, prediction, projection of the rows that are asked for.
+        found: (5, rows) value, leakage, remainder, step, projection of the rows that are asked for.
     """
 
     def __init__(self, subject: Subject, learner: NetworkLearner, ideal: dict[int, Ideal], at: IntArray) -> None:
         self.psi, self.h, self.wanted = subject.signal("psi"), learner.context.control_period, set(at.tolist())
         self.networks = {i: Network(learner, i, part, ideal[i]) for i, part in learner.networks}
-        self.first, self.found = learner.own.update == "before_output", np.zeros((6, len(subject.rows)))
-        self.predicted, self.last = learner.start.snapshot(), self.weights(learner.start)
+        self.first, self.found = learner.own.update == "before_output", np.zeros((5, len(subject.rows)))
+        self.last = self.weights(learner.start)
         self.freed: Weights | None = None
         self.free: LearnerStepper | None = None
         if learner.own.projection is not None:
@@ -270,35 +266,28 @@ class Ledger:
         """W and V of every network in a state, copies."""
         return {i: (state[f"W{i}"].copy(), state[f"V{i}"].copy()) for i in self.networks}
 
-    def before(self, n: int, row: Array, stepper: LearnerStepper) -> tuple[Weights, Weights, Weights | None]:
-        """Weights that a sample begins with, that its output uses, and that it ends with without the projection."""
-        began, torque, freed = self.weights(stepper.state), stepper.torque, None
-        used = began
-        if torque.learner is not None and not self.first:
-            self.predicted.values[:] = stepper.state.values
-            estimate(row, torque.at, torque.learner, self.predicted.values)
-            used = self.weights(self.predicted)
+    def before(self, n: int, row: Array, stepper: LearnerStepper) -> tuple[Weights, Weights | None]:
+        """Weights that a sample begins with, and that it ends with without the projection."""
+        began, freed = self.weights(stepper.state), None
         if self.free is not None and n + (not self.first) in self.wanted:
             self.free.state.values[:] = stepper.state.values
             self.free.step(row)
             freed = self.weights(self.free.state)
-        return began, used, freed
+        return began, freed
 
-    def after(self, n: int, row: Array, stepper: LearnerStepper, kept: tuple[Weights, Weights, Weights | None]) -> None:
+    def after(self, n: int, row: Array, stepper: LearnerStepper, kept: tuple[Weights, Weights | None]) -> None:
         """Value and terms of a sample; an update counts where its weights are used."""
-        (began, used, freed), arrived, state = kept, self.freed, stepper.state
+        (used, freed), arrived, state = kept, self.freed, stepper.state
         if self.first:
-            began = used = self.weights(state)
-            arrived = freed
+            used, arrived = self.weights(state), freed
         for i, network in self.networks.items() if n in self.wanted else ():
             error = (self.psi[n] - stepper.psi_hat)[network.part] / network.scale_out
             left = network.left(*used[i], state[f"sigma{i}"], state["x"], state[f"s{i}"], error)
-            taken = began[i] if arrived is None else arrived[i]
+            taken = used[i] if arrived is None else arrived[i]
             self.found[:, n] += (
                 network.value(used[i]),
                 *left,
                 network.distance(taken, self.last[i]) / self.h,
-                (network.value(used[i]) - network.value(began[i])) / self.h,
-                (network.value(began[i]) - network.value(taken)) / self.h,
+                (network.value(used[i]) - network.value(taken)) / self.h,
             )
         self.last, self.freed = used, freed

@@ -48,35 +48,20 @@ CORNERS = 9  # joints up to which all corners of a box are looked at
 
 @dataclass(frozen=True, eq=False)
 class Postures:
-    """Terms in the middle of N boxes, and how far off they may be anywhere in each.
+    """Terms in the middle of N boxes, and how far off they may be anywhere in each."""
 
-    Attributes:
-        q: (N, n) middles of the boxes [rad or m].
-        half: (N, n) their half-widths.
-        M: (N, p, p) mass matrices.
-        coriolis: (N, p, p, p): `C(q, nu)_ik = sum_j coriolis_ijk nu_j`.
-        gravity: (N, p).
-        mass_off: (N,) `|L^-1 (M - M0) L^-T|` at most.
-        coriolis_off: (N, p, p) `|L^-1 (C - C0)_jk|` at most.
-        gyration_off: (N, p) of the symmetric part of `L^-1 (C - C0)_k L^-T` over i and j at most.
-        gravity_off: (N,) `|L^-1 (g - g0)|` at most.
-        gravity_slope: (N, n) `|L^-1 dg/dq|` by each joint of the arm at most.
-        gravity_wheels: (N,) what of `gravity_off` the angles of wheels make that are heavier on one side.
-        bend: (N, n) what of `mass_off` the positions of each joint of the arm make to first order.
-    """
-
-    q: Array
-    half: Array
-    M: Array
-    coriolis: Array
-    gravity: Array
-    mass_off: Array
-    coriolis_off: Array
-    gyration_off: Array
-    gravity_off: Array
-    gravity_slope: Array
-    gravity_wheels: Array
-    bend: Array
+    q: Array  # (N, n) middles of the boxes [rad or m]
+    half: Array  # (N, n) their half-widths
+    M: Array  # (N, p, p) mass matrices
+    coriolis: Array  # (N, p, p, p): `C(q, nu)_ik = sum_j coriolis_ijk nu_j`
+    gravity: Array  # (N, p)
+    mass_off: Array  # (N,) `|L^-1 (M - M0) L^-T|` at most
+    coriolis_off: Array  # (N, p, p) `|L^-1 (C - C0)_jk|` at most
+    gyration_off: Array  # (N, p) of the symmetric part of `L^-1 (C - C0)_k L^-T` over i and j at most
+    gravity_off: Array  # (N,) `|L^-1 (g - g0)|` at most
+    gravity_slope: Array  # (N, n) `|L^-1 dg/dq|` by each joint of the arm at most
+    gravity_wheels: Array  # (N,) what of `gravity_off` the angles of wheels make that are heavier on one side
+    bend: Array  # (N, n) what of `mass_off` the positions of each joint of the arm make to first order
 
     def at(self, places: IntArray | NDArray[np.bool_] | slice) -> Postures:
         """Some of the boxes."""

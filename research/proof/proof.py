@@ -196,17 +196,11 @@ def ideal_dict(ideal: IdealWeights) -> dict[str, Any]:
 
 
 class Kept(NamedTuple):
-    """The weights' part of a learner.
+    """The weights' part of a learner."""
 
-    Attributes:
-        part: What gives it at rows.
-        most: Samples to look at.
-        every: Control periods from one update of the weights to the next.
-    """
-
-    part: Part
-    most: float = math.inf
-    every: int = 1
+    part: Part  # what gives it at rows
+    most: float = math.inf  # samples to look at
+    every: int = 1  # control periods from one update of the weights to the next
 
 
 def weights_of(subject: Subject, ideal: IdealWeights) -> Kept | None:

@@ -63,37 +63,23 @@ def still(time: float) -> tuple[float, float]:
 
 @dataclass
 class SteeredMotion:
-    """Many motions at once of a base under its laws: errors (B, 3), headings (B, N), integrated together.
+    """Many motions at once of a base under its laws: errors (B, 3), headings (B, N), integrated together."""
 
-    Attributes:
-        pivots: (N, 2) places of the wheels that steer [m].
-        length: l [m].
-        gains: Of the pose's law: Kanayama's of a car, else the holonomic one's.
-        rate: K [1/s].
-        car: Whether an axle is fixed at the control frame.
-        reference: (B, 3) reference velocities and their derivatives at a time.
-        slow: eps [m/s].
-        limit: Largest rate of a wheel [rad/s].
-        trail: t, how far ahead of its axis the wheel of a car, or a loader's other axle, is [m].
-        exact: Whether a loader's waist turns as the velocity asked for has it, `-s / t`, not by the law that steers.
-        z: Velocity errors (B,) of u and (B, N) of the wheels at a time.
-        wait: Whether the base waits for its wheels.
-        turned: (k, B, N) rates of the wheels in the last run [rad/s].
-    """
-
-    pivots: Array
-    length: float
-    gains: tuple[float, float, float]
-    rate: float
-    car: bool
-    reference: Reference
-    slow: float = 0.0
-    limit: float = np.inf
-    trail: float = 0.0
+    pivots: Array  # (N, 2) places of the wheels that steer [m]
+    length: float  # l [m]
+    gains: tuple[float, float, float]  # of the pose's law: Kanayama's of a car, else the holonomic one's
+    rate: float  # K [1/s]
+    car: bool  # whether an axle is fixed at the control frame
+    reference: Reference  # (B, 3) reference velocities and their derivatives at a time
+    slow: float = 0.0  # eps [m/s]
+    limit: float = np.inf  # largest rate of a wheel [rad/s]
+    trail: float = 0.0  # t, how far ahead of its axis the wheel of a car, or a loader's other axle, is [m]
+    # whether a loader's waist turns as the velocity asked for has it, `-s / t`, not by the law that steers
     exact: bool = False
+    # velocity errors (B,) of u and (B, N) of the wheels at a time
     z: Callable[[float], tuple[Array | float, Array | float]] = still
-    wait: bool = False
-    turned: Array = field(default_factory=lambda: np.zeros(0))
+    wait: bool = False  # whether the base waits for its wheels
+    turned: Array = field(default_factory=lambda: np.zeros(0))  # (k, B, N) rates of the wheels in the last run [rad/s]
 
     def asked(self, e: Array, v: Array) -> Array:
         """eta_c (B, 3) of the law of the pose, the thesis's (3.3) or the holonomic one."""
@@ -190,19 +176,12 @@ class SteeredMotion:
 
 
 class Constants(NamedTuple):
-    """Of `adot <= -lambda a + m (B0 + B1 a) |sin chi|`.
+    """Of `adot <= -lambda a + m (B0 + B1 a) |sin chi|`."""
 
-    Attributes:
-        m: What a wheel off its path takes, in the size of the pose error.
-        B0: Largest reference velocity in the norm of W [m/s].
-        B1: What the pose's law adds per size of the error [1/s].
-        ky: Weight of the heading in the size, 1 for the holonomic law.
-    """
-
-    m: float
-    B0: float
-    B1: float
-    ky: float
+    m: float  # what a wheel off its path takes, in the size of the pose error
+    B0: float  # largest reference velocity in the norm of W [m/s]
+    B1: float  # what the pose's law adds per size of the error [1/s]
+    ky: float  # weight of the heading in the size, 1 for the holonomic law
 
     def size(self, e: Array) -> Array:
         """The size a of pose errors (..., 3)."""

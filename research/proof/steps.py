@@ -33,34 +33,22 @@ ROUNDING = 1e-13  # of a state, relative to the largest of the reference, in a p
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """Largest errors within every block.
+    """Largest errors within every block."""
 
-    Attributes:
-        y: (K, m) of the state.
-        s: (K, p) of s.
-        f: (K, p) of what the state adds to accelerations, without delay less what it adds to nudot_ref.
-        torque: (K, p) of the torque that acts in a period, from that of the state, or from the reference's where
-            commands are late.
-    """
-
-    y: Array
-    s: Array
-    f: Array
+    y: Array  # (K, m) of the state
+    s: Array  # (K, p) of s
+    f: Array  # (K, p) of what the state adds to accelerations, without delay less what it adds to nudot_ref
+    # (K, p) of the torque that acts in a period, from that of the state, or from the reference's where commands are
+    # late
     torque: Array
 
 
 class Rest(NamedTuple):
-    """What the first order leaves out in every block, at most.
+    """What the first order leaves out in every block, at most."""
 
-    Attributes:
-        torque: (K, p) of torques.
-        state: (K, m) of states after a period.
-        acceleration: (K, p) how far accelerations are from the reference's, all of it.
-    """
-
-    torque: Array
-    state: Array
-    acceleration: Array
+    torque: Array  # (K, p) of torques
+    state: Array  # (K, m) of states after a period
+    acceleration: Array  # (K, p) how far accelerations are from the reference's, all of it
 
 
 class Steps:

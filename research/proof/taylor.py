@@ -91,19 +91,12 @@ def stacked(some: list[Taylor]) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Matrices:
-    """Matrices of such functions, of N instants and perhaps more.
+    """Matrices of such functions, of N instants and perhaps more."""
 
-    Attributes:
-        value: (N, ..., a, b) at 0.
-        slope: (z, N, ..., a, b) there.
-        rest: (N, ..., a, b) what is left, at most.
-        box: (N, z) half-widths.
-    """
-
-    value: Array
-    slope: Array
-    rest: Array
-    box: Array
+    value: Array  # (N, ..., a, b) at 0
+    slope: Array  # (z, N, ..., a, b) there
+    rest: Array  # (N, ..., a, b) what is left, at most
+    box: Array  # (N, z) half-widths
 
     __array_ufunc__ = None
 

@@ -56,21 +56,14 @@ from .weights_part import WITHOUT, Progress, WeightsPart, part_of, step_again
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The true parameters of a run's robot.
+    """The true parameters of a run's robot."""
 
-    Attributes:
-        theta: (k,) the parameters.
-        known: How many combinations of them change Psi.
-        eps: (p,) largest `|Psi - Y theta|` on the run [N, N m]: of friction not linear in theta, of sensors that err.
-        distance: (2,) V_theta at the start and at the end of the run.
-        parts: The same of bodies and friction, name to (2,).
-    """
-
-    theta: Array
-    known: int
+    theta: Array  # (k,) the parameters
+    known: int  # how many combinations of them change Psi
+    # (p,) largest `|Psi - Y theta|` on the run [N, N m]: of friction not linear in theta, of sensors that err
     eps: Array
-    distance: Array
-    parts: dict[str, Array]
+    distance: Array  # (2,) V_theta at the start and at the end of the run
+    parts: dict[str, Array]  # the same of bodies and friction, name to (2,)
 
     def to_dict(self) -> dict[str, Any]:
         """The parameters and the estimate's distance from them, for JSON."""
@@ -81,17 +74,11 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """An adaptive controller stepped again over the rows of its run.
+    """An adaptive controller stepped again over the rows of its run."""
 
-    Attributes:
-        theta: (N, k) its estimate before the update of every row.
-        Y: (k', p, k) its regressor at the rows that were asked for.
-        missed: How far it was from the recorded Psi_hat, as `step_again` returns it.
-    """
-
-    theta: Array
-    Y: Array
-    missed: float
+    theta: Array  # (N, k) its estimate before the update of every row
+    Y: Array  # (k', p, k) its regressor at the rows that were asked for
+    missed: float  # how far it was from the recorded Psi_hat, as `step_again` returns it
 
 
 def true_parameters(subject: Subject, learner: Learner) -> Truth:

@@ -29,19 +29,12 @@ Progress = Callable[[float], None] | None
 
 @dataclass(frozen=True, eq=False)
 class WeightsPart:
-    """The weights' part at (k,) rows, and what learning leaves of `s' (Psi - Psi_hat)` and of its derivative.
+    """The weights' part at (k,) rows, and what learning leaves of `s' (Psi - Psi_hat)` and of its derivative."""
 
-    Attributes:
-        value: The part itself.
-        terms: Name in `lyapunov.TERMS` to that term over the period that begins at the row [W].
-        arrived: The same over the period that led to the row.
-        missed: As `step_again` returns it; one beyond `LOST` ends the steps, and the rest is 0.
-    """
-
-    value: Array
-    terms: dict[str, Array]
-    arrived: dict[str, Array]
-    missed: float
+    value: Array  # the part itself
+    terms: dict[str, Array]  # name in `lyapunov.TERMS` to that term over the period that begins at the row [W]
+    arrived: dict[str, Array]  # the same over the period that led to the row
+    missed: float  # as `step_again` returns it; one beyond `LOST` ends the steps, and the rest is 0
 
 
 def part_of(

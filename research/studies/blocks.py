@@ -28,21 +28,14 @@ ITERATIONS = 300
 
 @dataclass(frozen=True)
 class Found:
-    """One robot cut in one way.
+    """One robot cut in one way."""
 
-    Attributes:
-        robot: Its name.
-        blocks: How it is cut.
-        share: Of the postures, in which the comparison holds.
-        worst: Largest spectral radius of one posture.
-        uniform: The radius of one box for all postures: below 1 some sizes `d > 0` have
-            `sum_b c_ab d_b < lambda_a d_a` in all of them.
-    """
-
-    robot: str
-    blocks: str
-    share: float
-    worst: float
+    robot: str  # its name
+    blocks: str  # how it is cut
+    share: float  # of the postures, in which the comparison holds
+    worst: float  # largest spectral radius of one posture
+    # the radius of one box for all postures: below 1 some sizes `d > 0` have `sum_b c_ab d_b < lambda_a d_a` in all of
+    # them
     uniform: float
 
 

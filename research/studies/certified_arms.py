@@ -39,19 +39,12 @@ READY = {"platform_panda": (0.0, -0.79, 0.0, -2.36, 0.0, 1.57, 0.79)}  # around 
 
 @dataclass(frozen=True)
 class Found:
-    """What one robot gets.
+    """What one robot gets."""
 
-    Attributes:
-        bandwidth: Of the gains [1/s].
-        period: Control period [s].
-        certificate: Its certificate.
-        seconds: What it took, all bandwidths together.
-    """
-
-    bandwidth: float
-    period: float
-    certificate: Certificate
-    seconds: float
+    bandwidth: float  # of the gains [1/s]
+    period: float  # control period [s]
+    certificate: Certificate  # its certificate
+    seconds: float  # what it took, all bandwidths together
 
     @property
     def constants(self) -> dict[str, Constant]:

@@ -47,18 +47,12 @@ def kept(summary: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Document:
-    """A document of docs/ and the summary that it is made from.
+    """A document of docs/ and the summary that it is made from."""
 
-    Attributes:
-        name: Of the document in docs/, with its folder and without its ending.
-        summary: Where the summary is kept.
-        render: Makes the text of a summary.
-        rows: Makes the rows of a CSV file beside the document, of data that nobody reads as text.
-    """
-
-    name: str
-    summary: Path
-    render: Callable[[dict[str, Any]], str]
+    name: str  # of the document in docs/, with its folder and without its ending
+    summary: Path  # where the summary is kept
+    render: Callable[[dict[str, Any]], str]  # makes the text of a summary
+    # makes the rows of a CSV file beside the document, of data that nobody reads as text
     rows: Callable[[dict[str, Any]], list[dict[str, Any]]] | None = None
 
     def publish(self, out: Path) -> None:

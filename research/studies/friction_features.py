@@ -36,17 +36,11 @@ SEEDS = (1, 2, 3)  # of the joints, of the others, of the fit
 
 
 class Joints(NamedTuple):
-    """What joints did, and their friction.
+    """What joints did, and their friction."""
 
-    Attributes:
-        u: (joints, samples, INPUTS) what the first layer sees.
-        known: (joints, samples, 4) speed, dry friction, acceleration, 1.
-        friction: (joints, samples) over the joint's dry friction.
-    """
-
-    u: Array
-    known: Array
-    friction: Array
+    u: Array  # (joints, samples, INPUTS) what the first layer sees
+    known: Array  # (joints, samples, 4) speed, dry friction, acceleration, 1
+    friction: Array  # (joints, samples) over the joint's dry friction
 
     def of(self, chosen: IntArray) -> Joints:
         """Some joints."""

@@ -18,15 +18,10 @@ LOADED = Event()  # set once this process has the compiled code
 
 @dataclass(frozen=True)
 class Rollout:
-    """What is left of a run.
+    """What is left of a run."""
 
-    Attributes:
-        completed: Whether it reached its end; otherwise it diverged.
-        signals: Name to (samples, size), in SI units.
-    """
-
-    completed: bool
-    signals: dict[str, Array]
+    completed: bool  # whether it reached its end; otherwise it diverged
+    signals: dict[str, Array]  # name to (samples, size), in SI units
 
 
 class Keep:

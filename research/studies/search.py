@@ -15,21 +15,13 @@ from mmnn_pin.signals import Array
 
 @dataclass(frozen=True)
 class Number:
-    """A number that the thesis does not state.
+    """A number that the thesis does not state."""
 
-    Attributes:
-        name: Key.
-        lower: Lower end of its range.
-        upper: Upper end.
-        unit: Unit.
-        log: Whether the range is searched in its logarithm.
-    """
-
-    name: str
-    lower: float
-    upper: float
-    unit: str
-    log: bool = False
+    name: str  # key
+    lower: float  # lower end of its range
+    upper: float  # upper end
+    unit: str  # unit
+    log: bool = False  # whether the range is searched in its logarithm
 
     def place(self, value: float) -> float:
         """Where a value lies in the range, 0 to 1."""

@@ -31,26 +31,17 @@ NAMES = ("pd", "pd_gravity", "pid", "feedforward", "two_layer", "adaptive", "com
 
 @dataclass(frozen=True)
 class RobotRow:
-    """One robot.
+    """One robot."""
 
-    Attributes:
-        name: Of the robot.
-        joints: Names of its arm's joints.
-        slowness: Of the reference.
-        margin: Delay margin of PD [s].
-        errors: Controller to the RMS errors of the joints on the last lap, (n,) [rad or m]; inf where the run was lost.
-        base: Controller to the RMS error of the base's position likewise [m].
-        given, asked: Controller to the largest torque over its limit, that a motor gave, or was asked for.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    slowness: float
-    margin: float
+    name: str  # of the robot
+    joints: tuple[str, ...]  # names of its arm's joints
+    slowness: float  # of the reference
+    margin: float  # delay margin of PD [s]
+    # controller to the RMS errors of the joints on the last lap, (n,) [rad or m]; inf where the run was lost
     errors: dict[str, Array]
-    base: dict[str, float]
-    given: dict[str, float]
-    asked: dict[str, float]
+    base: dict[str, float]  # controller to the RMS error of the base's position likewise [m]
+    given: dict[str, float]  # controller to the largest torque over its limit that a motor gave
+    asked: dict[str, float]  # likewise, that it was asked for
 
 
 def experiment_of(name: str, settings: tuple[str, ...] = ()) -> tuple[Experiment, Robot]:

@@ -145,6 +145,12 @@ def test_any_public_name_is_printed_with_its_docstring(name: str, capsys: pytest
     assert out.startswith(f"{name}(") and "\nof mmnn_pin." in out and len(out.splitlines()) > 3
 
 
+def test_what_stands_beside_fields_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "    basis: Array  # (k0, k) `theta = theta_0 + basis w`" in printed(capsys, "torque.concurrent.History")
+    above = printed(capsys, "SteeredBase").partition("    # largest speed at which a wheel slides")[2]
+    assert above.splitlines()[2] == "    scrub: float = 0.0"
+
+
 def test_schemas_take_the_files_that_are_there_and_refuse_others(capsys: pytest.CaptureFixture[str]) -> None:
     """Judged by jsonschema, which shares no code with what reads the files."""
     jsonschema = pytest.importorskip("jsonschema")

@@ -30,7 +30,7 @@ def completed(words: str) -> list[str]:
         ("mmnn run track --robot platform_", ["platform_arm"]),
         ("mmnn inspect two_ax", ["two_axis_arm"]),
         ("mmnn run track --set feedba", ["feedback.base=", "feedback.arm=", "feedback.scaling="]),
-        ("mmnn run track --set two_l", ["two_layer.", "two_layer_composite."]),
+        ("mmnn run track --set adap", ["adaptive.", "adaptive_composite."]),
         ("mmnn run track --set feedback.a", ["feedback.arm="]),
         ("mmnn readings chapter4 --set time.int", ["time.integrator="]),
         ("mmnn run track --set feedback.arm=3", []),

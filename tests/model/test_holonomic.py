@@ -236,7 +236,7 @@ def test_mecanum_follows_an_eight_while_it_turns(kind, engine):
 
 LEARNERS = [
     *("kalman_regressor", "kalman_bilinear", "kalman_features", "kalman_residual", "concurrent", "adaptive"),
-    *("adaptive_composite", "two_layer_composite", "deep_residual", "drem", "two_layer_residual"),
+    *("adaptive_composite", "deep_residual", "drem", "two_layer_residual"),
 ]
 
 
@@ -246,7 +246,6 @@ def learning_loop(name: str, duration: float) -> Loop:
     gains = [
         "feedback.base=[400.0, 400.0, 40.0]",
         "feedback.arm=5.0",
-        "two_layer_composite.pole=500.0",
         "concurrent.entries=20",
     ]
     quick = [f"kalman.{table}.state_pole=500.0" for table in ("regressor", "bilinear", "features", "residual")]

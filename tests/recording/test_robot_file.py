@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,8 @@ from drives import Drive
 from mmnn_pin import Timing, Trajectory, load
 from mmnn_pin.lab.show.replay import page
 from mmnn_pin.loop.loop import Loop
+from mmnn_pin.model.loading import build
+from mmnn_pin.recording import robot_file
 from mmnn_pin.recording.recording import Recording, recorded_robot
 from mmnn_pin.recording.robot_file import UNSEEN
 from mmnn_pin.torque.model_based import PD
@@ -114,3 +117,19 @@ def test_a_recording_makes_nobody_read_what_the_xacro_file_does_not_name(
     monkeypatch.setattr(Recording, "urdf", run.urdf.replace("</robot>", HULL.format("spy", name) + "</robot>"))
     seen = recorded_robot(run).urdf
     assert f'"{UNSEEN}{name}"' in seen and f'"{named}"' in seen
+
+
+def test_runs_of_one_robot_build_it_once_and_see_what_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    workspace(tmp_path, "shapes")
+    file, built = xacro(tmp_path, "package://shapes/meshes/${kind}_hull.stl"), list[str]()
+    one, other = run_of(file), run_of(file)
+    mesh, moved = (tmp_path / "shapes" / "meshes" / name for name in ("big_hull.stl", "elsewhere.stl"))
+    mesh.rename(moved)
+    monkeypatch.setattr(robot_file, "BUILT", {})
+    monkeypatch.setattr(robot_file, "build", lambda *given: (built.append("again"), build(*given))[1])
+    assert "big_hull.stl' is missing" in page({"run": one}).warnings[0]
+    moved.rename(mesh)
+    assert page({"one": one, "other": other}).warnings == () and len(built) == 2
+    file.write_text(file.read_text() + "\n")
+    os.utime(file, (1e9, 1e9))
+    assert page({"run": one}).warnings == () and len(built) == 3

@@ -26,7 +26,7 @@ BALLS = ((30.0, 2.0), (0.3, 0.2))
 ROBOTS = {"fixed": fixed_arm(3), "mobile": mobile_arm(2)}
 KNOWN = {name: Regressor.of(robot) for name, robot in ROBOTS.items()}
 LEARNERS = [
-    *("adaptive", "adaptive_composite", "concurrent", "two_layer_composite"),
+    *("adaptive", "adaptive_composite", "concurrent"),
     *("kalman_regressor", "kalman_bilinear", "kalman_features"),
 ]
 

@@ -23,7 +23,7 @@ from mmnn_pin.torque.neural import Robust
 ROBOT = load("platform_arm")
 E_INV = np.linalg.pinv(ROBOT.E)
 LEARNERS = (
-    *("two_layer", "one_layer", "two_layer_residual", "two_layer_composite", "adaptive", "adaptive_composite"),
+    *("two_layer", "one_layer", "two_layer_residual", "adaptive", "adaptive_composite"),
     *("concurrent", "kalman_regressor", "kalman_features", "deep_residual", "drem"),
 )
 SMALL = np.array([3.0, 3.0, 12.0, 8.0])  # [N m]: the feedback takes part of it, and leaves too little for Psi

@@ -21,8 +21,7 @@ from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import INDEX, Layout
 from mmnn_pin.torque.entries import CONTROLLERS
 from mmnn_pin.torque.law import Ahead, constant_gain
-from mmnn_pin.torque.neural import MEASURED, Inputs
-from mmnn_pin.torque.two_layer_composite import TwoLayerComposite
+from mmnn_pin.torque.neural import MEASURED, SEEN, Inputs
 
 ROBOTS = ("car_arm", "tricycle_arm", "loader_arm", "truck_trailer_arm", "swerve_arm", "casters_arm")
 SHORT = 0.02 if config.DISABLE_JIT else 0.3
@@ -99,7 +98,7 @@ def regressor_at(work, position, nu, nudot):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_networks_see_the_angles_and_nothing_else_beside(name):
     layout = Layout.of(robot(name).dimensions)
-    for inputs in (Inputs(), TwoLayerComposite().inputs):
+    for inputs in (Inputs(), SEEN):
         rows, more = inputs.rows(layout), 2 * layout.shape
         shape = np.arange(*layout.where("shape").indices(layout.width)[:2])
         np.testing.assert_array_equal(rows[-more:], np.repeat(shape, 2))
@@ -128,12 +127,6 @@ def test_a_network_learns_cosine_and_sine_of_the_angles():
     np.testing.assert_allclose(state["x"][-trigonometric.size :], trigonometric, rtol=1e-15)
 
 
-def test_a_twist_is_no_input_of_experience():
-    seen = replace(TwoLayerComposite(), inputs=Inputs(signals=("q", "velocity_ref")))
-    with pytest.raises(ConfigError, match="use alpha"):
-        seen.followed(Layout.of(robot("car_arm").dimensions))
-
-
 @pytest.mark.parametrize("learner", LEARNERS)
 @pytest.mark.parametrize("name", ["car_arm", "truck_trailer_arm", "swerve_arm", "casters_arm"])
 def test_engines_agree(name, learner):
@@ -153,7 +146,7 @@ def test_a_batch_has_the_bits_of_one(learner):
         np.testing.assert_array_equal(one.recording["torque"], made.run()["torque"])
 
 
-@pytest.mark.parametrize("learner", ["two_layer_composite", "deep_residual", "drem", "kalman_friction", "concurrent"])
+@pytest.mark.parametrize("learner", ["deep_residual", "drem", "kalman_friction", "concurrent"])
 def test_runs_resume(learner):
     """A run that stops in the middle and goes on from its memory ends as one that does not, bit for bit."""
     whole = loop("truck_trailer_arm", learner)

@@ -52,69 +52,41 @@ CLOCK = 5
 
 
 class Board(NamedTuple):
-    """The memory of a stepper.
+    """The memory of a stepper; what has no words beside it is as of `loop.sample.sample`."""
 
-    Attributes:
-        row: (width,) signals of the sample.
-        at: Their offsets.
-        received: (m,) pose, velocity, q, qdot in the row.
-        incoming: (m,) the measurement that comes in.
-        asked: (w,) the setpoint that comes in: a full sample, or the base velocity at its place.
-        control: What a control sample works on.
-        model, hardware, learner, limits, ahead, later: As of `loop.sample.sample`.
-        guide: What makes the reference.
-        supervisor: The supervisor.
-        clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, waits in a
-            pause.
-        losses: (1,) how often a setpoint was not renewed.
-        timeout: Age of a setpoint that has to be renewed at which it holds [s].
-        command: (motors,) torques that reach the motors.
-        motor_torque: (motors,) the same in the row.
-        before: (w,) the setpoint of the sample before, from which Psi_hat leads.
-        split: The rows that take a velocity; None where all take effort.
-        touch: What feels external torque; None for nothing.
-        kept: The controls of the law with its weights held, for contact; None where it goes on.
-        held: The learner with its weights held, likewise.
-        steering: Of a base that steers; None for others.
-        task: A compliant hand; None for one that is stiff.
-        seen: (m,) the measurement as the reference has it: pose, twist, q, qdot; of others than steer `received`.
-        motor_velocity: (motors,) commanded velocities [rad/s or m/s].
-        motor_position: (motors,) commanded positions, of motors that take them [rad or m].
-        placed: Motors that take a position; place of each in `Split.place`; its pivot if it follows another, else -1.
-        rolling: Of a base that steers; None for others.
-    """
-
-    row: Array
-    at: IntArray
-    received: Array
-    incoming: Array
-    asked: Array
-    control: Controls
+    row: Array  # (width,) signals of the sample
+    at: IntArray  # their offsets
+    received: Array  # (m,) pose, velocity, q, qdot in the row
+    incoming: Array  # (m,) the measurement that comes in
+    asked: Array  # (w,) the setpoint that comes in: a full sample, or the base velocity at its place
+    control: Controls  # what a control sample works on
     model: Machine | None
     hardware: Hardware
     learner: Any
     limits: MotorLimits | None
     ahead: Ahead | None
     later: Any
-    guide: Guide
-    supervisor: Supervisor
+    guide: Guide  # what makes the reference
+    supervisor: Supervisor  # the supervisor
+    # (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, waits in a pause
     clock: Array
-    losses: Array
-    timeout: float
-    command: Array
-    motor_torque: Array
-    before: Array
-    split: Split | None
-    touch: Feeler | None
-    kept: Controls | None
-    held: Any
-    steering: Steering | None
-    task: Compliance | None
-    seen: Array
-    motor_velocity: Array
-    motor_position: Array
+    losses: Array  # (1,) how often a setpoint was not renewed
+    timeout: float  # age of a setpoint that has to be renewed at which it holds [s]
+    command: Array  # (motors,) torques that reach the motors
+    motor_torque: Array  # (motors,) the same in the row
+    before: Array  # (w,) the setpoint of the sample before, from which Psi_hat leads
+    split: Split | None  # the rows that take a velocity; None where all take effort
+    touch: Feeler | None  # what feels external torque; None for nothing
+    kept: Controls | None  # the controls of the law with its weights held, for contact; None where it goes on
+    held: Any  # the learner with its weights held, likewise
+    steering: Steering | None  # of a base that steers; None for others
+    task: Compliance | None  # a compliant hand; None for one that is stiff
+    seen: Array  # (m,) the measurement as the reference has it: pose, twist, q, qdot; of others than steer `received`
+    motor_velocity: Array  # (motors,) commanded velocities [rad/s or m/s]
+    motor_position: Array  # (motors,) commanded positions, of motors that take them [rad or m]
+    # motors that take a position; place of each in `Split.place`; its pivot if it follows another, else -1
     placed: tuple[tuple[int, int, int], ...]
-    rolling: Rolling | None
+    rolling: Rolling | None  # of a base that steers; None for others
 
 
 class Fresh(Stepper):

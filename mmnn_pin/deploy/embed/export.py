@@ -34,35 +34,21 @@ LONGEST = 600.0  # time for the self-test [s]
 
 @dataclass(frozen=True, repr=False)
 class Embedded:
-    """An exported controller.
+    """An exported controller."""
 
-    Attributes:
-        controller: Its name.
-        robot: Name of the robot.
-        folder: Where the files are.
-        files: Their names.
-        ram_bytes: Size of the controller's struct.
-        code_bytes: Code and constants, the initial values among them; None where nothing was compiled.
-        initial_bytes: Constants that are only the initial values of what is learned.
-        compiler: What `code_bytes` is of.
-        selftest_steps: Samples of the self-test.
-        processor: The processor that was named; empty for none.
-        instructions: Of the worst sample of the self-test on a Cortex-M7; None where no processor was named.
-        share: Share of the period that this sample takes there.
-    """
-
-    controller: str
-    robot: str
-    folder: str
-    files: list[str]
-    ram_bytes: int
-    code_bytes: int | None
-    initial_bytes: int
-    compiler: str
-    selftest_steps: int
-    processor: str = ""
+    controller: str  # its name
+    robot: str  # name of the robot
+    folder: str  # where the files are
+    files: list[str]  # their names
+    ram_bytes: int  # size of the controller's struct
+    code_bytes: int | None  # code and constants, the initial values among them; None where nothing was compiled
+    initial_bytes: int  # constants that are only the initial values of what is learned
+    compiler: str  # what `code_bytes` is of
+    selftest_steps: int  # samples of the self-test
+    processor: str = ""  # the processor that was named; empty for none
+    # of the worst sample of the self-test on a Cortex-M7; None where no processor was named
     instructions: int | None = None
-    share: float | None = None
+    share: float | None = None  # share of the period that this sample takes there
 
     def __repr__(self) -> str:
         code = "" if self.code_bytes is None else f", {self.code_bytes} bytes of code and constants"
@@ -178,11 +164,7 @@ def require_embeddable(loop: Loop) -> None:
 
 
 def require_new(folder: Path, force: bool) -> None:
-    """Refuse a folder that exists.
-
-    Raises:
-        ConfigError: It does, and may not be written into, or is a file.
-    """
+    """Refuse a folder that exists (`ConfigError`)."""
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"{folder} is a file", fix="give a folder", key="out")
     if folder.exists() and not force:
@@ -190,11 +172,7 @@ def require_new(folder: Path, force: bool) -> None:
 
 
 def require_limits(stepper: Fresh) -> None:
-    """Refuse a robot whose motors nothing limits.
-
-    Raises:
-        ConfigError: A motor without a limit.
-    """
+    """Refuse a robot whose motors nothing limits (`ConfigError`)."""
     torque, robot = stepper.hardware.way.supervisor.torque, stepper.robot
     free = [name for name, limit in zip(robot.actuator_names, torque, strict=True) if not np.isfinite(limit)]
     if free:
@@ -204,11 +182,7 @@ def require_limits(stepper: Fresh) -> None:
 
 
 def require_small(export: Export, memory: int) -> None:
-    """Refuse a controller that does not fit a microcontroller.
-
-    Raises:
-        ConfigError: With the sizes of its largest arrays.
-    """
+    """Refuse a controller that does not fit a microcontroller (`ConfigError`)."""
     size = ram_bytes(export)
     if size > 1000 * memory:
         largest = sorted(export.members, key=lambda m: -m.data.size)[:3]

@@ -29,36 +29,22 @@ PRIME = np.uint64(0x9E3779B97F4A7C15)
 
 @dataclass(frozen=True)
 class GoldenEvent:
-    """The inputs of one sample.
+    """The inputs of one sample."""
 
-    Attributes:
-        time: [s].
-        received: (m,) pose, velocity, q, qdot, shape; None where no measurement came.
-        measured: When it was taken [s].
-        wish: Of `board`.
-        asked: (w,) the setpoint.
-        action: `STOP`, `RESET`, `PAUSE`, `RESUME`, or 0.
-    """
-
-    time: float
-    received: Array | None
-    measured: float
-    wish: int = GO_ON
-    asked: Array = field(default_factory=lambda: np.zeros(0))
-    action: int = 0
+    time: float  # [s]
+    received: Array | None  # (m,) pose, velocity, q, qdot, shape; None where no measurement came
+    measured: float  # when it was taken [s]
+    wish: int = GO_ON  # of `board`
+    asked: Array = field(default_factory=lambda: np.zeros(0))  # (w,) the setpoint
+    action: int = 0  # `STOP`, `RESET`, `PAUSE`, `RESUME`, or 0
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The outputs of one sample.
+    """The outputs of one sample."""
 
-    Attributes:
-        torque: (motors,) [N m or N].
-        checksum: Of all that it remembers.
-    """
-
-    torque: Array
-    checksum: int
+    torque: Array  # (motors,) [N m or N]
+    checksum: int  # of all that it remembers
 
 
 def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[GoldenEvent]:

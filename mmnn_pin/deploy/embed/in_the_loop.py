@@ -51,19 +51,12 @@ NEEDED = {HOST: (), QEMU: ("arm-none-eabi-gcc", "qemu-system-arm")}
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Two runs of the same loop, by Python and by an exported controller.
+    """Two runs of the same loop, by Python and by an exported controller."""
 
-    Attributes:
-        where: `HOST` or `QEMU`.
-        samples: Of the run.
-        status: How it ended.
-        differences: Signals, weights and states that are not equal bit for bit.
-    """
-
-    where: str
-    samples: int
-    status: str
-    differences: list[str]
+    where: str  # `HOST` or `QEMU`
+    samples: int  # of the run
+    status: str  # how it ended
+    differences: list[str]  # signals, weights and states that are not equal bit for bit
 
 
 class Linked(Fresh):
@@ -139,11 +132,7 @@ class Linked(Fresh):
         self._act(RESUME)
 
     def change(self, *given: Any, **more: Any) -> NoReturn:
-        """Refused: the exported controller is asked by its own functions.
-
-        Raises:
-            ConfigError: Always.
-        """
+        """Refused: the exported controller is asked by its own functions (`ConfigError`)."""
         why, fix = "it runs elsewhere", "call mmnn_set_gains there, or export it anew with --set"
         raise ConfigError("other gains for an exported controller", why=why, fix=fix, key="gains")
 
@@ -207,11 +196,7 @@ class Linked(Fresh):
 
 
 def require_tools(where: str) -> None:
-    """Refuse a place that nothing can be compiled for.
-
-    Raises:
-        ConfigError: A tool is missing.
-    """
+    """Refuse a place that nothing can be compiled for (`ConfigError`)."""
     for tool in NEEDED[where]:
         if shutil.which(tool) is None:
             fix = "apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm, or use --plant host"

@@ -27,36 +27,22 @@ SMALLEST = 1e-6  # of a limit that something is divided by
 
 @dataclass(frozen=True)
 class Tunable:
-    """A field of a struct that a board may change.
+    """A field of a struct that a board may change."""
 
-    Attributes:
-        name: In C.
-        about: Its meaning and unit.
-        arrays: Where it stands: views of one size.
-        least, most: Bounds (size,); of limits `most` is what was exported.
-    """
-
-    name: str
-    about: str
-    arrays: tuple[Array, ...]
-    least: Array
-    most: Array
+    name: str  # in C
+    about: str  # its meaning and unit
+    arrays: tuple[Array, ...]  # where it stands: views of one size
+    least: Array  # (size,) lower bounds
+    most: Array  # (size,) upper bounds; of limits what was exported
 
 
 class Carrier(NamedTuple):
-    """The body of a model that carries what the hand holds.
+    """The body of a model that carries what the hand holds."""
 
-    Attributes:
-        joint: Name of the joint that moves it.
-        row: Of `BodyTree.numbers`.
-        numbers: (3 + n, ...) of the model.
-        turn: (3, 3) from the frame of the joint in the URDF to that of the tree.
-    """
-
-    joint: str
-    row: int
-    numbers: Array
-    turn: Array
+    joint: str  # name of the joint that moves it
+    row: int  # of `BodyTree.numbers`
+    numbers: Array  # (3 + n, ...) of the model
+    turn: Array  # (3, 3) from the frame of the joint in the URDF to that of the tree
 
 
 def gains_of(stepper: Stepper) -> list[Tunable]:

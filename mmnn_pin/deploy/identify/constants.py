@@ -29,17 +29,11 @@ SEEN = 0.1  # largest relative standard deviation of a constant that is believed
 
 @dataclass(frozen=True, eq=False)
 class Constants:
-    """Torque constants that were found.
+    """Torque constants that were found."""
 
-    Attributes:
-        rows: (f,) places of their joints among the rows.
-        value: (f,) torque per effort.
-        sd: (f,) their standard deviations.
-    """
-
-    rows: tuple[int, ...]
-    value: Array
-    sd: Array
+    rows: tuple[int, ...]  # (f,) places of their joints among the rows
+    value: Array  # (f,) torque per effort
+    sd: Array  # (f,) their standard deviations
 
     def applied(self, equations: Equations) -> Equations:
         """The equations with torques in the place of efforts."""

@@ -299,11 +299,7 @@ def files_of(robot: Robot, out: Path) -> dict[str, Path]:
 
 
 def require_free(files: Mapping[str, Path], robot: Robot, force: bool) -> None:
-    """Refuse to replace files unasked, and the robot's own URDF at all.
-
-    Raises:
-        RecordingError: One exists.
-    """
+    """Refuse to replace files unasked, and the robot's own URDF at all (`RecordingError`)."""
     if files["urdf"].resolve() == robot.path.resolve():
         raise RecordingError("would replace the URDF itself", fix="choose another place with --out", file=files["urdf"])
     for file in files.values():

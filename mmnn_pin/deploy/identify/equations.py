@@ -41,19 +41,12 @@ MOVING = 0.9  # share of a filtered row's time in which its joints have to move
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """The fitted parameters: those of the regressor, a constant per effort, and Stribeck friction where asked for.
+    """The fitted parameters: those of the regressor, a constant per effort, and Stribeck friction where asked for."""
 
-    Attributes:
-        robot: The robot as its URDF has it.
-        regressor: Its regressor, k0 parameters.
-        rows: The r rows of nu whose efforts are measured.
-        stribeck: Velocity of the Stribeck effect [rad/s or m/s]; None without.
-    """
-
-    robot: Robot
-    regressor: Regressor
-    rows: tuple[int, ...]
-    stribeck: float | None = None
+    robot: Robot  # the robot as its URDF has it
+    regressor: Regressor  # its regressor, k0 parameters
+    rows: tuple[int, ...]  # the r rows of nu whose efforts are measured
+    stribeck: float | None = None  # velocity of the Stribeck effect [rad/s or m/s]; None without
 
     @cached_property
     def labels(self) -> tuple[str, ...]:
@@ -132,25 +125,15 @@ class Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Equations `Y theta = y` of a motion, M times r of them.
+    """Equations `Y theta = y` of a motion, M times r of them."""
 
-    Attributes:
-        time: (M,) [s].
-        Y: (M, r, k).
-        y: (M, r) measured efforts as generalized forces [N, N m].
-        use: (M, r) whether a row counts: its joints move, its motors are not saturated.
-        speed: (M, r) velocities of the rows [m/s, rad/s].
-        run: (M,) number of the stretch without gaps.
-        cutoff: Of the filter [Hz].
-    """
-
-    time: Array
-    Y: Array
-    y: Array
-    use: Bools
-    speed: Array
-    run: NDArray[np.int64]
-    cutoff: float
+    time: Array  # (M,) [s]
+    Y: Array  # (M, r, k)
+    y: Array  # (M, r) measured efforts as generalized forces [N, N m]
+    use: Bools  # (M, r) whether a row counts: its joints move, its motors are not saturated
+    speed: Array  # (M, r) velocities of the rows [m/s, rad/s]
+    run: NDArray[np.int64]  # (M,) number of the stretch without gaps
+    cutoff: float  # of the filter [Hz]
 
     def __len__(self) -> int:
         return len(self.time)
@@ -179,11 +162,7 @@ class Equations:
 
 
 def require_identifiable(robot: Robot) -> None:
-    """Refuse a robot whose base steers.
-
-    Raises:
-        RobotError: It does.
-    """
+    """Refuse a robot whose base steers (`RobotError`)."""
     if robot.steers:
         why = f"its base of kind '{robot.base.kind}' steers, and the equations here are those of a constant T"
         raise RobotError(f"'{robot.name}' cannot be identified", why=why, fix="its arm alone can: --base fixed")

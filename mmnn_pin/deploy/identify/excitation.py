@@ -66,24 +66,16 @@ MotionSamples = tuple[Array, Array, Array, Array]  # times (N,), integrals of nu
 class ExcitationLimits:
     """Limits of a motion that identifies.
 
-    Args:
-        duration: [s].
-        space: Half the side of the square that the base stays in [m].
-        share: Of the limits of position, speed and torque that is used.
-        clearance: Radius of the spheres along the links [m]; 0 for no look at collisions.
-        seconds: Time to look for it [s].
-        seed: Of the search.
-
     Raises:
         ConfigError: A number that cannot be.
     """
 
-    duration: float = 40.0
-    space: float = 1.0
-    share: float = SHARE
-    clearance: float = 0.06
-    seconds: float = 20.0
-    seed: int = 0
+    duration: float = 40.0  # [s]
+    space: float = 1.0  # half the side of the square that the base stays in [m]
+    share: float = SHARE  # of the limits of position, speed and torque that is used
+    clearance: float = 0.06  # radius of the spheres along the links [m]; 0 for no look at collisions
+    seconds: float = 20.0  # time to look for it [s]
+    seed: int = 0  # of the search
 
     def __post_init__(self) -> None:
         for name, least in (("duration", 5.0), ("space", 0.0), ("share", 0.0), ("clearance", 0.0), ("seconds", 0.0)):
@@ -95,48 +87,29 @@ class ExcitationLimits:
 
 @dataclass(frozen=True)
 class RefusedCandidate:
-    """Why a candidate is no motion.
+    """Why a candidate is no motion."""
 
-    Attributes:
-        what: `"links"` touch, a motor cannot `"hold"` its joint up or `"move"` it, parameters stay `"unseen"`.
-        size: Least distance of links, or largest torque, over what is allowed; 0 of parameters.
-        names: The velocity whose torque is the largest; the parameters.
-    """
-
+    # `"links"` touch, a motor cannot `"hold"` its joint up or `"move"` it, parameters stay `"unseen"`
     what: Literal["links", "hold", "move", "unseen"]
-    size: float
-    names: tuple[str, ...] = ()
+    size: float  # least distance of links, or largest torque, over what is allowed; 0 of parameters
+    names: tuple[str, ...] = ()  # the velocity whose torque is the largest; the parameters
 
 
 @dataclass(frozen=True, eq=False)
 class ExcitingMotion:
-    """A motion and what it would determine.
+    """A motion and what it would determine."""
 
-    Attributes:
-        robot: The robot.
-        time: (N,) [s], at `RATE`.
-        position: (N, n) joints [rad or m].
-        nu: (N, p) velocities.
-        nudot: (N, p) accelerations.
-        pose: (N, 3) of the base, from the origin; (N, 0) for a fixed arm.
-        base: The base parameters.
-        sd: (b,) their predicted standard deviations.
-        scale: (b,) size that the URDF's robot has there.
-        condition: Of the weighted regressor.
-        tried: Candidates that were looked at.
-    """
-
-    robot: Robot
-    time: Array
-    position: Array
-    nu: Array
-    nudot: Array
-    pose: Array
-    base: BaseParameters
-    sd: Array
-    scale: Array
-    condition: float
-    tried: int
+    robot: Robot  # the robot
+    time: Array  # (N,) [s], at `RATE`
+    position: Array  # (N, n) joints [rad or m]
+    nu: Array  # (N, p) velocities
+    nudot: Array  # (N, p) accelerations
+    pose: Array  # (N, 3) of the base, from the origin; (N, 0) for a fixed arm
+    base: BaseParameters  # the base parameters
+    sd: Array  # (b,) their predicted standard deviations
+    scale: Array  # (b,) size that the URDF's robot has there
+    condition: float  # of the weighted regressor
+    tried: int  # candidates that were looked at
 
     @property
     def relative(self) -> Array:
@@ -229,30 +202,19 @@ def excite(robot: Robot, limits: ExcitationLimits | None = None) -> ExcitingMoti
 
 @dataclass(frozen=True, eq=False)
 class ExcitationSearch:
-    """The search for a motion: the unknowns, the limits, and the noise that candidates are judged by.
+    """The search for a motion: the unknowns, the limits, and the noise that candidates are judged by."""
 
-    Attributes:
-        unknowns: All parameters, every row of nu measured.
-        base: Their base parameters.
-        limits: What a motion may do.
-        speed: (p,) largest velocities.
-        low: (n,) and high: (n,) ends of the joints that may be used.
-        torque: (p,) largest generalized forces, inf for none.
-        noise: (p,) of the torques.
-        apart: Distance of every pair of links over that allowed, of a position (n,); inf without pairs.
-        safe: (n,) a position with room around it where motors hold the arm up; motions shrink towards it.
-    """
-
-    unknowns: Unknowns
-    base: BaseParameters
-    limits: ExcitationLimits
-    speed: Array
-    low: Array
+    unknowns: Unknowns  # all parameters, every row of nu measured
+    base: BaseParameters  # their base parameters
+    limits: ExcitationLimits  # what a motion may do
+    speed: Array  # (p,) largest velocities
+    low: Array  # (n,) and high: (n,) ends of the joints that may be used
     high: Array
-    torque: Array
-    noise: Array
+    torque: Array  # (p,) largest generalized forces, inf for none
+    noise: Array  # (p,) of the torques
+    # distance of every pair of links over that allowed, of a position (n,); inf without pairs
     apart: Callable[[Array], float]
-    safe: Array
+    safe: Array  # (n,) a position with room around it where motors hold the arm up; motions shrink towards it
 
     @classmethod
     def of(cls, robot: Robot, limits: ExcitationLimits) -> ExcitationSearch:

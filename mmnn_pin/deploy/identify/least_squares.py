@@ -37,15 +37,10 @@ FEWEST = 20  # pairs of rows that a lag needs
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
-    """Base parameters of some rows.
+    """Base parameters of some rows."""
 
-    Attributes:
-        independent: Parameters that lead a combination, (b,).
-        combination: (b, k) beta = combination theta.
-    """
-
-    independent: NDArray[np.int64]
-    combination: Array
+    independent: NDArray[np.int64]  # parameters that lead a combination, (b,)
+    combination: Array  # (b, k) beta = combination theta
 
     def name(self, i: int, labels: Sequence[str], most: int = 6) -> str:
         """A combination in words: `a.m + 0.5 b.mx`."""
@@ -96,27 +91,16 @@ def base_parameters(unknowns: Unknowns, rows: Bools, moves: Bools, samples: int 
 
 @dataclass(frozen=True, eq=False)
 class WeightedFit:
-    """A weighted fit.
+    """A weighted fit."""
 
-    Attributes:
-        base: The combinations.
-        value: (b,) their estimates.
-        covariance: (b, b) of the estimates.
-        seen: (b,) whether the motion determines each at all.
-        condition: Condition number of the weighted regressor, columns of length 1.
-        deviation: (r,) residual standard deviation of every row; nan for those that do not count.
-        weights: (M, r) of the equations, between 0 and 1.
-        inflation: How many equations as correlated as these say as much as one of their own.
-    """
-
-    base: BaseParameters
-    value: Array
-    covariance: Array
-    seen: Bools
-    condition: float
-    deviation: Array
-    weights: Array
-    inflation: float
+    base: BaseParameters  # the combinations
+    value: Array  # (b,) their estimates
+    covariance: Array  # (b, b) of the estimates
+    seen: Bools  # (b,) whether the motion determines each at all
+    condition: float  # condition number of the weighted regressor, columns of length 1
+    deviation: Array  # (r,) residual standard deviation of every row; nan for those that do not count
+    weights: Array  # (M, r) of the equations, between 0 and 1
+    inflation: float  # how many equations as correlated as these say as much as one of their own
 
     @property
     def sd(self) -> Array:

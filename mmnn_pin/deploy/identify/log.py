@@ -27,25 +27,17 @@ LARGEST = 1e30  # in SI units, of anything; its square is a number
 
 @dataclass(frozen=True)
 class LogFinding:
-    """A finding of the doctor in a log.
+    """A finding of the doctor in a log."""
 
-    Attributes:
-        grade: `"refused"`: it contradicts the physics, and nothing is written; `"warned"`; `"mended"`.
-        what: What was seen, with its band.
-        why: How sure that is, and by what.
-        changes: What it would change.
-        mends: What mends it, see `mends`; empty where the user has to do it, as `fix` says.
-        fix: In words, beside `mends`.
-        size: How bad it is among those of its grade.
-    """
-
+    # `"refused"`: it contradicts the physics, and nothing is written; `"warned"`; `"mended"`
     grade: Literal["refused", "warned", "mended"]
-    what: str
-    why: str = ""
-    changes: str = ""
+    what: str  # what was seen, with its band
+    why: str = ""  # how sure that is, and by what
+    changes: str = ""  # what it would change
+    # what mends it, see `mends`; empty where the user has to do it, as `fix` says
     mends: tuple[tuple[str, str], ...] = ()
-    fix: str = ""
-    size: float = 0.0
+    fix: str = ""  # in words, beside `mends`
+    size: float = 0.0  # how bad it is among those of its grade
 
     @property
     def advice(self) -> str:

@@ -98,11 +98,7 @@ def told_delays(mends: Mend, motors: Sequence[str]) -> dict[str, tuple[float, fl
 
 
 def require_signals(logs: Sequence[Log], mends: Mend) -> None:
-    """Refuse a mend that no log has a signal for.
-
-    Raises:
-        UnknownName: There is one.
-    """
+    """Refuse a mend that no log has a signal for (`UnknownName`)."""
     for mend in mends:
         if not any(mends_of(log, (mend,)) for log in logs):
             names = dict.fromkeys(name for log in logs for name in log.signals)

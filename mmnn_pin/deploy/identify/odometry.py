@@ -89,19 +89,12 @@ class Wheels:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A drive without gaps.
+    """A drive without gaps."""
 
-    Attributes:
-        time: (n,) of the wheels' angles [s].
-        angles: (n, 2) turned forward, left and right [rad].
-        seen: (k,) times of the reference [s].
-        pose: (k, 3) of it, its heading unwrapped.
-    """
-
-    time: Array
-    angles: Array
-    seen: Array
-    pose: Array
+    time: Array  # (n,) of the wheels' angles [s]
+    angles: Array  # (n, 2) turned forward, left and right [rad]
+    seen: Array  # (k,) times of the reference [s]
+    pose: Array  # (k, 3) of it, its heading unwrapped
 
 
 def has_reference(log: Log, robot: Robot) -> bool:

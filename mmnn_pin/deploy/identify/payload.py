@@ -58,25 +58,15 @@ FAR = 10.0  # standard deviation of a centre from which nothing is known [m]
 
 @dataclass(frozen=True, eq=False)
 class CarriedLoad:
-    """The load that a robot carries.
+    """The load that a robot carries."""
 
-    Attributes:
-        link: Link that carries it, the first of its body.
-        mass: [kg].
-        mass_sd: Its standard deviation.
-        centre: (3,) in the link's frame [m].
-        centre_sd: (3,) of it; inf where no torque tells a coordinate.
-        error: Torque error without and with the load, relative to the measured torque.
-        doubt: How far off the robot's bodies are, relative; its parameters beside a covariance that is given.
-    """
-
-    link: str
-    mass: float
-    mass_sd: float
-    centre: Array
-    centre_sd: Array
-    error: tuple[float, float]
-    doubt: float
+    link: str  # link that carries it, the first of its body
+    mass: float  # [kg]
+    mass_sd: float  # its standard deviation
+    centre: Array  # (3,) in the link's frame [m]
+    centre_sd: Array  # (3,) of it; inf where no torque tells a coordinate
+    error: tuple[float, float]  # torque error without and with the load, relative to the measured torque
+    doubt: float  # how far off the robot's bodies are, relative; its parameters beside a covariance that is given
 
     def to_dict(self) -> dict[str, Any]:
         """All of it, for JSON."""
@@ -152,40 +142,24 @@ def payload(
 
 @dataclass(frozen=True, eq=False)
 class Doubts:
-    """The uncertainty of a robot's parameters: `theta = centre + B x`.
+    """The uncertainty of a robot's parameters: `theta = centre + B x`."""
 
-    Attributes:
-        centre: (k,) parameters without a load.
-        B: (k, m).
-        scales: (S,) the s that may be.
-        likely: (S,) how likely each is beforehand.
-        sd: (S, m) of x with each.
-    """
-
-    centre: Array
-    B: Array
-    scales: Array
-    likely: Array
-    sd: Array
+    centre: Array  # (k,) parameters without a load
+    B: Array  # (k, m)
+    scales: Array  # (S,) the s that may be
+    likely: Array  # (S,) how likely each is beforehand
+    sd: Array  # (S, m) of x with each
 
 
 @dataclass(frozen=True, eq=False)
 class LoadNumbers:
-    """Mass and first moments of a load.
+    """Mass and first moments of a load."""
 
-    Attributes:
-        value: (4,) in the joint's frame [kg, kg m].
-        covariance: (4, 4).
-        seen: (4,) whether the motion determines each.
-        error: Torque error without and with the load, relative to the measured torque.
-        scale: Mean of s.
-    """
-
-    value: Array
-    covariance: Array
-    seen: Bools
-    error: tuple[float, float]
-    scale: float
+    value: Array  # (4,) in the joint's frame [kg, kg m]
+    covariance: Array  # (4, 4)
+    seen: Bools  # (4,) whether the motion determines each
+    error: tuple[float, float]  # torque error without and with the load, relative to the measured torque
+    scale: float  # mean of s
 
 
 def doubts(unknowns: Unknowns, rows: Equations, believed: tuple[Array, Array] | None = None) -> Doubts:
@@ -249,23 +223,14 @@ def numbers_of(rows: Equations, carries: Bools, robot: Doubts, body: int) -> Loa
 
 @dataclass(frozen=True, eq=False)
 class LoadSums:
-    """Weighted sums over the equations in the robot's errors and the load's ten numbers, m + 10 columns.
+    """Weighted sums over the equations in the robot's errors and the load's ten numbers, m + 10 columns."""
 
-    Attributes:
-        A: (r, m + 10, m + 10) `X' W X` of every row that counts.
-        b: (r, m + 10) `X' W y`.
-        c: (r,) `y' W y`.
-        count: (r,) sum of the weights W.
-        least: (r,) variance that a row has at least.
-        spread: How many equations say as much as one of their own.
-    """
-
-    A: Array
-    b: Array
-    c: Array
-    count: Array
-    least: Array
-    spread: float
+    A: Array  # (r, m + 10, m + 10) `X' W X` of every row that counts
+    b: Array  # (r, m + 10) `X' W y`
+    c: Array  # (r,) `y' W y`
+    count: Array  # (r,) sum of the weights W
+    least: Array  # (r,) variance that a row has at least
+    spread: float  # how many equations say as much as one of their own
 
     @classmethod
     def of(cls, given: Equations, fit: WeightedFit) -> LoadSums:
@@ -309,23 +274,14 @@ class LoadSums:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """A fit of the robot's errors and the load's numbers.
+    """A fit of the robot's errors and the load's numbers."""
 
-    Attributes:
-        value: (m + 10,) of the columns.
-        T: (m + 10, m + 10) from what is fitted to them: with mass and first moments go the second ones of a point.
-        sure: (m + 10,) what is known beforehand, 1 / sd^2.
-        inverse: (m + 10, m + 10) of the information, the spread counted.
-        deviation: (r,) of rows that count.
-        evidence: Logarithm of the density of the torques beforehand, up to a constant.
-    """
-
-    value: Array
-    T: Array
-    sure: Array
-    inverse: Array
-    deviation: Array
-    evidence: float
+    value: Array  # (m + 10,) of the columns
+    T: Array  # (m + 10, m + 10) from what is fitted to them: with mass and first moments go the second ones of a point
+    sure: Array  # (m + 10,) what is known beforehand, 1 / sd^2
+    inverse: Array  # (m + 10, m + 10) of the information, the spread counted
+    deviation: Array  # (r,) of rows that count
+    evidence: float  # logarithm of the density of the torques beforehand, up to a constant
 
     @property
     def load(self) -> Array:

@@ -120,11 +120,7 @@ def joined(logs: Iterable[Log]) -> list[Log]:
 
 
 def require_joints(log: Log, robot: Robot) -> None:
-    """Refuse a log that has no positions of the robot's joints, or no efforts of its motors.
-
-    Raises:
-        RecordingError: It has none.
-    """
+    """Refuse a log that has no positions of the robot's joints, or no efforts of its motors (`RecordingError`)."""
     names = [*robot.joint_names, *(wheel.joint for wheel in robot.base.wheels)]
     for kind, there, wanted in (("position", log.position, names), ("effort", log.effort, robot.actuator_names)):
         guesses = [note for note in log.notes if note.startswith("not taken") and f"{kind}." in note]
@@ -143,11 +139,7 @@ def require_joints(log: Log, robot: Robot) -> None:
 
 
 def read_csv(path: Path, robot: Robot, columns: Columns, rate: float | None = None) -> Log:
-    """A table with a header.
-
-    Raises:
-        InputError: As `read_logs`.
-    """
+    """A table with a header; errors as of `read_logs`."""
     if path.suffix in (".npz", ".npy", ".mat"):
         fix = "identify(robot, Log.of(time, position, effort)) in Python, or write a CSV file"
         raise RecordingError("arrays without names of joints", fix=fix, file=path)

@@ -120,17 +120,11 @@ def round_number(turn: float, tolerance: float) -> float:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit that times may have.
+    """A unit that times may have."""
 
-    Attributes:
-        name: Of it.
-        off: How far the motion is from what it would be, in factors of ten.
-        why: By what.
-    """
-
-    name: str
-    off: float
-    why: str
+    name: str  # of it
+    off: float  # how far the motion is from what it would be, in factors of ten
+    why: str  # by what
 
 
 def in_seconds(log: Log) -> Log:

@@ -38,23 +38,14 @@ Signal = Callable[[Array, float], Array]  # values at times, behind a first-orde
 
 @dataclass(frozen=True)
 class Delay:
-    """How much later one signal comes than another one.
+    """How much later one signal comes than another one."""
 
-    Attributes:
-        value: [s]; negative for earlier.
-        sd: [s].
-        lag: Time constant of a first-order lag beside it [s].
-        lag_sd: [s].
-        error: RMS of what is left, over the RMS of the signal.
-        error_before: The same without delay and lag.
-    """
-
-    value: float
-    sd: float
-    lag: float
-    lag_sd: float
-    error: float
-    error_before: float
+    value: float  # [s]; negative for earlier
+    sd: float  # [s]
+    lag: float  # time constant of a first-order lag beside it [s]
+    lag_sd: float  # [s]
+    error: float  # RMS of what is left, over the RMS of the signal
+    error_before: float  # the same without delay and lag
 
     @property
     def whole(self) -> float:

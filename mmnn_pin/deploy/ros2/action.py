@@ -28,19 +28,12 @@ KEEP = 300  # time that a result is kept [s]
 
 @dataclass
 class Served:
-    """An action that is served.
+    """An action that is served."""
 
-    Attributes:
-        name: Of the action, as the graph has it.
-        type: Of the action.
-        goals: Its goals.
-        server: Of rclpy.
-    """
-
-    name: str
-    type: str
-    goals: Goals
-    server: ActionServer
+    name: str  # of the action, as the graph has it
+    type: str  # of the action
+    goals: Goals  # its goals
+    server: ActionServer  # of rclpy
 
     @classmethod
     def of(cls, node: RosNode, name: str, kind: Any, goals: Goals, result: Callable[[Goal], Any]) -> Served:

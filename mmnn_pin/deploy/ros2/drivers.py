@@ -34,21 +34,13 @@ ONE_BY_ONE = "command its wheels one by one: {{type: Float64MultiArray, interfac
 
 
 class Driver(NamedTuple):
-    """A controller for bases.
+    """A controller for bases."""
 
-    Attributes:
-        kind: Its class.
-        takes: Last part of the topic of its command.
-        tells: Last part of the topic of its odometry.
-        timeout: Its parameter for the age of a command.
-        geometry: Its parameters for a base with these driven wheels.
-    """
-
-    kind: str
-    takes: str
-    tells: str
-    timeout: str
-    geometry: Callable[[Base, list[Wheel]], dict[str, Any]]
+    kind: str  # its class
+    takes: str  # last part of the topic of its command
+    tells: str  # last part of the topic of its odometry
+    timeout: str  # its parameter for the age of a command
+    geometry: Callable[[Base, list[Wheel]], dict[str, Any]]  # its parameters for a base with these driven wheels
 
     @property
     def name(self) -> str:

@@ -27,27 +27,16 @@ GiveWay = Callable[[str, tuple[int, ...]], None]
 
 @dataclass
 class Goal:
-    """A goal that came, and what becomes of it.
+    """A goal that came, and what becomes of it."""
 
-    Attributes:
-        handle: The server's.
-        parts: Which parts of the robot it moves.
-        begins: When it begins, by the time of ROS 2 [s].
-        left: Time until its motion is over, at the pace at which it is followed [s].
-        over: Set at the end, when these hold:
-        outcome: "succeed", "abort" or "canceled".
-        code: As its action numbers it.
-        why: In one line.
-    """
-
-    handle: Any
-    parts: tuple[int, ...] = ()
-    begins: float = 0.0
-    left: float = 0.0
-    over: Event = field(default_factory=Event)
-    outcome: str = "abort"
-    code: int = 0
-    why: str = ""
+    handle: Any  # the server's
+    parts: tuple[int, ...] = ()  # which parts of the robot it moves
+    begins: float = 0.0  # when it begins, by the time of ROS 2 [s]
+    left: float = 0.0  # time until its motion is over, at the pace at which it is followed [s]
+    over: Event = field(default_factory=Event)  # set at the end, when these hold:
+    outcome: str = "abort"  # "succeed", "abort" or "canceled"
+    code: int = 0  # as its action numbers it
+    why: str = ""  # in one line
 
     def end(self, outcome: str, code: int, why: str) -> None:
         """It is over."""

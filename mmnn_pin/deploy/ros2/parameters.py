@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
-import re
 from array import array
 from collections.abc import Iterator
 from typing import Any
@@ -15,6 +13,7 @@ from rclpy.node import Node as RosNode
 from rclpy.parameter import Parameter
 
 from ...errors import ConfigError
+from ...settings.meanings import meanings
 from .settings import FREE, LIVE, Node, is_part
 
 OWN = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # of rclpy itself
@@ -75,13 +74,6 @@ def fields(kind: Any, before: str = "") -> Iterator[tuple[str, Any, Any, str]]:
             yield from fields(field.type, f"{name}.")
         elif name not in FREE:
             yield name, field.default, field.type, told.get(field.name, "")
-
-
-def meanings(kind: Any) -> dict[str, str]:
-    """Descriptions of the fields of a kind of settings, from its docstring and those of the kinds that it extends."""
-    texts = [inspect.cleandoc(one.__doc__ or "").partition("Args:\n")[2] for one in reversed(kind.__mro__)]
-    found = [re.findall(r"^    (\w+): (.+(?:\n {6,}.+)*)", text, re.MULTILINE) for text in texts]
-    return {name: " ".join(text.split()) for pairs in found for name, text in pairs}
 
 
 def plain(value: Any) -> Any:

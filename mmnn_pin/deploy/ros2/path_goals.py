@@ -26,17 +26,11 @@ NONE, UNKNOWN, NO_FRAME, INVALID_PATH, NO_PROGRESS, NO_CONTROL = 0, 100, 102, 10
 
 @dataclass
 class PathGoal(Goal):
-    """A path of the base.
+    """A path of the base."""
 
-    Attributes:
-        ways: (N,) way that is left at every sample of its motion [m].
-        period: Between two of them [s].
-        found: Its motion, and where that lies.
-    """
-
-    ways: Array = field(default_factory=lambda: np.zeros(1))
-    period: float = 1.0
-    found: Followed | None = None
+    ways: Array = field(default_factory=lambda: np.zeros(1))  # (N,) way that is left at every sample of its motion [m]
+    period: float = 1.0  # between two of them [s]
+    found: Followed | None = None  # its motion, and where that lies
 
     @property
     def distance(self) -> float:

@@ -53,23 +53,14 @@ class Refused(MmnnError):
 
 
 class RobotSituation(NamedTuple):
-    """The reference and the measured state of a robot at one sample.
+    """The reference and the measured state of a robot at one sample."""
 
-    Attributes:
-        reference: (3, n) q, qdot, qddot of the arm's reference.
-        measured: (2, n) q, qdot.
-        base: (3 + twist,) pose and velocity of the base's reference.
-        pose: (3,) measured.
-        velocity: (twist,) measured.
-        moved_on: By how much motions went on since the last sample, at the pace at which they are followed [s].
-    """
-
-    reference: Array
-    measured: Array
-    base: Array
-    pose: Array
-    velocity: Array
-    moved_on: float
+    reference: Array  # (3, n) q, qdot, qddot of the arm's reference
+    measured: Array  # (2, n) q, qdot
+    base: Array  # (3 + twist,) pose and velocity of the base's reference
+    pose: Array  # (3,) measured
+    velocity: Array  # (twist,) measured
+    moved_on: float  # by how much motions went on since the last sample, at the pace at which they are followed [s]
 
     def copy(self) -> RobotSituation:
         """As it is now."""
@@ -79,19 +70,12 @@ class RobotSituation(NamedTuple):
 
 @dataclass(frozen=True)
 class PlannedArm:
-    """A robot's arm as its planner sees it: makes motions out of the planner's messages.
+    """A robot's arm as its planner sees it: makes motions out of the planner's messages."""
 
-    Attributes:
-        robot: The robot.
-        names: Its joints as the planner calls them.
-        guide: Ends and limits of the joints.
-        period: Between two samples [s].
-    """
-
-    robot: Robot
-    names: tuple[str, ...]
-    guide: Guide
-    period: float
+    robot: Robot  # the robot
+    names: tuple[str, ...]  # its joints as the planner calls them
+    guide: Guide  # ends and limits of the joints
+    period: float  # between two samples [s]
 
     @classmethod
     def of(cls, robot: Robot, names: dict[str, str], limits: Limits, period: float) -> PlannedArm:

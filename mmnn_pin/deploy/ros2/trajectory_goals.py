@@ -28,21 +28,14 @@ ERASED = -1.0  # tolerance that takes the default away
 
 @dataclass
 class TrajectoryGoal(Goal):
-    """A goal of joints, and of the base.
+    """A goal of joints, and of the base."""
 
-    Attributes:
-        base: What the planner calls the base; empty where it does not move.
-        last: (n + 3,) where joints and base are to end.
-        on_way: (2, n + 3) largest errors of position and velocity on the way, inf for none.
-        at_end: (2, n + 3) likewise at the end.
-        patience: Time after the end [s].
-    """
-
-    base: str = ""
-    last: Array = field(default_factory=lambda: np.zeros(0))
+    base: str = ""  # what the planner calls the base; empty where it does not move
+    last: Array = field(default_factory=lambda: np.zeros(0))  # (n + 3,) where joints and base are to end
+    # (2, n + 3) largest errors of position and velocity on the way, inf for none
     on_way: Array = field(default_factory=lambda: np.zeros((2, 0)))
-    at_end: Array = field(default_factory=lambda: np.zeros((2, 0)))
-    patience: float = 0.0
+    at_end: Array = field(default_factory=lambda: np.zeros((2, 0)))  # (2, n + 3) likewise at the end
+    patience: float = 0.0  # time after the end [s]
 
 
 class TrajectoryGoals(Goals):

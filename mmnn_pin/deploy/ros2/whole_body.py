@@ -38,21 +38,13 @@ PARTS = ("x", "y", "theta")
 
 @dataclass(frozen=True)
 class BasePoints:
-    """Where the base is to be, and when.
+    """Where the base is to be, and when."""
 
-    Attributes:
-        name: Of the joint that it is to the planner.
-        times: (k,) from the start of the motion on [s].
-        poses: (k, 3) in the frame of the message.
-        rates: (k, 3) of the pose; None where the points have none [m/s, rad/s].
-        bends: (k, 3) rates of those likewise; only with rates.
-    """
-
-    name: str
-    times: Array
-    poses: Array
-    rates: Array | None = None
-    bends: Array | None = None
+    name: str  # of the joint that it is to the planner
+    times: Array  # (k,) from the start of the motion on [s]
+    poses: Array  # (k, 3) in the frame of the message
+    rates: Array | None = None  # (k, 3) of the pose; None where the points have none [m/s, rad/s]
+    bends: Array | None = None  # (k, 3) rates of those likewise; only with rates
 
     def placed(self, place: Planar, heading: float) -> BasePoints:
         """Out of a frame at a place, headings by the nearest turn from one on."""

@@ -30,38 +30,24 @@ AT_END = 0.1  # of a stopped run, in which the robot must be at rest [s]
 
 @dataclass(frozen=True)
 class CaseVerdict:
-    """Verdict on a run of a case.
+    """Verdict on a run of a case."""
 
-    Attributes:
-        kind: `tracked` within its tolerance, `stopped` safely, or `failed`.
-        text: Why, in a few words.
-        pose: Largest true distance from the reference after settling [m]; nan for a fixed arm.
-        heading: Largest true heading error after settling [rad]; nan for a fixed arm.
-        joint: Largest true error of an arm joint after settling [rad or m]; nan without an arm.
-    """
-
+    # `tracked` within its tolerance, `stopped` safely, or `failed`
     kind: Literal["tracked", "stopped", "failed", "interrupted"]
-    text: str
-    pose: float
-    heading: float
-    joint: float
+    text: str  # why, in a few words
+    pose: float  # largest true distance from the reference after settling [m]; nan for a fixed arm
+    heading: float  # largest true heading error after settling [rad]; nan for a fixed arm
+    joint: float  # largest true error of an arm joint after settling [rad or m]; nan without an arm
 
 
 @dataclass(frozen=True)
 class CaseMatrix:
-    """All cases of an experiment.
+    """All cases of an experiment."""
 
-    Attributes:
-        experiment: The experiment without its cases.
-        name: Its name.
-        results: Case to result.
-        verdicts: Case to controller to verdict.
-    """
-
-    experiment: Experiment
-    name: str
-    results: dict[str, Result]
-    verdicts: dict[str, dict[str, CaseVerdict]]
+    experiment: Experiment  # the experiment without its cases
+    name: str  # its name
+    results: dict[str, Result]  # case to result
+    verdicts: dict[str, dict[str, CaseVerdict]]  # case to controller to verdict
 
     @property
     def completed(self) -> bool:
@@ -174,11 +160,7 @@ def run_cases(
 
 
 def require_settled(experiment: Experiment) -> None:
-    """Refuse a run that is over before its errors count: any would do.
-
-    Raises:
-        ConfigError: With the key.
-    """
+    """Refuse a run that is over before its errors count: any would do (`ConfigError`)."""
     settle, end = experiment.tolerance.settle, experiment.time.duration
     if settle >= end:
         raise ConfigError(
@@ -255,17 +237,11 @@ APPENDIX_B_SHORT = ("alpha", "alphadot", "e", "r", "q_ref", "qdot_ref", "qddot_r
 
 @dataclass(frozen=True)
 class Switch:
-    """A key of an experiment and the two values between which the thesis leaves a choice.
+    """A key of an experiment and the two values between which the thesis leaves a choice."""
 
-    Attributes:
-        key: Key path, `section.name`.
-        first: One value, and how the table calls it.
-        second: The other.
-    """
-
-    key: str
-    first: tuple[Any, str]
-    second: tuple[Any, str]
+    key: str  # key path, `section.name`
+    first: tuple[Any, str]  # one value, and how the table calls it
+    second: tuple[Any, str]  # the other
 
     def turned(self, experiment: Experiment) -> tuple[str, Experiment]:
         """The experiment with this switch in its other place, and what that is called."""

@@ -231,11 +231,7 @@ def renamed(controller: Controller, name: str) -> Controller:
 
 
 def require_kind(value: Any, kind: type, key: str, fix: str) -> None:
-    """Refuse an object of another kind.
-
-    Raises:
-        ConfigError: It is one.
-    """
+    """Refuse an object of another kind (`ConfigError`)."""
     if not isinstance(value, kind):
         shown = f"'{value}'" if isinstance(value, str) else "None" if value is None else f"a {type(value).__name__}"
         raise ConfigError(f"{shown} is no {kind.__name__}", fix=f"give one: {fix}", key=key)

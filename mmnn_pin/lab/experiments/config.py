@@ -24,7 +24,7 @@ from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...recording.recording import Recording
 from ...settings.arguments import checked, unknown_key, wrong_type
-from .controllers import new_name, renamed
+from .controllers import of_today
 from .experiment import Experiment
 from .hardware import COARSEST, Fitted, borne, require_strength
 from .hardware_table import beside_urdf, read_hardware
@@ -143,7 +143,7 @@ def recorded_experiment(recording: Recording) -> Experiment | None:
         return None
     try:
         table = msgspec.json.decode(recording.config_text, type=dict[str, Any])
-        return msgspec.convert(renamed(without_null(table)), Experiment)
+        return msgspec.convert(of_today(without_null(table)), Experiment)
     except (msgspec.DecodeError, InputError) as error:
         raise RecordingError(
             "its config cannot be read",
@@ -387,10 +387,6 @@ def config_error(
     key = with_names(there, table, root) or None
     kind, known = kind_at(key, table, root), tuple[str, ...]()
     unknown = unknown_key(error)
-    last = value_at(table, key) if unknown is None else unknown
-    old = ((key or ""), last) if unknown is None else (".".join(filter(None, (key, unknown))), None)
-    if now := new_name(*old):
-        return ConfigError(f"'{last}' is now called '{now}'", fix=f"write {now}", file=path, key=key)
     if unknown is not None:
         known = keys_of(kind)
         tables = [".".join(filter(None, (key, name))) for name in known]

@@ -21,7 +21,6 @@ from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...model.tree.body import parameters
 from ...settings import Settings, require_numbers
-from ...settings.arguments import FORMERLY
 from ...signals import Array
 from ...torque.controller import CompiledController, ControllerSettings, Feedback, MachineLimits, TorqueController
 from ...torque.entries import CONTROLLERS as ENTRIES
@@ -41,15 +40,7 @@ PLAIN = tuple(name for name, entry in ENTRIES.items() if entry.baseline and NOMI
 USUAL = ("pd_gravity", "pid", "feedforward")
 # What an experiment runs unless it says.
 DEFAULT = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")
-# Keys and values of experiments that have another name now, and what they are called in a recording made before.
-RENAMED = {
-    "prediction": "adaptive_composite",
-    "adaptive_composite.memory": "forgetting_time",
-    "replay": "two_layer_composite",
-    "disturbance_observer": "extended_state",
-}
-OTHER = ("disturbance_observer",)  # of these: learners that are no more, whose settings mean nothing to the new one
-RENAMED_VALUES = {"adaptive.initial": FORMERLY, "concurrent.initial": FORMERLY}
+GONE = ("prediction", "replay", "two_layer_composite", "disturbance_observer")  # learners of older recordings
 
 
 def effective(controllers: Iterable[str]) -> dict[str, str]:
@@ -58,31 +49,12 @@ def effective(controllers: Iterable[str]) -> dict[str, str]:
     return EFFECTIVE | {"pd_effective": next((name for name in ("two_layer", *STARTS) if name in names), "two_layer")}
 
 
-def renamed(config: dict[str, Any]) -> dict[str, Any]:
-    """The config of a recording that an older version made, with the keys and values of today."""
-    config = {RENAMED.get(key, key): value for key, value in config.items() if key not in OTHER}
-    if isinstance(names := config.get("controllers"), list):
-        config["controllers"] = list(dict.fromkeys(RENAMED.get(name, name) for name in names))
-    for path, name in RENAMED.items():
-        table, _, key = path.rpartition(".")
-        if table and key in (own := table_at(config, table)):
-            config[table] = {k: v for k, v in own.items() if k != key} | {name: own[key]}
-    for path, names in RENAMED_VALUES.items():
-        table, _, key = path.rpartition(".")
-        own = table_at(config, table)
-        if isinstance(value := own.get(key), str) and value in names:
-            config[table] = own | {key: names[value]}
-    return config
-
-
-def table_at(config: dict[str, Any], name: str) -> dict[str, Any]:
-    """A table of a config; empty where something else stands, which is told when it is taken for a table."""
-    return own if isinstance(own := config.get(name), dict) else {}
-
-
-def new_name(key: str, value: Any = None) -> str:
-    """Today's name of a key path, or of a value that stands there; empty for one that was never called otherwise."""
-    return RENAMED_VALUES.get(key, {}).get(value, "") if isinstance(value, str) else RENAMED.get(key, "")
+def of_today(config: dict[str, Any]) -> dict[str, Any]:
+    """The config of a recording without learners that are no more."""
+    names = config.get("controllers")
+    kept = [name for name in names if name not in GONE] if isinstance(names, list) else []
+    config = {key: value for key, value in config.items() if key not in GONE}
+    return config | {"controllers": kept or DEFAULT} if isinstance(names, list) else config
 
 
 class RobustOf(Settings, frozen=True):
@@ -108,7 +80,7 @@ class Learning(Settings, frozen=True):
         robust_term: Off drops the robust term (3.50).
         projection: Bound on |W|_F in units (what the feedback answers to 0.1 m/s or rad/s) and on |V|_F of every
             network: larger ones are scaled back onto it. Without it 100 for `two_layer_residual` and none for the
-            thesis's networks; `two_layer_composite` has a bound of its own.
+            thesis's networks.
         within_loop: Whether updates and robust term of the thesis's networks are cut to what the loop bears of them, as
             those of the other learners are.
         within_limits: Whether robust term and Psi_hat get only what the feedback leaves of every motor's limit, for all
@@ -155,19 +127,12 @@ class Nominal(Settings, frozen=True):
 
 @dataclass(frozen=True)
 class Granted:
-    """The knowledge of a controller about its robot: the part of `torque.controller.Told` that its entry grants.
+    """The knowledge of a controller about its robot: the part of `torque.controller.Told` that its entry grants."""
 
-    Attributes:
-        entry: The controller.
-        robot: The true robot; None where there is none.
-        model: The nominal robot, as the experiment says it.
-        overrides: What the experiment says about its robots.
-    """
-
-    entry: Entry
-    robot: Robot | None
-    model: Nominal
-    overrides: Overrides
+    entry: Entry  # the controller
+    robot: Robot | None  # the true robot; None where there is none
+    model: Nominal  # the nominal robot, as the experiment says it
+    overrides: Overrides  # what the experiment says about its robots
 
     @property
     def motion(self) -> Regressor:

@@ -50,25 +50,15 @@ def hand_motion(tables: HandTables, robot: Robot, timing: Timing) -> HandMotion:
 
 @dataclasses.dataclass(frozen=True)
 class HandErrors:
-    """Poses of a frame at every sample of a run, true, measured, of the reference and wanted, as the signal `hand`.
+    """Poses of a frame at every sample of a run, true, measured, of the reference and wanted, as the signal `hand`."""
 
-    Attributes:
-        frame: Its name.
-        time: (N,) [s].
-        wanted: (N, 7) position and quaternion.
-        reference: (N, 7) as the setpoints have it.
-        measured: (N, 7) as the sensors have it.
-        true: (N, 7).
-        turned: Whether its orientation was asked for.
-    """
-
-    frame: str
-    time: Array
-    wanted: Array
-    reference: Array
-    measured: Array
-    true: Array
-    turned: bool
+    frame: str  # its name
+    time: Array  # (N,) [s]
+    wanted: Array  # (N, 7) position and quaternion
+    reference: Array  # (N, 7) as the setpoints have it
+    measured: Array  # (N, 7) as the sensors have it
+    true: Array  # (N, 7)
+    turned: bool  # whether its orientation was asked for
 
     def vectors(self) -> dict[str, Array]:
         """(N, 3) total error and its shares [m]."""

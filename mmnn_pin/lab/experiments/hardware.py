@@ -230,11 +230,7 @@ def short(values: Any) -> Any:
 
 
 def require_strength(fitted: Fitted, experiment: Experiment, robot: Robot) -> None:
-    """Refuse motors that cannot carry what the reference asks for.
-
-    Raises:
-        ConfigError: With the weakest, and hardware that can.
-    """
+    """Refuse motors that cannot carry what the reference asks for (`ConfigError`)."""
     trajectory, duration = experiment.trajectory_of(robot), experiment.time.duration
     load = MotorLoad(robot).along(trajectory, duration)[0]
     if load.max(initial=0.0) <= 1.0:

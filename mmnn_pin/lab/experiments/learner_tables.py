@@ -24,7 +24,6 @@ from ...torque.one_layer import OneLayer
 from ...torque.super_twisting import SuperTwistingSettings
 from ...torque.time_delay import TimeDelaySettings
 from ...torque.two_layer import TwoLayer
-from ...torque.two_layer_composite import TwoLayerCompositeSettings
 
 
 class KalmanTables(Settings, frozen=True, kw_only=True):
@@ -51,7 +50,6 @@ class LearnerTables(Settings, frozen=True, kw_only=True):
     adaptive: AdaptiveSettings = AdaptiveSettings()
     adaptive_composite: AdaptiveCompositeSettings = AdaptiveCompositeSettings()
     concurrent: ConcurrentSettings = ConcurrentSettings()
-    two_layer_composite: TwoLayerCompositeSettings = TwoLayerCompositeSettings()
     drem: DremSettings = DremSettings()
     deep_residual: DeepResidualSettings = DeepResidualSettings()
     kalman: KalmanTables = KalmanTables()

@@ -64,13 +64,9 @@ KEY = "reference.hand"
 
 @dataclasses.dataclass(frozen=True)
 class Poses:
-    """Poses from a CSV file: t, x, y, z, and qx, qy, qz, qw for orientations.
+    """Poses from a CSV file: t, x, y, z, and qx, qy, qz, qw for orientations."""
 
-    Args:
-        file: The file.
-    """
-
-    file: str
+    file: str  # the file
 
 
 HAND_PATHS: dict[str, Any] = {
@@ -318,17 +314,11 @@ class HeldOutReference(ReferenceTables, frozen=True):
 
 @dataclasses.dataclass(frozen=True)
 class Swing:
-    """A sine around the middle of each joint's range, from rest; around 0 for a joint without limits.
+    """A sine around the middle of each joint's range, from rest; around 0 for a joint without limits."""
 
-    Args:
-        amplitude: Largest amplitude [rad or m].
-        share: Largest amplitude as a share of half the joint's range.
-        period: [s].
-    """
-
-    amplitude: float
-    period: float
-    share: float = 0.5
+    amplitude: float  # largest amplitude [rad or m]
+    period: float  # [s]
+    share: float = 0.5  # largest amplitude as a share of half the joint's range
 
     def __post_init__(self) -> None:
         if not 0 <= self.share <= 1:

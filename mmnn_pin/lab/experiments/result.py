@@ -37,26 +37,18 @@ class Result(Mapping[str, Recording]):
     """The result of an experiment: its recordings by controller, tables and figures of them.
 
     In a notebook it shows its table and its errors; `print` shows the table.
-
-    Attributes:
-        experiment: The experiment.
-        name: Its name.
-        recordings: Controller to recording, in the order asked for.
-        metrics: Controller to numbers (see `metrics`).
-        notes: What the user should know.
-        hand: Controller to what it did at every frame that the reference took along a path.
-        pushes: Controller to numbers of what its hand touched (`pushing_numbers`); empty where it touched nothing.
-        plain: A run of plain control that learners are measured by, where none was asked for.
     """
 
-    experiment: Experiment
-    name: str
-    recordings: dict[str, Recording]
-    metrics: dict[str, dict[str, float]]
-    notes: tuple[str, ...]
+    experiment: Experiment  # the experiment
+    name: str  # its name
+    recordings: dict[str, Recording]  # controller to recording, in the order asked for
+    metrics: dict[str, dict[str, float]]  # controller to numbers (see `metrics`)
+    notes: tuple[str, ...]  # what the user should know
+    # controller to what it did at every frame that the reference took along a path
     hand: dict[str, list[HandErrors]] = field(default_factory=dict)
+    # controller to numbers of what its hand touched (`pushing_numbers`); empty where it touched nothing
     pushes: dict[str, dict[str, float | None]] = field(default_factory=dict)
-    plain: Recording | None = None
+    plain: Recording | None = None  # a run of plain control that learners are measured by, where none was asked for
 
     def __getitem__(self, controller: str) -> Recording:
         if controller not in self.recordings:
@@ -214,17 +206,11 @@ class Result(Mapping[str, Recording]):
 
 @dataclass(frozen=True)
 class Improvement:
-    """A learner's RMS error beside that of PD and of PD at its effective gain, in the error's unit.
+    """A learner's RMS error beside that of PD and of PD at its effective gain, in the error's unit."""
 
-    Attributes:
-        pd: RMS error of PD.
-        pd_effective: RMS error of PD at the learner's effective gain.
-        learner: RMS error of the learner.
-    """
-
-    pd: float
-    pd_effective: float
-    learner: float
+    pd: float  # RMS error of PD
+    pd_effective: float  # RMS error of PD at the learner's effective gain
+    learner: float  # RMS error of the learner
 
     @property
     def total(self) -> float:

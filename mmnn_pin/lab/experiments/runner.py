@@ -240,11 +240,7 @@ def in_order(wanted: Sequence[str]) -> list[str]:
 
 
 def require_runnable(experiment: Experiment, robot: Robot) -> None:
-    """Refuse what cannot run, before anything is written.
-
-    Raises:
-        InputError: Bad reference, gains or blocks.
-    """
+    """Refuse what cannot run, before anything is written (`InputError`)."""
     for controller in in_order(experiment.controllers):
         if controller not in EFFECTIVE:
             loop = experiment.loop(robot, experiment.controller(controller, robot=robot))

@@ -34,29 +34,17 @@ class Signals(Protocol):
 
 @dataclass(frozen=True)
 class FigureRange:
-    """Interval in which an extreme of a figure's curves lies.
+    """Interval in which an extreme of a figure's curves lies."""
 
-    Attributes:
-        figure: Figure of the thesis and which of its two plots.
-        curve: What it shows.
-        statistic: `max` or `min` of these curves over the run.
-        lower: Lower end of the last tick interval, in `unit`.
-        upper: Upper end.
-        unit: Unit.
-        signal: Signal of a recording.
-        column: Its column, from 0; None for all.
-        controllers: Controllers whose curves share the plot.
-    """
-
-    figure: str
-    curve: str
-    statistic: str
-    lower: float
-    upper: float
-    unit: str
-    signal: str
-    column: int | None
-    controllers: tuple[str, ...]
+    figure: str  # figure of the thesis and which of its two plots
+    curve: str  # what it shows
+    statistic: str  # `max` or `min` of these curves over the run
+    lower: float  # lower end of the last tick interval, in `unit`
+    upper: float  # upper end
+    unit: str  # unit
+    signal: str  # signal of a recording
+    column: int | None  # its column, from 0; None for all
+    controllers: tuple[str, ...]  # controllers whose curves share the plot
 
     @property
     def scale(self) -> float:

@@ -58,26 +58,17 @@ def effective_rank(matrix: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """How well the activations of one network were excited.
+    """How well the activations of one network were excited."""
 
-    Attributes:
-        smallest: Smallest eigenvalue of the Gram matrix `mean sigma sigma'`: weights along its direction leave no trace
-            in the output, however long one learns.
-        largest: Its largest eigenvalue.
-        directions: Eigenvalues above a share of the largest: directions in which weights can be told apart.
-        units: Number of units.
-        rank: Effective rank of the activations (N, h).
-        singular: Their singular values, largest first.
-        visible: Share of the largest eigenvalue above which a direction counts.
-    """
-
+    # smallest eigenvalue of the Gram matrix `mean sigma sigma'`: weights along its direction leave no trace in the
+    # output, however long one learns
     smallest: float
-    largest: float
-    directions: int
-    units: int
-    rank: float
-    singular: Array
-    visible: float
+    largest: float  # its largest eigenvalue
+    directions: int  # eigenvalues above a share of the largest: directions in which weights can be told apart
+    units: int  # number of units
+    rank: float  # effective rank of the activations (N, h)
+    singular: Array  # their singular values, largest first
+    visible: float  # share of the largest eigenvalue above which a direction counts
 
 
 def excitation(activations: Array, visible: float = 1e-6) -> Excitation:
@@ -102,19 +93,12 @@ def signals_for(controller: Any) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Unknown:
-    """The part of one network's weights, or of all, that a run leaves undetermined.
+    """The part of one network's weights, or of all, that a run leaves undetermined."""
 
-    Attributes:
-        share: Of the directions that random motion shows.
-        directions: How many there are.
-        acting: As how many units a network's units act on random motion: directions of their activations there.
-        units: How many it has; 0 for a learner that has none.
-    """
-
-    share: float
-    directions: int
-    acting: int = 0
-    units: int = 0
+    share: float  # of the directions that random motion shows
+    directions: int  # how many there are
+    acting: int = 0  # as how many units a network's units act on random motion: directions of their activations there
+    units: int = 0  # how many it has; 0 for a learner that has none
 
     @property
     def excited(self) -> bool:
@@ -231,24 +215,15 @@ def steered_motion(robot: Robot, nu: Array, nudot: Array, rng: np.random.Generat
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """The weights of one network or regressor at the end, and what they were multiplied with along the run.
+    """The weights of one network or regressor at the end, and what they were multiplied with along the run."""
 
-    Attributes:
-        name: `base`, `arm`, or `all` for one that serves all velocities.
-        what: What the weights are multiplied with, in a word.
-        ranks: Effective rank of W, V and what else there is of weights that are matrices.
-        numerical: Numerical rank of the same.
-        singular: Singular values of the same.
-        excitation: Of what they are multiplied with.
-        unknown: What the run leaves undetermined on random motion; None for a learner that judges it itself.
-    """
-
-    name: str
-    what: str
-    ranks: dict[str, float]
-    numerical: dict[str, int]
-    singular: dict[str, Array]
-    excitation: Excitation
+    name: str  # `base`, `arm`, or `all` for one that serves all velocities
+    what: str  # what the weights are multiplied with, in a word
+    ranks: dict[str, float]  # effective rank of W, V and what else there is of weights that are matrices
+    numerical: dict[str, int]  # numerical rank of the same
+    singular: dict[str, Array]  # singular values of the same
+    excitation: Excitation  # of what they are multiplied with
+    # what the run leaves undetermined on random motion; None for a learner that judges it itself
     unknown: Unknown | None = None
 
     @classmethod

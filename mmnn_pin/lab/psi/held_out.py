@@ -45,17 +45,11 @@ SHARE = 0.25  # of the arm's mass, about what arms are made to carry
 
 @dataclass(frozen=True)
 class HeldOut:
-    """A trajectory for judging, never for training.
+    """A trajectory for judging, never for training."""
 
-    Attributes:
-        trajectory: What the robot should do.
-        duration: For how long [s].
-        about: The same in words.
-    """
-
-    trajectory: Trajectory
-    duration: float
-    about: str
+    trajectory: Trajectory  # what the robot should do
+    duration: float  # for how long [s]
+    about: str  # the same in words
 
 
 def held_out(subject: Subject) -> HeldOut:

@@ -75,11 +75,7 @@ class Judgement(AsText):
         return self._try(part) is None
 
     def require_any(self) -> None:
-        """Refuse a run of which nothing can be said.
-
-        Raises:
-            InputError: With every reason.
-        """
+        """Refuse a run of which nothing can be said (`InputError`)."""
         if len(self.missing) == len(self.PARTS):
             why = "; ".join(map(sentence, self.missing.values()))
             raise InputError("nothing to judge", why=why, file=self.subject.recording.path)

@@ -41,23 +41,14 @@ LONGEST = 10.0  # lag or way of a torque that a recording may tell [s]
 
 @dataclass(frozen=True, eq=False)
 class Learner:
-    """A learner and its weights.
+    """A learner and its weights."""
 
-    Attributes:
-        controller: Its settings; one with a field `learning`.
-        context: What it is given before the run.
-        start: Its state before the first row.
-        end: Its state at the end, or the last one that is known.
-        end_time: When that is [s].
-        robot: The robot whose model it adds, where it uses the loop's.
-    """
-
-    controller: Any
-    context: Context
-    start: ControllerState
-    end: ControllerState
-    end_time: float
-    robot: Robot
+    controller: Any  # its settings; one with a field `learning`
+    context: Context  # what it is given before the run
+    start: ControllerState  # its state before the first row
+    end: ControllerState  # its state at the end, or the last one that is known
+    end_time: float  # when that is [s]
+    robot: Robot  # the robot whose model it adds, where it uses the loop's
 
     def frozen(self) -> Any:
         """The controller with its weights held fixed."""
@@ -175,7 +166,7 @@ def frozen_psi_hat(learner: Learner, state: ControllerState, rows: Array, every:
 
 @dataclass(frozen=True, eq=False)
 class NetworkLearner(Learner):
-    """A learner with a network for the base, one for the arm: the thesis's, on a nominal model, or composite."""
+    """A learner with a network for the base, one for the arm: the thesis's, or on a nominal model."""
 
     @property
     def own(self) -> Neural:
@@ -193,17 +184,11 @@ class NetworkLearner(Learner):
 
 @dataclass(frozen=True, eq=False)
 class NetworkOutputs:
-    """Inputs, hidden outputs and outputs of networks with fixed weights along rows.
+    """Inputs, hidden outputs and outputs of networks with fixed weights along rows."""
 
-    Attributes:
-        psi_hat: (N, p) their output [N, N m].
-        inputs: (N, nx) what they see.
-        activations: Network to (N, h) hidden outputs.
-    """
-
-    psi_hat: Array
-    inputs: Array
-    activations: dict[int, Array]
+    psi_hat: Array  # (N, p) their output [N, N m]
+    inputs: Array  # (N, nx) what they see
+    activations: dict[int, Array]  # network to (N, h) hidden outputs
 
 
 def seen(learner: NetworkLearner, state: ControllerState, rows: Array) -> NetworkOutputs:

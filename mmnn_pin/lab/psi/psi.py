@@ -38,19 +38,12 @@ ProgressCallback = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Frozen:
-    """Psi and the Psi_hat of the final weights, held fixed, along some rows.
+    """Psi and the Psi_hat of the final weights, held fixed, along some rows."""
 
-    Attributes:
-        about: Which rows, in words.
-        time: (N,) [s].
-        psi: (N, p) the truth [N, N m].
-        psi_hat: (N, p) what they say.
-    """
-
-    about: str
-    time: Array
-    psi: Array
-    psi_hat: Array
+    about: str  # which rows, in words
+    time: Array  # (N,) [s]
+    psi: Array  # (N, p) the truth [N, N m]
+    psi_hat: Array  # (N, p) what they say
 
     @property
     def fvu(self) -> Array:

@@ -35,23 +35,14 @@ LARGEST = 1e100  # of an update per s, in SI units; a loop that has more is none
 
 @dataclass(frozen=True, eq=False)
 class Rate:
-    """Verdict on the rates at some instants of a run.
+    """Verdict on the rates at some instants of a run."""
 
-    Attributes:
-        time: (k,) the instants [s].
-        radius: (k,) spectral radius of a control period with the learner.
-        without: (k,) the same without it.
-        share: (k, p) L_ii / k_i: below 1 for one velocity alone, updated after the output.
-        limit: (k,) factor on all rates beyond which it grows; inf beyond what was looked at.
-        leak: (2,) largest kappa F |s| per sample of the base's and the arm's network over the run; below 2.
-    """
-
-    time: Array
-    radius: Array
-    without: Array
-    share: Array
-    limit: Array
-    leak: Array
+    time: Array  # (k,) the instants [s]
+    radius: Array  # (k,) spectral radius of a control period with the learner
+    without: Array  # (k,) the same without it
+    share: Array  # (k, p) L_ii / k_i: below 1 for one velocity alone, updated after the output
+    limit: Array  # (k,) factor on all rates beyond which it grows; inf beyond what was looked at
+    leak: Array  # (2,) largest kappa F |s| per sample of the base's and the arm's network over the run; below 2
 
     @property
     def stable(self) -> bool:

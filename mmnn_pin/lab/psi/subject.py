@@ -36,23 +36,14 @@ NEEDED = ("time", "position", "nu", "nu_ref", "nudot_ref", "psi", "psi_hat", "ro
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A recorded run and what it was made of.
+    """A recorded run and what it was made of."""
 
-    Attributes:
-        recording: The run.
-        robot: Its true robot.
-        told: The same with the wheels' radii that the controller takes.
-        kinematic: Gains of its kinematic layer.
-        timing: Its periods.
-        rows: (N, width) its signals as rows; those up to the first that is not finite.
-    """
-
-    recording: Recording
-    robot: Robot
-    told: Robot
-    kinematic: Kinematic
-    timing: Timing
-    rows: Array
+    recording: Recording  # the run
+    robot: Robot  # its true robot
+    told: Robot  # the same with the wheels' radii that the controller takes
+    kinematic: Kinematic  # gains of its kinematic layer
+    timing: Timing  # its periods
+    rows: Array  # (N, width) its signals as rows; those up to the first that is not finite
 
     @classmethod
     def of(cls, recording: Recording) -> Subject:
@@ -225,11 +216,7 @@ class Subject:
 
 
 def require_periods(recording: Recording, timing: Timing, time: Array) -> None:
-    """Refuse periods that are not those of the rows.
-
-    Raises:
-        RecordingError: With both periods.
-    """
+    """Refuse periods that are not those of the rows (`RecordingError`)."""
     h, steps = timing.control_period, timing.steps_per_control
     periods, facts = np.diff(time), recording.meta.get("control_period", h)
     if not np.allclose([*periods, facts], h, rtol=1e-6, atol=1e-9):
@@ -260,28 +247,17 @@ def finite_rows(recording: Recording, layout: Layout) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class HardwareEffects:
-    """Effects of the hardware model of a run on its robot.
+    """Effects of the hardware model of a run on its robot."""
 
-    Attributes:
-        torque: (N, p) generalized torque of the motors [N, N m].
-        push: (N, p) external force `f` of `M nudot + C nu + ... = tau + f`; d of the equality is `-f` [N, N m].
-        load: The payload; None without one.
-        loaded: The robot once it carries its payload; None without one.
-        pick, drop: When it picks it up and puts it down [s], inf for never.
-        varies: Whether torque or push change within control periods.
-        blocked: Whether a joint is blocked at some time.
-        senses: Whether disturbances touch what the controller measures.
-    """
-
-    torque: Array
-    push: Array
-    load: Payload | None
-    loaded: Robot | None
-    pick: float
-    drop: float
-    varies: bool
-    blocked: bool
-    senses: bool
+    torque: Array  # (N, p) generalized torque of the motors [N, N m]
+    push: Array  # (N, p) external force `f` of `M nudot + C nu + ... = tau + f`; d of the equality is `-f` [N, N m]
+    load: Payload | None  # the payload; None without one
+    loaded: Robot | None  # the robot once it carries its payload; None without one
+    pick: float  # when it picks it up [s], inf for never
+    drop: float  # when it puts it down [s], inf for never
+    varies: bool  # whether torque or push change within control periods
+    blocked: bool  # whether a joint is blocked at some time
+    senses: bool  # whether disturbances touch what the controller measures
 
     @classmethod
     def of(cls, recording: Recording, robot: Robot, timing: Timing) -> HardwareEffects:

@@ -39,19 +39,12 @@ from .curves import column_units
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A frame in its parent's.
+    """A frame in its parent's."""
 
-    Attributes:
-        parent: Name of the parent frame.
-        name: Name of the frame.
-        translation: (N, 3) [m], or (1, 3) for one that stands still.
-        rotation: (N, 4) or (1, 4) quaternion x, y, z, w.
-    """
-
-    parent: str
-    name: str
-    translation: Array
-    rotation: Array
+    parent: str  # name of the parent frame
+    name: str  # name of the frame
+    translation: Array  # (N, 3) [m], or (1, 3) for one that stands still
+    rotation: Array  # (N, 4) or (1, 4) quaternion x, y, z, w
 
     @property
     def moves(self) -> bool:

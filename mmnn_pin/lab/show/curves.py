@@ -33,31 +33,19 @@ RESIDUALS = {
 
 @dataclass(frozen=True)
 class Panel:
-    """The content of one axes.
+    """The content of one axes."""
 
-    Attributes:
-        title: What it is, where it stands alone.
-        unit: Of its values.
-        curves: Curve of every run that has one.
-        label: What it is among the panels of its group; by default the title.
-        group: The panels that it belongs to.
-        truth: What the curves should be, where that is known.
-        tracks: In the plane instead of curves over time: poses (N, 3) by run, of None for a reference.
-        step: Whether values hold until the next one.
-        scale: `linear`, `log`, or `symlog`: logarithmic on both sides of zero.
-        limit: Largest value that a motor gives.
-    """
-
-    title: str
-    unit: str
-    curves: Curves = field(default_factory=dict)
-    label: str = ""
-    group: str = ""
-    truth: CurvePoints | None = None
+    title: str  # what it is, where it stands alone
+    unit: str  # of its values
+    curves: Curves = field(default_factory=dict)  # curve of every run that has one
+    label: str = ""  # what it is among the panels of its group; by default the title
+    group: str = ""  # the panels that it belongs to
+    truth: CurvePoints | None = None  # what the curves should be, where that is known
+    # in the plane instead of curves over time: poses (N, 3) by run, of None for a reference
     tracks: tuple[tuple[str | None, Array], ...] = ()
-    step: bool = False
-    scale: str = "linear"
-    limit: float = np.inf
+    step: bool = False  # whether values hold until the next one
+    scale: str = "linear"  # `linear`, `log`, or `symlog`: logarithmic on both sides of zero
+    limit: float = np.inf  # largest value that a motor gives
 
     @property
     def axis(self) -> str:
@@ -67,20 +55,14 @@ class Panel:
 
 @dataclass(frozen=True)
 class Chart:
-    """A figure of runs as data.
+    """A figure of runs as data."""
 
-    Attributes:
-        title: Its heading.
-        about: What to know of it.
-        panels: Runs by name to its panels; none where the runs have nothing for it.
-        judged: Whether it stands with what was learned.
-        lacks: Runs by name to why some are not in it, one line each.
-    """
-
-    title: str
-    about: str
+    title: str  # its heading
+    about: str  # what to know of it
+    # runs by name to its panels; none where the runs have nothing for it
     panels: Callable[[Recordings], Iterable[Panel]]
-    judged: bool = False
+    judged: bool = False  # whether it stands with what was learned
+    # runs by name to why some are not in it, one line each
     lacks: Callable[[Recordings], list[str]] = lambda recordings: []
 
 

@@ -38,15 +38,10 @@ class ExportColumn:
 
 @dataclass(frozen=True)
 class RecordingPart:
-    """The part of a recording that is written.
+    """The part of a recording that is written."""
 
-    Attributes:
-        signals: Names, with the time; all where there are none.
-        every: n, of which every n-th sample is kept.
-    """
-
-    signals: tuple[str, ...]
-    every: int
+    signals: tuple[str, ...]  # names, with the time; all where there are none
+    every: int  # n, of which every n-th sample is kept
 
     @classmethod
     def of(cls, recording: Recording, signals: Sequence[str], rate: float | None) -> RecordingPart:

@@ -78,17 +78,11 @@ TRUTH: Look = {"color": "0.65", "linewidth": 3.5, "solid_capstyle": "round", "zo
 
 @dataclass(frozen=True)
 class FigureEntry:
-    """A figure in the register.
+    """A figure in the register."""
 
-    Attributes:
-        make: Draws it: runs by name, or what a folder holds.
-        lacks: Why it cannot be drawn of these; empty where it can.
-        caption: What to know of it, for a page.
-    """
-
-    make: Callable[[Any], Figure]
-    lacks: Callable[[Any], str]
-    caption: str
+    make: Callable[[Any], Figure]  # draws it: runs by name, or what a folder holds
+    lacks: Callable[[Any], str]  # why it cannot be drawn of these; empty where it can
+    caption: str  # what to know of it, for a page
 
 
 FIGURES: dict[str, dict[str, FigureEntry]] = {"runs": {}, "judged": {}, "study": {}}  # by what they show

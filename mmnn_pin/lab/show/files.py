@@ -26,19 +26,12 @@ ALIGNMENT = 4
 
 @dataclass(frozen=True, repr=False)
 class HtmlPage:
-    """A page of HTML that stands alone.
+    """A page of HTML that stands alone."""
 
-    Attributes:
-        html: The whole page.
-        warnings: What could not be shown, one line each.
-        what: What it is, in a word.
-        height: Its height within a notebook, as CSS has it.
-    """
-
-    html: str = field(repr=False)
-    warnings: tuple[str, ...] = ()
-    what: str = "page"
-    height: str = "80vh"
+    html: str = field(repr=False)  # the whole page
+    warnings: tuple[str, ...] = ()  # what could not be shown, one line each
+    what: str = "page"  # what it is, in a word
+    height: str = "80vh"  # its height within a notebook, as CSS has it
 
     def __repr__(self) -> str:
         return f'<{self.what}: {self.size / 1e6:.2g} MB; .save("{self.what}.html") writes it>'

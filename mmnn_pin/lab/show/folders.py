@@ -20,17 +20,11 @@ IDENTIFIED = "*.identified.json"
 
 @dataclass(frozen=True)
 class FolderKind:
-    """A kind of thing that a path may hold in place of runs.
+    """A kind of thing that a path may hold in place of runs."""
 
-    Attributes:
-        finds: A path as the user names it to where this is, none where it holds none.
-        opened: That to what it holds.
-        page: What it holds and the command that asks to a page.
-    """
-
-    finds: Callable[[Path], Iterable[Path]]
-    opened: Callable[[Path], Any]
-    page: Callable[[Any, str], HtmlPage]
+    finds: Callable[[Path], Iterable[Path]]  # a path as the user names it to where this is, none where it holds none
+    opened: Callable[[Path], Any]  # that to what it holds
+    page: Callable[[Any, str], HtmlPage]  # what it holds and the command that asks to a page
 
 
 def studies(path: Path) -> list[Path]:

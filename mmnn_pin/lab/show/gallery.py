@@ -55,11 +55,7 @@ def write_pictures(
 
 
 def require_plots(names: Iterable[str]) -> None:
-    """Refuse names of pictures that there are not.
-
-    Raises:
-        UnknownName: With the first, as a key of an experiment.
-    """
+    """Refuse names of pictures that there are not (`UnknownName`)."""
     for name in names:
         if name not in PICTURES:
             raise UnknownName("plot", name, PICTURES, key="plots")
@@ -67,13 +63,9 @@ def require_plots(names: Iterable[str]) -> None:
 
 @dataclass(frozen=True, repr=False)
 class Shown(AsText):
-    """Tables that print as text, and that a notebook shows.
+    """Tables that print as text, and that a notebook shows."""
 
-    Attributes:
-        text: For a terminal.
-    """
-
-    text: str
+    text: str  # for a terminal
 
     def __repr__(self) -> str:
         return self.text
@@ -81,15 +73,10 @@ class Shown(AsText):
 
 @dataclass(frozen=True, repr=False)
 class Picture:
-    """A figure of matplotlib; a notebook shows it.
+    """A figure of matplotlib; a notebook shows it."""
 
-    Attributes:
-        name: Of the figure.
-        figure: It.
-    """
-
-    name: str
-    figure: Figure
+    name: str  # of the figure
+    figure: Figure  # it
 
     def __repr__(self) -> str:
         return f'<Picture {self.name}: .save("{self.name}.svg") writes it, .figure is matplotlib\'s>'

@@ -65,8 +65,10 @@ def rendered(triangles: Array, colors: Array, view: Array, spacing: float) -> tu
     width, height = (np.ceil((high - low) / (2 * spacing)).astype(int) + 1) * 2
     depth, index = np.full(width * height, -np.inf), np.full(width * height, -1)
     points, counts = longest_first(points, spacing)
-    for along, across in np.unique(counts, axis=0):
-        chosen = np.flatnonzero((counts == (along, across)).all(axis=1))
+    grids, grid_of = np.unique(counts @ (1, 1j), return_inverse=True)
+    groups = np.split(np.argsort(grid_of, kind="stable"), np.cumsum(np.bincount(grid_of))[:-1])
+    for grid, chosen in zip(grids, groups, strict=True):
+        along, across = int(grid.real), int(grid.imag)
         s, t = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, along + 1), np.linspace(0, 1, across + 1)))
         weights = np.column_stack(((1 - t) * (1 - s), (1 - t) * s, t))
         for part in np.array_split(chosen, max(1, len(chosen) * len(s) // 2_000_000)):

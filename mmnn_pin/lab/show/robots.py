@@ -370,21 +370,13 @@ def properties_text(report: CheckReport, columns: int = WIDTH) -> str:
 
 @dataclass(frozen=True)
 class RobotShown:
-    """A robot.
+    """A robot."""
 
-    Attributes:
-        name: Its name.
-        understood: Base, wheels, arm and what is locked, as text.
-        findings: Those of the audit, with `severity` and `text`.
-        checks: The property checks, as text.
-        ok: Whether all properties hold.
-    """
-
-    name: str
-    understood: str
-    findings: tuple[dict[str, Any], ...]
-    checks: str
-    ok: bool
+    name: str  # its name
+    understood: str  # base, wheels, arm and what is locked, as text
+    findings: tuple[dict[str, Any], ...]  # those of the audit, with `severity` and `text`
+    checks: str  # the property checks, as text
+    ok: bool  # whether all properties hold
 
     @property
     def counts(self) -> str:

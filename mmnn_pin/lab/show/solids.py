@@ -59,23 +59,14 @@ def roles_of(robot: Robot) -> dict[str, Role]:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A shape of a body.
+    """A shape of a body."""
 
-    Attributes:
-        joint: Name of the joint that carries it, "" for the robot's body.
-        frame: Link whose frame it is placed in.
-        place: (4, 4) its placement there.
-        vertices: (k, 3) [m].
-        triangles: (m, 3) indices of vertices.
-        role: What its joint is.
-    """
-
-    joint: str
-    frame: str
-    place: Array
-    vertices: Array
-    triangles: NDArray[np.int64]
-    role: Role
+    joint: str  # name of the joint that carries it, "" for the robot's body
+    frame: str  # link whose frame it is placed in
+    place: Array  # (4, 4) its placement there
+    vertices: Array  # (k, 3) [m]
+    triangles: NDArray[np.int64]  # (m, 3) indices of vertices
+    role: Role  # what its joint is
 
 
 def solids_of(robot: Robot, package_dirs: Sequence[str | Path] = ()) -> tuple[list[Solid], tuple[str, ...]]:

@@ -39,23 +39,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """Head of a column.
+    """Head of a column."""
 
-    Attributes:
-        heading: Its name; line breaks are for a terminal.
-        unit: Unit of its numbers; empty for pure numbers and for texts.
-        group: Name of the columns that it belongs to with its neighbours.
-        text: Whether it holds texts, from the left; numbers end at the right.
-        fold: Whether a terminal may break its texts, to have room.
-        letters: Names longer than this are broken at underscores on a terminal.
-    """
-
-    heading: str = ""
-    unit: str = ""
-    group: str = ""
-    text: bool = False
-    fold: bool = False
-    letters: int = 0
+    heading: str = ""  # its name; line breaks are for a terminal
+    unit: str = ""  # unit of its numbers; empty for pure numbers and for texts
+    group: str = ""  # name of the columns that it belongs to with its neighbours
+    text: bool = False  # whether it holds texts, from the left; numbers end at the right
+    fold: bool = False  # whether a terminal may break its texts, to have room
+    letters: int = 0  # names longer than this are broken at underscores on a terminal
 
     @property
     def title(self) -> str:
@@ -80,21 +71,13 @@ MOST_NAMED = 8  # names of further lines of a kind
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
+    """A table."""
 
-    Attributes:
-        title: What it shows.
-        columns: Their heads; those of texts stand at the left.
-        rows: Its rows, a cell per column.
-        notes: What marks and words mean, a sentence each.
-        gap: Spaces between columns on a terminal, beside one.
-    """
-
-    title: str
-    columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
-    notes: tuple[str, ...] = ()
-    gap: int = 2
+    title: str  # what it shows
+    columns: tuple[Column, ...]  # their heads; those of texts stand at the left
+    rows: tuple[Row, ...]  # its rows, a cell per column
+    notes: tuple[str, ...] = ()  # what marks and words mean, a sentence each
+    gap: int = 2  # spaces between columns on a terminal, beside one
 
     @property
     def spans(self) -> list[tuple[Row, int, bool]]:

@@ -25,27 +25,16 @@ MARGIN, ASKED = "delay_margin", "delay_margin_asked"  # numbers of a run [s], wh
 
 @dataclass(frozen=True)
 class Level:
-    """The runs at one value of a setting, or in one bin of its values.
+    """The runs at one value of a setting, or in one bin of its values."""
 
-    Attributes:
-        value: The value; of a bin its median.
-        low: Smallest value in it; None for one that has no order.
-        high: Largest value in it, likewise.
-        runs: Number of runs.
-        success: Rate of successes.
-        medians: Metric to its median over the runs; inf where fewer than half of the runs completed.
-        margin: Least delay margin of the runs [s]; NaN where it is not known.
-        asked: Delay margin that they should have [s]; NaN likewise.
-    """
-
-    value: Any
-    low: float | None
-    high: float | None
-    runs: int
-    success: Interval
-    medians: dict[str, Interval]
-    margin: float = math.nan
-    asked: float = math.nan
+    value: Any  # the value; of a bin its median
+    low: float | None  # smallest value in it; None for one that has no order
+    high: float | None  # largest value in it, likewise
+    runs: int  # number of runs
+    success: Interval  # rate of successes
+    medians: dict[str, Interval]  # metric to its median over the runs; inf where fewer than half of the runs completed
+    margin: float = math.nan  # least delay margin of the runs [s]; NaN where it is not known
+    asked: float = math.nan  # delay margin that they should have [s]; NaN likewise
 
     @property
     def short(self) -> bool:

@@ -39,15 +39,10 @@ COSMETIC = ("title", "metrics", "success", "tune")  # settings that change no ru
 
 @dataclass(frozen=True)
 class Probe:
-    """Facts of a study that are known before it runs.
+    """Facts of a study that are known before it runs."""
 
-    Attributes:
-        units: Metric to its unit.
-        bytes_per_run: Memory that a run takes while it runs.
-    """
-
-    units: dict[str, str]
-    bytes_per_run: int
+    units: dict[str, str]  # metric to its unit
+    bytes_per_run: int  # memory that a run takes while it runs
 
 
 def probe(plan: StudyPlan) -> Probe:
@@ -218,11 +213,7 @@ def execute(pool: Pool, plan: StudyPlan, numbers: Sequence[int]) -> Iterator[Tri
 
 
 def result_of(future: Future[TrialResult], trial: Trial, pool: Pool) -> TrialResult:
-    """Result of a run; a failure where it killed its workers again and again.
-
-    Raises:
-        MmnnError, StudyError: As in `execute`.
-    """
+    """Result of a run; a failure where it killed its workers again and again; errors as of `execute`."""
     try:
         return future.result()
     except StudyError:
@@ -243,17 +234,11 @@ def result_of(future: Future[TrialResult], trial: Trial, pool: Pool) -> TrialRes
 
 @dataclass(frozen=True)
 class Rerun:
-    """A run that was made again.
+    """A run that was made again."""
 
-    Attributes:
-        result: Its result now.
-        file: Its recording.
-        stored: The stored result; None if there is none, or one with other settings.
-    """
-
-    result: TrialResult
-    file: Path
-    stored: TrialResult | None
+    result: TrialResult  # its result now
+    file: Path  # its recording
+    stored: TrialResult | None  # the stored result; None if there is none, or one with other settings
 
     @property
     def different(self) -> list[str]:

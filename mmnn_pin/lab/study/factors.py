@@ -148,11 +148,7 @@ RULES: tuple[tuple[tuple[str, ...], Callable[[tuple[float, ...]], bool], str], .
 
 
 def require_values(kind: str, values: tuple[Any, ...], relative: bool) -> None:
-    """Refuse lists of nothing, of what is no setting, or with the same value twice.
-
-    Raises:
-        ConfigError: With the key.
-    """
+    """Refuse lists of nothing, of what is no setting, or with the same value twice (`ConfigError`)."""
     if not values:
         raise ConfigError("no values, so no runs", fix="give at least one", key=kind)
     for i, value in enumerate(values):

@@ -41,25 +41,15 @@ TRUTH = ("masses", "friction")  # of the true robot only, where the model is nom
 
 @dataclass(frozen=True, eq=False)
 class StudyPlan:
-    """All runs of a study.
+    """All runs of a study."""
 
-    Attributes:
-        study: The study.
-        base: Its experiment with the study's changes, without its factors.
-        table: The same as a table, with all defaults.
-        points: Factor to value, of every point.
-        controllers: Of every point.
-        seeds: Of every point; None where the seed is a factor.
-        bundles: Files of the robots met so far.
-    """
-
-    study: StudyFile
-    base: Experiment
-    table: dict[str, Any] = field(repr=False)
-    points: tuple[dict[str, Any], ...] = field(repr=False)
-    controllers: tuple[str, ...]
-    seeds: tuple[int | None, ...]
-    bundles: dict[Any, Bundle] = field(default_factory=dict, init=False, repr=False)
+    study: StudyFile  # the study
+    base: Experiment  # its experiment with the study's changes, without its factors
+    table: dict[str, Any] = field(repr=False)  # the same as a table, with all defaults
+    points: tuple[dict[str, Any], ...] = field(repr=False)  # factor to value, of every point
+    controllers: tuple[str, ...]  # of every point
+    seeds: tuple[int | None, ...]  # of every point; None where the seed is a factor
+    bundles: dict[Any, Bundle] = field(default_factory=dict, init=False, repr=False)  # files of the robots met so far
 
     def __len__(self) -> int:
         return len(self.points) * len(self.seeds) * len(self.controllers)

@@ -34,24 +34,17 @@ TIMEOUT = 10.0  # to connect [s]
 
 @dataclass
 class Pool:
-    """Makes runs.
+    """Makes runs."""
 
-    Attributes:
-        executor: Takes them.
-        place: What it is, for people.
-        window: How many runs it is given at a time; asked again and again.
-        share: Hands a robot's files to it; gives what stands for them in a call, None where they are there already.
-        check: Asked about once a second.
-        is_warm: Whether runs may start at once: until the first one has ended, others would compile what it does.
-        shared: What stands for the files that were handed to it, by their digest.
-    """
-
-    executor: Executor
-    place: str
-    window: Callable[[], int]
+    executor: Executor  # takes them
+    place: str  # what it is, for people
+    window: Callable[[], int]  # how many runs it is given at a time; asked again and again
+    # hands a robot's files to it; gives what stands for them in a call, None where they are there already
     share: Callable[[Bundle], Any] = lambda bundle: None
-    check: Callable[[], None] = lambda: None
+    check: Callable[[], None] = lambda: None  # asked about once a second
+    # whether runs may start at once: until the first one has ended, others would compile what it does
     is_warm: bool = False
+    # what stands for the files that were handed to it, by their digest
     shared: dict[str, Any] = field(default_factory=dict)
 
     def submit(self, trial: Trial, bundle: Bundle) -> Future[TrialResult]:

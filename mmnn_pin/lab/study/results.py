@@ -33,29 +33,17 @@ DEFAULT = ("pose_error.[xy].peak", "pose_error.phi.peak", "e.*.peak", "effort")
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """The results of a study so far.
+    """The results of a study so far."""
 
-    Attributes:
-        path: Their file.
-        name: The study's name.
-        settings: The study's settings.
-        planned: Number of its runs.
-        rows: The runs that are done, failed ones left out.
-        failed: Rows that failed for a fault and will be run again.
-        patterns: Metrics to show.
-        units: Metric to its unit.
-        meta: All facts of the study.
-    """
-
-    path: Path
-    name: str
-    settings: StudySettings
-    planned: int
-    rows: Sequence[TrialResult] = field(repr=False)
-    failed: Sequence[TrialResult] = field(repr=False)
-    patterns: tuple[str, ...]
-    units: Mapping[str, str]
-    meta: Mapping[str, Any] = field(repr=False)
+    path: Path  # their file
+    name: str  # the study's name
+    settings: StudySettings  # the study's settings
+    planned: int  # number of its runs
+    rows: Sequence[TrialResult] = field(repr=False)  # the runs that are done, failed ones left out
+    failed: Sequence[TrialResult] = field(repr=False)  # rows that failed for a fault and will be run again
+    patterns: tuple[str, ...]  # metrics to show
+    units: Mapping[str, str]  # metric to its unit
+    meta: Mapping[str, Any] = field(repr=False)  # all facts of the study
     _found: dict[tuple[str, str], Array] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -166,11 +154,7 @@ def load_results(path: Path) -> Results:
 
 
 def require_of(row: TrialResult, settings: StudySettings, controllers: Sequence[str], path: Path) -> None:
-    """Refuse a row that is none of the study's.
-
-    Raises:
-        StudyError: With its number.
-    """
+    """Refuse a row that is none of the study's (`StudyError`)."""
     why = (
         f"its controller {shortly(row.controller)} is none of the study's" if row.controller not in controllers else ""
     )

@@ -167,17 +167,11 @@ S = TypeVar("S", bound=Settings)
 
 @dataclass(frozen=True)
 class StudyFile:
-    """A study as its file has it.
+    """A study as its file has it."""
 
-    Attributes:
-        settings: What it says.
-        base: The experiment that it varies, without the study's changes.
-        path: The file.
-    """
-
-    settings: StudySettings
-    base: Experiment
-    path: Path
+    settings: StudySettings  # what it says
+    base: Experiment  # the experiment that it varies, without the study's changes
+    path: Path  # the file
 
     @property
     def name(self) -> str:

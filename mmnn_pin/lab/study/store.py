@@ -88,16 +88,11 @@ class Facts(msgspec.Struct, frozen=True):
 
 @dataclass
 class Store:
-    """A study's results as they are on disk.
+    """A study's results as they are on disk."""
 
-    Attributes:
-        path: The file.
-        facts: Of the study; empty where none were written.
-        results: Of its runs, in order of their numbers; those that are added later are only in the file.
-    """
-
-    path: Path
-    facts: dict[str, Any] = field(default_factory=dict)
+    path: Path  # the file
+    facts: dict[str, Any] = field(default_factory=dict)  # of the study; empty where none were written
+    # of its runs, in order of their numbers; those that are added later are only in the file
     results: list[TrialResult] = field(default_factory=list)
 
     def add(self, *lines: TrialResult | Mapping[str, Any]) -> None:
@@ -230,11 +225,7 @@ def decoded(line: bytes, number: int, path: Path) -> TrialResult | dict[str, Any
 
 
 def require_version(facts: Mapping[str, Any], path: Path) -> None:
-    """Refuse a file of another version.
-
-    Raises:
-        StudyError: With both versions.
-    """
+    """Refuse a file of another version (`StudyError`)."""
     if (version := facts.get("format_version")) != VERSION:
         why = f"its format version is {version}, this mmnn_pin reads {VERSION}"
         fix = "use the mmnn_pin that wrote it, or another folder with --out"

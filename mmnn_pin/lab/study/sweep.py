@@ -152,11 +152,7 @@ def sweep(  # noqa: PLR0913 - options, by keyword alone
 
 
 def require_sweep(values: Sequence[Any], runs: int, masses: tuple[float, float]) -> None:
-    """Refuse a sweep of nothing, and robots that cannot be.
-
-    Raises:
-        ConfigError: With the argument.
-    """
+    """Refuse a sweep of nothing, and robots that cannot be (`ConfigError`)."""
     if not fits(values, Sequence[Any]):
         raise ConfigError(
             f"{shortly(values)} is no list", fix=f"give a list of values: [{shortly(values)}]", key="values"
@@ -170,11 +166,7 @@ def require_sweep(values: Sequence[Any], runs: int, masses: tuple[float, float])
 
 
 def require_no_schedules(made: Assembled) -> None:
-    """Refuse controllers that take the gain of another one's run.
-
-    Raises:
-        ConfigError: With the first of them.
-    """
+    """Refuse controllers that take the gain of another one's run (`ConfigError`)."""
     for name in made.controllers:
         if name in EFFECTIVE and name not in made.own:
             why = "it takes the gain of a learner's run"

@@ -55,21 +55,13 @@ LOOK = 1.0  # of a run, to see where the weights go before the learning rates ar
 
 @dataclass(frozen=True)
 class Score:
-    """The score of a set of gains.
+    """The score of a set of gains."""
 
-    Attributes:
-        metric: (n,) the metric of every run, inf where it did not complete.
-        quantile: Which counts.
-        refused: Share of runs on which the gains break a constraint; nothing was run then.
-        complaint: One of these complaints.
-        draws: (n,) number of the draw of every run; None where each has its own.
-    """
-
-    metric: Array
-    quantile: float
-    refused: float = 0.0
-    complaint: str = ""
-    draws: IntArray | None = None
+    metric: Array  # (n,) the metric of every run, inf where it did not complete
+    quantile: float  # which counts
+    refused: float = 0.0  # share of runs on which the gains break a constraint; nothing was run then
+    complaint: str = ""  # one of these complaints
+    draws: IntArray | None = None  # (n,) number of the draw of every run; None where each has its own
 
     @property
     def interval(self) -> Interval:
@@ -92,21 +84,13 @@ class Score:
 
 @dataclass
 class Scorer:
-    """Tries gains on a study's draws.
+    """Tries gains on a study's draws."""
 
-    Args:
-        study: The study.
-        tune: What to look for.
-        pool: Makes the runs.
-        points: Number of draws; None for the study's.
-        sampling_seed: Of the draws; None for the study's.
-    """
-
-    study: StudyFile
-    tune: Tune
-    pool: Pool
-    points: int | None = None
-    sampling_seed: int | None = None
+    study: StudyFile  # the study
+    tune: Tune  # what to look for
+    pool: Pool  # makes the runs
+    points: int | None = None  # number of draws; None for the study's
+    sampling_seed: int | None = None  # of the draws; None for the study's
 
     def score(self, gains: Mapping[str, Any]) -> Score:
         """Run all draws with a set of gains.
@@ -199,27 +183,17 @@ def judged(plan: StudyPlan, most: int = CONSTRAINTS[0][1]) -> list[int]:
 
 @dataclass(frozen=True)
 class Tuned:
-    """The result of a search for gains.
+    """The result of a search for gains."""
 
-    Attributes:
-        tune: What was looked for.
-        trials: Sets of gains that were tried.
-        refused: Of them, those that broke a constraint.
-        own: Value of the experiment's own gains; None where they have none within the bounds.
-        best: The best gains that keep the constraints on the fresh draws, too, key path to value.
-        value: Their value on the study's draws.
-        fresh: Scores of the own and of the best gains on fresh draws; None where none were asked for.
-        passed_over: Better sets of gains that break a constraint on the fresh draws.
-    """
-
-    tune: Tune
-    trials: int
-    refused: int
-    own: float | None
-    best: dict[str, Any]
-    value: float
+    tune: Tune  # what was looked for
+    trials: int  # sets of gains that were tried
+    refused: int  # of them, those that broke a constraint
+    own: float | None  # value of the experiment's own gains; None where they have none within the bounds
+    best: dict[str, Any]  # the best gains that keep the constraints on the fresh draws, too, key path to value
+    value: float  # their value on the study's draws
+    # scores of the own and of the best gains on fresh draws; None where none were asked for
     fresh: tuple[Score, Score] | None
-    passed_over: int = 0
+    passed_over: int = 0  # better sets of gains that break a constraint on the fresh draws
 
     def describe(self) -> str:
         """The result for people."""

@@ -31,18 +31,13 @@ FEWEST = 20  # runs of either half that it must hold
 
 @dataclass(frozen=True)
 class Share:
-    """The share of a result that a factor decides.
+    """The share of a result that a factor decides."""
 
-    Attributes:
-        share: Its first-order share of the variance of the result's ranks, from 0 (nothing) to 1 (all); corrected for
-            the number of bins, so that a factor without influence has 0 on average.
-        direction: Spearman's rank correlation; nan for a factor without an order.
-        p: Probability of so large a share by chance.
-    """
-
+    # its first-order share of the variance of the result's ranks, from 0 (nothing) to 1 (all); corrected for the number
+    # of bins, so that a factor without influence has 0 on average
     share: float
-    direction: float
-    p: float
+    direction: float  # spearman's rank correlation; nan for a factor without an order
+    p: float  # probability of so large a share by chance
 
 
 def share_of(values: Sequence[Any], result: Array, ordered: bool, groups: IntArray | None = None) -> Share:
@@ -107,19 +102,12 @@ def levels_of(values: Sequence[Any], ordered: bool) -> list[Any]:
 
 @dataclass(frozen=True)
 class Cut:
-    """The interval of one factor in a box.
+    """The interval of one factor in a box."""
 
-    Attributes:
-        factor: Its name.
-        low: Smallest value; None for no bound.
-        high: Largest value; None for no bound.
-        levels: Values that are in, of a factor without an order; None for all.
-    """
-
-    factor: str
-    low: float | None = None
-    high: float | None = None
-    levels: tuple[Any, ...] | None = None
+    factor: str  # its name
+    low: float | None = None  # smallest value; None for no bound
+    high: float | None = None  # largest value; None for no bound
+    levels: tuple[Any, ...] | None = None  # values that are in, of a factor without an order; None for all
 
     def describe(self, unit: str = "") -> str:
         """In words."""
@@ -145,17 +133,11 @@ class Cut:
 
 @dataclass(frozen=True)
 class Region:
-    """A box in the factors.
+    """A box in the factors."""
 
-    Attributes:
-        cuts: What it demands; nothing where all runs are in.
-        share: Share of all runs that are in it.
-        success: Rate of successes within, of the runs that had no part in finding it.
-    """
-
-    cuts: tuple[Cut, ...]
-    share: float
-    success: Interval
+    cuts: tuple[Cut, ...]  # what it demands; nothing where all runs are in
+    share: float  # share of all runs that are in it
+    success: Interval  # rate of successes within, of the runs that had no part in finding it
 
 
 @dataclass(frozen=True)
@@ -328,17 +310,11 @@ def sentences(results: Results, found: Verdict) -> list[str]:
 
 @dataclass(frozen=True)
 class MapCell:
-    """Runs within bins of some factors, as maps show them.
+    """Runs within bins of some factors, as maps show them."""
 
-    Attributes:
-        cuts: The bins.
-        runs: How many runs.
-        success: Their rate of successes.
-    """
-
-    cuts: tuple[Cut, ...]
-    runs: int
-    success: Interval
+    cuts: tuple[Cut, ...]  # the bins
+    runs: int  # how many runs
+    success: Interval  # their rate of successes
 
 
 def best_cell(results: Results, controller: str, count: int, wanted: float) -> MapCell:

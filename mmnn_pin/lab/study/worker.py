@@ -45,29 +45,17 @@ from .store import TrialResult
 
 @dataclass(frozen=True)
 class Trial:
-    """One run of a study, as a worker gets it.
+    """One run of a study, as a worker gets it."""
 
-    Attributes:
-        id: Its number, from 0.
-        point: Number of its point of the factors.
-        controller: Its controller.
-        seed: Its seed.
-        parameters: Factor to its value.
-        experiment: The experiment, of this controller alone.
-        nominal: The experiment whose robot the controller is made for; None for the true one.
-        fingerprint: Hash of all that decides its numbers, but for the software.
-        code: Digest of the sources that made the study.
-    """
-
-    id: int
-    point: int
-    controller: str
-    seed: int
-    parameters: dict[str, Any]
-    experiment: Experiment
-    nominal: Experiment | None
-    fingerprint: str
-    code: str
+    id: int  # its number, from 0
+    point: int  # number of its point of the factors
+    controller: str  # its controller
+    seed: int  # its seed
+    parameters: dict[str, Any]  # factor to its value
+    experiment: Experiment  # the experiment, of this controller alone
+    nominal: Experiment | None  # the experiment whose robot the controller is made for; None for the true one
+    fingerprint: str  # hash of all that decides its numbers, but for the software
+    code: str  # digest of the sources that made the study
 
     def result(self, status: Any, **more: Any) -> TrialResult:
         """Its result, on this machine and at this time; arguments as in `TrialResult`."""
@@ -132,25 +120,16 @@ def robots_of(trial: Trial, bundle: Bundle | None) -> tuple[Robot, Robot | None]
 
 @dataclass(frozen=True)
 class Bundle:
-    """The files of a robot.
+    """The files of a robot."""
 
-    Attributes:
-        urdf: File name of the URDF among the files.
-        files: Relative name to content.
-        overrides: What is stated about the robot, in the call and in the file beside its URDF; it names no folders.
-    """
-
-    urdf: str
-    files: dict[str, bytes] = field(repr=False)
+    urdf: str  # file name of the URDF among the files
+    files: dict[str, bytes] = field(repr=False)  # relative name to content
+    # what is stated about the robot, in the call and in the file beside its URDF; it names no folders
     overrides: Overrides
 
     @classmethod
     def of(cls, robot: str, overrides: Overrides) -> Bundle:
-        """Files of a robot that loads; a mesh that is not there stays away.
-
-        Raises:
-            InputError: As `load`.
-        """
+        """Files of a robot that loads; a mesh that is not there stays away; errors as of `load`."""
         path = find(robot)
         overrides, _ = with_file(path, overrides)
         folders = folders_of(path, overrides)
@@ -203,11 +182,7 @@ def load_once(robot: str, overrides: Overrides) -> Robot:
 
 
 def require_worker(trial: Trial) -> None:
-    """Refuse to run with other sources than the study's, or without a package that the run needs.
-
-    Raises:
-        StudyError: With the worker's machine.
-    """
+    """Refuse to run with other sources than the study's, or without a package that the run needs (`StudyError`)."""
     here = socket.gethostname()
     if trial.code != code_digest():
         fix = "install the same version of mmnn_pin on all machines"

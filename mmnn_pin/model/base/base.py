@@ -31,32 +31,20 @@ from ...signals import Array
 
 @dataclass(frozen=True)
 class Wheel:
-    """A drive wheel.
+    """A drive wheel."""
 
-    Attributes:
-        joint: Name of its joint.
-        radius: Rolling radius [m].
-        sign: +1 if positive joint velocity rolls it along its heading, else -1.
-        y: Lateral offset of the contact point in the control frame [m], positive to the left.
-        x: Longitudinal offset [m].
-        heading: Rolling direction in the control frame, counterclockwise from x [rad].
-        roller: Angle from the rolling direction to the axis of the roller on the floor, counterclockwise seen from
-            above [rad]; None for a plain wheel.
-        pivot: Number of the pivot that carries it, in whose frame it is placed; -1 for the base's body.
-        driven: Whether a motor drives it.
-        grips: Whether it holds the floor sideways; not one of several axles of a trailer, which must slide.
-    """
-
-    joint: str
-    radius: float
-    sign: float
-    y: float
-    x: float = 0.0
-    heading: float = 0.0
+    joint: str  # name of its joint
+    radius: float  # rolling radius [m]
+    sign: float  # +1 if positive joint velocity rolls it along its heading, else -1
+    y: float  # lateral offset of the contact point in the control frame [m], positive to the left
+    x: float = 0.0  # longitudinal offset [m]
+    heading: float = 0.0  # rolling direction in the control frame, counterclockwise from x [rad]
+    # angle from the rolling direction to the axis of the roller on the floor, counterclockwise seen from above [rad];
+    # None for a plain wheel
     roller: float | None = None
-    pivot: int = -1
-    driven: bool = True
-    grips: bool = True
+    pivot: int = -1  # number of the pivot that carries it, in whose frame it is placed; -1 for the base's body
+    driven: bool = True  # whether a motor drives it
+    grips: bool = True  # whether it holds the floor sideways; not one of several axles of a trailer, which must slide
 
     @property
     def grip(self) -> Array:
@@ -67,31 +55,19 @@ class Wheel:
 
 
 class LinearErrors(NamedTuple):
-    """The pose error e for small errors, under a law: `edot = rates e + by_velocity dnu`, `dalpha = command e`.
+    """The pose error e for small errors, under a law: `edot = rates e + by_velocity dnu`, `dalpha = command e`."""
 
-    Attributes:
-        rates: (3, 3); of a base that steers its angles are further errors.
-        by_velocity: (3, nb) effect of the base velocity.
-        command: (nb, 3) what the law answers.
-    """
-
-    rates: Array
-    by_velocity: Array
-    command: Array
+    rates: Array  # (3, 3); of a base that steers its angles are further errors
+    by_velocity: Array  # (3, nb) effect of the base velocity
+    command: Array  # (nb, 3) what the law answers
 
 
 class PoseEnergy(NamedTuple):
-    """Lyapunov function V1 of a pose error under a law, `V1dot = decay + coupling`; each (k,).
+    """Lyapunov function V1 of a pose error under a law, `V1dot = decay + coupling`; each (k,)."""
 
-    Attributes:
-        value: V1.
-        decay: Its derivative where the base moves as commanded.
-        coupling: What `z = alpha - velocity` adds.
-    """
-
-    value: Array
-    decay: Array
-    coupling: Array
+    value: Array  # v1
+    decay: Array  # its derivative where the base moves as commanded
+    coupling: Array  # what `z = alpha - velocity` adds
 
 
 @dataclass(frozen=True, eq=False)

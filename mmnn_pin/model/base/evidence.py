@@ -75,20 +75,14 @@ STEERED = re.compile(r"(?:ackermann|bicycle|tricycle)(?:_steering)?_controller|s
 
 @dataclass(frozen=True)
 class Evidence:
-    """A text, with its line, that speaks for `holonomic` or `skid_steer`; of one source it counts once for all wheels.
-
-    Attributes:
-        source: Where it is from, a key of `WEIGHTS`.
-        wheel: Joint of the wheel that it is about, empty for all.
-        roller: Roller angle that it states of that wheel [rad], see `Wheel`; nan when it states none.
-    """
+    """Text, with its line, that speaks for `holonomic` or `skid_steer`; of one source it counts once for all wheels."""
 
     meaning: str
     text: str
     line: int
-    source: str
-    wheel: str = ""
-    roller: float = math.nan
+    source: str  # where it is from, a key of `WEIGHTS`
+    wheel: str = ""  # joint of the wheel that it is about, empty for all
+    roller: float = math.nan  # roller angle that it states of that wheel [rad], see `Wheel`; nan when it states none
 
     @property
     def weight(self) -> float:
@@ -259,16 +253,11 @@ def driving_words(rest: AtRest, controllers: str | None) -> list[tuple[str, str]
 
 
 class Stated(NamedTuple):
-    """A length of the base that a file states, and where; of the wheels of a side, or of all.
+    """A length of the base that a file states, and where; of the wheels of a side, or of all."""
 
-    Attributes:
-        value: As the controller works with it, with its multipliers [m].
-        nominal: Without them [m].
-    """
-
-    value: float
+    value: float  # as the controller works with it, with its multipliers [m]
     text: str
-    nominal: float
+    nominal: float  # without them [m]
     side: str = ""
 
 

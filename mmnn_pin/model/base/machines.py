@@ -259,11 +259,7 @@ def refuse_legs(rest: AtRest, wheels: list[Candidate]) -> None:
 
 
 def require_measured(rest: AtRest, wheels: list[Candidate]) -> None:
-    """Refuse casters beside which low joints cannot be measured.
-
-    Raises:
-        Undecided: There are two or more of these.
-    """
+    """Refuse casters beside which low joints cannot be measured (`Undecided`)."""
     blind = blind_beside(rest, wheels)
     if len(blind) >= 2:
         why = "what would drive them cannot be measured"

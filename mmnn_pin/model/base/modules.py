@@ -70,21 +70,14 @@ MOST = 200  # combinations of roles that are looked at
 
 @dataclass(frozen=True, eq=False)
 class Module:
-    """A pivot and the wheels on it.
+    """A pivot and the wheels on it."""
 
-    Attributes:
-        joint: The pivot.
-        wheels: On it, and on no other pivot that it carries; without joints of their own where they cannot spin.
-        carrier: The next pivot above, None for the body.
-        role: One of the five of this module's heading; empty while it is not known.
-        spins: Whether its wheels have joints to spin about.
-    """
-
-    joint: Joint
+    joint: Joint  # the pivot
+    # on it, and on no other pivot that it carries; without joints of their own where they cannot spin
     wheels: list[Candidate]
-    carrier: Joint | None = None
-    role: str = ""
-    spins: bool = True
+    carrier: Joint | None = None  # the next pivot above, None for the body
+    role: str = ""  # one of the five of this module's heading; empty while it is not known
+    spins: bool = True  # whether its wheels have joints to spin about
 
     def lever(self, rest: AtRest) -> Array:
         """(2,) from the axis to the middle of its wheels: along the rolling direction and across it [m]."""
@@ -110,19 +103,12 @@ class Module:
 
 
 class Undercarriage(NamedTuple):
-    """The modules of a base and its fixed wheels.
+    """The modules of a base and its fixed wheels."""
 
-    Attributes:
-        modules: A carrier before what it carries.
-        fixed: Wheels on the body.
-        motors: Joints that the file drives, with where it says so.
-        signs: What speaks for these roles of the modules, and against them.
-    """
-
-    modules: list[Module]
-    fixed: list[Candidate]
-    motors: dict[str, str]
-    signs: tuple[Sign, ...] = ()
+    modules: list[Module]  # a carrier before what it carries
+    fixed: list[Candidate]  # wheels on the body
+    motors: dict[str, str]  # joints that the file drives, with where it says so
+    signs: tuple[Sign, ...] = ()  # what speaks for these roles of the modules, and against them
 
     def of(self, *roles: str) -> list[Module]:
         """The modules of some roles."""

@@ -35,15 +35,10 @@ FORCES = "--base holonomic to drive it by forces on its frame, or --base fixed t
 
 @dataclass(frozen=True, eq=False)
 class Proposal(BaseReading):
-    """A reading that a base can be built by.
+    """A reading that a base can be built by."""
 
-    Attributes:
-        said: What a user says for it, keys of `Overrides`.
-        build: Makes it; raises what `understanding` raises where it cannot be.
-    """
-
-    said: Mapping[str, Any]
-    build: Callable[[], BaseResult]
+    said: Mapping[str, Any]  # what a user says for it, keys of `Overrides`
+    build: Callable[[], BaseResult]  # makes it; raises what `understanding` raises where it cannot be
 
     @property
     def options(self) -> str:
@@ -54,21 +49,14 @@ class Proposal(BaseReading):
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """The question that is asked where readings leave a doubt.
+    """The question that is asked where readings leave a doubt."""
 
-    Attributes:
-        rest: The robot at rest.
-        wheels: What was found.
-        attempt: What becomes of the robot if a user says something more; None where that is what is tried.
-        blind: What may be wheels, too, and cannot be measured.
-        sure: Whether the user says that one of the readings is right.
-    """
-
-    rest: AtRest
-    wheels: Sequence[Candidate]
+    rest: AtRest  # the robot at rest
+    wheels: Sequence[Candidate]  # what was found
+    # what becomes of the robot if a user says something more; None where that is what is tried
     attempt: Callable[[Mapping[str, Any]], BaseResult] | None
-    blind: Sequence[Candidate] = ()
-    sure: bool = False
+    blind: Sequence[Candidate] = ()  # what may be wheels, too, and cannot be measured
+    sure: bool = False  # whether the user says that one of the readings is right
 
     def best_of(self, readings: Sequence[Proposal]) -> BaseResult:
         """The base of the reading that is borne out.

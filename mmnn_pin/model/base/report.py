@@ -58,16 +58,11 @@ CODES = {code: severity for severity, codes in SEVERITIES.items() for code in co
 
 @dataclass(frozen=True, eq=False)
 class BaseResult:
-    """A base, and what was noticed on the way.
+    """A base, and what was noticed on the way."""
 
-    Attributes:
-        base: The base.
-        findings: Warnings and notes.
-        taken: What the robot's own controllers correct of its geometry, keys of `Overrides`.
-    """
-
-    base: Base
-    findings: tuple[Finding, ...] = ()
+    base: Base  # the base
+    findings: tuple[Finding, ...] = ()  # warnings and notes
+    # what the robot's own controllers correct of its geometry, keys of `Overrides`
     taken: dict[str, Any] = field(default_factory=dict)
 
 
@@ -275,15 +270,10 @@ def printed_notes(rest: AtRest, printed: str) -> list[Finding]:
 
 @dataclass(frozen=True, eq=False)
 class BaseReading:
-    """One way to understand a base.
+    """One way to understand a base."""
 
-    Attributes:
-        kind: What it would be, a key of `KINDS`, or another machine.
-        signs: What speaks for it and against it.
-    """
-
-    kind: str
-    signs: tuple[Sign, ...]
+    kind: str  # what it would be, a key of `KINDS`, or another machine
+    signs: tuple[Sign, ...]  # what speaks for it and against it
 
     @property
     def score(self) -> float:

@@ -51,32 +51,19 @@ TIE = 0.3  # wheels by which those that roll forwards outnumber the others: belo
 
 @dataclass(frozen=True)
 class Pivot:
-    """A vertical joint of the base.
+    """A vertical joint of the base."""
 
-    Attributes:
-        joint: Its name.
-        role: One of `ROLES`.
-        x: Its axis on its carrier, ahead [m]; in the control frame where the body carries it.
-        y: Likewise, to the left [m].
-        parent: Number of the pivot that carries it, -1 for the body; a carrier stands before what it carries.
-        sign: +1 where a positive joint velocity turns to the left seen from above, else -1.
-        lower: Lower stop [rad], -inf for none.
-        upper: Upper stop [rad], inf for none.
-        rate: Largest rate [rad/s], inf where the file states none.
-        motor: Whether a motor turns it; a follower on a linkage has none.
-        wheel: The wheel, or the middle of the axle, that it carries: ahead, to the left [m], heading [rad] on it.
-    """
-
-    joint: str
-    role: str
-    x: float
-    y: float
-    parent: int = -1
-    sign: float = 1.0
-    lower: float = -math.inf
-    upper: float = math.inf
-    rate: float = math.inf
-    motor: bool = False
+    joint: str  # its name
+    role: str  # one of `ROLES`
+    x: float  # its axis on its carrier, ahead [m]; in the control frame where the body carries it
+    y: float  # likewise, to the left [m]
+    parent: int = -1  # number of the pivot that carries it, -1 for the body; a carrier stands before what it carries
+    sign: float = 1.0  # +1 where a positive joint velocity turns to the left seen from above, else -1
+    lower: float = -math.inf  # lower stop [rad], -inf for none
+    upper: float = math.inf  # upper stop [rad], inf for none
+    rate: float = math.inf  # largest rate [rad/s], inf where the file states none
+    motor: bool = False  # whether a motor turns it; a follower on a linkage has none
+    # the wheel, or the middle of the axle, that it carries: ahead, to the left [m], heading [rad] on it
     wheel: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -121,50 +108,29 @@ TURN, PIVOT, WHEEL = _Turn(), _Pivot(), _Wheel()
 
 @by_address
 class Rolling(NamedTuple):
-    """A base that rolls by T(theta), as arrays.
+    """A base that rolls by T(theta), as arrays."""
 
-    Attributes:
-        turns: (K, 4) of every pivot: role, carrier, place in the position, column in nu.
-        pivots: (K, 10) of every pivot: where it is, its sign, the wheel on it, its limits.
-        carriers: (W, 2) of every wheel: its carrier, its row of T.
-        wheels: (W, 5) of every wheel: where it is, its heading, joint velocity per rim speed.
-        body: `STEERED`, `AXLE` or `FREE`.
-        axle: Whether an axle at the control frame is fixed.
-        length: l of W [m].
-        root: (3, 3) map from eta to the root's planar velocity.
-    """
-
-    turns: IntArray
-    pivots: Array
-    carriers: IntArray
-    wheels: Array
-    body: int
-    axle: bool
-    length: float
-    root: Array
+    turns: IntArray  # (K, 4) of every pivot: role, carrier, place in the position, column in nu
+    pivots: Array  # (K, 10) of every pivot: where it is, its sign, the wheel on it, its limits
+    carriers: IntArray  # (W, 2) of every wheel: its carrier, its row of T
+    wheels: Array  # (W, 5) of every wheel: where it is, its heading, joint velocity per rim speed
+    body: int  # `STEERED`, `AXLE` or `FREE`
+    axle: bool  # whether an axle at the control frame is fixed
+    length: float  # l of W [m]
+    root: Array  # (3, 3) map from eta to the root's planar velocity
 
 
 @by_address
 class Maps(NamedTuple):
-    """The maps of a base at a state, and memory to work in; one per thread.
+    """The maps of a base at a state, and memory to work in; one per thread."""
 
-    Attributes:
-        T: (nv, p) map from nu to all velocities.
-        Tdot: (nv, p) its rate.
-        V: (K + 1, 3, nb) velocity of the body and of what every pivot carries, in its own axes.
-        Vdot: (K + 1, 3, nb) its rate.
-        eta: (3,) velocity of the control frame; (0,) where T is constant.
-        n: (3,) direction of u, in the measure of W; the sign of the next one goes on from it, 0 at first.
-        gram: (4, 3, 3) scratch.
-    """
-
-    T: Array
-    Tdot: Array
-    V: Array
-    Vdot: Array
-    eta: Array
-    n: Array
-    gram: Array
+    T: Array  # (nv, p) map from nu to all velocities
+    Tdot: Array  # (nv, p) its rate
+    V: Array  # (K + 1, 3, nb) velocity of the body and of what every pivot carries, in its own axes
+    Vdot: Array  # (K + 1, 3, nb) its rate
+    eta: Array  # (3,) velocity of the control frame; (0,) where T is constant
+    n: Array  # (3,) direction of u, in the measure of W; the sign of the next one goes on from it, 0 at first
+    gram: Array  # (4, 3, 3) scratch
 
 
 def new_maps(rolling: Rolling | None, T: Array) -> Maps:

@@ -28,19 +28,12 @@ FINE = 0.5  # largest step of a swing, over the time in which it comes to rest
 
 
 class Stance(NamedTuple):
-    """How pivots stand along a motion.
+    """How pivots stand along a motion."""
 
-    Attributes:
-        angles: (N, K) of the joints [rad].
-        rates: (N, K) their rates [rad/s].
-        moves: (N, K) whether the place moves, which says how it stands.
-        fits: (K,) whether it stays between its stops.
-    """
-
-    angles: Array
-    rates: Array
-    moves: NDArray[np.bool_]
-    fits: NDArray[np.bool_]
+    angles: Array  # (N, K) of the joints [rad]
+    rates: Array  # (N, K) their rates [rad/s]
+    moves: NDArray[np.bool_]  # (N, K) whether the place moves, which says how it stands
+    fits: NDArray[np.bool_]  # (K,) whether it stays between its stops
 
 
 def room(pivot: Pivot, share: float = 1.0) -> tuple[float, float]:

@@ -28,19 +28,14 @@ class SteeredBase(Base):
     """A base on pivots.
 
     Its `wheels` are all that roll, driven or not; an idle one is moved by the floor.
-
-    Attributes:
-        body: What its body may do, `STEERED`, `AXLE` or `FREE` (`rolling`).
-        pivots: Its pivots, a carrier before what it carries.
-        length: Wheelbase, or radius of gyration of the wheels that steer, l of `rolling` [m].
-        scrub: Largest speed at which a wheel slides sideways per speed of the base, of what its file says; 0 where all
-            roll exactly.
     """
 
-    body: ClassVar[int] = STEERED
+    body: ClassVar[int] = STEERED  # what its body may do, `STEERED`, `AXLE` or `FREE` (`rolling`)
 
-    pivots: tuple[Pivot, ...] = ()
-    length: float = 1.0
+    pivots: tuple[Pivot, ...] = ()  # its pivots, a carrier before what it carries
+    length: float = 1.0  # wheelbase, or radius of gyration of the wheels that steer, l of `rolling` [m]
+    # largest speed at which a wheel slides sideways per speed of the base, of what its file says; 0 where all roll
+    # exactly
     scrub: float = 0.0
 
     @property

@@ -83,11 +83,7 @@ def steered_base(rest: AtRest, candidates: Candidates, overrides: Overrides, und
 
 
 def refuse_linked(rest: AtRest, under: Undercarriage) -> None:
-    """Refuse machines of several bodies that steer or drive each by itself.
-
-    Raises:
-        Unsupported: A pivot that steers is on another one.
-    """
+    """Refuse machines of several bodies that steer or drive each by itself (`Unsupported`)."""
     linked = [m for m in under.of("steered", "powered", "waist") if m.carrier is not None]
     if linked:
         pivots = ", ".join(f"'{m.joint.name}' on '{m.carrier.name}'" for m in linked if m.carrier)

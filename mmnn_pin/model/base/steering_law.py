@@ -49,19 +49,12 @@ class Asked(NamedTuple):
 
 @by_address
 class SteeringNumbers(NamedTuple):
-    """The numbers of the law.
+    """The numbers of the law."""
 
-    Attributes:
-        rate: K, how fast a wheel turns to its path [1/s].
-        slow: eps, the speed under which wheels steer less [m/s].
-        align: Whether the base waits for wheels that do not stand along their paths.
-        waist: Whether what steers is a loader's waist.
-    """
-
-    rate: float
-    slow: float
-    align: bool
-    waist: bool
+    rate: float  # K, how fast a wheel turns to its path [1/s]
+    slow: float  # eps, the speed under which wheels steer less [m/s]
+    align: bool  # whether the base waits for wheels that do not stand along their paths
+    waist: bool  # whether what steers is a loader's waist
 
 
 @internal

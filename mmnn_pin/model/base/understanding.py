@@ -106,25 +106,15 @@ NOTHING = 0.05  # of the mass of a robot: what simulators ask for of an empty li
 
 @dataclass(frozen=True, eq=False)
 class Roles:
-    """The roles of a robot's joints.
+    """The roles of a robot's joints."""
 
-    Attributes:
-        document: The URDF, joints that stand the robot in the world made fixed.
-        rest: The robot at rest.
-        base: What carries the arm.
-        arm: The manipulator, and what stands still.
-        findings: What there is to say of the base.
-        notes: What there is to say of the arm and of the joints that were made fixed.
-        taken: What the robot's own controllers correct of the base's geometry, keys of `Overrides`.
-    """
-
-    document: Document
-    rest: AtRest
-    base: Base
-    arm: Arm
-    findings: tuple[Finding, ...]
-    notes: tuple[Finding, ...]
-    taken: dict[str, Any]
+    document: Document  # the URDF, joints that stand the robot in the world made fixed
+    rest: AtRest  # the robot at rest
+    base: Base  # what carries the arm
+    arm: Arm  # the manipulator, and what stands still
+    findings: tuple[Finding, ...]  # what there is to say of the base
+    notes: tuple[Finding, ...]  # what there is to say of the arm and of the joints that were made fixed
+    taken: dict[str, Any]  # what the robot's own controllers correct of the base's geometry, keys of `Overrides`
 
 
 def understand(document: Document, overrides: Overrides) -> Roles:
@@ -273,11 +263,7 @@ def unclear_strays(rest: AtRest, strays: list[Joint]) -> Undecided:
 
 
 def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
-    """Refuse to take a robot as an arm on a stand though a plugin drives its base.
-
-    Raises:
-        Undecided: One does.
-    """
+    """Refuse to take a robot as an arm on a stand though a plugin drives its base (`Undecided`)."""
     driving = tuple(dict.fromkeys(piece.text for piece in plugins(rest)))
     if driving and not base.columns and overrides.base is None:
         why = "no joint could be a wheel, and a plugin drives a base"
@@ -392,11 +378,7 @@ def drive_readings(
 
 
 def require_kind(rest: AtRest, candidates: Candidates, overrides: Overrides) -> None:
-    """Refuse a kind of base that the user says and no reading of the file is.
-
-    Raises:
-        ConfigError: The wheels make others, or none of them steers.
-    """
+    """Refuse a kind of base that the user says and no reading of the file is (`ConfigError`)."""
     others = list(base_readings(rest, candidates, msgspec.structs.replace(overrides, base=None)))
     others = sorted((r for r in others if r.score > NO_BASE or len(others) == 1), key=lambda r: -r.score)
     kinds = dict.fromkeys(reading.kind for reading in others)
@@ -546,11 +528,7 @@ def shaped(rest: AtRest, link: str) -> bool:
 
 
 def require_rolling(rest: AtRest, base: Base, welds: dict[str, str], overrides: Overrides) -> None:
-    """Refuse to take a robot as an arm on a stand whose root moves in the plane.
-
-    Raises:
-        Undecided: It does, and has no wheels.
-    """
+    """Refuse to take a robot as an arm on a stand whose root moves in the plane (`Undecided`)."""
     moves = [name for name, kind in welds.items() if kind != "floating"]
     if moves and not base.columns and overrides.base is None:
         why = f"its root moves in the plane by {', '.join(moves)}, and no wheel is found"

@@ -52,34 +52,22 @@ Mount = Literal["", "swivel", "steering", "leg"]
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A joint that may be a wheel, in the root frame at rest.
+    """A joint that may be a wheel, in the root frame at rest."""
 
-    Attributes:
-        joint: The joint.
-        axis: (3,) its axis.
-        centre: (3,) middle of the round body on the axis [m].
-        radius: [m], nan while unknown.
-        shape: `cylinder`, `sphere`, `mesh`, `unknown`, `PARTIAL`, or where the radius is from, `HUB` or `STATED`.
-        mount: What it hangs on: a free `swivel`, a `steering` joint, a `leg`, or nothing that turns.
-        trail: Distance of the wheel from the vertical axis that it hangs on, inf without one [m].
-        rollers: Joints of the rollers on its rim.
-        other: Radius of its visual shapes where its collision shapes are measured, nan where it is not known [m].
-        left: Radius of what is left of it where a mesh is missing: that may be its hub; nan where nothing is missing,
-            or nothing left [m].
-        signs: What speaks for and against that what is left is all of it.
-    """
-
-    joint: Joint
-    axis: Array
-    centre: Array
-    radius: float
-    shape: str
-    mount: Mount = ""
-    trail: float = math.inf
-    rollers: tuple[str, ...] = ()
+    joint: Joint  # the joint
+    axis: Array  # (3,) its axis
+    centre: Array  # (3,) middle of the round body on the axis [m]
+    radius: float  # [m], nan while unknown
+    shape: str  # `cylinder`, `sphere`, `mesh`, `unknown`, `PARTIAL`, or where the radius is from, `HUB` or `STATED`
+    mount: Mount = ""  # what it hangs on: a free `swivel`, a `steering` joint, a `leg`, or nothing that turns
+    trail: float = math.inf  # distance of the wheel from the vertical axis that it hangs on, inf without one [m]
+    rollers: tuple[str, ...] = ()  # joints of the rollers on its rim
+    # radius of its visual shapes where its collision shapes are measured, nan where it is not known [m]
     other: float = math.nan
+    # radius of what is left of it where a mesh is missing: that may be its hub; nan where nothing is missing, or
+    # nothing left [m]
     left: float = math.nan
-    signs: tuple[Sign, ...] = ()
+    signs: tuple[Sign, ...] = ()  # what speaks for and against that what is left is all of it
 
     @property
     def bottom(self) -> float:
@@ -100,22 +88,16 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Joints that may be wheels, in the root frame at rest.
+    """Joints that may be wheels, in the root frame at rest."""
 
-    Attributes:
-        wheels: Those on the floor.
-        near_misses: When there are none, what could be wheels but for one thing: it hangs in the air, its axle is
-            tilted, or nothing tells its radius (nan).
-        floor: Height of the floor: the lowest that any link reaches as far as primitives, centres of mass and wheels
-            tell [m].
-        footing: Height of the floor where something tells that it is the floor, else nan [m].
-        limited: What could be wheels on the floor but for the limits of their joints.
-    """
-
-    wheels: list[Candidate]
+    wheels: list[Candidate]  # those on the floor
+    # when there are none, what could be wheels but for one thing: it hangs in the air, its axle is tilted, or nothing
+    # tells its radius (nan)
     near_misses: list[Candidate]
+    # height of the floor: the lowest that any link reaches as far as primitives, centres of mass and wheels tell [m]
     floor: float
-    footing: float
+    footing: float  # height of the floor where something tells that it is the floor, else nan [m]
+    # what could be wheels on the floor but for the limits of their joints
     limited: list[Candidate] = field(default_factory=list)
 
 
@@ -156,17 +138,11 @@ def by_axis(rest: AtRest, candidates: list[Candidate]) -> tuple[list[Candidate],
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Candidates on level axes by what can be seen of them.
+    """Candidates on level axes by what can be seen of them."""
 
-    Attributes:
-        measured: With a round body; of `partial` ones a mesh is missing.
-        hidden: Nothing of them can be read whole.
-        lumpy: What is on them is not round.
-    """
-
-    measured: list[Candidate]
-    hidden: list[Candidate]
-    lumpy: list[Candidate]
+    measured: list[Candidate]  # with a round body; of `partial` ones a mesh is missing
+    hidden: list[Candidate]  # nothing of them can be read whole
+    lumpy: list[Candidate]  # what is on them is not round
 
     @property
     def partial(self) -> list[Candidate]:
@@ -385,19 +361,12 @@ def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candi
 
 
 class WheelSight(NamedTuple):
-    """The sight of a wheel by its collision or its visual shapes.
+    """The sight of a wheel by its collision or its visual shapes."""
 
-    Attributes:
-        rounds: Radius, place along the axis [m] and kind of what is round about it.
-        seen: Whether a shape can be read.
-        gone: Whether one cannot.
-        rimmed: Whether rollers on the rim can be read.
-    """
-
-    rounds: list[tuple[float, float, str]]
-    seen: bool
-    gone: bool
-    rimmed: bool
+    rounds: list[tuple[float, float, str]]  # radius, place along the axis [m] and kind of what is round about it
+    seen: bool  # whether a shape can be read
+    gone: bool  # whether one cannot
+    rimmed: bool  # whether rollers on the rim can be read
 
 
 def look_at(rest: AtRest, joint: Joint, rollers: tuple[str, ...], tag: str) -> WheelSight:

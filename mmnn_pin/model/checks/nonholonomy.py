@@ -31,15 +31,10 @@ WEIGHTS = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))  # fourth-ord
 
 @dataclass(frozen=True)
 class Closure:
-    """Growth of a distribution by Lie brackets.
+    """Growth of a distribution by Lie brackets."""
 
-    Attributes:
-        coordinates: Dimension of the space.
-        growth: Rank of the distribution, then the rank after every round of brackets, until it stays.
-    """
-
-    coordinates: int
-    growth: tuple[int, ...]
+    coordinates: int  # dimension of the space
+    growth: tuple[int, ...]  # rank of the distribution, then the rank after every round of brackets, until it stays
 
     @property
     def distribution(self) -> int:
@@ -54,19 +49,13 @@ class Closure:
 
 @dataclass(frozen=True)
 class Nonholonomy:
-    """The Frobenius test of a base.
+    """The Frobenius test of a base."""
 
-    Attributes:
-        pose: On the pose (x, y, phi), of a base that steers on its posture; None for a fixed arm.
-        with_wheels: On the pose and the angles of the drive wheels; None without wheels, and of a base that steers.
-        verdict: In words, about the pose or the posture.
-        on: Which of the two.
-    """
-
-    pose: Closure | None
+    pose: Closure | None  # on the pose (x, y, phi), of a base that steers on its posture; None for a fixed arm
+    # on the pose and the angles of the drive wheels; None without wheels, and of a base that steers
     with_wheels: Closure | None
-    verdict: str
-    on: str = "pose"
+    verdict: str  # in words, about the pose or the posture
+    on: str = "pose"  # which of the two
 
 
 def nonholonomy(robot: Robot, rng: np.random.Generator | None = None, samples: int = 5) -> Nonholonomy:

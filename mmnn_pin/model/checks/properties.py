@@ -102,42 +102,25 @@ BOUNDS = {  # name: (whether the bound found must be above one's own, meaning)
 
 @dataclass(frozen=True)
 class ModelBounds:
-    """Bounds of property 1, estimated.
+    """Bounds of property 1, estimated."""
 
-    Attributes:
-        M_min: Smallest eigenvalue of the reduced mass matrix found, in SI units [kg, kg m^2 mixed].
-        M_max: Largest.
-        C_b: Largest `||Cbar|| / ||nu||` found.
-    """
-
-    M_min: float
-    M_max: float
-    C_b: float
+    M_min: float  # smallest eigenvalue of the reduced mass matrix found, in SI units [kg, kg m^2 mixed]
+    M_max: float  # largest
+    C_b: float  # largest `||Cbar|| / ||nu||` found
 
 
 @dataclass(frozen=True, repr=False)
 class CheckReport(AsText):
-    """The properties of one robot at all samples; `print` shows every one.
+    """The properties of one robot at all samples; `print` shows every one."""
 
-    Attributes:
-        robot: Its name.
-        samples: Number of random states.
-        seed: Their seed.
-        properties: Name to property, those that the robot can have.
-        bounds: Estimated bounds.
-        nonholonomic: The Frobenius test.
-        skipped: Properties that could not be checked, and why.
-        notes: What to know of the states that were drawn, and of the robot.
-    """
-
-    robot: str
-    samples: int
-    seed: int
-    properties: dict[str, Property]
-    bounds: ModelBounds
-    nonholonomic: Nonholonomy
-    skipped: Mapping[str, str] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    robot: str  # its name
+    samples: int  # number of random states
+    seed: int  # their seed
+    properties: dict[str, Property]  # name to property, those that the robot can have
+    bounds: ModelBounds  # estimated bounds
+    nonholonomic: Nonholonomy  # the Frobenius test
+    skipped: Mapping[str, str] = field(default_factory=dict)  # properties that could not be checked, and why
+    notes: tuple[str, ...] = ()  # what to know of the states that were drawn, and of the robot
 
     @property
     def passed(self) -> bool:

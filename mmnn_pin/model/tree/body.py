@@ -25,34 +25,21 @@ from .tree import flatten
 
 @by_address
 class Body(NamedTuple):
-    """A robot as arrays.
+    """A robot as arrays."""
 
-    Attributes:
-        tree: Its bodies.
-        T: (nv, p) what is constant of the map from nu to all velocities.
-        damping, dry, viscous: Friction of joints (nv,), (nv, 3) and nu (p,).
-        places: Of the joints whose angles are measured in a position: the arm's, then the base's pivots.
-        base: Number of base velocities.
-        sideways: Whether a twist is `(vx, vy, w)`.
-        feels_gravity: Whether gravity does work on it.
-        offset, columns: See `Robot.arm_map`.
-        shape: (shape,) places of the base's pivots.
-        rolling: A base that steers, which makes the rest of T; None where T is constant.
-    """
-
-    tree: BodyTree
-    T: Array
-    damping: Array
-    dry: Array
-    viscous: Array
-    places: IntArray
-    base: int
-    sideways: bool
-    feels_gravity: bool
-    offset: Array
-    columns: Array
-    shape: IntArray
-    rolling: Rolling | None
+    tree: BodyTree  # its bodies
+    T: Array  # (nv, p) what is constant of the map from nu to all velocities
+    damping: Array  # (nv,) viscous friction of joints
+    dry: Array  # (nv, 3) dry friction of joints
+    viscous: Array  # (p,) friction of nu
+    places: IntArray  # of the joints whose angles are measured in a position: the arm's, then the base's pivots
+    base: int  # number of base velocities
+    sideways: bool  # whether a twist is `(vx, vy, w)`
+    feels_gravity: bool  # whether gravity does work on it
+    offset: Array  # see `Robot.arm_map`
+    columns: Array  # see `Robot.arm_map`
+    shape: IntArray  # (shape,) places of the base's pivots
+    rolling: Rolling | None  # a base that steers, which makes the rest of T; None where T is constant
 
 
 @by_address

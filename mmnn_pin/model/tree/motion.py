@@ -89,32 +89,21 @@ BASE, LINK, NUMBER, AT = _Base(), _Links(), _Numbers(), _Scratch()
 
 @by_address
 class BodyTree(NamedTuple):
-    """A robot as plain arrays; joint frames are turned so that every axis is z.
+    """A robot as plain arrays; joint frames are turned so that every axis is z."""
 
-    Attributes:
-        links: (3 + n, 5) row of the parent body; `REVOLUTE` or `PRISMATIC`; entry of `position` that moves the joint,
-            which is its row of T; first and last + 1 entry of nu there.
-        numbers: (3 + n, 22 + k) rotation (by rows) and origin [m] of the joint frame in its parent, mass [kg], first
-            [kg m] and second moments [kg m^2] of the body in the joint frame, entries of the row of T, 0 where those
-            change.
-        rotors: (p, p) constant mass of armatures and of wheels that are alike all around their axis.
-        spins: (m, 2) of lumped wheels whose rows of T change: row of T, mass of their spinning [kg m^2].
-        steers: Whether rows of T change; then `steer` writes them.
-        gravity: (gx, gy, gz) in the frame of the root joint (world for a fixed arm) [m/s^2].
-        frame: Control frame in the root link `(x, y, psi)` [m, m, rad].
-        level: 1 where gravity does not depend on the heading, else 0.
-        root_energy: Potential energy of all mass at the origin of the root joint [J].
-    """
-
+    # (3 + n, 5) row of the parent body; `REVOLUTE` or `PRISMATIC`; entry of `position` that moves the joint, which is
+    # its row of T; first and last + 1 entry of nu there
     links: Indices
+    # (3 + n, 22 + k) rotation (by rows) and origin [m] of the joint frame in its parent, mass [kg], first [kg m] and
+    # second moments [kg m^2] of the body in the joint frame, entries of the row of T, 0 where those change
     numbers: Array
-    rotors: Array
-    gravity: Triple
-    frame: Triple
-    level: int
-    root_energy: float
-    spins: Array
-    steers: bool
+    rotors: Array  # (p, p) constant mass of armatures and of wheels that are alike all around their axis
+    gravity: Triple  # (gx, gy, gz) in the frame of the root joint (world for a fixed arm) [m/s^2]
+    frame: Triple  # control frame in the root link `(x, y, psi)` [m, m, rad]
+    level: int  # 1 where gravity does not depend on the heading, else 0
+    root_energy: float  # potential energy of all mass at the origin of the root joint [J]
+    spins: Array  # (m, 2) of lumped wheels whose rows of T change: row of T, mass of their spinning [kg m^2]
+    steers: bool  # whether rows of T change; then `steer` writes them
 
 
 def new_scratch(tree: BodyTree) -> Array:

@@ -36,35 +36,24 @@ ONE_DOF = {f"JointModel{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "
 
 
 class _Joints(NamedTuple):
-    """The joints of a model and how they hang together, as a key of a cache; masses are not in it.
+    """The joints of a model and how they hang together, as a key of a cache; masses are not in it."""
 
-    Attributes:
-        kinds: Kind of each joint of one degree of freedom, and its axis; None for the planar root.
-        parents: Number of the joint that carries each.
-        velocities: Place of each in the velocities.
-        placements: Bytes of their placements, (joints, 4, 4).
-        T: Bytes of T, (nv, p).
-        rest: Bytes of the positions at rest, (nv,).
-    """
-
+    # kind of each joint of one degree of freedom, and its axis; None for the planar root
     kinds: tuple[tuple[int, tuple[float, float, float]] | None, ...]
-    parents: tuple[int, ...]
-    velocities: tuple[int, ...]
-    placements: bytes
-    T: bytes
-    rest: bytes
+    parents: tuple[int, ...]  # number of the joint that carries each
+    velocities: tuple[int, ...]  # place of each in the velocities
+    placements: bytes  # bytes of their placements, (joints, 4, 4)
+    T: bytes  # bytes of T, (nv, p)
+    rest: bytes  # bytes of the positions at rest, (nv,)
 
 
 class _Carried(NamedTuple):
-    """The moving bodies of a model, and the one that each link is part of.
+    """The moving bodies of a model, and the one that each link is part of."""
 
-    Attributes:
-        bodies: Of every body that moves, the base first: number of the one that carries it, -1 for none; kind and
-            velocity of its joint; its placement there.
-        links: For every joint's link, the world's first: number of the body that it is part of, its placement there.
-    """
-
+    # of every body that moves, the base first: number of the one that carries it, -1 for none; kind and velocity of its
+    # joint; its placement there
     bodies: list[tuple[int, int, int, Array]]
+    # for every joint's link, the world's first: number of the body that it is part of, its placement there
     links: list[tuple[int, Array]]
 
 

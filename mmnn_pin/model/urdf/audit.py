@@ -140,19 +140,14 @@ def audit(tree: LinkTree, path: Path, package_dirs: Sequence[str | Path] = ()) -
 
 @dataclass(frozen=True)
 class Elements:
-    """Elements of a file that URDF defines, without those of extensions; read out once, because lxml takes its time.
+    """Elements of a file that URDF defines, without those of extensions; read out once, because lxml takes its time."""
 
-    Attributes:
-        by_tag: Elements by tag.
-        texts: Element, tag, and key and text of its attributes, of every element that has some.
-        unknown: Element, tag and tag of the parent of what URDF does not have in that place.
-        repeated: The same of second copies of what may stand once.
-    """
-
-    by_tag: dict[str, list[etree._Element]]
+    by_tag: dict[str, list[etree._Element]]  # elements by tag
+    # element, tag, and key and text of its attributes, of every element that has some
     texts: list[tuple[etree._Element, str, list[tuple[str, str]]]]
+    # element, tag and tag of the parent of what URDF does not have in that place
     unknown: list[tuple[etree._Element, str, str]]
-    repeated: list[tuple[etree._Element, str, str]]
+    repeated: list[tuple[etree._Element, str, str]]  # the same of second copies of what may stand once
 
     def __getitem__(self, tag: str) -> list[etree._Element]:
         return self.by_tag[tag]
@@ -628,19 +623,12 @@ def bad_mimics(root: etree._Element) -> Iterator[Finding]:
 
 @dataclass(frozen=True, eq=False)
 class BodyPart:
-    """A link as a part of a body.
+    """A link as a part of a body."""
 
-    Attributes:
-        link: Its element.
-        mass: [kg].
-        frame: (4, 4) placement of its inertial in the frame of the body's first link.
-        inertia: (3, 3) about its centre of mass, along the axes of its frame [kg m^2].
-    """
-
-    link: etree._Element
-    mass: float
-    frame: Array
-    inertia: Array
+    link: etree._Element  # its element
+    mass: float  # [kg]
+    frame: Array  # (4, 4) placement of its inertial in the frame of the body's first link
+    inertia: Array  # (3, 3) about its centre of mass, along the axes of its frame [kg m^2]
 
     @classmethod
     def of(cls, link: etree._Element, pose: Array) -> BodyPart:

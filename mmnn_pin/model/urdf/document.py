@@ -26,39 +26,22 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint as the file states it.
+    """A joint as the file states it."""
 
-    Attributes:
-        name: Its name.
-        type: One of `JOINT_TYPES`.
-        parent: Link it hangs on.
-        child: Link it carries.
-        origin: (4, 4) placement of the child's frame in the parent's, at position 0.
-        axis: (3,) unit axis in the child's frame (a fixed joint's may be zero).
-        lower: Lower limit [rad or m], -inf when unlimited.
-        upper: Upper limit [rad or m], inf when unlimited.
-        effort: Largest torque or force [N m or N]; inf when the file states none, 0 or a negative one.
-        damping: Viscous friction [N m s or N s/m].
-        friction: Coulomb friction [N m or N].
-        mimics: Joint that it follows, None for an ordinary joint.
-        multiplier: Its rate over that joint's; 1 for an ordinary joint.
-        line: Line in the file.
-    """
-
-    name: str
-    type: str
-    parent: str
-    child: str
-    origin: Array
-    axis: Array
-    lower: float
-    upper: float
-    effort: float
-    damping: float
-    friction: float
-    mimics: str | None
-    multiplier: float
-    line: int
+    name: str  # its name
+    type: str  # one of `JOINT_TYPES`
+    parent: str  # link it hangs on
+    child: str  # link it carries
+    origin: Array  # (4, 4) placement of the child's frame in the parent's, at position 0
+    axis: Array  # (3,) unit axis in the child's frame (a fixed joint's may be zero)
+    lower: float  # lower limit [rad or m], -inf when unlimited
+    upper: float  # upper limit [rad or m], inf when unlimited
+    effort: float  # largest torque or force [N m or N]; inf when the file states none, 0 or a negative one
+    damping: float  # viscous friction [N m s or N s/m]
+    friction: float  # Coulomb friction [N m or N]
+    mimics: str | None  # joint that it follows, None for an ordinary joint
+    multiplier: float  # its rate over that joint's; 1 for an ordinary joint
+    line: int  # line in the file
 
     @property
     def moves(self) -> bool:
@@ -102,13 +85,9 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class LinkTree:
-    """Links and joints of a `<robot>` element whose names and ends are sound.
+    """Links and joints of a `<robot>` element whose names and ends are sound."""
 
-    Attributes:
-        root: The element.
-    """
-
-    root: etree._Element
+    root: etree._Element  # the element
 
     @cached_property
     def links(self) -> dict[str, etree._Element]:
@@ -166,19 +145,12 @@ class LinkTree:
 
 @dataclass(frozen=True, eq=False)
 class Document(LinkTree):
-    """A URDF that passed the audit.
+    """A URDF that passed the audit."""
 
-    Attributes:
-        path: File it came from.
-        text: The XML that Pinocchio reads.
-        sha256: Hash of the file's bytes.
-        findings: What the audit has to say about it, warnings and notes.
-    """
-
-    path: Path
-    text: str
-    sha256: str
-    findings: tuple[Finding, ...] = field(default=())
+    path: Path  # file it came from
+    text: str  # the XML that Pinocchio reads
+    sha256: str  # hash of the file's bytes
+    findings: tuple[Finding, ...] = field(default=())  # what the audit has to say about it, warnings and notes
 
     @classmethod
     def of(cls, tree: LinkTree, path: Path, sha256: str, findings: tuple[Finding, ...]) -> Document:

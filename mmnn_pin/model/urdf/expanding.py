@@ -79,11 +79,7 @@ def child() -> None:
 
 
 def require_plain(file: str) -> None:
-    """Refuse to open what may never end: a pipe, a device, a file that is too large.
-
-    Raises:
-        OSError: It is such a one.
-    """
+    """Refuse to open what may never end: a pipe, a device, a file that is too large (`OSError`)."""
     try:
         state = os.stat(file)
     except OSError:

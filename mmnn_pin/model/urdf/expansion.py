@@ -43,23 +43,15 @@ class Unexpanded(RobotError):
 
 
 class Expansion(NamedTuple):
-    """The URDF of a xacro file, and what was done without.
+    """The URDF of a xacro file, and what was done without."""
 
-    Attributes:
-        data: The URDF.
-        absent: Packages, and files of packages, that it names, that are not there, and that it could do without.
-        calls: Macros that it calls without their prefix.
-        hanging: Joints that hang on a macro which is left out.
-        renamed: Packages that are not there under their names, and the folders that are taken as them.
-        prefixes: Arguments called prefixes that have no value.
-    """
-
-    data: bytes
+    data: bytes  # the URDF
+    # packages, and files of packages, that it names, that are not there, and that it could do without
     absent: list[str]
-    calls: list[str]
-    hanging: list[str]
-    renamed: dict[str, str]
-    prefixes: list[str]
+    calls: list[str]  # macros that it calls without their prefix
+    hanging: list[str]  # joints that hang on a macro which is left out
+    renamed: dict[str, str]  # packages that are not there under their names, and the folders that are taken as them
+    prefixes: list[str]  # arguments called prefixes that have no value
 
     def findings(self, without: Sequence[str]) -> list[Finding]:
         """Findings about the file, with the macros that the user leaves out."""

@@ -94,29 +94,17 @@ CODES = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing to know about a file.
+    """One thing to know about a file."""
 
-    Attributes:
-        severity: `error`, `warning` or `note`.
-        code: Stable name of the check, a key of `CODES`.
-        file: The file.
-        line: Line in the file, counted from 1.
-        element: Link, joint or tag it is about, in words; empty for the file as a whole.
-        message: What is wrong.
-        why: What it would lead to, or what was assumed.
-        fix: What to do.
-        joint: The joint that it matters to; where that joint stands still, an error is a warning.
-    """
-
-    severity: str
-    code: str
-    file: str
-    line: int
-    element: str
-    message: str
-    why: str = ""
-    fix: str = ""
-    joint: str = ""
+    severity: str  # `error`, `warning` or `note`
+    code: str  # stable name of the check, a key of `CODES`
+    file: str  # the file
+    line: int  # line in the file, counted from 1
+    element: str  # link, joint or tag it is about, in words; empty for the file as a whole
+    message: str  # what is wrong
+    why: str = ""  # what it would lead to, or what was assumed
+    fix: str = ""  # what to do
+    joint: str = ""  # the joint that it matters to; where that joint stands still, an error is a warning
 
     @property
     def what(self) -> str:

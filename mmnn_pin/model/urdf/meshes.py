@@ -104,11 +104,7 @@ def meshes_of(file: Path) -> list[Any]:
 
 
 def require_few(scene: Any) -> None:
-    """Refuse a scene that shows its meshes far too often, before they are copied.
-
-    Raises:
-        BrokenMesh: It does.
-    """
+    """Refuse a scene that shows its meshes far too often, before they are copied (`BrokenMesh`)."""
     shown = [scene.graph[name][1] for name in scene.graph.nodes_geometry]
     if len(shown) > MOST_PARTS:
         raise BrokenMesh(f"shows more than {MOST_PARTS:,} parts")

@@ -118,17 +118,11 @@ def name_of(manifest: str) -> str:
 
 @dataclass(frozen=True)
 class MeshFile:
-    """Place of a mesh.
+    """Place of a mesh."""
 
-    Attributes:
-        file: The file, None when it must not be opened or does not exist.
-        problem: `missing`, `remote`, `outside`, empty when it is there.
-        package: Name of its package when no package of that name was found.
-    """
-
-    file: Path | None
-    problem: Literal["", "missing", "remote", "outside"] = ""
-    package: str = ""
+    file: Path | None  # the file, None when it must not be opened or does not exist
+    problem: Literal["", "missing", "remote", "outside"] = ""  # `missing`, `remote`, `outside`, empty when it is there
+    package: str = ""  # name of its package when no package of that name was found
 
 
 def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> MeshFile:

@@ -32,21 +32,13 @@ VERTICAL = 1 - HORIZONTAL  # smallest vertical part of one that counts as vertic
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A collision or visual shape in the root frame at rest.
+    """A collision or visual shape in the root frame at rest."""
 
-    Attributes:
-        kind: `cylinder`, `sphere`, `box` or `mesh`.
-        pose: (4, 4) its placement.
-        radius: Of a cylinder or sphere [m].
-        half: (3,) half its extents along its own axes, for a cylinder the z one is its half length [m].
-        points: (k, 3) vertices of a mesh in the root frame; (0, 3) when it cannot be read.
-    """
-
-    kind: str
-    pose: Array
-    radius: float
-    half: Array
-    points: Array
+    kind: str  # `cylinder`, `sphere`, `box` or `mesh`
+    pose: Array  # (4, 4) its placement
+    radius: float  # of a cylinder or sphere [m]
+    half: Array  # (3,) half its extents along its own axes, for a cylinder the z one is its half length [m]
+    points: Array  # (k, 3) vertices of a mesh in the root frame; (0, 3) when it cannot be read
 
     @property
     def rolls(self) -> bool:
@@ -67,14 +59,10 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class AtRest:
-    """A robot with all joints at rest.
+    """A robot with all joints at rest."""
 
-    Attributes:
-        document: The audited URDF.
-        package_dirs: Folders that `package://` is looked for in, before the folders above the URDF.
-    """
-
-    document: Document
+    document: Document  # the audited URDF
+    # folders that `package://` is looked for in, before the folders above the URDF
     package_dirs: Sequence[str | Path] = ()
 
     @cached_property

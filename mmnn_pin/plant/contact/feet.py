@@ -92,28 +92,18 @@ def within(value: float, interval: tuple[float, float] | None) -> bool:
 
 
 def require_friction(value: float, key: str) -> None:
-    """Refuse a coefficient that is negative or not finite.
-
-    Raises:
-        ConfigError: With the key path.
-    """
+    """Refuse a coefficient that is negative or not finite (`ConfigError`)."""
     if not (math.isfinite(value) and value >= 0):
         raise ConfigError(f"{value} is negative or not finite", fix="use a finite number >= 0", key=key)
 
 
 @dataclass(frozen=True, eq=False)
 class Foot:
-    """A sphere that touches the floor.
+    """A sphere that touches the floor."""
 
-    Attributes:
-        joint: Index of the joint in Pinocchio's model whose body carries it.
-        centre: (3,) in that joint's frame [m].
-        radius: [m].
-    """
-
-    joint: int
-    centre: Array
-    radius: float
+    joint: int  # index of the joint in Pinocchio's model whose body carries it
+    centre: Array  # (3,) in that joint's frame [m]
+    radius: float  # [m]
 
 
 @dataclass(frozen=True)
@@ -142,11 +132,7 @@ def feet_of(robot: Robot) -> Feet:
 
 
 def require_wheels(robot: Robot) -> None:
-    """Refuse a base that does not stand on wheels that turn.
-
-    Raises:
-        RobotError: It does not.
-    """
+    """Refuse a base that does not stand on wheels that turn (`RobotError`)."""
     why = "" if robot.base.wheels else "it has wheels only, no base that is pushed"
     if isinstance(robot.base, SteeredBase):
         carrying = {wheel.pivot for wheel in robot.base.wheels}
@@ -243,11 +229,7 @@ def lowest(shape: Shape, motion: Array) -> Array:
 
 
 def require_standing(robot: Robot, data: pin.Data, wheels: tuple[Foot, ...], casters: tuple[Foot, ...]) -> None:
-    """Refuse a base that would fall over: all its feet on one line.
-
-    Raises:
-        RobotError: It does.
-    """
+    """Refuse a base that would fall over: all its feet on one line (`RobotError`)."""
     places = np.array([data.oMi[foot.joint].act(foot.centre)[:2] for foot in (*wheels, *casters)])
     if np.linalg.matrix_rank(places - places[0], tol=1e-3) < 2:
         raise RobotError(

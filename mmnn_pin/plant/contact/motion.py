@@ -28,21 +28,13 @@ TOUCH = 1e-7  # how far the feet start in the floor, so that contacts exist from
 
 @dataclass(frozen=True, eq=False)
 class BaseMotion:
-    """Where the control frame is and how it moves.
+    """Where the control frame is and how it moves."""
 
-    Attributes:
-        pose: (3,) in the world, heading in (-pi, pi] [m, m, rad].
-        velocity: (3,) forward, to the left, and about the vertical [m/s, m/s, rad/s].
-        nu: (nb,) base velocities [m/s, rad/s].
-        rotation: (3, 3) axes of the root link in the world.
-        lever: (3,) from the root link's origin to that of the control frame, in the world's axes [m].
-    """
-
-    pose: Array
-    velocity: Array
-    nu: Array
-    rotation: Array
-    lever: Array
+    pose: Array  # (3,) in the world, heading in (-pi, pi] [m, m, rad]
+    velocity: Array  # (3,) forward, to the left, and about the vertical [m/s, m/s, rad/s]
+    nu: Array  # (nb,) base velocities [m/s, rad/s]
+    rotation: Array  # (3, 3) axes of the root link in the world
+    lever: Array  # (3,) from the root link's origin to that of the control frame, in the world's axes [m]
 
 
 class FreeBase:

@@ -41,21 +41,13 @@ REACH = 2.0  # least time in which the hand comes to where its path begins [s]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """A motion with nudot held over every period.
+    """A motion with nudot held over every period."""
 
-    Attributes:
-        period: [s].
-        pose: (N, 3), or (N, 0) for a fixed arm.
-        q: (N, n).
-        nu: (N, p).
-        nudot: (N, p).
-    """
-
-    period: float
-    pose: Array
-    q: Array
-    nu: Array
-    nudot: Array
+    period: float  # [s]
+    pose: Array  # (N, 3), or (N, 0) for a fixed arm
+    q: Array  # (N, n)
+    nu: Array  # (N, p)
+    nudot: Array  # (N, p)
 
     def at(self, t: ArrayLike) -> tuple[IntArray, Array]:
         """The sample before every time (N,), and the time since.
@@ -258,11 +250,7 @@ def motion_from(
 
 
 def require_followed(motion: HandMotion, body: WholeBody, tolerance: float) -> None:
-    """Refuse a motion that leaves its path.
-
-    Raises:
-        TrajectoryError: Where, when and by how much.
-    """
+    """Refuse a motion that leaves its path (`TrajectoryError`)."""
     h, gap = body.period, motion.gap.copy()
     gap[: round(motion.begins / h)] = 0.0
     if gap.max() <= tolerance:
@@ -284,11 +272,7 @@ def require_followed(motion: HandMotion, body: WholeBody, tolerance: float) -> N
 
 
 def require_within(robot: Robot, q: Array, ends: Array) -> None:
-    """Refuse a posture outside the joints' ends.
-
-    Raises:
-        ConfigError: Naming the joint.
-    """
+    """Refuse a posture outside the joints' ends (`ConfigError`)."""
     outside = np.flatnonzero((q < ends[0]) | (q > ends[1]))
     if len(outside):
         i = int(outside[0])
@@ -350,11 +334,7 @@ def drive_there(
 
 
 def require_drivable(body: WholeBody, legs: Sequence[tuple[MinimumJerk, ...]]) -> None:
-    """Refuse turns on the spot of a base that has a tightest curve.
-
-    Raises:
-        TrajectoryError: There are some.
-    """
+    """Refuse turns on the spot of a base that has a tightest curve (`TrajectoryError`)."""
     if body.steers and any(leg[2].start != leg[2].goal for leg in legs):
         what, why = "the path begins where the base would have to turn on the spot to be", "its steering cannot"
         fix = "let the path begin at the hand, or choose reference.hand.start so that its begin is straight ahead"

@@ -28,23 +28,14 @@ Vector3 = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class HandSamples:
-    """A motion of a hand at N instants, in the axes of its path or of the world.
+    """A motion of a hand at N instants, in the axes of its path or of the world."""
 
-    Attributes:
-        position: (N, 3) [m].
-        velocity: (N, 3) [m/s].
-        acceleration: (N, 3) [m/s^2].
-        rotation: (N, 3, 3), of the hand's axes.
-        spin: (N, 3) angular velocity [rad/s].
-        spin_rate: (N, 3) its derivative [rad/s^2].
-    """
-
-    position: Array
-    velocity: Array
-    acceleration: Array
-    rotation: Array
-    spin: Array
-    spin_rate: Array
+    position: Array  # (N, 3) [m]
+    velocity: Array  # (N, 3) [m/s]
+    acceleration: Array  # (N, 3) [m/s^2]
+    rotation: Array  # (N, 3, 3), of the hand's axes
+    spin: Array  # (N, 3) angular velocity [rad/s]
+    spin_rate: Array  # (N, 3) its derivative [rad/s^2]
 
     @property
     def flat(self) -> Array:

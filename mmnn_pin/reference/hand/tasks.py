@@ -123,21 +123,13 @@ class WholeBodySettings(Settings, frozen=True):
 
 
 class WholeBodyBounds(NamedTuple):
-    """Limits of the velocities nu of base and arm.
+    """Limits of the velocities nu of base and arm."""
 
-    Attributes:
-        speed: (p,) largest speeds [m/s, rad/s].
-        acceleration: (p,) largest accelerations [m/s^2, rad/s^2].
-        ends: (2, n) ends of the joints [rad or m].
-        wheels: (k, nb) rates of the wheels that have a limit, by the velocity of the base.
-        wheel_speed: (k,) that limit [rad/s].
-    """
-
-    speed: Array
-    acceleration: Array
-    ends: Array
-    wheels: Array
-    wheel_speed: Array
+    speed: Array  # (p,) largest speeds [m/s, rad/s]
+    acceleration: Array  # (p,) largest accelerations [m/s^2, rad/s^2]
+    ends: Array  # (2, n) ends of the joints [rad or m]
+    wheels: Array  # (k, nb) rates of the wheels that have a limit, by the velocity of the base
+    wheel_speed: Array  # (k,) that limit [rad/s]
 
 
 def bounds_of(robot: Robot, settings: WholeBodySettings, limits: Limits) -> WholeBodyBounds:
@@ -174,19 +166,12 @@ def wheel_rows(robot: Robot) -> tuple[Array, Array]:
 
 
 class FrameMotion(NamedTuple):
-    """Where a frame is and how it moves.
+    """Where a frame is and how it moves."""
 
-    Attributes:
-        place: (12,) rotation row by row, origin.
-        twist: (6,) its twist.
-        bias: (6,) its acceleration where nudot = 0.
-        J: (6, p) its Jacobian.
-    """
-
-    place: Array
-    twist: Array
-    bias: Array
-    J: Array
+    place: Array  # (12,) rotation row by row, origin
+    twist: Array  # (6,) its twist
+    bias: Array  # (6,) its acceleration where nudot = 0
+    J: Array  # (6, p) its Jacobian
 
 
 @compiled

@@ -39,25 +39,15 @@ FITTED = CASES[0]  # the variant `figures` takes its values from it
 
 @dataclass(frozen=True)
 class Amount:
-    """How much is run.
+    """How much is run."""
 
-    Attributes:
-        searches: The calibration's.
-        effort: The flatness's.
-        tuning: The claim's, for each learner.
-        draws: The claim's test draws.
-        explained: For how many of them gain and integral are run, too: medians need fewer draws than shares.
-        chunk: How many of them are run at a time.
-        checked: How many of them are run again with a finer plant.
-    """
-
-    searches: Searches = field(default_factory=Searches)
-    effort: Effort = field(default_factory=Effort)
-    tuning: Tuning = field(default_factory=Tuning)
-    draws: int = 1000
-    explained: int = 200
-    chunk: int = 50
-    checked: int = 8
+    searches: Searches = field(default_factory=Searches)  # the calibration's
+    effort: Effort = field(default_factory=Effort)  # the flatness's
+    tuning: Tuning = field(default_factory=Tuning)  # the claim's, for each learner
+    draws: int = 1000  # the claim's test draws
+    explained: int = 200  # for how many of them gain and integral are run, too: medians need fewer draws than shares
+    chunk: int = 50  # how many of them are run at a time
+    checked: int = 8  # how many of them are run again with a finer plant
 
 
 QUICK = Amount(Searches(1, 12, 2), Effort(2, 4, 2, 12, 1), Tuning(2, 2, 7), draws=8, explained=4, chunk=4, checked=1)

@@ -23,17 +23,11 @@ from .unstated import distances as distances_of
 
 @dataclass(frozen=True)
 class Budget:
-    """How much is tried.
+    """How much is tried."""
 
-    Attributes:
-        searches: Searches per case, each with a seed of its own.
-        trials: Trials per search.
-        seeds: Other seeds of the initial weights with which the best is run again.
-    """
-
-    searches: int = 2
-    trials: int = 360
-    seeds: int = 20
+    searches: int = 2  # searches per case, each with a seed of its own
+    trials: int = 360  # trials per search
+    seeds: int = 20  # other seeds of the initial weights with which the best is run again
 
 
 @dataclass(frozen=True)
@@ -123,21 +117,13 @@ PERIODS = (0.001, 0.004, 0.005)  # sample times besides the calibrated 2 ms [s]
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is tried.
+    """How much is tried."""
 
-    Attributes:
-        places: Values per number, moved alone.
-        chains: Walkers, an even number.
-        steps: Steps of each.
-        refit: Trials of the search at every other sample time.
-        slopes: Places of the walk at which the linear answer is asked for, too.
-    """
-
-    places: int = 21
-    chains: int = 24
-    steps: int = 60
-    refit: int = 180
-    slopes: int = 8
+    places: int = 21  # values per number, moved alone
+    chains: int = 24  # walkers, an even number
+    steps: int = 60  # steps of each
+    refit: int = 180  # trials of the search at every other sample time
+    slopes: int = 8  # places of the walk at which the linear answer is asked for, too
 
 
 def flatness(

@@ -69,21 +69,13 @@ PERIODS = (0.001, 0.002, 0.0025, 0.004)  # sample times, equally likely [s]
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """One draw.
+    """One draw."""
 
-    Attributes:
-        seed: Seed of the initial weights and of random centres.
-        numbers: Name of `RANGES` to its value; three factors for the masses.
-        period: Sample time [s].
-        centres: "diagonal" or "random".
-        initial: "random" or "zero" (section 5.2 of the thesis).
-    """
-
-    seed: int
-    numbers: Mapping[str, Any]
-    period: float
-    centres: str
-    initial: str
+    seed: int  # seed of the initial weights and of random centres
+    numbers: Mapping[str, Any]  # name of `RANGES` to its value; three factors for the masses
+    period: float  # sample time [s]
+    centres: str  # "diagonal" or "random"
+    initial: str  # "random" or "zero" (section 5.2 of the thesis)
 
     @property
     def facts(self) -> dict[str, Any]:

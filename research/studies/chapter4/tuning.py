@@ -25,17 +25,11 @@ LOST = 10.0  # error of a run that diverged, relative to PD alone
 
 @dataclass(frozen=True)
 class Budget:
-    """What each tuning of each learner may use: the same for all.
+    """What each tuning of each learner may use: the same for all."""
 
-    Attributes:
-        tunings: Tunings of each learner, independent of each other.
-        draws: Training draws of a tuning, its own.
-        trials: Trials of its search.
-    """
-
-    tunings: int = 3
-    draws: int = 32
-    trials: int = 77
+    tunings: int = 3  # tunings of each learner, independent of each other
+    draws: int = 32  # training draws of a tuning, its own
+    trials: int = 77  # trials of its search
 
 
 def tunings(budget: Budget, say: Callable[[str], None]) -> dict[str, Any]:

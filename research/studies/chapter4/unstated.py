@@ -52,19 +52,12 @@ V_RANGE, WIDTH = Number("v_range", 0.05, 2, ""), Number("width", 1, 12, "", log=
 
 @dataclass(frozen=True)
 class Case:
-    """A reading of the thesis whose unstated numbers are searched.
+    """A reading of the thesis whose unstated numbers are searched."""
 
-    Attributes:
-        name: Key.
-        title: For tables.
-        hidden: Hidden units of each network.
-        separate: Whether every learner has robust gains of its own.
-    """
-
-    name: str
-    title: str
-    hidden: int
-    separate: bool
+    name: str  # key
+    title: str  # for tables
+    hidden: int  # hidden units of each network
+    separate: bool  # whether every learner has robust gains of its own
 
     @property
     def numbers(self) -> tuple[Number, ...]:

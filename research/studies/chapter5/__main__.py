@@ -27,23 +27,14 @@ from .verdict import verdict
 
 @dataclass(frozen=True)
 class Amount:
-    """How much is run.
+    """How much is run."""
 
-    Attributes:
-        searches: The calibration's.
-        repeats: Runs of each calibrated rig.
-        moved: Runs at each place of the sweep.
-        rigs: Drawn rigs of the ranking.
-        chunk: How many of them are run at a time.
-        checked: How many of them are run again with a finer plant.
-    """
-
-    searches: Budget = field(default_factory=Budget)
-    repeats: int = 40
-    moved: int = 8
-    rigs: int = 200
-    chunk: int = 25
-    checked: int = 12
+    searches: Budget = field(default_factory=Budget)  # the calibration's
+    repeats: int = 40  # runs of each calibrated rig
+    moved: int = 8  # runs at each place of the sweep
+    rigs: int = 200  # drawn rigs of the ranking
+    chunk: int = 25  # how many of them are run at a time
+    checked: int = 12  # how many of them are run again with a finer plant
 
 
 QUICK = Amount(Budget(1, 10), repeats=2, moved=1, rigs=4, chunk=4, checked=1)

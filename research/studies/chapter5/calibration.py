@@ -37,21 +37,13 @@ LOST = 10.0  # deviation of a run that was lost
 
 @dataclass(frozen=True)
 class Case:
-    """What is fitted, and how the networks take the error that teaches them.
+    """What is fitted, and how the networks take the error that teaches them."""
 
-    Attributes:
-        name: Key.
-        title: For the table.
-        fitted: Controllers whose two largest errors are fitted.
-        unit: One of `rigs.UNITS`.
-        searches: How many searches, each with a seed of its own.
-    """
-
-    name: str
-    title: str
-    fitted: tuple[str, ...]
-    unit: str
-    searches: int = 1
+    name: str  # key
+    title: str  # for the table
+    fitted: tuple[str, ...]  # controllers whose two largest errors are fitted
+    unit: str  # one of `rigs.UNITS`
+    searches: int = 1  # how many searches, each with a seed of its own
 
 
 ONE, BOTH = ("one_layer",), ("one_layer", "two_layer_zero")
@@ -66,15 +58,10 @@ SHOWN = ("pd", "one_layer", "two_layer_zero", "two_layer_random")
 
 @dataclass(frozen=True)
 class Budget:
-    """How much is tried.
+    """How much is tried."""
 
-    Attributes:
-        searches: Searches per case at most.
-        trials: Trials per search.
-    """
-
-    searches: int = 4
-    trials: int = 200
+    searches: int = 4  # searches per case at most
+    trials: int = 200  # trials per search
 
 
 def largest(experiments: Sequence[Experiment], names: Sequence[str]) -> Array:

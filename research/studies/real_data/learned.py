@@ -36,7 +36,6 @@ NOTHING = (
     "kalman_friction",
     "kalman_bilinear",
     "kalman_features",
-    "two_layer_composite",
     "two_layer",
 )
 SURE = ("kalman_regressor", "kalman_friction")  # that can begin with parameters and their covariance
@@ -63,19 +62,12 @@ def gains(robot: Robot) -> Array:
 
 @dataclass(frozen=True)
 class Rival:
-    """A learner, and what it begins with.
+    """A learner, and what it begins with."""
 
-    Attributes:
-        title: In tables.
-        name: Of the controller.
-        settings: What is not as shipped.
-        patient: Whether it does not learn while the robot stands still.
-    """
-
-    title: str
-    name: str
-    settings: tuple[str, ...] = ()
-    patient: bool = False
+    title: str  # in tables
+    name: str  # of the controller
+    settings: tuple[str, ...] = ()  # what is not as shipped
+    patient: bool = False  # whether it does not learn while the robot stands still
 
 
 def rivals(files: Mapping[str, Path]) -> Iterator[Rival]:
@@ -168,15 +160,10 @@ FEATURES = {"friction": friction, LOAD: load, f"{LOAD} and place": place, "rando
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """Weights of one joint for scaled features, and what they leave on blocks left out.
+    """Weights of one joint for scaled features, and what they leave on blocks left out."""
 
-    Attributes:
-        w: (k,) weights of the features.
-        left: Sum of squares on blocks that the weights were not fitted on.
-    """
-
-    w: Array
-    left: float
+    w: Array  # (k,) weights of the features
+    left: float  # sum of squares on blocks that the weights were not fitted on
 
 
 def ridge(Phi: Array, y: Array, block: IntArray) -> Residual:

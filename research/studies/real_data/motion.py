@@ -32,21 +32,13 @@ APART = 1.0  # between two stretches, so that no filter takes one for the other'
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """A motion without gaps at even times, low-passed.
+    """A motion without gaps at even times, low-passed."""
 
-    Attributes:
-        time: (N,) [s].
-        q: (N, n) joints.
-        nu: (N, p) velocities.
-        nudot: (N, p) their time derivative.
-        torque: (N, p) measured torques [N m, N].
-    """
-
-    time: Array
-    q: Array
-    nu: Array
-    nudot: Array
-    torque: Array
+    time: Array  # (N,) [s]
+    q: Array  # (N, n) joints
+    nu: Array  # (N, p) velocities
+    nudot: Array  # (N, p) their time derivative
+    torque: Array  # (N, p) measured torques [N m, N]
 
     @property
     def period(self) -> float:

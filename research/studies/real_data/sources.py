@@ -31,23 +31,14 @@ PERIOD = 12.0  # of the motion of the first Panda, which is recorded once and th
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Motions to learn on, and others to predict the torques of.
+    """Motions to learn on, and others to predict the torques of."""
 
-    Attributes:
-        title: What the robot is called.
-        shift: What is other in the motions to judge.
-        robot: As its URDF has it.
-        learned: Logs that are learned on.
-        judged: Logs that are not looked at before.
-        constants: Torque per unit of a recorded effort, by motor.
-    """
-
-    title: str
-    shift: str
-    robot: Robot
-    learned: Sequence[Log]
-    judged: Sequence[Log]
-    constants: dict[str, float] = field(default_factory=dict)
+    title: str  # what the robot is called
+    shift: str  # what is other in the motions to judge
+    robot: Robot  # as its URDF has it
+    learned: Sequence[Log]  # logs that are learned on
+    judged: Sequence[Log]  # logs that are not looked at before
+    constants: dict[str, float] = field(default_factory=dict)  # torque per unit of a recorded effort, by motor
 
     @property
     def name(self) -> str:
@@ -57,17 +48,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Source:
-    """A public repository that holds recordings.
+    """A public repository that holds recordings."""
 
-    Attributes:
-        address: Of the clone.
-        part: A path in it that is needed.
-        cases: Its cases, from the clone's folder.
-    """
-
-    address: str
-    part: str
-    cases: Callable[[Path], Iterator[Case]]
+    address: str  # of the clone
+    part: str  # a path in it that is needed
+    cases: Callable[[Path], Iterator[Case]]  # its cases, from the clone's folder
 
 
 def columns_of_ur10e(file: Path, robot: Robot) -> Log:

@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import builders
 import numpy as np
@@ -26,7 +27,7 @@ from mmnn_pin import (
     run_experiment,
 )
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
-from mmnn_pin.lab.experiments.config import bundled, keys_of, kind_at, override, parse_value
+from mmnn_pin.lab.experiments.config import bundled, keys_of, kind_at, override, parse_value, recorded_experiment
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS, DEFAULT, EFFECTIVE
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.result import Result
@@ -413,3 +414,14 @@ def test_every_learner_has_its_table() -> None:
     for entry in ENTRIES:
         if (kind := entry.load_settings()) is not None:
             assert kind_at(entry.key) is kind, entry.name
+
+
+def test_a_recording_of_learners_that_are_no_more_is_read() -> None:
+    old = json.loads(load_experiment("track", ["controllers=['pd']"]).to_json())
+    old |= {"two_layer_composite": {"rate": 1.0}, "controllers": ["pd", "two_layer_composite"]}
+    for names, kept in ((old["controllers"], ("pd",)), (["two_layer_composite"], DEFAULT)):
+        text = json.dumps(old | {"controllers": names})
+        experiment = recorded_experiment(SimpleNamespace(config_text=text, path=None))
+        assert experiment is not None and experiment.controllers == kept
+    with pytest.raises(RecordingError, match="another version of mmnn_pin wrote it"):
+        recorded_experiment(SimpleNamespace(config_text=json.dumps(old | {"nothing": {}}), path=None))

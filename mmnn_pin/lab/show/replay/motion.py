@@ -44,17 +44,11 @@ MOST_FRAMES = 10_000_000  # of a replay, before those without a row are left out
 
 @dataclass(frozen=True, eq=False)
 class MovingBody:
-    """A moving body: the root, or what one joint carries.
+    """A moving body: the root, or what one joint carries."""
 
-    Attributes:
-        parent: Index of the body it hangs on; -1 for the root.
-        origin: (4, 4) its placement on the parent with the joint at 0.
-        joint: The joint that carries it; None for the root.
-    """
-
-    parent: int
-    origin: Array
-    joint: Joint | None
+    parent: int  # index of the body it hangs on; -1 for the root
+    origin: Array  # (4, 4) its placement on the parent with the joint at 0
+    joint: Joint | None  # the joint that carries it; None for the root
 
     def for_page(self, robot: Robot) -> dict[str, Any]:
         """The body as the page reads it; `column` is the joint's place in a position."""
@@ -68,17 +62,11 @@ class MovingBody:
 
 @dataclass(frozen=True, eq=False)
 class ReplayTree:
-    """The bodies of a robot.
+    """The bodies of a robot."""
 
-    Attributes:
-        document: The URDF.
-        bodies: Parents before their children.
-        places: For every link the index of its body and its (4, 4) placement on it.
-    """
-
-    document: Document
-    bodies: list[MovingBody]
-    places: dict[str, tuple[int, Array]]
+    document: Document  # the URDF
+    bodies: list[MovingBody]  # parents before their children
+    places: dict[str, tuple[int, Array]]  # for every link the index of its body and its (4, 4) placement on it
 
     @classmethod
     def of(cls, document: Document) -> ReplayTree:
@@ -218,21 +206,13 @@ def touched(recording: Recording, robot: Robot, rows: IntArray, blob: Blob) -> d
 
 @dataclass(frozen=True)
 class ReplayEvent:
-    """Something to see.
+    """Something to see."""
 
-    Attributes:
-        kind: `stop` (in red), `slip` (in purple) or `limit` (in amber).
-        start: When it begins [s].
-        end: When it is over [s]; inf for the rest of the replay.
-        text: One line for people.
-        joints: Whose bodies are coloured; the whole robot if empty.
-    """
-
-    kind: IncidentKind
-    start: float
-    end: float
-    text: str
-    joints: tuple[str, ...] = ()
+    kind: IncidentKind  # `stop` (in red), `slip` (in purple) or `limit` (in amber)
+    start: float  # when it begins [s]
+    end: float  # when it is over [s]; inf for the rest of the replay
+    text: str  # one line for people
+    joints: tuple[str, ...] = ()  # whose bodies are coloured; the whole robot if empty
 
     def for_page(self, bodies: dict[str, int]) -> dict[str, Any]:
         """The event as the page reads it; bodies by the name of the joint that carries them."""

@@ -137,17 +137,12 @@ def extent_of(recordings: Mapping[str, Recording]) -> list[float]:
 
 @dataclass(frozen=True, repr=False)
 class ReplayPage(HtmlPage):
-    """A replay, in a notebook at rest until it is played; the last warning is that of a page that is large.
-
-    Attributes:
-        frames: Frames shown, of all runs.
-        samples: Samples recorded, of all runs.
-    """
+    """A replay, in a notebook at rest until it is played; the last warning is that of a page that is large."""
 
     what: str = "replay"
     height: str = "520px"
-    frames: int = 0
-    samples: int = 0
+    frames: int = 0  # frames shown, of all runs
+    samples: int = 0  # samples recorded, of all runs
 
     @contextmanager
     def served(self, port: int) -> Iterator[str]:

@@ -183,21 +183,13 @@ def rgba(material: etree._Element) -> Color | None:
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """Triangles of one colour.
+    """Triangles of one colour."""
 
-    Attributes:
-        grid: (k, 3) vertices in steps of the grid, uint16.
-        corner: (3,) the grid's lowest corner [m, in the mesh's own scale].
-        step: (3,) its steps.
-        triangles: (m, 3) indices of vertices.
-        color: The colour that the file gives; None when it gives none.
-    """
-
-    grid: NDArray[np.uint16]
-    corner: Array
-    step: Array
-    triangles: NDArray[np.int64]
-    color: Color | None
+    grid: NDArray[np.uint16]  # (k, 3) vertices in steps of the grid, uint16
+    corner: Array  # (3,) the grid's lowest corner [m, in the mesh's own scale]
+    step: Array  # (3,) its steps
+    triangles: NDArray[np.int64]  # (m, 3) indices of vertices
+    color: Color | None  # the colour that the file gives; None when it gives none
 
 
 def read_mesh(file: Path) -> list[MeshPart]:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ....loop.reductions import percent
 from ....recording.metrics import halves
 from ....recording.recording import Recording
 from ...experiments.controllers import LEARNERS, ORACLES, PLAIN, USUAL, effective
@@ -34,17 +35,11 @@ FROZEN = {"same": "own trajectory", "held_out": "held out", "payload": "with a p
 
 @dataclass(frozen=True)
 class ReportVerdict:
-    """The verdict on some runs.
+    """The verdict on some runs."""
 
-    Attributes:
-        headline: One sentence.
-        points: Sentences that explain it.
-        warnings: What speaks against believing it.
-    """
-
-    headline: str
-    points: tuple[str, ...]
-    warnings: tuple[str, ...]
+    headline: str  # one sentence
+    points: tuple[str, ...]  # sentences that explain it
+    warnings: tuple[str, ...]  # what speaks against believing it
 
 
 def verdict(result: Result) -> ReportVerdict:
@@ -185,11 +180,6 @@ def when(result: Result) -> str:
     """The last window in words, as far as the runs go."""
     start, end = result.experiment.windows[-1]
     return f"{start:g} to {min(end, result.experiment.time.duration):g} s"
-
-
-def percent(share: float) -> str:
-    """A share in percent."""
-    return f"{100 * share:.0f} %"
 
 
 def points(result: Result) -> Iterator[str]:
