@@ -26,7 +26,7 @@ from mmnn_pin.compliance import (
 from mmnn_pin.compliance.bound import radius
 from mmnn_pin.compliance.law import DIRECTION, INTEGRAL, admit, displacement, push, springs_and_dampers
 from mmnn_pin.disturbance import Forces, HingedDoor, Push, Surface, scene_of, scene_size, touched_frame
-from mmnn_pin.disturbance.scene import DONE
+from mmnn_pin.disturbance.scene import DONE, require_step
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
@@ -40,6 +40,7 @@ from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
+from mmnn_pin.touch import Touch
 
 RNG = np.random.default_rng(5)
 ROBOT = load("platform_arm")
@@ -452,6 +453,12 @@ def test_an_admittance_moves_its_mass_by_what_is_felt():
         (lambda: Surface(normal=(0.0, 0.0, 0.0)), "no direction"),
         (lambda: Surface(stiffness=0.0), "> 0"),
         (lambda: HingedDoor(hinge=(0.0, 0.01)), "0.05"),
+        (
+            lambda: require_step((Surface(stiffness=1e6),), 1e-3),
+            "gives energy: use a time.plant_step of at most 0.0002",
+        ),
+        (lambda: require_step((HingedDoor(grip=1e6),), 1e-3), "disturbances.0.grip"),
+        (lambda: still(DEFAULT, force=Force(gain=20.0), touch=Touch()).run(), "use at most 12.5"),
         (lambda: touched_frame((HingedDoor(), HingedDoor()), ROBOT), "second door"),
         (lambda: touched_frame((Surface(frame="arm_tip"), Surface(frame="base_link")), ROBOT), "beside"),
         (

@@ -25,7 +25,7 @@ CurvePoints = tuple[Array, Array]  # times and values, (N,) each
 Curves = Mapping[str, CurvePoints]  # by run
 
 NETWORKS = ("base", "arm")
-FELT = 0.1  # of a wrench's axis, below which it says nothing [N, N m]
+FELT = 1.0  # of a wrench's axis, below which it says nothing [N, N m]
 RESIDUALS = {
     "constraint_residual": ("wheels' constraint", "mm/s", 1e3),
     "energy_residual": ("energy balance", "mJ", 1e3),
@@ -189,7 +189,7 @@ def gains(recordings: Recordings) -> Iterator[Panel]:
 @chart("touch", "Touch", "What is felt of the world: contact, wrench of the hand, and torques that leave their band.")
 def touch(recordings: Recordings) -> Iterator[Panel]:
     """Contact, the axes of the wrench that are felt, and the external torques that are ever three times their band."""
-    yield from signal_panels(recordings, "contact")
+    yield from (replace(panel, group="hand") for panel in signal_panels(recordings, "contact"))
     for panel in signal_panels(recordings, "external_wrench"):
         if any(np.abs(values).max(initial=0.0) > FELT for _, values in panel.curves.values()):
             yield replace(panel, title=f"hand {panel.label}", group="hand")
