@@ -17,7 +17,6 @@ from mmnn_pin.torque.neural import Robust
 from mmnn_pin.torque.two_layer import TwoLayer
 
 PERIOD = 0.001  # [s] of plant and control
-THESIS = "platform_arm"
 TIAGO = "cmeel.prefix/share/example-robot-data/robots/tiago_description/robots/tiago_no_hand.urdf"
 DENSITY = 40.0  # [kg/m] of the arms made here
 

@@ -248,6 +248,7 @@ def carried(
         "mmnn excite platform_arm --out motion.csv",
         "mmnn excite ur10 --duration 60 --share 0.5 --out motion.csv     half of all limits",
         "mmnn excite tiago --space 0.5 --seconds 60 --json               what it would determine",
+        "mmnn excite platform_arm --obstacle 0.9,0,0.2 --obstacle 0,0.8,0.3,0.7     0.7 m tall, the other one a pillar",
     ),
 )
 @click.argument("robot", shell_complete=robots)
@@ -262,8 +263,12 @@ def carried(
     type=float,
     default=0.06,
     metavar="M",
-    help="Radius of the spheres along the links that are kept apart.",
+    help="Radius of the spheres along the links that are kept apart, and distance to obstacles.",
 )
+@click.option(
+    "--obstacle", "obstacles", metavar="X,Y,RADIUS[,HEIGHT]", multiple=True,
+    help="An upright cylinder on the floor, in m from where the base starts, x ahead, y to the left. Repeatable.",
+)  # fmt: skip
 @click.option("--seconds", type=float, default=20.0, metavar="S", help="Time to look for it.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, help="Of the search.")
 @FORCE
@@ -276,6 +281,7 @@ def excite(
     space: float,
     share: float,
     clearance: float,
+    obstacles: tuple[str, ...],
     seconds: float,
     seed: int,
     force: bool,
@@ -284,16 +290,19 @@ def excite(
 ) -> int:
     """Find the motion of ROBOT from which inertias and friction are identified best, and write it as CSV.
 
-    It keeps the robot's limits, and starts and ends at rest. The table has t, for a base x, y, phi, v, w, and
+    It keeps the robot's limits, the floor of --space and away from every --obstacle, by the shapes of the URDF, and
+    starts and ends at rest. The table has t, for a base x, y, phi, v, w, and
     position.JOINT, velocity.JOINT, acceleration.JOINT at 100 rows per second. The command prints how well it
     determines the base parameters: predicted standard deviations, for noise of 2 % of each motor's limit.
     """
     from ..deploy.identify import excitation
+    from ..deploy.identify.clearance import Obstacle
     from ..lab.show.identified import excitation_text
     from ..model.loading import load
 
     require_free(out, force)
-    limits = excitation.ExcitationLimits(duration, space, share, clearance, seconds, seed)
+    around = tuple(map(Obstacle.read, obstacles))
+    limits = excitation.ExcitationLimits(duration, space, share, clearance, seconds, seed, around)
     found = excitation.excite(load(robot, **overrides), limits)
     found.save(out, force)
     report = found.to_dict() | {"file": str(out)}

@@ -38,7 +38,7 @@ from ..signals import Array, IntArray
 from .base.rolling import TURN, Maps, Rolling, closed, new_maps, roll
 from .base.steered import SteeredBase
 from .reduction import COULOMB_SPEED, as_measured, put_shape
-from .tree.dynamics import psi_again
+from .tree.dynamics import lead
 from .tree.motion import (
     AT,
     BASE,
@@ -51,8 +51,8 @@ from .tree.motion import (
     cross,
     dot,
     get,
+    move,
     new_scratch,
-    place,
     steer,
 )
 from .tree.tree import TOLERANCE, configuration, flatten
@@ -81,7 +81,6 @@ class Massless(NamedTuple):
     scratch: Array  # memory of the tree
     position: Array  # (nv,) measured position
     nu: Array  # (p,) measured velocity
-    out: Array  # (p,) unused forces
     Y: Array  # (p, k) the regressor
     rows: IntArray  # (nj,) places of these joints in a velocity
     drift: Array  # (nj, p) rates of their rows; (0, 0) where T is constant
@@ -165,7 +164,7 @@ class Regressor:
     def workspace(self) -> Massless:
         """The arrays with a memory of their own to work in."""
         m = self.massless
-        own = {name: getattr(m, name).copy() for name in ("joints", "scratch", "position", "nu", "out", "Y", "drift")}
+        own = {name: getattr(m, name).copy() for name in ("joints", "scratch", "position", "nu", "Y", "drift")}
         return m._replace(maps=Maps(*(part.copy() for part in m.maps)), **own)
 
     def matrix(self, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array) -> Array:
@@ -310,7 +309,6 @@ def without_masses(
         scratch=scratch,
         position=offset.copy(),
         nu=np.zeros(p),
-        out=np.zeros(p),
         Y=np.zeros((p, BODY * (len(tree.links) - first) + 3 * len(joints) + base + turning)),
         rows=rows,
         drift=np.zeros((0, 0) if rolling is None else joints.shape),
@@ -368,8 +366,8 @@ def regress(known: Massless, nu_ref: Array, nudot_ref: Array) -> None:
     """
     tree, Y = known.tree, known.Y
     turn_joints(known, known.rolling)
-    place(tree.links, tree.numbers, known.position, known.nu, known.scratch)
-    psi_again(tree, known.position, nu_ref, nudot_ref, known.scratch, known.out)
+    move(tree.links, tree.numbers, known.position, known.nu, known.scratch)
+    lead(tree, known.position, nu_ref, nudot_ref, 1.0, known.scratch)
     Y[:] = 0.0
     for i in range(known.first, len(tree.links)):
         body_columns(known, i)
@@ -467,7 +465,7 @@ def joint_columns(known: Massless, nu_ref: Array, nudot_ref: Array, first: int) 
 
 
 @compiled
-def turned(scratch: Array, i: int, a: Triple) -> Triple:
+def turned(scratch: Array, i: int, a: Triple) -> tuple[float, float, float]:
     """A vector along O in the axes of body i."""
     k = AT.rotation
     x, y, z = get(scratch, i, k), get(scratch, i, k + 3), get(scratch, i, k + 6)

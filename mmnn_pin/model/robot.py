@@ -27,8 +27,6 @@ from ..signals import Array
 from .dynamics import Dynamics
 from .structure import Structure, bodies_of
 
-NAMED = 3  # joints that a line names
-
 
 @faced
 class Robot(Structure):

@@ -54,7 +54,7 @@ class Guide(NamedTuple):
 
     base: Array  # (3, twist) largest speeds and accelerations of the base, see `Limits.of_base`
     sideways: bool  # whether its velocities are `(vx, vy, w)`
-    wheels: Array  # (m, twist) speeds of the wheels by those of the base, over their limits
+    wheels: Array  # (m, twist) speeds of the wheels by those of the base, over their limits [s/m, s/rad]
     arm: Array  # (4, n) limits of the joints, see `Limits.of_arm`
     ends: Array  # (2, n) where the joints' reference must stay [rad or m]
     turn: IntArray  # (n,) 1 for a joint without ends, for which a whole turn is none

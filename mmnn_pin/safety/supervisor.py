@@ -131,18 +131,18 @@ class Supervisor(NamedTuple):
 
     on: bool  # whether there is one; the others are empty if not
     numbers: SupervisorNumbers  # settings that are single numbers
-    torque: Array  # (motors,) torque limits
-    speed: Array  # (p,) speed limits
-    gains: Array  # (p,) feedback that brakes and holds
-    error: Array  # (n,) limits of the joints' errors
-    K: Array  # (n,) gain of the filtered arm error
-    wheel: Array  # (wheels,) speed limits of the drive wheels, then of what motors steer
+    torque: Array  # (motors,) torque limits [N m or N]
+    speed: Array  # (p,) speed limits [m/s, rad/s; rad/s or m/s]
+    gains: Array  # (p,) feedback that brakes and holds [N s/m, N m s/rad; N m s/rad or N s/m]
+    error: Array  # (n,) limits of the joints' errors [rad or m]
+    K: Array  # (n,) gain of the filtered arm error [1/s]
+    wheel: Array  # (wheels,) speed limits of the drive wheels, then of what motors steer [rad/s]
     door: Door  # what measurements pass
     E: Array  # (p, motors) torque on nu from motor torques; of a base that steers that of the last sample
     E_inv: Array  # (motors, p) the way back, likewise
     weights: IntArray  # (k, 2) start and stop of every array of weights in the controller's state
     reach: Array  # (p,) how far velocities may lead while no measurement says so; inf for any way [m, rad]
-    mobility: Array  # (p, p) largest |M^-1| of some postures
+    mobility: Array  # (p, p) largest |M^-1| of some postures [1/kg, 1/(kg m), 1/(kg m^2)]
     asked: Array  # (p,) velocities that servos are asked for, of their rows
     shaken: Array  # (motors,) largest RMS of the fast part of the torque that is learned [N m or N]
     values: Array  # state: all of the following

@@ -146,7 +146,7 @@ class Adaptation(NamedTuple):
     """The numbers of an adaptive controller."""
 
     known: Massless  # the robot without its masses; `known.Y` (p, k) is written by `model.tree.regressor.regress`
-    gain: Array  # (p,) K
+    gain: Array  # (p,) K of `tau = K s + Psi_hat` [N s/m, N m s/rad; N m s/rad or N s/m]
     learning: bool  # off keeps the estimate
     tracking: float  # factor on the gradient of the tracking error, 1 without a prediction error
     sigma: float  # leakage [1/s]

@@ -113,7 +113,7 @@ class History(NamedTuple):
     basis: Array  # (k0, k) `theta = theta_0 + basis w`, scaled so that the prior of w is 1
     theta0: Array  # (k0,) parameters to start from
     filter: Filter  # of torque and features
-    gain: Array  # (p,) K
+    gain: Array  # (p,) K of `tau = K s + Psi_hat` [N s/m, N m s/rad; N m s/rad or N s/m]
     precision: Array  # (p,) one over the noise of the equations
     learning: bool  # off keeps w and the stack
     h: float  # control period [s]

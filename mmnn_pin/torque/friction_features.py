@@ -36,7 +36,6 @@ SPEEDS = np.array([0.01, 0.03, 0.1, 0.4, 1.5])  # [rad/s or m/s]
 ACCELERATIONS = np.array([0.3, 1.5, 8.0])  # [rad/s^2 or m/s^2]
 WAYS = np.array([0.001, 0.01, 0.1])  # since it turned [rad or m]
 SLOWEST = 0.05  # acceleration below which a way is not told [rad/s^2 or m/s^2]
-INPUTS = SPEEDS.size + ACCELERATIONS.size + WAYS.size
 WEIGHTS = "friction_features.json"
 
 

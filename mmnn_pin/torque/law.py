@@ -346,8 +346,8 @@ def update(n: LawNumbers, rates: Array, o: NetworkState, x: Array, feedback: flo
 class MotorLimits(NamedTuple):
     """Limits of a robot's motors, and room to work in."""
 
-    E: Array  # (p, motors) torque on nu from motor torques
-    E_inv: Array  # (motors, p) and back
+    E: Array  # (p, motors) torque on nu from motor torques [1; of wheels 1/m and 1]
+    E_inv: Array  # (motors, p) motor torques from torque on nu
     effort: Array  # (motors,) largest torques of the motors [N m or N], inf for no limit
     motors: Array  # (motors,) room to work in
     asked: Array  # (p,) written: Psi_hat as it was before it was limited [N, N m]

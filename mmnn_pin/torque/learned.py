@@ -104,7 +104,7 @@ class Learned(NamedTuple):
     friction: FrictionFeatures  # friction features
     integrator: Integrator  # the integral beside it
     filter: Filter  # of torque and features
-    gain: Array  # (p,) K
+    gain: Array  # (p,) K of `tau = K s + Psi_hat` [N s/m, N m s/rad; N m s/rad or N s/m]
     learning: bool  # off keeps the estimate
     every: int  # samples from one update to the next
     interval: float  # the same in seconds

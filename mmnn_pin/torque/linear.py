@@ -62,7 +62,7 @@ class Linear(NamedTuple):
     friction: FrictionFeatures | None
     correction: Correction | None  # what follows the tracking error beside them (`torque.correction`), or None
     filter: Filter  # of torque and features
-    gain: Array  # (p,) K
+    gain: Array  # (p,) K of `tau = K s + Psi_hat` [N s/m, N m s/rad; N m s/rad or N s/m]
     learning: bool  # off keeps the weights
     every: int  # samples from one update to the next
     interval: float  # the same in seconds

@@ -36,12 +36,12 @@ class Bodies(NamedTuple):
     h: float  # control period [s]
     gamma: Array  # (bodies,) rates of the pseudo-inertias [1/J]
     least: float  # bound below on the ratio of P to P_0
-    most: Array  # (bodies,) and above
-    roots: Array  # (bodies, 4, 4) lower triangular `P_0 = C C'`
-    inverses: Array  # (bodies, 4, 4) `C^-1`
-    rates: Array  # (k - 10 bodies,) gamma_j
+    most: Array  # (bodies,) bound above on it
+    roots: Array  # (bodies, 4, 4) lower triangular `P_0 = C C'` [root of kg, kg m, kg m^2]
+    inverses: Array  # (bodies, 4, 4) `C^-1` [the inverse of these]
+    rates: Array  # (k - 10 bodies,) gamma_j of the rest of theta [units of theta_j^2 over J]
     start: Array  # (k - 10 bodies,) where leakage pulls the rest of theta
-    top: Array  # (k - 10 bodies,) its upper bounds
+    top: Array  # (k - 10 bodies,) its upper bounds [kg m^2 or kg; N s/m, N m s/rad; N m, N]
     steps: Array  # (bodies, 4, 4) written: where a gradient takes the bodies
     rest: Array  # (k - 10 bodies,) written: and the rest
     factors: Array  # (bodies, 4, 4) written: B of every body, in the coordinates where P_0 is the identity

@@ -38,8 +38,6 @@ from mmnn_pin.signals import Array, IntArray
 
 from .screws import Bodies
 
-BoolArray = NDArray[np.bool_]
-
 ORDER = 3  # of the derivatives that are known in the middle
 UNIT, SLACK = 1e-12, 1e-9  # of rounding
 CHUNK = 32  # boxes at a time

@@ -23,7 +23,6 @@ from research.proof.networks import hidden_weights, ideal_weights, output_weight
 
 patient = settings(deadline=None, max_examples=25)
 seeds = st.integers(0, 2**32 - 1)
-LONG = 0.6  # FVU counts from 0.5 s on
 slow = pytest.mark.skipif(SLOW, reason="too long for uncompiled code")
 
 

@@ -23,7 +23,6 @@ ROBOTS = {name: load(name) for name in ("car_arm", "swerve_arm")}
 LOADER = load("loader_arm")
 NAMES = st.sampled_from(sorted(ROBOTS))
 H = 0.002
-MADE: dict[tuple[str, str], Stepper] = {}
 
 
 def stepper(name: str, safety: Safety) -> Stepper:

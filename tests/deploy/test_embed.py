@@ -106,6 +106,14 @@ def test_the_self_test_has_the_bits_of_the_stepper(exported, controller):
     assert 0 < told["ram_bytes"] < 120_000
 
 
+def test_every_table_says_what_it_holds(exported):
+    folder, _ = exported("adaptive_composite")
+    text = (folder / "robot_law.c").read_text()
+    tables = re.findall(r"(/\* .+ \*/\n)?const \w+ (law_\w+)\[", text)
+    assert len(tables) > 25 and not [name for said, name in tables if not said], tables
+    assert "rotation (by rows) and origin [m]" in {name: said for said, name in tables}["law_tree_numbers"]
+
+
 @needs_gcc
 @pytest.mark.parametrize("robot", ["car_arm", "swerve_arm"])
 @pytest.mark.parametrize("controller", ["pd", "computed_torque"])

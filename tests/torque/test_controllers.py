@@ -586,27 +586,6 @@ def test_the_example_runs_and_its_controller_is_the_better_one() -> None:
 
 PACKAGE = Path(mmnn_pin.__file__).parent
 FEET = {"errors", "files", "compiled", "elementary", "parts", "settings", "signals"}  # what every block may stand on
-BLOCKS = {"reference", "kinematic", "torque", "safety", "actuator", "disturbance", "plant", "sensing", "sampled"}
-RECORDS = {"recorder", "recording", "run_file", "metrics"}
-LOOPS = {
-    "start",
-    "given_arrays",
-    "memory",
-    "before_run",
-    "rig",
-    "control",
-    "cycle",
-    "loop",
-    "engines",
-    "ordinary_loop",
-    "compiled_loop",
-    "compiled_steps",
-    "streaming",
-    "sample",
-    "batch",
-    "recorded_robot",
-}
-USES = {"experiments", "psi", "study", "show"}
 
 
 def imported(module: Path) -> Iterator[str]:
@@ -657,8 +636,7 @@ def known(edges: dict[str, set[str]], module: str) -> set[str]:
 @pytest.mark.compiled
 def test_an_adaptive_controller_knows_how_the_robot_moves_and_not_what_it_weighs() -> None:
     edges = graph()
-    for arithmetic in ("torque.pseudo_inertia",):
-        assert {name.split(".")[0] for name in known(edges, arithmetic)} <= FEET | {"torque"}
+    assert {name.split(".")[0] for name in known(edges, "torque.pseudo_inertia")} <= FEET | {"torque"}
     weighs = {"model.dynamics", "model.robot", "model.loading", "model.inspection", "model.tree.body"}
     assert "model.regressor" in edges["torque.adaptive"]
     assert not known(edges, "torque.adaptive") & weighs

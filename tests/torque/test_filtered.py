@@ -20,7 +20,6 @@ from mmnn_pin.torque.filtered import Filtered, low_pass, new_filter, parts, peri
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
 LAYOUT = Layout.of(ROBOT.dimensions)
 REGRESSOR, TRUE = Regressor.of(ROBOT), parameters(ROBOT)
-MEASURED = ("velocity", "q", "qdot")
 seeds = st.integers(0, 2**32 - 1)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 from string import ascii_letters, digits
@@ -18,8 +18,9 @@ from ...loop.servo import needs_torques
 from ...loop.stepper import Stepper
 from ...model.tree.motion import NUMBER
 from ...recording.versions import versions
+from ...settings.meanings import meanings
 from ...signals import SIGNALS, Array
-from ...torque.law import ROUNDING, numbers_of
+from ...torque.law import ROUNDING, LawNumbers, numbers_of
 from . import board, body
 from .golden import Answer, GoldenEvent
 from .program import CFunction, CProgram
@@ -30,7 +31,6 @@ TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("mmnn_pin.deploy.embed"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
 )
 ENTRIES = (board.step, board.pause, board.resume, board.stop, board.reset, board.is_over)
-LARGE = 128  # numbers, more than which stand at the end of the struct
 FEW = 3  # numbers that are set one by one at the start
 SPARSE = 2  # times as much code as a number of a table takes one that is set by itself
 KEPT = frozenset(ascii_letters + digits + " _-+.,:()/")  # signs of names that mean nothing in C, printf, XML, Markdown
@@ -59,21 +59,13 @@ class StructField:
 
 @dataclass(frozen=True)
 class Export:
-    """A translated controller.
+    """A translated controller."""
 
-    Attributes:
-        stepper: The stepper that it was made from.
-        program: Its functions.
-        title: Controller and robot in words.
-        structs: Fields of what a board may change, `gains` and `limits`.
-        carrier: What carries a payload, of a controller that believes in a model; None for others.
-    """
-
-    stepper: board.Fresh
-    program: CProgram
-    title: str
-    structs: dict[str, list[StructField]]
-    carrier: Carrier | None
+    stepper: board.Fresh  # the stepper that it was made from
+    program: CProgram  # its functions
+    title: str  # controller and robot in words
+    structs: dict[str, list[StructField]]  # fields of what a board may change, `gains` and `limits`
+    carrier: Carrier | None  # what carries a payload, of a controller that believes in a model; None for others
 
     @cached_property
     def settings(self) -> str:
@@ -90,10 +82,10 @@ class Export:
 
     @property
     def members(self) -> list[Root]:
-        """Members of the struct in their order: large ones last, for short offsets of the rest."""
+        """Members of the struct by their size: small ones first, for short offsets of most."""
         roots = [*self.program.roots.values(), *self.program.pieces.values()]
         members = [root for root in roots if root.name in self.program.written and not root.parts]
-        return sorted(members, key=lambda root: root.data.size > LARGE)
+        return sorted(members, key=lambda root: root.data.size)
 
     @property
     def remembered(self) -> list[Root]:
@@ -143,6 +135,9 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     rows = named.pop("law_gains")
     named |= {f"law_gains{i}": row for i, row in enumerate(rows)}
     program.memory(law.settings, "law", cut(law.settings, named))
+    said = meanings(LawNumbers)
+    for piece in program.pieces.values():
+        piece.about = said.get(re.sub(r"law_|\d+$", "", piece.name), "")
     program.memory(b.control.gains, "kinematic_gains")
     program.memory(b.control.K, "joint_gains")
     for name in ("base", "arm", "ends"):
@@ -353,7 +348,8 @@ def table(program: CProgram, root: Root) -> str:
     """The definition of a constant table."""
     kind = program.c_type(root.kind)
     body = numbers(root.data, root.kind, program.real != "double")
-    return f"const {kind} law_{root.name}[{root.data.size}] = {{\n{body}\n}};"
+    about = f"/* {root.about} */\n" if root.about else ""
+    return f"{about}const {kind} law_{root.name}[{root.data.size}] = {{\n{body}\n}};"
 
 
 def starts(export: Export) -> list[Root]:
@@ -362,7 +358,7 @@ def starts(export: Export) -> list[Root]:
     for member in export.members:
         count = np.count_nonzero(member.data)
         if count > FEW and SPARSE * count > member.data.size and member.kind == "real":
-            found.append(Root(f"start_{member.name}", member.data, member.kind, member.data))
+            found.append(replace(member, name=f"start_{member.name}"))
     return found
 
 
@@ -419,7 +415,7 @@ def facts(export: Export) -> dict[str, Any]:
         "real": program.real,
         "is_exact": program.real == "double",
         "tolerance": TOLERANCE,
-        "has_split": has_split(export),
+        "has_split": stepper.hardware.split is not None,
         "period": stepper.period,
         "motors": layout.motors,
         "motor_names": [plain(name) for name in stepper.robot.actuator_names],
@@ -430,7 +426,7 @@ def facts(export: Export) -> dict[str, Any]:
         "asked": asked,
         "signals": [(name.upper(), at.start, f"{at.stop - at.start} {unit(name)}".strip()) for name, at in here],
         "width": layout.width,
-        "members": [(program.c_type(m.kind), m.name, room(m)) for m in export.members],
+        "members": [(program.c_type(m.kind), m.name, room(m), m.about) for m in export.members],
         "commit": commit(),
         "settings": export.settings,
         "structs": structs_of(export),
@@ -483,11 +479,6 @@ def ranges(**sizes: int) -> list[tuple[str, int, int]]:
     """Name, start and size of the parts of a measurement or a setpoint that the robot has."""
     ends = np.cumsum(list(sizes.values())).tolist()
     return [(name, end - size, size) for (name, size), end in zip(sizes.items(), ends, strict=True) if size]
-
-
-def has_split(export: Export) -> bool:
-    """Whether some motors take a velocity."""
-    return export.stepper.hardware.split is not None
 
 
 def selftest(export: Export, events: list[GoldenEvent], answers: list[Answer]) -> str:

@@ -280,9 +280,7 @@ def compared(
 
 def differences(a: Recording, b: Recording) -> list[str]:
     """Names of the signals, weights and states of two recordings that are not equal bit for bit."""
-    found = [name for name in a.names if np.asarray(a[name]).tobytes() != np.asarray(b[name]).tobytes()]
-    found += [name for name in a.weights if a.weights[name].tobytes() != b.weights[name].tobytes()]
-    for name, values in a.final.items():
-        if np.asarray(values).tobytes() != np.asarray(b.final[name]).tobytes():
-            found.append(name)
+    tables = (a.names, a, b), (a.weights, a.weights, b.weights), (a.final, a.final, b.final)
+    pairs = ((name, one[name], other[name]) for names, one, other in tables for name in names)
+    found = [name for name, *both in pairs if len({np.asarray(values).tobytes() for values in both}) > 1]
     return found + [f"outcome {b.outcome}, not {a.outcome}"] * (a.outcome != b.outcome)

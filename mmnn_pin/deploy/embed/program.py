@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ...settings.meanings import meanings
 from .source import defined_in, source_of
 from .values import (
     C_TYPES,
@@ -50,31 +51,18 @@ class Parameter:
 
 @dataclass
 class CFunction:
-    """A function in C.
+    """A function in C."""
 
-    Attributes:
-        name: Its name.
-        source: Where it comes from.
-        parameters: By name, those that are used.
-        result: Kind of a number, size of a struct, kinds of several numbers, or None.
-        text: The lines of its body.
-        head: Its declaration.
-        comment: Its docstring.
-        is_math: Whether it is one of `mmnn_pin.elementary`: those keep two words per number.
-        uses_self: Whether it needs the controller.
-        is_empty: Whether it does nothing.
-    """
-
-    name: str
-    source: Any
-    parameters: dict[str, Parameter] = field(default_factory=dict)
-    result: Any = None
-    text: str = ""
-    head: str = ""
-    comment: str = ""
-    is_math: bool = False
-    uses_self: bool = False
-    is_empty: bool = False
+    name: str  # its name
+    source: Any  # where it comes from
+    parameters: dict[str, Parameter] = field(default_factory=dict)  # by name, those that are used
+    result: Any = None  # kind of a number, size of a struct, kinds of several numbers, or None
+    text: str = ""  # the lines of its body
+    head: str = ""  # its declaration
+    comment: str = ""  # its docstring
+    is_math: bool = False  # whether it is one of `mmnn_pin.elementary`: those keep two words per number
+    uses_self: bool = False  # whether it needs the controller
+    is_empty: bool = False  # whether it does nothing
 
 
 class CProgram:
@@ -239,7 +227,12 @@ class CProgram:
         full = f"{owner.name}_{name}" if owner.name else name
         if isinstance(value, int) and not isinstance(value, bool):
             return integer(value, self.macro(full, value)) if owner.name.isupper() else integer(value)
-        return self.lifted(value, full if isinstance(value, float | np.ndarray) else name)
+        found = self.lifted(value, full if isinstance(value, float | np.ndarray) else name)
+        if isinstance(found, ArrayValue) and isinstance(found.base, Root) and value.size == found.base.data.size:
+            kind: Any = type(owner.object)
+            said = meanings(kind).get(name, "")
+            found.base.about = found.base.about or said.replace("*/", "* /").replace("/*", "/ *")
+        return found
 
     def name_of(self, owner: Any) -> str:
         """The name under which the parts of an object stand in C."""

@@ -23,21 +23,13 @@ SMALL = 2**31
 
 @dataclass(frozen=True)
 class Number:
-    """A truth value, an integer of 32 or 64 bits, or a floating-point number.
+    """A truth value, an integer of 32 or 64 bits, or a floating-point number."""
 
-    Attributes:
-        kind: One of `KINDS`.
-        text: In C.
-        binds: How tightly the text binds.
-        value: Its value where that is known.
-        everywhere: A text of a known number that means the same in every function; empty for `text`.
-    """
-
-    kind: str
-    text: str
-    binds: int = ATOM
-    value: Any = None
-    everywhere: str = ""
+    kind: str  # one of `KINDS`
+    text: str  # in C
+    binds: int = ATOM  # how tightly the text binds
+    value: Any = None  # its value where that is known
+    everywhere: str = ""  # a text of a known number that means the same in every function; empty for `text`
 
     @property
     def is_known(self) -> bool:
@@ -51,36 +43,24 @@ class Number:
 
 @dataclass
 class Root:
-    """A block of memory: a member of the controller's struct, or a constant table.
+    """A block of memory: a member of the controller's struct, or a constant table."""
 
-    Attributes:
-        name: In C.
-        data: (size,) what it holds at the start.
-        kind: "real" or "int".
-        live: (size,) the same memory, as it is at present.
-        parts: Name, start and size of the members that it is split into, where it is split.
-    """
-
-    name: str
-    data: np.ndarray
-    kind: str
-    live: np.ndarray
+    name: str  # in C
+    data: np.ndarray  # (size,) what it holds at the start
+    kind: str  # "real" or "int"
+    live: np.ndarray  # (size,) the same memory, as it is at present
+    # name, start and size of the members that it is split into, where it is split
     parts: list[tuple[str, int, int]] = field(default_factory=list)
+    about: str = ""  # its meaning and units, as its class says beside the field
 
 
 @dataclass
 class Pointer:
-    """A pointer that is a local name or a parameter.
+    """A pointer that is a local name or a parameter."""
 
-    Attributes:
-        name: In C.
-        of: What it points into, as far as that is known.
-        is_written: Whether anything is written through it.
-    """
-
-    name: str
-    of: tuple[Any, ...] = ()
-    is_written: bool = False
+    name: str  # in C
+    of: tuple[Any, ...] = ()  # what it points into, as far as that is known
+    is_written: bool = False  # whether anything is written through it
 
 
 @dataclass(frozen=True)
@@ -120,15 +100,10 @@ class Tuple:
 
 @dataclass(frozen=True)
 class Static:
-    """A Python object that is known when C is written: None, a function, a named tuple of arrays, the stepper itself.
+    """A Python object that is known when C is written: None, a function, a named tuple of arrays, the stepper."""
 
-    Attributes:
-        object: The object.
-        name: How its parts are called in C.
-    """
-
-    object: Any
-    name: str = ""
+    object: Any  # the object
+    name: str = ""  # how its parts are called in C
 
 
 Value = Number | ArrayValue | Vec | Tuple | Static

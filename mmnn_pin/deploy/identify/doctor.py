@@ -8,7 +8,7 @@
 
 by bounded least squares on a thinned log. Where that fits badly, a damage of the log is looked for that explains it: a
 sign, a unit, two joints exchanged, in positions or efforts, or two of these. One is told where the cost falls by
-`BETTER` and more. Delays are those of `timing`, with bands.
+`BETTER` and more, and the error of every joint that it names by `HELPS`. Delays are those of `timing`, with bands.
 """
 
 from __future__ import annotations
@@ -277,6 +277,9 @@ def damages(log: Log, robot: Robot, unknowns: Unknowns, of: Equations) -> Iterat
         return
     made = mended(short, chosen)
     _, after = cost(sampled(made, unknowns, cutoff), unknowns)
+    accused = np.isin(unknowns.names, [signal.partition(".")[2] for signal, _ in chosen]) & (errors > 0)
+    if (after > np.maximum(EXACT, HELPS * errors))[accused].any():
+        return  # a joint that was explained as well before is not another one
     worst = int(np.argmax(errors))
     shares = f"{100 * errors[worst]:.0f} % is unexplained, with this mended {100 * after[worst]:.0f} %"
     why = f"of the effort of {unknowns.names[worst]} {shares}"

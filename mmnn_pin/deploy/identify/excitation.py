@@ -3,10 +3,10 @@
 Joint j moves as `q_j = q_j0 + s_j sum_l a_l sin(l w t) / (l w) + b_l (1 - cos(l w t)) / (l w)` (Swevers, Ganseman,
 Tukel, De Schutter, Van Brussel 1997, IEEE T-RA 13(5)), at rest at start and end: `sum a_l = 0`, `sum l b_l = 0`.
 Base velocities are the same series. Every candidate is scaled into the limits of position and speed, drawn together
-where spheres along the links touch or a motor could not hold its joint up, and slowed until the URDF's torques are
-within theirs; what is still refused says why. Of the others, the one is looked for with the most information
-`A = sum Y_b' Y_b / s^2` in the base parameters over their sizes, `log det A / b - log tr A^-1`: both the volume of what
-stays unknown and its worst side; by steps that are kept when they help.
+where spheres along the links touch, a motor could not hold its joint up or the robot's shapes come near an obstacle,
+and slowed until the URDF's torques are within theirs; what is still refused says why. Of the others, the one is
+looked for with the most information `A = sum Y_b' Y_b / s^2` in the base parameters over their sizes, `log det A / b
+- log tr A^-1`: both the volume of what stays unknown and its worst side; by steps that are kept when they help.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ...model.robot import Robot, speed_limits
 from ...model.tree.body import parameters
 from ...signals import Array
 from ...torque.pseudo_inertia import BODY
-from .clearance import clearances
+from .clearance import Obstacle, clearances, to_obstacles
 from .equations import Unknowns, require_identifiable
 from .least_squares import BaseParameters, base_parameters, inverted
 from .programme import mass_matrix
@@ -37,6 +37,7 @@ HARMONICS, FASTEST = (1, 2, 3, 5, 8, 13, 21, 34), 1.0  # of the duration; larges
 SHRUNK = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2)  # parts of a motion that are tried where links touch or weigh too much
 SAMPLES = 150  # of a candidate
 RATE = 100.0  # rows per second that are written and that a log is thought to have
+COARSE = 2  # samples of a candidate of which obstacles are looked at in one
 LOOKED = 40  # positions at which links are looked at
 THINNED = 5  # rows of which one is looked at when a motion is judged
 NEARER = (0.5, 0.25, 0.12, 0.06)  # of the range, in which a safe position is looked for
@@ -51,9 +52,11 @@ BASE_SPEED, BASE_TURN = 0.4, 0.8  # of a base [m/s, rad/s]
 NOISE = 0.02  # of a torque, of its limit; of its RMS where the URDF states none
 FORCE, ROTOR = 0.01, 0.1  # size of friction, of a motor's limit; of a rotor, of the inertia that its joint feels
 SHARE = 0.8  # of a limit that is used
+TOUCHING = 1e-3  # distance to an obstacle that is none [m]
 NEAR = 0.9  # of the distance at which links were found, for the spheres that are advised
 SHORT = {
     "links": "for links that touch",
+    "obstacles": "for obstacles",
     "hold": "for the arm's weight",
     "move": "for torque",
     "unseen": "for parameters that they do not tell apart",
@@ -73,9 +76,10 @@ class ExcitationLimits:
     duration: float = 40.0  # [s]
     space: float = 1.0  # half the side of the square that the base stays in [m]
     share: float = SHARE  # of the limits of position, speed and torque that is used
-    clearance: float = 0.06  # radius of the spheres along the links [m]; 0 for no look at collisions
+    clearance: float = 0.06  # radius of the spheres along the links, distance to obstacles [m]; 0: no look at links
     seconds: float = 20.0  # time to look for it [s]
     seed: int = 0  # of the search
+    obstacles: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
         for name, least in (("duration", 5.0), ("space", 0.0), ("share", 0.0), ("clearance", 0.0), ("seconds", 0.0)):
@@ -89,8 +93,8 @@ class ExcitationLimits:
 class RefusedCandidate:
     """Why a candidate is no motion."""
 
-    # `"links"` touch, a motor cannot `"hold"` its joint up or `"move"` it, parameters stay `"unseen"`
-    what: Literal["links", "hold", "move", "unseen"]
+    # `"links"` touch, `"obstacles"` are near, motors cannot `"hold"` up or `"move"` a joint, parameters stay `"unseen"`
+    what: Literal["links", "obstacles", "hold", "move", "unseen"]
     size: float  # least distance of links, or largest torque, over what is allowed; 0 of parameters
     names: tuple[str, ...] = ()  # the velocity whose torque is the largest; the parameters
 
@@ -110,11 +114,17 @@ class ExcitingMotion:
     scale: Array  # (b,) size that the URDF's robot has there
     condition: float  # of the weighted regressor
     tried: int  # candidates that were looked at
+    nearest: float = np.inf  # least distance to an obstacle [m]; inf without any
 
     @property
     def relative(self) -> Array:
         """Predicted standard deviations over the URDF's own size, (b,)."""
         return np.asarray(self.sd / self.scale)
+
+    @property
+    def floor(self) -> tuple[Array, Array]:
+        """Smallest and largest x and y of the base's control frame, (2,) each [m]; (0,) for a fixed arm."""
+        return self.pose[:, :2].min(axis=0), self.pose[:, :2].max(axis=0)
 
     def columns(self) -> dict[str, Array]:
         """Columns of its table: a reference of the base `t, x, y, phi, v, w`, and all signals by their full names."""
@@ -154,6 +164,8 @@ class ExcitingMotion:
             "condition": self.condition,
             "tried": self.tried,
             "worst_relative_sd": float(self.relative.max()),
+            "floor": [[float(low), float(high)] for low, high in zip(*self.floor, strict=True)],
+            "nearest_obstacle": self.nearest if np.isfinite(self.nearest) else None,
             "base_parameters": [
                 {"combination": self.base.name(i, labels), "sd": float(self.sd[i]), "size": float(self.scale[i])}
                 for i in order
@@ -188,6 +200,9 @@ def excite(robot: Robot, limits: ExcitationLimits | None = None) -> ExcitingMoti
         else:
             candidate = best + step * rng.standard_normal(best.shape) * (rng.random(best.shape) < 0.2)
         found = search.information(candidate)
+        if limits.obstacles and not isinstance(found, RefusedCandidate) and found > value:
+            fine = search.motion(candidate, 2 + round(limits.duration * RATE))  # between samples it may be too near
+            found = fine if isinstance(fine, RefusedCandidate) else found
         tried += 1
         if isinstance(found, RefusedCandidate):
             refused.append(found)
@@ -214,6 +229,8 @@ class ExcitationSearch:
     noise: Array  # (p,) of the torques
     # distance of every pair of links over that allowed, of a position (n,); inf without pairs
     apart: Callable[[Array], float]
+    # least distance to obstacles over that allowed, of positions (N, n) and poses (N, 3); inf without any
+    near: Callable[[Array, Array], float]
     safe: Array  # (n,) a position with room around it where motors hold the arm up; motions shrink towards it
 
     @classmethod
@@ -240,8 +257,19 @@ class ExcitationSearch:
         apart = clearances(robot, limits.clearance) if n and limits.clearance > 0 else lambda q: np.inf
         places = [middle, np.clip(rest, middle - half, middle + half)]
         low, high = middle - half, middle + half
-        made = cls(unknowns, base, limits, limits.share * speed, low, high, limits.share * limit, noise, apart, middle)
-        return replace(made, safe=made.roomiest(places, np.random.default_rng(limits.seed)))
+        near, speed, torque = from_obstacles(robot, limits), limits.share * speed, limits.share * limit
+        made = cls(unknowns, base, limits, speed, low, high, torque, noise, apart, near, middle)
+        made = replace(made, safe=made.roomiest(places, np.random.default_rng(limits.seed)))
+        if near(made.safe[None], made.start_pose) <= 1:
+            every = "; ".join(map(str, limits.obstacles))
+            why = f"it stands nearer than {limits.clearance:g} m to one of {every}, however its arm is held"
+            raise ConfigError("no motion found", why=why, fix="move the obstacle away", key="--obstacle")
+        return made
+
+    @property
+    def start_pose(self) -> Array:
+        """The base at the start, (1, 3); (1, 0) of a fixed arm."""
+        return np.zeros((1, self.unknowns.robot.dimensions.pose))
 
     def roomiest(self, places: Sequence[Array], rng: np.random.Generator) -> Array:
         """A position (n,) with room between its links where motors hold the arm up, of some and of random ones.
@@ -251,7 +279,10 @@ class ExcitationSearch:
 
         def room(found: Sequence[Array] | Array) -> tuple[float, Array]:
             held = self.weight(np.array(found)).max(axis=1)
-            every = [min(self.apart(q), 1 / one) for q, one in zip(found, held, strict=True)]
+            every = [
+                min(self.apart(q), 1 / one, self.near(q[None], self.start_pose))
+                for q, one in zip(found, held, strict=True)
+            ]
             return max(every), found[int(np.argmax(every))]
 
         half = (self.high - self.low) / 2
@@ -296,21 +327,45 @@ class ExcitationSearch:
             forward = [i for i, name in enumerate(self.unknowns.robot.velocity_names[:nb]) if name != "w"]
             for part in (x, v, dv):
                 part[:, forward] *= scale
-        looked = x[:: max(1, samples // LOOKED), nb:]
-        for share in SHRUNK:
-            places = self.safe + share * (looked - self.safe)
-            nearest = 1.0
-            for q in places:
-                nearest = self.apart(q)
-                if nearest <= 1:
-                    break
-            if nearest > 1 and (self.weight(places) < 1).all():
-                x[:, nb:] = self.safe + share * (x[:, nb:] - self.safe)
-                v[:, nb:], dv[:, nb:] = share * v[:, nb:], share * dv[:, nb:]
-                return t, x, v, dv
-        if nearest <= 1:
+        arm, ground, last = 0, 0, len(SHRUNK) - 1
+        while True:
+            made = self.drawn_together((t, x, v, dv), SHRUNK[arm], SHRUNK[ground])
+            found = self.refused(made)
+            if found is None:
+                return made
+            if found.what == "obstacles" and nb and ground < last:
+                ground += 1
+            elif arm < last:
+                arm += 1
+            else:
+                return found
+
+    def drawn_together(self, motion: MotionSamples, arm: float, ground: float) -> MotionSamples:
+        """Parts of a motion: of the joints about the safe position, and of the base's velocities."""
+        t, x, v, dv = motion
+        nb = self.unknowns.robot.dimensions.base
+        shares = np.where(np.arange(x.shape[1]) < nb, ground, arm)
+        safe = np.concatenate((np.zeros(nb), self.safe))
+        return t, safe + shares * (x - safe), shares * v, shares * dv
+
+    def refused(self, motion: MotionSamples) -> RefusedCandidate | None:
+        """Why a motion within limits of position and speed may not be: links, weight, obstacles; None where it may."""
+        t, x, v, _ = motion
+        nb = self.unknowns.robot.dimensions.base
+        places = x[:: max(1, len(t) // LOOKED), nb:]
+        if ((load := self.weight(places)) >= 1).any():
+            return self.overloaded("hold", load)
+        if any(self.apart(q) <= 1 for q in places):
             return RefusedCandidate("links", min(map(self.apart, places)))
-        return self.overloaded("hold", self.weight(places))
+        step = COARSE if len(t) <= SAMPLES else THINNED
+        if (nearest := self.near(x[::step, nb:], self.driven(t, v)[::step])) <= 1:
+            return RefusedCandidate("obstacles", nearest)
+        return None
+
+    def driven(self, t: Array, v: Array) -> Array:
+        """Poses (N, 3) of the base from the origin along nu (N, p); (N, 0) of a fixed arm."""
+        robot = self.unknowns.robot
+        return driven(t, v[:, : robot.dimensions.base], robot) if robot.dimensions.base else np.zeros((len(t), 0))
 
     def overloaded(self, what: Literal["hold", "move"], load: Array) -> RefusedCandidate:
         """A refusal of torques over what is allowed, (N, p), with the velocity that asks for the most."""
@@ -331,6 +386,9 @@ class ExcitationSearch:
             radius = NEAR * most * self.limits.clearance
             why, key = f"links that are no neighbours come closer than {2 * self.limits.clearance:g} m", "--clearance"
             fix = f"give a smaller one: {radius:.2g} leaves room" if most > 0.1 else "give 0: no look at links"
+        elif worst == "obstacles":
+            why, key = f"the robot comes nearer than {self.limits.clearance:g} m to an obstacle", "--obstacle"
+            fix = "move it away" + (", or give a smaller --space" if robot.dimensions.base else "")
         elif worst == "hold":
             why, key = f"the arm's weight alone asks motors for {torque}", "--share"
             fix = f"give a larger --share, or mend the URDF's masses or effort limits of {names[0]}"
@@ -417,7 +475,8 @@ class ExcitationSearch:
             if (np.abs(forces) <= self.torque).all():
                 break
             slow *= 0.97
-        return self.judged(t, x, v, dv, tried)
+        nearest = self.near(x[:, nb:], self.driven(t, v)) * max(self.limits.clearance, TOUCHING)
+        return replace(self.judged(t, x, v, dv, tried), nearest=nearest)
 
     def judged(self, t: Array, x: Array, v: Array, dv: Array, tried: int = 0) -> ExcitingMotion:
         """A motion (N, p) with the standard deviations that it would give under the assumed noise."""
@@ -426,8 +485,27 @@ class ExcitationSearch:
         X = np.sqrt(THINNED) * (Y / self.noise[:, None]).reshape(-1, Y.shape[2])
         inverse, seen, condition = inverted(X.T @ X)
         sd = np.where(seen, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf)
-        pose = driven(t, v[:, :nb], robot) if nb else np.zeros((len(t), 0))
-        return ExcitingMotion(robot, t, x[:, nb:], v, dv, pose, self.base, sd, self.scale, condition, tried)
+        return ExcitingMotion(
+            robot, t, x[:, nb:], v, dv, self.driven(t, v), self.base, sd, self.scale, condition, tried
+        )
+
+
+def from_obstacles(robot: Robot, limits: ExcitationLimits) -> Callable[[Array, Array], float]:
+    """Least distance of positions (N, n) and poses (N, 3) to obstacles over that allowed, or the first below 1."""
+    if not limits.obstacles:
+        return lambda places, poses: np.inf
+    allowed = max(limits.clearance, TOUCHING)
+    distances = to_obstacles(robot, limits.obstacles, limits.clearance)
+
+    def near(places: Array, poses: Array) -> float:
+        least = np.inf
+        for i in sorted(range(len(places)), key=lambda i: i % 8):  # all over the motion: what is too near is soon seen
+            least = min(least, float(distances(places[i], poses[i]).min()) / allowed)
+            if least <= 1:
+                break
+        return least
+
+    return near
 
 
 def driven(t: Array, v: Array, robot: Robot) -> Array:

@@ -24,6 +24,7 @@ from ...model.robot import Robot
 from ...settings.arguments import checked
 from ...shown import AsText, shown
 from ...signals import Array
+from ...torque.prior import DOUBT
 from .constants import constants_of
 from .doctor import ExaminedLog, all_findings, examined, require_no_contradiction
 from .equations import (
@@ -247,7 +248,7 @@ def identify(  # noqa: PLR0913 - options, by keyword alone
         torque_constants: Torque per unit of a recorded effort, by motor; 1 for those not named. None finds it from
             motors with known constants that feel the same bodies.
         mend: What mends the logs, signal to how, as the doctor advises it (`mmnn_pin.deploy.identify.mends`).
-        weight: Of the URDF in the consistent fit; by default chosen on blocks left out.
+        weight: Of the URDF in the consistent fit; by default chosen on blocks left out, at least that of the bands.
         rotors: Inertias of motors beyond the URDF's: `"no"`, `"yes"` for all joints, or `"auto"`, where the data ask.
         progress: Called now and then with what is being done and the fraction of it.
 
@@ -366,9 +367,11 @@ def fitted(
     tell("fitting all parameters", 0.0)
     R, z = compressed(used, prior, follows, fit)
     allowed, about = rotors_of(R, z, prior, fit.inflation, rotors)
+    prior = prior.of_any_size(unknowns.columns("rotor")[allowed[unknowns.columns("rotor")]])
     strength, chosen = np.where(allowed, prior.strength, FIXED), weight
     if chosen is None:
         chosen, _ = Blocks.of(training, prior, fit.weights).chosen(follows, fit.deviation, strength)
+        chosen = max(chosen, fit.inflation / DOUBT**2)  # no body is believed to be further from the URDF than bands say
     consistent = consistent_fit(R, z, prior, chosen, fit.inflation, allowed)
     notes = missing_notes(logs, robot)
     return Identification(

@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import InputError, MmnnError
 from ...signals import Array
@@ -33,6 +34,7 @@ THIN = 1e-3  # least eigenvalue of a prior body, relative to that of a ball of i
 BALL = 0.05  # its radius of gyration [m]
 LIGHT = 1e-3  # mass of a prior body without one [kg]
 WIDE = 10.0  # standard deviation of friction, in its scale, that nothing has moved; of a body, relative, it is DOUBT
+LOOSE = 1e-4  # of the prior that friction, constants and rotors that are there feel
 BELIEVED = 0.05  # share of a body's doubt that the motion has to take away before the body leaves the URDF
 CAREFUL: tuple[dict[str, Any], ...] = (  # settings of the solver, one after the other, where the usual ones fail
     {"max_step_fraction": 0.9, "static_regularization_constant": 1e-7},
@@ -89,7 +91,7 @@ class Prior:
         B[np.arange(first, k), np.arange(first, k)] = scale[first:]
         B[unknowns.of_base] = 0.0
         strength = np.ones(k)
-        strength[unknowns.columns("viscous", "coulomb", "stribeck", "offset")] = 1e-4
+        strength[unknowns.columns("viscous", "coulomb", "stribeck", "offset")] = LOOSE
         positive = -centre[first:] / scale[first:]
         positive[offsets - first] = -np.inf
         return cls(unknowns, centre, B, bodies, positive, strength)
@@ -100,6 +102,12 @@ class Prior:
         for b, P in enumerate(pseudo_inertias(theta[: BODY * self.bodies])):
             fill_body(B, b, P)
         return B
+
+    def of_any_size(self, rotors: NDArray[np.int64]) -> Prior:
+        """The prior where some rotors are there, of any size: links would take a part of them otherwise."""
+        strength = self.strength.copy()
+        strength[rotors] = LOOSE
+        return replace(self, strength=strength)
 
     @cached_property
     def root(self) -> Array:

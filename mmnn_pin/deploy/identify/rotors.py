@@ -6,9 +6,10 @@ the weighted equations and f how many of them say as much as one,
     J(S) = min over x  |R x - z|^2 / f + |D x|^2,     rotors and constants only in S,
 
 D that of the prior, `1 / DOUBT` for bodies. A rotor or a constant joins S where that lowers J by `ASKED`, the largest
-first: links would have to be further from the URDF, or efforts further from the motion, than chance explains. A wheel's
-rotor says what the base's mass says, so a base that is heavier than its file is found heavier, and no rotor is made up.
-What the data leave open between the two is in the bands, which allow for every rotor.
+first: links would have to be further from the URDF, or efforts further from the motion, than chance explains. The
+prior of a rotor that is there is as weak as that of friction, or links would take a part of it. A wheel's rotor says
+what the base's mass says, so a base that is heavier than its file is found heavier, and no rotor is made up. What the
+data leave open between the two is in the bands, which allow for every rotor.
 """
 
 from __future__ import annotations

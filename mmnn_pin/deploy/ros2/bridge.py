@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import gc
 import math
+import os
 import sys
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from threading import Lock
 from typing import Any, NamedTuple, TypeVar
@@ -165,13 +167,10 @@ class Bridge:
         for output, one, _ in self.commands.outlets:
             what = "" if output.is_base else f"{output.interface} of {', '.join(output.joints)}"
             found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), what))
-        for one, _, _ in self.telling.outlets:
-            found.append(GraphRow("publishes", one.name, type_of(one.kind), quality_of(one.publisher), ""))
-        if (health := self.health) is not None:
-            found.append(GraphRow("publishes", health.name, type_of(health.kind), quality_of(health.publisher), ""))
-        if (felt := self.felt) is not None:
-            what = "of the world on the hand, without a sensor"
-            found.append(GraphRow("publishes", felt.name, type_of(felt.kind), quality_of(felt.publisher), what))
+        told = [(one, "") for one in (*(one for one, _, _ in self.telling.outlets), self.health)]
+        for out, what in [*told, (self.felt, "of the world on the hand, without a sensor")]:
+            if out is not None:
+                found.append(GraphRow("publishes", out.name, type_of(out.kind), quality_of(out.publisher), what))
         return found
 
     # -- before --------------------------------------------------------------------------------------------------------
@@ -329,7 +328,8 @@ class Bridge:
         sys.setswitchinterval(SWITCH)
         self._start()
         try:
-            self._drive(seconds, motion)
+            with self._real_time(self.settings.thread_priority):
+                self._drive(seconds, motion)
         finally:  # also where the recording cannot be written any more
             with self.lock:
                 self.is_running = False
@@ -338,6 +338,21 @@ class Bridge:
             self.asking.close(self.leave or "the node is not active")
             self._fade()
             sys.setswitchinterval(switch)
+
+    @contextmanager
+    def _real_time(self, priority: int) -> Iterator[None]:
+        """This thread before all ordinary ones, if the system lets it; threads that it starts stay ordinary."""
+        try:
+            policy = os.SCHED_FIFO if priority else os.SCHED_OTHER
+            os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+        except (AttributeError, OSError):  # not Linux, or not allowed
+            text = "control runs as an ordinary thread: for its thread_priority give the user 'rtprio' (limits.conf)"
+            self.node.get_logger().info(text)
+        try:
+            yield
+        finally:
+            with suppress(AttributeError, OSError):
+                os.sched_setscheduler(0, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
 
     def _start(self) -> None:
         """The node's time goes on after the last sample; what is heard is as old as it was."""

@@ -22,6 +22,10 @@ TWIST: Final = "Twist"
 TWIST_STAMPED: Final = "TwistStamped"
 ACKERMANN: Final = "AckermannDriveStamped"
 Interface = Literal["effort", "velocity", "position"]
+BOUNDS = (  # of numbers, with their units
+    ("rate", 1, 2000, " /s"), ("thread_priority", 0, 99, ""), ("speed_scaling", 0, 1, ""), ("latency", 0, 10, " s"),
+    ("setpoint_timeout", 0, 10, " s"),
+)  # fmt: skip
 FREE = ("set", "commands")  # tables whose keys are the user's
 LIVE = ("limits.", "set.", "learning", "speed_scaling")  # what may be changed while the node is configured
 
@@ -287,6 +291,8 @@ class Node(Settings, frozen=True):
         set: Its keys that are changed, tables in tables.
         learning: Whether the controller learns; live.
         rate: Control samples per second.
+        thread_priority: Of control among real-time threads (SCHED_FIFO), as of ros2_control's controller manager, where
+            the user may have it (`rtprio`); 0 for an ordinary thread [0 to 99].
         latency: Known delay from the measurement to the motors, which the gains have to bear [s]; none as the
             experiment says.
         predict: Whether measurements are moved on as the reference has moved since their stamps; none likewise.
@@ -319,6 +325,7 @@ class Node(Settings, frozen=True):
     set: dict[str, Any] = msgspec.field(default_factory=dict)
     learning: bool = True
     rate: float = 200.0
+    thread_priority: int = 50
     latency: float | None = None
     predict: bool | None = None
     setpoint_timeout: float = 0.5
@@ -342,13 +349,9 @@ class Node(Settings, frozen=True):
         if not (self.robot and self.commands):
             what, key = ("no commands", "commands") if self.robot else ("no robot", "robot")
             raise ConfigError(what, fix="mmnn ros2 --example FOLDER --robot ROBOT writes a file to start from", key=key)
-        if not 1 <= self.rate <= 2000:
-            raise ConfigError(f"{self.rate} /s", fix="use 1 to 2000", key="rate")
-        if not 0 <= self.speed_scaling <= 1:
-            raise ConfigError(f"{self.speed_scaling}", fix="use 0 to 1", key="speed_scaling")
-        for name in ("latency", "setpoint_timeout"):
-            if not 0 <= (getattr(self, name) or 0.0) < 10:
-                raise ConfigError(f"{getattr(self, name)} s", fix="use 0 to 10", key=name)
+        for name, least, most, unit in BOUNDS:
+            if (value := getattr(self, name)) is not None and not least <= value <= most:
+                raise ConfigError(f"{value}{unit}", fix=f"use {least} to {most}", key=name)
 
     def latency_of(self, own: Latency) -> Latency:
         """The latency of an experiment with what these settings say: its `margin` stays."""

@@ -204,6 +204,11 @@ def excitation_text(found: dict[str, Any]) -> str:
         f"{found['robot']}: {found['duration']:.0f} s, condition number {found['condition']:.3g}; of {len(every)} base "
         f"parameters {well} are predicted within 10 % of their size. The worst, sd over size:"
     )
+    where = [f"{axis} from {low:.2f} to {high:.2f} m" for axis, (low, high) in zip("xy", found["floor"], strict=False)]
+    if found["nearest_obstacle"] is not None:
+        where.append(f"no nearer than {found['nearest_obstacle']:.2f} m to an obstacle")
+    if where:
+        head = f"It drives within {', '.join(where)}. {head}" if found["floor"] else f"It comes {where[0]}. {head}"
     return terminal_text([head, Table("Predicted", columns, tuple(rows))])
 
 

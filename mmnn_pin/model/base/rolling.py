@@ -101,7 +101,6 @@ class _Wheel(NamedTuple):
     per: int = 4  # joint velocity per rim speed [1/m]
 
 
-AxleRow = tuple[float, float, float]
 MOST_STEPS, SETTLED = 60, 1e-28  # of the iteration for n: how many, and when n and its rate stand still, squared
 TURN, PIVOT, WHEEL = _Turn(), _Pivot(), _Wheel()
 

@@ -123,33 +123,54 @@ def _mass(links: Indices, numbers: Array, rotors: Array, scratch: Array, M: Arra
 
 
 @inlined
-def _push_base(numbers: Array, omega: float, g: Triple, velocity: Triple, acceleration: Triple, scratch: Array) -> None:
-    """Motion of the reference of the base, from its `(vx, vy, w)` and their rates, and the force it takes."""
-    x, y, w = velocity
+def _lead(j: int, i: int, speed: float, speed_rate: float, scratch: Array) -> None:
+    """Motion of the reference of body i on body j."""
+    omega_ref, alpha = get(scratch, j, AT.omega_ref), get(scratch, j, AT.alpha)
+    a = add(get(scratch, j, AT.a), cross(alpha, get(scratch, i, AT.lever)))
+    a = add(a, cross(omega_ref, get(scratch, i, AT.lever_rate)))
+    put(scratch, i, AT.a, along(along(a, get(scratch, i, AT.s), speed_rate), get(scratch, i, AT.s_rate), speed))
+    put(scratch, i, AT.omega_ref, along(omega_ref, get(scratch, i, AT.w), speed))
+    alpha = along(along(alpha, get(scratch, i, AT.w), speed_rate), get(scratch, i, AT.w_rate), speed)
+    put(scratch, i, AT.alpha, alpha)
+
+
+@linked
+def lead(tree: BodyTree, position: Array, nu_ref: Array, nudot_ref: Array, share: float, scratch: Array) -> None:
+    """Motion of the reference of all bodies, `nu_ref` and `share nudot_ref`, after `move`."""
+    links, steers, omega = tree.links, tree.steers, scratch[BASE.w, AT.omega + 2]
+    g = _gravity(tree.gravity, tree.frame, tree.level, position)
+    x, y, w = base_rates(links, scratch, nu_ref)
+    acceleration = along(ZERO, base_rates(links, scratch, nudot_ref), share)
+    if steers:
+        acceleration = add(acceleration, base_drift(links, scratch, nu_ref))
     ax, ay, alpha = acceleration
-    ax, ay = ax - omega * y - g[0], ay + omega * x - g[1]
     put(scratch, BASE.w, AT.omega_ref, (0.0, 0.0, w))
     put(scratch, BASE.w, AT.alpha, (0.0, 0.0, alpha))
-    put(scratch, BASE.w, AT.a, (ax, ay, -g[2]))
+    put(scratch, BASE.w, AT.a, (ax - omega * y - g[0], ay + omega * x - g[1], -g[2]))
+    for i in range(BASE.w + 1, len(links)):
+        speed, speed_rate = rate(links, scratch, i, nu_ref), share * rate(links, scratch, i, nudot_ref)
+        if steers:
+            speed_rate += drift(links, scratch, i, nu_ref)
+        _lead(links[i, LINK.parent], i, speed, speed_rate, scratch)
+
+
+@inlined
+def _load_base(numbers: Array, scratch: Array) -> None:
+    """The force that the motion of the reference of the base takes."""
     m, cx, cy = get(numbers, BASE.w, NUMBER.mass)
+    w, omega = scratch[BASE.w, AT.omega_ref + 2], scratch[BASE.w, AT.omega + 2]
+    ax, ay, alpha = scratch[BASE.w, AT.a], scratch[BASE.w, AT.a + 1], scratch[BASE.w, AT.alpha + 2]
     inertia = numbers[BASE.w, NUMBER.second] + numbers[BASE.w, NUMBER.second + 3]
     put(scratch, BASE.w, AT.force, (m * ax - alpha * cy - w * omega * cx, m * ay + alpha * cx - w * omega * cy, 0.0))
     put(scratch, BASE.w, AT.torque, (0.0, 0.0, inertia * alpha + cx * ay - cy * ax))
 
 
 @inlined
-def _push(j: int, i: int, speed: float, speed_rate: float, scratch: Array) -> None:
-    """Motion of the reference of body i on body j, and the force it takes, `F` and `N` of the heading."""
-    omega_ref, alpha, k = get(scratch, j, AT.omega_ref), get(scratch, j, AT.alpha), AT.second
-    a = add(get(scratch, j, AT.a), cross(alpha, get(scratch, i, AT.lever)))
-    a = add(a, cross(omega_ref, get(scratch, i, AT.lever_rate)))
-    a = along(along(a, get(scratch, i, AT.s), speed_rate), get(scratch, i, AT.s_rate), speed)
-    omega_ref = along(omega_ref, get(scratch, i, AT.w), speed)
-    alpha = along(along(alpha, get(scratch, i, AT.w), speed_rate), get(scratch, i, AT.w_rate), speed)
-    put(scratch, i, AT.omega_ref, omega_ref)
-    put(scratch, i, AT.alpha, alpha)
-    put(scratch, i, AT.a, a)
-    mc, trace = get(scratch, i, AT.moment), scratch[i, k] + scratch[i, k + 3] + scratch[i, k + 5]
+def _load(i: int, scratch: Array) -> None:
+    """The force that the motion of the reference of body i takes, `F` and `N` of the heading."""
+    omega_ref, alpha, a = get(scratch, i, AT.omega_ref), get(scratch, i, AT.alpha), get(scratch, i, AT.a)
+    k, mc = AT.second, get(scratch, i, AT.moment)
+    trace = scratch[i, k] + scratch[i, k + 3] + scratch[i, k + 5]
     force = along(add(cross(alpha, mc), cross(omega_ref, get(scratch, i, AT.whirl))), a, scratch[i, AT.mass])
     torque = along(along(cross(mc, a), alpha, trace), times(scratch, i, k, alpha), -1.0)
     torque = add(torque, cross(times(scratch, i, k, omega_ref), get(scratch, i, AT.omega)))
@@ -168,21 +189,15 @@ def _pull(links: Indices, numbers: Array, i: int, force: Triple, torque: Triple,
 
 @inlined
 def _inverse(
-    tree: BodyTree, g: Triple, nu_ref: Array, nudot_ref: Array, share: float, scratch: Array, out: Array
+    tree: BodyTree, position: Array, nu_ref: Array, nudot_ref: Array, share: float, scratch: Array, out: Array
 ) -> None:
     """`T' (M (share T nudot_ref + Tdot nu_ref) + C T nu_ref + g)` without the rotors, after `place`."""
-    links, numbers, steers = tree.links, tree.numbers, tree.steers
+    links, numbers = tree.links, tree.numbers
     out[:] = 0.0
-    velocity = base_rates(links, scratch, nu_ref)
-    acceleration = along(ZERO, base_rates(links, scratch, nudot_ref), share)
-    if steers:
-        acceleration = add(acceleration, base_drift(links, scratch, nu_ref))
-    _push_base(numbers, scratch[BASE.w, AT.omega + 2], g, velocity, acceleration, scratch)
+    lead(tree, position, nu_ref, nudot_ref, share, scratch)
+    _load_base(numbers, scratch)
     for i in range(BASE.w + 1, len(links)):
-        speed, speed_rate = rate(links, scratch, i, nu_ref), share * rate(links, scratch, i, nudot_ref)
-        if steers:
-            speed_rate += drift(links, scratch, i, nu_ref)
-        _push(links[i, LINK.parent], i, speed, speed_rate, scratch)
+        _load(i, scratch)
     for i in range(len(links) - 1, BASE.w, -1):
         j = links[i, LINK.parent]
         force, torque = get(scratch, i, AT.force), get(scratch, i, AT.torque)
@@ -233,8 +248,7 @@ def terms(tree: BodyTree, position: Array, nu: Array, scratch: Array, M: Array, 
     links, numbers = tree.links, tree.numbers
     place(links, numbers, position, nu, scratch)
     _mass(links, numbers, tree.rotors, scratch, M)
-    g = _gravity(tree.gravity, tree.frame, tree.level, position)
-    _inverse(tree, g, nu, nu, 0.0, scratch, h)
+    _inverse(tree, position, nu, nu, 0.0, scratch, h)
     if tree.steers:
         _spin_mass(tree, scratch, M)
         _spin(tree, nu, nu, 0.0, scratch, h)
@@ -262,11 +276,10 @@ def psi(
 @linked
 def psi_again(tree: BodyTree, position: Array, nu_ref: Array, nudot_ref: Array, scratch: Array, out: Array) -> None:
     """`psi` where `scratch` still holds this state, from `terms` or `psi` just before."""
-    g, rotors = _gravity(tree.gravity, tree.frame, tree.level, position), tree.rotors
-    _inverse(tree, g, nu_ref, nudot_ref, 1.0, scratch, out)
+    _inverse(tree, position, nu_ref, nudot_ref, 1.0, scratch, out)
     for a in range(len(out)):
         for b in range(len(out)):
-            out[a] += rotors[a, b] * nudot_ref[b]
+            out[a] += tree.rotors[a, b] * nudot_ref[b]
     if tree.steers:
         _spin(tree, nu_ref, nudot_ref, 1.0, scratch, out)
 

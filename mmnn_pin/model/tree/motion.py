@@ -253,7 +253,7 @@ def first_moment(numbers: Array, i: int, scratch: Array) -> Triple:
 
 @inlined
 def _weigh(numbers: Array, i: int, scratch: Array) -> None:
-    """Moments of body i: `R mc`, `R Sigma R'`."""
+    """Moments of body i: `R mc`, `R Sigma R'`, and `omega x mc`."""
     k = NUMBER.second
     rx, ry, rz = get(scratch, i, AT.rotation), get(scratch, i, AT.rotation + 3), get(scratch, i, AT.rotation + 6)
     x, y, z = times(numbers, i, k, rx), times(numbers, i, k, ry), times(numbers, i, k, rz)
@@ -261,6 +261,7 @@ def _weigh(numbers: Array, i: int, scratch: Array) -> None:
     put(scratch, i, AT.moment, first_moment(numbers, i, scratch))
     put(scratch, i, AT.second, (dot(rx, x), dot(rx, y), dot(rx, z)))
     put(scratch, i, AT.second + 3, (dot(ry, y), dot(ry, z), dot(rz, z)))
+    put(scratch, i, AT.whirl, cross(get(scratch, i, AT.omega), get(scratch, i, AT.moment)))
 
 
 @inlined
@@ -274,16 +275,21 @@ def _move(links: Indices, i: int, speed: float, scratch: Array) -> None:
     put(scratch, i, AT.w_rate, cross(omega, w))
     put(scratch, i, AT.s_rate, cross(omega, s))
     put(scratch, i, AT.lever_rate, along(cross(omega, get(scratch, i, AT.lever)), s, speed))
-    omega = along(omega, w, speed)
-    put(scratch, i, AT.omega, omega)
-    put(scratch, i, AT.whirl, cross(omega, get(scratch, i, AT.moment)))
+    put(scratch, i, AT.omega, along(omega, w, speed))
+
+
+@inlined
+def move(links: Indices, numbers: Array, position: Array, nu: Array, scratch: Array) -> None:
+    """Places and motions of all bodies, into `scratch`."""
+    put(scratch, BASE.w, AT.omega, (0.0, 0.0, rate(links, scratch, BASE.w, nu)))
+    for i in range(BASE.w + 1, len(links)):
+        locate(links, numbers, position, i, scratch)
+        _move(links, i, rate(links, scratch, i, nu), scratch)
 
 
 @inlined
 def place(links: Indices, numbers: Array, position: Array, nu: Array, scratch: Array) -> None:
-    """Places and motions of all bodies, into `scratch`: the dynamics start from them."""
-    put(scratch, BASE.w, AT.omega, (0.0, 0.0, rate(links, scratch, BASE.w, nu)))
+    """Places, motions and moments of all bodies, into `scratch`: the dynamics start from them."""
+    move(links, numbers, position, nu, scratch)
     for i in range(BASE.w + 1, len(links)):
-        locate(links, numbers, position, i, scratch)
         _weigh(numbers, i, scratch)
-        _move(links, i, rate(links, scratch, i, nu), scratch)

@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+import yourdfpy
 from closed_form import inertial, joint
 from robots import dynamics, place, robot_of
 
 from benchmarks.identification import eight_with_sines
 from mmnn_pin import Feedback, Measurement, Setpoint, Stepper, StepperSettings, Trajectory, load, load_experiment
 from mmnn_pin.cli import main
+from mmnn_pin.deploy.identify.clearance import Obstacle, clearances, to_obstacles
 from mmnn_pin.deploy.identify.excitation import (
     NOISE,
     RATE,
     ExcitationLimits,
     ExcitationSearch,
     ExcitingMotion,
-    clearances,
     excite,
 )
 from mmnn_pin.errors import ConfigError
@@ -32,6 +36,7 @@ from mmnn_pin.model.robots import robot_data
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import BaseTable
+from mmnn_pin.signals import Array
 from mmnn_pin.torque.model_based import PD
 
 needs_data = pytest.mark.skipif(robot_data() is None, reason="example-robot-data is not installed")
@@ -109,6 +114,64 @@ def test_spheres_are_as_far_apart_as_the_joints_that_they_stand_on() -> None:
     folded = rest.copy()
     folded[2] = np.pi  # the forearm lies on the upper arm
     assert apart(folded) < 1.0
+
+
+AROUND = (Obstacle(1.3, 0.2, 0.2), Obstacle(-0.2, -1.3, 0.2, 0.3))  # a pillar, and a low one
+
+
+@pytest.fixture(scope="module")
+def by_points(robot: Robot) -> Callable[[Array, Array], list[float]]:
+    """Distances to obstacles in closed form, of points on the meshes that yourdfpy places."""
+    urdf = yourdfpy.URDF.load(str(robot.path), build_collision_scene_graph=True, load_collision_meshes=True)
+
+    def distances(q: Array, pose: Array) -> list[float]:
+        urdf.update_cfg(dict(zip(robot.joint_names, q, strict=True)))
+        points = trimesh.sample.sample_surface(urdf.collision_scene.to_geometry(), 5000, seed=0)[0]
+        c, s, (x, y, z) = np.cos(pose[2]), np.sin(pose[2]), points.T
+        x, y = pose[0] + c * x - s * y, pose[1] + s * x + c * y
+        gaps = (np.hypot(x - one.x, y - one.y) - one.radius for one in AROUND)
+        above = (np.maximum(z - one.height, 0.0) for one in AROUND)
+        return [float(np.hypot(np.maximum(a, 0.0), b).min()) for a, b in zip(gaps, above, strict=True)]
+
+    return distances
+
+
+def test_obstacles_are_as_far_as_points_on_the_shapes(
+    robot: Robot, by_points: Callable[[Array, Array], list[float]]
+) -> None:
+    rng, ours = np.random.default_rng(0), to_obstacles(robot, AROUND, 0.06)
+    for _ in range(20):
+        q, pose = rng.uniform(-np.pi, np.pi, 2), rng.uniform(-0.5, 0.5, 3)
+        np.testing.assert_allclose(np.maximum(ours(q, pose), 0.0), by_points(q, pose), atol=0.02)
+    bare = replace(robot, urdf=re.sub(r"(?s)<(collision|visual)>.*?</\1>", "", robot.urdf))
+    by_spheres = to_obstacles(bare, AROUND, 0.06)(np.zeros(2), np.zeros(3))
+    np.testing.assert_allclose(by_spheres, ours(np.zeros(2), np.zeros(3)), atol=0.3)
+
+
+def test_a_whole_robot_keeps_away_from_obstacles(
+    robot: Robot, by_points: Callable[[Array, Array], list[float]]
+) -> None:
+    found = excite(robot, replace(LIMITS, duration=10.0, seconds=0.0, obstacles=AROUND))
+    away = [min(by_points(found.position[i], found.pose[i])) for i in range(0, len(found.time), 10)]
+    assert 0.05 < found.nearest < min(away) + 1e-3
+    assert np.abs(found.pose[:, :2]).max() <= LIMITS.space * 1.01 and np.ptp(found.pose, axis=0).max() > 0.05
+    assert np.isfinite(found.sd).all() and found.to_dict()["nearest_obstacle"] == found.nearest
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("0.8,0", "write X,Y,RADIUS or X,Y,RADIUS,HEIGHT"),
+        ("a,b,c", "is no obstacle"),
+        ("1,0,-1", "radius and height > 0"),
+        ("1,nan,1", "radius and height > 0"),
+        ("0.2,0,0.1", "it stands nearer than 0.06 m .* move the obstacle away"),
+    ],
+)
+def test_obstacles_that_cannot_be_are_one_line(given: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["excite", "platform_arm", "--obstacle", given]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("--obstacle: error: ") and re.search(told, line)
 
 
 def test_the_table_is_a_reference_of_the_base(found: ExcitingMotion, tmp_path: Path) -> None:

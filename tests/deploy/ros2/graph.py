@@ -6,14 +6,19 @@ Transports and discovery are ROS 2's own defaults, but that nothing leaves the m
 
 from __future__ import annotations
 
+import fcntl
+import itertools
 import json
 import os
 import re
+import select
 import signal
 import subprocess
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,6 +28,7 @@ import pytest
 from places import ROOT
 
 HERE = Path(__file__).parent
+LONG = 1500.0  # patience with a process on a busy machine, which may have to compile [s]
 ENVIRONMENTS = Path(os.environ.get("MMNN_ROS", ROOT / "build/ros"))
 MAKE = f"bash {HERE}/make_environment.sh {ENVIRONMENTS} {{}}"
 MAIN = "import sys; from mmnn_pin.cli import main; sys.exit(main(sys.argv[1:]))"
@@ -43,6 +49,23 @@ SETTINGS = """/**:
       diff_drive_controller: {type: TwistStamped}
       effort_controller: {joints: [arm_1_joint, arm_2_joint]}
 """
+
+
+DOMAINS = itertools.cycle((os.getpid() + i) % 100 + 1 for i in range(100))
+
+
+@contextmanager
+def claimed() -> Iterator[int]:
+    """A domain that is another for each test, and that no other process has claimed: nobody hears another's robot."""
+    while True:
+        number = next(DOMAINS)
+        with (Path(tempfile.gettempdir()) / f"mmnn-ros-domain-{number}").open("a") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield number
+            return
 
 
 def python_of(distribution: str) -> Path:
@@ -77,7 +100,7 @@ def mmnn(distribution: str, domain: int, *arguments: Any, **own: str) -> subproc
 def said(distribution: str, domain: int, *arguments: Any, **own: str) -> tuple[int, str]:
     """Exit code and lines of `mmnn ros2` that ends by itself, in surroundings with some more of its own."""
     node = mmnn(distribution, domain, *arguments, **own)
-    out, err = node.communicate(timeout=300)
+    out, err = node.communicate(timeout=LONG)
     return node.returncode, out + err
 
 
@@ -121,26 +144,28 @@ def drive(
     changes: tuple[str, ...] = (),
     planner: str = "",
     text: str = SETTINGS,
-    meanwhile: Callable[[subprocess.Popen[str]], None] = lambda node: None,
+    when_it_drives: Callable[[subprocess.Popen[str]], None] | None = None,
 ) -> Drive:
-    """Drive the robot of `robot_node.py` through its faults, with changed parameters, and do something meanwhile.
+    """Drive the robot of `robot_node.py` through its faults, with changed parameters; do something when it drives.
 
     The node is stopped by Ctrl-C when the planner has ended, the robot when the node has.
     """
     settings = folder / "robot.yaml"
     settings.write_text(text)
-    robot = start(
-        distribution, domain if robot_domain is None else robot_domain, "robot_node.py", seconds + 1.5, *faults
-    )
+    there = domain if robot_domain is None else robot_domain
+    robot = start(distribution, there, "robot_node.py", LONG, *faults)
     options = [part for change in changes for part in ("-p", change)]
     own = ["--seconds", seconds, "--wait", wait, "--out", folder / "run.h5", "--force"]
     remapped = ["-r", "diff_drive_controller/odom:=odom"]
     node = mmnn(distribution, domain, settings, *own, "--ros-args", *remapped, *options)
     others = [start(distribution, domain, planner)] if planner else []
     plans, pool = list[str](), ThreadPoolExecutor(1)
-    lines = pool.submit(node.communicate, timeout=300)  # a pipe that nobody reads stops who writes
+    lines = pool.submit(node.communicate, timeout=LONG)  # a pipe that nobody reads stops who writes
     try:
-        meanwhile(node)
+        if when_it_drives is not None:
+            while node.poll() is None and not select.select([robot.stdout], [], [], 0.1)[0]:
+                pass
+            when_it_drives(node)
         for one in others:
             while one.poll() is None and node.poll() is None:
                 time.sleep(0.05)
@@ -151,11 +176,11 @@ def drive(
                 plans.append(plan)
         out, err = lines.result()
         robot.send_signal(signal.SIGTERM)
-        told, _ = robot.communicate(timeout=60) if robot_domain is None and node.returncode != 2 else ("", "")
+        told, _ = robot.communicate(timeout=LONG) if robot_domain is None and node.returncode != 2 else ("", "")
     finally:
         for one in (node, robot, *others):
             one.kill()
-    last = told.strip().splitlines()[-1:] or ["{}"]
+    last = [line for line in told.splitlines() if line.startswith("{")] or ["{}"]
     made = Drive(node.returncode, out + err, json.loads(last[0]))
     made.robot |= {"planner": json.loads(plans[0])} if plans else {}
     return made

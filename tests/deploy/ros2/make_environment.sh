@@ -9,7 +9,7 @@ here=$(realpath "$1/$distribution") work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 "$here/bin/pip" install -q "ros-$distribution-rclpy[fastrtps]" "ros-$distribution-std-srvs" \
     "ros-$distribution-"{sensor,nav,geometry,trajectory,diagnostic}-msgs
-"$here/bin/pip" install -q -e "$root[tasks,robots,contact]"
+"$here/bin/pip" install -q -e "$root[tasks,robots,contact]" foxglove-sdk websockets
 packages=(ament-package rosidl-{default,core}-{generators,runtime} rosidl-generator-py ament-cmake
     ament-cmake-{core,ros,gtest,gmock,pytest,python,test,version,libraries,include-directories,target-dependencies}
     ament-cmake-export-{definitions,dependencies,include-directories,interfaces,libraries,link-flags,targets})

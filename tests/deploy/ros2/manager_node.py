@@ -21,17 +21,24 @@ class Manager:
     """Clients of one node's services, and what the robot is told."""
 
     def __init__(self):
-        self.node, self.fastest = rclpy.create_node("manager"), 0.0
+        self.node, self.fastest, self.last = rclpy.create_node("manager"), 0.0, 0.0
         self.node.create_subscription(TwistStamped, "/diff_drive_controller/cmd_vel", self.on_twist, 10)
 
     def on_twist(self, message):
-        self.fastest = max(self.fastest, abs(message.twist.linear.x))
+        self.last = abs(message.twist.linear.x)
+        self.fastest = max(self.fastest, self.last)
+
+    def until(self, is_so):
+        """Listen until the last speed is so, or for a long time."""
+        limit = time.monotonic() + 120.0
+        while not is_so(self.last) and time.monotonic() < limit:
+            rclpy.spin_once(self.node, timeout_sec=0.05)
 
     def call(self, kind, name, request):
         client = self.node.create_client(kind, f"/mmnn/{name}")
-        assert client.wait_for_service(60.0), name
+        assert client.wait_for_service(600.0), name
         future = client.call_async(request)
-        rclpy.spin_until_future_complete(self.node, future, timeout_sec=60.0)
+        rclpy.spin_until_future_complete(self.node, future, timeout_sec=900.0)
         return future.result()
 
     def state(self):
@@ -63,9 +70,9 @@ def first(manager):
     descriptor = manager.call(DescribeParameters, "describe_parameters", request).descriptors[0]
     (told["range"],) = [[one.from_value, one.to_value] for one in descriptor.floating_point_range]
     told["description"] = descriptor.description
-    manager.listen(3.0)
+    manager.until(lambda speed: speed > 0.15)
     told["speed"] = manager.set("limits.speed", double_value=0.1)
-    manager.listen(1.0)
+    manager.until(lambda speed: speed < 0.11)
     told["driven"] = manager.listen(1.0)
     told["gains"] = manager.set("set.feedback.arm", double_value=8.0)
     told["learning"] = manager.set("learning", bool_value=False)
@@ -78,8 +85,9 @@ def first(manager):
 def second(manager):
     told = {"after": [manager.go(DEACTIVATE)], "stands": manager.listen(1.0)}
     told["after"].append(manager.go(ACTIVATE))
-    manager.listen(1.0)
-    told["drives again"] = manager.listen(2.0)
+    manager.last = 0.0
+    manager.until(lambda speed: speed > 0.05)
+    told["drives again"] = manager.last
     told["after"] += [manager.go(DEACTIVATE), manager.go(CLEANUP), manager.go(CONFIGURE)]
     return told
 

@@ -66,7 +66,7 @@ class Planner:
     def __init__(self, node, kind=FollowJointTrajectory, name="/mmnn/follow_joint_trajectory"):
         self.node, self.client, self.feedback = node, ActionClient(node, kind, name), []
 
-    def wait(self, future, patience=60.0):
+    def wait(self, future, patience=300.0):
         rclpy.spin_until_future_complete(self.node, future, timeout_sec=patience)
         return future.result() if future.done() else None
 
@@ -85,7 +85,7 @@ def main():
     rclpy.init()
     node, told = rclpy.create_node("planner"), {}
     planner, navigator = Planner(node), Planner(node, FollowPath, "/follow_path")
-    told["there"] = planner.client.wait_for_server(timeout_sec=240.0)
+    told["there"] = planner.client.wait_for_server(timeout_sec=1200.0)
     heard = {}
     for kind, topic in ((JointTrajectoryControllerState, "/mmnn/controller_state"), (Odometry, "/mmnn/odom")):
         node.create_subscription(kind, topic, partial(heard.__setitem__, kind), 10)

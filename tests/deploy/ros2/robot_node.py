@@ -1,10 +1,13 @@
 """A simulated robot as a node of real ROS 2 (rclpy): two wheels with velocity servos, an arm with effort motors.
 
-It knows nothing of this package. It tells as JSON how it was driven.
+It knows nothing of this package. A line says when it drives at first; at the end it tells as JSON how it was driven.
 
-    python robot_node.py SECONDS [FAULT@TIME ...]        SIGTERM ends it earlier
+    python robot_node.py SECONDS [FAULT@TIME ...] [JOINT=POSITION ...]        SIGTERM ends it earlier
+
+Joints that are named are servos of positions, in place of the two on efforts.
 """
 
+import contextlib
 import json
 import math
 import os
@@ -20,12 +23,12 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Empty, Float64MultiArray
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 RATE, STEP, INERTIA, DAMPING, LAG = 50.0, 0.0025, (1.2, 0.4), 0.5, 0.05
-NAMES = ("wheel_left_joint", "arm_1_joint", "wheel_right_joint", "arm_2_joint")
+WHEELS, ARM = ("wheel_left_joint", "wheel_right_joint"), {"arm_1_joint": 0.2, "arm_2_joint": -0.3}
 HAND = (0.85, 0.1)  # where the hand is to be [m]
 TIMEOUT = 0.5  # of the base's controller, as that of diff_drive_controller [s]
 
@@ -33,16 +36,19 @@ TIMEOUT = 0.5  # of the base's controller, as that of diff_drive_controller [s]
 class Robot:
     """State, and what is commanded."""
 
-    def __init__(self, node, faults):
-        self.node, self.faults, self.t = node, faults, 0.0
-        self.pose, self.v, self.q, self.qdot = [0.0, 0.0, 0.0], [0.0, 0.0], [0.2, -0.3], [0.0, 0.0]
+    def __init__(self, node, faults, servos):
+        self.node, self.faults, self.t, self.drove = node, faults, 0.0, False
+        self.names, self.q = zip(*(servos or ARM).items(), strict=True)
+        self.q, self.place = list(self.q), list(self.q) if servos else None
+        self.pose, self.v, self.qdot = [0.0, 0.0, 0.0], [0.0, 0.0], [0.0] * len(self.q)
         self.asked, self.effort, self.heard, self.counts = [0.0, 0.0], [0.0, 0.0], -math.inf, {"twist": 0, "effort": 0}
-        self.log, self.told, self.place, self.waited, self.commands = [], 0, None, [], []
+        self.log, self.told, self.waited, self.commands = [], 0, [], []
         node.create_subscription(TwistStamped, "/diff_drive_controller/cmd_vel", self.on_twist, 10)
         node.create_subscription(Float64MultiArray, "/effort_controller/commands", self.on_effort, 10)
         node.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
         node.create_subscription(JointTrajectory, "/arm_controller/joint_trajectory", self.on_place, 10)
-        self.drive = node.create_publisher(TwistStamped if "stamped" in faults else Twist, "/cmd_vel", 10)
+        if "no_joystick" not in faults:
+            self.drive = node.create_publisher(TwistStamped if "stamped" in faults else Twist, "/cmd_vel", 10)
         self.route = node.create_publisher(Path, "/plan", 1)
         self.plan = node.create_publisher(JointTrajectory, "/mmnn/joint_trajectory", 10)
         self.hand = [
@@ -55,6 +61,7 @@ class Robot:
         ]
         self.maps = node.create_publisher(TFMessage, "/tf", 20) if "map" in faults else None
         self.simulator = node.create_publisher(Clock, "/clock", 10) if "sim_time" in faults else None
+        node.create_subscription(Empty, "/speak", lambda _: self.faults.pop("silent", None), 10)
         self.open()
 
     def open(self):
@@ -78,7 +85,7 @@ class Robot:
 
     def on_place(self, message):
         point, self.counts["effort"] = message.points[0], self.counts["effort"] + 1
-        order = [message.joint_names.index(name) for name in ("arm_1_joint", "arm_2_joint")]
+        order = [message.joint_names.index(name) for name in self.names]
         self.place = [point.positions[i] for i in order]
         self.waited.append(point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec)
 
@@ -97,6 +104,7 @@ class Robot:
         asked = self.asked if self.t - self.heard < TIMEOUT else [0.0, 0.0]
         for i in range(2):
             self.v[i] += h / LAG * (asked[i] - self.v[i])
+        for i in range(len(self.q)):
             if self.place is None:
                 self.qdot[i] += h / INERTIA[i] * (self.effort[i] - DAMPING * self.qdot[i])
             else:
@@ -106,6 +114,9 @@ class Robot:
         self.pose[1] += h * self.v[0] * math.sin(self.pose[2])
         self.pose[2] += h * self.v[1]
         self.t += h
+        if self.v[0] > 0.15 and not self.drove:
+            self.drove = True
+            print("drives", flush=True)
         self.log.append([self.t, *self.pose, *self.v, *self.q, *self.qdot, *self.asked, *self.effort])
 
     def tell(self, k):
@@ -118,7 +129,7 @@ class Robot:
             return
         if self.joints is None:
             self.open()
-        if self.active("silent_for"):
+        if self.active("silent"):
             return
         stamp = self.node.get_clock().now().to_msg()
         if self.simulator is not None:
@@ -126,10 +137,10 @@ class Robot:
             stamp.sec, stamp.nanosec = int(told), int(1e9 * (told % 1.0))
             self.simulator.publish(Clock(clock=stamp))
         stamp.sec += 3600 if self.active("ahead") else -3600 if self.active("back") else 0
-        state = dict(
-            zip(NAMES, [(0.0, 0.0), (self.q[0], self.qdot[0]), (0.0, 0.0), (self.q[1], self.qdot[1])], strict=True)
+        state = dict.fromkeys(WHEELS, (0.0, 0.0)) | dict(
+            zip(self.names, zip(self.q, self.qdot, strict=True), strict=True)
         )
-        names = list(NAMES)
+        names = [WHEELS[0], self.names[0], WHEELS[1], *self.names[1:]]
         if self.active("permuted_for") and k % 2:
             names.reverse()
         if self.active("missing"):
@@ -228,13 +239,18 @@ class Robot:
 
 def main():
     seconds, faults = float(sys.argv[1]), {}
+    servos = {name: float(q) for name, is_servo, q in (word.partition("=") for word in sys.argv[2:]) if is_servo}
     for word in sys.argv[2:]:
         name, _, at = word.partition("@")
         faults[name] = float(at or 0.0)
+    with contextlib.suppress(
+        AttributeError, OSError
+    ):  # a robot is a machine of its own: what else runs does not delay it
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
     rclpy.init()
     node = rclpy.create_node("robot")
-    robot, k, begun = Robot(node, dict.fromkeys(faults, math.inf)), 0, math.inf
-    start, limit, told = time.monotonic(), time.monotonic() + 240.0, []
+    robot, k, begun = Robot(node, dict.fromkeys(faults, math.inf), servos), 0, math.inf
+    start, limit, told = time.monotonic(), time.monotonic() + 1200.0, []
     rate = 4.0 * RATE if "hand" in faults else RATE
     signal.signal(signal.SIGTERM, lambda *_: told.append(time.monotonic() + 0.1))
     while time.monotonic() < min([limit, *told]):
@@ -253,6 +269,7 @@ def main():
             robot.ask(k, begun)
         k += 1
         time.sleep(max(0.0, 1.0 / rate - (time.monotonic() - start) % (1.0 / rate)))
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # one that comes while it writes would cut what it tells
     begun = begun if begun < math.inf else 0.0
     rows = [[row[0] - begun, *row[1:]] for row in robot.log if row[0] >= begun]
     asked = getattr(robot, "asked_arm", math.nan) - begun

@@ -1,12 +1,15 @@
 """Someone at a real ROS 2 (rclpy) who resets a robot after a trip, and stops it; tells as JSON what was answered."""
 
 import json
+import math
 import os
 import sys
 import time
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Odometry
+from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 ERROR = b"\x02"
@@ -14,10 +17,12 @@ ERROR = b"\x02"
 
 def main():
     rclpy.init()
-    node, level, told = rclpy.create_node("switch"), [b"\0"], {}
+    node, level, speed, told = rclpy.create_node("switch"), [b"\0"], [0.0], {}
+    node.create_subscription(Odometry, "/odom", lambda m: speed.__setitem__(0, m.twist.twist.linear.x), 1)
     node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: level.__setitem__(0, m.status[0].level), 10)
+    speak = node.create_publisher(Empty, "/speak", 1)
     reset, stop = (node.create_client(Trigger, f"/mmnn/{name}") for name in ("reset", "stop"))
-    told["there"] = reset.wait_for_service(240.0) and stop.wait_for_service(240.0)
+    told["there"] = reset.wait_for_service(1200.0) and stop.wait_for_service(1200.0)
 
     def ask(client):
         """The answer; asked once more where none comes, as both sides may not have met yet."""
@@ -28,8 +33,15 @@ def main():
                 return [found.success, found.message]
         return [False, ""]
 
+    def drives(is_so, meanwhile=lambda: None):
+        """Wait until the robot drives, or stands, by what it tells from now on."""
+        limit, speed[0] = time.monotonic() + 120.0, math.nan
+        while not (speed[0] > 0.16 if is_so else abs(speed[0]) < 0.03) and time.monotonic() < limit:
+            meanwhile()
+            rclpy.spin_once(node, timeout_sec=0.1)
+
     def wait(tripped):
-        limit = time.monotonic() + 20.0
+        limit = time.monotonic() + 120.0
         while (level[0] == ERROR) != tripped and time.monotonic() < limit:
             rclpy.spin_once(node, timeout_sec=0.1)
         return (level[0] == ERROR) == tripped
@@ -39,17 +51,19 @@ def main():
         told["early"] = ask(reset)
         time.sleep(0.2)
     told["tripped"] = wait(True)
-    told["blind"] = ask(reset)
-    limit, answer = time.monotonic() + 20.0, told["blind"]
+    told["blind"] = answer = ask(reset)
+    if not answer[0]:  # it is silent
+        drives(False, lambda: speak.publish(Empty()))
+    limit = time.monotonic() + 120.0
     while not answer[0] and time.monotonic() < limit:
         time.sleep(0.1)
         answer = ask(reset)
     told["reset"], told["runs"] = answer, wait(False)
-    time.sleep(1.0)
+    drives(True)
     told["stop"], told["stopped"] = ask(stop), wait(True)
-    time.sleep(1.0)
+    drives(False)
     told["again"], told["runs again"] = ask(reset), wait(False)
-    time.sleep(1.5)
+    drives(True)
     print(json.dumps(told), flush=True)
     os._exit(0)  # rclpy's destructors are not what is tested
 

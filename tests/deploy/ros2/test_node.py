@@ -3,55 +3,42 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import signal
 import subprocess
-import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from graph import SETTINGS, drive, mmnn, said, start
+from graph import LONG, SETTINGS, drive, mmnn, said, start
 
-DOMAINS = iter(range(40, 65))
 EFFORTS = slice(12, 14)  # of a row of the robot: what its arm's motors were told last
-
-
-@pytest.fixture
-def domain() -> int:
-    return next(DOMAINS)
-
-
-def when_it_drives(folder: Path, then: float) -> None:
-    """Wait until rows stand in the recording, and some seconds more: before, the node may compile."""
-    file, deadline, first = folder / "run.h5", time.monotonic() + 120.0, 0
-    while time.monotonic() < deadline:
-        size = file.stat().st_size if file.exists() else 0
-        first = first or size
-        if size > first:
-            break
-        time.sleep(0.05)
-    time.sleep(then)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_ctrl_c_brakes_and_is_130(tmp_path: Path, domain: int, number: int) -> None:
+    """Control is the main thread, before all ordinary ones where that may be had."""
+    policies = []
+
     def press(node: subprocess.Popen[str]) -> None:
-        when_it_drives(tmp_path, 3.0)
+        policies.append(os.sched_getscheduler(node.pid))
         node.send_signal(number)
 
-    run = drive(tmp_path, "kilted", domain, "no_plan", seconds=30.0, meanwhile=press)
+    run = drive(tmp_path, "kilted", domain, "no_plan", seconds=90.0, when_it_drives=press)
     assert run.code == 130 and f"stopped by {signal.Signals(number).name}" in run.lines, run.lines
+    is_told = "control runs as an ordinary thread" in run.lines
+    assert policies == [os.SCHED_OTHER if is_told else os.SCHED_FIFO | os.SCHED_RESET_ON_FORK], run.lines
     assert np.abs(run.rows[:, 4]).max() > 0.1  # it drove
     assert np.abs(run.rows[-1, 4:6]).max() < 0.02 and np.abs(run.rows[-1, EFFORTS]).max() < 1e-6
 
 
 def test_a_full_disk_lets_the_efforts_fade(tmp_path: Path, domain: int) -> None:
     def fill(node: subprocess.Popen[str]) -> None:
-        when_it_drives(tmp_path, 2.0)
         resource.prlimit(node.pid, resource.RLIMIT_FSIZE, (4096, 4096))
 
-    run = drive(tmp_path, "kilted", domain, "no_plan", seconds=30.0, meanwhile=fill)
+    run = drive(tmp_path, "kilted", domain, "no_plan", seconds=90.0, when_it_drives=fill)
     assert run.code not in (0, 2) and "run.h5: error: cannot write" in run.lines, run.lines  # HDF5 may crash at exit
     assert "Traceback" not in run.lines
     assert np.abs(run.rows[-1, 4:6]).max() < 0.02 and np.abs(run.rows[-1, EFFORTS]).max() < 1e-6
@@ -61,7 +48,7 @@ def test_a_managed_node_is_configured_changed_stopped_and_started_again(tmp_path
     """By the services of the lifecycle and of parameters; a second node of the same robot is refused meanwhile."""
     file = tmp_path / "robot.yaml"
     file.write_text(SETTINGS)
-    robot = start("kilted", domain, "robot_node.py", 200.0, "no_plan")
+    robot = start("kilted", domain, "robot_node.py", 900.0, "no_plan")
     own = [file, "--out", tmp_path / "run.h5", "--force"]
     remapped = ["--ros-args", "-r", "diff_drive_controller/odom:=odom"]
     node, manager = mmnn("kilted", domain, *own, "--managed", *remapped), start("kilted", domain, "manager_node.py", 0)
@@ -70,9 +57,9 @@ def test_a_managed_node_is_configured_changed_stopped_and_started_again(tmp_path
         own = [file, "--out", tmp_path / "second.h5", "--wait", 3]
         second = said("kilted", domain, *own, *remapped, "-r", "__node:=second")
         goes_on = start("kilted", domain, "manager_node.py", 1)
-        told |= json.loads(goes_on.communicate(timeout=120)[0])
+        told |= json.loads(goes_on.communicate(timeout=LONG)[0])
         node.send_signal(signal.SIGINT)
-        lines = "".join(node.communicate(timeout=60))
+        lines = "".join(node.communicate(timeout=LONG))
     finally:
         for one in (robot, node, manager):
             one.kill()
@@ -91,22 +78,66 @@ def test_a_managed_node_is_configured_changed_stopped_and_started_again(tmp_path
 
 def test_a_node_that_was_killed_is_started_again(tmp_path: Path, domain: int) -> None:
     """The graph forgets who was killed after a lease, 20 s of Fast DDS: until then its commands count as another's."""
+    for code, number in ((-signal.SIGKILL, signal.SIGKILL), (130, signal.SIGINT)):
+        end = partial(subprocess.Popen.send_signal, sig=number)
+        run = drive(tmp_path, "kilted", domain, "no_plan", seconds=90.0, wait=90.0, when_it_drives=end)
+        assert run.code == code and np.abs(run.rows[:, 4]).max() > 0.15, run.lines
 
-    def kill(node: subprocess.Popen[str]) -> None:
-        when_it_drives(tmp_path, 2.5)
-        node.kill()
 
-    first = drive(tmp_path, "kilted", domain, "no_plan", seconds=30.0, meanwhile=kill)
-    assert first.code == -signal.SIGKILL
-    assert np.abs(first.rows[:, 4]).max() > 0.1
-    again = drive(tmp_path, "kilted", domain, "no_plan", seconds=2.5, wait=40.0)
-    assert again.code == 0 and np.abs(again.rows[:, 4]).max() > 0.15, again.lines
+TIAGO = {
+    "torso_lift_joint": 0.15, "arm_1_joint": 0.5, "arm_2_joint": -0.5, "arm_3_joint": -1.0, "arm_4_joint": 1.0,
+    "arm_5_joint": 0.0, "arm_6_joint": 0.0, "arm_7_joint": 0.0,
+}  # fmt: skip
+SERVOS = f"""/**:
+  ros__parameters:
+    robot: tiago
+    rate: 100.0
+    latency: 0.005
+    controller: pd_gravity
+    set:
+      overrides: {{lock: ["head_1_joint=0.0", "head_2_joint=0.0"]}}
+      safety: {{torque: urdf, timeout: 0.8, stop_time: 1.0}}
+    joint_states: {{age: 0.3}}
+    odometry: {{age: 0.3, at: [0.0, 0.0, 0.0]}}
+    path: {{speed: 0.25}}
+    commands:
+      diff_drive_controller: {{type: TwistStamped}}
+      arm_controller: {{type: JointTrajectory, interface: position, joints: [{", ".join(TIAGO)}]}}
+"""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("distribution", ["kilted", "jazzy"])
+@pytest.mark.parametrize(("text", "joints"), [(SETTINGS, {}), (SERVOS, TIAGO)], ids=["platform_arm", "tiago"])
+def test_a_session(tmp_path: Path, domain: int, distribution: str, text: str, joints: dict[str, float]) -> None:
+    """Teleoperation, goals of arm and base, a path, live parameters, e-stop, reset; then killed and started again."""
+    servos, goes_on = [f"{name}={q}" for name, q in joints.items()], ("end_after_trip:=false",)
+    faults = (*servos, "no_plan", "no_joystick")
+    run = drive(
+        tmp_path, distribution, domain, *faults, seconds=900.0, planner="session_node.py", text=text, changes=goes_on
+    )
+    assert run.code == 130 and "planner" in run.robot, run.lines
+    told = run.robot["planner"]
+    assert told["teleoperation"], told
+    for name in ("arm", "again"):
+        assert told[name][0] == [4, 0, ""] and told[name][1] < 0.05, (name, told)
+    for name in ("whole", "path"):
+        result, (aside, turned) = told[name]
+        assert result == [4, 0, ""] and aside < 0.05 and turned < 0.05, (name, told)
+    assert told["parameters"] == [True, False] and told["stop"] and told["reset"], told
+    assert told["stopped"][0] == 6, told  # aborted: it does not move while it is stopped
+    for code, number in ((-signal.SIGKILL, signal.SIGKILL), (130, signal.SIGINT)):
+        end = partial(subprocess.Popen.send_signal, sig=number)
+        run = drive(
+            tmp_path, distribution, domain, *servos, "no_plan", seconds=90.0, wait=90.0, text=text, when_it_drives=end
+        )
+        assert run.code == code, run.lines
 
 
 def test_a_clock_that_was_set_back_is_a_stop_and_a_reset_goes_on(tmp_path: Path, domain: int) -> None:
     asked = "use_sim_time:=true", "end_after_trip:=false"
     faults = "sim_time", "sim_back@2.0", "no_plan"
-    run = drive(tmp_path, "kilted", domain, *faults, seconds=90.0, changes=asked, planner="switch_node.py")
+    run = drive(tmp_path, "kilted", domain, *faults, seconds=600.0, changes=asked, planner="switch_node.py")
     told = run.robot["planner"]
     assert told["tripped"] and told["reset"][0] and told["runs"], (told, run.lines)
     assert "/clock jumped by -" in run.lines

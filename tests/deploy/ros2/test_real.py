@@ -5,24 +5,21 @@ One distribution in the default suite, both and the whole matrix of faults under
 
 from __future__ import annotations
 
+import json
+import signal
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from graph import SETTINGS, Drive, drive, of_ros, python_of
+from graph import LONG, SETTINGS, Drive, claimed, drive, of_ros, python_of, start
 from places import ROOT
 
 from mmnn_pin import Recording, load
 
 EVERY = ["kilted", pytest.param("jazzy", marks=pytest.mark.long)]
-DOMAINS = iter(range(65, 95))  # one per test: nobody hears another's robot
 GOAL = (0.8, 0.4)  # of the trajectory that the robot's planner sends
-
-
-@pytest.fixture
-def domain() -> int:
-    return next(DOMAINS)
 
 
 def was_tracked(run: Drive) -> None:
@@ -104,7 +101,8 @@ def test_a_simulators_clock_drives_and_stops_where_it_jumps(tmp_path: Path, doma
     sim = ("use_sim_time:=true",)
     run = drive(tmp_path, "kilted", domain, "sim_time", seconds=5.5, changes=sim)
     assert run.code == 0 and np.abs(run.at(4.5)[6:8] - GOAL).max() < 0.05, run.lines
-    run = drive(tmp_path, "kilted", next(DOMAINS), "sim_time", "sim_back@2.0", seconds=6.0, changes=sim)
+    with claimed() as other:
+        run = drive(tmp_path, "kilted", other, "sim_time", "sim_back@2.0", seconds=6.0, changes=sim)
     assert run.code == 1 and "stopped from outside" in run.lines and "/clock jumped by -" in run.lines, run.lines
 
 
@@ -118,7 +116,8 @@ def test_the_example_with_mujoco_drives(tmp_path: Path, domain: int) -> None:
 
 @pytest.mark.long
 def test_another_domain_is_silence(tmp_path: Path, domain: int) -> None:
-    run = drive(tmp_path, "kilted", domain, robot_domain=next(DOMAINS), wait=3.0)
+    with claimed() as other:
+        run = drive(tmp_path, "kilted", domain, robot_domain=other, wait=3.0)
     assert run.code == 2 and "/joint_states: no publisher" in run.lines, run.lines
 
 
@@ -127,7 +126,7 @@ def test_goals_of_the_actions_are_followed(tmp_path: Path, domain: int, distribu
     """As MoveIt and Nav2 send them: refused, replaced, reached, cancelled, scaled; one of them longer than a packet."""
     faults = "no_plan", "no_joystick"
     asked = "publish.odometry:=20.0", "publish.tf:=true"
-    run = drive(tmp_path, distribution, domain, *faults, seconds=120.0, planner="planner_node.py", changes=asked)
+    run = drive(tmp_path, distribution, domain, *faults, seconds=900.0, planner="planner_node.py", changes=asked)
     told = run.robot["planner"]
     assert run.code == 130 and told["there"] and told["long"] and told["accepted"], (told, run.lines)
     assert told["unknown joint"] == [6, -2, "joints elbow: there is arm_1_joint, arm_2_joint"]
@@ -153,9 +152,9 @@ def test_goals_of_the_actions_are_followed(tmp_path: Path, domain: int, distribu
 
 @pytest.mark.parametrize("distribution", EVERY)
 def test_a_robot_goes_on_after_its_reset_and_stops_when_told(tmp_path: Path, domain: int, distribution: str) -> None:
-    """A silent second trips it; a reset without a measurement is refused, one with it is not."""
+    """Silence trips it; a reset without a measurement is refused, one with it is not."""
     asked = ("end_after_trip:=false",)
-    run = drive(tmp_path, distribution, domain, "silent_for@4.0", seconds=90.0, changes=asked, planner="switch_node.py")
+    run = drive(tmp_path, distribution, domain, "silent@4.0", seconds=900.0, changes=asked, planner="switch_node.py")
     told = run.robot["planner"]
     assert run.code == 130 and told["there"] and told["tripped"], (told, run.lines)
     assert told["early"] == [False, "nothing to reset: the supervisor has not tripped"]
@@ -268,3 +267,25 @@ def test_a_hand_goes_where_messages_lead_it_and_pushes_and_gives_way_as_they_say
     up = kept["asked_force"][:, 2]  # in which a planar arm neither moves nor has a displacement
     assert up.max() == pytest.approx(3.0, abs=1e-6) and up[-1] == 0.0
     assert "a moment: send a force alone" in run.lines, run.lines
+
+
+@pytest.mark.long
+def test_foxglove_shows_it_live(tmp_path: Path, domain: int) -> None:
+    """By Foxglove's own library and protocol, while the robot is driven."""
+    live = start("kilted", domain, str(ROOT / "examples/robot/live.py"), "--port", 0)
+    port = live.stdout.readline().rpartition(":")[2].split()[0]  # type: ignore[union-attr]
+    told: list[dict[str, Any]] = []
+
+    def look(node: subprocess.Popen[str]) -> None:
+        viewer = start("kilted", domain, "foxglove_node.py", port, "/joints", "/base", "/node")
+        told.append(json.loads(viewer.communicate(timeout=LONG)[0]))
+        node.send_signal(signal.SIGINT)
+
+    run = drive(tmp_path, "kilted", domain, "no_plan", seconds=300.0, when_it_drives=look)
+    live.kill()
+    assert run.code == 130, run.lines
+    joints, base, node = (told[0][name] for name in ("/joints", "/base", "/node"))
+    assert set(joints["feedback"]["positions"]) == {"arm_1_joint", "arm_2_joint"}
+    for name, e in joints["error"]["positions"].items():
+        assert abs(joints["reference"]["positions"][name] - joints["feedback"]["positions"][name] - e) < 1e-9
+    assert np.hypot(*base["feedback"].values()) > 0.0 and node["supervisor"]["time"] > 0.0

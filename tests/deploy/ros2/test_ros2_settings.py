@@ -41,6 +41,7 @@ def read(text: str, **changes: Any) -> Node:
 
 WRONG = {
     "rate": (1e5, "rate: error: 100000.0 /s: use 1 to 2000"),
+    "thread_priority": (100, "thread_priority: error: 100: use 0 to 99"),
     "joint_states.ages": (0.3, "unknown parameter 'joint_states.ages': did you mean 'joint_states.age'?"),
     "joint_states.age": (-1.0, "joint_states.age: error: -1.0: use a number > 0"),
     "joint_states.names": (["elbow"], "joint_states.names: error: 'elbow': write \"urdf=theirs\""),

@@ -17,9 +17,7 @@ from mmnn_pin.lab.experiments.config import load_experiment, merged
 from mmnn_pin.lab.experiments.experiment import Case, Tolerance
 from mmnn_pin.lab.show import comparison as shown
 from mmnn_pin.recording.recording import Outcome
-from mmnn_pin.signals import Layout
 
-LAYOUT = Layout(base=2, arm=2, full=7, motors=4)
 NAMES = {"velocity_names": ("v", "w", "a", "b"), "actuator_names": ("l", "r", "a", "b"), "control_period": 0.01}
 LOOSE = Tolerance(settle=0.5, pose=0.05, joint=0.05, runaway=0.3)
 
