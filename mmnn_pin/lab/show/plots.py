@@ -104,7 +104,7 @@ def draw_effort_limit(axes: Axes, limit: float, unit: str) -> None:
 
 @figure("touch", needs=signals("contact"))
 def touch_figure(recordings: Recordings) -> Figure:
-    """What is felt of the world: contact and the wrench of the hand, beside the torques that leave their band."""
+    """Contact and wrench of the hand, beside the external torques that leave their band."""
     groups = {"hand": "Hand", "on": "Torque of the world, on"}
     return overlay("Touch", recordings, columns_of(groups, curves.touch(recordings)))
 
